@@ -1,0 +1,1 @@
+"""Drivers: everything that turns wire bytes, a file or a simulation into blocks of samples."""

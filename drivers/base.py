@@ -1,0 +1,142 @@
+"""The contract every driver keeps: public methods here, three private hooks to fill in.
+
+A driver knows samples and errors, nothing else: no estimator, no API, no reconnect policy. The service owns one
+reader thread a drive, calls `open`, then `read` in a loop, and on `DriverDisconnectedError` closes, waits
+(back-off) and opens again. A driver object survives any number of open/close cycles.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Any, ClassVar
+
+from servo_daemon.errors import DriverDisconnectedError, DriverError
+from servo_daemon.samples import SampleBlock
+
+
+@dataclass(frozen=True, slots=True)
+class DriveInfo:
+    """What a driver knows of the device behind it. None: not known (yet).
+
+    `identity` names the device itself (drive id on the wire, serial number), so that persisted knowledge is not
+    given to another motor. Resolutions are one least significant bit.
+    """
+
+    identity: str
+    sample_period_s: float | None = None
+    counts_per_rev: float | None = None
+    current_lsb_A: float | None = None
+    voltage_lsb_V: float | None = None
+    channels: tuple[str, ...] = ()
+
+
+@dataclass(slots=True)
+class DriverCounters:
+    """What happened on the line since the driver object was made. Only ever counts up; read by any thread."""
+
+    samples: int = 0  # samples delivered by `read`
+    frames: int = 0  # good frames
+    samples_lost: int = 0  # missing in the device's own numbering
+    samples_repeated: int = 0  # frames or samples seen twice, delivered once
+    crc_errors: int = 0  # complete frames with a wrong checksum
+    framing_errors: int = 0  # bytes that are no frame: half frames, garbage, wrong baud rate, CAN error frames
+    unknown_frames: int = 0  # well-formed, but not ours (another drive's id, an unmapped CAN id)
+    device_restarts: int = 0  # device time or sequence jumped back
+    extra: dict[str, int] = field(default_factory=dict)  # counters only this kind of driver has
+
+
+class Driver(ABC):
+    """One drive's source of samples. Used as `with driver: ... driver.read(0.1)`, or `open`/`read`/`close`.
+
+    Args:
+        name: the drive's name in the configuration; for messages only.
+        options: the `[drive.options]` table; a subclass validates it in its constructor and refuses unknown keys by
+            name with `DriverConfigError`. The constructor touches no device.
+    """
+
+    #: The name in the configuration's `driver = "..."`.
+    kind: ClassVar[str]
+
+    def __init__(self, name: str, options: dict[str, Any]) -> None:
+        self.name = name
+        self.options = dict(options)
+        self.counters = DriverCounters()
+        self._is_open = False
+
+    @property
+    def is_open(self) -> bool:
+        return self._is_open
+
+    @property
+    @abstractmethod
+    def info(self) -> DriveInfo:
+        """What is known of the device now; more may be known after the first frames."""
+
+    def open(self) -> None:
+        """Open the device. Does nothing when it is open.
+
+        Raises:
+            DriverUnavailableError: it cannot be opened now; trying later may help.
+            DriverConfigError: it can never be opened with these options.
+        """
+        if not self._is_open:
+            self._open()
+            self._is_open = True
+
+    def read(self, timeout_s: float) -> SampleBlock | None:
+        """The next samples: whatever has arrived, at least one; None if nothing came within `timeout_s`.
+
+        Blocks for at most about `timeout_s` (0 polls). Never raises for bad bytes: those are counted in `counters`
+        and the decoder resynchronises. Returns as soon as something is there; it does not wait for a full block.
+
+        Raises:
+            DriverError: the driver is not open.
+            DriverDisconnectedError: the device went away; `close`, then `open` again.
+            EndOfStreamError: a finite source has no more samples.
+        """
+        if not self._is_open:
+            raise DriverError(f"drive {self.name}: read before open")
+        block = self._read(timeout_s)
+        if block is not None:
+            self.counters.samples += len(block)
+        return block
+
+    def close(self) -> None:
+        """Release the device. Idempotent, never raises, safe while another thread is inside `read`
+        (that `read` then returns None or raises DriverDisconnectedError soon)."""
+        if self._is_open:
+            self._is_open = False
+            self._close()
+
+    def truth(self) -> dict[str, float] | None:
+        """True parameter values at this moment, where a simulation knows them. For display only: the service hands
+        them to the API and never to an estimator."""
+        return None
+
+    @abstractmethod
+    def _open(self) -> None:
+        """Hook: open the device, reset decoder state (a new attachment may be another device)."""
+
+    @abstractmethod
+    def _read(self, timeout_s: float) -> SampleBlock | None:
+        """Hook of `read`."""
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Hook: release everything `_open` took; must not raise."""
+
+    def __enter__(self) -> Driver:
+        self.open()
+        return self
+
+    def __exit__(
+        self, exc_type: type[BaseException] | None, exc: BaseException | None, tb: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def disconnected(name: str, why: object) -> DriverDisconnectedError:
+    """The one wording for a device that went away."""
+    return DriverDisconnectedError(f"drive {name}: device went away: {why}")

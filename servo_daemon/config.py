@@ -1,0 +1,271 @@
+"""Configuration: TOML, checked completely before anything starts; unknown keys are refused by name.
+
+Precedence: command-line flags, then environment (`SERVO_DAEMON_API_HOST`, `SERVO_DAEMON_API_PORT`,
+`SERVO_DAEMON_STATE_DIR`), then the file, then the defaults below. `deploy/example.toml` explains every key.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from servo_daemon.errors import ConfigError
+from servo_daemon.plant.effects import parameter_table
+
+PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+FiniteFloat = Annotated[float, Field(allow_inf_nan=False)]
+
+_NAME = re.compile(r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")
+_RATE = re.compile(r"^\s*([0-9.]+(?:[eE][-+]?\d+)?)\s*%\s*/\s*(?:(sqrt)\s*)?\(?(s|min|h|d)\)?\s*$")
+_SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
+_ALARM = re.compile(r"^(?P<parameter>\w+)_(?P<side>max|min)$")
+_RELATIVE = re.compile(r"^\s*([+-]?[0-9.]+(?:[eE][-+]?\d+)?)\s*%\s*$")
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class ApiConfig(_Section):
+    """`[api]`: where the REST API and the dashboard listen."""
+
+    host: str = "127.0.0.1"
+    port: int = Field(8077, ge=0, le=65535)  # 0: any free port, logged at start
+
+
+class StorageConfig(_Section):
+    """`[storage]`: where state is kept over a restart. None: $STATE_DIRECTORY (systemd), else not at all unless
+    the daemon runs with a config file, which then uses the user's state directory."""
+
+    state_dir: str | None = None
+    save_interval_s: PositiveFloat = 5.0
+
+
+class EstimationConfig(_Section):
+    """`[drive.estimation]`."""
+
+    engine: Literal["compiled", "filterpy"] = "compiled"
+    skew_s: float = Field(1e-5, ge=0)
+    refresh: bool = True
+    adopt: Literal["ask", "auto", "never"] = "ask"
+
+
+class LoadConfig(_Section):
+    """`[drive.load]`: what is known of load and encoder."""
+
+    mass_kg: PositiveFloat | None = None
+    arm_length_m: PositiveFloat | None = None
+    counts_per_rev: PositiveFloat | None = None
+
+
+class LimitsConfig(BaseModel):
+    """`[drive.limits]`: what the drive may be asked to do, and alarms such as `R_max = "+30 %"` or `R_max = 1.4`."""
+
+    model_config = ConfigDict(extra="allow", frozen=True, allow_inf_nan=False)
+
+    voltage_V: PositiveFloat | None = None
+    current_A: PositiveFloat | None = None
+    velocity_rad_s: PositiveFloat | None = None
+    travel_rad: PositiveFloat | None = None
+
+    @model_validator(mode="after")
+    def _alarms_are_known(self) -> LimitsConfig:
+        for key, value in (self.model_extra or {}).items():
+            match = _ALARM.match(key)
+            if match is None or match["parameter"] not in {*parameter_table(), "J_d"}:
+                raise ValueError(f"unknown key '{key}'")
+            if not isinstance(value, int | float) and not (isinstance(value, str) and _RELATIVE.match(value)):
+                raise ValueError(f"'{key}' must be a number or a text such as \"+30 %\", not {value!r}")
+        return self
+
+    @property
+    def alarms(self) -> Mapping[str, float | str]:
+        """Alarm keys and their limits as written."""
+        return dict(self.model_extra or {})
+
+
+class ControllerConfig(_Section):
+    """`[drive.controller]`: the gains now in use (position loop P, speed loop PI), for the margin warning."""
+
+    position_kp_1_s: float | None = Field(None, ge=0)
+    position_ki_1_s2: float | None = Field(None, ge=0)
+    position_kd: float | None = Field(None, ge=0)
+    speed_kp_V_s_rad: float | None = Field(None, ge=0)
+    speed_ki_V_rad: float | None = Field(None, ge=0)
+
+
+class DriveConfig(_Section):
+    """One `[[drive]]`. `options` belongs to the driver, which checks it itself when it is made."""
+
+    name: str = "axis1"
+    driver: str = "simulated"
+    model: tuple[str, ...] = ()
+    nominal: dict[str, FiniteFloat] = {}
+    estimation: EstimationConfig = EstimationConfig()
+    drift: dict[str, str] = {}
+    load: LoadConfig = LoadConfig()
+    limits: LimitsConfig = LimitsConfig()
+    controller: ControllerConfig = ControllerConfig()
+    options: dict[str, Any] = {}
+
+    @field_validator("name")
+    @classmethod
+    def _name_fits_an_url(cls, name: str) -> str:
+        if not _NAME.match(name):
+            raise ValueError("must be letters, digits, '_', '-' or '.', at most 64, starting with a letter or digit")
+        return name
+
+    @field_validator("model")
+    @classmethod
+    def _effects_exist(cls, model: tuple[str, ...]) -> tuple[str, ...]:
+        from servo_daemon.plant.effects import effects_by_name  # late: config must not cost CasADi's import twice
+
+        known = effects_by_name()
+        for name in model:
+            if name not in known:
+                raise ValueError(f"unknown effect '{name}': known are {', '.join(sorted(known))}")
+        if len(set(model)) != len(model):
+            raise ValueError("an effect is named twice")
+        return model
+
+    @field_validator("nominal")
+    @classmethod
+    def _nominal_is_possible(cls, nominal: dict[str, float]) -> dict[str, float]:
+        table = parameter_table()
+        for name, value in nominal.items():
+            if name not in table:
+                raise ValueError(f"unknown key '{name}': parameters are {', '.join(sorted(table))}")
+            parameter = table[name]
+            if not parameter.lower <= value <= parameter.upper:
+                raise ValueError(
+                    f"{name} = {value:g} {parameter.unit} is outside {parameter.lower:g} .. {parameter.upper:g}"
+                )
+        return nominal
+
+    @field_validator("drift")
+    @classmethod
+    def _drift_is_readable(cls, drift: dict[str, str]) -> dict[str, str]:
+        for name, text in drift.items():
+            if name not in parameter_table():
+                raise ValueError(f"unknown key '{name}'")
+            parse_drift(text)
+        return drift
+
+    def drift_per_sqrt_s(self, name: str) -> float | None:
+        """Random-walk intensity of log(parameter), 1/√s, as configured; None where it is not."""
+        text = self.drift.get(name)
+        return None if text is None else parse_drift(text)
+
+
+class Config(_Section):
+    """The whole configuration."""
+
+    api: ApiConfig = ApiConfig()
+    storage: StorageConfig = StorageConfig()
+    drive: tuple[DriveConfig, ...] = (DriveConfig(),)
+
+    @field_validator("drive")
+    @classmethod
+    def _names_differ(cls, drives: tuple[DriveConfig, ...]) -> tuple[DriveConfig, ...]:
+        if not drives:
+            raise ValueError("at least one [[drive]] is needed")
+        names = [d.name for d in drives]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"two drives are named '{name}'")
+        return drives
+
+    def drive_named(self, name: str | None) -> DriveConfig:
+        """The drive of that name, or the first.
+
+        Raises:
+            ConfigError: no such drive.
+        """
+        if name is None:
+            return self.drive[0]
+        for drive in self.drive:
+            if drive.name == name:
+                return drive
+        raise ConfigError(f"no drive named {name!r}: the config has {', '.join(d.name for d in self.drive)}")
+
+
+def parse_drift(text: str) -> float:
+    """'10 %/h' as the intensity of a random walk of log(parameter), in 1/√s: 1 σ after one hour is 10 %.
+
+    Raises:
+        ValueError: not of the form '10 %/h' (s, min, h, d; '%/sqrt(min)' means the same).
+    """
+    match = _RATE.match(text)
+    if match is None:
+        raise ValueError(f"{text!r} is not a drift such as '10 %/h' (units s, min, h, d)")
+    percent = float(match[1])
+    if not math.isfinite(percent):
+        raise ValueError(f"{text!r} is not finite")
+    return percent / 100.0 / math.sqrt(_SECONDS[match[3]])
+
+
+def _explain(error: ValidationError, source: str) -> str:
+    """Pydantic's first complaint as one line that names the place."""
+    first = error.errors()[0]
+    where = ".".join(str(part) for part in first["loc"]) or "config"
+    where = re.sub(r"\.(\d+)", lambda m: f"[{m[1]}]", where)
+    if first["type"] == "extra_forbidden":
+        return f"{source}: unknown key '{where}'"
+    message = first["msg"].removeprefix("Value error, ")
+    more = len(error.errors()) - 1
+    return f"{source}: {where}: {message}" + (f" (and {more} more)" if more else "")
+
+
+def parse_config(data: Mapping[str, Any], source: str = "config") -> Config:
+    """A checked configuration from already parsed TOML.
+
+    Raises:
+        ConfigError: with one line naming file and key.
+    """
+    try:
+        return Config.model_validate(dict(data))
+    except ValidationError as error:
+        raise ConfigError(_explain(error, source)) from error
+
+
+def _apply_environment(data: dict[str, Any], environ: Mapping[str, str]) -> None:
+    """Overrides from SERVO_DAEMON_<SECTION>_<KEY>; pydantic converts and checks them like the file's own."""
+    for section, keys in (("api", ("host", "port")), ("storage", ("state_dir", "save_interval_s"))):
+        for key in keys:
+            value = environ.get(f"SERVO_DAEMON_{section.upper()}_{key.upper()}")
+            if value is not None:
+                table = data.setdefault(section, {})
+                if isinstance(table, dict):
+                    table[key] = value
+    if (state_dir := environ.get("SERVO_DAEMON_STATE_DIR")) is not None and isinstance(
+        table := data.setdefault("storage", {}), dict
+    ):
+        table["state_dir"] = state_dir
+
+
+def load_config(path: Path | None, environ: Mapping[str, str] = os.environ) -> Config:
+    """The configuration from a TOML file (None: defaults) and the environment.
+
+    Raises:
+        ConfigError: unreadable, not TOML, unknown or impossible keys; one line naming the place.
+    """
+    data: dict[str, Any] = {}
+    source = "config" if path is None else str(path)
+    if path is not None:
+        try:
+            data = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
+        except UnicodeDecodeError as error:
+            raise ConfigError(f"{path}: not UTF-8 text: {error}") from error
+        except tomllib.TOMLDecodeError as error:
+            raise ConfigError(f"{path}: not valid TOML: {error}") from error
+    _apply_environment(data, environ)
+    return parse_config(data, source)

@@ -1,0 +1,51 @@
+"""The typed errors of the project: one tree, so that a caller can catch as much as it can handle."""
+
+from __future__ import annotations
+
+
+class ServoDaemonError(Exception):
+    """Base of every error this project raises on purpose. Its text is one line a user can act on."""
+
+    exit_code = 1
+
+
+class BadInputError(ServoDaemonError):
+    """Something the user gave is wrong (a file, a flag, a config); the text names the place."""
+
+    exit_code = 2
+
+
+class ConfigError(BadInputError):
+    """A configuration file, an environment override or a flag is wrong."""
+
+
+class CaptureError(BadInputError):
+    """A capture cannot be used; the text names file, line and column."""
+
+
+class DriverError(ServoDaemonError):
+    """Base of everything a driver raises."""
+
+
+class DriverConfigError(DriverError, ConfigError):
+    """The driver's options are wrong: no retry can help (a DBC lacks the mapped signal, an unknown option)."""
+
+
+class DriverUnavailableError(DriverError):
+    """The device cannot be opened now (port missing, busy, no permission); a later attempt may succeed."""
+
+
+class DriverDisconnectedError(DriverError):
+    """The device was open and went away (unplugged, bus off); close and open again."""
+
+
+class EndOfStreamError(DriverError):
+    """A finite source (a replayed capture) has delivered its last sample."""
+
+
+class WireError(DriverError):
+    """Bytes that are not a valid frame. Decoders count these; they do not let them escape from `read`."""
+
+
+class NumericalError(ServoDaemonError):
+    """A computation left the range in which its result means anything (a covariance lost definiteness)."""

@@ -1,0 +1,1 @@
+"""The plant, written down once: parameters, balances, effects, and what is compiled from them."""

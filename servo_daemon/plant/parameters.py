@@ -1,0 +1,61 @@
+"""The parameter table: every parameter of the linear DC servo with symbol, unit, nominal value, bounds and source.
+
+Symbols follow the paper ("Parameters estimation of DC servo motor using data driven-machine learning based estimation
+approach"), with two spelled differently: its D_m is B here (as in its own result table) and its K_t = K_b is one K,
+equal in SI units. Effects bring parameters of their own in the same form (see `plant/effects/`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Transform = Literal["log", "identity"]
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One parameter of a model.
+
+    Attributes:
+        name: the name in configuration, captures and JSON.
+        symbol: LaTeX.
+        unit: SI unit as it is published.
+        nominal: the paper's motor (its Table 1 result) or a start value for an effect.
+        lower, upper: physical bounds in `unit`; an estimate is clamped to them and flagged `at_bound`.
+        transform: "log" for positive parameters (estimated as logarithms), "identity" for signed ones.
+        description: what it is, in words.
+        source: where the nominal value or the bounds come from.
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    nominal: float
+    lower: float
+    upper: float
+    transform: Transform
+    description: str
+    source: str
+
+    def __post_init__(self) -> None:
+        if not self.lower < self.upper:
+            raise ValueError(f"{self.name}: bounds {self.lower} .. {self.upper} are empty")
+        if self.transform == "log" and self.lower <= 0:
+            raise ValueError(f"{self.name}: a log parameter needs a positive lower bound")
+
+
+_PAPER = "paper, section 2, method 2, estimation result"
+
+R = Parameter("R", "R_a", "Ω", 0.4937, 1e-4, 1e4, "log", "armature resistance", _PAPER)
+L = Parameter("L", "L_a", "H", 2.2769e-3, 1e-8, 10.0, "log", "armature inductance", _PAPER)
+K = Parameter("K", "K", "N·m/A", 0.30628, 1e-6, 1e3, "log", "torque constant = back-EMF constant", _PAPER)
+J = Parameter("J", "J", "kg·m²", 0.009751, 1e-10, 1e3, "log", "inertia of motor and load, J_m + J_d", _PAPER)
+B = Parameter("B", "B", "N·m·s/rad", 0.51141, 1e-10, 1e3, "log", "viscous friction (the paper's D_m)", _PAPER)
+
+#: The linear motor's parameters in the order in which they are published everywhere.
+LINEAR: tuple[Parameter, ...] = (R, L, K, J, B)
+
+#: Motor inertia without load: not estimated (the data see only J), given, so that J_d = J - J_m can be published.
+J_M = Parameter("J_m", "J_m", "kg·m²", 0.009751, 1e-10, 1e3, "log", "inertia of the bare motor", "datasheet")
+J_D = Parameter("J_d", "J_d", "kg·m²", 0.0, -1e3, 1e3, "identity", "inertia of the load, J - J_m", "derived")

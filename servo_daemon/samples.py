@@ -1,0 +1,135 @@
+"""The one form in which samples travel: from a driver through the pipeline to every estimator."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from enum import IntFlag
+
+import numpy as np
+from numpy.typing import NDArray
+
+F64 = NDArray[np.float64]
+U8 = NDArray[np.uint8]
+I64 = NDArray[np.int64]
+
+#: Measured channels a block may carry; a drive that lacks one leaves it None.
+CHANNELS = (
+    "voltage_V",
+    "current_A",
+    "position_rad",
+    "velocity_rad_s",
+    "temperature_C",
+    "torque_Nm",
+)
+
+
+class Quality(IntFlag):
+    """Why a sample is not as good as it looks. 0 is a good sample; bits combine."""
+
+    GOOD = 0
+    GAP_BEFORE = 1  # samples are missing between the one before and this one
+    VOLTAGE_INVALID = 2  # the channel's value is not a measurement (not finite, frozen, flagged by the drive)
+    CURRENT_INVALID = 4
+    POSITION_INVALID = 8
+    TIME_RESTART = 16  # device time jumped back before this sample: the device restarted
+    SATURATED = 32  # the drive reports that its output or a converter is at its limit
+
+
+@dataclass(frozen=True, slots=True)
+class SampleBlock:
+    """Consecutive samples of one drive, n >= 1, in the order the device took them.
+
+    `time_s` is device time, unwrapped and strictly increasing within the block (it drives the physics);
+    `host_time_s` is the host's monotonic clock when the last byte of the block arrived (it only measures
+    delivery). `voltage_V[k]` was applied from `time_s[k]` until `time_s[k + 1]` (zero-order hold).
+    On a linear axis positions are metres and torques newtons in the same fields; the capture says so.
+
+    Attributes:
+        time_s: shape (n,), s, device time.
+        sequence: shape (n,), running number of the sample, unwrapped; gaps in it are lost samples.
+        quality: shape (n,), bits of `Quality`.
+        host_time_s: s, monotonic host clock at reception.
+        voltage_V, current_A, position_rad, velocity_rad_s, temperature_C, torque_Nm: shape (n,) or None.
+            Position is continuous (unwrapped), counted from where the device counts from.
+    """
+
+    time_s: F64
+    sequence: I64
+    quality: U8
+    host_time_s: float
+    voltage_V: F64 | None = None
+    current_A: F64 | None = None
+    position_rad: F64 | None = None
+    velocity_rad_s: F64 | None = None
+    temperature_C: F64 | None = None
+    torque_Nm: F64 | None = None
+
+    def __post_init__(self) -> None:
+        n = self.time_s.shape[0]
+        for name in ("sequence", "quality", *CHANNELS):
+            array = getattr(self, name)
+            if array is not None and array.shape != (n,):
+                raise ValueError(f"{name} has shape {array.shape}, time_s has ({n},)")
+        for name in ("time_s", "sequence", "quality", *CHANNELS):
+            array = getattr(self, name)
+            if array is not None:
+                array.setflags(write=False)
+
+    def __len__(self) -> int:
+        return int(self.time_s.shape[0])
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels this block carries, in the order of `CHANNELS`."""
+        return tuple(name for name in CHANNELS if getattr(self, name) is not None)
+
+    def slice(self, start: int, stop: int) -> SampleBlock:
+        """Samples start..stop-1 as a block of their own (views, no copy)."""
+        cut = {
+            f.name: array[start:stop]
+            for f in fields(self)
+            if isinstance(array := getattr(self, f.name), np.ndarray)
+        }
+        return replace(self, **cut)
+
+
+def make_block(
+    time_s: F64,
+    *,
+    sequence: I64 | None = None,
+    quality: U8 | None = None,
+    host_time_s: float = 0.0,
+    **channels: F64 | None,
+) -> SampleBlock:
+    """A block from arrays; without them `sequence` counts from 0 and `quality` is good."""
+    n = time_s.shape[0]
+    return SampleBlock(
+        time_s=time_s,
+        sequence=np.arange(n, dtype=np.int64) if sequence is None else sequence,
+        quality=np.zeros(n, dtype=np.uint8) if quality is None else quality,
+        host_time_s=host_time_s,
+        **channels,
+    )
+
+
+def concatenate(blocks: Sequence[SampleBlock]) -> SampleBlock:
+    """Consecutive blocks as one. All must carry the same channels.
+
+    Raises:
+        ValueError: no block, or blocks with different channels.
+    """
+    if not blocks:
+        raise ValueError("no blocks to concatenate")
+    if len(blocks) == 1:
+        return blocks[0]
+    channels = blocks[0].channels
+    if any(b.channels != channels for b in blocks):
+        raise ValueError(f"blocks carry different channels: {sorted({b.channels for b in blocks})}")
+    return SampleBlock(
+        time_s=np.concatenate([b.time_s for b in blocks]),
+        sequence=np.concatenate([b.sequence for b in blocks]),
+        quality=np.concatenate([b.quality for b in blocks]),
+        host_time_s=blocks[-1].host_time_s,
+        **{name: np.concatenate([getattr(b, name) for b in blocks]) for name in channels},
+    )

@@ -1,0 +1,93 @@
+"""What the service publishes: immutable records, made by the pipeline thread, read by the API without a lock.
+
+Nothing in here is ever NaN: a value that is not known is None (JSON null, an empty CSV cell).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+Status = Literal["estimating", "tracking", "unexcited", "at_bound", "fixed", "invalid"]
+Connection = Literal["connecting", "connected", "silent", "down", "ended"]
+
+
+def finite_or_none(value: float | None) -> float | None:
+    """The gate every published number passes: None for None, NaN and infinities."""
+    return float(value) if value is not None and math.isfinite(value) else None
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterEstimate:
+    """One parameter as published. `std` is 1 σ in `unit`; `reason` says in words why `status` is not tracking."""
+
+    name: str
+    value: float | None
+    std: float | None
+    unit: str
+    nominal: float | None
+    status: Status
+    reason: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorView:
+    """What one estimator says by itself, beside the fused estimate: parameter -> (value, std)."""
+
+    parameters: Mapping[str, tuple[float | None, float | None]]
+    detail: Mapping[str, float | int | bool | str | None] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """The pipeline's output at one moment of device time. Free of wall-clock time."""
+
+    time_s: float
+    samples: int
+    sample_rate_hz: float | None
+    model: tuple[str, ...]
+    parameters: tuple[ParameterEstimate, ...]
+    state: Mapping[str, float | None]
+    estimators: Mapping[str, EstimatorView]
+    health: Mapping[str, float | int | bool | str | None]
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something worth telling: reconnects, device restarts, jumps of a parameter, resets.
+
+    `time` is UTC, seconds since the epoch. `kind` is a short machine name ("disconnected", "connected",
+    "device_restarted", "silent", "reset", "state_restored", ...); `data` has numbers with units in their names.
+    """
+
+    time: float
+    kind: str
+    message: str
+    data: Mapping[str, float | int | str | None] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """One drive at one moment: the estimate and what the service knows around it.
+
+    Attributes:
+        drive, driver: name and kind of the drive.
+        time: UTC seconds since the epoch at which the last sample arrived (host clock); None before the first.
+        connection: "connecting" (never seen samples), "connected", "silent" (open, but no samples), "down" (device
+            away, being retried), "ended" (a finite source is finished).
+        reason: in words, when not connected.
+        estimate: None until the first samples.
+        counters: totals of driver and queue: samples, samples_lost, queue_dropped, crc_errors, reconnects, ...
+        truth: a simulated drive's true values at this moment; for display only.
+    """
+
+    drive: str
+    driver: str
+    time: float | None
+    connection: Connection
+    reason: str | None
+    estimate: Estimate | None
+    counters: Mapping[str, int]
+    truth: Mapping[str, float] | None = None
