@@ -119,13 +119,17 @@ class DriveConfig(_Section):
     @classmethod
     def _name_fits_an_url(cls, name: str) -> str:
         if not _NAME.match(name):
-            raise ValueError("must be letters, digits, '_', '-' or '.', at most 64, starting with a letter or digit")
+            raise ValueError(
+                "must be letters, digits, '_', '-' or '.', at most 64, starting with a letter or digit"
+            )
         return name
 
     @field_validator("model")
     @classmethod
     def _effects_exist(cls, model: tuple[str, ...]) -> tuple[str, ...]:
-        from servo_daemon.plant.effects import effects_by_name  # late: config must not cost CasADi's import twice
+        from servo_daemon.plant.effects import (
+            effects_by_name,
+        )  # late: config must not cost CasADi's import twice
 
         known = effects_by_name()
         for name in model:

@@ -1,0 +1,31 @@
+"""Constant load torque: a hanging weight on a drum, a spring far from its rest, a biased process."""
+
+from __future__ import annotations
+
+from servo_daemon.plant.effects.base import Effect, Signals, Terms
+from servo_daemon.plant.parameters import Parameter
+
+TL = Parameter(
+    "TL",
+    "T_L",
+    "N·m",
+    0.0,
+    -1e4,
+    1e4,
+    "identity",
+    "constant load torque, positive against positive motion",
+    "start value",
+)
+
+
+def _terms(s: Signals) -> Terms:
+    return Terms(load_torque=s.p["TL"])
+
+
+EFFECT = Effect(
+    name="constant_load_torque",
+    cause="A load that pulls in one direction whatever the motion, such as a weight on a drum.",
+    equation=r"T_L",
+    parameters=(TL,),
+    terms=_terms,
+)

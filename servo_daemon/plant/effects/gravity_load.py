@@ -1,0 +1,34 @@
+"""Gravity load: an unbalanced arm or pendulum on the shaft."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from servo_daemon.plant.effects.base import Effect, Signals, Terms
+from servo_daemon.plant.parameters import Parameter
+
+TG = Parameter("Tg", "T_g", "N·m", 0.1, 1e-9, 1e4, "log", "greatest gravity torque, m g l", "start value")
+PHI_G = Parameter(
+    "phi_g",
+    r"\varphi_g",
+    "rad",
+    0.0,
+    -6.5,
+    6.5,
+    "identity",
+    "angle of the arm's lowest point, negated",
+    "start value",
+)
+
+
+def _terms(s: Signals) -> Terms:
+    return Terms(load_torque=s.p["Tg"] * ca.sin(s.theta + s.p["phi_g"]))
+
+
+EFFECT = Effect(
+    name="gravity_load",
+    cause="An unbalanced arm or pendulum on the shaft, pulled down by its weight.",
+    equation=r"T_g \sin(\theta + \varphi_g)",
+    parameters=(TG, PHI_G),
+    terms=_terms,
+)

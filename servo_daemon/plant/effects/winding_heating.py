@@ -1,0 +1,37 @@
+"""Winding heating: the current's loss heats the copper, whose resistance rises with its temperature."""
+
+from __future__ import annotations
+
+from servo_daemon.plant.effects.base import Effect, Signals, State, Terms
+from servo_daemon.plant.parameters import Parameter
+
+#: Temperature coefficient of copper at 20 °C, 1/K (IEC 60028).
+ALPHA_COPPER_1_K = 0.0039
+
+R_TH = Parameter(
+    "R_th", "R_{th}", "K/W", 5.0, 1e-4, 1e4, "log", "thermal resistance, winding to ambient", "start value"
+)
+C_TH = Parameter(
+    "C_th", "C_{th}", "J/K", 20.0, 1e-4, 1e6, "log", "thermal capacity of the winding", "start value"
+)
+WARMING = State("winding_rise_K", "K", 0.0, 20.0)
+
+
+def _terms(s: Signals) -> Terms:
+    rise = s.states["winding_rise_K"]
+    factor = 1 + ALPHA_COPPER_1_K * rise
+    heat_W = s.p["R"] * factor * s.i**2
+    return Terms(
+        factor_R=factor,
+        rates={"winding_rise_K": (heat_W - rise / s.p["R_th"]) / s.p["C_th"]},
+    )
+
+
+EFFECT = Effect(
+    name="winding_heating",
+    cause="The current's loss heats the winding and copper's resistance rises 0.39 % a kelvin; R is the cold value.",
+    equation=r"R\,(1 + 0.0039\,\vartheta),\quad C_{th}\,\dot\vartheta = R\,i^2 - \vartheta/R_{th}",
+    parameters=(R_TH, C_TH),
+    terms=_terms,
+    states=(WARMING,),
+)
