@@ -41,9 +41,7 @@ class DriverCounters:
     samples_lost: int = 0  # missing in the device's own numbering
     samples_repeated: int = 0  # frames or samples seen twice, delivered once
     crc_errors: int = 0  # complete frames with a wrong checksum
-    framing_errors: int = (
-        0  # bytes that are no frame: half frames, garbage, wrong baud rate, CAN error frames
-    )
+    framing_errors: int = 0  # bytes that are no frame: half frames, garbage, wrong baud rate, CAN error frames
     unknown_frames: int = 0  # well-formed, but not ours (another drive's id, an unmapped CAN id)
     device_restarts: int = 0  # device time or sequence jumped back
     extra: dict[str, int] = field(default_factory=dict)  # counters only this kind of driver has

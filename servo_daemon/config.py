@@ -119,9 +119,7 @@ class DriveConfig(_Section):
     @classmethod
     def _name_fits_an_url(cls, name: str) -> str:
         if not _NAME.match(name):
-            raise ValueError(
-                "must be letters, digits, '_', '-' or '.', at most 64, starting with a letter or digit"
-            )
+            raise ValueError("must be letters, digits, '_', '-' or '.', at most 64, starting with a letter or digit")
         return name
 
     @field_validator("model")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from enum import IntFlag
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,10 +87,8 @@ class SampleBlock:
 
     def slice(self, start: int, stop: int) -> SampleBlock:
         """Samples start..stop-1 as a block of their own (views, no copy)."""
-        cut = {
-            f.name: array[start:stop]
-            for f in fields(self)
-            if isinstance(array := getattr(self, f.name), np.ndarray)
+        cut: dict[str, Any] = {
+            f.name: array[start:stop] for f in fields(self) if isinstance(array := getattr(self, f.name), np.ndarray)
         }
         return replace(self, **cut)
 

@@ -104,9 +104,7 @@ def _voltage_core(x: ca.SX, p: Mapping[str, ca.SX], h: ca.SX) -> _Core:
     b = ca.jacobian(rates, ca.vertcat(v, tau)) * h
     exp, phi1, phi2 = flow.phi_matrix(Z)
     electromechanical = x[:2]
-    free = ca.vertcat(
-        flow.apply(exp, Z, electromechanical), x[2] + h * flow.apply(phi1, Z, electromechanical)[1]
-    )
+    free = ca.vertcat(flow.apply(exp, Z, electromechanical), x[2] + h * flow.apply(phi1, Z, electromechanical)[1])
     gains = [ca.vertcat(flow.apply(phi1, Z, b[:, k]), h * flow.apply(phi2, Z, b[:, k])[1]) for k in range(2)]
     return _Core(free, gains[0], gains[1])
 

@@ -60,9 +60,7 @@ def find_compiler() -> str | None:
 
 def cache_directory() -> Path:
     """Where compiled code is kept: systemd's CACHE_DIRECTORY, else the user's cache. Created private."""
-    base = (
-        os.environ.get("CACHE_DIRECTORY") or os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    )
+    base = os.environ.get("CACHE_DIRECTORY") or os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     path = Path(base.split(":")[0]) / "servo-daemon"
     try:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -154,9 +152,7 @@ class SampleLoop:
                 self._call.argtypes = [ctypes.c_longlong] + [ctypes.c_void_p] * 4
             except (OSError, subprocess.SubprocessError) as error:
                 detail = getattr(error, "stderr", "") or ""
-                log.warning(
-                    "C compilation failed (%s %s): using CasADi's virtual machine", error, detail.strip()
-                )
+                log.warning("C compilation failed (%s %s): using CasADi's virtual machine", error, detail.strip())
                 self._library = None
         elif compiled:
             log.info("no C compiler found: using CasADi's virtual machine (about 5 x slower, same numbers)")
@@ -186,9 +182,7 @@ class SampleLoop:
         self._check(samples, (n, self._n_sample), "samples")
         outputs = np.empty((n, self._n_output))
         if self._library is not None:
-            failed = self._call(
-                n, state.ctypes.data, constants.ctypes.data, samples.ctypes.data, outputs.ctypes.data
-            )
+            failed = self._call(n, state.ctypes.data, constants.ctypes.data, samples.ctypes.data, outputs.ctypes.data)
             if failed:
                 raise RuntimeError("the compiled step reported an error")
         else:
@@ -202,9 +196,7 @@ class SampleLoop:
             size = min(self._LARGEST, 1 << ((n - start).bit_length() - 1))
             if size not in self._machines:
                 self._machines[size] = _MachineBlock(self._function, size)
-            self._machines[size].run(
-                state, constants, samples[start : start + size], outputs[start : start + size]
-            )
+            self._machines[size].run(state, constants, samples[start : start + size], outputs[start : start + size])
             start += size
 
     @staticmethod

@@ -97,13 +97,9 @@ def phi_matrix(Z: ca.SX) -> tuple[MatrixFunction, MatrixFunction, MatrixFunction
     phi1 = _raise(phi2, 1.0, m, d)
     taylor = [_raise(phi1, 1.0, m, d), phi1, phi2]
     # A branch not taken is evaluated all the same: give it harmless arguments, or its NaN spoils the derivatives.
-    real = _distinct(
-        ca.if_else(distinct, m, -2.0), ca.if_else(distinct, d, 3.0), ca.if_else(distinct, x, 1.0)
-    )
+    real = _distinct(ca.if_else(distinct, m, -2.0), ca.if_else(distinct, d, 3.0), ca.if_else(distinct, x, 1.0))
     neither = ca.logic_not(ca.logic_or(small, distinct))
-    other = _from_exponential(
-        ca.if_else(neither, m, -1.0), ca.if_else(neither, d, 2.0), ca.if_else(neither, x, -1.0)
-    )
+    other = _from_exponential(ca.if_else(neither, m, -1.0), ca.if_else(neither, d, 2.0), ca.if_else(neither, x, -1.0))
 
     def choose(k: int, part: int) -> ca.SX:
         return ca.if_else(small, taylor[k][part], ca.if_else(distinct, real[k][part], other[k][part]))

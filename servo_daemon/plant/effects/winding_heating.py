@@ -11,9 +11,7 @@ ALPHA_COPPER_1_K = 0.0039
 R_TH = Parameter(
     "R_th", "R_{th}", "K/W", 5.0, 1e-4, 1e4, "log", "thermal resistance, winding to ambient", "start value"
 )
-C_TH = Parameter(
-    "C_th", "C_{th}", "J/K", 20.0, 1e-4, 1e6, "log", "thermal capacity of the winding", "start value"
-)
+C_TH = Parameter("C_th", "C_{th}", "J/K", 20.0, 1e-4, 1e6, "log", "thermal capacity of the winding", "start value")
 WARMING = State("winding_rise_K", "K", 0.0, 20.0)
 
 
