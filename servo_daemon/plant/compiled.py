@@ -227,9 +227,9 @@ class _MachineBlock:
         self._outputs = np.empty((size, function.numel_out(1)))
         self._buffer, self._trigger = self._block.buffer()
         for k, array in enumerate((self._carried, self._samples)):
-            self._buffer.set_arg(k, memoryview(array))
+            self._buffer.set_arg(k, memoryview(array))  # type: ignore[arg-type, unused-ignore]
         for k, array in enumerate((self._last, self._outputs)):
-            self._buffer.set_res(k, memoryview(array))
+            self._buffer.set_res(k, memoryview(array))  # type: ignore[arg-type, unused-ignore]
 
     def run(self, state: F64, constants: F64, samples: F64, outputs: F64) -> None:
         self._carried[: self._ns] = state

@@ -1,0 +1,52 @@
+"""What every estimator is to the pipeline, and the form of its answer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from servo_daemon.plant.parameters import Parameter
+from servo_daemon.samples import F64
+
+
+@dataclass(frozen=True, slots=True)
+class Gaussian:
+    """Estimates in the estimated coordinate: log(P) for positive parameters, P for signed ones.
+
+    Attributes:
+        names: parameter names, length n.
+        mean: shape (n,).
+        covariance: shape (n, n), symmetric positive (semi-)definite.
+    """
+
+    names: tuple[str, ...]
+    mean: F64
+    covariance: F64
+
+    @property
+    def std(self) -> F64:
+        """shape (n,), in the estimated coordinate (relative, for a log parameter)."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+
+class Estimator(Protocol):
+    """A pure object: no I/O, no clock; the live daemon, `replay` and the tests run the same one."""
+
+    def reset(self) -> None: ...
+
+    def estimate(self) -> Gaussian | None: ...
+
+
+def to_coordinate(parameter: Parameter, value: float) -> float:
+    """The coordinate in which a parameter is estimated."""
+    return float(np.log(value)) if parameter.transform == "log" else float(value)
+
+
+def from_coordinate(parameter: Parameter, coordinate: float, std: float) -> tuple[float, float]:
+    """Value and 1 σ in the parameter's unit (first order for a logarithm: σ_P = P σ_log P)."""
+    if parameter.transform == "log":
+        value = float(np.exp(coordinate))
+        return value, value * std
+    return float(coordinate), float(std)

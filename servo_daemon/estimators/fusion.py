@@ -1,0 +1,83 @@
+"""From what the estimators say to what is published: value, std, status and the reason in words.
+
+RLS, EKF and GRNN see the same samples, so their errors are not independent and they are never averaged. The EKF is the
+estimate; the RLS starts it, watches it and replaces it when it diverges (`service/pipeline.py`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_daemon.estimators import excitation
+from servo_daemon.estimators.base import Gaussian, from_coordinate
+from servo_daemon.plant.parameters import Parameter
+from servo_daemon.samples import F64
+
+Status = Literal["estimating", "tracking", "unexcited", "at_bound", "fixed", "invalid"]
+
+#: A parameter qualifies below this (1 σ, relative) and loses its qualification above the second: hysteresis.
+QUALIFIED, LOST = 0.05, 0.15
+
+
+@dataclass(frozen=True, slots=True)
+class Fused:
+    """One parameter as it will be published, in its own unit."""
+
+    value: float | None
+    std: float | None
+    status: Status
+    reason: str | None
+
+
+class Qualification:
+    """Which parameters have ever been, and still are, known well enough; flags with hysteresis."""
+
+    def __init__(self, n: int) -> None:
+        self.qualified: NDArray[np.bool_] = np.zeros(n, dtype=bool)
+
+    def update(self, relative_std: F64, excited: NDArray[np.bool_]) -> None:
+        """Both shape (n,). Only an excited parameter can qualify; any can lose it."""
+        gained = (relative_std < QUALIFIED) & excited
+        self.qualified = (self.qualified | gained) & (relative_std < LOST)
+
+
+def fuse(
+    parameter: Parameter,
+    index: int,
+    estimate: Gaussian,
+    excited: bool,
+    qualified: bool,
+    nominal: float | None,
+    floor_std: float = 0.0,
+) -> Fused:
+    """One free parameter.
+
+    Args:
+        index: its place in `estimate`.
+        nominal: published while the estimate is not qualified.
+        floor_std: 1 σ in the parameter's unit that no amount of data removes (sampling skew for L).
+    """
+    coordinate = float(estimate.mean[index])
+    value, std = from_coordinate(parameter, coordinate, float(estimate.std[index]))
+    std = float(np.hypot(std, floor_std))
+    if not np.isfinite(value) or not np.isfinite(std):
+        return Fused(nominal, None, "invalid", "the filter's estimate is not a number: it is being restarted")
+    if not qualified:
+        if excited:
+            return Fused(nominal, None, "estimating", f"known to {_percent(parameter, value, std)} so far")
+        return Fused(nominal, None, "estimating", excitation.reason(parameter.name))
+    if value <= parameter.lower * (1 + 1e-9) or value >= parameter.upper * (1 - 1e-9):
+        return Fused(value, std, "at_bound", f"at the edge of {parameter.lower:g} .. {parameter.upper:g}")
+    if not excited:
+        return Fused(value, std, "unexcited", excitation.reason(parameter.name))
+    return Fused(value, std, "tracking", None)
+
+
+def _percent(parameter: Parameter, value: float, std: float) -> str:
+    if parameter.transform == "log":
+        return f"± {100 * std / value:.0f} %"
+    return f"± {std:.2g} {parameter.unit}"

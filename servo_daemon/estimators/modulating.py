@@ -1,0 +1,70 @@
+"""Regression equations from the balances without differentiating anything: the method of modulating functions.
+
+Multiply a balance by a smooth φ(t) that vanishes with its first derivatives at both ends of a window and integrate by
+parts (Shinbrot 1957; Preisig & Rippin, *Comput. Chem. Eng.* 17, 1993): derivatives move from the noisy signals to φ.
+
+    ∫φ v = R ∫φ i − L ∫φ' i − K ∫φ' θ                 (armature)
+    K ∫φ i = J ∫φ'' θ − B ∫φ' θ + ∫φ τ_load           (shaft)
+
+Both sides see the same φ, so noise is filtered alike; jittered time stamps enter exactly. v is held between samples, so
+its integral is exact with φ's antiderivative; i and θ are taken by the trapezoidal rule.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import polynomial as poly
+from numpy.typing import NDArray
+
+from servo_daemon.samples import F64
+
+#: φ(s) = 64 s³ (1 − s)³ on 0..1: two derivatives vanish at both ends, the maximum is 1.
+_PHI = 64.0 * poly.polymul(poly.polypow([0.0, 1.0], 3), poly.polypow([1.0, -1.0], 3))
+_PHI_1 = poly.polyder(_PHI)
+_PHI_2 = poly.polyder(_PHI, 2)
+_PHI_INTEGRAL = poly.polyint(_PHI)
+
+
+@dataclass(frozen=True, slots=True)
+class Windows:
+    """Weights that turn samples into modulated integrals; w windows of m samples each.
+
+    Attributes:
+        index: shape (w, m), the samples of each window.
+        held_weight: shape (w, m): for ∫φ of a signal held from each sample to the next.
+        weights: shape (3, w, m): for ∫φ, ∫φ', ∫φ'' of a continuous signal.
+    """
+
+    index: NDArray[np.intp]
+    held_weight: F64
+    weights: F64
+
+    def held(self, signal: F64) -> F64:
+        """∫φ signal for a signal held between samples, shape (w,)."""
+        return np.asarray(np.einsum("wm,wm->w", self.held_weight, signal[self.index]))
+
+    def integral(self, signal: F64, derivative: int = 0) -> F64:
+        """∫φ^(derivative) signal for a continuous signal, shape (w,)."""
+        return np.asarray(np.einsum("wm,wm->w", self.weights[derivative], signal[self.index]))
+
+
+def make_windows(time_s: F64, first: NDArray[np.intp], length: int) -> Windows:
+    """Windows of `length` samples starting at the samples `first`.
+
+    Args:
+        time_s: shape (n,), strictly increasing.
+        first: shape (w,).
+    """
+    index = first[:, None] + np.arange(length)
+    t = time_s[index]
+    span = t[:, -1:] - t[:, :1]
+    s = (t - t[:, :1]) / span
+    trapezoid = np.empty_like(t)
+    trapezoid[:, 1:-1] = (t[:, 2:] - t[:, :-2]) / 2
+    trapezoid[:, 0], trapezoid[:, -1] = (t[:, 1] - t[:, 0]) / 2, (t[:, -1] - t[:, -2]) / 2
+    held = np.zeros_like(t)
+    held[:, :-1] = np.diff(poly.polyval(s, _PHI_INTEGRAL), axis=1) * span
+    weights = np.stack([poly.polyval(s, c) / span**k * trapezoid for k, c in enumerate((_PHI, _PHI_1, _PHI_2))])
+    return Windows(index, held, weights)

@@ -1,0 +1,122 @@
+"""Noise levels from the data: sensor noise to start with, then from the filter's own innovations.
+
+Before the filter runs, the median of third differences tells a channel's white noise apart from its (smooth) signal:
+for white noise of variance r the third difference has variance 20 r (binomials 1, 3, 3, 1), and the median absolute
+value of a Gaussian is 0.6745 σ. A quantised channel cannot be better than its step: r ≥ q²/12.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from servo_daemon.estimators.ekf import Innovations, NoiseLevels
+from servo_daemon.samples import F64
+
+_MEDIAN_TO_STD = 0.6745
+_THIRD_DIFFERENCE_GAIN = 20.0
+#: Innovations beyond this many standard deviations do not teach the noise level.
+_CLIP = 4.0
+#: Time constant of the adaptation, s.
+_ADAPTATION_S = 5.0
+#: A drive's voltage is not what it says, if only by dead time and ripple: 1 σ as a share of its rms.
+_INPUT_SHARE = 2e-3
+#: Unmodelled torque, 1 σ over a millisecond as a share of the rms motor torque.
+_TORQUE_SHARE = 2e-3
+
+
+def smallest_step(signal: F64) -> float:
+    """Least significant bit of a quantised signal; 0 where there is none to be seen.
+
+    A channel is quantised when its distinct steps are multiples of the smallest one.
+    """
+    steps = np.abs(np.diff(signal))
+    steps = steps[steps > 1e-12 * max(1.0, float(np.abs(signal).max()))]
+    if len(steps) < 8:
+        return 0.0
+    smallest = float(np.quantile(steps, 0.01))
+    multiples = steps / smallest
+    near = np.abs(multiples - np.round(multiples)) < 0.02 * np.maximum(1.0, multiples)
+    few = multiples < 20
+    return smallest if few.sum() >= 8 and near[few].mean() > 0.95 else 0.0
+
+
+def white_noise_var(signal: F64) -> float:
+    """Variance of the white part of a signal, by the median of its third differences."""
+    if len(signal) < 8:
+        return 0.0
+    third = np.diff(signal, 3)
+    sigma = float(np.median(np.abs(third))) / _MEDIAN_TO_STD
+    return sigma**2 / _THIRD_DIFFERENCE_GAIN
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelNoise:
+    """Variance of a channel and the floor below which it cannot be."""
+
+    var: float
+    floor: float
+
+
+def initial_noise(signal: F64, lsb: float | None) -> ChannelNoise:
+    """From the first samples and, if the driver knows it, the least significant bit."""
+    step = smallest_step(signal) if lsb is None else lsb
+    typical = float(np.sqrt(np.mean(np.square(signal - signal.mean()))))
+    floor = max(step**2 / 12.0, (1e-6 * typical) ** 2, 1e-18)
+    return ChannelNoise(max(white_noise_var(signal), floor), floor)
+
+
+def adapted(noise: ChannelNoise, innovation: F64, variance: F64, duration_s: float) -> ChannelNoise:
+    """Move a channel's variance towards what its innovations show: E ν² = s₀ + r (innovation-based adaptive estimation,
+    Mehra, *IEEE Trans. Autom. Control* 15, 1970).
+
+    Args:
+        innovation, variance: shape (n,), of the valid samples.
+    """
+    if len(innovation) == 0:
+        return noise
+    squared = np.minimum(np.square(innovation), _CLIP**2 * variance)
+    wanted = noise.var + float(np.mean(squared - variance))
+    share = 1.0 - np.exp(-duration_s / _ADAPTATION_S)
+    # Never more than halve or double at once: a tick is a small sample.
+    wanted = float(np.clip(wanted, 0.5 * noise.var, 2.0 * noise.var))
+    return ChannelNoise(max(noise.var + share * (wanted - noise.var), noise.floor), noise.floor)
+
+
+def input_variance(rms: float, lsb: float | None) -> float:
+    """Variance of the held input, in its unit squared."""
+    return (lsb or 0.0) ** 2 / 12.0 + (_INPUT_SHARE * rms) ** 2 + 1e-18
+
+
+def torque_intensity(rms_torque_Nm: float) -> float:
+    """Intensity of unmodelled torque, (N·m)²·s."""
+    return (_TORQUE_SHARE * rms_torque_Nm) ** 2 * 1e-3 + 1e-24
+
+
+@dataclass(frozen=True, slots=True)
+class Whiteness:
+    """Running lag-1 correlation and normalised innovation squared of one channel."""
+
+    correlation: float = 0.0
+    nis: float = 1.0
+
+    def after(self, innovation: F64, variance: F64, duration_s: float, memory_s: float = 10.0) -> Whiteness:
+        """With another tick's innovations."""
+        if len(innovation) < 4:
+            return self
+        normalised = innovation / np.sqrt(variance)
+        energy = float(np.mean(np.square(normalised)))
+        lagged = float(np.mean(normalised[1:] * normalised[:-1])) / max(energy, 1e-12)
+        share = 1.0 - np.exp(-duration_s / memory_s)
+        return Whiteness(self.correlation + share * (lagged - self.correlation), self.nis + share * (energy - self.nis))
+
+
+def levels(channels: tuple[ChannelNoise, ...], input_var: float, torque_psd: float) -> NoiseLevels:
+    return NoiseLevels(input_var, torque_psd, tuple(c.var for c in channels))
+
+
+def valid_part(innovations: Innovations, channel: int, valid: F64) -> tuple[F64, F64]:
+    """Innovation and variance of one channel where it was valid."""
+    chosen = valid > 0
+    return innovations.innovation[chosen, channel], innovations.variance[chosen, channel]

@@ -1,0 +1,93 @@
+"""Recursive least squares with directional forgetting, and the two regressions of the servo on top of it.
+
+The recursion keeps the information matrix. New information ΔA is compared with what is there, direction by direction
+(generalised eigenvalues g of ΔA against A): a direction forgets only as fast as it learns,
+
+    A⁺ = L V diag(max(λ, 1 − g) + g) Vᵀ Lᵀ,   A = L Lᵀ,  L⁻¹ ΔA L⁻ᵀ = V diag(g) Vᵀ
+
+so that it neither winds up nor winds down when the motion says nothing (the aim of Kulhavý & Kárný 1984; Cao &
+Schwartz, *Automatica* 36, 2000, in the symmetric form). The matrix can never become indefinite: it is a sum of squares.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from servo_daemon.samples import F64
+
+#: Information of the start, relative to the first rows: enough for a Cholesky factor, too little to pull.
+_START_INFORMATION = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class LinearEstimate:
+    """θ of y = Φ θ: value shape (n,), covariance shape (n, n), and the variance of one row's error."""
+
+    value: F64
+    covariance: F64
+    residual_var: float
+
+
+class DirectionalRls:
+    """y = Φ θ + e, row by row or in blocks of rows.
+
+    Args:
+        n: number of coefficients.
+        memory: rows after which an excited direction has forgotten about 63 %.
+    """
+
+    def __init__(self, n: int, memory: float) -> None:
+        self._n, self._memory = n, memory
+        self.reset()
+
+    def reset(self) -> None:
+        self._A = np.zeros((self._n, self._n))
+        self._value = np.zeros(self._n)
+        self._residual_sum = 0.0
+        self._weight = 0.0
+        self.rows = 0
+
+    def update(self, Phi: F64, y: F64) -> None:
+        """Take rows: Phi shape (m, n), y shape (m,). Rows that are not finite must not be passed."""
+        m = len(y)
+        if m == 0:
+            return
+        gained = Phi.T @ Phi
+        if self.rows == 0:
+            self._A = np.diag(np.maximum(np.diag(gained), 1e-300)) * _START_INFORMATION
+        keep = np.exp(-m / self._memory)
+        residual = y - Phi @ self._value
+        kept = self._forget(gained, keep)
+        A = kept + gained
+        self._value = self._value + np.linalg.solve(A, Phi.T @ residual)
+        after = y - Phi @ self._value
+        self._A = (A + A.T) / 2
+        # Product of the errors before and after: the unbiased cost increment of least squares.
+        self._residual_sum = keep * self._residual_sum + float(np.abs(residual) @ np.abs(after))
+        self._weight = keep * self._weight + m
+        self.rows += m
+
+    def _forget(self, gained: F64, keep: float) -> F64:
+        """What is left of the old information when `gained` arrives."""
+        scale = np.sqrt(np.diag(self._A) + np.diag(gained) + 1e-300)
+        A, G = self._A / np.outer(scale, scale), gained / np.outer(scale, scale)
+        L = np.linalg.cholesky(A + 1e-13 * np.eye(self._n))
+        half = np.linalg.solve(L, G)
+        g, V = np.linalg.eigh(np.linalg.solve(L, half.T))
+        factor = np.maximum(keep, 1.0 - np.maximum(g, 0.0))
+        LV = L @ V
+        return np.asarray((LV * factor) @ LV.T * np.outer(scale, scale))
+
+    def estimate(self) -> LinearEstimate | None:
+        """None until there are more rows than coefficients and every direction has been seen."""
+        if self.rows <= 2 * self._n or self._weight <= self._n:
+            return None
+        scale = np.sqrt(np.maximum(np.diag(self._A), 1e-300))
+        normalised = self._A / np.outer(scale, scale)
+        if np.linalg.cond(normalised) > 1e10:
+            return None
+        variance = self._residual_sum / (self._weight - self._n)
+        covariance = np.linalg.inv(normalised) / np.outer(scale, scale) * variance
+        return LinearEstimate(self._value.copy(), covariance, variance)

@@ -1,0 +1,94 @@
+"""What a set of signals can determine: which model runs, what it measures, which parameters are free.
+
+With voltage, current and motion all five parameters of the linear motor are visible. Without the current only three
+combinations of five are (the coefficients of ω/v), without the voltage only J/K and B/K; the rest is held at the
+nominal value or, without one, not published at all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from servo_daemon.plant.build import Drive, PlantModel, build_plant
+from servo_daemon.plant.parameters import LINEAR
+
+
+@dataclass(frozen=True, slots=True)
+class SignalPlan:
+    """What will be estimated from these signals.
+
+    Attributes:
+        plant: the model driven by the best input there is; None if nothing can be run.
+        measured: channels the filter corrects with.
+        held: parameters kept at a given value.
+        free: parameters that are estimated.
+        reasons: why a parameter is not free, in words.
+    """
+
+    plant: PlantModel | None
+    measured: tuple[str, ...]
+    held: Mapping[str, float]
+    free: tuple[str, ...]
+    reasons: Mapping[str, str]
+
+
+_HIDDEN_BY: dict[Drive, tuple[str, ...]] = {"voltage": (), "current": ("R", "L"), "torque": ("R", "L", "K")}
+#: Without a current sensor the armature's share must be given: R and K close the two null directions of ω/v, and L/R is
+#: far too short to show in the motion.
+_NEEDED_WITHOUT_CURRENT = ("R", "L", "K")
+
+
+def plan_signals(channels: tuple[str, ...], effects: tuple[str, ...], nominal: Mapping[str, float]) -> SignalPlan:
+    """Choose input, measurements and free parameters.
+
+    Args:
+        channels: what the drive delivers (`samples.CHANNELS`).
+        nominal: given values, natural units.
+    """
+    motion = tuple(c for c in ("position_rad", "velocity_rad_s") if c in channels)[:1]
+    if "voltage_V" in channels and (motion or "current_A" in channels):
+        return _with_voltage(channels, motion, effects, nominal)
+    if motion and "current_A" in channels:
+        return _without_voltage("current", motion, effects, nominal)
+    if motion and "torque_Nm" in channels:
+        return _without_voltage("torque", motion, effects, nominal)
+    have = ", ".join(channels) or "nothing"
+    why = f"the drive delivers {have}: no pair of an input and a response"
+    return SignalPlan(None, (), {}, (), {p.name: why for p in LINEAR})
+
+
+def _with_voltage(
+    channels: tuple[str, ...], motion: tuple[str, ...], effects: tuple[str, ...], nominal: Mapping[str, float]
+) -> SignalPlan:
+    plant = build_plant(effects, "voltage")
+    if not motion:
+        why = "no position or speed is measured: the motion is not visible"
+        return SignalPlan(None, (), {}, (), {p.name: why for p in LINEAR})
+    if "current_A" in channels:
+        return SignalPlan(plant, ("current_A", *motion), {}, plant.parameter_names, {})
+    why = "no current is measured: of R, L, K, J, B only combinations are visible"
+    missing = [name for name in _NEEDED_WITHOUT_CURRENT if name not in nominal]
+    if missing:
+        why += f"; give {', '.join(missing)} as nominal values to determine the others"
+        return SignalPlan(None, (), {}, (), {p.name: why for p in LINEAR})
+    held = {name: nominal[name] for name in _NEEDED_WITHOUT_CURRENT}
+    free = tuple(n for n in plant.parameter_names if n not in held)
+    return SignalPlan(plant, motion, held, free, {n: f"held at the nominal value: {why}" for n in held})
+
+
+def _without_voltage(
+    drive: Drive, motion: tuple[str, ...], effects: tuple[str, ...], nominal: Mapping[str, float]
+) -> SignalPlan:
+    # Heating is driven by R i², which nothing here can show; effects on the armature have no say without a voltage.
+    plant = build_plant(tuple(e for e in effects if e not in ("winding_heating", "brush_voltage_drop")), drive)
+    missing_signal = "voltage" if drive == "current" else "voltage and current"
+    reasons = {name: f"no {missing_signal} measured: {name} not visible" for name in _HIDDEN_BY[drive]}
+    if drive == "torque":
+        return SignalPlan(plant, motion, {}, plant.parameter_names, reasons)
+    if "K" not in nominal:
+        why = "no voltage is measured: only J/K and B/K are visible; give K as nominal value to determine J and B"
+        return SignalPlan(None, (), {}, (), {p.name: why for p in LINEAR})
+    reasons["K"] = "held at the nominal value: no voltage is measured, only J/K and B/K are visible"
+    free = tuple(n for n in plant.parameter_names if n != "K")
+    return SignalPlan(plant, motion, {"K": nominal["K"]}, free, reasons)
