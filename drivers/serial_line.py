@@ -1,0 +1,232 @@
+"""A drive on a serial port: pyserial for the port, `wire_decoder` or `wire_text` for the bytes.
+
+Every wakeup takes all bytes the system has in one read, and wakeups are kept `_MIN_READ_SPACING_S` apart, so the cost
+is that of some wakeups a second, whatever the baud rate and however thinly the bytes trickle in.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import select
+import termios
+import threading
+import time
+from pathlib import Path
+from typing import Any, Literal
+
+import serial
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from serial.tools import list_ports
+
+from drivers.base import DriveInfo, Driver, disconnected
+from drivers.wire import Description, Quantity
+from drivers.wire_decoder import BinaryDecoder
+from drivers.wire_text import TextDecoder
+from servo_daemon.errors import DriverConfigError, DriverDisconnectedError, DriverUnavailableError
+from servo_daemon.samples import SampleBlock
+
+#: The system's buffer of a tty holds 4 kB, with what is still in flight behind it 64 kB: one read takes it all.
+_READ_SIZE = 65536
+
+#: A UART without buffer hands over a few bytes at a time; waiting this long between reads makes them some frames.
+_MIN_READ_SPACING_S = 0.005
+
+_TEXT_ONLY = ("counts_per_rev", "counts_modulus", "sample_period_s", "voltage_lsb_V", "current_lsb_A")
+
+
+class SerialOptions(BaseModel):
+    """`[drive.options]` of `driver = "serial"`.
+
+    The text wire tells nothing of the drive, so its options do: `counts_per_rev` (needed), `counts_modulus` if the
+    counter is not one of 32 bits, `sample_period_s` if sampling is regular, and the resolutions of the converters.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+    port: str = Field(min_length=1)
+    baudrate: int = Field(921600, gt=0)
+    wire: Literal["binary", "text"] = "binary"
+    drive_id: int | None = Field(None, ge=0, le=255)
+    counts_per_rev: float | None = None
+    counts_modulus: int | None = Field(None, ge=2, le=1 << 32)
+    sample_period_s: float | None = Field(None, gt=0)
+    voltage_lsb_V: float | None = Field(None, gt=0)
+    current_lsb_A: float | None = Field(None, gt=0)
+
+    @model_validator(mode="after")
+    def _options_suit_the_wire(self) -> SerialOptions:
+        if self.wire == "text":
+            if not self.counts_per_rev:
+                raise ValueError("'counts_per_rev' is needed with wire = \"text\" and is not 0")
+            if self.drive_id is not None:
+                raise ValueError("'drive_id' is of no use with wire = \"text\": its lines carry none")
+        for key in _TEXT_ONLY:
+            if self.wire == "binary" and getattr(self, key) is not None:
+                raise ValueError(f"'{key}' is for wire = \"text\" only: on the binary wire the device tells it")
+        return self
+
+
+def parse_options(name: str, options: dict[str, Any]) -> SerialOptions:
+    """Checked options.
+
+    Raises:
+        DriverConfigError: one line that names the drive and the option.
+    """
+    try:
+        return SerialOptions.model_validate(options)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        if first["type"] == "extra_forbidden":
+            known = ", ".join(SerialOptions.model_fields)
+            raise DriverConfigError(f"drive {name}: unknown option '{key}': known are {known}") from error
+        message = first["msg"].removeprefix("Value error, ")
+        where = f"option '{key}': " if key else ""
+        raise DriverConfigError(f"drive {name}: {where}{message}") from error
+
+
+class SerialDriver(Driver):
+    """A drive on a serial port. Options: see `SerialOptions`.
+
+    Over `close` and `open` the time goes on if the same device still answers; otherwise the first sample is flagged
+    `Quality.TIME_RESTART`.
+    """
+
+    kind = "serial"
+
+    def __init__(self, name: str, options: dict[str, Any]) -> None:
+        super().__init__(name, options)
+        self._settings = parse_options(name, options)
+        self._decoder = self._make_decoder()
+        self._port: serial.Serial | None = None
+        self._wake_r, self._wake_w = -1, -1
+        self._io = threading.Lock()  # held by whoever uses the port: `close` waits for `read` to leave it
+        self._last_read_s = 0.0
+
+    def _make_decoder(self) -> BinaryDecoder | TextDecoder:
+        settings = self._settings
+        if settings.counts_per_rev is None:
+            return BinaryDecoder(settings.drive_id, self.counters)
+        return TextDecoder(
+            settings.counts_per_rev,
+            sample_period_s=settings.sample_period_s,
+            counts_modulus=settings.counts_modulus or 1 << 32,
+            counters=self.counters,
+        )
+
+    @property
+    def info(self) -> DriveInfo:
+        """On the binary wire known once the first description has come; until then the identity is empty."""
+        settings = self._settings
+        if isinstance(self._decoder, BinaryDecoder):
+            described = self._decoder.description
+            return DriveInfo(identity="") if described is None else info_of(described, settings.port)
+        return DriveInfo(
+            identity=f"serial:{settings.port}",
+            sample_period_s=settings.sample_period_s,
+            counts_per_rev=settings.counts_per_rev,
+            current_lsb_A=settings.current_lsb_A or 1e-3,
+            voltage_lsb_V=settings.voltage_lsb_V or 1e-3,
+            channels=("voltage_V", "current_A", "position_rad"),
+        )
+
+    def _open(self) -> None:
+        settings = self._settings
+        try:
+            self._port = serial.Serial(settings.port, settings.baudrate, timeout=0, exclusive=True)
+        except (ValueError, OverflowError) as error:
+            raise DriverConfigError(f"drive {self.name}: {settings.port}: {error}") from error
+        except (OSError, termios.error) as error:
+            raise self._unavailable(error) from error
+        self._wake_r, self._wake_w = os.pipe()
+        self._decoder.reattach()
+
+    def _unavailable(self, error: Exception) -> DriverUnavailableError:
+        port = self._settings.port
+        code = error.errno if isinstance(error, OSError) else None
+        if code == errno.ENOENT:
+            why = f"does not exist; {existing_ports()}"
+        elif code in (errno.EACCES, errno.EPERM):
+            why = "may not be opened by this user (is it in the group that owns the port, often 'dialout'?)"
+        elif code in (errno.EAGAIN, errno.EWOULDBLOCK, errno.EBUSY):
+            why = "is in use by another program"
+        else:
+            why = f"cannot be opened: {error}"
+        return DriverUnavailableError(f"drive {self.name}: serial port {port} {why}")
+
+    def _read(self, timeout_s: float) -> SampleBlock | None:
+        if self._decoder.has_ready:
+            return self._decoder.feed(b"", time.monotonic())
+        deadline = time.monotonic() + max(timeout_s, 0.0)
+        while self.is_open:
+            with self._io:
+                data = self._wait_and_read(deadline)
+            if data is None:
+                return None
+            block = self._decoder.feed(data, self._last_read_s)
+            if block is not None:
+                return block
+        return None
+
+    def _wait_and_read(self, deadline: float) -> bytes | None:
+        """Everything that has arrived, as soon as there is something; None at the deadline or on `close`."""
+        port = self._port
+        if port is None or not self._is_open:
+            return None
+        try:
+            pause = min(self._last_read_s + _MIN_READ_SPACING_S, deadline) - time.monotonic()
+            if pause > 0 and select.select([self._wake_r], [], [], pause)[0]:
+                return None
+            wait = max(deadline - time.monotonic(), 0.0)
+            ready = select.select([port.fileno(), self._wake_r], [], [], wait)[0]
+            if not ready or self._wake_r in ready:
+                return None
+            data = bytes(port.read(_READ_SIZE))  # timeout 0: one read of the system, no waiting
+        except OSError as error:  # SerialException is one: hang-up, EIO, a read of nothing
+            raise self._gone(error) from error
+        self._last_read_s = time.monotonic()
+        return data
+
+    def _gone(self, error: OSError) -> DriverDisconnectedError:
+        return disconnected(self.name, f"{self._settings.port}: {error}")
+
+    def _close(self) -> None:
+        wake_w, self._wake_w = self._wake_w, -1
+        if wake_w < 0:
+            return
+        os.write(wake_w, b"x")  # frees a reader from its wait
+        with self._io:
+            port, self._port = self._port, None
+            if port is not None:
+                with contextlib.suppress(OSError):  # the device may be gone: then there is nothing left to release
+                    port.close()
+            os.close(wake_w)
+            os.close(self._wake_r)
+            self._wake_r = -1
+
+
+def info_of(description: Description, port: str) -> DriveInfo:
+    """What a description tells. The identity is serial number and drive id, or the port where there is no number."""
+
+    def lsb(quantity: Quantity) -> float | None:
+        channel = description.channel(quantity)
+        return None if channel is None else abs(channel.scale)
+
+    return DriveInfo(
+        identity=f"{description.identity or f'serial:{port}'}#{description.drive_id}",
+        sample_period_s=description.sample_period_ns / 1e9 or None,
+        counts_per_rev=lsb(Quantity.POSITION),
+        current_lsb_A=lsb(Quantity.CURRENT),
+        voltage_lsb_V=lsb(Quantity.VOLTAGE),
+        channels=description.channel_names,
+    )
+
+
+def existing_ports() -> str:
+    """In words, which serial ports this machine has, by their stable names where udev gives some."""
+    by_id = Path("/dev/serial/by-id")
+    names = sorted(str(p) for p in by_id.iterdir()) if by_id.is_dir() else []
+    names = names or sorted(p.device for p in list_ports.comports())
+    return f"ports here: {', '.join(names)}" if names else "there are no serial ports here"

@@ -1,0 +1,193 @@
+"""Numbers and times that wrap, made continuous: 32-bit sequence and microseconds, and the encoder's counter.
+
+Frames arrive in order, but some are missing, some come twice, and now and then the device restarts. The timeline
+decides for every frame which of these it is; the rules stand in `docs/protocol.md`. All state is integer, and every
+decision depends on the frames alone, so the result is the same however the bytes were cut into reads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_daemon.samples import I64, U8, Quality
+
+_WRAP = 1 << 32
+
+#: A silence longer than this is taken for a restart: after a day the motor is another one anyhow, and a sequence
+#: number that starts at random after a restart is not mistaken for a gap of weeks.
+MAX_GAP_US = 86_400 * 1_000_000
+
+#: A changed session whose numbering continues exactly, with at most this pause, is a changed description.
+MAX_PAUSE_US = 1_000_000
+
+#: A gap in which the device would have sampled this much faster than it does is no gap, but a new numbering.
+_RATE_MARGIN = 4.0
+
+#: Over a gap of several turns of the clock, time and numbering must agree to 5 % (an RC oscillator's error) and
+#: 10 s; the turns are 71.6 minutes apart, so this leaves no doubt for gaps up to `MAX_GAP_US`.
+_CLOCK_TOLERANCE = 0.05
+_PAUSE_TOLERANCE_US = 10_000_000
+
+#: Continuation after a restart when nothing is known of the sample period.
+_UNKNOWN_PERIOD_US = 1_000
+
+
+def signed32(value: int) -> int:
+    """The difference of two 32-bit counters as the nearer of its two meanings."""
+    return ((value + 0x80000000) & 0xFFFFFFFF) - 0x80000000
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """Where frames came to lie.
+
+    Attributes:
+        kept: shape (frames,), False for frames that repeat an earlier one; None: all are kept.
+        time_us: shape (kept,), unwrapped time of each frame's first sample.
+        sequence: shape (kept,), unwrapped number of each frame's first sample.
+        flags: shape (kept,), `Quality` bits of each frame's first sample; None: all good.
+    """
+
+    kept: NDArray[np.bool_] | None
+    time_us: I64
+    sequence: I64
+    flags: U8 | None
+
+
+class Timeline:
+    """Sequence and time of one device, continuous over wraps, gaps and restarts.
+
+    Attributes:
+        lost, repeated, restarts: totals; `repeated` counts frames.
+    """
+
+    def __init__(self) -> None:
+        self.lost = 0
+        self.repeated = 0
+        self.restarts = 0
+        self._started = False
+        self._new_session = False
+        self._nominal_us: float | None = None
+        self._measured_us = _UNKNOWN_PERIOD_US  # between the samples of the last frame
+        self._raw_next = 0  # number the next sample should have, as the device counts
+        self._raw_us = 0  # device time of the last sample, as the device counts
+        self._next = 0  # the same two, unwrapped
+        self._us = 0
+
+    def set_period(self, period_us: float | None) -> None:
+        """The nominal sample period; None where sampling is not regular."""
+        self._nominal_us = period_us
+
+    def new_session(self) -> None:
+        """The device says it started anew: unless its numbers go on exactly, the next frame is a restart."""
+        self._new_session = self._started
+
+    def place(
+        self, sequence: NDArray[np.uint32], first_us: NDArray[np.uint32], span_us: I64, n: int,
+        is_repeat: Callable[[int], bool],
+    ) -> Placement:  # fmt: skip
+        """Place frames of `n` samples each, given in the order of arrival.
+
+        Args:
+            sequence: shape (frames,), number of each frame's first sample.
+            first_us: shape (frames,), device time of each frame's first sample.
+            span_us: shape (frames,), from the first to the last sample of each frame.
+            is_repeat: whether frame k has the very bytes of a recent earlier one.
+        """
+        if self._started and not self._new_session:
+            steps = self._steps(first_us, span_us)
+            count = sequence.shape[0]
+            if count == 1:  # a frame every wakeup: integers are cheaper than arrays of one
+                regular = steps.item() > 0 and sequence.item() == self._raw_next
+            else:
+                expected = np.arange(self._raw_next, self._raw_next + n * count, n, dtype=np.int64)
+                regular = bool((steps > 0).all() and (sequence == expected.astype(np.uint32)).all())
+            if regular:
+                return self._place_regular(sequence, first_us, steps, span_us, n)
+        return self._place_one_by_one(sequence, first_us, span_us, n, is_repeat)
+
+    def _steps(self, first_us: NDArray[np.uint32], span_us: I64) -> NDArray[np.int32]:
+        """µs from the last sample before each frame to its first, as the nearer of the two meanings."""
+        steps = first_us.copy()
+        steps[1:] -= first_us[:-1] + span_us[:-1].astype(np.uint32)
+        steps[:1] -= np.uint32(self._raw_us)
+        return steps.view(np.int32)
+
+    def _place_regular(
+        self, sequence: NDArray[np.uint32], first_us: NDArray[np.uint32], steps: NDArray[np.int32],
+        span_us: I64, n: int,
+    ) -> Placement:  # fmt: skip
+        """The usual case, nothing lost, nothing twice: a sum instead of a loop."""
+        time_us = np.cumsum(steps, dtype=np.int64)
+        time_us[1:] += np.cumsum(span_us[:-1])
+        time_us += self._us
+        numbers = np.arange(self._next, self._next + n * steps.shape[0], n, dtype=np.int64)
+        if n == 1 and steps.shape[0] > 1:  # the period is measured from one frame to the next
+            self._us = int(time_us[-2])
+        self._commit(int(sequence[-1]), int(first_us[-1]), int(span_us[-1]), n, int(time_us[-1]), int(numbers[-1]))
+        return Placement(None, time_us, numbers, None)
+
+    def _place_one_by_one(
+        self, sequence: NDArray[np.uint32], first_us: NDArray[np.uint32], span_us: I64, n: int,
+        is_repeat: Callable[[int], bool],
+    ) -> Placement:  # fmt: skip
+        count = sequence.shape[0]
+        kept = np.ones(count, dtype=np.bool_)
+        times = np.empty(count, dtype=np.int64)
+        numbers = np.empty(count, dtype=np.int64)
+        flags = np.zeros(count, dtype=np.uint8)
+        for k in range(count):
+            raw_number, raw_us, span = int(sequence[k]), int(first_us[k]), int(span_us[k])
+            ahead = signed32(raw_number - self._raw_next)
+            if self._started and ahead < 0 and is_repeat(k):
+                kept[k] = False
+                self.repeated += 1
+                continue
+            times[k], numbers[k], flags[k] = self._place_one(ahead, raw_number, raw_us)
+            self._commit(raw_number, raw_us, span, n, int(times[k]), int(numbers[k]))
+        return Placement(kept, times[kept], numbers[kept], flags[kept])
+
+    def _place_one(self, ahead: int, raw_number: int, raw_us: int) -> tuple[int, int, int]:
+        """Unwrapped time and number, and flags, of a frame that is no repetition."""
+        if not self._started:
+            return raw_us, raw_number, 0
+        elapsed = self._elapsed(ahead, signed32(raw_us - self._raw_us))
+        if elapsed is None:
+            self.restarts += 1
+            period_us = max(1, round(self._nominal_us or self._measured_us))
+            return self._us + period_us, self._next, int(Quality.TIME_RESTART)
+        self.lost += ahead
+        return self._us + elapsed, self._next + ahead, int(Quality.GAP_BEFORE) if ahead else 0
+
+    def _elapsed(self, ahead: int, step_us: int) -> int | None:
+        """µs since the last sample, or None when the device must have restarted.
+
+        Args:
+            ahead: samples missing before this frame by its number.
+            step_us: the time step as the nearer of its meanings; more turns of the clock may have passed.
+        """
+        if ahead < 0 or (self._new_session and not (ahead == 0 and 0 < step_us <= MAX_PAUSE_US)):
+            return None
+        if ahead == 0 or self._nominal_us is None:
+            return step_us if step_us > 0 else None
+        expected = (ahead + 1) * self._nominal_us
+        turns = round((expected - step_us) / _WRAP)
+        elapsed = step_us + turns * _WRAP
+        too_many = (ahead + 1) * min(self._nominal_us, self._measured_us) > _RATE_MARGIN * elapsed
+        wrong_turn = turns != 0 and abs(elapsed - expected) > _CLOCK_TOLERANCE * expected + _PAUSE_TOLERANCE_US
+        return elapsed if 0 < elapsed <= MAX_GAP_US and not (too_many or wrong_turn) else None
+
+    def _commit(self, raw_number: int, raw_us: int, span_us: int, n: int, us: int, number: int) -> None:
+        """Take note of a placed frame (in the regular case the last of many): its raw and its unwrapped start."""
+        if n > 1:
+            self._measured_us = max(1, span_us // (n - 1))
+        elif self._started:
+            self._measured_us = max(1, us - self._us)
+        self._raw_next = (raw_number + n) & 0xFFFFFFFF
+        self._raw_us = (raw_us + span_us) & 0xFFFFFFFF
+        self._next, self._us = number + n, us + span_us
+        self._started, self._new_session = True, False
