@@ -169,14 +169,17 @@ class _Builder:
         if not level.is_zero():
             stopping = -x_next[n - 2] / core.per_load[n - 2]
             x_next = x_next + core.per_load * ca.fmax(ca.fmin(stopping, level), -level)
-        rates = {name: rate for term in middle for name, rate in term.rates.items()}
-        own = [self._own_state(k, middle_x[n + k], rates, h) for k in range(len(self.states) - n)]
-        return ca.vertcat(x_next, *own), core
+        return ca.vertcat(x_next, self._own_states(middle_x, u, t + h / 2, h)), core
 
-    def _own_state(self, k: int, value: ca.SX, rates: Mapping[str, ca.SX], h: ca.SX) -> ca.SX:
-        rate = rates[self.states[self.n_core + k].name]
-        _, phi1, _ = flow.phi_scalar(ca.jacobian(rate, value) * h)
-        return value + h * phi1 * rate
+    def _own_states(self, middle_x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX) -> ca.SX:
+        # Symbols of their own, so that the slope is the partial one: the midpoint current depends on these states too.
+        at = ca.SX.sym("at", middle_x.numel())
+        rates = {name: rate for term in self.terms(at, u, t) for name, rate in term.rates.items()}
+        updates = []
+        for k, state in enumerate(self.states[self.n_core :], start=self.n_core):
+            _, phi1, _ = flow.phi_scalar(ca.jacobian(rates[state.name], at[k]) * h)
+            updates.append(at[k] + h * phi1 * rates[state.name])
+        return ca.substitute(ca.vertcat(*updates), at, middle_x) if updates else ca.SX(0, 1)
 
     def sensed(self, x: ca.SX, t: ca.SX) -> ca.SX:
         n = self.n_core

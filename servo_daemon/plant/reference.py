@@ -1,0 +1,64 @@
+"""The NumPy twin: the same step as `build.py`, from other building blocks, for tests to compare with.
+
+The linear core is SciPy's `expm` of the augmented matrix instead of the closed form, the splitting is written out in
+NumPy, and only the effects' own terms are shared (evaluated on numbers): an effect's formula exists once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+import numpy as np
+from scipy.linalg import expm
+
+from servo_daemon.plant.build import PlantModel
+from servo_daemon.plant.effects import Signals, effects_by_name
+from servo_daemon.samples import F64
+
+
+def linear_step(p: Mapping[str, float], h: float) -> tuple[F64, F64]:
+    """(Ad, Bd) of (i, ω, θ) over h seconds with (voltage, load torque) held: shapes (3, 3) and (3, 2)."""
+    R, L, K, J, B = (p[name] for name in ("R", "L", "K", "J", "B"))
+    augmented = np.zeros((5, 5))
+    augmented[:3] = [[-R / L, -K / L, 0, 1 / L, 0], [K / J, -B / J, 0, 0, -1 / J], [0, 1, 0, 0, 0]]
+    step = expm(augmented * h)
+    return step[:3, :3], step[:3, 3:]
+
+
+def _terms(model: PlantModel, x: F64, u: float, p: Mapping[str, float], t: float) -> dict[str, float]:
+    """Sums (factors: products) of all effects' terms, and the rates of their states, as numbers."""
+    own = dict(zip(model.state_names[3:], map(ca.DM, x[3:]), strict=True))
+    signals = Signals(*map(ca.DM, (t, u, x[0], x[1], x[2])), states=own, p={k: ca.DM(v) for k, v in p.items()})
+    total = {"load_torque": 0.0, "dry_friction": 0.0, "voltage_drop": 0.0, "factor_R": 1.0, "factor_K": 1.0}
+    for name in model.effects:
+        term = effects_by_name()[name].terms(signals)
+        for key in total:
+            value = float(getattr(term, key))
+            total[key] = total[key] * value if key.startswith("factor") else total[key] + value
+        total |= {state: float(rate) for state, rate in term.rates.items()}
+    return total
+
+
+def reference_step(model: PlantModel, x: F64, u: float, p: F64, t: float, h: float) -> F64:
+    """x(t + h) with the voltage u held. Shapes as in `PlantModel.step`; voltage-driven models only."""
+    named = dict(zip(model.parameter_names, map(float, p), strict=True))
+    ahead = _terms(model, np.r_[x[:2], x[2] + h / 2 * x[1], x[3:]], u, named, t + h / 2)
+    scaled = named | {"R": named["R"] * ahead["factor_R"], "K": named["K"] * ahead["factor_K"]}
+    Ad, Bd = linear_step(scaled, h)
+    guess = Ad @ x[:3] + Bd @ [u - ahead["voltage_drop"], ahead["load_torque"]]
+    middle_x = np.r_[(x[:3] + guess) / 2, x[3:]]
+    middle = _terms(model, middle_x, u, named, t + h / 2)
+    core = Ad @ x[:3] + Bd @ [u - middle["voltage_drop"], middle["load_torque"]]
+    core += Bd[:, 1] * np.clip(-core[1] / Bd[1, 1], -middle["dry_friction"], middle["dry_friction"])
+    own = [_own_state(model, k, middle_x, u, named, t + h / 2, h) for k in range(3, len(x))]
+    return np.r_[core, own]
+
+
+def _own_state(model: PlantModel, k: int, x: F64, u: float, p: Mapping[str, float], t: float, h: float) -> float:
+    """Exponential step of one state of an effect; the slope of its rate by a central difference."""
+    name, d = model.state_names[k], 1e-4 * (1.0 + abs(x[k]))
+    shift = d * np.eye(len(x))[k]
+    rate, above, below = (_terms(model, at, u, p, t)[name] for at in (x, x + shift, x - shift))
+    z = (above - below) / (2 * d) * h
+    return float(x[k] + h * rate * (np.expm1(z) / z if z else 1.0))
