@@ -189,7 +189,9 @@ class Ageing:
         change = profile.amount * (start if profile.relative else 1.0)
         final, p = self.start[column] + change, self.parameters[column]
         if not p.lower <= final <= p.upper:
-            raise BadInputError(f"{label}: {p.name} would become {final:g}, outside {p.lower:g} .. {p.upper:g} {p.unit}")
+            raise BadInputError(
+                f"{label}: {p.name} would become {final:g}, outside {p.lower:g} .. {p.upper:g} {p.unit}"
+            )
 
     def _target(self, profile: Profile) -> tuple[int, float]:
         """Which column a profile changes and the start value its percentage refers to."""
@@ -250,7 +252,9 @@ def ageing_texts(table: Mapping[str, str | Sequence[str]] | Sequence[str]) -> tu
         BadInputError: something in it is not text.
     """
     if isinstance(table, Mapping):
-        pairs = [(name, text) for name, value in table.items() for text in ([value] if isinstance(value, str) else value)]
+        pairs = [
+            (name, text) for name, value in table.items() for text in ([value] if isinstance(value, str) else value)
+        ]
         texts: list[object] = [f"{name}={text}" if isinstance(text, str) else text for name, text in pairs]
     else:
         texts = [table] if isinstance(table, str) else list(table)

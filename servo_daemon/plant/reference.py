@@ -21,7 +21,7 @@ def linear_step(p: Mapping[str, float], h: float) -> tuple[F64, F64]:
     """(Ad, Bd) of (i, ω, θ) over h seconds with (voltage, load torque) held: shapes (3, 3) and (3, 2)."""
     R, L, K, J, B = (p[name] for name in ("R", "L", "K", "J", "B"))
     augmented = np.zeros((5, 5))
-    augmented[:3] = [[-R / L, -K / L, 0, 1 / L, 0], [K / J, -B / J, 0, 0, -1 / J], [0, 1, 0, 0, 0]]
+    augmented[:3] = np.array([[-R / L, -K / L, 0, 1 / L, 0], [K / J, -B / J, 0, 0, -1 / J], [0, 1, 0, 0, 0]])
     step = expm(augmented * h)
     return step[:3, :3], step[:3, 3:]
 
@@ -29,13 +29,14 @@ def linear_step(p: Mapping[str, float], h: float) -> tuple[F64, F64]:
 def _terms(model: PlantModel, x: F64, u: float, p: Mapping[str, float], t: float) -> dict[str, float]:
     """Sums (factors: products) of all effects' terms, and the rates of their states, as numbers."""
     own = dict(zip(model.state_names[3:], map(ca.DM, x[3:]), strict=True))
-    signals = Signals(*map(ca.DM, (t, u, x[0], x[1], x[2])), states=own, p={k: ca.DM(v) for k, v in p.items()})
+    time, voltage, current, speed, angle = map(ca.DM, (t, u, x[0], x[1], x[2]))
+    signals = Signals(time, voltage, current, speed, angle, states=own, p={k: ca.DM(v) for k, v in p.items()})
     total = {"load_torque": 0.0, "dry_friction": 0.0, "voltage_drop": 0.0, "factor_R": 1.0, "factor_K": 1.0}
     for name in model.effects:
         term = effects_by_name()[name].terms(signals)
-        for key in total:
+        for key, before in total.items():
             value = float(getattr(term, key))
-            total[key] = total[key] * value if key.startswith("factor") else total[key] + value
+            total[key] = before * value if key.startswith("factor") else before + value
         total |= {state: float(rate) for state, rate in term.rates.items()}
     return total
 
@@ -52,7 +53,7 @@ def reference_step(model: PlantModel, x: F64, u: float, p: F64, t: float, h: flo
     core = Ad @ x[:3] + Bd @ [u - middle["voltage_drop"], middle["load_torque"]]
     core += Bd[:, 1] * np.clip(-core[1] / Bd[1, 1], -middle["dry_friction"], middle["dry_friction"])
     own = [_own_state(model, k, middle_x, u, named, t + h / 2, h) for k in range(3, len(x))]
-    return np.r_[core, own]
+    return np.concatenate((core, own))
 
 
 def _own_state(model: PlantModel, k: int, x: F64, u: float, p: Mapping[str, float], t: float, h: float) -> float:

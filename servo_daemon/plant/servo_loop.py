@@ -1,9 +1,9 @@
-"""The paper's servo mechanism: its transfer functions as printed, the loop as we close it, and that loop sample by sample.
+"""The paper's servo mechanism: its transfer functions as printed, and the loop as we close it, sample by sample too.
 
 The mechanism (paper, figure 3): an input potentiometer turns the wanted angle into a voltage (k_io), an operational
-amplifier, attenuator, preamplifier and servo amplifier raise it (k_s = k_op·k_au·k_pu·k_su), the motor turns, and a tacho
-generator feeds its speed back (k_g). What the paper prints has no feedback of the angle, so a step of the wanted angle
-gives a ramp, and it gives no gains. Here the loop is closed through a second, equal potentiometer on the motor shaft:
+amplifier, attenuator, preamplifier and servo amplifier raise it (k_s = k_op·k_au·k_pu·k_su), the motor turns, and a
+tacho generator feeds its speed back (k_g). What the paper prints has no feedback of the angle, so a step of the wanted
+angle gives a ramp, and it gives no gains. Here the loop is closed through a second, equal potentiometer on the shaft:
 
     v = k_s [k_io (θ_i − θ_o) − k_g ω],  |v| ≤ supply
 
@@ -82,7 +82,7 @@ def printed_motor_angle(p: Mapping[str, float]) -> TransferFunction:
 
 
 def printed_servo(p: Mapping[str, float], gains: ServoGains) -> TransferFunction:
-    """G_s as its first printed form reads with G_o = ω/v: k_io k_s G_o / (1 + k_s G_o k_g) · 1/s. A step gives a ramp."""
+    """G_s as printed first, with G_o = ω/v: k_io k_s G_o / (1 + k_s G_o k_g) · 1/s. A step gives a ramp."""
     from control import feedback
 
     return gains.k_io * feedback(gains.k_s * motor_speed(p), gains.k_g) / _laplace()
@@ -99,8 +99,8 @@ def closed_servo(p: Mapping[str, float], gains: ServoGains) -> TransferFunction:
 def suitable_gains(p: Mapping[str, float], supply_V: float, rate_hz: float) -> ServoGains:
     """Gains for any motor, at this supply and sample rate.
 
-    The servo amplifier's gain goes with its supply (a 50° step asks for 5/6 of it), and is then halved until every mode of
-    the sampled loop, which acts only once a sample, is damped with a ratio of at least 0.35.
+    The servo amplifier's gain goes with its supply (a 50° step asks for 5/6 of it), and is then halved until every mode
+    of the sampled loop, which acts only once a sample, is damped with a ratio of at least 0.35.
     """
     gains = ServoGains(k_su=supply_V / 12.0)
     Ad, Bd = linear_step(p, 1.0 / rate_hz)
