@@ -65,7 +65,7 @@ def _speed_sign(s: Stretch) -> F64:
     reach = min(5, len(s.position) // 2)
     ahead = np.concatenate([s.position[reach:], np.full(reach, s.position[-1])])
     behind = np.concatenate([np.full(reach, s.position[0]), s.position[:-reach]])
-    return np.sign(ahead - behind)
+    return np.asarray(np.sign(ahead - behind))
 
 
 class MotorRls:

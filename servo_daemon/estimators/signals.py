@@ -74,7 +74,7 @@ def _with_voltage(
         return SignalPlan(None, (), {}, (), {p.name: why for p in LINEAR})
     held = {name: nominal[name] for name in _NEEDED_WITHOUT_CURRENT}
     free = tuple(n for n in plant.parameter_names if n not in held)
-    return SignalPlan(plant, motion, held, free, {n: f"held at the nominal value: {why}" for n in held})
+    return SignalPlan(plant, motion, held, free, dict.fromkeys(held, f"held at the nominal value: {why}"))
 
 
 def _without_voltage(

@@ -1,0 +1,93 @@
+"""Lays sample blocks out for the filter and the regressions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from servo_daemon.estimators.motor_rls import Stretch
+from servo_daemon.plant.build import Drive
+from servo_daemon.samples import F64, Quality, SampleBlock
+
+#: A gap longer than this leaves the plant's states unknown; a shorter one is predicted through.
+LONG_GAP_S = 0.25
+
+_INVALID_BIT = {
+    "voltage_V": Quality.VOLTAGE_INVALID,
+    "current_A": Quality.CURRENT_INVALID,
+    "position_rad": Quality.POSITION_INVALID,
+    "velocity_rad_s": Quality.POSITION_INVALID,
+    "torque_Nm": Quality.CURRENT_INVALID,
+}
+INPUT: dict[Drive, str] = {"voltage": "voltage_V", "current": "current_A", "torque": "torque_Nm"}
+
+
+def breaks(block: SampleBlock, last_s: float | None) -> list[int]:
+    """Indices of samples before which the plant's state is lost: restarts and long gaps."""
+    previous = np.concatenate([[block.time_s[0] if last_s is None else last_s], block.time_s[:-1]])
+    lost = (block.time_s - previous > LONG_GAP_S) | ((block.quality & Quality.TIME_RESTART) != 0)
+    return [int(k) for k in np.flatnonzero(lost)]
+
+
+def channel(block: SampleBlock, name: str) -> tuple[F64, F64]:
+    """Values (0 where they are no measurement) and validity (1 or 0) of a channel."""
+    values: F64 = getattr(block, name)
+    valid = np.isfinite(values) & ((block.quality & _INVALID_BIT[name]) == 0)
+    return np.where(valid, values, 0.0), valid.astype(np.float64)
+
+
+@dataclass(slots=True)
+class Layout:
+    """Lays blocks out as the filter's sample rows; remembers what the next row needs of the last."""
+
+    drive: Drive
+    measured: tuple[str, ...]
+    last_s: float | None = None
+    last_input: float = 0.0
+    origin_s: float = 0.0
+
+    def rows(self, block: SampleBlock, unknown_input_var: float) -> F64:
+        """shape (n, 4 + 2 channels): t, h, input, extra variance, (y, valid)…
+
+        Args:
+            unknown_input_var: added variance where the input is not known and the last one is held.
+        """
+        n = len(block)
+        out = np.empty((n, 4 + 2 * len(self.measured)))
+        t = block.time_s - self.origin_s
+        out[:, 0] = t
+        first = 0.0 if self.last_s is None else float(block.time_s[0]) - self.last_s
+        out[0, 1] = first
+        out[1:, 1] = np.diff(block.time_s)
+        u, valid = channel(block, INPUT[self.drive])
+        known = np.concatenate([[self.last_input], u])
+        source = np.maximum.accumulate(np.where(valid > 0, np.arange(1, n + 1), 0))
+        out[:, 2] = known[source]
+        out[:, 3] = (1.0 - valid) * unknown_input_var
+        for k, name in enumerate(self.measured):
+            out[:, 4 + 2 * k], out[:, 5 + 2 * k] = channel(block, name)
+        self.last_s, self.last_input = float(block.time_s[-1]), float(out[-1, 2])
+        return out
+
+
+def stretch_of(block: SampleBlock, origin_s: float) -> Stretch:
+    """The block for the regressions; samples after a gap or with an invalid channel are not usable."""
+    usable = np.ones(len(block), dtype=bool)
+    usable &= (block.quality & (Quality.GAP_BEFORE | Quality.TIME_RESTART)) == 0
+    signals: dict[str, F64 | None] = {}
+    for name in ("voltage_V", "current_A", "torque_Nm", "position_rad", "velocity_rad_s"):
+        if getattr(block, name) is None:
+            signals[name] = None
+            continue
+        signals[name], valid = channel(block, name)
+        usable &= valid > 0
+    return Stretch(
+        block.time_s - origin_s,
+        usable,
+        signals["voltage_V"],
+        signals["current_A"],
+        signals["torque_Nm"],
+        signals["position_rad"],
+        signals["velocity_rad_s"],
+    )

@@ -1,0 +1,364 @@
+"""One drive's estimators together: RLS from the first sample, the EKF once it can start, and the watch over both.
+
+Fed segments of samples (`take`, any size) and ticks (`close_tick`, always the same samples whatever the segments were);
+only ticks change anything but the filter's own recursion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from servo_daemon.estimators import noise as noise_levels
+from servo_daemon.estimators.base import Gaussian, to_coordinate
+from servo_daemon.estimators.ekf import Ekf, Innovations
+from servo_daemon.estimators.excitation import Excitation
+from servo_daemon.estimators.fusion import Qualification
+from servo_daemon.estimators.layout import INPUT, Layout, breaks, channel, stretch_of
+from servo_daemon.estimators.motor_rls import MotorRls
+from servo_daemon.estimators.noise import ChannelNoise, Whiteness
+from servo_daemon.estimators.signals import SignalPlan, plan_signals
+from servo_daemon.plant.parameters import Parameter
+from servo_daemon.samples import F64, SampleBlock, concatenate
+
+Message = tuple[str, str, Mapping[str, float | int | str | None]]
+
+#: Random walk of a parameter's coordinate when the user says nothing, 1 σ after a minute: copper follows the load,
+#: magnets and bearings take their time, inertia changes with what is mounted.
+_DRIFT_PER_SQRT_MIN = {"R": 0.03, "L": 0.01, "K": 0.01, "J": 0.01, "B": 0.03}
+_DRIFT_OTHER_PER_SQRT_MIN = 0.02
+
+#: The filter starts no sooner than this after the first sample, s, and waits no longer than that for the regression.
+_EARLIEST_S, _LATEST_S = 1.0, 3.0
+#: The regression may start the filter once it knows every free parameter this well (1 σ, relative).
+_GOOD_START_STD = 0.15
+#: A nominal value is a datasheet's, or a motor that has aged: 1 σ of its logarithm.
+_NOMINAL_STD = 0.7
+#: The regression's start is trusted this much less than it says: its noise is not quite white.
+_START_INFLATION = 3.0
+#: A saved state may be of yesterday's temperature and load: added 1 σ.
+_SAVED_STD = 0.03
+#: An unexcited parameter's covariance grows with its drift up to this 1 σ.
+_IDLE_STD = 0.3
+#: Diverged: innovations this many times larger than they should be, for as many ticks, while the regression is well.
+_DIVERGED_NIS, _DIVERGED_TICKS = 6.0, 20
+#: Whiteness: leaves at the second value, returns at the first.
+_WHITE_IN, _WHITE_OUT = 0.15, 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class Resolutions:
+    """Least significant bits, where they are known."""
+
+    position_rad: float | None = None
+    current_A: float | None = None
+    voltage_V: float | None = None
+
+    def of(self, name: str) -> float | None:
+        return getattr(self, name, None)
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerSettings:
+    """What the user fixed.
+
+    Attributes:
+        effects: names of the effects in the model.
+        nominal: given values by parameter, natural units.
+        drift_per_sqrt_s: 1 σ of each coordinate's random walk, 1/√s; defaults where absent.
+        engine: "compiled" or "filterpy".
+    """
+
+    effects: tuple[str, ...] = ()
+    nominal: Mapping[str, float] | None = None
+    drift_per_sqrt_s: Mapping[str, float] | None = None
+    engine: str = "compiled"
+
+
+class Tracker:
+    """See the module. `plan` says what these channels determine."""
+
+    def __init__(
+        self,
+        channels: tuple[str, ...],
+        settings: TrackerSettings,
+        resolutions: Resolutions,
+        prior: Gaussian | None = None,
+    ) -> None:
+        self.settings, self.resolutions = settings, resolutions
+        self.nominal = dict(settings.nominal or {})
+        self.plan: SignalPlan = plan_signals(channels, settings.effects, self.nominal)
+        self._prior = prior
+        self.last_s: float | None = None
+        self.first_s: float | None = None
+        self.measured_state: dict[str, float | None] = {}
+        self.sample_period_s: float | None = None
+        self.gated = self.restarts = 0
+        self.white = True
+        self.whiteness: dict[str, Whiteness] = {}
+        self.rls: MotorRls | None = None
+        self.ekf: Ekf | None = None
+        if self.plan.plant is not None:
+            self._prepare()
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """The parameters that are estimated, in the plant's order."""
+        if self.plan.plant is None:
+            return ()
+        return tuple(p for p in self.plan.plant.parameters if p.name in self.plan.free)
+
+    def _prepare(self) -> None:
+        plant = self.plan.plant
+        assert plant is not None
+        given = self.settings.drift_per_sqrt_s or {}
+        default = {
+            p.name: _DRIFT_PER_SQRT_MIN.get(p.name, _DRIFT_OTHER_PER_SQRT_MIN) / 60**0.5 for p in plant.parameters
+        }
+        self._drift = np.array([given.get(p.name, default[p.name]) ** 2 for p in plant.parameters])
+        self._free_index = np.array([k for k, p in enumerate(plant.parameters) if p.name in self.plan.free], dtype=int)
+        loop = None
+        if self.settings.engine == "filterpy":
+            from servo_daemon.estimators.filterpy_ekf import FilterpyLoop
+
+            loop = FilterpyLoop(plant, self.plan.measured)
+        self.ekf = Ekf(plant, self.plan.measured, self._drift, loop)
+        self.rls = MotorRls(plant, self.plan.held)
+        self._layout = Layout(plant.drive, self.plan.measured)
+        self.excitation = Excitation(np.ones(len(plant.parameters)))
+        self.qualification = Qualification(len(plant.parameters))
+        self.scales = np.ones(len(plant.parameters))
+        self._noise: dict[str, ChannelNoise] = {}
+        self._input_square = 0.0
+        self._early: list[SampleBlock] = []
+        self._suspicious_ticks = 0
+        self._innovations: list[Innovations] = []
+        self._rows: list[F64] = []
+
+    # -- samples ---------------------------------------------------------------------------------------------
+
+    def take(self, block: SampleBlock) -> None:
+        """Samples of one tick or a part of it, in order."""
+        if self.first_s is None:
+            self.first_s = float(block.time_s[0])
+            if self.plan.plant is not None:
+                self._layout.origin_s = self.first_s
+        if self.plan.plant is not None:
+            self._filter(block)
+        self.last_s = float(block.time_s[-1])
+        for name in ("current_A", "velocity_rad_s", "position_rad"):
+            values = getattr(block, name)
+            self.measured_state[name] = None if values is None else float(values[-1])
+
+    def _filter(self, block: SampleBlock) -> None:
+        assert self.ekf is not None
+        if not self.ekf.started:
+            self._layout.rows(block, 0.0)
+            return
+        cuts = breaks(block, self.last_s)
+        for a, b in zip([0, *cuts], [*cuts, len(block)], strict=True):
+            if b <= a:
+                continue
+            part = block.slice(a, b)
+            if a in cuts:
+                self._layout.last_s = float(part.time_s[0])
+                self.ekf.forget_state(self._initial_state(part))
+            rows = self._layout.rows(part, self._input_square)
+            self._innovations.append(self.ekf.update(rows))
+            self._rows.append(rows)
+
+    def _initial_state(self, block: SampleBlock) -> F64:
+        """Plant states from the first sample of a block: what is measured, and zero."""
+        assert self.plan.plant is not None
+        x = np.array([s.initial for s in self.plan.plant.states])
+        for k, state in enumerate(self.plan.plant.states):
+            if state.name in self.plan.measured:
+                values, valid = channel(block, state.name)
+                known = np.flatnonzero(valid)
+                x[k] = values[known[0]] if len(known) else 0.0
+        return x
+
+    # -- ticks -----------------------------------------------------------------------------------------------
+
+    def close_tick(self, tick: SampleBlock) -> list[Message]:
+        """Everything slower than a sample, over exactly the samples of this tick."""
+        if len(tick) > 1:
+            self.sample_period_s = float(np.median(np.diff(tick.time_s)))
+        if self.plan.plant is None or self.rls is None or self.ekf is None:
+            return []
+        duration = max((self.sample_period_s or 0.0) * len(tick), 1e-6)
+        self._measure_levels(tick)
+        assert self.first_s is not None
+        self.rls.update(stretch_of(tick, self.first_s))
+        if not self.ekf.started:
+            return self._try_start(tick)
+        return self._watch(duration)
+
+    def _measure_levels(self, tick: SampleBlock) -> None:
+        """Mean squares of input and motor torque, for noise that is a share of them."""
+        assert self.plan.plant is not None
+        u, valid = channel(tick, INPUT[self.plan.plant.drive])
+        if valid.any():
+            square = float(np.sum(u * u) / valid.sum())
+            self._input_square = max(square, 0.99 * self._input_square)
+
+    def _try_start(self, tick: SampleBlock) -> list[Message]:
+        assert self.ekf is not None and self.rls is not None and self.first_s is not None
+        self._early.append(tick)
+        elapsed = float(tick.time_s[-1]) - self.first_s
+        enough = sum(len(b) for b in self._early) >= 50
+        if not enough or elapsed < (0.2 if self._prior is not None else _EARLIEST_S):
+            return []
+        start = self._prior if self._prior is not None else self._best_start(elapsed)
+        if start is None:
+            self._early = self._early[-20:]
+            return []
+        recording = concatenate(self._early)
+        for name in self.plan.measured:
+            values, valid = channel(recording, name)
+            self._noise[name] = noise_levels.initial_noise(values[valid > 0], self.resolutions.of(name))
+        self.ekf.start(start, held_input=self._layout.last_input, held_var=0.0)
+        self._set_noise()
+        free = self._free_mask()
+        self.ekf.set_active(free, free)
+        self.ekf.forget_state(self._initial_state(recording.slice(len(recording) - 1, len(recording))))
+        self._early = []
+        source = "the saved state" if self._prior is not None else "regression and nominal values"
+        return [("filter_started", f"filter started from {source}", {})]
+
+    def _best_start(self, elapsed_s: float) -> Gaussian | None:
+        """Regression where it is good, nominal values for the rest; None while there is still something to wait for."""
+        assert self.rls is not None
+        found = self.rls.estimate()
+        std = {} if found is None else dict(zip(found.names, found.std, strict=True))
+        mean = {} if found is None else dict(zip(found.names, found.mean, strict=True))
+        good = {n for n, s in std.items() if s * _START_INFLATION < _GOOD_START_STD * (1 if n != "TL" else 1e9)}
+        missing = [p for p in self.free if p.name not in good]
+        if missing and elapsed_s < _LATEST_S:
+            return None
+        names, means, variances = [], [], []
+        for p in self.free:
+            if p.name in good:
+                names.append(p.name)
+                means.append(mean[p.name])
+                variances.append((_START_INFLATION * std[p.name]) ** 2 + 1e-4)
+            elif p.name in self.nominal or p.transform == "identity" or p.name not in ("R", "L", "K", "J", "B"):
+                names.append(p.name)
+                means.append(to_coordinate(p, self.nominal.get(p.name, p.nominal)))
+                variances.append(_NOMINAL_STD**2)
+            elif p.name in mean and std[p.name] < 1.0:
+                names.append(p.name)
+                means.append(mean[p.name])
+                variances.append((_START_INFLATION * std[p.name]) ** 2)
+            else:
+                return None
+        held = [p for p in (self.plan.plant.parameters if self.plan.plant else ()) if p.name in self.plan.held]
+        names += [p.name for p in held]
+        means += [to_coordinate(p, self.plan.held[p.name]) for p in held]
+        variances += [0.0] * len(held)
+        return Gaussian(tuple(names), np.array(means), np.diag(variances))
+
+    def _free_mask(self) -> F64:
+        assert self.plan.plant is not None
+        mask = np.zeros(len(self.plan.plant.parameters))
+        mask[self._free_index] = 1.0
+        return mask
+
+    def _set_noise(self) -> None:
+        assert self.ekf is not None and self.plan.plant is not None
+        rms = self._input_square**0.5
+        lsb = self.resolutions.voltage_V if self.plan.plant.drive == "voltage" else None
+        torque = self._torque_scale()
+        self.ekf.set_noise(
+            noise_levels.levels(
+                tuple(self._noise[c] for c in self.plan.measured),
+                noise_levels.input_variance(rms, lsb),
+                noise_levels.torque_intensity(torque),
+            )
+        )
+
+    def _torque_scale(self) -> float:
+        """Typical motor torque, N·m: K V/R at the rms voltage is the most there can be at standstill."""
+        assert self.ekf is not None and self.plan.plant is not None
+        names = self.plan.plant.parameter_names
+        q = self.ekf.estimate().mean
+        rms = self._input_square**0.5
+        if self.plan.plant.drive == "voltage":
+            return float(np.exp(q[names.index("K")] - q[names.index("R")]) * rms)
+        return float(np.exp(q[names.index("K")]) * rms) if self.plan.plant.drive == "current" else rms
+
+    def _watch(self, duration_s: float) -> list[Message]:
+        """Noise, whiteness, excitation, soundness: after each tick of the running filter."""
+        assert self.ekf is not None
+        if not self._innovations:
+            return []
+        rows = np.concatenate(self._rows)
+        innovations = Innovations(
+            *(
+                np.concatenate([getattr(i, name) for i in self._innovations])
+                for name in ("innovation", "variance", "gated")
+            )
+        )
+        self._rows, self._innovations = [], []
+        worst = 0.0
+        for k, name in enumerate(self.plan.measured):
+            nu, s = noise_levels.valid_part(innovations, k, rows[:, 5 + 2 * k])
+            if len(nu) == 0:
+                continue
+            worst = max(worst, float(np.mean(np.square(nu) / s)))
+            self.whiteness[name] = self.whiteness.get(name, Whiteness()).after(nu, s, duration_s)
+            self._noise[name] = noise_levels.adapted(self._noise[name], nu, s, duration_s)
+        self.gated += int(innovations.gated.sum())
+        self._set_noise()
+        self._judge_excitation(duration_s)
+        return self._judge_soundness(worst)
+
+    def _judge_excitation(self, duration_s: float) -> None:
+        assert self.ekf is not None and self.plan.plant is not None
+        self.excitation.update(self.ekf.take_information(), duration_s)
+        std = self.ekf.estimate().std / self.scales
+        self.qualification.update(std, self.excitation.excited)
+        free = self._free_mask()
+        active = free * self.excitation.excited
+        # Until it has been seen once a parameter is always free: it is held only once there is something to hold.
+        active = np.where(self.qualification.qualified, active, free)
+        walking = free * np.where(self.excitation.excited | (std < _IDLE_STD), 1.0, 0.0)
+        self.ekf.set_active(active, walking)
+        if self.whiteness:
+            worst = max(abs(w.correlation) for w in self.whiteness.values())
+            self.white = bool(worst < (_WHITE_OUT if self.white else _WHITE_IN))
+
+    def _judge_soundness(self, nis: float) -> list[Message]:
+        assert self.ekf is not None and self.rls is not None
+        if not self.ekf.is_sound():
+            return self._restart("its covariance or state is no longer sound")
+        self._suspicious_ticks = self._suspicious_ticks + 1 if nis > _DIVERGED_NIS else 0
+        if self._suspicious_ticks >= _DIVERGED_TICKS:
+            found = self.rls.estimate()
+            std = {} if found is None else dict(zip(found.names, found.std, strict=True))
+            if all(std.get(p.name, 1.0) < _GOOD_START_STD for p in self.free if p.name in ("R", "L", "K", "J", "B")):
+                return self._restart("its innovations do not fit while the regression does")
+        return []
+
+    def _restart(self, why: str) -> list[Message]:
+        """Back to the start: the next tick begins again from the regression."""
+        assert self.ekf is not None
+        self.ekf.reset()
+        self._prior = None
+        self._suspicious_ticks = 0
+        self._early, self._rows, self._innovations = [], [], []
+        self.qualification.qualified[:] = False
+        self.excitation.reset()
+        self.restarts += 1
+        return [("filter_restarted", f"filter restarted: {why}", {"restarts": self.restarts})]
+
+    def worth_keeping(self) -> Gaussian | None:
+        """Qualified parameters for a later run, with what may have changed meanwhile; None unless all are well."""
+        if self.ekf is None or not self.ekf.started or not self.ekf.is_sound() or self._suspicious_ticks:
+            return None
+        if not self.qualification.qualified[self._free_index].all():
+            return None
+        g = self.ekf.estimate()
+        return Gaussian(g.names, g.mean, g.covariance + np.eye(len(g.mean)) * _SAVED_STD**2)

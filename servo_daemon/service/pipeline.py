@@ -1,0 +1,120 @@
+"""Samples in, estimates out: the one object that the live daemon, `replay` and the tests run alike.
+
+Pure: no I/O, no wall clock, no randomness. The same samples give bit-identical estimates however they are cut into
+blocks (see `service/stream.py`).
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+
+import numpy as np
+
+from drivers.base import DriveInfo
+from servo_daemon.config import DriveConfig
+from servo_daemon.estimators.tracker import Tracker
+from servo_daemon.samples import SampleBlock, concatenate
+from servo_daemon.service import publish
+from servo_daemon.service.publish import SavedState
+from servo_daemon.service.snapshot import Estimate
+from servo_daemon.service.stream import TickCutter
+
+log = logging.getLogger(__name__)
+
+
+class Pipeline:
+    """One drive's estimators.
+
+    Args:
+        config: the drive's configuration; its driver and options are not looked at.
+        info: resolutions, where the driver knows them.
+        saved: knowledge from an earlier run, already checked.
+    """
+
+    def __init__(self, config: DriveConfig, info: DriveInfo | None = None, saved: SavedState | None = None) -> None:
+        self._config, self._info, self._saved = config, info, saved
+        self._tracker: Tracker | None = None
+        self._channels: tuple[str, ...] = ()
+        self._cutter = TickCutter()
+        self._tick: list[SampleBlock] = []
+        self._samples = 0
+        self.messages: list[tuple[str, str, Mapping[str, float | int | str | None]]] = []
+
+    def reset(self) -> None:
+        """Forget everything learned, the saved state included."""
+        self._saved = None
+        self._tracker = None
+        self._channels = ()
+        self._cutter = TickCutter()
+        self._tick = []
+
+    def learn_info(self, info: DriveInfo) -> None:
+        """The driver has found out more (a description frame): used from the next start of the filter on."""
+        self._info = info
+        if self._tracker is not None:
+            self._tracker.resolutions = publish.resolutions(self._config, info)
+
+    def process(self, block: SampleBlock) -> list[Estimate]:
+        """Take samples; returns one estimate per tick that they completed, in order."""
+        if block.channels != self._channels:
+            self._begin(block.channels)
+        estimates = []
+        for segment in self._cutter.cut(block):
+            if segment.closes_tick and self._tick:
+                estimates.append(self._close_tick())
+            assert self._tracker is not None
+            self._tracker.take(segment.block)
+            self._tick.append(segment.block)
+            self._samples += len(segment.block)
+        return estimates
+
+    def finish(self) -> Estimate | None:
+        """At the end of a finite source: the estimate after the last, incomplete tick; None if there is none."""
+        return self._close_tick() if self._tick else None
+
+    def current(self) -> Estimate | None:
+        """The estimate after the very last sample, between ticks too; None before the first sample."""
+        if self._tracker is None or self._tracker.last_s is None:
+            return None
+        return publish.estimate(self._config, self._tracker, self._samples)
+
+    def save(self) -> SavedState | None:
+        """What is worth keeping over a restart; None unless the filter is well."""
+        if self._tracker is None:
+            return None
+        kept = self._tracker.worth_keeping()
+        if kept is None:
+            return None
+        return SavedState(
+            self._config.model,
+            kept.names,
+            tuple(float(v) for v in kept.mean),
+            tuple(tuple(float(c) for c in row) for row in kept.covariance),
+        )
+
+    def _begin(self, channels: tuple[str, ...]) -> None:
+        if self._tracker is not None:
+            log.warning("drive %s: channels changed to %s: starting over", self._config.name, ", ".join(channels))
+        self._channels = channels
+        self._tick = []
+        self._cutter = TickCutter()
+        self._tracker = Tracker(
+            channels,
+            publish.tracker_settings(self._config),
+            publish.resolutions(self._config, self._info),
+            publish.prior(self._config, self._saved),
+        )
+
+    def _close_tick(self) -> Estimate:
+        assert self._tracker is not None
+        self.messages += self._tracker.close_tick(concatenate(self._tick))
+        self._tick = []
+        return publish.estimate(self._config, self._tracker, self._samples)
+
+
+def all_finite(estimate: Estimate) -> bool:
+    """Whether every published number is a number: the service's last line of defence, and the tests'."""
+    numbers = [v for p in estimate.parameters for v in (p.value, p.std) if v is not None]
+    numbers += [v for v in estimate.state.values() if v is not None]
+    return bool(np.isfinite(numbers).all()) if numbers else True

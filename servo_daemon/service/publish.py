@@ -1,0 +1,170 @@
+"""Between configuration, estimators and the published records: conversions only."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.base import DriveInfo
+from servo_daemon.config import DriveConfig
+from servo_daemon.estimators.base import Gaussian, from_coordinate
+from servo_daemon.estimators.fusion import Fused, fuse
+from servo_daemon.estimators.tracker import Resolutions, Tracker, TrackerSettings
+from servo_daemon.plant.effects import effects_by_name, parameter_table
+from servo_daemon.plant.parameters import J_D, LINEAR, Parameter
+from servo_daemon.service.snapshot import Estimate, EstimatorView, ParameterEstimate, finite_or_none
+
+
+@dataclass(frozen=True, slots=True)
+class SavedState:
+    """What survives a restart of the daemon: coordinates and covariance of the qualified parameters."""
+
+    model: tuple[str, ...]
+    names: tuple[str, ...]
+    mean: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+
+
+def tracker_settings(config: DriveConfig) -> TrackerSettings:
+    """What the tracker needs of a drive's configuration."""
+    drift = {name: value for name in config.drift if (value := config.drift_per_sqrt_s(name)) is not None}
+    return TrackerSettings(config.model, config.nominal, drift, config.estimation.engine)
+
+
+def resolutions(config: DriveConfig, info: DriveInfo | None) -> Resolutions:
+    """Least significant bits, from the driver or, for the encoder, from the configuration."""
+    counts = config.load.counts_per_rev or (info.counts_per_rev if info is not None else None)
+    position = 2 * math.pi / counts if counts else None
+    if info is None:
+        return Resolutions(position_rad=position)
+    return Resolutions(position, info.current_lsb_A, info.voltage_lsb_V)
+
+
+def prior(config: DriveConfig, saved: SavedState | None) -> Gaussian | None:
+    """A saved state as the filter's start, if it is of this model."""
+    if saved is None or saved.model != config.model:
+        return None
+    return Gaussian(saved.names, np.array(saved.mean), np.array(saved.covariance))
+
+
+def published_parameters(config: DriveConfig) -> tuple[Parameter, ...]:
+    """The linear motor's parameters, then the effects' own, each once."""
+    table = {p.name: p for p in LINEAR}
+    for name in config.model:
+        for p in effects_by_name()[name].parameters:
+            table.setdefault(p.name, p)
+    return tuple(table.values())
+
+
+def estimate(config: DriveConfig, tracker: Tracker, samples: int) -> Estimate:
+    """The published record of this moment."""
+    parameters = _parameters(config, tracker)
+    assert tracker.last_s is not None
+    period = tracker.sample_period_s
+    return Estimate(
+        time_s=tracker.last_s,
+        samples=samples,
+        sample_rate_hz=None if not period else finite_or_none(1.0 / period),
+        model=config.model,
+        parameters=parameters,
+        state=_state(tracker),
+        estimators=_views(tracker),
+        health=_health(tracker),
+    )
+
+
+def _parameters(config: DriveConfig, tracker: Tracker) -> tuple[ParameterEstimate, ...]:
+    fused = _fused(config, tracker)
+    out = []
+    for p in published_parameters(config):
+        f = fused[p.name]
+        nominal = config.nominal.get(p.name)
+        out.append(
+            ParameterEstimate(
+                p.name, finite_or_none(f.value), finite_or_none(f.std), p.unit, nominal, f.status, f.reason
+            )
+        )
+    if "J_m" in config.nominal:
+        out.append(_load_inertia(config, fused["J"]))
+    return tuple(out)
+
+
+def _fused(config: DriveConfig, tracker: Tracker) -> dict[str, Fused]:
+    out: dict[str, Fused] = {}
+    running = tracker.ekf is not None and tracker.ekf.started
+    gaussian = tracker.ekf.estimate() if tracker.ekf is not None and running else None
+    for p in published_parameters(config):
+        nominal = config.nominal.get(p.name)
+        if p.name not in tracker.plan.free:
+            why = tracker.plan.reasons.get(p.name, f"{p.name} is not visible in these signals")
+            out[p.name] = Fused(nominal, None, "fixed" if nominal is not None else "estimating", why)
+        elif gaussian is None:
+            out[p.name] = Fused(nominal, None, "estimating", "collecting the first samples")
+        else:
+            k = gaussian.names.index(p.name)
+            floor = _skew_floor(config, gaussian) if p.name == "L" else 0.0
+            out[p.name] = fuse(
+                p,
+                k,
+                gaussian,
+                bool(tracker.excitation.excited[k]),
+                bool(tracker.qualification.qualified[k]),
+                nominal,
+                floor,
+            )
+    return out
+
+
+def _skew_floor(config: DriveConfig, g: Gaussian) -> float:
+    """What unknown skew between current and voltage sampling means for L: a delay δ looks like an inductance δ·R."""
+    return config.estimation.skew_s * float(np.exp(g.mean[g.names.index("R")]))
+
+
+def _load_inertia(config: DriveConfig, J: Fused) -> ParameterEstimate:
+    J_m = config.nominal["J_m"]
+    nominal = config.nominal["J"] - J_m if "J" in config.nominal else None
+    value = None if J.value is None else J.value - J_m
+    return ParameterEstimate(J_D.name, value, J.std, J_D.unit, nominal, J.status, J.reason)
+
+
+def _state(tracker: Tracker) -> dict[str, float | None]:
+    state: dict[str, float | None] = dict.fromkeys(("current_A", "velocity_rad_s", "position_rad"))
+    state.update({name: finite_or_none(value) for name, value in tracker.measured_state.items()})
+    if tracker.ekf is not None and tracker.ekf.started:
+        for s, value in zip(tracker.ekf.plant.states, tracker.ekf.x, strict=True):
+            state[s.name] = finite_or_none(float(value))
+    return state
+
+
+def _views(tracker: Tracker) -> dict[str, EstimatorView]:
+    views = {}
+    if tracker.ekf is not None and tracker.ekf.started:
+        views["ekf"] = EstimatorView(_natural(tracker.ekf.estimate()), {"restarts": tracker.restarts})
+    rls = tracker.rls.estimate() if tracker.rls is not None else None
+    views["rls"] = EstimatorView({} if rls is None else _natural(rls))
+    return views
+
+
+def _natural(g: Gaussian) -> Mapping[str, tuple[float | None, float | None]]:
+    table = parameter_table()
+    pairs = (
+        (name, from_coordinate(table[name], float(m), float(s)))
+        for name, m, s in zip(g.names, g.mean, g.std, strict=True)
+    )
+    return {name: (finite_or_none(value), finite_or_none(std)) for name, (value, std) in pairs}
+
+
+def _health(tracker: Tracker) -> dict[str, float | int | bool | str | None]:
+    health: dict[str, float | int | bool | str | None] = {
+        "innovation_white": tracker.white if tracker.whiteness else None,
+        "gated_samples": tracker.gated,
+        "filter_restarts": tracker.restarts,
+    }
+    for name, w in tracker.whiteness.items():
+        channel = name.split("_")[0]
+        health[f"nis_{channel}"] = finite_or_none(w.nis)
+        health[f"innovation_correlation_{channel}"] = finite_or_none(w.correlation)
+    return health

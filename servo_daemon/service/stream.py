@@ -1,0 +1,66 @@
+"""Cuts a stream of blocks into ticks of device time, whatever the blocks' sizes.
+
+Everything slower than a sample happens at ticks (`TICK_S` of device time, counted from the first sample), on exactly
+the samples of that tick. So the result does not depend on how the samples were cut into blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from servo_daemon.samples import Quality, SampleBlock
+
+#: Period of everything that is slower than a sample, and of the rows of EST.csv, s.
+TICK_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """Samples of one tick, or a part of them; `closes_tick`: the samples before it completed an earlier tick."""
+
+    block: SampleBlock
+    closes_tick: bool
+
+
+class TickCutter:
+    """Splits blocks at tick boundaries and keeps time increasing across them."""
+
+    def __init__(self) -> None:
+        self.start_s: float | None = None
+        self._tick = 0
+        self._last_s = -np.inf
+        self._offset_s = 0.0
+        self._period_s = 1e-3
+
+    def cut(self, block: SampleBlock) -> Iterator[Segment]:
+        """Segments in order; each lies inside one tick."""
+        if len(block) == 0:
+            return
+        block = self._continued(block)
+        if self.start_s is None:
+            self.start_s = float(block.time_s[0])
+        ticks = np.floor((block.time_s - self.start_s) / TICK_S + 1e-6).astype(np.int64)
+        edges = np.flatnonzero(np.diff(ticks)) + 1
+        bounds = [0, *edges.tolist(), len(block)]
+        for a, b in pairwise(bounds):
+            tick = int(ticks[a])
+            yield Segment(block.slice(a, b), closes_tick=tick > self._tick)
+            self._tick = tick
+        if len(block) > 1:
+            self._period_s = float(block.time_s[-1] - block.time_s[-2])
+        self._last_s = float(block.time_s[-1])
+
+    def _continued(self, block: SampleBlock) -> SampleBlock:
+        """Shift a block whose device time is behind the stream's, as after a restart the driver did not notice."""
+        time_s = block.time_s + self._offset_s if self._offset_s else block.time_s
+        if time_s[0] > self._last_s:
+            return block if time_s is block.time_s else replace(block, time_s=time_s)
+        shift = self._last_s + self._period_s - float(time_s[0])
+        self._offset_s += shift
+        quality = block.quality.copy()
+        quality[0] |= Quality.TIME_RESTART
+        return replace(block, time_s=time_s + shift, quality=quality)
