@@ -252,13 +252,14 @@ def ageing_texts(table: Mapping[str, str | Sequence[str]] | Sequence[str]) -> tu
         BadInputError: something in it is not text.
     """
     if isinstance(table, Mapping):
-        pairs = [
-            (name, text) for name, value in table.items() for text in ([value] if isinstance(value, str) else value)
-        ]
-        texts: list[object] = [f"{name}={text}" if isinstance(text, str) else text for name, text in pairs]
-    else:
-        texts = [table] if isinstance(table, str) else list(table)
+        return tuple(f"{name}={text}" for name, value in table.items() for text in _texts(value, f"{name}: "))
+    return _texts(table, "")
+
+
+def _texts(value: object, where: str) -> tuple[str, ...]:
+    """A text, or a list of them, as a tuple."""
+    texts = [value] if not isinstance(value, list | tuple) else list(value)
     for text in texts:
         if not isinstance(text, str):
-            raise BadInputError(f"ageing: {text!r} is not a text such as 'R=+40%/300s'")
-    return tuple(str(text) for text in texts)
+            raise BadInputError(f"ageing: {where}{text!r} is not a text such as '+40%/300s'")
+    return tuple(texts)

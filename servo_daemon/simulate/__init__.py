@@ -1,7 +1,7 @@
 """Simulation: the plant with servo, sensors and ageing as a source of samples."""
 
 from servo_daemon.simulate.capture import simulate_capture
-from servo_daemon.simulate.drive import SimulatedDrive
+from servo_daemon.simulate.drive import SimulatedDrive, drive_info
 from servo_daemon.simulate.motion import Motion
 from servo_daemon.simulate.settings import (
     DEFAULT_AGEING,
@@ -24,6 +24,7 @@ __all__ = [
     "Sensors",
     "Settings",
     "SimulatedDrive",
+    "drive_info",
     "make_settings",
     "parse_effect",
     "parse_effects",

@@ -58,15 +58,7 @@ class SimulatedDrive:
     @property
     def info(self) -> DriveInfo:
         """What a drive says of itself."""
-        s = self.settings.sensors
-        return DriveInfo(
-            identity=f"simulated-{self.settings.fingerprint}",
-            sample_period_s=1.0 / self.settings.rate_hz,
-            counts_per_rev=s.counts_per_rev or None,
-            current_lsb_A=s.current_lsb_A or None,
-            voltage_lsb_V=s.voltage_lsb_V or None,
-            channels=tuple(c for c in CHANNELS if c in s.channels),
-        )
+        return drive_info(self.settings)
 
     def next_block(self, n: int) -> SampleBlock:
         """The next n ≥ 1 samples.
@@ -158,6 +150,19 @@ class SimulatedDrive:
 
     def _uniform(self, stream: str, half_width: float) -> F64:
         return self._random[stream].uniform(-half_width, half_width, CHUNK) if half_width else np.zeros(CHUNK)
+
+
+def drive_info(settings: Settings) -> DriveInfo:
+    """What a drive with these settings says of itself; its identity is the same for the same settings."""
+    s = settings.sensors
+    return DriveInfo(
+        identity=f"simulated-{settings.fingerprint}",
+        sample_period_s=1.0 / settings.rate_hz,
+        counts_per_rev=s.counts_per_rev or None,
+        current_lsb_A=s.current_lsb_A or None,
+        voltage_lsb_V=s.voltage_lsb_V or None,
+        channels=tuple(c for c in CHANNELS if c in s.channels),
+    )
 
 
 def _quantised(values: F64, step: float) -> F64:

@@ -48,6 +48,10 @@ class Motion:
     def __post_init__(self) -> None:
         if self.name not in get_args(MotionName):
             raise BadInputError(f"unknown motion {self.name!r}: known are {', '.join(get_args(MotionName))}")
+        for name in ("peak_speed_rad_s", "dither_rms_V"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0):
+                raise BadInputError(f"{name} must be a number of at least 0, not {value!r}")
 
     def reference(self, t: F64) -> F64:
         """Wanted angle, rad, at times t (n,), s."""
