@@ -244,7 +244,10 @@ def decode_description(payload: bytes) -> Description:
         raise WireError(f"frame type {kind}, protocol version {version}: not a description of version 1")
     if len(payload) != DESCRIPTION_HEADER.size + count * CHANNEL_ENTRY.size:
         raise WireError(f"description of {len(payload)} bytes does not hold {count} channels")
-    entries = CHANNEL_ENTRY.iter_unpack(payload[DESCRIPTION_HEADER.size :])
+    entries = [
+        (quantity, form, _shortest(scale), _shortest(offset))
+        for quantity, form, scale, offset in CHANNEL_ENTRY.iter_unpack(payload[DESCRIPTION_HEADER.size :])
+    ]
     return Description(
         drive_id=drive_id,
         session=session,
@@ -253,6 +256,12 @@ def decode_description(payload: bytes) -> Description:
         sample_period_ns=period_ns,
         position_modulus=modulus,
     )
+
+
+def _shortest(value: float) -> float:
+    """The shortest decimal number that is this 32-bit float: 0.001 as the firmware's source says, not
+    0.0010000000474974513."""
+    return float(str(np.float32(value)))
 
 
 def encode_samples(
