@@ -258,8 +258,9 @@ def ageing_texts(table: Mapping[str, str | Sequence[str]] | Sequence[str]) -> tu
 
 def _texts(value: object, where: str) -> tuple[str, ...]:
     """A text, or a list of them, as a tuple."""
-    texts = [value] if not isinstance(value, list | tuple) else list(value)
-    for text in texts:
+    texts: list[str] = []
+    for text in value if isinstance(value, list | tuple) else [value]:
         if not isinstance(text, str):
             raise BadInputError(f"ageing: {where}{text!r} is not a text such as '+40%/300s'")
+        texts.append(text)
     return tuple(texts)
