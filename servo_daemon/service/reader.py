@@ -1,0 +1,175 @@
+"""One reader thread a drive: opens the driver, moves blocks into a bounded queue, reconnects with back-off.
+
+The thread does nothing else, so that a slow moment anywhere else never makes a serial buffer overflow. Every sample
+that is lost here is counted; nothing is dropped silently.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from drivers.base import Driver
+from servo_daemon.errors import (
+    DriverConfigError,
+    DriverDisconnectedError,
+    DriverError,
+    DriverUnavailableError,
+    EndOfStreamError,
+)
+from servo_daemon.samples import SampleBlock
+from servo_daemon.service.snapshot import Connection
+
+log = logging.getLogger(__name__)
+
+#: How long a read may block, s: bounds how long a stop takes.
+READ_TIMEOUT_S = 0.2
+#: Open and connected, but no sample for this long: silent, s.
+SILENT_AFTER_S = 1.0
+#: First and longest pause between attempts to open, s; each failure doubles it.
+_BACKOFF_FIRST_S, _BACKOFF_LONGEST_S = 0.25, 5.0
+#: Samples the queue holds: 20 s at 10 kHz, 40 MB at worst.
+QUEUE_SAMPLES = 200_000
+
+
+class BlockQueue:
+    """Blocks between one producer and one consumer, bounded in samples; the oldest go when it is full."""
+
+    def __init__(self, capacity: int = QUEUE_SAMPLES) -> None:
+        self._capacity = capacity
+        self._lock = threading.Lock()
+        self._blocks: deque[SampleBlock] = deque()
+        self.samples = 0
+        self.dropped = 0
+
+    def put(self, block: SampleBlock) -> None:
+        with self._lock:
+            self._blocks.append(block)
+            self.samples += len(block)
+            while self.samples > self._capacity and len(self._blocks) > 1:
+                oldest = self._blocks.popleft()
+                self.samples -= len(oldest)
+                self.dropped += len(oldest)
+
+    def take_all(self) -> list[SampleBlock]:
+        with self._lock:
+            blocks = list(self._blocks)
+            self._blocks.clear()
+            self.samples = 0
+        return blocks
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """State of the line to a drive, replaced as a whole by the reader thread."""
+
+    connection: Connection
+    reason: str | None
+    changed: float  # host monotonic, s
+
+
+class Reader:
+    """The reader thread of one drive.
+
+    Args:
+        driver: closed; the thread opens and closes it.
+        wake: called after each block, from the reader's thread.
+        report: called with (kind, message) when the line goes down or comes up, from the reader's thread.
+    """
+
+    def __init__(self, driver: Driver, wake: Callable[[], None], report: Callable[[str, str], None]) -> None:
+        self.driver = driver
+        self.queue = BlockQueue()
+        self.reconnects = 0
+        self.last_sample: float | None = None  # host monotonic, s
+        self._wake, self._report = wake, report
+        self._stop = threading.Event()
+        self._link = Link("connecting", "not opened yet", time.monotonic())
+        self._thread = threading.Thread(target=self._run, name=f"reader-{driver.name}", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self, timeout_s: float = 1.0) -> None:
+        """Ask the thread to end and wait for it at most this long; idempotent."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join(timeout_s)
+        if self._thread.is_alive():
+            log.warning("drive %s: reader did not end in %.1f s", self.driver.name, timeout_s)
+
+    @property
+    def alive(self) -> bool:
+        return self._thread.is_alive()
+
+    @property
+    def link(self) -> Link:
+        """State of the line; an open one that says nothing is silent."""
+        link = self._link
+        if link.connection != "connected":
+            return link
+        since = time.monotonic() - (link.changed if self.last_sample is None else max(link.changed, self.last_sample))
+        if since > SILENT_AFTER_S:
+            return Link("silent", f"open, but no samples for {since:.1f} s", link.changed)
+        if self.last_sample is None:
+            return Link("connecting", "open, waiting for the first samples", link.changed)
+        return link
+
+    def _run(self) -> None:
+        pause, was_up, complained = _BACKOFF_FIRST_S, False, False
+        try:
+            while not self._stop.is_set():
+                error = self._serve(was_up)
+                if self._link.connection in ("connected", "ended"):
+                    was_up, complained, pause = True, False, _BACKOFF_FIRST_S
+                if error is None:
+                    return
+                if not complained:
+                    complained = True
+                    self._report("disconnected" if was_up else "unavailable", str(error))
+                self._set("down" if was_up else "connecting", f"{error}; next attempt in {pause:.2g} s")
+                self._stop.wait(pause)
+                pause = min(2 * pause, _BACKOFF_LONGEST_S)
+        finally:
+            self.driver.close()
+
+    def _serve(self, reconnecting: bool) -> Exception | None:
+        """Open and read until something happens. Returns why to try again, or None to end the thread."""
+        try:
+            self.driver.open()
+            self._set("connected", None)
+            if reconnecting:
+                self.reconnects += 1
+                self._report("connected", "device is back")
+            else:
+                self._report("connected", "device opened")
+            while not self._stop.is_set():
+                block = self.driver.read(READ_TIMEOUT_S)
+                if block is not None:
+                    self.last_sample = time.monotonic()
+                    self.queue.put(block)
+                    self._wake()
+        except EndOfStreamError as end:
+            self._set("ended", str(end))
+            self._report("ended", str(end))
+            return None
+        except (DriverUnavailableError, DriverDisconnectedError) as error:
+            self.driver.close()
+            return error
+        except DriverConfigError as error:
+            self._set("down", str(error))
+            self._report("misconfigured", str(error))
+            return None
+        except (DriverError, Exception) as error:  # a driver's bug must not end the drive's life
+            log.exception("drive %s: driver failed", self.driver.name)
+            self.driver.close()
+            return error
+        return None
+
+    def _set(self, connection: Connection, reason: str | None) -> None:
+        self._link = Link(connection, reason, time.monotonic())
+        self._wake()
