@@ -1,0 +1,91 @@
+# Everything a clone needs, each target with its own set-up: `make help` lists the targets.
+#
+#   PYTHON=python3.12 make venv     another interpreter (3.11 or newer; only asked when .venv is first made)
+#   make run ARGS="--config deploy/example.toml"
+#   make test ARGS="-k wire -x"
+
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DELETE_ON_ERROR:
+.DEFAULT_GOAL := help
+
+VENV := .venv
+BIN := $(VENV)/bin
+UV_VERSION := 0.13.9
+PREFIX ?= /opt/servo-daemon
+ARGS ?=
+
+# --no-deps: the lock is complete, nothing may be resolved beside it. --no-build-isolation: what has no wheel is built
+# with the setuptools of the lock, not with whatever a registry offers today. Which registry: pip's own configuration.
+PIP := -m pip --disable-pip-version-check --quiet
+PIP_INSTALL := $(PIP) install --no-deps --no-build-isolation --require-hashes
+
+.PHONY: help
+help: ## this list
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+.PHONY: venv
+venv: $(VENV)/.project ## .venv with everything in it, exactly as locked, and .venv/bin/servo-daemon
+
+.PHONY: run
+run: venv ## the daemon (ARGS: what follows `servo-daemon run`)
+	exec $(BIN)/servo-daemon run $(ARGS)
+
+.PHONY: test
+test: venv ## the fast tests (ARGS for pytest)
+	$(BIN)/python -m pytest -m "not slow" $(ARGS)
+
+.PHONY: lint
+lint: venv ## ruff, its formatter, mypy --strict, the import contracts
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-logo
+
+.PHONY: bench
+bench: venv ## every benchmark: each prints ours, the rival or limit, and the ratio
+	shopt -s nullglob; for file in benchmarks/bench_*.py; do echo "== $$file"; $(BIN)/python $$file; done
+
+.PHONY: install
+install: ## as root: into PREFIX (/opt/servo-daemon) without development tools, with the systemd unit and the udev rules
+	./deploy/install $(PREFIX)
+
+.PHONY: lock
+lock: $(VENV)/.lock-tools ## both locks to what pyproject.toml asks for, pins kept (ARGS=--upgrade: newest versions)
+	$(UV_COMPILE) $(ARGS) pyproject.toml --group build -o requirements.lock
+	$(UV_COMPILE) $(ARGS) --group dev -c requirements.lock -o requirements-dev.lock
+
+# One lock for Linux, macOS and Windows from 3.11 on, with the hash of every file the registry has of each version.
+UV_COMPILE := $(VENV)/.lock-tools/bin/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
+	--no-emit-index-url --no-emit-find-links --no-header --no-annotate
+
+.PHONY: clean
+clean: ## removes .venv and every cache of the tools
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	find servo_daemon drivers tests benchmarks -type d -name __pycache__ -prune -exec rm -rf {} +
+
+# An interpreter that is there and new enough: PYTHON, or the first that answers.
+FIND_PYTHON = for python in $(or $(PYTHON),python3 python3.13 python3.12 python3.11); do \
+	if "$$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then echo "$$python"; exit; fi; done; \
+	echo "make: no Python 3.11 or newer as: $(or $(PYTHON),python3 python3.13 python3.12 python3.11);" \
+	"install one or say PYTHON=/path/to/python3" >&2; exit 1
+
+# A virtual environment that still runs is kept, whoever made it; one whose interpreter is gone is made anew.
+$(VENV)/.locked: requirements.lock requirements-dev.lock
+	@if ! $(BIN)/python -c 'import pip' 2>/dev/null; then \
+	  python=$$($(FIND_PYTHON)); echo "$(VENV): $$($$python --version), $$(command -v $$python)"; \
+	  $$python -m venv --clear $(VENV) || { echo "make: 'python3 -m venv' failed" \
+	    "(on Debian and Ubuntu it is a package of its own: apt install python3-venv)" >&2; exit 1; }; fi
+	@echo "$(VENV): installing what the locks name"
+	@$(BIN)/python $(PIP_INSTALL) -r <(sed -n '/^setuptools==/,/[^\\]$$/p' requirements.lock)
+	@$(BIN)/python $(PIP_INSTALL) -r requirements.lock -r requirements-dev.lock
+	@touch $@
+
+$(VENV)/.project: $(VENV)/.locked pyproject.toml
+	@$(BIN)/python $(PIP) install --no-deps --no-build-isolation --editable .
+	@$(BIN)/python $(PIP) check
+	@touch $@
+
+$(VENV)/.lock-tools: | $(VENV)/.locked
+	$(BIN)/python -m venv $@
+	$@/bin/python $(PIP) install uv==$(UV_VERSION)
