@@ -1,0 +1,219 @@
+"""Continuous time, position and numbering out of the 16-bit fields of our own CAN frames.
+
+Samples carry the low 16 bits of device time (µs) and position (counts). A Sync makes the sample after it an *anchor*:
+a row whose whole time, position and running number are known. Differences modulo 2^16 lead from one sample to the
+next; an anchor corrects where they led astray, which only a gap of more than `STALE_US` or a restart can do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.base import DriverCounters
+from servo_daemon.samples import I64, U8, Quality
+
+#: A step of the 16-bit time into the last 8 ms of its range is an older sample seen again, not 57 ms of silence.
+STALE_US = 65_536 - 8_192
+#: When the newest sample known is older than this, what comes next may lie beyond such a gap (7 ms of margin).
+DOUBT_S = 0.05
+#: An anchor this much later than the host thinks possible is not later: the device restarted.
+FUTURE_SLACK_S = 0.2
+#: How fast the estimate of (host clock - device clock) may rise: more than two cheap crystals ever drift apart.
+CLOCK_DRIFT = 0.01
+
+_16, _32 = 1 << 16, 1 << 32
+#: Plain integers: NumPy widens a uint8 array for an IntFlag.
+_GAP, _RESTART = int(Quality.GAP_BEFORE), int(Quality.TIME_RESTART)
+
+
+def signed(value: int, bits: int) -> int:
+    """`value` modulo 2^bits as a signed number."""
+    half = 1 << (bits - 1)
+    return (value + half) % (1 << bits) - half
+
+
+@dataclass(frozen=True, slots=True)
+class Anchor:
+    """What a Sync says of the sample in row `row`: time in µs (32 bits), running number (16), position (32, signed)."""
+
+    row: int
+    time_us: int
+    count: int
+    position: int
+
+
+@dataclass(frozen=True, slots=True)
+class Dated:
+    """Samples with their place in time, shapes (n,).
+
+    Attributes:
+        rows: which of the rows given are left; repeated ones are not.
+        time_us, position, sequence: continuous; time falls only where `quality` says TIME_RESTART.
+        quality: GAP_BEFORE and TIME_RESTART bits.
+    """
+
+    rows: I64
+    time_us: I64
+    position: I64
+    sequence: I64
+    quality: U8
+
+
+@dataclass(frozen=True, slots=True)
+class _Last:
+    """The last sample dated, and how far its clock is behind the host's (the least seen: transport only adds)."""
+
+    time_us: int
+    position: int
+    sequence: int
+    count_offset: int
+    host_s: float
+    lag_s: float
+
+    def lag_at(self, host_s: float) -> float:
+        return self.lag_s + CLOCK_DRIFT * max(0.0, host_s - self.host_s)
+
+
+class Timeline:
+    """The place of one drive's samples in time. Counts losses, repetitions and restarts in `counters`."""
+
+    def __init__(self, counters: DriverCounters) -> None:
+        self._counters = counters
+        self._last: _Last | None = None
+        self._count_offset = 0
+
+    def doubtful(self, host_s: float) -> bool:
+        """Whether samples arriving now need an anchor before they can be dated."""
+        last = self._last
+        return last is None or host_s - last.lag_s - last.time_us * 1e-6 > DOUBT_S
+
+    def date(
+        self, time16: I64, position16: I64, anchors: Sequence[Anchor], doubt: bool, host_s: float, period_s: float
+    ) -> Dated:
+        """Continue the time line with samples in the order of arrival.
+
+        Args:
+            time16, position16: shape (n,), n >= 1, low 16 bits.
+            anchors: in the order of their rows; at least one if `doubt`.
+            doubt: date the samples before the first anchor back from it instead of on from the last sample.
+            host_s: monotonic host clock at their arrival.
+            period_s: nominal sample period.
+        """
+        keep = self._fresh(time16, doubt)
+        if len(keep) < len(time16):
+            self._counters.samples_repeated += len(time16) - len(keep)
+            time16, position16 = time16[keep], position16[keep]
+            anchors = [
+                Anchor(int(np.searchsorted(keep, a.row)), a.time_us, a.count, a.position)
+                for a in anchors
+                if a.row in keep
+            ]
+            if not len(keep):
+                empty = np.empty(0, np.int64)
+                return Dated(keep, empty, empty, empty, np.empty(0, np.uint8))
+        return self._place(keep, time16, position16, anchors, doubt, host_s, period_s)
+
+    def _fresh(self, time16: I64, doubt: bool) -> I64:
+        """Rows that are no repetition of an earlier sample. Loops only where there is one."""
+        last16 = self._last.time_us % _16 if self._last is not None else int(time16[0]) - 1
+        step = np.diff(time16, prepend=last16) % _16
+        if doubt and step[0]:
+            step[0] = 1  # how far a gap led is not to be judged modulo 2^16
+        if step.min() > 0 and step.max() <= STALE_US:
+            return np.arange(len(time16))
+        kept = []
+        for row, now in enumerate(time16.tolist()):
+            ahead = (now - last16) % _16
+            if 0 < ahead <= STALE_US or (ahead and doubt and row == 0):
+                kept.append(row)
+                last16 = now
+        return np.array(kept, np.int64)
+
+    def _place(
+        self,
+        keep: I64,
+        time16: I64,
+        position16: I64,
+        anchors: Sequence[Anchor],
+        doubt: bool,
+        host_s: float,
+        period_s: float,
+    ) -> Dated:
+        last = self._last or _Last(int(time16[0]), int(position16[0]), 0, 0, host_s, 0.0)
+        step_us = np.diff(time16, prepend=last.time_us % _16) % _16
+        moved = (np.diff(position16, prepend=last.position % _16) + _16 // 2) % _16 - _16 // 2
+        quality = np.zeros(len(time16), np.uint8)
+        self._align(step_us, moved, quality, last, anchors, doubt, host_s)
+        number = self._number(last, step_us, quality, anchors, doubt, period_s)
+        time_us = last.time_us + np.cumsum(step_us)
+        position = last.position + np.cumsum(moved)
+        lag_s = host_s - int(time_us[-1]) * 1e-6
+        if self._last is not None and not (quality & _RESTART).any():
+            lag_s = min(lag_s, last.lag_at(host_s))
+        self._last = _Last(int(time_us[-1]), int(position[-1]), int(number[-1]), self._count_offset, host_s, lag_s)
+        return Dated(keep, time_us, position, number, quality)
+
+    def _align(
+        self,
+        step_us: I64,
+        moved: I64,
+        quality: U8,
+        last: _Last,
+        anchors: Sequence[Anchor],
+        doubt: bool,
+        host_s: float,
+    ) -> None:
+        """Put the steps of time and position right so that they meet every anchor."""
+        attaching = self._last is None
+        latest_us = np.inf if attaching else (host_s - last.lag_at(host_s) + FUTURE_SLACK_S) * 1e6
+        for k, anchor in enumerate(anchors):
+            place = 0 if doubt and k == 0 else anchor.row
+            new = attaching and k == 0
+            predicted_us = last.time_us + int(step_us[: anchor.row + 1].sum())
+            ahead_us = (anchor.time_us - predicted_us) % _32
+            restart = not new and ahead_us > 0 and (ahead_us > _32 // 2 or predicted_us + ahead_us > latest_us)
+            if ahead_us or new:
+                step_us[place] += anchor.time_us - predicted_us if restart or new else ahead_us
+                quality[place] |= 0 if new else _RESTART if restart else _GAP
+            predicted = last.position + int(moved[: anchor.row + 1].sum())
+            off = anchor.position - predicted if restart or new else signed(anchor.position - predicted, 32)
+            if off:
+                moved[place] += off
+                quality[place] |= 0 if restart or new else _GAP
+            if restart:
+                latest_us = np.inf  # the clocks have another offset from here on
+
+    def _number(
+        self, last: _Last, step_us: I64, quality: U8, anchors: Sequence[Anchor], doubt: bool, period_s: float
+    ) -> I64:
+        """Running numbers: by time and period, put right by the count at each anchor."""
+        steps = np.maximum(1, np.rint(step_us / (period_s * 1e6))).astype(np.int64)
+        restarts = (quality & _RESTART) != 0
+        steps[restarts] = 1
+        new = self._last is None
+        if new:
+            steps[0] = 0
+        offset = last.count_offset
+        for k, anchor in enumerate(anchors):
+            place = 0 if doubt and k == 0 else anchor.row
+            off = signed(anchor.count + offset - last.sequence - int(steps[: anchor.row + 1].sum()), 16)
+            if not off:
+                continue
+            if new and k == 0:
+                steps[0] += off % _16  # the first number is the device's own
+            elif restarts[place]:
+                offset -= off
+            else:
+                wanted = int(steps[place]) + off
+                steps[place] = max(1, wanted)
+                offset += int(steps[place]) - wanted
+        self._count_offset = offset
+        missing = steps > 1
+        missing[0] &= not new
+        quality[missing] |= _GAP
+        self._counters.samples_lost += int((steps[missing] - 1).sum())
+        self._counters.device_restarts += int(np.count_nonzero(restarts))
+        return last.sequence + np.cumsum(steps)

@@ -1,0 +1,59 @@
+"""What python-can's slcan interface needs to keep up and to survive line noise: a read-ahead before its serial port.
+
+python-can (4.6) reads an slcan adapter byte by byte, each byte a select and a read of its own: a quarter of a core at
+1,000 frames/s (`benchmarks/wire_can.py`). It also keeps a line with a byte outside ASCII in its buffer and fails to
+decode it again on every later read, so that one disturbed byte ends reception for good. `ReadAhead` stands in for the
+serial port: it reads whatever has arrived at once and hands it out from memory, with bytes that cannot be slcan
+replaced by '?', which python-can then refuses as one bad line.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+#: Bytes 0x80..0xFF never occur in slcan.
+_ASCII_ONLY = bytes(range(128)) + b"?" * 128
+
+
+class ReadAhead:
+    """A pyserial port that reads in blocks. Everything but reading goes to the port itself.
+
+    Args:
+        port: an open port with timeout 0, so that reads return at once.
+    """
+
+    def __init__(self, port: Any) -> None:
+        self._port = port
+        self._bytes = b""
+        self._next = 0
+
+    @property
+    def in_waiting(self) -> int:
+        """Bytes that can be read without waiting: those in memory, else those in the port."""
+        return len(self._bytes) - self._next or int(self._port.in_waiting)
+
+    @property
+    def buffered(self) -> bool:
+        """Whether bytes are in memory, which no select on the port will tell of."""
+        return self._next < len(self._bytes)
+
+    def read(self, size: int = 1) -> bytes:
+        """Up to `size` bytes, none if none have arrived.
+
+        Raises:
+            OSError: the port is gone (serial.SerialException is one).
+        """
+        if self._next >= len(self._bytes):
+            arrived: bytes = self._port.read(max(1, self._port.in_waiting))
+            self._bytes, self._next = arrived.translate(_ASCII_ONLY), 0
+        start = self._next
+        self._next = min(start + size, len(self._bytes))
+        return self._bytes[start : self._next]
+
+    def reset_input_buffer(self) -> None:
+        """Forget what has arrived."""
+        self._bytes, self._next = b"", 0
+        self._port.reset_input_buffer()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._port, name)
