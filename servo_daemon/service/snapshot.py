@@ -34,10 +34,12 @@ class ParameterEstimate:
 
 @dataclass(frozen=True, slots=True)
 class EstimatorView:
-    """What one estimator says by itself, beside the fused estimate: parameter -> (value, std)."""
+    """What one estimator says by itself, beside the fused estimate: parameter -> (value, std), and its own status of
+    each where it has one."""
 
     parameters: Mapping[str, tuple[float | None, float | None]]
     detail: Mapping[str, float | int | bool | str | None] = field(default_factory=dict)
+    status: Mapping[str, Status] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,155 @@
+"""What a capture is once it has been read and checked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+
+from servo_daemon.errors import CaptureError
+from servo_daemon.samples import CHANNELS, F64, U8, Quality, SampleBlock, make_block
+
+Axis = Literal["rotary", "linear"]
+
+#: A linear axis has its own column names; inside the program they travel in the rotary fields.
+LINEAR_COLUMNS: Mapping[str, str] = MappingProxyType(
+    {"force_N": "torque_Nm", "position_m": "position_rad", "velocity_m_s": "velocity_rad_s"}
+)
+
+#: Metadata that are numbers greater than zero wherever they are given (design.md, "Known loads").
+NUMERIC_METADATA = ("mass_kg", "arm_length_m", "counts_per_rev")
+
+#: A sample comes after a gap where its distance to the one before exceeds this multiple of the median period.
+#: One lost sample of an evenly sampled drive shows as 2.0. The jitter of host-side time stamps has to stay below:
+#: the real ODrive captures poll at 0.65 .. 1.34 (99 %) of their median, XL330 at 0.96 .. 1.11. 1.75 lies between
+#: and still sees one lost sample where the period itself varies by up to 12 %.
+GAP_FACTOR = 1.75
+
+#: Fewer have no sampling period.
+MIN_SAMPLES = 2
+
+
+def capture_error(path: Path, message: str, *, line: int | None = None, column: str | None = None) -> CaptureError:
+    """The one wording of everything that is wrong with a capture: file, line (1-based, all lines count), column."""
+    where = [str(path)]
+    if line is not None:
+        where.append(f"line {line}")
+    if column is not None:
+        where.append(f"column {column}")
+    return CaptureError(f"{', '.join(where)}: {message}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Capture:
+    """A checked capture: at least two samples, finite values, strictly increasing time.
+
+    Attributes:
+        path: the file it came from.
+        time_s: shape (n,), s, as in the file. Seconds since 1970 are held to 0.24 µs (float64), not better.
+        voltage_V: shape (n,) or None, V; voltage_V[k] was applied from time_s[k] until time_s[k + 1].
+        current_A: shape (n,) or None, A.
+        position_rad: shape (n,) or None, rad (m on a linear axis).
+        velocity_rad_s: shape (n,) or None, rad/s (m/s on a linear axis).
+        temperature_C: shape (n,) or None, °C.
+        torque_Nm: shape (n,) or None, N·m (N on a linear axis).
+        axis: "linear" where the file has force_N, position_m, velocity_m_s or says `# axis: linear`.
+        metadata: the `# key: value` lines; a key given on several lines has them joined by newlines.
+        notes: what the user should hear about the file (ignored columns), one sentence each.
+    """
+
+    path: Path
+    time_s: F64
+    voltage_V: F64 | None = None
+    current_A: F64 | None = None
+    position_rad: F64 | None = None
+    velocity_rad_s: F64 | None = None
+    temperature_C: F64 | None = None
+    torque_Nm: F64 | None = None
+    axis: Axis = "rotary"
+    metadata: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
+        for name in ("time_s", *self.channels):
+            array = getattr(self, name)
+            if array.shape != self.time_s.shape:
+                raise ValueError(f"{name} has shape {array.shape}, time_s has {self.time_s.shape}")
+            array.setflags(write=False)
+
+    def __len__(self) -> int:
+        return int(self.time_s.shape[0])
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels it carries, in the order of `samples.CHANNELS`."""
+        return tuple(name for name in CHANNELS if getattr(self, name) is not None)
+
+    @property
+    def sample_period_s(self) -> float:
+        """Median distance of two samples, s: not moved by gaps."""
+        return float(np.median(np.diff(self.time_s)))
+
+    @property
+    def duration_s(self) -> float:
+        """From the first sample to the last, s."""
+        return float(self.time_s[-1] - self.time_s[0])
+
+    def metadata_number(self, key: str) -> float | None:
+        """A metadata value as a number; None where the capture does not give it.
+
+        Raises:
+            CaptureError: it is given and is not a number.
+        """
+        text = self.metadata.get(key)
+        if text is None:
+            return None
+        try:
+            return float(text)
+        except ValueError as error:
+            raise capture_error(self.path, f"metadata {key}: {text!r} is not a number") from error
+
+    @property
+    def mass_kg(self) -> float | None:
+        """Mass of a known load, kg."""
+        return self.metadata_number("mass_kg")
+
+    @property
+    def arm_length_m(self) -> float | None:
+        """Distance of that mass from the shaft, m."""
+        return self.metadata_number("arm_length_m")
+
+    @property
+    def counts_per_rev(self) -> float | None:
+        """Encoder counts per revolution."""
+        return self.metadata_number("counts_per_rev")
+
+    def quality(self) -> U8:
+        """Shape (n,): `Quality.GAP_BEFORE` where more than `GAP_FACTOR` median periods passed, else good."""
+        distance_s = np.diff(self.time_s)
+        quality = np.zeros(len(self), dtype=np.uint8)
+        quality[1:][distance_s > GAP_FACTOR * np.median(distance_s)] = Quality.GAP_BEFORE
+        return quality
+
+    def block(self) -> SampleBlock:
+        """All samples as one block (views of the arrays); `sequence` counts from 0, no host time."""
+        channels = {name: getattr(self, name) for name in self.channels}
+        return make_block(self.time_s, quality=self.quality(), **channels)
+
+    def blocks(self, samples: int) -> Iterator[SampleBlock]:
+        """The capture in blocks of `samples` (the last one may be shorter): `block()` cut up, nothing else."""
+        if samples < 1:
+            raise ValueError(f"a block needs at least one sample, not {samples}")
+        whole = self.block()
+        for start in range(0, len(self), samples):
+            yield whole.slice(start, start + samples)
+
+
+def first_bad_time(time_s: F64) -> int | None:
+    """Index of the first sample that is not later than the one before it; None if time increases."""
+    bad = np.flatnonzero(np.diff(time_s) <= 0.0)
+    return int(bad[0]) + 1 if bad.size else None
