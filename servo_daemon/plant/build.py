@@ -2,7 +2,8 @@
 
 One step over h (any h, jitter included) with the input held:
 
-1. The linear core, with R and K as the effects scale them at the predicted midpoint, by its exact exponential.
+1. The linear core, with R and K as the effects scale them at the predicted midpoint, by its exact exponential (twice
+   where they depend on the motion, whose midpoint is only known after a first guess).
 2. Smooth effect torques and voltage drops as constants over the step, evaluated at the midpoint of the first guess
    (second order, as Strang splitting, but with one exponential).
 3. Dry friction last, as the constant torque that would bring the speed to zero at the end of the step, limited to its
@@ -158,28 +159,38 @@ class _Builder:
 
     def step(self, x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX) -> tuple[ca.SX, _Core]:
         n = self.n_core
-        theta_ahead = ca.vertcat(x[: n - 1], x[n - 1] + h / 2 * x[n - 2], x[n:])
-        ahead = self.terms(theta_ahead, u, t + h / 2)
+        own_middle = self._own_states(x, u, t, h / 2)
+        ahead = self.terms(ca.vertcat(x[: n - 1], x[n - 1] + h / 2 * x[n - 2], own_middle), u, t + h / 2)
         core = self.core(x, ahead, h)
         guess = core.free + core.per_input * (u - _drop(ahead)) + core.per_load * _load(ahead)
-        middle_x = ca.vertcat((x[:n] + guess) / 2, x[n:])
+        middle_x = ca.vertcat((x[:n] + guess) / 2, own_middle)
         middle = self.terms(middle_x, u, t + h / 2)
+        if self._factors_follow_motion():
+            core = self.core(x, middle, h)
         x_next = core.free + core.per_input * (u - _drop(middle)) + core.per_load * _load(middle)
         level = ca.sum1(ca.vertcat(*[ca.SX(term.dry_friction) for term in middle])) if middle else ca.SX(0)
         if not level.is_zero():
             stopping = -x_next[n - 2] / core.per_load[n - 2]
             x_next = x_next + core.per_load * ca.fmax(ca.fmin(stopping, level), -level)
-        return ca.vertcat(x_next, self._own_states(middle_x, u, t + h / 2, h)), core
+        return ca.vertcat(x_next, self._own_states(ca.vertcat(middle_x[:n], x[n:]), u, t + h / 2, h)), core
 
-    def _own_states(self, middle_x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX) -> ca.SX:
-        # Symbols of their own, so that the slope is the partial one: the midpoint current depends on these states too.
-        at = ca.SX.sym("at", middle_x.numel())
+    def _factors_follow_motion(self) -> bool:
+        """Whether R or K as scaled depends on current, speed or angle, whose midpoint is only known after a guess."""
+        x, n = ca.SX.sym("x", len(self.states)), self.n_core
+        terms = self.terms(x, ca.SX(0), ca.SX(0))
+        factors = ca.vertcat(*[ca.SX(f) for term in terms for f in (term.factor_R, term.factor_K)])
+        return bool(terms) and bool(ca.depends_on(factors, x[:n]))
+
+    def _own_states(self, x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX) -> ca.SX:
+        """The effects' states after h, from those in x, with the motion in x taken as constant over h."""
+        # Symbols of their own, so that the slope is the partial one: a midpoint current depends on these states too.
+        at = ca.SX.sym("at", x.numel())
         rates = {name: rate for term in self.terms(at, u, t) for name, rate in term.rates.items()}
         updates = []
         for k, state in enumerate(self.states[self.n_core :], start=self.n_core):
             _, phi1, _ = flow.phi_scalar(ca.jacobian(rates[state.name], at[k]) * h)
             updates.append(at[k] + h * phi1 * rates[state.name])
-        return ca.substitute(ca.vertcat(*updates), at, middle_x) if updates else ca.SX(0, 1)
+        return ca.substitute(ca.vertcat(*updates), at, x) if updates else ca.SX(0, 1)
 
     def sensed(self, x: ca.SX, t: ca.SX) -> ca.SX:
         n = self.n_core

@@ -112,13 +112,17 @@ def _compile(function: ca.Function, compiler: str) -> ctypes.CDLL:
     key = "\n".join((source, compiler, _compiler_version(compiler), " ".join(_FLAGS), platform.machine()))
     path = cache_directory() / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
     with _build_lock:
-        if not path.exists():
-            with tempfile.TemporaryDirectory(dir=path.parent) as directory:
-                c_file, so_file = Path(directory) / "step.c", Path(directory) / "step.so"
-                c_file.write_text(source, encoding="utf-8")
-                command = [compiler, *_FLAGS, str(c_file), "-o", str(so_file), "-lm"]
-                subprocess.run(command, check=True, capture_output=True, text=True, timeout=120)
-                so_file.replace(path)
+        if path.exists():
+            try:
+                return ctypes.CDLL(str(path))
+            except OSError as error:  # damaged on disk: it is only a cache
+                log.warning("%s cannot be loaded (%s): compiling it again", path, error)
+        with tempfile.TemporaryDirectory(dir=path.parent) as directory:
+            c_file, so_file = Path(directory) / "step.c", Path(directory) / "step.so"
+            c_file.write_text(source, encoding="utf-8")
+            command = [compiler, *_FLAGS, str(c_file), "-o", str(so_file), "-lm"]
+            subprocess.run(command, check=True, capture_output=True, text=True, timeout=120)
+            so_file.replace(path)
         return ctypes.CDLL(str(path))
 
 

@@ -44,16 +44,22 @@ def _terms(model: PlantModel, x: F64, u: float, p: Mapping[str, float], t: float
 def reference_step(model: PlantModel, x: F64, u: float, p: F64, t: float, h: float) -> F64:
     """x(t + h) with the voltage u held. Shapes as in `PlantModel.step`; voltage-driven models only."""
     named = dict(zip(model.parameter_names, map(float, p), strict=True))
-    ahead = _terms(model, np.r_[x[:2], x[2] + h / 2 * x[1], x[3:]], u, named, t + h / 2)
-    scaled = named | {"R": named["R"] * ahead["factor_R"], "K": named["K"] * ahead["factor_K"]}
-    Ad, Bd = linear_step(scaled, h)
-    guess = Ad @ x[:3] + Bd @ [u - ahead["voltage_drop"], ahead["load_torque"]]
-    middle_x = np.r_[(x[:3] + guess) / 2, x[3:]]
-    middle = _terms(model, middle_x, u, named, t + h / 2)
-    core = Ad @ x[:3] + Bd @ [u - middle["voltage_drop"], middle["load_torque"]]
-    core += Bd[:, 1] * np.clip(-core[1] / Bd[1, 1], -middle["dry_friction"], middle["dry_friction"])
-    own = [_own_state(model, k, middle_x, u, named, t + h / 2, h) for k in range(3, len(x))]
+    own_middle = [_own_state(model, k, x, u, named, t, h / 2) for k in range(3, len(x))]
+    ahead = _terms(model, np.r_[x[:2], x[2] + h / 2 * x[1], own_middle], u, named, t + h / 2)
+    guess, _ = _core_step(x, u, ahead, named, h)
+    middle_x = (x[:3] + guess) / 2
+    middle = _terms(model, np.r_[middle_x, own_middle], u, named, t + h / 2)
+    core, per_load = _core_step(x, u, middle, named, h)
+    core += per_load * np.clip(-core[1] / per_load[1], -middle["dry_friction"], middle["dry_friction"])
+    own = [_own_state(model, k, np.r_[middle_x, x[3:]], u, named, t + h / 2, h) for k in range(3, len(x))]
     return np.concatenate((core, own))
+
+
+def _core_step(x: F64, u: float, terms: Mapping[str, float], p: Mapping[str, float], h: float) -> tuple[F64, F64]:
+    """(i, ω, θ) after h under these terms without dry friction, and the change per N·m of load torque."""
+    scaled = {**p, "R": p["R"] * terms["factor_R"], "K": p["K"] * terms["factor_K"]}
+    Ad, Bd = linear_step(scaled, h)
+    return Ad @ x[:3] + Bd @ [u - terms["voltage_drop"], terms["load_torque"]], Bd[:, 1]
 
 
 def _own_state(model: PlantModel, k: int, x: F64, u: float, p: Mapping[str, float], t: float, h: float) -> float:
