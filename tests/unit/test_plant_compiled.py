@@ -1,0 +1,180 @@
+"""The sample loop: C and virtual machine give the same bits, blocks do not matter, and what fails falls back."""
+
+from __future__ import annotations
+
+import logging
+import stat
+import subprocess
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from servo_daemon.plant import compiled
+from servo_daemon.plant.build import build_plant
+from servo_daemon.plant.compiled import SampleLoop, find_compiler
+from servo_daemon.plant.reference import reference_step
+from servo_daemon.samples import F64
+
+needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler on this machine")
+ALL = ("coulomb_friction", "constant_load_torque", "gravity_load", "winding_heating")
+
+
+def step_function(effects: tuple[str, ...], gain: float = 1.0) -> ca.Function:
+    model = build_plant(effects)
+    x, p = ca.SX.sym("x", len(model.states)), ca.SX.sym("p", len(model.parameters))
+    row = ca.SX.sym("row", 3)
+    return ca.Function("step", [x, p, row], [model.step(x, gain * row[2], p, row[0], row[1]), x])
+
+
+def inputs(effects: tuple[str, ...], n: int) -> tuple[F64, F64, F64]:
+    model, rng = build_plant(effects), np.random.default_rng(3)
+    h = 1e-3 * rng.uniform(0.5, 1.5, n)
+    rows = np.column_stack([np.cumsum(h), h, 8 * rng.standard_normal(n)])
+    return np.zeros(len(model.states)), np.array([p.nominal for p in model.parameters]), rows
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.delenv("CACHE_DIRECTORY", raising=False)
+    monkeypatch.delenv("SERVO_DAEMON_CC", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return tmp_path / "cache" / "servo-daemon"
+
+
+@needs_compiler
+@pytest.mark.parametrize("effects", [(), ("coulomb_friction",), ("winding_heating",), ALL], ids="+".join)
+def test_c_and_machine_give_the_same_bits(effects: tuple[str, ...]) -> None:
+    x, p, rows = inputs(effects, 3000)
+    in_c, in_vm = SampleLoop(step_function(effects)), SampleLoop(step_function(effects), compiled=False)
+    assert (in_c.backend, in_vm.backend) == ("c", "vm")
+    other = x.copy()
+    np.testing.assert_array_equal(in_c.run(x, p, rows), in_vm.run(other, p, rows))
+    np.testing.assert_array_equal(x, other)
+    assert np.ptp(x) > 0
+
+
+def test_a_block_agrees_with_the_twin() -> None:
+    x, p, rows = inputs(ALL, 40)
+    twin, model = x.copy(), build_plant(ALL)
+    SampleLoop(step_function(ALL)).run(x, p, rows)
+    for t, h, u in rows:
+        twin = reference_step(model, twin, u, p, t, h)
+    np.testing.assert_allclose(x, twin, rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.parametrize("use_c", [pytest.param(True, marks=needs_compiler), False], ids=["c", "vm"])
+@pytest.mark.parametrize("size", [1, 7, 64, 300, 700])
+def test_blocks_do_not_matter(use_c: bool, size: int) -> None:
+    loop = SampleLoop(step_function(ALL), compiled=use_c)
+    x, p, rows = inputs(ALL, 700)
+    whole = loop.run(x.copy(), p, rows)
+    parts = [loop.run(x, p, np.ascontiguousarray(rows[k : k + size])) for k in range(0, 700, size)]
+    np.testing.assert_array_equal(np.concatenate(parts), whole)
+
+
+@pytest.mark.parametrize("use_c", [pytest.param(True, marks=needs_compiler), False], ids=["c", "vm"])
+def test_an_empty_block_changes_nothing(use_c: bool) -> None:
+    x, p, rows = inputs((), 1)
+    assert SampleLoop(step_function(()), compiled=use_c).run(x, p, rows[:0]).shape == (0, 3)
+    assert not x.any()
+
+
+def test_wrong_arrays_are_refused() -> None:
+    loop = SampleLoop(step_function(()), compiled=False)
+    x, p, rows = inputs((), 4)
+    for state, constants, samples, name in [
+        (x[:2].copy(), p, rows, "state"),
+        (x, p.astype(np.float32), rows, "constants"),
+        (x, p, np.asfortranarray(rows), "samples"),
+        (x, p, np.ones((4, 2)), "samples"),
+    ]:
+        with pytest.raises(ValueError, match=name):
+            loop.run(state, constants, samples)
+
+
+def test_the_function_must_be_named_step() -> None:
+    z, c, s = (ca.SX.sym(name) for name in "zcs")
+    with pytest.raises(ValueError, match="step"):
+        SampleLoop(ca.Function("other", [z, c, s], [z, z]))
+
+
+@needs_compiler
+def test_second_time_comes_from_the_cache(own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert SampleLoop(step_function(())).backend == "c"
+    assert len(list(own_cache.iterdir())) == 1
+    assert stat.S_IMODE(own_cache.stat().st_mode) == 0o700
+
+    def no_compiling(command: list[str], **_: object) -> None:
+        raise AssertionError(f"compiled again: {command}")
+
+    monkeypatch.setattr(subprocess, "run", no_compiling)
+    assert SampleLoop(step_function(())).backend == "c"
+
+
+@needs_compiler
+def test_another_function_is_another_cache_entry(own_cache: Path) -> None:
+    SampleLoop(step_function(()))
+    SampleLoop(step_function((), gain=1.0000001))
+    assert len(list(own_cache.glob("*.so"))) == 2
+
+
+@needs_compiler
+def test_a_damaged_cache_file_is_compiled_again(
+    own_cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    function = step_function((), gain=2.0)
+    SampleLoop(function)
+    (library,) = own_cache.iterdir()
+    other = tmp_path / "other" / "servo-daemon"  # another path: the loader knows the first one as loaded already
+    other.mkdir(parents=True)
+    (other / library.name).write_bytes(b"power went away here")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(other.parent))
+    with caplog.at_level(logging.WARNING):
+        assert SampleLoop(function).backend == "c"
+    assert "compiling it again" in caplog.text
+
+
+@needs_compiler
+def test_a_cache_that_cannot_be_written_is_replaced_by_a_private_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("not a directory")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    private = tmp_path / "private"
+    private.mkdir()
+    monkeypatch.setattr(compiled, "_private_temporary", lambda: private)
+    assert SampleLoop(step_function(())).backend == "c"
+    assert list(private.glob("*.so"))
+
+
+def test_systemd_cache_directory_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CACHE_DIRECTORY", f"{tmp_path}/a:{tmp_path}/b")
+    assert compiled.cache_directory() == tmp_path / "a" / "servo-daemon"
+
+
+def test_a_broken_compiler_falls_back_with_a_log_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    broken = tmp_path / "cc"
+    broken.write_text("#!/bin/sh\necho 'cc1: killed' >&2\nexit 1\n")
+    broken.chmod(0o755)
+    monkeypatch.setenv("SERVO_DAEMON_CC", str(broken))
+    with caplog.at_level(logging.WARNING):
+        loop = SampleLoop(step_function(()))
+    assert loop.backend == "vm"
+    assert "cc1: killed" in caplog.text
+
+
+@pytest.mark.parametrize("named", ["", "no-such-compiler-anywhere"])
+def test_without_a_compiler_the_machine_serves(
+    named: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv("SERVO_DAEMON_CC", named)
+    with caplog.at_level(logging.INFO):
+        loop = SampleLoop(step_function(()))
+    assert loop.backend == "vm"
+    assert "no C compiler" in caplog.text
+    x, p, rows = inputs((), 5)
+    assert np.all(np.isfinite(loop.run(x, p, rows)))
