@@ -82,14 +82,17 @@ class Daemon:
         for runtime in self._runtimes.values():
             runtime.reader.start()
 
+    def begin_stop(self) -> None:
+        """Ask everything to end without waiting: open streams see it at once."""
+        if not self._stop.is_set():
+            self._notifier.stopping()
+            self._stop.set()
+            self._wake.set()
+
     def stop(self, timeout_s: float = 1.5) -> None:
-        """Stop readers, worker and saver; what was learned is saved once more. Idempotent."""
-        if self._stop.is_set():
-            return
-        self._notifier.stopping()
+        """End readers, worker and saver; what was learned is saved once more. Idempotent."""
+        self.begin_stop()
         deadline = time.monotonic() + timeout_s
-        self._stop.set()
-        self._wake.set()
         for runtime in self._runtimes.values():
             runtime.reader.stop(max(0.05, deadline - time.monotonic()))
         for thread in (self._worker, self._saver):

@@ -59,6 +59,11 @@ def published_parameters(config: DriveConfig) -> tuple[Parameter, ...]:
     return tuple(table.values())
 
 
+def published_names(config: DriveConfig) -> tuple[str, ...]:
+    """Names of everything published, J_d last where it is."""
+    return (*(p.name for p in published_parameters(config)), *((J_D.name,) if "J_m" in config.nominal else ()))
+
+
 def estimate(config: DriveConfig, tracker: Tracker, samples: int) -> Estimate:
     """The published record of this moment."""
     parameters = _parameters(config, tracker)

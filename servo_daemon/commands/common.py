@@ -1,0 +1,74 @@
+"""What several commands share: flags, the drive a config names, progress bars, one JSON document on stdout."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from tqdm import tqdm
+
+from servo_daemon.config import DriveConfig, load_config
+from servo_daemon.service.snapshot import ParameterEstimate
+
+
+def add_config(parser: argparse.ArgumentParser, *, required: bool = False, drive: bool = True) -> None:
+    parser.add_argument("--config", type=Path, required=required, metavar="FILE", help="TOML configuration")
+    if drive:
+        parser.add_argument("--drive", metavar="NAME", help="which drive of the config (default: the first)")
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="print exactly one JSON document on stdout")
+
+
+def offline_drive(arguments: argparse.Namespace) -> DriveConfig:
+    """The drive whose name, nominal values, model, load and limits an offline command uses.
+
+    Without a config nothing is nominal. The driver and its options are neither checked nor opened.
+
+    Raises:
+        ConfigError: the config is wrong, or has no such drive.
+    """
+    return load_config(arguments.config).drive_named(arguments.drive)
+
+
+def print_json(document: Mapping[str, Any]) -> None:
+    json.dump(document, sys.stdout, allow_nan=False, ensure_ascii=False)
+    sys.stdout.write("\n")
+
+
+def note(text: str) -> None:
+    """A remark for the user: on stderr, so that stdout stays a document."""
+    print(text, file=sys.stderr)
+
+
+def progress(total: float, unit: str, description: str) -> tqdm[Any]:
+    """A progress bar on stderr, only where somebody watches."""
+    return tqdm(total=total, unit=unit, desc=description, disable=None, file=sys.stderr, leave=False, unit_scale=True)
+
+
+def parameter_rows(parameters: tuple[ParameterEstimate, ...]) -> dict[str, dict[str, Any]]:
+    """Parameters as in the REST contract."""
+    keys = ("value", "std", "unit", "nominal", "status", "reason")
+    return {p.name: {key: getattr(p, key) for key in keys} for p in parameters}
+
+
+@contextmanager
+def terminated_as_interrupt() -> Iterator[None]:
+    """SIGTERM ends a recording as Ctrl-C does: what was recorded is kept."""
+
+    def interrupt(_signal: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    previous = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous)

@@ -1,0 +1,89 @@
+"""`servo-daemon record`: a capture from a live driver."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+from drivers.base import Driver
+from servo_daemon.commands import common
+from servo_daemon.errors import BadInputError, DriverError, DriverUnavailableError, EndOfStreamError
+from servo_daemon.samples import SampleBlock
+
+HELP = "record a capture from a live driver"
+EXAMPLE = "  servo-daemon record --config servo-daemon.toml --drive axis1 --seconds 60 --out bench.csv.gz"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    common.add_config(parser, required=True)
+    parser.add_argument("--seconds", type=float, required=True, metavar="N", help="of device time")
+    parser.add_argument("--out", type=Path, required=True, metavar="F", help=".csv, .csv.gz or .parquet")
+    common.add_json(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from drivers.registry import make_driver
+    from servo_daemon import __version__
+    from servo_daemon.captures import CaptureWriter
+
+    if not 0 < arguments.seconds < float("inf"):
+        raise BadInputError(f"--seconds must be greater than 0, not {arguments.seconds:g}")
+    drive = common.offline_drive(arguments)
+    driver = make_driver(drive.driver, drive.name, drive.options)
+    metadata = {"generator": f"servo-daemon {__version__} record", "drive": drive.name, "driver": drive.driver}
+    metadata |= {k: f"{v:g}" for k, v in drive.load.model_dump().items() if v is not None}
+    problem: DriverError | None = None
+    with common.terminated_as_interrupt(), driver:
+        first = _next_block(driver)
+        metadata["identity"] = driver.info.identity
+        if driver.info.counts_per_rev:
+            metadata.setdefault("counts_per_rev", f"{driver.info.counts_per_rev:g}")
+        with (
+            CaptureWriter(arguments.out, metadata=metadata) as writer,
+            common.progress(arguments.seconds, "s", "record") as bar,
+        ):
+            block, start = first, float(first.time_s[0])
+            try:
+                while True:
+                    inside = int((block.time_s - start < arguments.seconds).sum())
+                    if inside:
+                        writer.write(block.slice(0, inside))
+                    bar.update(float(block.time_s[-1]) - start - bar.n)
+                    if inside < len(block):
+                        break
+                    block = _next_block(driver)
+            except EndOfStreamError as end:
+                common.note(f"record: {end}")
+            except DriverError as error:  # what was recorded until then is kept
+                problem = error
+            except KeyboardInterrupt:
+                common.note("record: stopped early; what was recorded is kept")
+    summary = f"{arguments.out}: {writer.samples:,} samples, {driver.counters.samples_lost} lost"
+    if problem is not None:
+        raise DriverError(f"{problem} ({summary})") from problem
+    if arguments.json:
+        common.print_json(
+            {"capture": str(arguments.out), "samples": writer.samples, "samples_lost": driver.counters.samples_lost}
+        )
+    else:
+        common.note(summary)
+    return 0
+
+
+#: A drive that says nothing for this long ends the recording, s.
+_SILENCE_S = 10.0
+
+
+def _next_block(driver: Driver) -> SampleBlock:
+    """The next samples.
+
+    Raises:
+        DriverUnavailableError: none within `_SILENCE_S`.
+    """
+    deadline = time.monotonic() + _SILENCE_S
+    while time.monotonic() < deadline:
+        block = driver.read(0.2)
+        if block is not None:
+            return block
+    raise DriverUnavailableError(f"drive {driver.name}: no samples for {_SILENCE_S:g} s")

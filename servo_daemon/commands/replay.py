@@ -1,0 +1,108 @@
+"""`servo-daemon replay`: the daemon's own pipeline over a capture, as fast as it goes."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from servo_daemon.commands import common
+from servo_daemon.service.snapshot import ParameterEstimate
+
+HELP = "run the daemon's own pipeline over a capture, as fast as it goes"
+EXAMPLE = """  servo-daemon replay capture.csv.gz --out estimates.csv
+  servo-daemon replay capture.csv --out estimates.csv --config servo-daemon.toml --drive axis1"""
+
+#: Samples handed to the pipeline at once; the result does not depend on it.
+BLOCK_SAMPLES = 8192
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("capture", type=Path, metavar="CAPTURE", help="CSV, CSV.gz or Parquet")
+    parser.add_argument("--out", type=Path, required=True, metavar="EST.csv", help="estimates at 10 Hz of capture time")
+    parser.add_argument(
+        "--block",
+        type=int,
+        default=BLOCK_SAMPLES,
+        metavar="N",
+        help="samples at once (the result is the same)",
+    )
+    common.add_config(parser)
+    common.add_json(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from drivers.base import DriveInfo
+    from servo_daemon.captures import read_capture
+    from servo_daemon.errors import BadInputError
+    from servo_daemon.estimates_csv import EstimatesWriter
+    from servo_daemon.service.pipeline import Pipeline
+    from servo_daemon.service.publish import published_names
+
+    if arguments.block < 1:
+        raise BadInputError(f"--block must be at least 1, not {arguments.block}")
+    drive = common.offline_drive(arguments)
+    capture = read_capture(arguments.capture)
+    for text in capture.notes:
+        common.note(f"{capture.path}: {text}")
+    info = DriveInfo(
+        identity="capture",
+        sample_period_s=capture.sample_period_s,
+        counts_per_rev=capture.counts_per_rev if capture.axis == "rotary" else None,
+        channels=capture.channels,
+    )
+    pipeline = Pipeline(drive, info)
+    names = published_names(drive)
+    last = None
+    rows = 0
+    with (
+        EstimatesWriter(arguments.out, names, estimators=("ekf", "rls")) as writer,
+        common.progress(capture.duration_s, "s", "replay") as bar,
+    ):
+        for block in capture.blocks(arguments.block):
+            estimates = pipeline.process(block)
+            for last in estimates:
+                writer.write(last)
+            rows += len(estimates)
+            bar.update(float(block.time_s[-1] - block.time_s[0]))
+        final = pipeline.finish()
+        if final is not None:
+            writer.write(final)
+            last, rows = final, rows + 1
+    assert last is not None  # a capture has at least two samples
+    document: dict[str, Any] = {
+        "capture": str(capture.path),
+        "out": str(arguments.out),
+        "rows": rows,
+        "samples": last.samples,
+        "time_s": last.time_s,
+        "model": list(last.model),
+        "parameters": _rows(last.parameters, linear=capture.axis == "linear"),
+        "health": dict(last.health),
+    }
+    if arguments.json:
+        common.print_json(document)
+    else:
+        _print_table(document)
+    return 0
+
+
+#: On a linear axis J is a mass and torques are forces.
+_LINEAR_UNITS = {"kg·m²": "kg", "N·m·s/rad": "N·s/m", "N·m": "N", "N·m/A": "N/A", "rad": "m"}
+
+
+def _rows(parameters: tuple[ParameterEstimate, ...], *, linear: bool) -> dict[str, dict[str, Any]]:
+    rows = common.parameter_rows(parameters)
+    if linear:
+        for row in rows.values():
+            row["unit"] = _LINEAR_UNITS.get(row["unit"], row["unit"])
+    return rows
+
+
+def _print_table(document: dict[str, Any]) -> None:
+    common.note(f"{document['out']}: {document['rows']} rows; after {document['samples']:,} samples:")
+    for name, p in document["parameters"].items():
+        value = "—" if p["value"] is None else f"{p['value']:.6g}"
+        std = "" if p["std"] is None else f" ± {p['std']:.2g}"
+        reason = f"  ({p['reason']})" if p["reason"] else ""
+        common.note(f"  {name:>6} = {value}{std} {p['unit']}  {p['status']}{reason}")

@@ -1,0 +1,131 @@
+"""`servo-daemon run`: the daemon with its API and page."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import logging
+import os
+import signal
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from servo_daemon.commands import common
+from servo_daemon.config import Config, DriveConfig, load_config
+from servo_daemon.errors import ServoDaemonError
+
+if TYPE_CHECKING:
+    from servo_daemon.service.daemon import Daemon
+
+log = logging.getLogger(__name__)
+
+HELP = "the daemon: estimates, REST API and dashboard; without a config, of a simulated ageing motor"
+EXAMPLE = """  servo-daemon run
+  servo-daemon run --config /etc/servo-daemon.toml"""
+
+#: Open streams and slow clients may hold up a stop this long, s.
+_DRAIN_S = 1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    common.add_config(parser, drive=False)
+    parser.add_argument("--host", help="where the API listens (overrides the config)")
+    parser.add_argument("--port", type=int, help="0: any free port, logged at start (overrides the config)")
+    parser.add_argument("--state-dir", type=Path, metavar="DIR", help="where estimates are kept over a restart")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from servo_daemon.service.daemon import Daemon
+
+    config = _configuration(arguments)
+    listener = _listen(config.api.host, config.api.port)
+    with listener:
+        daemon = Daemon(config, _state_dir(arguments, config))
+        asyncio.run(_serve(daemon, listener))
+    return 0
+
+
+def demo_drive() -> DriveConfig:
+    """The simulated ageing motor of `run` without a config, its nominal values a good third off."""
+    from servo_daemon.simulate import DEFAULT_AGEING, DEFAULT_J_M, DEFAULT_NOMINAL
+
+    ageing = {name: list(texts) for name, texts in DEFAULT_AGEING.items()}
+    return DriveConfig(nominal=dict(DEFAULT_NOMINAL), options={"J_m": DEFAULT_J_M, "ageing": ageing})
+
+
+def _configuration(arguments: argparse.Namespace) -> Config:
+    """The config file with environment and flags on top."""
+    config = load_config(arguments.config)
+    if arguments.config is None:
+        config = config.model_copy(update={"drive": (demo_drive(),)})
+    flags = {k: getattr(arguments, k) for k in ("host", "port") if getattr(arguments, k) is not None}
+    if flags:
+        from servo_daemon.config import parse_config
+
+        api = parse_config({"api": config.api.model_dump() | flags}, "command line").api
+        config = config.model_copy(update={"api": api})
+    return config
+
+
+def _state_dir(arguments: argparse.Namespace, config: Config) -> Path | None:
+    """Flag, config, systemd's STATE_DIRECTORY, the user's own; nothing is kept of the motor of the demonstration."""
+    if arguments.state_dir is not None:
+        return Path(arguments.state_dir)
+    if config.storage.state_dir is not None:
+        return Path(config.storage.state_dir)
+    if "STATE_DIRECTORY" in os.environ:
+        return Path(os.environ["STATE_DIRECTORY"].split(":")[0])
+    if arguments.config is None:
+        return None
+    base = os.environ.get("XDG_STATE_HOME") or str(Path.home() / ".local" / "state")
+    return Path(base) / "servo-daemon"
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    """The API's socket, bound before anything else starts.
+
+    Raises:
+        ServoDaemonError: the address is taken or not ours.
+    """
+    try:
+        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0][0]
+        return socket.create_server((host, port), family=family, backlog=128)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        hint = "; is another servo-daemon running? --port 0 takes any free one" if error.errno == 98 else ""
+        raise ServoDaemonError(f"cannot listen on {host} port {port}: {reason}{hint}") from error
+
+
+async def _serve(daemon: Daemon, listener: socket.socket) -> None:
+    """API in this thread's event loop, everything else in threads of the daemon, until SIGTERM or SIGINT."""
+    import uvicorn
+
+    from servo_daemon.api.app import create_app
+
+    class Server(uvicorn.Server):
+        @contextmanager
+        def capture_signals(self) -> Iterator[None]:  # the daemon's own handlers below stay in charge
+            yield
+
+    settings: dict[str, Any] = {"log_level": "warning", "access_log": False, "timeout_graceful_shutdown": _DRAIN_S}
+    server = Server(uvicorn.Config(create_app(daemon), **settings))
+
+    def stop(name: str) -> None:
+        log.info("%s: stopping", name)
+        daemon.begin_stop()
+        server.should_exit = True
+
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, stop, number.name)
+    host, port = listener.getsockname()[:2]
+    log.info("API and dashboard on http://%s:%s/", f"[{host}]" if ":" in host else host, port)
+    daemon.start()
+    try:
+        await server.serve(sockets=[listener])
+    finally:
+        daemon.stop()
+    log.info("stopped")

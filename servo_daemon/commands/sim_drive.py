@@ -1,0 +1,61 @@
+"""`servo-daemon sim-drive`: a simulated drive that speaks the real wire on a pseudo-terminal."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import threading
+from pathlib import Path
+
+from servo_daemon.commands import common
+
+HELP = "a simulated drive that speaks the real wire on a pseudo-terminal, until it is stopped"
+EXAMPLE = """  servo-daemon sim-drive --serial /tmp/servo0    # then: driver = "serial", port = "/tmp/servo0"
+  servo-daemon sim-drive --slcan /tmp/can0       # then: driver = "can", interface = "slcan", channel = "/tmp/can0\""""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    wire = parser.add_mutually_exclusive_group(required=True)
+    wire.add_argument("--serial", type=Path, metavar="LINK", help="serial line: LINK becomes a link to its terminal")
+    wire.add_argument("--slcan", type=Path, metavar="LINK", help="a USB-CAN adapter speaking SLCAN, with the drive")
+    parser.add_argument("--wire", choices=("binary", "text"), default="binary", help="of the serial line")
+    parser.add_argument("--drive-id", type=int, default=1, help="the drive's number on the wire (default: 1)")
+    parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="samples a second (default: 1000)")
+    parser.add_argument("--seed", type=int, default=0, help="same seed, same motor noise (default: 0)")
+    parser.add_argument("--effect", action="append", default=[], metavar="NAME[:k=v,…]", help="repeatable")
+    parser.add_argument(
+        "--ageing", nargs="+", action="extend", default=None, metavar="P=±%/T", help="default: ages like `run`'s motor"
+    )
+    parser.add_argument("--seconds", type=float, default=None, help="stop after this long (default: never)")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from servo_daemon.simulate import DEFAULT_AGEING, DEFAULT_J_M, SimulatedDrive, make_settings
+
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    if arguments.seconds is not None:
+        timer = threading.Timer(arguments.seconds, stop.set)
+        timer.daemon = True
+        timer.start()
+    source = SimulatedDrive(
+        make_settings(
+            J_m=DEFAULT_J_M,
+            effects=arguments.effect,
+            ageing=DEFAULT_AGEING if arguments.ageing is None else arguments.ageing,
+            rate_hz=arguments.rate,
+            seed=arguments.seed,
+        )
+    )
+    link = arguments.serial or arguments.slcan
+    common.note(f"{link}: drive {arguments.drive_id}, {arguments.rate:g} samples a second; Ctrl-C ends it")
+    if arguments.serial is not None:
+        from servo_daemon.sim_drive.serial_device import run_serial_device
+
+        run_serial_device(link, source, wire=arguments.wire, drive_id=arguments.drive_id, stop=stop)
+    else:
+        from servo_daemon.sim_drive.slcan_device import run_slcan_device
+
+        run_slcan_device(link, source, drive_id=arguments.drive_id, stop=stop)
+    return 0
