@@ -57,7 +57,7 @@ class TextDecoder:
     def reattach(self) -> None:
         """The line was opened anew: forget half a line, keep time, numbering and position."""
         self._carry = b""
-        self._in_step = False  # the first line may be half a line that looks whole: it is dropped
+        self._discarding = True  # up to the next line end: the first may be half a line that looks whole
         self._spoilt = 0  # unreadable lines since the last good one
 
     @property
@@ -71,13 +71,15 @@ class TextDecoder:
         Time and sequence increase strictly over all blocks of one decoder.
         """
         *lines, self._carry = (self._carry + data).split(b"\n")
-        if lines and not self._in_step:
-            self._in_step = True
+        if lines and self._discarding:
+            self._discarding = False
             del lines[0]
-        if len(self._carry) > MAX_LINE:
-            self.counters.framing_errors += self._in_step
-            self._carry, self._in_step = b"", False
         rows, lost = self._parse(lines)
+        if len(self._carry) > MAX_LINE:
+            if not self._discarding:
+                self.counters.framing_errors += 1
+                self._spoilt += 1
+            self._carry, self._discarding = b"", True
         return None if rows is None else self._block(rows, lost, host_time_s)
 
     def _parse(self, lines: list[bytes]) -> tuple[I64 | None, I64]:
