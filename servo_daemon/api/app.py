@@ -1,0 +1,67 @@
+"""The application: REST API, stream, metrics and dashboard over a `DaemonView`. The caller runs it under uvicorn."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, Final
+
+from fastapi import FastAPI
+from starlette.responses import JSONResponse
+
+from servo_daemon.api import assets, problems
+from servo_daemon.api.guard import Guard
+from servo_daemon.api.routes import api_router, metrics_router
+from servo_daemon.api.schemas import ProblemDocument
+from servo_daemon.service.view import DaemonView
+
+PREFIX: Final = "/api/v1"
+
+_DESCRIPTION: Final = """
+Electrical and mechanical parameters of live DC servo drives, each with a standard deviation and a status.
+
+SI units; `_std` is 1 σ in the parameter's unit. Times are UTC, ISO 8601 with Z. A number that is not known is null; no
+answer ever holds NaN. Errors are RFC 9457 problem details (`application/problem+json`).
+"""
+
+
+def create_app(daemon: DaemonView, allowed_hosts: Iterable[str] = ()) -> FastAPI:
+    """The ASGI application. It only ever reads published records, and asks for a reset.
+
+    Args:
+        daemon: what it shows. `daemon.stopping()` must be true before the server is told to exit, so that the open
+            streams end and the server need not wait for them.
+        allowed_hosts: DNS names by which browsers may reach the daemon, beyond IP addresses, local names and this
+            machine's own; see `guard.py`.
+    """
+    app = FastAPI(
+        title="servo-daemon",
+        version=daemon.version,
+        description=_DESCRIPTION,
+        openapi_url="/openapi.json",
+        docs_url=None,  # both pages load their scripts from a CDN
+        redoc_url=None,
+        redirect_slashes=False,
+    )
+    problems.install(app)
+    app.include_router(api_router(daemon), prefix=PREFIX)
+    app.include_router(metrics_router(daemon))
+    app.include_router(assets.make_router())
+    app.add_middleware(Guard, allowed_hosts=tuple(allowed_hosts))
+    _describe(app)
+    return app
+
+
+def _describe(app: FastAPI) -> None:
+    """OpenAPI with the problem document in it, also under the API's own prefix; made at the first request."""
+    generate = app.openapi
+
+    def openapi() -> dict[str, Any]:
+        document = generate()
+        document["components"]["schemas"]["ProblemDocument"] = ProblemDocument.model_json_schema()
+        return document
+
+    app.openapi = openapi  # type: ignore[method-assign]  # FastAPI's documented way to extend the schema
+
+    @app.get(f"{PREFIX}/openapi.json", include_in_schema=False)
+    async def openapi_json() -> JSONResponse:
+        return JSONResponse(openapi())

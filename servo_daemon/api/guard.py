@@ -1,0 +1,129 @@
+"""Who may talk to the API from a browser: pages of this daemon, and nobody else.
+
+The API has no passwords; it is meant for a trusted network. What it must not be is a tool of any web page that a user
+on that network happens to visit. Two checks prevent that, before any route runs:
+
+- The Host header must be a name that no stranger can point at this machine (DNS rebinding): an IP address, a name
+  without dots, a name under a local-only domain, this machine's own name, or one that was allowed explicitly.
+- A request that changes something must not carry the Origin of another site. Programs send no Origin.
+
+No CORS header is ever sent, so scripts of other sites cannot read answers either.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+from collections.abc import Iterable
+from typing import Final
+from urllib.parse import urlsplit
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from servo_daemon.api.problems import MEDIA_TYPE, problem_body
+
+#: Nothing on these pages comes from anywhere else, and nothing runs that is not a file of the dashboard.
+_POLICY: Final = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+SECURITY_HEADERS: Final = {
+    "Content-Security-Policy": _POLICY,
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+}
+_SAFE_METHODS: Final = frozenset({"GET", "HEAD", "OPTIONS"})
+#: Domains that public DNS does not serve (RFC 6761, RFC 6762, RFC 8375, ICANN's .internal) or that home routers use.
+_LOCAL_DOMAINS: Final = (".localhost", ".local", ".internal", ".home.arpa", ".lan")
+_DEFAULT_PORTS: Final = {"http": 80, "https": 443}
+
+
+def split_host(host: str) -> tuple[str, int | None]:
+    """Name and port of a Host header or an origin's authority; the name lower-case, without brackets and final dot.
+
+    Raises:
+        ValueError: a port that is no number.
+    """
+    parts = urlsplit(f"//{host}")
+    return (parts.hostname or "").rstrip("."), parts.port
+
+
+def host_is_ours(host: str, allowed: Iterable[str] = ()) -> bool:
+    """Whether this Host header cannot be a stranger's name for this machine."""
+    try:
+        name, _ = split_host(host)
+    except ValueError:
+        return False
+    try:
+        ipaddress.ip_address(name.partition("%")[0])
+    except ValueError:
+        return bool(name) and ("." not in name or name.endswith(_LOCAL_DOMAINS) or name in set(allowed))
+    return True
+
+
+def origin_is_ours(origin: str, host: str) -> bool:
+    """Whether a page of `origin` was served by the server that `host` names. "null" (a sandboxed page) is not."""
+    try:
+        parts = urlsplit(origin)
+        default = _DEFAULT_PORTS.get(parts.scheme)
+        name, port = split_host(host)
+        return (
+            default is not None
+            and (parts.hostname or "").rstrip(".") == name
+            and (parts.port or default) == (port or default)
+        )
+    except ValueError:
+        return False
+
+
+class Guard:
+    """ASGI middleware: the two checks, and the security headers on every answer."""
+
+    def __init__(self, app: ASGIApp, allowed_hosts: Iterable[str] = ()) -> None:
+        self.app = app
+        names = {socket.gethostname(), *allowed_hosts}
+        self.allowed = frozenset(name.lower().rstrip(".") for name in names)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+
+        async def send_guarded(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in SECURITY_HEADERS.items():
+                    headers[name] = value
+            await send(message)
+
+        refusal = self._refusal(scope)
+        if refusal is None:
+            await self.app(scope, receive, send_guarded)
+            return
+        body = problem_body(*refusal, scope["path"])
+        headers = [
+            (b"content-type", MEDIA_TYPE.encode()),
+            (b"content-length", str(len(body)).encode()),
+            (b"cache-control", b"no-store"),
+        ]
+        await send_guarded({"type": "http.response.start", "status": refusal[0], "headers": headers})
+        await send({"type": "http.response.body", "body": body})
+
+    def _refusal(self, scope: Scope) -> tuple[int, str, str] | None:
+        """Status, code and detail where the request is refused."""
+        headers = Headers(scope=scope)
+        host = headers.get("host", "")
+        if host and not host_is_ours(host, self.allowed):
+            detail = f"This daemon does not answer to the host name {host!r}; use its IP address or a local name."
+            return 421, "foreign_host", detail
+        if scope["method"] in _SAFE_METHODS:
+            return None
+        origin = headers.get("origin")
+        if (origin is not None and not origin_is_ours(origin, host)) or (
+            origin is None and headers.get("sec-fetch-site") in {"cross-site", "same-site"}
+        ):
+            return 403, "foreign_origin", "Pages of other sites may not change anything here."
+        return None

@@ -1,0 +1,134 @@
+"""Errors as RFC 9457 problem details, everywhere and for everything.
+
+`type` is "about:blank", so `title` is the HTTP status phrase, as the RFC wants it; what a program can act on is in
+`code` and the further members, what a person can act on is in `detail`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from http import HTTPStatus
+from typing import Any, Final
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+from starlette.responses import Response
+
+MEDIA_TYPE: Final = "application/problem+json"
+
+_CODES: Final = {404: "unknown_path", 405: "method_not_allowed", 422: "invalid_request"}
+
+
+class ProblemError(Exception):
+    """Raised by a route to answer with a problem.
+
+    Args:
+        status: HTTP status.
+        code: short machine name of what is wrong.
+        detail: one line for a person.
+        headers: further response headers.
+        members: further members of the document.
+    """
+
+    def __init__(
+        self,
+        status: int,
+        code: str,
+        detail: str,
+        headers: Mapping[str, str] | None = None,
+        **members: object,
+    ) -> None:
+        super().__init__(detail)
+        self.status = status
+        self.code = code
+        self.detail = detail
+        self.headers = headers
+        self.members = members
+
+
+def problem_body(status: int, code: str, detail: str, instance: str, **members: object) -> bytes:
+    """The document as JSON."""
+    document = {
+        "type": "about:blank",
+        "title": HTTPStatus(status).phrase,
+        "status": status,
+        "detail": detail,
+        "instance": instance,
+        "code": code,
+        **members,
+    }
+    return json.dumps(document, ensure_ascii=False, allow_nan=False).encode()
+
+
+def problem_response(
+    request: Request,
+    status: int,
+    code: str,
+    detail: str,
+    headers: Mapping[str, str] | None = None,
+    **members: object,
+) -> Response:
+    """The document as a response."""
+    body = problem_body(status, code, detail, request.url.path, **members)
+    return Response(
+        body,
+        status,
+        {"Cache-Control": "no-store", "X-Content-Type-Options": "nosniff", **(headers or {})},
+        media_type=MEDIA_TYPE,
+    )
+
+
+async def _on_problem(request: Request, error: Exception) -> Response:
+    assert isinstance(error, ProblemError)  # registered for this class only
+    return problem_response(request, error.status, error.code, error.detail, error.headers, **error.members)
+
+
+async def _on_http(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    code = _CODES.get(error.status_code, "http_error")
+    path = request.url.path
+    detail = {
+        404: f"There is nothing at {path}; the API is described at /openapi.json.",
+        405: f"{path} cannot be used with {request.method}.",
+    }.get(error.status_code, str(error.detail))
+    return problem_response(request, error.status_code, code, detail, error.headers)
+
+
+def _complaint(error: Mapping[str, Any]) -> dict[str, str]:
+    place, *name = error["loc"]
+    return {
+        "location": str(place),
+        "parameter": ".".join(str(part) for part in name),
+        "detail": str(error["msg"]),
+    }
+
+
+async def _on_validation(request: Request, error: Exception) -> Response:
+    assert isinstance(error, RequestValidationError)
+    complaints = [_complaint(e) for e in error.errors()]
+    detail = "; ".join(f"{c['location']} parameter '{c['parameter']}': {c['detail']}" for c in complaints)
+    return problem_response(request, 422, "invalid_parameter", detail, errors=complaints)
+
+
+async def _on_anything(request: Request, _error: Exception) -> Response:
+    # Starlette raises the error again after this answer, so the server's log has the traceback; the client has not.
+    return problem_response(request, 500, "internal_error", "The daemon failed to answer; its log says why.")
+
+
+def install(app: FastAPI) -> None:
+    """Every error of this application becomes a problem document."""
+    app.add_exception_handler(ProblemError, _on_problem)
+    app.add_exception_handler(HTTPException, _on_http)
+    app.add_exception_handler(RequestValidationError, _on_validation)
+    app.add_exception_handler(Exception, _on_anything)
+
+
+def parameter_problem(name: str, detail: str, known: Iterable[str] | None = None) -> ProblemError:
+    """A query parameter that passed the types and still makes no sense; in the form of any other validation error."""
+    complaint = {"location": "query", "parameter": name, "detail": detail}
+    problem = ProblemError(422, "invalid_parameter", f"query parameter '{name}': {detail}", errors=[complaint])
+    if known is not None:
+        problem.members["known"] = list(known)
+    return problem

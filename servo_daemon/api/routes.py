@@ -1,0 +1,244 @@
+"""The routes of `/api/v1` and `/metrics`. Each one reads the last published records and returns at once."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Annotated, Any, Final
+
+from fastapi import APIRouter, Path, Query
+from pydantic import BaseModel
+from starlette.responses import Response, StreamingResponse
+
+from servo_daemon.api import documents, schemas
+from servo_daemon.api.problems import MEDIA_TYPE, ProblemError, parameter_problem
+from servo_daemon.api.stream import StreamSlots, estimates_stream
+from servo_daemon.api.times import ACCEPTED, parse_time
+from servo_daemon.service import exposition
+from servo_daemon.service.metrics import render_metrics
+from servo_daemon.service.view import DaemonView, DriveView
+
+DEFAULT_POINTS: Final = 1000
+MAX_POINTS: Final = 20_000
+
+_NO_STORE: Final = {"Cache-Control": "no-store"}
+#: nginx would otherwise hold events back until its buffer is full.
+_STREAM_HEADERS: Final = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+
+Responses = dict[int | str, dict[str, Any]]
+_PROBLEM_REF: Final = "#/components/schemas/ProblemDocument"
+
+DriveName = Annotated[str, Path(description="The drive's name in the configuration.", examples=["axis1"])]
+TimeText = Annotated[str | None, Query(description=f"Inclusive; {ACCEPTED}.", examples=["-10min"])]
+Points = Annotated[
+    int,
+    Query(
+        ge=2,
+        le=MAX_POINTS,
+        description="At most so many rows. More are thinned: of equally many rows each the lowest and the highest "
+        "value are kept, as they were recorded, so no peak is lost and nothing is averaged.",
+    ),
+]
+SeriesName = Annotated[
+    str,
+    Query(
+        description="A parameter (`R`, `L`, `K`, `J`, `B`, an effect's own) or a state channel (`current_A`, "
+        "`velocity_rad_s`, ...).",
+        examples=["R"],
+    ),
+]
+
+
+def _json(document: documents.Document, status: int = 200) -> Response:
+    return Response(documents.encode(document), status, _NO_STORE, media_type="application/json")
+
+
+def _problem(description: str) -> dict[str, Any]:
+    return {"description": description, "content": {MEDIA_TYPE: {"schema": {"$ref": _PROBLEM_REF}}}}
+
+
+_UNKNOWN_DRIVE: Final[Responses] = {404: _problem("There is no such drive; `known` names those there are.")}
+_INVALID: Final[Responses] = {422: _problem("A parameter is missing or makes no sense; `errors` names it.")}
+_REFUSED: Final[Responses] = {403: _problem("Asked for by a page of another site.")}
+
+
+class Routes:
+    """The handlers, bound to one daemon. All are coroutines without blocking work: they run in the event loop."""
+
+    def __init__(self, daemon: DaemonView) -> None:
+        self._daemon = daemon
+        self._encoders = {n: documents.EstimatesEncoder(d) for n, d in daemon.drives.items()}
+        self._slots = StreamSlots()
+
+    def _drive(self, name: str) -> DriveView:
+        """The drive of that name.
+
+        Raises:
+            ProblemError: 404, naming the drives there are.
+        """
+        drive = self._daemon.drives.get(name)
+        if drive is None:
+            known = list(self._daemon.drives)
+            detail = f"There is no drive {name!r}; the drives are {', '.join(known)}."
+            raise ProblemError(404, "unknown_drive", detail, known=known)
+        return drive
+
+    async def health(self) -> Response:
+        """Whether the daemon itself works: 200, or 503 with its problems. A drive that is away is not one."""
+        document = documents.health_document(self._daemon)
+        return _json(document, 503 if document["problems"] else 200)
+
+    async def ready(self) -> Response:
+        """200 from the first samples of any drive on; 503 before, with what each drive waits for."""
+        ready, document = documents.ready_document(self._daemon)
+        if ready:
+            return _json(document)
+        waiting = "; ".join(f"{name}: {d['reason']}" for name, d in document["drives"].items())
+        raise ProblemError(503, "not_ready", f"No drive has delivered samples yet: {waiting}.", **document)
+
+    async def drives(self) -> Response:
+        """The configured drives."""
+        return _json({"drives": [documents.drive_summary(d) for d in self._daemon.drives.values()]})
+
+    async def drive(self, drive: DriveName) -> Response:
+        """One drive in full; a simulated one with the true values of its motor."""
+        return _json(documents.drive_document(self._drive(drive)))
+
+    async def estimates(self, drive: DriveName) -> Response:
+        """The estimates now. Before the first samples: nominal values or null, status `estimating`."""
+        snapshot = self._drive(drive).snapshot()
+        return Response(self._encoders[drive](snapshot), headers=_NO_STORE, media_type="application/json")
+
+    async def history(
+        self,
+        drive: DriveName,
+        parameter: SeriesName,
+        start: TimeText = None,
+        end: TimeText = None,
+        points: Points = DEFAULT_POINTS,
+    ) -> Response:
+        """One parameter or state channel over the last minutes."""
+        view = self._drive(drive)
+        now = time.time()
+        limits = {"start": _limit("start", start, now), "end": _limit("end", end, now)}
+        if limits["start"] is not None and limits["end"] is not None and limits["start"] > limits["end"]:
+            raise parameter_problem("start", "must not be after 'end'")
+        try:
+            series = view.history.query(parameter, limits["start"], limits["end"], points)
+        except KeyError:
+            known = list(view.history.names())
+            names = ", ".join(known) or "none yet"
+            detail = f"{parameter!r} has no history; known are {names}"
+            raise parameter_problem("parameter", detail, known) from None
+        return _json(documents.history_document(view, series))
+
+    async def events(self, drive: DriveName) -> Response:
+        """What happened to this drive lately."""
+        return _json({"events": [documents.event_document(e) for e in self._drive(drive).events()]})
+
+    async def stream(self, drive: DriveName) -> Response:
+        """The estimates document as server-sent events (`event: estimates`), each new one, at most ten a second.
+
+        The event's id is the document's `time`: after a lost connection, `/history?start=<id>` has what was missed.
+        """
+        view = self._drive(drive)
+        if self._slots.full:
+            detail = f"{self._slots.limit} streams are open already."
+            raise ProblemError(503, "too_many_streams", detail, {"Retry-After": "5"})
+        events = estimates_stream(view.snapshot, self._encoders[drive], self._daemon.stopping, self._slots)
+        return StreamingResponse(events, headers=_STREAM_HEADERS, media_type="text/event-stream")
+
+    async def reset(self, drive: DriveName) -> Response:
+        """Forget what was learned of this drive and start from the nominal values. Answers before it is done."""
+        self._drive(drive).request_reset()
+        return _json({"drive": drive, "accepted": True}, 202)
+
+
+def _limit(name: str, text: str | None, now_s: float) -> float | None:
+    if text is None:
+        return None
+    try:
+        return parse_time(text, now_s)
+    except ValueError as error:
+        raise parameter_problem(name, str(error)) from error
+
+
+_STREAM_DOC: Final[Responses] = {
+    200: {
+        "description": "Endless; `data` is the estimates document.",
+        "content": {
+            "text/event-stream": {
+                "example": 'id: 2026-11-21T12:45:21.103Z\nevent: estimates\ndata: {"drive":"axis1", ...}\n\n'
+            }
+        },
+    }
+}
+_METRICS_DOC: Final[Responses] = {
+    200: {
+        "description": "Prometheus text format 0.0.4.",
+        "content": {"text/plain": {"example": 'servo_daemon_resistance_ohm{drive="axis1"} 0.6391\n'}},
+    }
+}
+
+
+def api_router(daemon: DaemonView) -> APIRouter:
+    """The routes under `/api/v1`."""
+    routes = Routes(daemon)
+    router = APIRouter()
+    get = ["GET"]
+    failing: Responses = {503: {"model": schemas.HealthDocument, "description": "The daemon has a problem of its own."}}
+    not_ready: Responses = {503: _problem("No drive has delivered samples yet.")}
+    router.add_api_route(
+        "/health", routes.health, methods=get, response_model=schemas.HealthDocument, responses=failing
+    )
+    router.add_api_route("/ready", routes.ready, methods=get, response_model=schemas.ReadyDocument, responses=not_ready)
+    router.add_api_route("/drives", routes.drives, methods=get, response_model=schemas.DrivesDocument)
+    of_a_drive: tuple[tuple[str, Callable[..., Any], type[BaseModel], Responses], ...] = (
+        ("", routes.drive, schemas.DriveDocument, {}),
+        ("/estimates", routes.estimates, schemas.EstimatesDocument, {}),
+        ("/history", routes.history, schemas.HistoryDocument, _INVALID),
+        ("/events", routes.events, schemas.EventsDocument, {}),
+    )
+    for path, handler, model, responses in of_a_drive:
+        router.add_api_route(
+            f"/drives/{{drive}}{path}",
+            handler,
+            methods=get,
+            response_model=model,
+            responses={**_UNKNOWN_DRIVE, **responses},
+        )
+    _add_stream_and_reset(router, routes)
+    return router
+
+
+def _add_stream_and_reset(router: APIRouter, routes: Routes) -> None:
+    too_many: Responses = {503: _problem("Too many streams are open.")}
+    router.add_api_route(
+        "/drives/{drive}/stream",
+        routes.stream,
+        methods=["GET"],
+        response_model=None,
+        response_class=StreamingResponse,
+        responses={**_STREAM_DOC, **_UNKNOWN_DRIVE, **too_many},
+    )
+    router.add_api_route(
+        "/drives/{drive}/reset",
+        routes.reset,
+        methods=["POST"],
+        status_code=202,
+        response_model=schemas.ResetDocument,
+        responses={**_UNKNOWN_DRIVE, **_REFUSED},
+    )
+
+
+def metrics_router(daemon: DaemonView) -> APIRouter:
+    """`/metrics`, at the root where Prometheus looks for it."""
+    router = APIRouter()
+
+    @router.get("/metrics", response_class=Response, responses=_METRICS_DOC)
+    async def metrics() -> Response:
+        """Everything that is published, for Prometheus."""
+        headers = {**_NO_STORE, "Content-Type": exposition.CONTENT_TYPE}
+        return Response(render_metrics(daemon), headers=headers)
+
+    return router
