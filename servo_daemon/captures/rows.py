@@ -31,16 +31,17 @@ def read_rows_slowly(path: Path, text: TextIO, layout: Layout, header_line: int)
     rows: list[list[float]] = []
     lines: list[int] = []
     reader = csv.reader(text)
+    before = header_line  # last line of the row before
     try:
         for row in reader:
+            line, before = before + 1, header_line + reader.line_num  # a quoted cell may hold line ends
             if not row or (len(row) == 1 and not row[0].strip()):
                 continue
-            line = header_line + reader.line_num
             _check_width(path, row, layout, line)
             rows.append([_number(path, row[index], line, name) for index, name in used])
             lines.append(line)
     except csv.Error as error:
-        raise capture_error(path, f"not CSV: {error}", line=header_line + reader.line_num) from error
+        raise capture_error(path, f"not CSV, a quote without its end? ({error})", line=before + 1) from error
     table = np.array(rows, dtype=np.float64).reshape(len(rows), len(used))
     columns = {layout.columns[i][1]: table[:, k].copy() for k, (i, _) in enumerate(used)}
     _check_time(path, columns["time_s"], lines)
