@@ -149,9 +149,9 @@ class OwnDecoder:
         self._rows = np.concatenate([self._rows, words]) if before else words
         if self._open_sync is not None and len(words):
             self._tie(before, *self._open_sync)
-        sync_at = np.flatnonzero(~is_sample)
-        if not len(sync_at):
+        if len(words) == len(keys):
             return
+        sync_at = np.flatnonzero(~is_sample)
         row_after = before + np.cumsum(is_sample)[sync_at]
         for row, sync in zip(row_after.tolist(), data[sync_at], strict=True):
             low, high = sync.view("<u4").tolist()
@@ -181,9 +181,12 @@ class OwnDecoder:
         if not len(rows):
             return []
         quality = dated.quality
-        voltage = self._scaled(rows[:, _VOLTAGE], "VoltageLsb", Quality.VOLTAGE_INVALID, quality)
-        current = self._scaled(rows[:, _CURRENT], "CurrentLsb", Quality.CURRENT_INVALID, quality)
         counts_per_rev = self._counts_per_rev or self._known["CountsPerRev"]
+        voltage = _scale(rows[:, _VOLTAGE], self._known["VoltageLsb"])
+        current = _scale(rows[:, _CURRENT], self._known["CurrentLsb"])
+        if np.abs(rows[:, :_POSITION]).max() >= AT_LIMIT:
+            _judge(rows[:, _VOLTAGE], voltage, Quality.VOLTAGE_INVALID, quality)
+            _judge(rows[:, _CURRENT], current, Quality.CURRENT_INVALID, quality)
         block = SampleBlock(
             time_s=_scale(dated.time_us, 1e-6),
             sequence=dated.sequence,
@@ -193,21 +196,18 @@ class OwnDecoder:
             current_A=current,
             position_rad=_scale(dated.position, 2 * math.pi / counts_per_rev),
         )
-        restarts = np.flatnonzero(quality & int(Quality.TIME_RESTART))
-        if not len(restarts):
+        if not (quality & int(Quality.TIME_RESTART)).any():
             return [block]
-        edges = [0, *restarts.tolist(), len(rows)]
+        edges = [0, *np.flatnonzero(quality & int(Quality.TIME_RESTART)).tolist(), len(rows)]
         return [block.slice(a, b) for a, b in pairwise(edges) if a < b]
 
-    def _scaled(self, raw: I64, lsb: str, invalid: Quality, quality: U8) -> F64:
-        value = _scale(raw, self._known[lsb])
-        extreme = np.abs(raw) >= AT_LIMIT
-        if extreme.any():
-            missing = raw == NOT_MEASURED
-            value[missing] = np.nan
-            quality[missing] |= int(invalid)
-            quality[extreme & ~missing] |= int(Quality.SATURATED)
-        return value
+
+def _judge(raw: I64, value: F64, invalid: Quality, quality: U8) -> None:
+    """Mark what is not measured or at its limit, in place."""
+    missing = raw == NOT_MEASURED
+    value[missing] = np.nan
+    quality[missing] |= int(invalid)
+    quality[np.abs(raw) == AT_LIMIT] |= int(Quality.SATURATED)
 
 
 def _scale(raw: I64, factor: float) -> F64:
