@@ -71,21 +71,26 @@ FIND_PYTHON = for python in $(or $(PYTHON),python3 python3.13 python3.12 python3
 	"install one or say PYTHON=/path/to/python3" >&2; exit 1
 
 # A virtual environment that still runs is kept, whoever made it; one whose interpreter is gone is made anew.
-$(VENV)/.locked: requirements.lock requirements-dev.lock
+$(VENV)/.runtime: requirements.lock
 	@if ! $(BIN)/python -c 'import pip' 2>/dev/null; then \
 	  python=$$($(FIND_PYTHON)); echo "$(VENV): $$($$python --version), $$(command -v $$python)"; \
 	  $$python -m venv --clear $(VENV) || { echo "make: 'python3 -m venv' failed" \
 	    "(on Debian and Ubuntu it is a package of its own: apt install python3-venv)" >&2; exit 1; }; fi
-	@echo "$(VENV): installing what the locks name"
+	@echo "$(VENV): installing what requirements.lock names"
 	@$(BIN)/python $(PIP_INSTALL) -r <(sed -n '/^setuptools==/,/[^\\]$$/p' requirements.lock)
-	@$(BIN)/python $(PIP_INSTALL) -r requirements.lock -r requirements-dev.lock
+	@$(BIN)/python $(PIP_INSTALL) -r requirements.lock
 	@touch $@
 
-$(VENV)/.project: $(VENV)/.locked pyproject.toml
+$(VENV)/.development: $(VENV)/.runtime requirements-dev.lock
+	@echo "$(VENV): installing what requirements-dev.lock names"
+	@$(BIN)/python $(PIP_INSTALL) -r requirements-dev.lock
+	@touch $@
+
+$(VENV)/.project: $(VENV)/.development pyproject.toml
 	@$(BIN)/python $(PIP) install --no-deps --no-build-isolation --editable .
 	@$(BIN)/python $(PIP) check
 	@touch $@
 
-$(VENV)/.lock-tools: | $(VENV)/.locked
+$(VENV)/.lock-tools: | $(VENV)/.development
 	$(BIN)/python -m venv $@
 	$@/bin/python $(PIP) install uv==$(UV_VERSION)
