@@ -116,11 +116,13 @@ class SimulatedDriver(Driver):
         now = time.monotonic()
         if now - due_s > _LONGEST_LAG_S:
             log.info("drive %s: stood still for %.1f s, and the simulated motor with it", self.name, now - due_s)
+            block = self._deliver(drive, wanted)
             self._set_clock(now)
-            return self._deliver(drive, wanted)
-        since = (now - self._anchor_s) * per_second + self._anchor_sample
+            return block
+        # A millionth of a sample is rounding of the clock, not lateness.
+        due = math.floor((now - self._anchor_s) * per_second + 1e-6) + self._anchor_sample - self._delivered
         most = max(wanted, int(per_second * _LONGEST_BURST_S))
-        return self._deliver(drive, max(wanted, min(math.floor(since) - self._delivered, most, left)))
+        return self._deliver(drive, max(wanted, min(due, most, left)))
 
     def _samples_left(self) -> int:
         """Samples until the stream ends or fails, at least 1.
