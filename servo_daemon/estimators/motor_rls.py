@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
-from servo_daemon.estimators.base import Gaussian
 from servo_daemon.estimators.modulating import Windows, make_windows
-from servo_daemon.estimators.rls import DirectionalRls, LinearEstimate
+from servo_daemon.estimators.rls import DirectionalRls
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.samples import F64
 
@@ -28,11 +28,25 @@ _MEMORY_S = 20.0
 _OVERLAP_INFLATION = 2.0
 
 #: Effects whose torque is linear in what they add to the shaft's regression, with the parameters they give.
+_ARMATURE = ("R", "L", "K")
 _SHAFT_EFFECTS: Mapping[str, tuple[str, ...]] = {
     "coulomb_friction": ("Tc",),
     "constant_load_torque": ("TL",),
     "gravity_load": ("Tg_cos", "Tg_sin"),
 }
+
+
+@dataclass(frozen=True, slots=True)
+class RegressionEstimate:
+    """Parameters in natural units: value shape (n,), covariance shape (n, n). Values may come out impossible."""
+
+    names: tuple[str, ...]
+    value: F64
+    covariance: F64
+
+    @property
+    def std(self) -> F64:
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +97,14 @@ class MotorRls:
         self._shaft: DirectionalRls | None = None
         self._tail: Stretch | None = None
         self._next = {"armature": 0.0, "shaft": 0.0}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameters these regressions can give, if the motion shows them."""
+        gravity = {"Tg_cos": "Tg", "Tg_sin": "phi_g"}
+        shaft = [gravity.get(n, n) for n in self._shaft_names]
+        both = self._plant.drive == "voltage" and not self._known
+        return (*(_ARMATURE if both else ()), *shaft)
 
     def reset(self) -> None:
         self._armature = self._shaft = self._tail = None
@@ -162,66 +184,42 @@ class MotorRls:
             return (w.held(s.voltage) - K * speed) * (K / R)
         return None
 
-    def estimate(self) -> Gaussian | None:
-        """What the regressions say, in estimated coordinates; None before they can say anything.
-
-        Parameters whose value comes out impossible (negative resistance) are left out.
-        """
-        parts: dict[str, tuple[float, float]] = {}
+    def estimate(self) -> RegressionEstimate | None:
+        """What the regressions say, in natural units; None before they can say anything."""
         armature = self._armature.estimate() if self._armature is not None else None
-        if armature is not None:
-            parts.update(_logs(("R", "L", "K"), armature))
         shaft = self._shaft.estimate() if self._shaft is not None else None
-        if shaft is not None:
-            self._add_shaft(parts, shaft)
-        names = tuple(n for n in self._plant.parameter_names if n in parts)
-        if not names:
-            return None
-        mean = np.array([parts[n][0] for n in names])
-        return Gaussian(names, mean, np.diag([parts[n][1] * _OVERLAP_INFLATION for n in names]))
-
-    def _add_shaft(self, parts: dict[str, tuple[float, float]], shaft: LinearEstimate) -> None:
-        """Shaft coefficients; scaled by K where the regression was per unit of K."""
-        scaled = self._armature is not None
-        if scaled and "K" not in parts:
-            return
-        log_k, var_k = parts["K"] if scaled else (0.0, 0.0)
-        for name, (mean, var) in _logs(("J", "B", "Tc"), _pick(shaft, self._shaft_names, ("J", "B", "Tc"))).items():
-            parts[name] = (mean + log_k, var + var_k)
-        if "TL" in self._shaft_names:
-            k = self._shaft_names.index("TL")
-            factor = np.exp(log_k)
-            parts["TL"] = (factor * shaft.value[k], factor**2 * shaft.covariance[k, k])
-        if "Tg_cos" in self._shaft_names:
-            self._add_gravity(parts, shaft, log_k, var_k)
-
-    def _add_gravity(
-        self, parts: dict[str, tuple[float, float]], shaft: LinearEstimate, log_k: float, var_k: float
-    ) -> None:
-        """Tg sin(θ + φ) = (Tg cos φ) sin θ + (Tg sin φ) cos θ."""
-        k = self._shaft_names.index("Tg_cos")
-        c, s = shaft.value[k], shaft.value[k + 1]
-        size = float(np.hypot(c, s))
-        if size <= 0:
-            return
-        var = float(np.trace(shaft.covariance[k : k + 2, k : k + 2])) / 2 / size**2
-        parts["Tg"] = (float(np.log(size)) + log_k, var + var_k)
-        parts["phi_g"] = (float(np.arctan2(s, c)), var)
+        if armature is None and (shaft is None or self._armature is not None):
+            return None  # without K the shaft's coefficients are quotients only
+        blocks = [e for e in (armature, shaft) if e is not None]
+        value = np.concatenate([e.value for e in blocks])
+        covariance = block_diag(*[e.covariance for e in blocks]) * _OVERLAP_INFLATION
+        names = [*(_ARMATURE if armature is not None else []), *(self._shaft_names if shaft is not None else [])]
+        if armature is not None and shaft is not None:
+            value, covariance = _times_torque_constant(value, covariance)
+        if "Tg_cos" in names:
+            value, covariance = _amplitude_and_phase(value, covariance, names.index("Tg_cos"))
+            names[names.index("Tg_cos") : names.index("Tg_sin") + 1] = ["Tg", "phi_g"]
+        return RegressionEstimate(tuple(names), value, covariance)
 
 
-def _pick(estimate: LinearEstimate, have: list[str], wanted: tuple[str, ...]) -> LinearEstimate:
-    index = [have.index(n) for n in wanted if n in have]
-    return LinearEstimate(estimate.value[index], estimate.covariance[np.ix_(index, index)], estimate.residual_var)
+def _times_torque_constant(value: F64, covariance: F64) -> tuple[F64, F64]:
+    """Shaft coefficients were found per unit of K (the third value): multiply, errors included to first order."""
+    K = value[2]
+    by = np.eye(len(value))
+    by[3:, 3:] *= K
+    by[3:, 2] = value[3:]
+    return np.concatenate([value[:3], K * value[3:]]), by @ covariance @ by.T
 
 
-def _logs(names: tuple[str, ...], e: LinearEstimate) -> dict[str, tuple[float, float]]:
-    """Mean and variance of log of each coefficient that is positive (names beyond the coefficients are absent)."""
-    variances = np.diag(e.covariance)
-    return {
-        name: (float(np.log(value)), float(var / value**2))
-        for name, value, var in zip(names, e.value, variances, strict=False)
-        if value > 0 and np.isfinite(var)
-    }
+def _amplitude_and_phase(value: F64, covariance: F64, k: int) -> tuple[F64, F64]:
+    """(Tg cos φ, Tg sin φ) at k, k+1 as (Tg, φ): Tg sin(θ + φ) = (Tg cos φ) sin θ + (Tg sin φ) cos θ."""
+    c, s = value[k], value[k + 1]
+    size = max(float(np.hypot(c, s)), 1e-300)
+    by = np.eye(len(value))
+    by[k : k + 2, k : k + 2] = [[c / size, s / size], [-s / size**2, c / size**2]]
+    out = value.copy()
+    out[k], out[k + 1] = size, np.arctan2(s, c)
+    return out, by @ covariance @ by.T
 
 
 def _joined(a: Stretch, b: Stretch) -> Stretch:

@@ -19,6 +19,8 @@ from servo_daemon.samples import F64
 
 #: Information of the start, relative to the first rows: enough for a Cholesky factor, too little to pull.
 _START_INFORMATION = 1e-9
+#: A column this much smaller than the largest is zero: no units of motors differ by as much.
+_INVISIBLE = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +86,9 @@ class DirectionalRls:
         """None until there are more rows than coefficients and every direction has been seen."""
         if self.rows <= 2 * self._n or self._weight <= self._n:
             return None
-        scale = np.sqrt(np.maximum(np.diag(self._A), 1e-300))
+        scale = np.sqrt(np.diag(self._A))
+        if scale.min() < _INVISIBLE * max(scale.max(), 1e-100):  # a regressor that is (all but) zero
+            return None
         normalised = self._A / np.outer(scale, scale)
         if np.linalg.cond(normalised) > 1e10:
             return None

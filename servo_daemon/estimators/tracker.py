@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from servo_daemon.estimators import noise as noise_levels
 from servo_daemon.estimators.base import Gaussian, to_coordinate
@@ -20,7 +21,8 @@ from servo_daemon.estimators.layout import INPUT, Layout, breaks, channel, stret
 from servo_daemon.estimators.motor_rls import MotorRls
 from servo_daemon.estimators.noise import ChannelNoise, Whiteness
 from servo_daemon.estimators.signals import SignalPlan, plan_signals
-from servo_daemon.plant.parameters import Parameter
+from servo_daemon.estimators.start import starting_point, well_known
+from servo_daemon.plant.parameters import LINEAR, Parameter
 from servo_daemon.samples import F64, SampleBlock, concatenate
 
 Message = tuple[str, str, Mapping[str, float | int | str | None]]
@@ -32,12 +34,6 @@ _DRIFT_OTHER_PER_SQRT_MIN = 0.02
 
 #: The filter starts no sooner than this after the first sample, s, and waits no longer than that for the regression.
 _EARLIEST_S, _LATEST_S = 1.0, 3.0
-#: The regression may start the filter once it knows every free parameter this well (1 σ, relative).
-_GOOD_START_STD = 0.15
-#: A nominal value is a datasheet's, or a motor that has aged: 1 σ of its logarithm.
-_NOMINAL_STD = 0.7
-#: The regression's start is trusted this much less than it says: its noise is not quite white.
-_START_INFLATION = 3.0
 #: A saved state may be of yesterday's temperature and load: added 1 σ.
 _SAVED_STD = 0.03
 #: An unexcited parameter's covariance grows with its drift up to this 1 σ.
@@ -229,36 +225,19 @@ class Tracker:
         return [("filter_started", f"filter started from {source}", {})]
 
     def _best_start(self, elapsed_s: float) -> Gaussian | None:
-        """Regression where it is good, nominal values for the rest; None while there is still something to wait for."""
-        assert self.rls is not None
+        """None while there is still something to wait for."""
+        assert self.rls is not None and self.plan.plant is not None
         found = self.rls.estimate()
-        std = {} if found is None else dict(zip(found.names, found.std, strict=True))
-        mean = {} if found is None else dict(zip(found.names, found.mean, strict=True))
-        good = {n for n, s in std.items() if s * _START_INFLATION < _GOOD_START_STD * (1 if n != "TL" else 1e9)}
-        missing = [p for p in self.free if p.name not in good]
-        if missing and elapsed_s < _LATEST_S:
+        core = [p.name for p in self.free if p.transform == "log" and p.name in self.rls.names]
+        if elapsed_s < _LATEST_S and not well_known(found, core):
             return None
-        names, means, variances = [], [], []
-        for p in self.free:
-            if p.name in good:
-                names.append(p.name)
-                means.append(mean[p.name])
-                variances.append((_START_INFLATION * std[p.name]) ** 2 + 1e-4)
-            elif p.name in self.nominal or p.transform == "identity" or p.name not in ("R", "L", "K", "J", "B"):
-                names.append(p.name)
-                means.append(to_coordinate(p, self.nominal.get(p.name, p.nominal)))
-                variances.append(_NOMINAL_STD**2)
-            elif p.name in mean and std[p.name] < 1.0:
-                names.append(p.name)
-                means.append(mean[p.name])
-                variances.append((_START_INFLATION * std[p.name]) ** 2)
-            else:
-                return None
-        held = [p for p in (self.plan.plant.parameters if self.plan.plant else ()) if p.name in self.plan.held]
-        names += [p.name for p in held]
-        means += [to_coordinate(p, self.plan.held[p.name]) for p in held]
-        variances += [0.0] * len(held)
-        return Gaussian(tuple(names), np.array(means), np.diag(variances))
+        start = starting_point(self.free, found, self.nominal)
+        if start is None:
+            return None
+        held = [p for p in self.plan.plant.parameters if p.name in self.plan.held]
+        names = (*start.names, *(p.name for p in held))
+        mean = np.concatenate([start.mean, [to_coordinate(p, self.plan.held[p.name]) for p in held]])
+        return Gaussian(names, mean, block_diag(start.covariance, np.zeros((len(held), len(held)))))
 
     def _free_mask(self) -> F64:
         assert self.plan.plant is not None
@@ -337,8 +316,7 @@ class Tracker:
         self._suspicious_ticks = self._suspicious_ticks + 1 if nis > _DIVERGED_NIS else 0
         if self._suspicious_ticks >= _DIVERGED_TICKS:
             found = self.rls.estimate()
-            std = {} if found is None else dict(zip(found.names, found.std, strict=True))
-            if all(std.get(p.name, 1.0) < _GOOD_START_STD for p in self.free if p.name in ("R", "L", "K", "J", "B")):
+            if well_known(found, [p.name for p in self.free if p in LINEAR]):
                 return self._restart("its innovations do not fit while the regression does")
         return []
 

@@ -12,6 +12,7 @@ from drivers.base import DriveInfo
 from servo_daemon.config import DriveConfig
 from servo_daemon.estimators.base import Gaussian, from_coordinate
 from servo_daemon.estimators.fusion import Fused, fuse
+from servo_daemon.estimators.motor_rls import RegressionEstimate
 from servo_daemon.estimators.tracker import Resolutions, Tracker, TrackerSettings
 from servo_daemon.plant.effects import effects_by_name, parameter_table
 from servo_daemon.plant.parameters import J_D, LINEAR, Parameter
@@ -149,8 +150,18 @@ def _views(tracker: Tracker) -> dict[str, EstimatorView]:
     if tracker.ekf is not None and tracker.ekf.started:
         views["ekf"] = EstimatorView(_natural(tracker.ekf.estimate()), {"restarts": tracker.restarts})
     rls = tracker.rls.estimate() if tracker.rls is not None else None
-    views["rls"] = EstimatorView({} if rls is None else _natural(rls))
+    views["rls"] = EstimatorView({} if rls is None else _regression(rls))
     return views
+
+
+def _regression(e: RegressionEstimate) -> Mapping[str, tuple[float | None, float | None]]:
+    """Possible values only: a negative resistance says that the regression does not know yet."""
+    table = parameter_table()
+    return {
+        name: (finite_or_none(float(value)), finite_or_none(float(std)))
+        for name, value, std in zip(e.names, e.value, e.std, strict=True)
+        if table[name].lower <= value <= table[name].upper
+    }
 
 
 def _natural(g: Gaussian) -> Mapping[str, tuple[float | None, float | None]]:
