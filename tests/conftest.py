@@ -1,0 +1,54 @@
+"""What every test may need of the machine: the real captures, and parts of the system that not every machine has."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import NoReturn
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def _missing(what: str) -> NoReturn:
+    """A part of the system is not there: a skip that says so; a failure where SERVO_DAEMON_REQUIRE_SYSTEM is set."""
+    if os.environ.get("SERVO_DAEMON_REQUIRE_SYSTEM", "") not in {"", "0"}:
+        pytest.fail(f"required here (SERVO_DAEMON_REQUIRE_SYSTEM), but missing: {what}", pytrace=False)
+    pytest.skip(f"missing: {what}")
+
+
+@pytest.fixture(scope="session")
+def repo_root() -> Path:
+    """The source tree."""
+    return ROOT
+
+
+@pytest.fixture(scope="session")
+def missing() -> Callable[[str], NoReturn]:
+    """`missing("what and why")` skips the test, or fails it where .ci/run demands every part of the system."""
+    return _missing
+
+
+@pytest.fixture(scope="session")
+def program() -> Callable[..., str]:
+    """`program("chromium", "chromium-browser")` is the path of the first that is installed; see `missing`."""
+
+    def find(*names: str) -> str:
+        for name in names:
+            if (path := shutil.which(name)) is not None:
+                return path
+        _missing(" or ".join(names))
+
+    return find
+
+
+@pytest.fixture(scope="session")
+def servo_data() -> Path:
+    """The folder of real captures: SERVO_DATA, else ../shared/data beside the source tree."""
+    folder = Path(os.environ.get("SERVO_DATA") or ROOT.parent / "shared" / "data")
+    if not folder.is_dir():
+        pytest.skip(f"no real captures: {folder} is not a folder (SERVO_DATA names it)")
+    return folder

@@ -1,0 +1,135 @@
+"""What is shipped beside the code: example configuration, unit, locks, wheel; and nothing of the machine it grew on."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, get_args
+
+import pytest
+from pydantic import BaseModel
+
+from drivers.registry import make_driver
+from servo_daemon.config import Config, load_config, parse_config
+
+HASHES = re.compile(r"( \\\n    --hash=sha256:[0-9a-f]{64})+\n")
+
+
+def keys_of(model: type[BaseModel]) -> Iterator[str]:
+    """Every key of a configuration model and of the models in it."""
+    for name, field in model.model_fields.items():
+        yield name
+        for part in (field.annotation, *get_args(field.annotation)):
+            if isinstance(part, type) and issubclass(part, BaseModel):
+                yield from keys_of(part)
+
+
+def commented_drives(text: str) -> list[dict[str, Any]]:
+    """The `[[drive]]` examples in comments, as a user gets them who removes the '# ' in front of each line."""
+    blocks = re.findall(r"^# \[\[drive\]\]\n(?:#.*\n)+", text, re.MULTILINE)
+    return [tomllib.loads(re.sub(r"^# ?", "", block, flags=re.MULTILINE))["drive"][0] for block in blocks]
+
+
+@pytest.fixture(scope="module")
+def example(repo_root: Path) -> str:
+    return (repo_root / "deploy" / "example.toml").read_text(encoding="utf-8")
+
+
+def tracked_files(root: Path) -> list[Path]:
+    listing = subprocess.run(["git", "ls-files", "-z"], cwd=root, check=True, capture_output=True, text=True).stdout
+    return [path for name in listing.split("\0") if name and (path := root / name).is_file()]
+
+
+def test_the_example_is_a_configuration_whose_drive_can_be_made(repo_root: Path) -> None:
+    config = load_config(repo_root / "deploy" / "example.toml", {})
+    (drive,) = config.drive
+    assert make_driver(drive.driver, drive.name, drive.options).info.channels
+
+
+def test_the_example_mentions_every_key(example: str) -> None:
+    wanted = set(keys_of(Config))
+    assert {"api", "port", "state_dir", "skew_s", "counts_per_rev", "travel_rad", "speed_ki_V_rad"} <= wanted
+    mentioned = set(re.findall(r"^(?:# )?\[*(?:drive\.)?(\w+)(?: =|\]+)", example, re.MULTILINE))
+    assert wanted - mentioned == set()
+
+
+def test_the_examples_in_comments_hold(example: str) -> None:
+    drives = commented_drives(example)
+    assert [d["driver"] for d in drives] == ["serial", "serial", "can", "can", "replay"]
+    config = parse_config({"drive": drives})
+    for drive in config.drive:
+        if "dbc" not in drive.options:  # needs the user's file
+            make_driver(drive.driver, drive.name, drive.options)
+
+
+@pytest.mark.parametrize("name", ["requirements.lock", "requirements-dev.lock"])
+def test_every_line_of_a_lock_is_a_version_with_hashes_and_no_address(repo_root: Path, name: str) -> None:
+    text = (repo_root / name).read_text(encoding="utf-8")
+    entries = re.split(r"^(?=\S)", text, flags=re.MULTILINE)[1:]
+    assert len(entries) > 10
+    for entry in entries:
+        head, hashes = entry.split(" \\\n", 1)
+        assert re.fullmatch(r"[a-z0-9.-]+==[0-9][\w.+!]*( ; [^\\]+)?", head), head
+        assert HASHES.fullmatch(f" \\\n{hashes}"), head
+    assert "://" not in text
+    assert not re.search(r"^-", text, re.MULTILINE)
+
+
+def test_the_locks_hold_what_the_project_asks_for(repo_root: Path) -> None:
+    project = tomllib.loads((repo_root / "pyproject.toml").read_text(encoding="utf-8"))
+    for lock, asked in {
+        "requirements.lock": project["project"]["dependencies"] + project["dependency-groups"]["build"],
+        "requirements-dev.lock": project["dependency-groups"]["dev"],
+    }.items():
+        locked = set(re.findall(r"^([a-z0-9.-]+)==", (repo_root / lock).read_text(encoding="utf-8"), re.MULTILINE))
+        names = {re.split(r"[<>=~!; \[]", line, maxsplit=1)[0].lower().replace("_", "-") for line in asked}
+        assert names - locked == set(), f"`make lock` brings {lock} up to date"
+
+
+def test_no_file_names_a_registry_or_this_machine(repo_root: Path) -> None:
+    # In pieces, so that this file is not a finding itself.
+    words = ["pypi" + ".org", "python" + "hosted", "/wo" + "rk/", "/ro" + "ot/", "/opt/" + "pypi", "index" + "-url ="]
+    forbidden = re.compile("|".join(re.escape(word) for word in words))
+    found = [
+        f"{path.relative_to(repo_root)}: {match[0]}"
+        for path in tracked_files(repo_root)
+        if (match := forbidden.search(path.read_text(encoding="utf-8", errors="ignore")))
+    ]
+    assert found == []
+
+
+def test_the_wheel_holds_every_file_of_the_packages(repo_root: Path, tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    wanted = {"pyproject.toml", "LICENSE", "README.md"}
+    packaged = set()
+    for path in tracked_files(repo_root):
+        name = path.relative_to(repo_root).as_posix()
+        if name in wanted or name.split("/")[0] in {"servo_daemon", "drivers"}:
+            (source / name).parent.mkdir(parents=True, exist_ok=True)
+            (source / name).write_bytes(path.read_bytes())
+            packaged |= {name} - wanted
+    command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
+    subprocess.run([*command, "--wheel-dir", str(tmp_path), str(source)], check=True, capture_output=True)
+    (wheel,) = tmp_path.glob("servo_daemon-*.whl")
+    assert packaged - set(zipfile.ZipFile(wheel).namelist()) == set()
+
+
+@pytest.mark.system
+def test_systemd_finds_nothing_wrong_with_the_unit(
+    repo_root: Path, tmp_path: Path, program: Callable[..., str]
+) -> None:
+    analyze = program("systemd-analyze")
+    text = (repo_root / "deploy" / "servo-daemon.service").read_text(encoding="utf-8")
+    unit = tmp_path / "servo-daemon.service"
+    # The program is not installed here; what is verified is everything but its path.
+    unit.write_text(re.sub(r"^ExecStart=\S+", "ExecStart=/bin/true", text, flags=re.MULTILINE), encoding="utf-8")
+    done = subprocess.run(
+        [analyze, "verify", "--man=no", "--recursive-errors=no", str(unit)],
+        check=False, capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout + done.stderr) == (0, "")
