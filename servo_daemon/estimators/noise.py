@@ -24,6 +24,9 @@ _ADAPTATION_S = 5.0
 _INPUT_SHARE = 2e-3
 #: Unmodelled torque, 1 σ over a millisecond as a share of the rms motor torque.
 _TORQUE_SHARE = 2e-3
+#: Process noise rises per tick above these, and falls below half the correlation.
+_NIS_HIGH, _CORRELATED = 1.3, 0.15
+_RISE, _FALL, _FACTOR_MOST = 1.6, 0.97, 1e8
 
 
 def smallest_step(signal: F64) -> float:
@@ -95,6 +98,27 @@ def torque_intensity(rms_torque_Nm: float) -> float:
 
 
 @dataclass(frozen=True, slots=True)
+class ProcessNoise:
+    """Intensity of what the model does not explain, as a factor ≥ 1 on a baseline, found from the innovations.
+
+    Innovations that are larger than they should be and follow each other (positive lag-1 correlation) say that the
+    model's prediction drifts away between samples: process noise is too small (Mehra 1970). It rises within a second
+    and falls back slowly, never below the baseline. So a torque that is not in the model widens the intervals of the
+    parameters instead of bending them at full confidence; the mismatch itself is reported by the factor.
+    """
+
+    factor: float = 1.0
+
+    def after(self, correlation: float, nis: float) -> ProcessNoise:
+        """With a tick's lag-1 correlation and normalised innovation squared."""
+        if nis > _NIS_HIGH and correlation > _CORRELATED:
+            return ProcessNoise(min(self.factor * _RISE, _FACTOR_MOST))
+        if correlation < 0.5 * _CORRELATED or nis < 1.0:
+            return ProcessNoise(max(self.factor * _FALL, 1.0))
+        return self
+
+
+@dataclass(frozen=True, slots=True)
 class Whiteness:
     """Running lag-1 correlation and normalised innovation squared of one channel."""
 
@@ -105,11 +129,16 @@ class Whiteness:
         """With another tick's innovations."""
         if len(innovation) < 4:
             return self
-        normalised = innovation / np.sqrt(variance)
-        energy = float(np.mean(np.square(normalised)))
-        lagged = float(np.mean(normalised[1:] * normalised[:-1])) / max(energy, 1e-12)
+        lagged, energy = correlation_and_nis(innovation, variance)
         share = 1.0 - np.exp(-duration_s / memory_s)
         return Whiteness(self.correlation + share * (lagged - self.correlation), self.nis + share * (energy - self.nis))
+
+
+def correlation_and_nis(innovation: F64, variance: F64) -> tuple[float, float]:
+    """Lag-1 correlation and mean normalised square of a run of innovations, shape (n,) each."""
+    normalised = innovation / np.sqrt(variance)
+    energy = float(np.mean(np.square(normalised)))
+    return float(np.mean(normalised[1:] * normalised[:-1])) / max(energy, 1e-12), energy
 
 
 def levels(channels: tuple[ChannelNoise, ...], input_var: float, torque_psd: float) -> NoiseLevels:

@@ -19,7 +19,7 @@ from servo_daemon.estimators.excitation import Excitation
 from servo_daemon.estimators.fusion import Qualification
 from servo_daemon.estimators.layout import INPUT, Layout, breaks, channel, stretch_of
 from servo_daemon.estimators.motor_rls import MotorRls
-from servo_daemon.estimators.noise import ChannelNoise, Whiteness
+from servo_daemon.estimators.noise import ChannelNoise, ProcessNoise, Whiteness
 from servo_daemon.estimators.signals import SignalPlan, plan_signals
 from servo_daemon.estimators.start import starting_point, well_known
 from servo_daemon.plant.parameters import LINEAR, Parameter
@@ -40,8 +40,12 @@ _SAVED_STD = 0.03
 _IDLE_STD = 0.3
 #: Diverged: innovations this many times larger than they should be, for as many ticks, while the regression is well.
 _DIVERGED_NIS, _DIVERGED_TICKS = 6.0, 20
+#: Fewest innovations in a tick from which a correlation can be taken.
+_FEWEST_FOR_CORRELATION = 8
 #: Whiteness: leaves at the second value, returns at the first.
 _WHITE_IN, _WHITE_OUT = 0.15, 0.25
+#: White, but only because process noise was raised by this factor: not white.
+_UNEXPLAINED = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +133,7 @@ class Tracker:
         self._noise: dict[str, ChannelNoise] = {}
         self._input_square = 0.0
         self._early: list[SampleBlock] = []
+        self._process_noise: dict[str, ProcessNoise] = {}
         self._suspicious_ticks = 0
         self._innovations: list[Innovations] = []
         self._rows: list[F64] = []
@@ -253,10 +258,19 @@ class Tracker:
         self.ekf.set_noise(
             noise_levels.levels(
                 tuple(self._noise[c] for c in self.plan.measured),
-                noise_levels.input_variance(rms, lsb),
-                noise_levels.torque_intensity(torque),
+                noise_levels.input_variance(rms, lsb) * self.process_noise("current_A").factor,
+                noise_levels.torque_intensity(torque) * self.process_noise(self._motion).factor,
             )
         )
+
+    @property
+    def _motion(self) -> str:
+        """The channel that shows torques: position or speed, always the last measured."""
+        return self.plan.measured[-1]
+
+    def process_noise(self, name: str) -> ProcessNoise:
+        """What this channel's innovations say about the noise behind it."""
+        return self._process_noise.get(name, ProcessNoise())
 
     def _torque_scale(self) -> float:
         """Typical motor torque, N·m: K V/R at the rms voltage is the most there can be at standstill."""
@@ -287,6 +301,9 @@ class Tracker:
             if len(nu) == 0:
                 continue
             worst = max(worst, float(np.mean(np.square(nu) / s)))
+            if len(nu) >= _FEWEST_FOR_CORRELATION:
+                correlation, nis = noise_levels.correlation_and_nis(nu, s)
+                self._process_noise[name] = self.process_noise(name).after(correlation, nis)
             self.whiteness[name] = self.whiteness.get(name, Whiteness()).after(nu, s, duration_s)
             self._noise[name] = noise_levels.adapted(self._noise[name], nu, s, duration_s)
         self.gated += int(innovations.gated.sum())
@@ -307,7 +324,9 @@ class Tracker:
         self.ekf.set_active(active, walking)
         if self.whiteness:
             worst = max(abs(w.correlation) for w in self.whiteness.values())
-            self.white = bool(worst < (_WHITE_OUT if self.white else _WHITE_IN))
+            unexplained = max((n.factor for n in self._process_noise.values()), default=1.0)
+            out, limit = (_WHITE_OUT, 2 * _UNEXPLAINED) if self.white else (_WHITE_IN, _UNEXPLAINED)
+            self.white = bool(worst < out and unexplained < limit)
 
     def _judge_soundness(self, nis: float) -> list[Message]:
         assert self.ekf is not None and self.rls is not None
@@ -329,6 +348,7 @@ class Tracker:
         self._early, self._rows, self._innovations = [], [], []
         self.qualification.qualified[:] = False
         self.excitation.reset()
+        self._process_noise.clear()
         self.restarts += 1
         return [("filter_restarted", f"filter restarted: {why}", {"restarts": self.restarts})]
 
