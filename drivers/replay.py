@@ -65,6 +65,17 @@ def _checked(drive: str, options: dict[str, Any]) -> _Options:
     return _Options(Path(path), float(speed), loop, block_samples)
 
 
+def _block_length(options: _Options, sample_period_s: float) -> int:
+    """Samples delivered together."""
+    if options.block_samples is not None:
+        wanted: float = options.block_samples
+    elif options.speed > 0:
+        wanted = _BLOCK_S * options.speed / sample_period_s
+    else:
+        wanted = _BLOCK_MAX
+    return round(min(max(wanted, 1), _BLOCK_MAX))
+
+
 class _Playback:
     """One attachment: the capture, its schedule on the host clock, and how far it has been delivered.
 
@@ -77,10 +88,7 @@ class _Playback:
         self._whole = capture.block()
         self._speed = options.speed
         self._loop = options.loop
-        per_block = options.block_samples
-        if per_block is None and options.speed > 0:
-            per_block = round(_BLOCK_S * options.speed / capture.sample_period_s)
-        self._per_block = min(max(per_block or _BLOCK_MAX, 1), _BLOCK_MAX)
+        self._per_block = _block_length(options, capture.sample_period_s)
         self._lap_s = capture.duration_s + capture.sample_period_s
         self._start_s = time.monotonic()
         self._lap = 0

@@ -66,8 +66,7 @@ class EstimatesWriter:
 
     def _row(self, estimate: Estimate) -> list[str]:
         fused = {p.name: (p.value, p.std, p.status) for p in estimate.parameters}
-        if unknown := (set(fused) - set(self._parameters)) | (set(estimate.estimators) - set(self._estimators)):
-            raise ValueError(f"no columns for {', '.join(sorted(unknown))}")
+        self._check_known(estimate)
         row = [repr(float(estimate.time_s))]
         for name in self._parameters:
             value, std, status = fused.get(name, (None, None, ""))
@@ -75,6 +74,15 @@ class EstimatesWriter:
         for estimator in self._estimators:
             row += self._view_cells(estimate.estimators.get(estimator))
         return row
+
+    def _check_known(self, estimate: Estimate) -> None:
+        known = set(self._parameters)
+        unknown = {p.name for p in estimate.parameters} - known
+        unknown |= set(estimate.estimators) - set(self._estimators)
+        for name, view in estimate.estimators.items():
+            unknown |= {f"{name}_{p}" for p in set(view.parameters) - known}
+        if unknown:
+            raise ValueError(f"no columns for {', '.join(sorted(unknown))}")
 
     def _view_cells(self, view: EstimatorView | None) -> list[str]:
         cells: list[str] = []

@@ -111,3 +111,8 @@ class ParquetSink:
         """Write what is held back and the file's footer; the file itself stays open."""
         self._write_group()
         self._writer.close()
+
+    def abandon(self) -> None:
+        """Nothing more will be written: else ParquetWriter writes its footer when it is collected, into a file that
+        is closed by then."""
+        self._writer.is_open = False

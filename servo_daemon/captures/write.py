@@ -37,6 +37,8 @@ class _Sink(Protocol):
 
     def finish(self) -> None: ...
 
+    def abandon(self) -> None: ...
+
 
 class CaptureWriter:
     """A capture written block by block; the file gets its name on `close`, so nobody ever sees half of it.
@@ -44,7 +46,7 @@ class CaptureWriter:
     As a context manager it closes, and so keeps, what was recorded, whatever exception ends the block. Python raises
     a signal's exception (KeyboardInterrupt, SIGTERM turned into SystemExit) between any two steps of the main thread,
     which would tear a row or a gzip stream in two: a thread of the writer's own does the writing. If writing itself
-    fails (disk full), the file does not get its name, and the error says where the partial file is. Without a single
+    fails (disk full), the file does not get its name, and the error says where the partial CSV is. Without a single
     sample no file appears.
 
     Args:
@@ -71,6 +73,7 @@ class CaptureWriter:
             from servo_daemon.captures.parquet import require_pyarrow
 
             require_pyarrow(self.path)
+        self._keep_partial = not self._parquet  # which nobody can read without its footer
         self._output = AtomicFile(self.path)
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="capture-writer")
         self._sink: _Sink | None = None
@@ -120,7 +123,7 @@ class CaptureWriter:
         """Close without leaving anything."""
         if not self._closed:
             self._closed = True
-            discarded = self._worker.submit(self._output.discard)
+            discarded = self._worker.submit(self._abandon)
             self._worker.shutdown(wait=False)
             discarded.result()
 
@@ -172,13 +175,19 @@ class CaptureWriter:
         finally:
             self._output.discard()
 
+    def _abandon(self, *, keep_partial: bool = False) -> None:
+        if self._sink is not None:
+            self._sink.abandon()
+        self._output.discard(keep_partial=keep_partial)
+
     def _failure(self, error: OSError | ServoDaemonError) -> ServoDaemonError:
         self._closed = True
         self._worker.shutdown(wait=False)
-        self._output.discard(keep_partial=self.samples > 0)
+        keep = self._keep_partial and self.samples > 0 and self._output.partial != self.path
+        self._abandon(keep_partial=keep)
         if isinstance(error, OSError):
             error = self._output.failure(error)
-        kept = f"; what was written until then is in {self._output.partial}" if self.samples else ""
+        kept = f"; what was written until then is in {self._output.partial}" if keep else ""
         return ServoDaemonError(f"{error}{kept}")
 
     def __enter__(self) -> CaptureWriter:
@@ -203,6 +212,9 @@ class _CsvSink:
     def finish(self) -> None:
         """Nothing is held back."""
 
+    def abandon(self) -> None:
+        """Nothing to release."""
+
 
 def _format_rows(columns: Sequence[F64]) -> Iterator[bytes]:
     """CSV rows in the shortest decimals that read back as the same double (Python's repr; `%.17g` is longer and no
@@ -224,6 +236,7 @@ def write_capture(
         BadInputError, ServoDaemonError: as `CaptureWriter`.
     """
     writer = CaptureWriter(path, metadata=metadata, axis=axis)
+    writer._keep_partial = False
     try:
         writer.write(block)
         if writer.samples_dropped:

@@ -211,7 +211,7 @@ from servo_daemon.captures import CaptureWriter, write_capture
 from servo_daemon.errors import ServoDaemonError
 from servo_daemon.samples import make_block
 
-resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
 path, streaming = Path(sys.argv[1]), sys.argv[2] == "stream"
 rng = np.random.default_rng(0)
 
@@ -225,7 +225,7 @@ try:
             for start in range(0, 100_000, 1000):
                 writer.write(block(start))
     else:
-        k = np.arange(9999.0)
+        k = np.arange(float(sys.argv[3]))
         write_capture(path, make_block(k, current_A=np.sin(k), position_rad=np.cos(k)))
 except ServoDaemonError as error:
     print(type(error).__name__, error)
@@ -233,12 +233,16 @@ except ServoDaemonError as error:
 
 
 @pytest.mark.parametrize("name", TEXT_NAMES)
-@pytest.mark.parametrize("way", ["stream", "once"])
-def test_a_full_disk_is_one_clear_line_and_no_half_file(tmp_path: Path, name: str, way: str) -> None:
-    """A real refusal of the kernel: files of this process may not grow past 100 kB."""
+@pytest.mark.parametrize(("way", "rows"), [("stream", "0"), ("once", "3000"), ("once", "80000")])
+def test_a_full_disk_is_one_clear_line_and_no_half_file(tmp_path: Path, name: str, way: str, rows: str) -> None:
+    """A real refusal of the kernel: files of this process may not grow past 50 kB."""
     path = tmp_path / name
     done = subprocess.run(
-        [sys.executable, "-c", _FULL_DISK, str(path), way], capture_output=True, text=True, timeout=60, check=True
+        [sys.executable, "-c", _FULL_DISK, str(path), way, rows],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
     )
     assert done.stdout.startswith(f"ServoDaemonError {path}: writing failed: File too large")
     assert done.stdout.count("\n") == 1
