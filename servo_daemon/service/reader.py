@@ -11,17 +11,16 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from drivers.base import Driver
 from servo_daemon.errors import (
     DriverConfigError,
     DriverDisconnectedError,
-    DriverError,
     DriverUnavailableError,
     EndOfStreamError,
 )
-from servo_daemon.samples import SampleBlock
+from servo_daemon.samples import Quality, SampleBlock
 from servo_daemon.service.snapshot import Connection
 
 log = logging.getLogger(__name__)
@@ -47,20 +46,31 @@ class BlockQueue:
         self.dropped = 0
 
     def put(self, block: SampleBlock) -> None:
+        """Append a block; where that is too much the oldest are dropped, counted, and the hole is flagged."""
         with self._lock:
             self._blocks.append(block)
             self.samples += len(block)
+            if self.samples <= self._capacity:
+                return
             while self.samples > self._capacity and len(self._blocks) > 1:
                 oldest = self._blocks.popleft()
                 self.samples -= len(oldest)
                 self.dropped += len(oldest)
+            self._blocks[0] = _after_a_gap(self._blocks[0])
 
     def take_all(self) -> list[SampleBlock]:
+        """Everything that waits, oldest first."""
         with self._lock:
             blocks = list(self._blocks)
             self._blocks.clear()
             self.samples = 0
         return blocks
+
+
+def _after_a_gap(block: SampleBlock) -> SampleBlock:
+    quality = block.quality.copy()
+    quality[0] |= Quality.GAP_BEFORE
+    return replace(block, quality=quality)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,15 +98,23 @@ class Reader:
         self.last_sample: float | None = None  # host monotonic, s
         self._wake, self._report = wake, report
         self._stop = threading.Event()
+        self._was_open = False  # ever
+        self._brought = False  # samples came in this attempt
+        self._barren = False  # the last attachment brought none (yet)
+        self._said_up = self._complained = False
         self._link = Link("connecting", "not opened yet", time.monotonic())
         self._thread = threading.Thread(target=self._run, name=f"reader-{driver.name}", daemon=True)
 
     def start(self) -> None:
         self._thread.start()
 
+    def request_stop(self) -> None:
+        """Ask the thread to end without waiting for it."""
+        self._stop.set()
+
     def stop(self, timeout_s: float = 1.0) -> None:
         """Ask the thread to end and wait for it at most this long; idempotent."""
-        self._stop.set()
+        self.request_stop()
         if self._thread.is_alive():
             self._thread.join(timeout_s)
         if self._thread.is_alive():
@@ -120,55 +138,81 @@ class Reader:
         return link
 
     def _run(self) -> None:
-        pause, was_up, complained = _BACKOFF_FIRST_S, False, False
+        pause = _BACKOFF_FIRST_S
         try:
             while not self._stop.is_set():
-                error = self._serve(was_up)
-                if self._link.connection in ("connected", "ended"):
-                    was_up, complained, pause = True, False, _BACKOFF_FIRST_S
+                self._brought = False
+                error = self._serve()
+                if self._brought:
+                    pause = _BACKOFF_FIRST_S
                 if error is None:
                     return
-                if not complained:
-                    complained = True
-                    self._report("disconnected" if was_up else "unavailable", str(error))
-                self._set("down" if was_up else "connecting", f"{error}; next attempt in {pause:.2g} s")
+                self._complain(error)
+                self._set(
+                    "down" if self._was_open else "connecting", f"{self._text(error)}; next attempt in {pause:.2g} s"
+                )
                 self._stop.wait(pause)
                 pause = min(2 * pause, _BACKOFF_LONGEST_S)
         finally:
             self.driver.close()
 
-    def _serve(self, reconnecting: bool) -> Exception | None:
+    def _serve(self) -> Exception | None:
         """Open and read until something happens. Returns why to try again, or None to end the thread."""
         try:
             self.driver.open()
-            self._set("connected", None)
-            if reconnecting:
-                self.reconnects += 1
-                self._report("connected", "device is back")
-            else:
-                self._report("connected", "device opened")
+            self._opened()
             while not self._stop.is_set():
                 block = self.driver.read(READ_TIMEOUT_S)
                 if block is not None:
-                    self.last_sample = time.monotonic()
-                    self.queue.put(block)
-                    self._wake()
+                    self._take(block)
         except EndOfStreamError as end:
-            self._set("ended", str(end))
-            self._report("ended", str(end))
+            self._set("ended", self._text(end))
+            self._report("ended", self._text(end))
             return None
         except (DriverUnavailableError, DriverDisconnectedError) as error:
             self.driver.close()
             return error
         except DriverConfigError as error:
-            self._set("down", str(error))
-            self._report("misconfigured", str(error))
+            self._set("down", self._text(error))
+            self._report("misconfigured", self._text(error))
             return None
-        except (DriverError, Exception) as error:  # a driver's bug must not end the drive's life
-            log.exception("drive %s: driver failed", self.driver.name)
+        except Exception as error:  # a driver's bug must not end the drive's life
+            if self._brought or not self._complained:
+                log.exception("drive %s: driver failed", self.driver.name)
             self.driver.close()
             return error
         return None
+
+    def _opened(self) -> None:
+        self._set("connected", None)
+        self.reconnects += self._was_open
+        # A device that opens and fails again and again without a sample is not back: its first sample says so.
+        if not self._barren:
+            self._say_up()
+        self._was_open = self._barren = True
+
+    def _take(self, block: SampleBlock) -> None:
+        self.last_sample = time.monotonic()
+        self.queue.put(block)
+        self._brought, self._barren = True, False
+        if not self._said_up:
+            self._say_up()
+        self._wake()
+
+    def _say_up(self) -> None:
+        self._said_up, self._complained = True, False
+        self._report("connected", "device is back" if self._was_open else "device opened")
+
+    def _complain(self, error: Exception) -> None:
+        """Once for each time that the line goes down."""
+        if self._complained:
+            return
+        self._complained, self._said_up = True, False
+        self._report("disconnected" if self._was_open else "unavailable", self._text(error))
+
+    def _text(self, error: Exception) -> str:
+        """In words, without the drive's name: whoever shows it names the drive."""
+        return (str(error) or type(error).__name__).removeprefix(f"drive {self.driver.name}: ")
 
     def _set(self, connection: Connection, reason: str | None) -> None:
         self._link = Link(connection, reason, time.monotonic())
