@@ -86,6 +86,10 @@ class _Last:
         return CLOCK_DRIFT * max(0.0, host_s - self.host_s)
 
 
+_EMPTY: I64 = np.empty(0, np.int64)
+_NOTHING = Dated(_EMPTY, _EMPTY, _EMPTY, _EMPTY, np.empty(0, np.uint8))
+
+
 class Timeline:
     """The place of one drive's samples in time. Counts losses, repetitions and restarts in `counters`."""
 
@@ -111,34 +115,35 @@ class Timeline:
             host_s: monotonic host clock at their arrival.
             period_s: nominal sample period.
         """
-        keep = self._fresh(time16, doubt)
+        keep = self._fresh(time16, anchors, doubt)
         if len(keep) < len(time16):
             self._counters.samples_repeated += len(time16) - len(keep)
+            anchors = _kept(anchors, keep, time16)
             time16, position16 = time16[keep], position16[keep]
-            anchors = [
-                Anchor(int(np.searchsorted(keep, a.row)), a.time_us, a.count, a.position)
-                for a in anchors
-                if a.row in keep
-            ]
-            if not len(keep):
-                empty = np.empty(0, np.int64)
-                return Dated(keep, empty, empty, empty, np.empty(0, np.uint8))
+        if not len(keep) or (self._last is None and not anchors):
+            return _NOTHING
         return self._place(keep, time16, position16, anchors, doubt, host_s, period_s)
 
-    def _fresh(self, time16: I64, doubt: bool) -> I64:
-        """Rows that are no repetition of an earlier sample. Loops only where there is one."""
-        last16 = self._last.time_us % _16 if self._last is not None else int(time16[0]) - 1
-        step = differences(time16, last16) & 0xFFFF
+    def _fresh(self, time16: I64, anchors: Sequence[Anchor], doubt: bool) -> I64:
+        """Rows that are no repetition of an earlier sample. Loops only where there seems to be one."""
+        last_us = self._last.time_us if self._last is not None else int(time16[0]) - 1
+        step = differences(time16, last_us) & 0xFFFF
         if doubt and step[0]:
             step[0] = 1  # how far a gap led is not to be judged modulo 2^16
         if step.min() > 0 and step.max() <= STALE_US:
             return np.arange(len(time16))
+        whole_us = {a.row: a.time_us for a in anchors}
+        known = self._last is not None
         kept = []
         for row, now in enumerate(time16.tolist()):
-            ahead = (now - last16) % _16
-            if 0 < ahead <= STALE_US or (ahead and doubt and row == 0):
+            ahead = (now - last_us) % _16
+            fresh = 0 < ahead <= STALE_US or (ahead > 0 and doubt and row == 0)
+            if row in whole_us and known:  # a device that restarted is not behind, whatever the low 16 bits say
+                fresh = not STALE_US - _16 <= signed(whole_us[row] - last_us, 32) <= 0
+            if fresh:
                 kept.append(row)
-                last16 = now
+                known |= row in whole_us
+                last_us = whole_us.get(row, last_us + ahead)
         return np.array(kept, np.int64)
 
     def _place(
@@ -179,12 +184,13 @@ class Timeline:
         attaching = self._last is None
         latest_us = (host_s - last.lag_s + last.drift_s(host_s) + FUTURE_SLACK_S) * 1e6
         for k, anchor in enumerate(anchors):
-            place = 0 if doubt and k == 0 else anchor.row
             new = attaching and k == 0
             predicted_us = last.time_us + int(step_us[: anchor.row + 1].sum())
             ahead_us = (anchor.time_us - predicted_us) % _32
             too_late = not attaching and predicted_us + ahead_us > latest_us
             restart = not new and ahead_us > 0 and (too_late or ahead_us > _32 // 2)
+            # A device that starts sends a Sync first, so what came before a restart is not of its new time.
+            place = 0 if doubt and k == 0 and not restart else anchor.row
             if ahead_us or new:
                 step_us[place] += anchor.time_us - predicted_us if restart or new else ahead_us
                 quality[place] |= 0 if new else _RESTART if restart else _GAP
@@ -208,7 +214,7 @@ class Timeline:
             steps[0] = 0
         offset = last.count_offset
         for k, anchor in enumerate(anchors):
-            place = 0 if doubt and k == 0 else anchor.row
+            place = 0 if doubt and k == 0 and not restarts[anchor.row] else anchor.row
             off = signed(anchor.count + offset - last.sequence - int(steps[: anchor.row + 1].sum()), 16)
             if not off:
                 continue
@@ -228,3 +234,13 @@ class Timeline:
             self._counters.samples_lost += int((steps[missing] - 1).sum())
         self._counters.device_restarts += int(np.count_nonzero(restarts))
         return last.sequence + steps.cumsum()
+
+
+def _kept(anchors: Sequence[Anchor], keep: I64, time16: I64) -> list[Anchor]:
+    """The anchors by the rows that are left; that of a repeated sample goes to the sample it repeats."""
+    moved = []
+    for anchor in anchors:
+        row = int(np.searchsorted(keep, anchor.row, side="right")) - 1
+        if row >= 0 and time16[keep[row]] == time16[anchor.row]:
+            moved.append(Anchor(row, anchor.time_us, anchor.count, anchor.position))
+    return moved
