@@ -128,7 +128,7 @@ def serial_rig(
     rig = Rig(link, counters, stop, threading.Thread(target=run, daemon=True))
     rig.thread.start()
     try:
-        wait_for(lambda: link.is_symlink() or bool(errors), f"{link} appears")
+        wait_for(lambda: link.exists() or bool(errors), f"{link} appears")
         yield rig
     finally:
         rig.halt()

@@ -33,7 +33,7 @@ class TestBinary(_Serial):
 
     @pytest.fixture
     def options(self, tmp_path: Path) -> Iterator[dict[str, Any]]:
-        with serial_rig(tmp_path / "drive") as rig:
+        with serial_rig(tmp_path / "drive", realtime=False) as rig:
             yield {"port": str(rig.link)}
 
     @pytest.fixture
