@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from enum import IntFlag
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,10 +86,12 @@ class SampleBlock:
 
     def slice(self, start: int, stop: int) -> SampleBlock:
         """Samples start..stop-1 as a block of their own (views, no copy)."""
-        cut: dict[str, Any] = {
-            f.name: array[start:stop] for f in fields(self) if isinstance(array := getattr(self, f.name), np.ndarray)
-        }
-        return replace(self, **cut)
+        if start == 0 and stop >= len(self):
+            return self
+        cut = [None if (a := getattr(self, name)) is None else a[start:stop] for name in CHANNELS]
+        return SampleBlock(
+            self.time_s[start:stop], self.sequence[start:stop], self.quality[start:stop], self.host_time_s, *cut
+        )
 
 
 def make_block(

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.estimators import excitation
-from servo_daemon.estimators.base import Gaussian, from_coordinate
+from servo_daemon.estimators.base import from_coordinate
 from servo_daemon.plant.parameters import Parameter
 from servo_daemon.samples import F64
 
@@ -47,8 +47,8 @@ class Qualification:
 
 def fuse(
     parameter: Parameter,
-    index: int,
-    estimate: Gaussian,
+    coordinate: float,
+    coordinate_std: float,
     excited: bool,
     qualified: bool,
     nominal: float | None,
@@ -57,12 +57,11 @@ def fuse(
     """One free parameter.
 
     Args:
-        index: its place in `estimate`.
+        coordinate, coordinate_std: the estimate, in the estimated coordinate.
         nominal: published while the estimate is not qualified.
         floor_std: 1 σ in the parameter's unit that no amount of data removes (sampling skew for L).
     """
-    coordinate = float(estimate.mean[index])
-    value, std = from_coordinate(parameter, coordinate, float(estimate.std[index]))
+    value, std = from_coordinate(parameter, coordinate, coordinate_std)
     std = float(np.hypot(std, floor_std))
     if not np.isfinite(value) or not np.isfinite(std):
         return Fused(nominal, None, "invalid", "the filter's estimate is not a number: it is being restarted")

@@ -25,6 +25,9 @@ INPUT: dict[Drive, str] = {"voltage": "voltage_V", "current": "current_A", "torq
 
 def breaks(block: SampleBlock, last_s: float | None) -> list[int]:
     """Indices of samples before which the plant's state is lost: restarts and long gaps."""
+    first = last_s is None or float(block.time_s[0]) - last_s <= LONG_GAP_S
+    if first and float(block.time_s[-1] - block.time_s[0]) <= LONG_GAP_S and not block.quality.any():
+        return []  # the usual case, without looking closer
     previous = np.concatenate([[block.time_s[0] if last_s is None else last_s], block.time_s[:-1]])
     lost = (block.time_s - previous > LONG_GAP_S) | ((block.quality & Quality.TIME_RESTART) != 0)
     return [int(k) for k in np.flatnonzero(lost)]
@@ -33,7 +36,11 @@ def breaks(block: SampleBlock, last_s: float | None) -> list[int]:
 def channel(block: SampleBlock, name: str) -> tuple[F64, F64]:
     """Values (0 where they are no measurement) and validity (1 or 0) of a channel."""
     values: F64 = getattr(block, name)
-    valid = np.isfinite(values) & ((block.quality & _INVALID_BIT[name]) == 0)
+    valid = np.isfinite(values)
+    if block.quality.any():
+        valid &= (block.quality & _INVALID_BIT[name]) == 0
+    if valid.all():
+        return values, np.ones(len(values))
     return np.where(valid, values, 0.0), valid.astype(np.float64)
 
 

@@ -96,6 +96,8 @@ class MotorRls:
         self._armature: DirectionalRls | None = None
         self._shaft: DirectionalRls | None = None
         self._tail: Stretch | None = None
+        self._estimate: RegressionEstimate | None = None
+        self._stale = False
         self._next = {"armature": 0.0, "shaft": 0.0}
 
     @property
@@ -108,10 +110,12 @@ class MotorRls:
 
     def reset(self) -> None:
         self._armature = self._shaft = self._tail = None
+        self._estimate, self._stale = None, False
         self._next = {"armature": 0.0, "shaft": 0.0}
 
     def update(self, new: Stretch) -> None:
         """Take the samples of one tick; windows reach back into earlier ones."""
+        self._stale = True
         stretch = new if self._tail is None else _joined(self._tail, new)
         if len(stretch.time_s) >= _FEWEST_SAMPLES:
             period = float(np.median(np.diff(stretch.time_s)))
@@ -185,7 +189,13 @@ class MotorRls:
         return None
 
     def estimate(self) -> RegressionEstimate | None:
-        """What the regressions say, in natural units; None before they can say anything."""
+        """What the regressions say, in natural units; None before they can say anything. Asked for far more often
+        than it changes: computed once per update."""
+        if self._stale:
+            self._estimate, self._stale = self._compute(), False
+        return self._estimate
+
+    def _compute(self) -> RegressionEstimate | None:
         armature = self._armature.estimate() if self._armature is not None else None
         shaft = self._shaft.estimate() if self._shaft is not None else None
         if armature is None and (shaft is None or self._armature is not None):

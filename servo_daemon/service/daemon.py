@@ -1,6 +1,6 @@
 """The daemon: one worker thread over all drives, reader threads, a saver, and what systemd wants to hear.
 
-The worker turns about 60 times a second and takes whatever has queued up for each drive in one go: the cost of a turn
+The worker turns about 40 times a second and takes whatever has queued up for each drive in one go: the cost of a turn
 is shared by its samples, and a sample is in the API at the latest one turn after it arrived.
 """
 
@@ -22,7 +22,7 @@ from servo_daemon.service.publish import SavedState
 log = logging.getLogger(__name__)
 
 #: Least time between two turns of the worker, s.
-TURN_S = 0.016
+TURN_S = 0.025
 #: READY is told to systemd after the first fresh samples, or this long after the start, s.
 START_TIMEOUT_S = 10.0
 #: The watchdog is not fed while more than this many samples wait: the pipeline does not keep up.
@@ -88,6 +88,8 @@ class Daemon:
             self._notifier.stopping()
             self._stop.set()
             self._wake.set()
+            for runtime in self._runtimes.values():
+                runtime.reader.request_stop()
 
     def stop(self, timeout_s: float = 1.5) -> None:
         """End readers, worker and saver; what was learned is saved once more. Idempotent."""

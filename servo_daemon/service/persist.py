@@ -67,9 +67,9 @@ class StateFile:
         return None
 
     def save(self, identity: str, state: SavedState) -> bool:
-        """Replace the file atomically. False (and one log line) if it cannot be written."""
+        """Replace the file atomically. False (and one log line) if it cannot be written; True where none is kept."""
         if self._path is None:
-            return False
+            return True
         document = {
             "schema": SCHEMA_VERSION,
             "identity": identity,

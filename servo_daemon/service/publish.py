@@ -67,7 +67,9 @@ def published_names(config: DriveConfig) -> tuple[str, ...]:
 
 def estimate(config: DriveConfig, tracker: Tracker, samples: int) -> Estimate:
     """The published record of this moment."""
-    parameters = _parameters(config, tracker)
+    running = tracker.ekf is not None and tracker.ekf.started
+    gaussian = tracker.ekf.estimate() if tracker.ekf is not None and running else None
+    parameters = _parameters(config, tracker, gaussian)
     assert tracker.last_s is not None
     period = tracker.sample_period_s
     return Estimate(
@@ -77,13 +79,13 @@ def estimate(config: DriveConfig, tracker: Tracker, samples: int) -> Estimate:
         model=config.model,
         parameters=parameters,
         state=_state(tracker),
-        estimators=_views(tracker),
+        estimators=_views(tracker, gaussian),
         health=_health(tracker),
     )
 
 
-def _parameters(config: DriveConfig, tracker: Tracker) -> tuple[ParameterEstimate, ...]:
-    fused = _fused(config, tracker)
+def _parameters(config: DriveConfig, tracker: Tracker, g: Gaussian | None) -> tuple[ParameterEstimate, ...]:
+    fused = _fused(config, tracker, g)
     out = []
     for p in published_parameters(config):
         f = fused[p.name]
@@ -98,10 +100,9 @@ def _parameters(config: DriveConfig, tracker: Tracker) -> tuple[ParameterEstimat
     return tuple(out)
 
 
-def _fused(config: DriveConfig, tracker: Tracker) -> dict[str, Fused]:
+def _fused(config: DriveConfig, tracker: Tracker, gaussian: Gaussian | None) -> dict[str, Fused]:
     out: dict[str, Fused] = {}
-    running = tracker.ekf is not None and tracker.ekf.started
-    gaussian = tracker.ekf.estimate() if tracker.ekf is not None and running else None
+    std = np.empty(0) if gaussian is None else gaussian.std
     for p in published_parameters(config):
         nominal = config.nominal.get(p.name)
         if p.name not in tracker.plan.free:
@@ -114,8 +115,8 @@ def _fused(config: DriveConfig, tracker: Tracker) -> dict[str, Fused]:
             floor = _skew_floor(config, gaussian) if p.name == "L" else 0.0
             out[p.name] = fuse(
                 p,
-                k,
-                gaussian,
+                float(gaussian.mean[k]),
+                float(std[k]),
                 bool(tracker.excitation.excited[k]),
                 bool(tracker.qualification.qualified[k]),
                 nominal,
@@ -145,10 +146,10 @@ def _state(tracker: Tracker) -> dict[str, float | None]:
     return state
 
 
-def _views(tracker: Tracker) -> dict[str, EstimatorView]:
+def _views(tracker: Tracker, gaussian: Gaussian | None) -> dict[str, EstimatorView]:
     views = {}
-    if tracker.ekf is not None and tracker.ekf.started:
-        views["ekf"] = EstimatorView(_natural(tracker.ekf.estimate()), {"restarts": tracker.restarts})
+    if gaussian is not None:
+        views["ekf"] = EstimatorView(_natural(gaussian), {"restarts": tracker.restarts})
     rls = tracker.rls.estimate() if tracker.rls is not None else None
     views["rls"] = EstimatorView({} if rls is None else _regression(rls))
     return views
