@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import errno
 import logging
 import os
 import signal
@@ -11,6 +12,7 @@ import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from servo_daemon.commands import common
@@ -29,6 +31,8 @@ EXAMPLE = """  servo-daemon run
 #: Open streams and slow clients may hold up a stop this long, s.
 _DRAIN_S = 1
 
+_STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     common.add_config(parser, drive=False)
@@ -38,14 +42,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from servo_daemon.service.daemon import Daemon
+    try:
+        with _stop_during_start_up():
+            from servo_daemon.service.daemon import Daemon
 
-    config = _configuration(arguments)
-    listener = _listen(config.api.host, config.api.port)
-    with listener:
-        daemon = Daemon(config, _state_dir(arguments, config))
-        asyncio.run(_serve(daemon, listener))
+            config = _configuration(arguments)
+            listener = _listen(config.api.host, config.api.port)
+            with listener:
+                daemon = Daemon(config, _state_dir(arguments, config))
+                asyncio.run(_serve(daemon, listener))
+    except _StopError as stop:
+        log.info("%s during start-up: stopped", stop)
     return 0
+
+
+class _StopError(BaseException):
+    """SIGTERM or SIGINT before the daemon runs: nothing is open yet that would have to be closed in order."""
+
+
+@contextmanager
+def _stop_during_start_up() -> Iterator[None]:
+    """Importing CasADi and compiling a new model take seconds, in which a stop must be as clean as later."""
+
+    def stop(number: int, _frame: FrameType | None) -> None:
+        raise _StopError(signal.Signals(number).name)
+
+    previous = {number: signal.signal(number, stop) for number in _STOP_SIGNALS}
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
 
 
 def demo_drive() -> DriveConfig:
@@ -95,7 +122,8 @@ def _listen(host: str, port: int) -> socket.socket:
         return socket.create_server((host, port), family=family, backlog=128)
     except OSError as error:
         reason = error.strerror or str(error)
-        hint = "; is another servo-daemon running? --port 0 takes any free one" if error.errno == 98 else ""
+        taken = error.errno == errno.EADDRINUSE
+        hint = "; is another servo-daemon running? --port 0 takes any free one" if taken else ""
         raise ServoDaemonError(f"cannot listen on {host} port {port}: {reason}{hint}") from error
 
 
@@ -119,7 +147,7 @@ async def _serve(daemon: Daemon, listener: socket.socket) -> None:
         server.should_exit = True
 
     loop = asyncio.get_running_loop()
-    for number in (signal.SIGTERM, signal.SIGINT):
+    for number in _STOP_SIGNALS:
         loop.add_signal_handler(number, stop, number.name)
     host, port = listener.getsockname()[:2]
     log.info("API and dashboard on http://%s:%s/", f"[{host}]" if ":" in host else host, port)

@@ -25,7 +25,9 @@ log = logging.getLogger(__name__)
 
 _EVENTS_KEPT = 1000
 #: Line events that a user should be warned of; the others are information.
-_WARNINGS = ("disconnected", "unavailable", "misconfigured", "silent", "pipeline_failed", "filter_restarted")
+_WARNINGS = (
+    "disconnected", "unavailable", "misconfigured", "silent", "device_restarted", "pipeline_failed", "filter_restarted",
+)  # fmt: skip
 
 
 class DriveRuntime:
@@ -136,7 +138,9 @@ class DriveRuntime:
     def _pipeline_for_device(self) -> Pipeline:
         """The pipeline of the device that is attached now; a new device starts from what is known of it."""
         info = self.reader.driver.info
-        if self._pipeline is None or (info.identity != self._identity and self._identity is not None):
+        # Between two attachments a driver may not know yet who is there: what still waits in the queue is the last's.
+        other = bool(self._identity) and bool(info.identity) and info.identity != self._identity
+        if self._pipeline is None or other:
             if self._pipeline is not None:
                 self._event("device_changed", f"another device is attached: {info.identity}", {})
             saved = self._file.load(info.identity, self.config.model)
@@ -146,7 +150,7 @@ class DriveRuntime:
             self._identity, self._info = info.identity, info
         elif info != self._info:
             self._pipeline.learn_info(info)
-            self._info = info
+            self._identity, self._info = info.identity or self._identity, info
         return self._pipeline
 
     def _fail(self) -> None:

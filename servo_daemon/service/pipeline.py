@@ -60,6 +60,7 @@ class Pipeline:
         if block.channels != self._channels:
             self._begin(block.channels)
         estimates = []
+        restarts = self._cutter.restarts
         for segment in self._cutter.cut(block):
             if segment.closes_tick and self._tick:
                 estimates.append(self._close_tick())
@@ -67,6 +68,9 @@ class Pipeline:
             self._tracker.take(segment.block)
             self._tick.append(segment.block)
             self._samples += len(segment.block)
+        if self._cutter.restarts > restarts:
+            text = "device time began anew: the device restarted; its parameters are kept"
+            self.messages.append(("device_restarted", text, {"restarts": self._cutter.restarts}))
         return estimates
 
     def finish(self) -> Estimate | None:

@@ -27,10 +27,15 @@ class Segment:
 
 
 class TickCutter:
-    """Splits blocks at tick boundaries and keeps time increasing across them."""
+    """Splits blocks at tick boundaries and keeps time increasing across them.
+
+    Attributes:
+        restarts: how often device time began anew, as the driver flagged it or as it shows here.
+    """
 
     def __init__(self) -> None:
         self.start_s: float | None = None
+        self.restarts = 0
         self._tick = 0
         self._last_s = -np.inf
         self._offset_s = 0.0
@@ -41,6 +46,7 @@ class TickCutter:
         if len(block) == 0:
             return
         block = self._continued(block)
+        self.restarts += int(np.count_nonzero(block.quality & Quality.TIME_RESTART))
         if self.start_s is None:
             self.start_s = float(block.time_s[0])
         ticks = np.floor((block.time_s - self.start_s) / TICK_S + 1e-6).astype(np.int64)
