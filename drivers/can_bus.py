@@ -25,7 +25,7 @@ from drivers.can_map import COUNTS, parse_signal_map
 from drivers.can_own import FIRST_DRIVE, LAST_DRIVE, OwnDecoder
 from drivers.can_port import CanPort, Inbox
 from drivers.can_vendor import STALE_S, VendorDecoder
-from servo_daemon.errors import DriverConfigError
+from servo_daemon.errors import DriverConfigError, DriverError
 from servo_daemon.samples import SampleBlock
 
 _BUS_OPTIONS = ("interface", "channel", "bitrate", "bus")
@@ -82,7 +82,10 @@ class CanDriver(Driver):
         self._decoder.reset()
         self._blocks.clear()
         self._inbox = Inbox(self._decoder.keys, self.counters)
-        self._port = CanPort.attach(self._settings, self._inbox)
+        try:
+            self._port = CanPort.attach(self._settings, self._inbox)
+        except DriverError as error:
+            raise type(error)(f"{self._where}: {error}") from error
 
     def _read(self, timeout_s: float) -> SampleBlock | None:
         deadline = time.monotonic() + timeout_s

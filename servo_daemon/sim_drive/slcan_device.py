@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from servo_daemon.errors import EndOfStreamError
 from servo_daemon.sim_drive.can_frames import CanFrame, FrameEncoder
 from servo_daemon.sim_drive.pty_link import PtyLink
 from servo_daemon.sim_drive.slcan_adapter import SlcanAdapter
@@ -27,6 +28,8 @@ log = logging.getLogger(__name__)
 GROUP_S = 0.004
 #: How long the loop waits at most before it looks whether it shall stop.
 SLICE_S = 0.05
+#: A host that stood still longer than this (suspended, stopped) continues from now instead of catching up.
+MAX_BEHIND_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +65,7 @@ def run_slcan_device(
     realtime: bool = True,
     faults: SlcanFaults = NO_FAULTS,
 ) -> int:
-    """Serve a simulated drive until `stop` is set.
+    """Serve a simulated drive until `stop` is set or the source ends.
 
     Args:
         link: symbolic link to the pseudo-terminal, made here (a stale one is replaced) and removed at the end.
@@ -81,10 +84,11 @@ def run_slcan_device(
     encoder = FrameEncoder(source.info, drive_id)
     with PtyLink(link) as pty:
         device = _Device(pty.master, source, encoder, faults)
-        if realtime:
-            device.run_in_real_time(stop)
-        else:
-            device.run_as_fetched(stop)
+        with contextlib.suppress(EndOfStreamError):
+            if realtime:
+                device.run_in_real_time(stop)
+            else:
+                device.run_as_fetched(stop)
         if device.dropped:
             log.info("%s: %d frames were not fetched in time and dropped", link, device.dropped)
         return device.dropped
@@ -109,6 +113,9 @@ class _Device:
             deadline = start + self._taken * self._period_s
             while (wait := deadline - time.monotonic()) > 0 and not stop.is_set():
                 self._serve(min(wait, SLICE_S))
+            self._serve(0.0)
+            if wait < -MAX_BEHIND_S:
+                start -= wait
             if self._adapter.channel_open:
                 for line in lines:
                     self.dropped += not self._send(line)
