@@ -1,0 +1,168 @@
+// The cards: one for each parameter, one for each state channel.
+
+import { Chart } from "./chart.js";
+import { clock, decimalsFor, fixed, pair, percent, plain, scaleFor } from "./format.js";
+import { Series, drawn } from "./series.js";
+
+const PARAMETER_WORDS = {
+  R: "resistance", L: "inductance", K: "torque constant", J: "inertia", B: "viscous friction", J_d: "load inertia",
+  Tc: "Coulomb friction", TL: "load torque", Tg: "gravity torque", Ts: "static friction", R_th: "thermal resistance",
+  C_th: "heat capacity",
+};
+const STATE_WORDS = {
+  current_A: "Current", velocity_rad_s: "Speed", position_rad: "Position", voltage_V: "Voltage",
+  temperature_C: "Temperature", velocity_m_s: "Speed", position_m: "Position", torque_Nm: "Torque",
+};
+const STATE_UNITS = [
+  ["_rad_s", "rad/s"], ["_m_s", "m/s"], ["_rad", "rad"], ["_Nm", "N·m"], ["_A", "A"], ["_V", "V"], ["_C", "°C"],
+  ["_K", "K"], ["_N", "N"], ["_m", "m"], ["_s", "s"],
+];
+const BADGES = {
+  tracking: "● tracking", estimating: "◔ estimating", unexcited: "◌ unexcited", at_bound: "▲ at bound",
+  fixed: "■ fixed", invalid: "✕ invalid",
+};
+
+const copy = (id) => document.getElementById(id).content.firstElementChild.cloneNode(true);
+function write(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+/** J_d as J with a subscript. */
+function symbol(name) {
+  const [letter, ...below] = name.split("_");
+  if (below.length === 0) return [letter];
+  const sub = document.createElement("sub");
+  sub.textContent = below.join(" ");
+  return [letter, sub];
+}
+
+class Card {
+  constructor(template, name, windowS) {
+    this.name = name;
+    this.element = copy(template);
+    this.element.dataset.name = name;
+    this.series = new Series(windowS);
+    this.scale = null;
+    this.pointed = null;
+    this.chart = null; // made when the card is in the page and has a width
+  }
+
+  find(selector) {
+    return this.element.querySelector(selector);
+  }
+
+  attach(grid) {
+    grid.append(this.element);
+    this.chart = new Chart(this.find(".chart"), (time, row) => {
+      this.pointed = time === null ? null : { time, row };
+      this.render();
+    });
+  }
+
+  destroy() {
+    this.chart?.destroy();
+    this.element.remove();
+  }
+}
+
+export class ParameterCard extends Card {
+  constructor(name, windowS) {
+    super("parameter-card", name, windowS);
+    this.latest = null;
+    this.truth = null;
+    this.find(".symbol").replaceChildren(...symbol(name));
+    write(this.find(".words"), PARAMETER_WORDS[name] ?? "");
+  }
+
+  history(document) {
+    document.time.forEach((time, k) => {
+      const value = drawn(document.value[k], document.status?.[k] ?? null);
+      this.series.push(Date.parse(time) / 1000, value, document.std[k], document.truth?.[k] ?? null);
+    });
+  }
+
+  receive(time, parameter, truth) {
+    this.latest = parameter;
+    this.truth = truth;
+    if (time !== null) this.series.push(time, drawn(parameter.value, parameter.status), parameter.std, truth);
+  }
+
+  draw(from, now) {
+    if (this.latest === null) return;
+    this.render();
+    this.chart.update(this.series, from, now, this.scale, this.latest.nominal);
+    const label = `${this.name} over time; now ${this.find(".value").textContent.replace(/\s+/g, " ").trim()}`;
+    this.find(".chart").setAttribute("aria-label", label);
+  }
+
+  render() {
+    const p = this.latest;
+    if (p === null) return;
+    const value = p.value ?? p.nominal;
+    this.scale = scaleFor(p.unit, value ?? 0, this.scale);
+    const shown = pair(p.value, p.std, this.scale);
+    write(this.find(".number"), shown.value);
+    write(this.find(".std"), shown.std);
+    write(this.find(".unit"), this.scale.unit);
+    this.#compare(p);
+    const badge = this.find(".badge");
+    badge.dataset.status = p.status;
+    this.element.dataset.status = p.status;
+    write(badge, BADGES[p.status] ?? p.status);
+    write(this.find(".reason"), this.pointed ? this.#pointedText() : (p.reason ?? ""));
+  }
+
+  #compare(p) {
+    const number = (value) => plain(value / this.scale.factor); // on the scale, and in the unit, of the large number
+    write(this.find(".nominal"), p.nominal === null ? "no nominal value" : `nominal ${number(p.nominal)}`);
+    const known = p.value !== null && p.nominal !== null && p.nominal !== 0 && p.status !== "estimating";
+    write(this.find(".deviation"), known ? percent((p.value - p.nominal) / Math.abs(p.nominal)) : "");
+    write(this.find(".true"), this.truth === null ? "" : `true ${number(this.truth)}`);
+  }
+
+  #pointedText() {
+    const { time, row } = this.pointed;
+    const std = row[3] === null || row[1] === null ? null : (row[3] - row[1]) / 2;
+    const shown = row[1] === null ? { value: "no value", std: "" } : pair(row[1], std, this.scale);
+    return `${clock(time)}: ${shown.value} ${shown.std} ${row[1] === null ? "" : this.scale.unit}`;
+  }
+}
+
+export class StateCard extends Card {
+  constructor(name, windowS) {
+    super("state-card", name, windowS);
+    const suffix = STATE_UNITS.find(([ending]) => name.endsWith(ending));
+    this.unit = suffix?.[1] ?? "";
+    this.value = null;
+    this.largest = 0;
+    const stem = suffix ? name.slice(0, -suffix[0].length) : name;
+    write(this.find(".words"), STATE_WORDS[name] ?? stem.replaceAll("_", " "));
+  }
+
+  history(document) {
+    document.time.forEach((time, k) => this.series.push(Date.parse(time) / 1000, document.value[k]));
+  }
+
+  receive(time, value) {
+    this.value = value;
+    if (time !== null) this.series.push(time, value);
+  }
+
+  draw(from, now) {
+    const values = this.series.columns[1];
+    this.largest = values.reduce((most, v) => Math.max(most, Math.abs(v ?? 0)), 0);
+    this.render();
+    this.chart.update(this.series, from, now, this.scale);
+    const name = this.find(".words").textContent;
+    this.find(".chart").setAttribute("aria-label", `${name} over time; now ${this.find(".number").textContent}`);
+  }
+
+  /** The scale follows the largest value in the window, so the digits of a moving value stay where they are. */
+  render() {
+    this.scale = scaleFor(this.unit, this.largest, this.scale);
+    const value = this.pointed ? this.pointed.row[1] : this.value;
+    const decimals = decimalsFor(this.largest / this.scale.factor, 4);
+    write(this.find(".number"), value === null ? fixed(null) : fixed(value / this.scale.factor, decimals));
+    write(this.find(".unit"), this.scale.unit + (this.pointed ? ` at ${clock(this.pointed.time)}` : ""));
+  }
+}

@@ -1,0 +1,70 @@
+// The line of facts at the top, the banner, and the list of events.
+
+import { NOTHING, count, fixed } from "./format.js";
+
+const byId = (id) => document.getElementById(id);
+const EVENTS_SHOWN = 50;
+const STATES = {
+  connected: "connected", connecting: "waiting for samples", silent: "silent", down: "drive down", ended: "ended",
+  lost: "reconnecting…",
+};
+
+function write(id, text) {
+  if (byId(id).textContent !== text) byId(id).textContent = text;
+}
+
+/** How the drive and the way to it are: one of the connection states, or "lost" when the daemon does not answer. */
+export function renderConnection(state, drive, reason) {
+  const pill = byId("connection");
+  if (pill.dataset.state !== state) pill.dataset.state = state;
+  write("connection", STATES[state] ?? state);
+  const why = reason ? `: ${reason}` : "";
+  const text = {
+    lost: "The daemon does not answer. Trying again; the numbers below are the last that arrived.",
+    down: `Drive ${drive} is away${why}. The daemon keeps trying; the numbers below are the last known.`,
+    silent: `Drive ${drive} is open but sends nothing${why}. The numbers below are the last known.`,
+    connecting: `Drive ${drive} has not sent samples yet${why}.`,
+    ended: `The source of ${drive} is finished${why}.`,
+  }[state];
+  const banner = byId("banner");
+  if (text) write("banner", text);
+  banner.hidden = !text;
+  banner.dataset.state = state;
+  document.body.dataset.connection = state;
+}
+
+export function renderFacts(estimates) {
+  const { health } = estimates;
+  const rate = estimates.sample_rate_hz;
+  write("rate", rate === null ? NOTHING : `${fixed(rate, rate < 100 ? 1 : 0)} Hz`);
+  write("samples", count(health.samples ?? estimates.samples));
+  const lost = health.samples_lost ?? 0;
+  write("lost", count(lost));
+  byId("lost").classList.toggle("bad", lost > 0);
+  const white = health.innovation_white;
+  write("white", white === true ? "white" : white === false ? "not white" : NOTHING);
+  byId("white").classList.toggle("bad", white === false);
+  write("model", ["linear motor", ...estimates.model.map((name) => name.replaceAll("_", " "))].join(" + "));
+}
+
+function eventItem(event) {
+  const item = document.createElement("li");
+  const time = document.createElement("time");
+  time.dateTime = event.time;
+  // Sweden writes dates as 2026-11-21 12:45:21, which everybody reads the same way.
+  time.textContent = new Date(event.time).toLocaleString("sv-SE");
+  const kind = document.createElement("b");
+  kind.textContent = event.kind.replaceAll("_", " ");
+  const data = Object.entries(event.data).map(([key, value]) => `${key} ${value}`).join(", ");
+  const message = document.createElement("span");
+  message.textContent = event.message + (data ? ` (${data})` : "");
+  item.append(time, kind, message);
+  return item;
+}
+
+/** Newest first. */
+export function renderEvents(events) {
+  const newest = events.slice(-EVENTS_SHOWN).reverse();
+  byId("events").replaceChildren(...newest.map(eventItem));
+  byId("no-events").hidden = newest.length > 0;
+}

@@ -1,0 +1,130 @@
+// One drive on the page: loads its history, follows its stream, fills the gap after a lost connection, and draws.
+
+import { Stream, drivePath, get } from "./api.js";
+import { ParameterCard, StateCard } from "./cards.js";
+import { renderEvents, renderFacts } from "./facts.js";
+
+const POINTS = 1500;
+const LEAST_S = 15; // charts show at least so much time, also of a drive that has just started
+const DRAW_MS = 200; // numbers that change faster cannot be read
+
+export class DriveView {
+  /** @param {(live: boolean) => void} onLink told when the stream runs and when it is lost */
+  constructor(name, windowS, onLink) {
+    this.name = name;
+    this.windowS = windowS;
+    this.onLink = onLink;
+    this.cards = new Map();
+    this.document = null;
+    this.truth = {};
+    this.lastEvent = null;
+    this.now = null;
+    this.pending = null; // documents that arrive while history is loading
+    this.drawnAt = 0;
+    this.dirty = false;
+    this.closed = false; // answers may still arrive then
+    this.frame = requestAnimationFrame((time) => this.#draw(time));
+    this.stream = new Stream(name, {
+      opened: () => this.#opened(),
+      estimates: (document) => (this.pending ? this.pending.push(document) : this.#receive(document)),
+      lost: () => !this.closed && onLink(false),
+    });
+  }
+
+  close() {
+    this.closed = true;
+    this.stream.close();
+    cancelAnimationFrame(this.frame);
+    this.cards.forEach((card) => card.destroy());
+    this.cards.clear();
+  }
+
+  /** What the stream does not carry: truth, events. */
+  async poll() {
+    const drive = await get(drivePath(this.name));
+    if (this.closed) return drive;
+    this.truth = drive.truth ?? {};
+    document.getElementById("truth-key").hidden = drive.truth === undefined;
+    if (drive.last_event !== this.lastEvent) {
+      const { events } = await get(`${drivePath(this.name)}/events`);
+      if (!this.closed) renderEvents(events);
+      this.lastEvent = drive.last_event;
+    }
+    return drive;
+  }
+
+  /** History first: of the whole window, or after a lost connection of what was missed. */
+  async #opened() {
+    if (this.pending) return;
+    this.pending = [];
+    try {
+      const drive = await this.poll();
+      const estimates = await get(`${drivePath(this.name)}/estimates`);
+      this.#match(estimates);
+      await Promise.all(drive.history.names.map((name) => this.#load(name)));
+      this.#receive(estimates);
+    } catch (error) {
+      console.info(`history of ${this.name}: ${error.message}`);
+    } finally {
+      const pending = this.pending;
+      this.pending = null;
+      pending.forEach((document) => this.#receive(document));
+      if (!this.closed) this.onLink(true);
+    }
+  }
+
+  async #load(name) {
+    const card = this.cards.get(name);
+    if (!card) return;
+    const last = card.series.lastTime;
+    const start = Number.isFinite(last) ? new Date(last * 1000 + 1).toISOString() : `-${this.windowS}s`;
+    const query = new URLSearchParams({ parameter: name, start, points: POINTS });
+    const history = await get(`${drivePath(this.name)}/history?${query}`);
+    if (!this.closed) card.history(history);
+  }
+
+  #receive(estimates) {
+    if (this.closed) return;
+    this.document = estimates;
+    this.#match(estimates);
+    const time = estimates.time === null ? null : Date.parse(estimates.time) / 1000;
+    if (time !== null) this.now = time;
+    for (const [name, parameter] of Object.entries(estimates.parameters)) {
+      this.cards.get(name).receive(time, parameter, this.truth[name] ?? null);
+    }
+    for (const [name, value] of Object.entries(estimates.state)) this.cards.get(name).receive(time, value);
+    this.dirty = true;
+  }
+
+  /** Cards follow the model: effects may be added while the daemon runs. */
+  #match(estimates) {
+    if (this.closed) return;
+    const wanted = new Map([
+      ...Object.keys(estimates.parameters).map((name) => [name, ParameterCard]),
+      ...Object.keys(estimates.state).map((name) => [name, StateCard]),
+    ]);
+    for (const [name, card] of this.cards) {
+      if (wanted.has(name)) continue;
+      card.destroy();
+      this.cards.delete(name);
+    }
+    for (const [name, Kind] of wanted) {
+      if (this.cards.has(name)) continue;
+      const card = new Kind(name, this.windowS);
+      card.attach(document.getElementById(Kind === StateCard ? "state" : "parameters"));
+      this.cards.set(name, card);
+    }
+  }
+
+  #draw(time) {
+    this.frame = requestAnimationFrame((next) => this.#draw(next));
+    if (!this.dirty || time - this.drawnAt < DRAW_MS) return;
+    this.dirty = false;
+    this.drawnAt = time;
+    renderFacts(this.document);
+    const now = this.now ?? Date.now() / 1000;
+    const first = Math.min(...[...this.cards.values()].map((card) => card.series.columns[0][0] ?? now));
+    const from = Math.max(now - this.windowS, Math.min(first, now - LEAST_S));
+    this.cards.forEach((card) => card.draw(from, now));
+  }
+}

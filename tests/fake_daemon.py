@@ -1,0 +1,146 @@
+"""A daemon for tests of the API and the page: records as the pipeline would publish them, made up on demand."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from servo_daemon.plant.parameters import LINEAR
+from servo_daemon.service.history import HistoryRing
+from servo_daemon.service.snapshot import (
+    Connection,
+    Estimate,
+    EstimatorView,
+    Event,
+    ParameterEstimate,
+    Snapshot,
+    Status,
+)
+from servo_daemon.service.view import initial_parameters
+
+#: A fixed moment, so that answers can be compared as text: 2026-11-21T12:00:00Z.
+T0 = 1_795_262_400.0
+NOMINAL = {"R": 0.7011, "L": 3.1877e-3, "K": 0.1991, "J": 0.013456, "B": 0.33753}
+TRUE = {"R": 0.4937, "L": 2.2769e-3, "K": 0.30628, "J": 0.009751, "B": 0.51141}
+UNITS = {p.name: p.unit for p in LINEAR}
+
+
+def parameters_at(t: float, status: Status = "tracking", reason: str | None = None) -> tuple[ParameterEstimate, ...]:
+    """The five parameters `t` seconds after the start, settling on their true values."""
+    out = []
+    for k, (name, true) in enumerate(TRUE.items()):
+        std = true * (0.002 + 0.05 * math.exp(-t / 5.0))
+        value = true * (1.0 + 0.02 * math.exp(-t / 8.0) * math.cos(t + k)) + 0.3 * std * math.sin(1.7 * t + 2 * k)
+        out.append(ParameterEstimate(name, value, std, UNITS[name], NOMINAL[name], status, reason))
+    return tuple(out)
+
+
+def make_estimate(t: float = 1.0, parameters: Sequence[ParameterEstimate] | None = None, **changes: object) -> Estimate:
+    """An estimate `t` seconds after the start; `changes` replace fields."""
+    shown = tuple(parameters_at(t) if parameters is None else parameters)
+    pairs = {p.name: (p.value, p.std) for p in shown}
+    estimate = Estimate(
+        time_s=t,
+        samples=int(1000 * t),
+        sample_rate_hz=1000.2,
+        model=(),
+        parameters=shown,
+        state={
+            "current_A": 3.2 * math.sin(2.1 * t),
+            "velocity_rad_s": 6.0 * math.cos(2.1 * t),
+            "position_rad": 0.8726 * math.sin(0.7 * t),
+        },
+        estimators={"ekf": EstimatorView(pairs, {"restarts": 0}), "rls": EstimatorView(pairs)},
+        health={"innovation_white": True, "step_time_us": 8.5},
+    )
+    return replace(estimate, **changes)  # type: ignore[arg-type]
+
+
+def make_snapshot(drive: str = "axis1", t: float = 1.0, **changes: object) -> Snapshot:
+    """A connected drive's snapshot `t` seconds after T0; `changes` replace fields."""
+    snapshot = Snapshot(
+        drive=drive,
+        driver="simulated",
+        time=T0 + t,
+        connection="connected",
+        reason=None,
+        estimate=make_estimate(t),
+        counters={"samples": int(1000 * t), "samples_lost": 0, "queue_dropped": 0, "queue_samples": 3},
+        truth=TRUE,
+    )
+    return replace(snapshot, **changes)  # type: ignore[arg-type]
+
+
+@dataclass
+class FakeDrive:
+    """A `DriveView` whose snapshot the test sets."""
+
+    name: str = "axis1"
+    driver: str = "simulated"
+    model: tuple[str, ...] = ()
+    history: HistoryRing = field(default_factory=HistoryRing)
+    current: Snapshot | None = None
+    log: deque[Event] = field(default_factory=lambda: deque(maxlen=100))
+    resets: int = 0
+
+    @property
+    def initial_parameters(self) -> Sequence[ParameterEstimate]:
+        return initial_parameters(LINEAR, NOMINAL)
+
+    def snapshot(self) -> Snapshot:
+        if self.current is None:
+            self.current = Snapshot(self.name, self.driver, None, "connecting", "port is opened", None, {})
+        return self.current
+
+    def publish(self, snapshot: Snapshot) -> None:
+        self.current = snapshot
+        self.history.append(snapshot)
+
+    def lose(self, connection: Connection, reason: str) -> None:
+        """The drive goes away: what was known becomes invalid, as in the daemon."""
+        last = self.snapshot()
+        assert last.estimate is not None
+        stale = tuple(replace(p, status="invalid", reason=reason) for p in last.estimate.parameters)
+        estimate = replace(last.estimate, parameters=stale)
+        self.current = replace(last, connection=connection, reason=reason, estimate=estimate)
+
+    def events(self) -> Sequence[Event]:
+        return tuple(self.log)
+
+    def request_reset(self) -> None:
+        self.resets += 1
+
+
+@dataclass
+class FakeDaemon:
+    """A `DaemonView` over fake drives."""
+
+    drives: Mapping[str, FakeDrive]
+    version: str = "1.2.3"
+    started: float = T0
+    wrong: tuple[str, ...] = ()
+    stop: bool = False
+
+    def problems(self) -> Sequence[str]:
+        return self.wrong
+
+    def stopping(self) -> bool:
+        return self.stop
+
+
+def fake_daemon(*names: str, published: bool = True) -> FakeDaemon:
+    """A daemon with these drives ("axis1" if none), each with one published snapshot."""
+    drives = {name: FakeDrive(name) for name in names or ("axis1",)}
+    if published:
+        for drive in drives.values():
+            drive.publish(make_snapshot(drive.name))
+    return FakeDaemon(drives)
+
+
+def live_snapshot(drive: str, started: float, now: float | None = None) -> Snapshot:
+    """What a drive that started at `started` (epoch s) would publish now."""
+    now = time.time() if now is None else now
+    return replace(make_snapshot(drive, now - started), time=now)
