@@ -2,7 +2,8 @@
 
 Each arrival of the trigger message (the one that carries the position) makes a sample; every other signal has the
 value it last had (zero-order hold), and counts as invalid once that is older than its staleness bound. Time comes from
-the mapped device time, else from python-can's receive time stamps, freed of steps of the host's clock.
+the mapped device time, else from python-can's receive time stamps, freed of steps of the host's clock and, where the
+sample period is known, of their jitter.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 from drivers.base import DriveInfo, DriverCounters
 from drivers.can_decode import Bits, Field, FrameBatch, key_text
 from drivers.can_map import COUNTS, SEQUENCE, TIME, MappedChannel, SignalMap
-from drivers.can_unwrap import DeviceTime, ReceiveClock, WrappedPosition, strictly_increasing
+from drivers.can_unwrap import Cadence, DeviceTime, ReceiveClock, WrappedPosition, strictly_increasing
 from servo_daemon.samples import CHANNELS, F64, I64, U8, Quality, SampleBlock
 
 #: A signal not heard for longer is no measurement of now, unless the map gives it a bound of its own. Slow ones
@@ -64,7 +65,8 @@ class VendorDecoder:
         signals: the map.
         counters: counted up here.
         counts_per_rev: turns `position_counts` into radians.
-        period_s: sample period of the trigger message, where it is known: losses can then be counted.
+        period_s: sample period of the trigger message, where it is known: losses can then be counted, and the jitter
+            of receive time stamps taken out where there is no device time.
         stale_s: staleness bound of signals without one of their own.
     """
 
@@ -105,6 +107,8 @@ class VendorDecoder:
         self._held = {f.name: _Held() for f in self._map.fields}
         self._positions = {c.name: WrappedPosition(c.wrap) for c in self._channels if c.wrap is not None}
         self._device_time = DeviceTime(self._time.wrap) if self._time is not None else None
+        no_time = self._time is None
+        self._cadence = Cadence(self._period_s) if no_time and self._period_s is not None else None
         self._last_time_s: float | None = None
         self._last_count: float | None = None
         self._last_number = -1
@@ -165,6 +169,8 @@ class VendorDecoder:
         quality = np.where(jumped, np.uint8(Quality.GAP_BEFORE), np.uint8(0))
         time_s, restart = self._times(heard, at, stamp_s)
         sequence = self._numbers(heard, at, time_s, restart, quality)
+        if self._cadence is not None:
+            time_s = self._cadence.times(time_s, sequence)
         columns: dict[str, F64] = {}
         for channel in self._channels:
             value, invalid = self._combined(channel, heard, at, stamp_s)

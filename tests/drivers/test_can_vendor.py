@@ -222,6 +222,25 @@ def test_a_host_that_stalls_is_no_clock_step(tmp_path: Path) -> None:
     assert not block.quality.any()
 
 
+def test_with_a_known_period_bunched_stamps_become_a_steady_cadence(tmp_path: Path) -> None:
+    """As a USB adapter delivers: eight frames at once, every 8 ms, and a gap of half a second."""
+    signals = {"position_counts": "Feedback.Counts"}
+    drive = Drive(tmp_path, signals, counts_per_rev=1000, period_s=0.001)
+    kept = [i for i in range(20_000) if not 10_000 <= i < 10_500]
+    frames = [feedback(i, 0, 0.0010001 * 8 * (i // 8 + 1) + 3e-5 * (i % 8)) for i in kept]
+    blocks = [b for a in range(0, len(frames), 40) for b in drive.hear(frames[a : a + 40])]
+    time_s = np.concatenate([b.time_s for b in blocks])
+    error_s = time_s - 0.0010001 * np.array(kept)
+    for first, end in ((3000, 10_000), (13_500, 19_500)):
+        settled = slice(first, end)
+        assert np.ptp(error_s[settled]) < 1e-4
+        assert np.ptp(np.diff(time_s[settled])) < 2e-5
+    assert np.ptp(error_s) < 0.016  # a gap is only as long as the bunches at its ends tell
+    assert drive.counters.samples_lost == pytest.approx(500, abs=8)
+    quality = np.concatenate([b.quality for b in blocks])
+    assert np.flatnonzero(quality).tolist() == [kept.index(10_500)]
+
+
 def test_the_trigger_can_be_chosen(tmp_path: Path) -> None:
     drive = Drive(tmp_path, {"position_counts": "Feedback.Counts", "current_A": "Current.Motor"}, counts_per_rev=10,
                   trigger="Current")  # fmt: skip
