@@ -66,8 +66,8 @@ class DirectionalRls:
         self._value = self._value + np.linalg.solve(A, Phi.T @ residual)
         after = y - Phi @ self._value
         self._A = (A + A.T) / 2
-        # Product of the errors before and after: the unbiased cost increment of least squares.
-        self._residual_sum = keep * self._residual_sum + float(np.abs(residual) @ np.abs(after))
+        # Errors before times errors after: by how much the least-squares cost rises (Ljung 1999, eq. 11.17).
+        self._residual_sum = keep * self._residual_sum + float(residual @ after)
         self._weight = keep * self._weight + m
         self.rows += m
 

@@ -1,0 +1,51 @@
+"""Modulated integrals against integrals known in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from servo_daemon.estimators.modulating import make_windows
+
+
+def phi(s: float) -> float:
+    return 64.0 * s**3 * (1 - s) ** 3
+
+
+@pytest.fixture
+def jittered_time_s() -> np.ndarray:
+    rng = np.random.default_rng(5)
+    return np.cumsum(1e-3 + rng.uniform(-3e-4, 3e-4, 400)) + 7.0
+
+
+def test_integration_by_parts_moves_derivatives_to_the_window(jittered_time_s: np.ndarray) -> None:
+    t = jittered_time_s
+    w = make_windows(t, np.array([0, 50, 150]), 200)
+    signal, rate, curvature = np.sin(20 * t), 20 * np.cos(20 * t), -400 * np.sin(20 * t)
+    np.testing.assert_allclose(-w.integral(signal, 1), w.integral(rate), rtol=2e-4)
+    np.testing.assert_allclose(w.integral(signal, 2), w.integral(curvature), rtol=2e-3)
+
+
+def test_continuous_signal_is_integrated_as_quadrature_does(jittered_time_s: np.ndarray) -> None:
+    t = jittered_time_s
+    w = make_windows(t, np.array([10]), 300)
+    a, b = t[10], t[309]
+    expected, _ = quad(lambda x: phi((x - a) / (b - a)) * np.exp(3 * (x - 7)), a, b, epsabs=1e-12)
+    assert w.integral(np.exp(3 * (t - 7)))[0] == pytest.approx(expected, rel=1e-5)
+
+
+def test_held_signal_is_integrated_exactly_whatever_the_jitter(jittered_time_s: np.ndarray) -> None:
+    t = jittered_time_s
+    v = np.random.default_rng(6).normal(size=len(t))
+    w = make_windows(t, np.array([0]), 60)
+    a, b = t[0], t[59]
+    pieces = (v[k] * quad(lambda x: phi((x - a) / (b - a)), t[k], t[k + 1], epsabs=1e-15)[0] for k in range(59))
+    assert w.held(v)[0] == pytest.approx(sum(pieces), rel=1e-10)
+
+
+def test_an_offset_of_the_position_drops_out(jittered_time_s: np.ndarray) -> None:
+    t = jittered_time_s
+    w = make_windows(t, np.array([0, 100]), 250)
+    position = np.sin(9 * t)
+    np.testing.assert_allclose(w.integral(position + 5.0, 1), w.integral(position, 1), atol=2e-5)

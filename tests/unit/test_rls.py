@@ -1,0 +1,90 @@
+"""The recursion: exact where least squares is, forgetting only where something new is learned."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from servo_daemon.estimators.rls import DirectionalRls
+
+TRUE = np.array([2.0, -0.5, 30.0])
+
+
+def rows(rng: np.random.Generator, n: int, scale: tuple[float, ...] = (1.0, 100.0, 0.01)) -> np.ndarray:
+    return rng.normal(size=(n, 3)) * np.array(scale)
+
+
+def test_equals_batch_least_squares_where_nothing_is_forgotten() -> None:
+    rng = np.random.default_rng(0)
+    Phi = rows(rng, 400)
+    y = Phi @ TRUE + 0.01 * rng.normal(size=400)
+    rls = DirectionalRls(3, memory=1e12)
+    for k in range(0, 400, 7):
+        rls.update(Phi[k : k + 7], y[k : k + 7])
+    found = rls.estimate()
+    assert found is not None
+    expected = np.linalg.lstsq(Phi, y, rcond=None)[0]
+    np.testing.assert_allclose(found.value, expected, rtol=1e-6)
+    residual = y - Phi @ expected
+    expected_covariance = np.linalg.inv(Phi.T @ Phi) * (residual @ residual) / 397
+    np.testing.assert_allclose(np.diag(found.covariance), np.diag(expected_covariance), rtol=0.1)
+
+
+def test_reported_spread_is_the_real_one() -> None:
+    errors = []
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        rls = DirectionalRls(3, memory=1e6)
+        Phi = rows(rng, 60)
+        rls.update(Phi, Phi @ TRUE + 0.05 * rng.normal(size=60))
+        found = rls.estimate()
+        assert found is not None
+        errors.append((found.value - TRUE) / np.sqrt(np.diag(found.covariance)))
+    assert np.std(errors) == pytest.approx(1.0, abs=0.12)
+
+
+def test_follows_a_change_where_excited() -> None:
+    rng = np.random.default_rng(1)
+    rls = DirectionalRls(3, memory=200)
+    for truth in (TRUE, TRUE * 1.5):
+        for _ in range(200):
+            Phi = rows(rng, 25)
+            rls.update(Phi, Phi @ truth + 0.01 * rng.normal(size=25))
+    found = rls.estimate()
+    assert found is not None
+    np.testing.assert_allclose(found.value, TRUE * 1.5, rtol=0.03)
+
+
+def test_does_not_forget_a_direction_that_is_not_excited() -> None:
+    """A million rows that show only the first coefficient leave the others as they were: no wind-up."""
+    rng = np.random.default_rng(2)
+    rls = DirectionalRls(3, memory=200)
+    Phi = rows(rng, 2000)
+    rls.update(Phi, Phi @ TRUE + 0.01 * rng.normal(size=2000))
+    before = rls.estimate()
+    assert before is not None
+    for _ in range(2000):
+        idle = rows(rng, 500, (1.0, 0.0, 0.0))
+        rls.update(idle, idle @ TRUE + 0.01 * rng.normal(size=500))
+    after = rls.estimate()
+    assert after is not None
+    np.testing.assert_allclose(after.value, TRUE, rtol=0.02)
+    spread = np.sqrt(np.diag(after.covariance)[1:] / np.diag(before.covariance)[1:])
+    assert (spread < 2.0).all() and (spread > 0.5).all()
+
+
+def test_says_nothing_where_a_direction_was_never_seen() -> None:
+    rng = np.random.default_rng(3)
+    rls = DirectionalRls(3, memory=1000)
+    assert rls.estimate() is None
+    for _ in range(50):
+        Phi = rows(rng, 10, (1.0, 1.0, 0.0))
+        rls.update(Phi, Phi @ TRUE)
+    assert rls.estimate() is None
+
+
+def test_all_zero_rows_are_harmless() -> None:
+    rls = DirectionalRls(2, memory=100)
+    for _ in range(100):
+        rls.update(np.zeros((5, 2)), np.zeros(5))
+    assert rls.estimate() is None
