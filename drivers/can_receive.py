@@ -127,11 +127,11 @@ def open_bus(settings: Mapping[str, Any]) -> can.BusABC:
     what = f"{settings['interface']} {settings.get('channel', '')}".strip()
     try:
         bus = can.Bus(ignore_config=True, **settings)
-    except (can.CanInterfaceNotImplementedError, ImportError) as error:
+    except (NotImplementedError, ImportError) as error:  # CanInterfaceNotImplementedError is one
         raise DriverConfigError(f"CAN interface {what}: {error}") from error
-    except (TypeError, ValueError) as error:
-        raise DriverConfigError(f"CAN interface {what} refuses its settings: {error}") from error
     except Exception as error:  # every vendor's library has errors of its own
+        if isinstance(error, TypeError | ValueError) or isinstance(error.__cause__, TypeError | ValueError):
+            raise DriverConfigError(f"CAN interface {what} refuses its settings: {error}") from error
         raise DriverUnavailableError(f"CAN interface {what} cannot be opened: {error}") from error
     if isinstance(bus, slcanBus) and bus.serialPortOrig.timeout == 0:
         bus.serialPortOrig = ReadAhead(bus.serialPortOrig)

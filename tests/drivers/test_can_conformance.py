@@ -60,6 +60,10 @@ def sending(channel: str, group: Callable[[], list[can.Message]]) -> Iterator[No
 class _Can(DriverConformance):
     kind = "can"
 
+    @pytest.fixture
+    def missing_options(self, tmp_path: Path) -> Iterator[dict[str, Any] | None]:
+        yield {"interface": "slcan", "channel": str(tmp_path / "nothing")}
+
 
 class TestOwnFramesOnAVirtualBus(_Can):
     wrong_types = {"drive_id": "1", "channel": 0.5, "bitrate": -1, "bus": [], "counts_per_rev": "4096"}  # noqa: RUF012
@@ -137,7 +141,3 @@ class TestOwnFramesThroughSlcan(_Can):
         yield {"interface": "slcan", "channel": os.ttyname(slave), "bitrate": 1_000_000}
         os.close(slave)
         os.close(master)
-
-    @pytest.fixture
-    def missing_options(self, tmp_path: Path) -> Iterator[dict[str, Any] | None]:
-        yield {"interface": "slcan", "channel": str(tmp_path / "nothing")}
