@@ -1,0 +1,165 @@
+"""A Debian with a real systemd as process 1, in a container, with servo-daemon installed as a user installs it.
+
+Two layers. The installed system is kept in the user's cache between runs (debootstrap once, then `make install` from
+this source tree, which takes seconds when the lock is the same). What is booted is an overlay over it in memory, with
+nothing but a loopback network: no run sees anything of another. Needs root; registers nothing with the host's systemd.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+SUITE = "bookworm"
+#: Debian 12 has Python 3.11, the oldest that we support. The compiler: compiled plants are loaded inside the sandbox.
+PACKAGES = ("systemd", "systemd-sysv", "dbus", "udev", "make", "python3", "python3-venv", "gcc", "libc6-dev")
+UNIT = "servo-daemon"
+_NSPAWN = ("systemd-nspawn", "--quiet", "--register=no", "--keep-unit", "--private-network", "--console=pipe")
+
+
+class Machine:
+    """A booted container. Commands run in it as root, through the namespaces of its process 1."""
+
+    def __init__(self, leader: int) -> None:
+        self._enter = ["nsenter", "--target", str(leader), "--mount", "--uts", "--ipc", "--net", "--pid", "--root"]
+
+    def run(self, *command: str, stdin: str = "", check: bool = True) -> str:
+        """What the command prints on stdout."""
+        done = subprocess.run(
+            [*self._enter, *command], input=stdin, capture_output=True, text=True, timeout=120, check=False
+        )
+        assert done.returncode == 0 or not check, f"{command}: {done.returncode}\n{done.stdout}{done.stderr}"
+        return done.stdout
+
+    def show(self, *names: str) -> dict[str, str]:
+        """Properties of the unit, as systemd has them now."""
+        text = self.run("systemctl", "show", UNIT, f"--property={','.join(names)}")
+        return dict(line.split("=", 1) for line in text.splitlines())
+
+    def is_(self, **wanted: str) -> bool:
+        """The unit's properties have these values now."""
+        return self.show(*wanted) == wanted
+
+    def journal(self) -> str:
+        """What the unit, and systemd about it, have logged since the boot or the last `forget_journal`."""
+        return self.run("journalctl", "--unit", UNIT, "--no-pager", "--output=cat")
+
+    def forget_journal(self) -> None:
+        self.run("journalctl", "--rotate", "--vacuum-time=1us")
+
+    def get(self, path: str) -> Any:
+        """A JSON document of the daemon's API."""
+        code = "import sys, urllib.request as r; sys.stdout.write(r.urlopen(sys.argv[1], timeout=5).read().decode())"
+        return json.loads(self.run("python3", "-c", code, f"http://127.0.0.1:8077{path}"))
+
+    def write(self, path: str, text: str) -> None:
+        self.run("tee", path, stdin=text)
+
+
+def wait_for(what: str, condition: Callable[[], T], timeout_s: float = 60.0) -> T:
+    """The condition's first true value; asked again until then."""
+    deadline = time.monotonic() + timeout_s
+    while not (value := condition()):
+        assert time.monotonic() < deadline, f"not within {timeout_s:g} s: {what}"
+        time.sleep(0.1)  # between two questions
+    return value
+
+
+@contextlib.contextmanager
+def installed_root(repo_root: Path) -> Iterator[Path]:
+    """The root file system with this source tree installed; locked while it is in use."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "servo-daemon-tests"
+    cache.mkdir(parents=True, exist_ok=True)
+    root = cache / f"{SUITE}-{hashlib.sha256(' '.join(PACKAGES).encode()).hexdigest()[:12]}"
+    with (cache / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not root.is_dir():
+            _bootstrap(root)
+        _install(root, _wheels(repo_root, cache), repo_root)
+        yield root
+
+
+def _bootstrap(root: Path) -> None:
+    unfinished = root.with_suffix(".unfinished")
+    shutil.rmtree(unfinished, ignore_errors=True)
+    _call("debootstrap", "--variant=minbase", f"--include={','.join(PACKAGES)}", SUITE, str(unfinished))
+    unfinished.rename(root)
+
+
+def _wheels(repo_root: Path, cache: Path) -> Path:
+    """A folder with every file of requirements.lock for the container's Python, so that it needs no network."""
+    lock = repo_root / "requirements.lock"
+    wheels = cache / f"wheels-{hashlib.sha256(lock.read_bytes()).hexdigest()[:12]}"
+    if not wheels.is_dir():
+        for old in cache.glob("wheels-*"):
+            shutil.rmtree(old)
+        unfinished = wheels.with_suffix(".unfinished")
+        _call(
+            sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--no-build-isolation", "--require-hashes",
+            "--python-version=3.11", f"--requirement={lock}", f"--dest={unfinished}",
+        )  # fmt: skip
+        unfinished.rename(wheels)
+    return wheels
+
+
+def _install(root: Path, wheels: Path, repo_root: Path) -> None:
+    source = root / "usr" / "src" / "servo-daemon"
+    shutil.rmtree(source, ignore_errors=True)
+    names = subprocess.run(["git", "ls-files", "-z"], cwd=repo_root, check=True, capture_output=True, text=True).stdout
+    for name in filter(None, names.split("\0")):
+        if (repo_root / name).exists():
+            (source / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(repo_root / name, source / name, follow_symlinks=False)
+    (root / "etc" / "servo-daemon.toml").unlink(missing_ok=True)
+    _call(
+        *_NSPAWN, f"--directory={root}", f"--bind-ro={wheels}:/wheels", "--setenv=PIP_NO_INDEX=1",
+        "--setenv=PIP_FIND_LINKS=/wheels", "make", "-C", "/usr/src/servo-daemon", "install",
+    )  # fmt: skip
+
+
+def _call(*command: str) -> None:
+    done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{' '.join(command)}: {done.returncode}\n{done.stdout[-4000:]}{done.stderr[-4000:]}"
+
+
+@contextlib.contextmanager
+def booted(root: Path) -> Iterator[Machine]:
+    """Boot an overlay of `root` and wait until systemd says that the system runs."""
+    command = [*_NSPAWN, "--boot", "--volatile=overlay", f"--directory={root}"]
+    with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as container:
+        try:
+            leader = wait_for("process 1 of the container", lambda: _only_child(container))
+            machine = Machine(leader)
+            state = wait_for("a booted system", lambda: _state(machine))
+            assert state == "running", machine.run("systemctl", "--failed", check=False)
+            yield machine
+        finally:
+            container.terminate()  # systemd-nspawn shuts its system down
+            try:
+                container.wait(30)
+            except subprocess.TimeoutExpired:
+                container.kill()
+
+
+def _only_child(process: subprocess.Popen[bytes]) -> int:
+    assert process.poll() is None, f"systemd-nspawn ended: {process.returncode}"
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text(encoding="ascii").split()
+    return int(children[0]) if children else 0
+
+
+def _state(machine: Machine) -> str:
+    """The system's state once it is final, before that an empty text."""
+    state = machine.run("systemctl", "is-system-running", check=False).strip()
+    return state if state in {"running", "degraded"} else ""
