@@ -145,9 +145,15 @@ class Description:
         return tuple(name for name in CHANNELS if name in present)
 
     @cached_property
+    def fields(self) -> tuple[str, ...]:
+        """Names of the channels' fields in `record`."""
+        return tuple(f"c{i}" for i in range(len(self.channels)))
+
+    @cached_property
     def record(self) -> np.dtype[np.void]:
-        """NumPy type of one sample: `dt_us` and a field `c0`, `c1`, ... for every channel."""
-        return np.dtype([("dt_us", "<u2"), *((f"c{i}", FORMATS[c.format]) for i, c in enumerate(self.channels))])
+        """NumPy type of one sample: `dt_us` and a field for every channel."""
+        formats = (FORMATS[c.format] for c in self.channels)
+        return np.dtype([("dt_us", "<u2"), *zip(self.fields, formats, strict=True)])
 
     @property
     def max_samples(self) -> int:
@@ -289,8 +295,8 @@ def encode_samples(
     if n > 1 and not (int(steps.min()) > 0 and int(steps.max()) <= 0xFFFF):
         raise ValueError("times within a frame must increase by 1 .. 65535 µs")
     records["dt_us"][1:] = steps
-    for i, column in enumerate(columns):
-        field = records[f"c{i}"]
+    for name, column in zip(description.fields, columns, strict=True):
+        field = records[name]
         field[:] = column.astype(np.int64).astype(field.dtype)
     header = SAMPLES_HEADER.pack(
         FrameType.SAMPLES,

@@ -79,8 +79,11 @@ class BinaryDecoder:
         self._waiting: deque[bytes] = deque()
         self._waiting_bytes = 0
         self._run: list[bytes] = []
-        self._run_head = b""
-        self._run_size = 0
+        self._end_run_kind()
+
+    def _end_run_kind(self) -> None:
+        """The next sample frame is looked at closely; those that look like it are not."""
+        self._run_head, self._run_size = b"", 0
 
     def reattach(self) -> None:
         """The line was opened anew: forget bytes and description, keep time, numbering and position.
@@ -151,11 +154,18 @@ class BinaryDecoder:
             self.counters.framing_errors += 1
         elif self.description is None or payload[2] != self.description.session:
             self._wait_for_description(payload)
-        elif len(payload) != frame_dtype(self.description.record, payload[3]).itemsize:
-            self.counters.framing_errors += 1
         else:
-            self._finish_run()
-            self._run, self._run_head, self._run_size = [payload], payload[:_HEAD], len(payload)
+            self._begin_run(payload, self.description)
+
+    def _begin_run(self, payload: bytes, description: Description) -> None:
+        """A described sample frame of another size than the one before."""
+        dtype = frame_dtype(description.record, payload[3])
+        if len(payload) != dtype.itemsize:
+            self.counters.framing_errors += 1
+            return
+        self._finish_run()
+        self._run, self._run_head, self._run_size = [payload], payload[:_HEAD], len(payload)
+        self._run_dtype, self._run_numbers = dtype, np.arange(payload[3])
 
     @property
     def _drive_id(self) -> int | None:
@@ -181,6 +191,7 @@ class BinaryDecoder:
             self.counters.extra["descriptions_refused"] += 1
             return
         self._finish_run()
+        self._end_run_kind()
         self._adopt(description, payload)
         waiting, self._waiting, self._waiting_bytes = self._waiting, deque(), 0
         for frame in waiting:
@@ -208,72 +219,62 @@ class BinaryDecoder:
         if not self._run or self.description is None:
             return
         payloads, self._run = self._run, []
-        self._run_head = b""
         block = self._decode(payloads, self.description)
         if block is not None:
             self._ready.append(block)
         self._recent.extend(payloads[-_RECENT_FRAMES:])
 
     def _decode(self, payloads: list[bytes], description: Description) -> SampleBlock | None:
-        n = payloads[0][3]
-        frames = np.frombuffer(b"".join(payloads), dtype=frame_dtype(description.record, n))
-        offsets = np.cumsum(frames["samples"]["dt_us"], axis=1, dtype=np.int64)
-        if n > 1 and not frames["samples"]["dt_us"][:, 1:].all():  # time stands still: not a frame of this protocol
-            good = np.all(frames["samples"]["dt_us"][:, 1:] > 0, axis=1)
+        frames = np.frombuffer(b"".join(payloads), dtype=self._run_dtype)
+        steps = frames["samples"]["dt_us"]
+        if (
+            np.count_nonzero(steps[:, 1:]) < steps.size - steps.shape[0]
+        ):  # time stands still: not a frame of this protocol
+            good = np.all(steps[:, 1:] > 0, axis=1)
             self.counters.framing_errors += int((~good).sum())
             payloads = [payloads[k] for k in np.flatnonzero(good)]
-            frames, offsets = frames[good], offsets[good]
+            frames, steps = frames[good], steps[good]
             if not payloads:
                 return None
 
         def is_repeat(k: int) -> bool:
             return payloads[k] in payloads[max(0, k - _RECENT_FRAMES) : k] or payloads[k] in self._recent
 
-        first_us = frames["t_us"] + offsets[:, 0].astype(np.uint32)
-        offsets -= offsets[:, :1]
-        timeline = self._timeline
-        placed = timeline.place(frames["sequence"], first_us, offsets[:, -1], n, is_repeat)
-        counters = self.counters
+        offsets = steps.cumsum(axis=1, dtype=np.int64)
+        timeline, counters = self._timeline, self.counters
+        n = offsets.shape[1]
+        placed = timeline.place(frames["sequence"], frames["t_us"], offsets[:, -1], n, is_repeat)
         counters.samples_lost = timeline.lost
         counters.samples_repeated = timeline.repeated
         counters.device_restarts = timeline.restarts
-        if placed.kept is not None and not placed.kept.all():
+        if placed.kept is not None:
             frames, offsets = frames[placed.kept], offsets[placed.kept]
             if frames.shape[0] == 0:
                 return None
-        return self._block(frames, description, offsets, placed)
+        return self._block(frames["samples"], description, offsets, placed)
 
-    def _block(
-        self,
-        frames: NDArray[Any],
-        description: Description,
-        offsets: I64,
-        placed: Placement,
-    ) -> SampleBlock:
+    def _block(self, records: NDArray[Any], description: Description, offsets: I64, placed: Placement) -> SampleBlock:
         """Samples of placed frames, values in their units."""
-        n = offsets.shape[1]
-        records = frames["samples"]
         quality = np.zeros(offsets.shape, dtype=np.uint8)
         restarts = None
-        values: dict[str, NDArray[np.float64]] = {}
         if placed.flags is not None:
             quality[:, 0] = placed.flags
-            restarts = np.flatnonzero(placed.flags & Quality.TIME_RESTART) * n
-        for i, channel in enumerate(description.channels):
-            raw = records[f"c{i}"]
+            restarts = np.flatnonzero(placed.flags & Quality.TIME_RESTART) * offsets.shape[1]
+        values: dict[str, NDArray[np.float64]] = {}
+        for field, channel in zip(description.fields, description.channels, strict=True):
+            raw = records[field]
             if channel.quantity == Quantity.STATUS:
                 quality |= raw.astype(np.uint8) & np.uint8(STATUS_MASK)
             elif channel.quantity in CHANNEL_OF:
                 if channel.quantity == Quantity.POSITION and self._unwrapper is not None:
                     raw = self._unwrapper.unwrap(raw.astype(np.int64).reshape(-1), restarts)
-                value = raw.astype(np.float64).reshape(-1)
-                value *= channel.unit_per_lsb
+                value = np.multiply(raw, channel.unit_per_lsb, dtype=np.float64).reshape(-1)
                 if channel.offset:
                     value += channel.offset
                 values[CHANNEL_OF[channel.quantity]] = value
         return SampleBlock(
             time_s=(placed.time_us[:, None] + offsets).reshape(-1) / 1e6,
-            sequence=(placed.sequence[:, None] + np.arange(n)).reshape(-1),
+            sequence=(placed.sequence[:, None] + self._run_numbers).reshape(-1),
             quality=quality.reshape(-1),
             host_time_s=self._host_time_s,
             **values,

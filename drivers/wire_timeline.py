@@ -32,6 +32,9 @@ _RATE_MARGIN = 4.0
 _CLOCK_TOLERANCE = 0.05
 _PAUSE_TOLERANCE_US = 10_000_000
 
+#: Up to so many frames at once a loop over integers is cheaper than arrays.
+_FEW = 8
+
 #: Continuation after a restart when nothing is known of the sample period.
 _UNKNOWN_PERIOD_US = 1_000
 
@@ -94,21 +97,16 @@ class Timeline:
 
         Args:
             sequence: shape (frames,), number of each frame's first sample.
-            first_us: shape (frames,), device time of each frame's first sample.
-            span_us: shape (frames,), from the first to the last sample of each frame.
+            first_us: shape (frames,), device time of each frame.
+            span_us: shape (frames,), from that to its last sample.
             is_repeat: whether frame k has the very bytes of a recent earlier one.
         """
-        if self._started and not self._new_session:
+        if sequence.shape[0] > _FEW and self._started and not self._new_session:
             steps = self._steps(first_us, span_us)
-            count = sequence.shape[0]
-            if count == 1:  # a frame every wakeup: integers are cheaper than arrays of one
-                regular = steps.item() > 0 and sequence.item() == self._raw_next
-            else:
-                expected = np.arange(self._raw_next, self._raw_next + n * count, n, dtype=np.int64)
-                regular = bool((steps > 0).all() and (sequence == expected.astype(np.uint32)).all())
-            if regular:
-                return self._place_regular(sequence, first_us, steps, span_us, n)
-        return self._place_one_by_one(sequence, first_us, span_us, n, is_repeat)
+            expected = np.arange(self._raw_next, self._raw_next + n * steps.shape[0], n, dtype=np.int64)
+            if bool((steps > 0).all()) and bool((sequence == expected.astype(np.uint32)).all()):
+                return self._place_regular(int(sequence[-1]), int(first_us[-1]), steps, span_us, n)
+        return self._place_one_by_one(sequence.tolist(), first_us.tolist(), span_us.tolist(), n, is_repeat)
 
     def _steps(self, first_us: NDArray[np.uint32], span_us: I64) -> NDArray[np.int32]:
         """µs from the last sample before each frame to its first, as the nearer of the two meanings."""
@@ -118,38 +116,39 @@ class Timeline:
         return steps.view(np.int32)
 
     def _place_regular(
-        self, sequence: NDArray[np.uint32], first_us: NDArray[np.uint32], steps: NDArray[np.int32],
-        span_us: I64, n: int,
-    ) -> Placement:  # fmt: skip
-        """The usual case, nothing lost, nothing twice: a sum instead of a loop."""
+        self, last_number: int, last_us: int, steps: NDArray[np.int32], span_us: I64, n: int
+    ) -> Placement:
+        """Nothing lost, nothing twice: a sum instead of a loop."""
         time_us = np.cumsum(steps, dtype=np.int64)
         time_us[1:] += np.cumsum(span_us[:-1])
         time_us += self._us
         numbers = np.arange(self._next, self._next + n * steps.shape[0], n, dtype=np.int64)
-        if n == 1 and steps.shape[0] > 1:  # the period is measured from one frame to the next
-            self._us = int(time_us[-2])
-        self._commit(int(sequence[-1]), int(first_us[-1]), int(span_us[-1]), n, int(time_us[-1]), int(numbers[-1]))
+        self._us = int(time_us[-2] + span_us[-2])  # a period may be measured from the last frame but one
+        self._commit(last_number, last_us, int(span_us[-1]), n, int(time_us[-1]), int(numbers[-1]))
         return Placement(None, time_us, numbers, None)
 
     def _place_one_by_one(
-        self, sequence: NDArray[np.uint32], first_us: NDArray[np.uint32], span_us: I64, n: int,
-        is_repeat: Callable[[int], bool],
-    ) -> Placement:  # fmt: skip
-        count = sequence.shape[0]
-        kept = np.ones(count, dtype=np.bool_)
-        times = np.empty(count, dtype=np.int64)
-        numbers = np.empty(count, dtype=np.int64)
-        flags = np.zeros(count, dtype=np.uint8)
-        for k in range(count):
-            raw_number, raw_us, span = int(sequence[k]), int(first_us[k]), int(span_us[k])
+        self, sequence: list[int], first_us: list[int], span_us: list[int], n: int, is_repeat: Callable[[int], bool]
+    ) -> Placement:
+        kept, times, numbers, flags = [], [], [], []
+        for k, (raw_number, raw_us, span) in enumerate(zip(sequence, first_us, span_us, strict=True)):
             ahead = signed32(raw_number - self._raw_next)
-            if self._started and ahead < 0 and is_repeat(k):
-                kept[k] = False
+            keep = not (self._started and ahead < 0 and is_repeat(k))
+            kept.append(keep)
+            if keep:
+                us, number, flag = self._place_one(ahead, raw_number, raw_us)
+                self._commit(raw_number, raw_us, span, n, us, number)
+                times.append(us)
+                numbers.append(number)
+                flags.append(flag)
+            else:
                 self.repeated += 1
-                continue
-            times[k], numbers[k], flags[k] = self._place_one(ahead, raw_number, raw_us)
-            self._commit(raw_number, raw_us, span, n, int(times[k]), int(numbers[k]))
-        return Placement(kept, times[kept], numbers[kept], flags[kept])
+        return Placement(
+            None if all(kept) else np.array(kept),
+            np.array(times, dtype=np.int64),
+            np.array(numbers, dtype=np.int64),
+            np.array(flags, dtype=np.uint8) if any(flags) else None,
+        )
 
     def _place_one(self, ahead: int, raw_number: int, raw_us: int) -> tuple[int, int, int]:
         """Unwrapped time and number, and flags, of a frame that is no repetition."""

@@ -13,6 +13,7 @@ from cobs import cobs
 from crccheck.crc import Crc16Ibm3740
 
 from drivers.wire_decoder import BinaryDecoder
+from drivers.wire_text import TextDecoder
 from servo_daemon.samples import Quality
 from tests.wire_tools import DESCRIPTIONS, SAMPLES, VECTORS, rows_of
 
@@ -135,3 +136,22 @@ def test_the_example_device_is_read_without_a_loss(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.abs(block.voltage_V), 6.0, rtol=1e-12)
     assert block.position_rad.max() == pytest.approx(2 * np.pi * 4000 / 4096)
     assert (decoder.counters.crc_errors, decoder.counters.framing_errors) == (0, 0)
+
+
+def test_the_sketch_speaks_the_text_wire(tmp_path: Path) -> None:
+    compiler = shutil.which("g++") or shutil.which("c++")
+    if compiler is None:
+        pytest.skip("no C++ compiler (g++ or c++) on this machine")
+    program, stub = tmp_path / "sketch", Path(__file__).with_name("arduino_stub.h")
+    command = [compiler, "-x", "c++", "-include", stub, "-o", program, FIRMWARE / "servo_text.ino"]
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    lines = subprocess.run([program], capture_output=True, check=True).stdout
+    decoder = TextDecoder(2 * 600.0)
+    block = decoder.feed(b"\n" + lines)
+    assert block is not None and len(block) == 5
+    assert decoder.counters.framing_errors == 0 and not block.quality.any()
+    assert block.voltage_V is not None and block.position_rad is not None
+    np.testing.assert_allclose(np.diff(block.time_s)[1:], 2e-3, atol=3e-4)
+    assert block.voltage_V[0] == pytest.approx(24 * 501 / 1023, abs=1e-3)
+    np.testing.assert_allclose(block.position_rad, -np.arange(1, 6) * 2 * np.pi / 1200, rtol=1e-12)
