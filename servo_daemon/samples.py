@@ -93,6 +93,11 @@ class SampleBlock:
             self.time_s[start:stop], self.sequence[start:stop], self.quality[start:stop], self.host_time_s, *cut
         )
 
+    def select(self, keep: NDArray[np.bool_]) -> SampleBlock:
+        """The samples for which `keep`, shape (n,), is true; possibly none (a copy)."""
+        chosen = [None if (a := getattr(self, name)) is None else a[keep] for name in CHANNELS]
+        return SampleBlock(self.time_s[keep], self.sequence[keep], self.quality[keep], self.host_time_s, *chosen)
+
 
 def make_block(
     time_s: F64,

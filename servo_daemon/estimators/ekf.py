@@ -96,14 +96,32 @@ class Ekf:
         self.started = True
 
     def forget_state(self, x: F64 | None = None) -> None:
-        """After a gap or a restart of the device: parameters are kept, the plant's states are unknown again."""
+        """After a pause or a restart of the device: parameters are kept, the plant's states are unknown again."""
+        initial = np.array([s.initial for s in self.plant.states]) if x is None else x
+        self._forget(list(range(self._lay.n_x)), initial)
+
+    def forget_motion(self, x: F64) -> None:
+        """After missing samples: current, speed and angle are unknown again; what changes slowly (a temperature) is
+        known as before.
+
+        Args:
+            x: where the plant's states are to start, shape (n_x,); those that are not forgotten are not looked at.
+        """
+        self._forget([k for k, s in enumerate(self.plant.states) if s.name in _UNKNOWN_STATE_STD], x)
+
+    def _forget(self, which: list[int], x: F64) -> None:
         z, P = self.mean, self.covariance
-        n_x = self._lay.n_x
-        spread = [_UNKNOWN_STATE_STD.get(s.name, 3 * s.scale) for s in self.plant.states]
-        z[:n_x] = [s.initial for s in self.plant.states] if x is None else x
-        P[:n_x, :] = P[:, :n_x] = 0.0
-        P[:n_x, :n_x] = np.diag(np.square(spread))
+        z[which] = x[which]
+        P[which, :] = 0.0
+        P[:, which] = 0.0
+        for k in which:
+            state = self.plant.states[k]
+            P[k, k] = _UNKNOWN_STATE_STD.get(state.name, 3 * state.scale) ** 2
         self._put(z, P)
+
+    def doubt_input(self, var: float) -> None:
+        """Samples are missing before the next one: what was applied meanwhile is known only to this variance more."""
+        self._state[self._lay.held_variance] += var
 
     def set_noise(self, noise: NoiseLevels) -> None:
         self._constants[0], self._constants[1] = noise.input_var, noise.torque_psd

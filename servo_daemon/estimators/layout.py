@@ -12,6 +12,10 @@ from servo_daemon.samples import F64, Quality, SampleBlock
 
 #: A gap longer than this leaves the plant's states unknown; a shorter one is predicted through.
 LONG_GAP_S = 0.25
+#: Samples further apart than this many periods have lost some between them: no regular drive's jitter is as large.
+_GAP_PERIODS = 2.5
+#: Up to this many periods the motion is predicted through a gap; beyond, what the voltage did meanwhile counts more.
+_SHORT_GAP_PERIODS = 3.5
 
 _INVALID_BIT = {
     "voltage_V": Quality.VOLTAGE_INVALID,
@@ -19,6 +23,14 @@ _INVALID_BIT = {
     "position_rad": Quality.POSITION_INVALID,
     "velocity_rad_s": Quality.POSITION_INVALID,
     "torque_Nm": Quality.CURRENT_INVALID,
+}
+#: Beyond this a value is no measurement of a servo drive, whatever the drive says; and no square of it overflows.
+_IMPOSSIBLE = {
+    "voltage_V": 1e5,
+    "current_A": 1e5,
+    "position_rad": 1e12,  # years at any speed: it is counted on from turn to turn
+    "velocity_rad_s": 1e7,
+    "torque_Nm": 1e7,
 }
 INPUT: dict[Drive, str] = {"voltage": "voltage_V", "current": "current_A", "torque": "torque_Nm"}
 
@@ -33,10 +45,26 @@ def breaks(block: SampleBlock, last_s: float | None) -> list[int]:
     return [int(k) for k in np.flatnonzero(lost)]
 
 
+def gaps(block: SampleBlock, last_s: float | None, period_s: float | None) -> dict[int, bool]:
+    """Indices of samples before which others are missing, as the driver says or as their times show, and whether the
+    gap is a short one.
+
+    Args:
+        last_s: time of the sample before the block.
+        period_s: usual distance of two samples; None: not known yet.
+    """
+    missing = (block.quality & Quality.GAP_BEFORE) != 0
+    if period_s is None or last_s is None:
+        return dict.fromkeys(np.flatnonzero(missing).tolist(), False)
+    distance = np.diff(block.time_s, prepend=last_s)
+    missing |= distance > _GAP_PERIODS * period_s
+    return {k: bool(distance[k] <= _SHORT_GAP_PERIODS * period_s) for k in np.flatnonzero(missing).tolist()}
+
+
 def channel(block: SampleBlock, name: str) -> tuple[F64, F64]:
     """Values (0 where they are no measurement) and validity (1 or 0) of a channel."""
     values: F64 = getattr(block, name)
-    valid = np.isfinite(values)
+    valid = np.abs(values) <= _IMPOSSIBLE[name]  # which a NaN is not
     if block.quality.any():
         valid &= (block.quality & _INVALID_BIT[name]) == 0
     if valid.all():
@@ -78,10 +106,15 @@ class Layout:
         return out
 
 
-def stretch_of(block: SampleBlock, origin_s: float) -> Stretch:
-    """The block for the regressions; samples after a gap or with an invalid channel are not usable."""
+def stretch_of(block: SampleBlock, origin_s: float, last_s: float | None, period_s: float | None) -> Stretch:
+    """The block for the regressions; samples after a gap or with an invalid channel are not usable.
+
+    Args:
+        last_s, period_s: as for `gaps`.
+    """
     usable = np.ones(len(block), dtype=bool)
     usable &= (block.quality & (Quality.GAP_BEFORE | Quality.TIME_RESTART)) == 0
+    usable[list(gaps(block, last_s, period_s))] = False
     signals: dict[str, F64 | None] = {}
     for name in ("voltage_V", "current_A", "torque_Nm", "position_rad", "velocity_rad_s"):
         if getattr(block, name) is None:

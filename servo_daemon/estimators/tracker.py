@@ -17,7 +17,7 @@ from servo_daemon.estimators.base import Gaussian, to_coordinate
 from servo_daemon.estimators.ekf import Ekf, Innovations
 from servo_daemon.estimators.excitation import Excitation
 from servo_daemon.estimators.fusion import Qualification
-from servo_daemon.estimators.layout import INPUT, Layout, breaks, channel, stretch_of
+from servo_daemon.estimators.layout import INPUT, Layout, breaks, channel, gaps, stretch_of
 from servo_daemon.estimators.motor_rls import MotorRls
 from servo_daemon.estimators.noise import ChannelNoise, ProcessNoise, Whiteness
 from servo_daemon.estimators.signals import SignalPlan, plan_signals
@@ -133,6 +133,7 @@ class Tracker:
         self._noise: dict[str, ChannelNoise] = {}
         self._input_square = 0.0
         self._early: list[SampleBlock] = []
+        self._tick_end_s: float | None = None
         self._process_noise: dict[str, ProcessNoise] = {}
         self._suspicious_ticks = 0
         self._innovations: list[Innovations] = []
@@ -159,26 +160,32 @@ class Tracker:
             self._layout.rows(block, 0.0)
             return
         cuts = breaks(block, self.last_s)
-        for a, b in zip([0, *cuts], [*cuts, len(block)], strict=True):
+        holes = gaps(block, self.last_s, self.sample_period_s)
+        edges = sorted({*cuts, *holes})
+        for a, b in zip([0, *edges], [*edges, len(block)], strict=True):
             if b <= a:
                 continue
             part = block.slice(a, b)
-            if a in cuts:
-                self._layout.last_s = float(part.time_s[0])
-                self.ekf.forget_state(self._initial_state(part))
+            if a in cuts or not holes.get(a, True):
+                self._layout.last_s = float(part.time_s[0])  # begins at this sample: no prediction up to it
+                forget = self.ekf.forget_state if a in cuts else self.ekf.forget_motion
+                forget(self._first_state(part))
+            elif a in holes:
+                self.ekf.doubt_input(self._input_square)
             rows = self._layout.rows(part, self._input_square)
             self._innovations.append(self.ekf.update(rows))
             self._rows.append(rows)
 
-    def _initial_state(self, block: SampleBlock) -> F64:
-        """Plant states from the first sample of a block: what is measured, and zero."""
-        assert self.plan.plant is not None
+    def _first_state(self, block: SampleBlock) -> F64:
+        """Plant states at the first sample of a block: what is measured; the last known where that is no measurement
+        (looking further would make the result depend on where blocks end); the model's start for the rest."""
+        assert self.plan.plant is not None and self.ekf is not None
         x = np.array([s.initial for s in self.plan.plant.states])
+        first = block.slice(0, 1)
         for k, state in enumerate(self.plan.plant.states):
             if state.name in self.plan.measured:
-                values, valid = channel(block, state.name)
-                known = np.flatnonzero(valid)
-                x[k] = values[known[0]] if len(known) else 0.0
+                values, valid = channel(first, state.name)
+                x[k] = values[0] if valid[0] else self.ekf.x[k]
         return x
 
     # -- ticks -----------------------------------------------------------------------------------------------
@@ -192,7 +199,8 @@ class Tracker:
         duration = max((self.sample_period_s or 0.0) * len(tick), 1e-6)
         self._measure_levels(tick)
         assert self.first_s is not None
-        self.rls.update(stretch_of(tick, self.first_s))
+        self.rls.update(stretch_of(tick, self.first_s, self._tick_end_s, self.sample_period_s))
+        self._tick_end_s = float(tick.time_s[-1])
         if not self.ekf.started:
             return self._try_start(tick)
         return self._watch(duration)
@@ -224,7 +232,7 @@ class Tracker:
         self._set_noise()
         free = self._free_mask()
         self.ekf.set_active(free, free)
-        self.ekf.forget_state(self._initial_state(recording.slice(len(recording) - 1, len(recording))))
+        self.ekf.forget_state(self._first_state(recording.slice(len(recording) - 1, len(recording))))
         self._early = []
         source = "the saved state" if self._prior is not None else "regression and nominal values"
         return [("filter_started", f"filter started from {source}", {})]

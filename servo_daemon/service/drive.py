@@ -52,7 +52,7 @@ class DriveRuntime:
         self._info = driver.info
         self._estimate: Estimate | None = None
         self._sample_time: float | None = None
-        self._failures = 0
+        self._failures = self._repeated = 0
         self._reset_wanted = False
         self._was_silent = False
         self._unwritable = False
@@ -124,11 +124,12 @@ class DriveRuntime:
 
     def _process(self, blocks: list[SampleBlock]) -> None:
         pipeline = self._pipeline_for_device()
-        ticks: list[Estimate] = []
+        repeated = pipeline.samples_repeated
         for run in _same_channels(blocks):
-            ticks += pipeline.process(concatenate(run))
+            pipeline.process(concatenate(run), rows=False)
+        self._repeated += pipeline.samples_repeated - repeated
         estimate = pipeline.current()
-        if any(not all_finite(e) for e in ticks) or (estimate is not None and not all_finite(estimate)):
+        if estimate is not None and not all_finite(estimate):
             raise NumericalError("an estimate is not a number")
         self._estimate = estimate
         for kind, message, data in pipeline.messages:
@@ -207,7 +208,7 @@ class DriveRuntime:
             "samples_lost": c.samples_lost + self.reader.queue.dropped,
             "queue_dropped": self.reader.queue.dropped,
             "queue_samples": self.reader.queue.samples,
-            "samples_repeated": c.samples_repeated,
+            "samples_repeated": c.samples_repeated + self._repeated,
             "frames": c.frames,
             "crc_errors": c.crc_errors,
             "framing_errors": c.framing_errors,

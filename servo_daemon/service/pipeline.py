@@ -39,6 +39,7 @@ class Pipeline:
         self._cutter = TickCutter()
         self._tick: list[SampleBlock] = []
         self._samples = 0
+        self.samples_repeated = 0  # those without a time of their own
         self.messages: list[tuple[str, str, Mapping[str, float | int | str | None]]] = []
 
     def reset(self) -> None:
@@ -55,19 +56,26 @@ class Pipeline:
         if self._tracker is not None:
             self._tracker.resolutions = publish.resolutions(self._config, info)
 
-    def process(self, block: SampleBlock) -> list[Estimate]:
-        """Take samples; returns one estimate per tick that they completed, in order."""
+    def process(self, block: SampleBlock, *, rows: bool = True) -> list[Estimate]:
+        """Take samples; returns one estimate per tick that they completed, in order.
+
+        Args:
+            rows: False: return nothing. The live daemon asks for `current` instead and saves the work.
+        """
         if block.channels != self._channels:
             self._begin(block.channels)
         estimates = []
-        restarts = self._cutter.restarts
+        restarts, repeated = self._cutter.restarts, self._cutter.repeated
         for segment in self._cutter.cut(block):
             if segment.closes_tick and self._tick:
-                estimates.append(self._close_tick())
+                self._close_tick()
+                if rows:
+                    estimates.append(self._publish())
             assert self._tracker is not None
             self._tracker.take(segment.block)
             self._tick.append(segment.block)
             self._samples += len(segment.block)
+        self.samples_repeated += self._cutter.repeated - repeated
         if self._cutter.restarts > restarts:
             text = "device time began anew: the device restarted; its parameters are kept"
             self.messages.append(("device_restarted", text, {"restarts": self._cutter.restarts}))
@@ -75,13 +83,16 @@ class Pipeline:
 
     def finish(self) -> Estimate | None:
         """At the end of a finite source: the estimate after the last, incomplete tick; None if there is none."""
-        return self._close_tick() if self._tick else None
+        if not self._tick:
+            return None
+        self._close_tick()
+        return self._publish()
 
     def current(self) -> Estimate | None:
         """The estimate after the very last sample, between ticks too; None before the first sample."""
         if self._tracker is None or self._tracker.last_s is None:
             return None
-        return publish.estimate(self._config, self._tracker, self._samples)
+        return self._publish()
 
     def save(self) -> SavedState | None:
         """What is worth keeping over a restart; None unless the filter is well."""
@@ -110,10 +121,13 @@ class Pipeline:
             publish.prior(self._config, self._saved),
         )
 
-    def _close_tick(self) -> Estimate:
+    def _close_tick(self) -> None:
         assert self._tracker is not None
         self.messages += self._tracker.close_tick(concatenate(self._tick))
         self._tick = []
+
+    def _publish(self) -> Estimate:
+        assert self._tracker is not None
         return publish.estimate(self._config, self._tracker, self._samples)
 
 

@@ -31,11 +31,14 @@ class TickCutter:
 
     Attributes:
         restarts: how often device time began anew, as the driver flagged it or as it shows here.
+        repeated: samples without a time of their own, left out.
     """
 
     def __init__(self) -> None:
         self.start_s: float | None = None
         self.restarts = 0
+        self.repeated = 0
+        self._raw_last_s = -np.inf  # as the device dates it
         self._tick = 0
         self._last_s = -np.inf
         self._offset_s = 0.0
@@ -43,9 +46,11 @@ class TickCutter:
 
     def cut(self, block: SampleBlock) -> Iterator[Segment]:
         """Segments in order; each lies inside one tick."""
-        if len(block) == 0:
-            return
-        block = self._continued(block)
+        for part in self._increasing(block):
+            yield from self._cut(self._continued(part))
+
+    def _cut(self, block: SampleBlock) -> Iterator[Segment]:
+        """A block whose time goes on from the last one's."""
         self.restarts += int(np.count_nonzero(block.quality & Quality.TIME_RESTART))
         if self.start_s is None:
             self.start_s = float(block.time_s[0])
@@ -59,6 +64,26 @@ class TickCutter:
         if len(block) > 1:
             self._period_s = float(block.time_s[-1] - block.time_s[-2])
         self._last_s = float(block.time_s[-1])
+
+    def _increasing(self, block: SampleBlock) -> Iterator[SampleBlock]:
+        """The block in parts of strictly increasing time, as it should be in one. A sample with the time of the one
+        before it is the same sample again: the first is kept, the others are counted."""
+        time_s = block.time_s
+        if len(block) == 0:
+            return
+        before = np.concatenate([[self._raw_last_s], time_s[:-1]])
+        if bool((time_s > before).all()) and np.isfinite(time_s[-1]):
+            yield block
+        else:
+            keep = np.isfinite(time_s) & (time_s != before)
+            self.repeated += len(block) - int(np.count_nonzero(keep))
+            block = block.select(keep)
+            back = np.flatnonzero(np.diff(block.time_s) <= 0.0) + 1
+            for a, b in pairwise([0, *back.tolist(), len(block)]):
+                if b > a:
+                    yield block.slice(a, b)
+        if len(block):
+            self._raw_last_s = float(block.time_s[-1])
 
     def _continued(self, block: SampleBlock) -> SampleBlock:
         """Shift a block whose device time is behind the stream's, as after a restart the driver did not notice."""
