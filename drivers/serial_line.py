@@ -127,7 +127,7 @@ class SerialDriver(Driver):
         return DriveInfo(
             identity=f"serial:{settings.port}",
             sample_period_s=settings.sample_period_s,
-            counts_per_rev=settings.counts_per_rev,
+            counts_per_rev=abs(settings.counts_per_rev or 0.0) or None,
             current_lsb_A=settings.current_lsb_A or 1e-3,
             voltage_lsb_V=settings.voltage_lsb_V or 1e-3,
             channels=("voltage_V", "current_A", "position_rad"),

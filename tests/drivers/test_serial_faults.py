@@ -275,6 +275,13 @@ def test_options_that_do_not_fit(options: dict[str, Any], text: str) -> None:
         SerialDriver("axis1", options)
 
 
+def test_text_wire_knows_what_it_was_told() -> None:
+    options = {"port": "/dev/ttyX", "wire": "text", "counts_per_rev": -2400, "current_lsb_A": 0.01}
+    assert SerialDriver("axis1", options).info == DriveInfo(
+        "serial:/dev/ttyX", None, 2400.0, 0.01, 1e-3, ("voltage_V", "current_A", "position_rad")
+    )
+
+
 def test_text_wire_reads_the_same_samples(link: Path) -> None:
     options = {"port": str(link), "wire": "text", "counts_per_rev": 4096.0, "sample_period_s": 1e-3}
     driver = SerialDriver("axis1", options)
