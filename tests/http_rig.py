@@ -37,9 +37,9 @@ class Client:
 
 
 @contextmanager
-def serving(app: ASGIApp) -> Iterator[str]:
+def serving(app: ASGIApp, port: int = 0) -> Iterator[str]:
     """The application behind a real server; gives its address, and stops it at the end (at the latest after 5 s)."""
-    with socket.create_server(("127.0.0.1", 0)) as listener:
+    with socket.create_server(("127.0.0.1", port)) as listener:
         settings: dict[str, Any] = {"log_level": "error", "access_log": False, "ws": "none", "lifespan": "off"}
         server = uvicorn.Server(uvicorn.Config(app, timeout_graceful_shutdown=2, **settings))
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, name="uvicorn")

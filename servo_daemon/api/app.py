@@ -8,10 +8,9 @@ from typing import Any, Final
 from fastapi import FastAPI
 from starlette.responses import JSONResponse
 
-from servo_daemon.api import assets, problems
+from servo_daemon.api import assets, problems, schemas
 from servo_daemon.api.guard import Guard
 from servo_daemon.api.routes import api_router, metrics_router
-from servo_daemon.api.schemas import ProblemDocument
 from servo_daemon.service.view import DaemonView
 
 PREFIX: Final = "/api/v1"
@@ -52,16 +51,35 @@ def create_app(daemon: DaemonView, allowed_hosts: Iterable[str] = ()) -> FastAPI
 
 
 def _describe(app: FastAPI) -> None:
-    """OpenAPI with the problem document in it, also under the API's own prefix; made at the first request."""
+    """OpenAPI as the API really is, also under the API's own prefix; made at the first request."""
     generate = app.openapi
+    cache: dict[str, Any] = {}
 
     def openapi() -> dict[str, Any]:
-        document = generate()
-        document["components"]["schemas"]["ProblemDocument"] = ProblemDocument.model_json_schema()
-        return document
+        if not cache:
+            cache.update(_corrected(generate()))
+        return cache
 
     app.openapi = openapi  # type: ignore[method-assign]  # FastAPI's documented way to extend the schema
 
     @app.get(f"{PREFIX}/openapi.json", include_in_schema=False)
     async def openapi_json() -> JSONResponse:
         return JSONResponse(openapi())
+
+
+def _corrected(document: dict[str, Any]) -> dict[str, Any]:
+    """What FastAPI cannot know: errors are problem documents, and nulls in the examples are meant."""
+    described = document["components"]["schemas"]
+    for name in ("HTTPValidationError", "ValidationError"):
+        described.pop(name, None)
+    described["ProblemDocument"] = schemas.ProblemDocument.model_json_schema()
+    for name, schema in described.items():
+        if "examples" in schema:
+            extra = getattr(schemas, name).model_config["json_schema_extra"]
+            schema["examples"] = extra["examples"]
+    for operations in document["paths"].values():
+        for operation in operations.values():
+            invalid = operation["responses"].get("422", {}).get("content", {})
+            if "application/json" in invalid:
+                del operation["responses"]["422"]
+    return document

@@ -47,11 +47,15 @@ class Page:
         target = browser.command("Target.createTarget", {"url": "about:blank"})["targetId"]
         attached = browser.command("Target.attachToTarget", {"targetId": target, "flatten": True})
         self._session: str = attached["sessionId"]
+        self._target = target
         for domain in ("Page", "Runtime", "Log"):
             self.command(f"{domain}.enable")
 
     def command(self, method: str, parameters: dict[str, Any] | None = None) -> Any:
         return self._browser.command(method, parameters or {}, self._session)
+
+    def close(self) -> None:
+        self._browser.command("Target.closeTarget", {"targetId": self._target})
 
     def look(self, width: int, height: int, *, dark: bool = False) -> None:
         """Size in CSS pixels (at two device pixels each) and colour scheme."""

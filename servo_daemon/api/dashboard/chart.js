@@ -8,7 +8,7 @@ const HEIGHT = 150;
 const FONT = "11px system-ui, sans-serif";
 const style = getComputedStyle(document.documentElement);
 const colour = (name) => () => style.getPropertyValue(name).trim();
-const charts = new Set();
+export const charts = new Set();
 
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => charts.forEach((c) => c.plot.redraw()));
 

@@ -15,7 +15,7 @@ export class Series {
     return this.columns[0].at(-1) ?? -Infinity;
   }
 
-  /** One point; one that is not newer than the last is ignored. Points closer than the chart can show replace the last. */
+  /** One point; one that is not newer than the last is ignored. The last is replaced while the one before is still close. */
   push(time, value, std = null, truth = null) {
     const [times] = this.columns;
     const n = times.length;
