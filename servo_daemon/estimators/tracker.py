@@ -90,7 +90,8 @@ class Tracker:
         self.settings, self.resolutions = settings, resolutions
         self.nominal = dict(settings.nominal or {})
         self.plan: SignalPlan = plan_signals(channels, settings.effects, self.nominal)
-        self._prior = prior
+        names = () if self.plan.plant is None else self.plan.plant.parameter_names
+        self._prior = prior if prior is not None and set(prior.names) == set(names) else None
         self.last_s: float | None = None
         self.first_s: float | None = None
         self.measured_state: dict[str, float | None] = {}

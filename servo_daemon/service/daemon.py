@@ -17,7 +17,6 @@ from servo_daemon import __version__
 from servo_daemon.config import Config
 from servo_daemon.service.drive import DriveRuntime
 from servo_daemon.service.notify import Notifier
-from servo_daemon.service.publish import SavedState
 
 log = logging.getLogger(__name__)
 
@@ -49,7 +48,6 @@ class Daemon:
         self._wake = threading.Event()
         self._stop = threading.Event()
         self._save_now = threading.Event()
-        self._to_save: list[tuple[DriveRuntime, str, SavedState]] = []
         self._notifier = Notifier.from_environment() if notifier is None else notifier
         self._ready, self._said, self._tell_next = False, "", 0.0
         self._turned = time.monotonic()
@@ -119,7 +117,8 @@ class Daemon:
 
     def _hand_to_saver(self) -> None:
         """The pipelines belong to this thread; writing to a disk that may be slow does not."""
-        self._to_save = [(r, *state) for r in self._runtimes.values() if (state := r.state_to_save()) is not None]
+        for runtime in self._runtimes.values():
+            runtime.offer_state()
         self._save_now.set()
 
     def _save(self) -> None:
@@ -128,9 +127,8 @@ class Daemon:
             last = self._stop.is_set() and not self._worker.is_alive()
             self._save_now.wait(0.2)
             self._save_now.clear()
-            due, self._to_save = self._to_save, []
-            for runtime, identity, saved in due:
-                runtime.write_state(identity, saved)
+            for runtime in self._runtimes.values():
+                runtime.save_offered()
 
     def _tell_systemd(self, fresh: bool, running_s: float) -> None:
         if not self._ready and (fresh or running_s > START_TIMEOUT_S):

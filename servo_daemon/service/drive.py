@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -31,8 +32,8 @@ _WARNINGS = (
 
 
 class DriveRuntime:
-    """One drive in the daemon. `work` and `request_save` belong to the worker thread; everything public else is
-    read-only and may be called from any thread.
+    """One drive in the daemon. `work` and `offer_state` belong to the worker thread, `save_offered` to the saver;
+    everything public else is read-only and may be called from any thread.
 
     Args:
         config: the drive.
@@ -55,6 +56,8 @@ class DriveRuntime:
         self._failures = self._repeated = 0
         self._reset_wanted = False
         self._was_silent = False
+        self._saving = threading.Lock()
+        self._offered: tuple[str, SavedState] | None = None
         self._unwritable = False
         self._link: Link = self.reader.link
         self._initial = initial_parameters(published_parameters(config), config.nominal)
@@ -106,16 +109,21 @@ class DriveRuntime:
         self._follow_link(bool(blocks))
         return bool(blocks)
 
-    def state_to_save(self) -> tuple[str, SavedState] | None:
-        """Identity and knowledge, if the drive is well and has something worth keeping. Worker thread."""
+    def offer_state(self) -> None:
+        """Lay out what is worth keeping for `save_offered`, if the drive is well and there is something. Worker thread:
+        the pipeline is its own."""
         if self._pipeline is None or self._identity is None or self._link.connection != "connected":
-            return None
+            return
         saved = self._pipeline.save()
-        return None if saved is None else (self._identity, saved)
+        if saved is not None:
+            self._offered = (self._identity, saved)
 
-    def write_state(self, identity: str, saved: SavedState) -> None:
-        """Any thread: writing may wait for a slow disk."""
-        self._unwritable = not self._file.save(identity, saved)
+    def save_offered(self) -> None:
+        """Write what was laid out. Saver thread: a disk may be slow."""
+        with self._saving:
+            offered, self._offered = self._offered, None
+            if offered is not None:
+                self._unwritable = not self._file.save(*offered)
 
     @property
     def problem(self) -> str | None:
@@ -164,7 +172,9 @@ class DriveRuntime:
 
     def _reset(self) -> None:
         self._reset_wanted = False
-        self._file.forget()
+        with self._saving:  # nothing older may be written after it
+            self._offered = None
+            self._file.forget()
         if self._pipeline is not None:
             self._pipeline.reset()
         self._estimate = None

@@ -50,7 +50,7 @@ class StateFile:
                 log.info("%s is of another device or model (%s): not used", self._path, data["identity"])
                 return None
             return _checked(data)
-        except (ValueError, KeyError, TypeError) as error:
+        except (ValueError, KeyError, TypeError, ArithmeticError, RecursionError) as error:  # whatever JSON may hold
             self._set_aside(f"{type(error).__name__}: {error}")
             return None
 
@@ -58,7 +58,7 @@ class StateFile:
         """The file's text; None (said, unless it just is not there) if it cannot be had."""
         try:
             return None if self._path is None else self._path.read_text(encoding="utf-8")
-        except FileNotFoundError:
+        except (FileNotFoundError, NotADirectoryError):  # the second is told when it cannot be written either
             return None
         except UnicodeDecodeError:
             self._set_aside("not a text file")
@@ -116,6 +116,8 @@ def _checked(data: dict[str, object]) -> SavedState:
     mean = np.array(data["mean"], dtype=float)
     covariance = np.array(data["covariance"], dtype=float)
     n = len(names)
+    if n == 0 or len(set(names)) != n:
+        raise ValueError(f"names {list(names)}")
     if mean.shape != (n,) or covariance.shape != (n, n):
         raise ValueError(f"{n} names, mean {mean.shape}, covariance {covariance.shape}")
     if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
