@@ -76,15 +76,18 @@ def batch_of(messages: Sequence[can.Message], host_s: float, wall_s: float) -> F
     """python-can messages (data frames, at least one) as arrays; for the clocks see `FrameBatch`."""
     n = len(messages)
     payloads = [m.data for m in messages]
-    lengths = np.fromiter(map(len, payloads), np.int64, n)
-    if lengths.min() == lengths.max() == CLASSIC_BYTES:
+    shortest, longest = min(map(len, payloads)), max(map(len, payloads))
+    if shortest == longest == CLASSIC_BYTES:
         width, joined = CLASSIC_BYTES, b"".join(payloads)
+        lengths = np.full(n, CLASSIC_BYTES)
     else:
-        width = CLASSIC_BYTES if lengths.max() <= CLASSIC_BYTES else FD_BYTES
-        lengths = np.minimum(lengths, width)
+        width = CLASSIC_BYTES if longest <= CLASSIC_BYTES else FD_BYTES
+        lengths = np.array([min(len(p), width) for p in payloads])
         joined = b"".join([bytes(p[:width]).ljust(width, b"\0") for p in payloads])
     return FrameBatch(
-        keys=np.array([frame_key(m.arbitration_id, m.is_extended_id) for m in messages], np.int64),
+        keys=np.array(
+            [m.arbitration_id | EXTENDED if m.is_extended_id else m.arbitration_id for m in messages], np.int64
+        ),
         data=np.frombuffer(joined, np.uint8).reshape(n, width),
         lengths=lengths,
         stamp_s=np.array([m.timestamp for m in messages], np.float64),

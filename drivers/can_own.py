@@ -14,9 +14,10 @@ from importlib.resources import as_file, files
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.base import DriveInfo, DriverCounters
-from drivers.can_dating import Anchor, Dated, Timeline, signed
+from drivers.can_dating import U16, Anchor, Dated, Timeline, signed
 from drivers.can_decode import Bits, Field, FrameBatch, find_field, frame_key, load_dbc
 from servo_daemon.samples import F64, I64, U8, Quality, SampleBlock
 
@@ -38,7 +39,8 @@ MAX_HELD = 16_384
 
 DESCRIBED = ("SamplePeriod", "VoltageLsb", "CurrentLsb", "CountsPerRev")
 _VOLTAGE, _CURRENT, _POSITION, _TIME = range(4)
-_NO_ROWS: I64 = np.empty((0, 4), np.int64)
+I16 = NDArray[np.int16]
+_NO_ROWS: U16 = np.empty((0, 4), np.uint16)
 
 
 class OwnDecoder:
@@ -94,8 +96,12 @@ class OwnDecoder:
 
         Frames with other identifiers are ignored; frames too short are counted in `framing_errors`.
         """
+        is_sample = batch.keys == self._sample
+        if is_sample.all() and batch.lengths.min() >= 8:  # nothing else in it, as in most batches
+            self._counters.frames += len(batch)
+            return self._take(batch.data[:, :8], is_sample, batch.host_s)
         whole = batch.lengths >= 8
-        mine = (batch.keys == self._sample) | (batch.keys == self._sync)
+        mine = is_sample | (batch.keys == self._sync)
         described = np.flatnonzero(batch.keys == self._description)
         seen = int(np.count_nonzero(mine)) + len(described)
         mine &= whole
@@ -107,10 +113,14 @@ class OwnDecoder:
         for index in described[whole[described]].tolist():
             page = self._page(batch.data[index : index + 1])
             if page.items() - self._known.items():  # samples before it are scaled by what was known before it
-                blocks += self._take(batch.slice(done, index), mine[done:index])
+                blocks += self._take_some(batch, is_sample, mine, done, index)
                 self._known |= page
                 done = index
-        return blocks + self._take(batch.slice(done, len(batch)), mine[done:])
+        return blocks + self._take_some(batch, is_sample, mine, done, len(batch))
+
+    def _take_some(self, batch: FrameBatch, is_sample: Bits, mine: Bits, start: int, stop: int) -> list[SampleBlock]:
+        chosen = start + np.flatnonzero(mine[start:stop])
+        return self._take(batch.data[chosen, :8], is_sample[chosen], batch.host_s)
 
     def _page(self, data: U8) -> dict[str, float]:
         """What one Description frame says; a zero scale says nothing, nor does a version we do not know."""
@@ -123,11 +133,11 @@ class OwnDecoder:
             return {}
         return {name: value for name, value in page.items() if value > 0}
 
-    def _take(self, batch: FrameBatch, mine: Bits) -> list[SampleBlock]:
-        """Date and scale the samples of a batch, or hold them."""
-        if not self._doubt and mine.any():
-            self._doubt = self._timeline.doubtful(batch.host_s)
-        self._collect(batch.keys[mine], batch.data[mine, :8])
+    def _take(self, data: U8, is_sample: Bits, host_s: float) -> list[SampleBlock]:
+        """Date and scale the samples among some Syncs and Samples, or hold them."""
+        if not self._doubt and len(data):
+            self._doubt = self._timeline.doubtful(host_s)
+        self._collect(data, is_sample)
         if not len(self._rows):
             return []
         if len(self._known) < len(DESCRIBED) or (self._doubt and not self._anchors):
@@ -136,26 +146,24 @@ class OwnDecoder:
         rows, anchors, doubt = self._rows, self._anchors, self._doubt
         self._rows, self._anchors, self._doubt = _NO_ROWS, [], False
         dated = self._timeline.date(
-            rows[:, _TIME], rows[:, _POSITION], anchors, doubt, batch.host_s, self._known["SamplePeriod"]
+            rows[:, _TIME], rows[:, _POSITION], anchors, doubt, host_s, self._known["SamplePeriod"]
         )
-        return self._blocks(rows[dated.rows], dated, batch.host_s)
+        return self._blocks(rows if len(rows) == len(dated.rows) else rows[dated.rows], dated, host_s)
 
-    def _collect(self, keys: I64, data: U8) -> None:
+    def _collect(self, data: U8, is_sample: Bits) -> None:
         """Append the Samples to those held and tie each Sync to the Sample it belongs to."""
-        is_sample = keys == self._sample
-        words = data[is_sample].view("<i2").astype(np.int64)
-        words[:, _POSITION:] &= 0xFFFF
-        before = len(self._rows)
-        self._rows = np.concatenate([self._rows, words]) if before else words
-        if self._open_sync is not None and len(words):
-            self._tie(before, *self._open_sync)
-        if len(words) == len(keys):
-            return
+        words = data.view("<u2").astype(np.uint16, copy=False)
         sync_at = np.flatnonzero(~is_sample)
+        before = len(self._rows)
+        samples = words if not len(sync_at) else words[is_sample]
+        self._rows = np.concatenate([self._rows, samples]) if before else samples
+        if self._open_sync is not None and len(samples):
+            self._tie(before, *self._open_sync)
+        if not len(sync_at):
+            return
         row_after = before + np.cumsum(is_sample)[sync_at]
-        for row, sync in zip(row_after.tolist(), data[sync_at], strict=True):
-            low, high = sync.view("<u4").tolist()
-            self._open_sync = (low, high & 0xFFFF, high >> 16)
+        for row, sync in zip(row_after.tolist(), words[sync_at].tolist(), strict=True):
+            self._open_sync = (sync[0] | sync[1] << 16, sync[2], sync[3])
             if row < len(self._rows):
                 self._tie(row, *self._open_sync)
 
@@ -176,17 +184,18 @@ class OwnDecoder:
                 Anchor(a.row - excess, a.time_us, a.count, a.position) for a in self._anchors if a.row >= excess
             ]
 
-    def _blocks(self, rows: I64, dated: Dated, host_s: float) -> list[SampleBlock]:
+    def _blocks(self, rows: U16, dated: Dated, host_s: float) -> list[SampleBlock]:
         """Scaled samples, a new block from each restart on."""
         if not len(rows):
             return []
         quality = dated.quality
         counts_per_rev = self._counts_per_rev or self._known["CountsPerRev"]
-        voltage = _scale(rows[:, _VOLTAGE], self._known["VoltageLsb"])
-        current = _scale(rows[:, _CURRENT], self._known["CurrentLsb"])
-        if np.abs(rows[:, :_POSITION]).max() >= AT_LIMIT:
-            _judge(rows[:, _VOLTAGE], voltage, Quality.VOLTAGE_INVALID, quality)
-            _judge(rows[:, _CURRENT], current, Quality.CURRENT_INVALID, quality)
+        measured = rows.view(np.int16)
+        voltage = _scale(measured[:, _VOLTAGE], self._known["VoltageLsb"])
+        current = _scale(measured[:, _CURRENT], self._known["CurrentLsb"])
+        if measured[:, :_POSITION].max() >= AT_LIMIT or measured[:, :_POSITION].min() <= -AT_LIMIT:
+            _judge(measured[:, _VOLTAGE], voltage, Quality.VOLTAGE_INVALID, quality)
+            _judge(measured[:, _CURRENT], current, Quality.CURRENT_INVALID, quality)
         block = SampleBlock(
             time_s=_scale(dated.time_us, 1e-6),
             sequence=dated.sequence,
@@ -202,15 +211,15 @@ class OwnDecoder:
         return [block.slice(a, b) for a, b in pairwise(edges) if a < b]
 
 
-def _judge(raw: I64, value: F64, invalid: Quality, quality: U8) -> None:
+def _judge(raw: I16, value: F64, invalid: Quality, quality: U8) -> None:
     """Mark what is not measured or at its limit, in place."""
     missing = raw == NOT_MEASURED
     value[missing] = np.nan
     quality[missing] |= int(invalid)
-    quality[np.abs(raw) == AT_LIMIT] |= int(Quality.SATURATED)
+    quality[(raw == AT_LIMIT) | (raw == -AT_LIMIT)] |= int(Quality.SATURATED)
 
 
-def _scale(raw: I64, factor: float) -> F64:
+def _scale(raw: I16 | I64, factor: float) -> F64:
     return np.multiply(raw, factor, dtype=np.float64)
 
 
