@@ -118,8 +118,19 @@ def _listen(host: str, port: int) -> socket.socket:
         ServoDaemonError: the address is taken or not ours.
     """
     try:
-        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0][0]
-        return socket.create_server((host, port), family=family, backlog=128)
+        family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[
+            0
+        ]
+        # asyncio switches Nagle's algorithm off only where it sees the protocol named; else an answer takes 40 ms.
+        listener = socket.socket(family, kind, socket.IPPROTO_TCP)
+        try:
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listener.bind(address)
+            listener.listen(128)
+        except BaseException:
+            listener.close()
+            raise
+        return listener
     except OSError as error:
         reason = error.strerror or str(error)
         taken = error.errno == errno.EADDRINUSE
@@ -129,31 +140,45 @@ def _listen(host: str, port: int) -> socket.socket:
 
 async def _serve(daemon: Daemon, listener: socket.socket) -> None:
     """API in this thread's event loop, everything else in threads of the daemon, until SIGTERM or SIGINT."""
+    loop, told = asyncio.get_running_loop(), asyncio.Event()
+
+    def stop(name: str) -> None:
+        if not told.is_set():
+            log.info("%s: stopping", name)
+            told.set()
+            daemon.begin_stop()
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, stop, number.name)
+    daemon.start()
+    try:
+        await _serve_api(daemon, listener, told)
+    finally:
+        daemon.stop()
+    log.info("stopped")
+
+
+async def _serve_api(daemon: Daemon, listener: socket.socket, told: asyncio.Event) -> None:
+    """Answer requests until told to stop."""
+    # Imported while the drives are already being read: half of the time to the first estimate.
     import uvicorn
 
     from servo_daemon.api.app import create_app
 
     class Server(uvicorn.Server):
         @contextmanager
-        def capture_signals(self) -> Iterator[None]:  # the daemon's own handlers below stay in charge
+        def capture_signals(self) -> Iterator[None]:  # the daemon's own handlers stay in charge
             yield
 
     settings: dict[str, Any] = {"log_level": "warning", "access_log": False, "timeout_graceful_shutdown": _DRAIN_S}
     server = Server(uvicorn.Config(create_app(daemon), **settings))
 
-    def stop(name: str) -> None:
-        log.info("%s: stopping", name)
-        daemon.begin_stop()
+    async def exit_when_told() -> None:
+        await told.wait()
         server.should_exit = True
 
-    loop = asyncio.get_running_loop()
-    for number in _STOP_SIGNALS:
-        loop.add_signal_handler(number, stop, number.name)
+    watcher = asyncio.create_task(exit_when_told())
     host, port = listener.getsockname()[:2]
     log.info("API and dashboard on http://%s:%s/", f"[{host}]" if ":" in host else host, port)
-    daemon.start()
-    try:
-        await server.serve(sockets=[listener])
-    finally:
-        daemon.stop()
-    log.info("stopped")
+    await server.serve(sockets=[listener])
+    watcher.cancel()

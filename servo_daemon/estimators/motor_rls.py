@@ -24,6 +24,8 @@ _ARMATURE_WINDOW_S, _SHAFT_WINDOW_S = 0.02, 0.1
 _FEWEST_SAMPLES = 12
 #: Excited directions forget with this time constant, s.
 _MEMORY_S = 20.0
+#: The estimate is computed anew every so many updates (a tick each).
+_REFRESH_UPDATES, _EAGER_UPDATES = 5, 50
 #: Windows overlap by half, so neighbouring rows share half their noise: their covariance is that much too small.
 _OVERLAP_INFLATION = 2.0
 
@@ -97,7 +99,7 @@ class MotorRls:
         self._shaft: DirectionalRls | None = None
         self._tail: Stretch | None = None
         self._estimate: RegressionEstimate | None = None
-        self._stale = False
+        self._updates = 0
         self._next = {"armature": 0.0, "shaft": 0.0}
 
     @property
@@ -110,12 +112,12 @@ class MotorRls:
 
     def reset(self) -> None:
         self._armature = self._shaft = self._tail = None
-        self._estimate, self._stale = None, False
+        self._estimate, self._updates = None, 0
         self._next = {"armature": 0.0, "shaft": 0.0}
 
     def update(self, new: Stretch) -> None:
         """Take the samples of one tick; windows reach back into earlier ones."""
-        self._stale = True
+        self._updates += 1
         stretch = new if self._tail is None else _joined(self._tail, new)
         if len(stretch.time_s) >= _FEWEST_SAMPLES:
             period = float(np.median(np.diff(stretch.time_s)))
@@ -125,6 +127,8 @@ class MotorRls:
             keep = max(_FEWEST_SAMPLES, round(_SHAFT_WINDOW_S / period)) + 2
             stretch = _last(stretch, keep)
         self._tail = stretch
+        if self._updates <= _EAGER_UPDATES or self._updates % _REFRESH_UPDATES == 0:
+            self._estimate = self._compute()
 
     def _windows(self, s: Stretch, span_s: float, period: float, which: str) -> Windows | None:
         """Windows that have not been used yet, half overlapping, none across unusable samples."""
@@ -189,10 +193,8 @@ class MotorRls:
         return None
 
     def estimate(self) -> RegressionEstimate | None:
-        """What the regressions say, in natural units; None before they can say anything. Asked for far more often
-        than it changes: computed once per update."""
-        if self._stale:
-            self._estimate, self._stale = self._compute(), False
+        """What the regressions say, in natural units; None before they can say anything. It changes slowly and is
+        asked for often: computed anew with each of the first updates, later with every `_REFRESH_UPDATES`th."""
         return self._estimate
 
     def _compute(self) -> RegressionEstimate | None:

@@ -27,8 +27,9 @@ log = logging.getLogger(__name__)
 
 #: How long a read may block, s: bounds how long a stop takes.
 READ_TIMEOUT_S = 0.2
-#: Open and connected, but no sample for this long: silent, s.
-SILENT_AFTER_S = 1.0
+#: Open and connected, but no sample for this long: silent, s. Twice the period of description frames, without which
+#: a fresh attachment has nothing to show.
+SILENT_AFTER_S = 2.0
 #: First and longest pause between attempts to open, s; each failure doubles it.
 _BACKOFF_FIRST_S, _BACKOFF_LONGEST_S = 0.25, 5.0
 #: Samples the queue holds: 20 s at 10 kHz, 40 MB at worst.
