@@ -13,7 +13,7 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Sequence
-from typing import Protocol, cast
+from typing import NoReturn, Protocol, cast
 
 from servo_daemon import __version__
 from servo_daemon.errors import ServoDaemonError
@@ -39,8 +39,23 @@ class _Command(Protocol):
     run: Callable[[argparse.Namespace], int]
 
 
+class _UsageError(Exception):
+    """The command line makes no sense; the text says why."""
+
+    def __init__(self, program: str, usage: str, message: str) -> None:
+        super().__init__(message)
+        self.program, self.usage = program, usage
+
+
+class _Parser(argparse.ArgumentParser):
+    """Raises where argparse would end the process, so that `--json` gets its document."""
+
+    def error(self, message: str) -> NoReturn:
+        raise _UsageError(self.prog, self.format_usage(), message)
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="servo-daemon", description="Online, self-explaining parameter estimation for a live DC servo drive."
     )
     parser.add_argument("--version", action="version", version=f"servo-daemon {__version__}")
@@ -65,6 +80,14 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _fail(program: str, text: str, code: int, as_json: bool) -> int:
+    """Say what went wrong, on stderr and, where a document is expected, in one."""
+    print(f"{program}: {text}", file=sys.stderr)
+    if as_json:
+        print(json.dumps({"error": text}, ensure_ascii=False))
+    return code
+
+
 class _PriorityFormatter(logging.Formatter):
     """Lines for systemd's journal: `<priority>` in front, no time stamp (the journal has its own); see sd-daemon(3)."""
 
@@ -86,18 +109,21 @@ def _set_up_logging(level: str) -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit code."""
-    arguments = _parser().parse_args(argv)
+    words = sys.argv[1:] if argv is None else list(argv)
+    try:
+        arguments = _parser().parse_args(words)
+    except _UsageError as error:
+        print(error.usage, end="", file=sys.stderr)
+        return _fail(error.program, str(error), 2, as_json="--json" in words)
     _set_up_logging(arguments.log_level)
+    as_json = getattr(arguments, "json", False)
+    name = f"servo-daemon {arguments.command}"
     try:
         return int(arguments.run(arguments))
     except ServoDaemonError as error:
-        print(f"servo-daemon {arguments.command}: {error}", file=sys.stderr)
-        if getattr(arguments, "json", False):
-            print(json.dumps({"error": str(error)}))
-        return error.exit_code
+        return _fail(name, str(error), error.exit_code, as_json)
     except KeyboardInterrupt:
-        print(f"servo-daemon {arguments.command}: interrupted", file=sys.stderr)
-        return 130
+        return _fail(name, "interrupted", 130, as_json)
     except BrokenPipeError:  # the reader of our output went away, as `head` does
         sys.stderr.close()
         return 1

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Event
 from types import FrameType
 from typing import Any
 
@@ -61,14 +62,16 @@ def parameter_rows(parameters: tuple[ParameterEstimate, ...]) -> dict[str, dict[
 
 
 @contextmanager
-def terminated_as_interrupt() -> Iterator[None]:
-    """SIGTERM ends a recording as Ctrl-C does: what was recorded is kept."""
+def stop_requested() -> Iterator[Event]:
+    """Set by SIGTERM and Ctrl-C, so that work can end in order instead of anywhere."""
+    event = Event()
 
-    def interrupt(_signal: int, _frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
+    def stop(_signal: int, _frame: FrameType | None) -> None:
+        event.set()
 
-    previous = signal.signal(signal.SIGTERM, interrupt)
+    previous = {number: signal.signal(number, stop) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
-        yield
+        yield event
     finally:
-        signal.signal(signal.SIGTERM, previous)
+        for number, handler in previous.items():
+            signal.signal(number, handler)

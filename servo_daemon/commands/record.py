@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import time
 from pathlib import Path
+from threading import Event
 
 from drivers.base import Driver
 from servo_daemon.commands import common
@@ -34,8 +35,10 @@ def run(arguments: argparse.Namespace) -> int:
     metadata = {"generator": f"servo-daemon {__version__} record", "drive": drive.name, "driver": drive.driver}
     metadata |= {k: f"{v:g}" for k, v in drive.load.model_dump().items() if v is not None}
     problem: DriverError | None = None
-    with common.terminated_as_interrupt(), driver:
-        first = _next_block(driver)
+    with common.stop_requested() as stop, driver:
+        first = _next_block(driver, stop)
+        if first is None:
+            raise DriverError(f"drive {drive.name}: stopped before the first sample: nothing is recorded")
         metadata["identity"] = driver.info.identity
         if driver.info.counts_per_rev:
             metadata.setdefault("counts_per_rev", f"{driver.info.counts_per_rev:g}")
@@ -43,22 +46,23 @@ def run(arguments: argparse.Namespace) -> int:
             CaptureWriter(arguments.out, metadata=metadata) as writer,
             common.progress(arguments.seconds, "s", "record") as bar,
         ):
-            block, start = first, float(first.time_s[0])
+            block: SampleBlock | None = first
+            start = float(first.time_s[0])
             try:
-                while True:
+                while block is not None:
                     inside = int((block.time_s - start < arguments.seconds).sum())
                     if inside:
                         writer.write(block.slice(0, inside))
                     bar.update(float(block.time_s[-1]) - start - bar.n)
                     if inside < len(block):
                         break
-                    block = _next_block(driver)
+                    block = _next_block(driver, stop)
+                else:
+                    common.note("record: stopped early; what was recorded is kept")
             except EndOfStreamError as end:
                 common.note(f"record: {end}")
             except DriverError as error:  # what was recorded until then is kept
                 problem = error
-            except KeyboardInterrupt:
-                common.note("record: stopped early; what was recorded is kept")
     summary = f"{arguments.out}: {writer.samples:,} samples, {driver.counters.samples_lost} lost"
     if problem is not None:
         raise DriverError(f"{problem} ({summary})") from problem
@@ -75,14 +79,16 @@ def run(arguments: argparse.Namespace) -> int:
 _SILENCE_S = 10.0
 
 
-def _next_block(driver: Driver) -> SampleBlock:
-    """The next samples.
+def _next_block(driver: Driver, stop: Event) -> SampleBlock | None:
+    """The next samples; None when told to stop.
 
     Raises:
         DriverUnavailableError: none within `_SILENCE_S`.
     """
     deadline = time.monotonic() + _SILENCE_S
     while time.monotonic() < deadline:
+        if stop.is_set():
+            return None
         block = driver.read(0.2)
         if block is not None:
             return block
