@@ -142,7 +142,7 @@ class CanDriver(Driver):
             raise DriverConfigError(
                 f"{self._where}: drive_id must be a whole number {FIRST_DRIVE} .. {LAST_DRIVE}, not {drive_id!r}"
             )
-        return OwnDecoder(drive_id, self.counters, self._positive("counts_per_rev"))
+        return OwnDecoder(drive_id, self.counters, self._counts_per_rev())
 
     def _vendor_decoder(self) -> VendorDecoder:
         for first, second in (("dbc", "signals"), ("signals", "dbc")):
@@ -151,7 +151,7 @@ class CanDriver(Driver):
         path = Path(self._text("dbc")).expanduser()
         where = f"{self._where}: {path}"
         signals = parse_signal_map(self.options["signals"], load_dbc(path), where, self.options.get("trigger"))
-        counts_per_rev = self._positive("counts_per_rev")
+        counts_per_rev = self._counts_per_rev()
         if signals.get(COUNTS) is not None and counts_per_rev is None:
             raise DriverConfigError(f"{self._where}: position_counts needs counts_per_rev")
         return VendorDecoder(
@@ -167,6 +167,15 @@ class CanDriver(Driver):
         if not isinstance(value, str) or not value:
             raise DriverConfigError(f"{self._where}: option '{key}' is needed, as a text")
         return value
+
+    def _counts_per_rev(self) -> float | None:
+        """Negative turns the direction round."""
+        value = self.options.get("counts_per_rev")
+        if value is None:
+            return None
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or not value:
+            raise DriverConfigError(f"{self._where}: counts_per_rev must be a number other than 0, not {value!r}")
+        return float(value)
 
     def _positive(self, key: str) -> float | None:
         value = self.options.get(key)

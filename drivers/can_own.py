@@ -49,7 +49,7 @@ class OwnDecoder:
     Args:
         drive_id: 1 .. 31.
         counters: counted up here.
-        counts_per_rev: overrides what the drive says of itself.
+        counts_per_rev: overrides what the drive says of itself; negative turns the direction round.
     """
 
     def __init__(self, drive_id: int, counters: DriverCounters, counts_per_rev: float | None = None) -> None:
@@ -76,7 +76,7 @@ class OwnDecoder:
         return DriveInfo(
             identity=self._identity,
             sample_period_s=known.get("SamplePeriod"),
-            counts_per_rev=self._counts_per_rev or known.get("CountsPerRev"),
+            counts_per_rev=abs(self._counts_per_rev or 0.0) or known.get("CountsPerRev"),
             current_lsb_A=known.get("CurrentLsb"),
             voltage_lsb_V=known.get("VoltageLsb"),
             channels=("voltage_V", "current_A", "position_rad"),

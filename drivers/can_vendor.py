@@ -64,7 +64,7 @@ class VendorDecoder:
     Args:
         signals: the map.
         counters: counted up here.
-        counts_per_rev: turns `position_counts` into radians.
+        counts_per_rev: turns `position_counts` into radians; negative turns the direction round.
         period_s: sample period of the trigger message, where it is known: losses can then be counted, and the jitter
             of receive time stamps taken out where there is no device time.
         stale_s: staleness bound of signals without one of their own.
@@ -97,7 +97,7 @@ class VendorDecoder:
         return DriveInfo(
             identity=f"can:{self._map.trigger.name}:{key_text(self._map.trigger.key)}",
             sample_period_s=self._period_s,
-            counts_per_rev=self._counts_per_rev,
+            counts_per_rev=abs(self._counts_per_rev or 0.0) or None,
             channels=tuple(c for c in CHANNELS if c in channels),
         )
 

@@ -128,7 +128,7 @@ def test_mistakes_in_the_map_are_named(dbc: Path, signals: Any, named: str) -> N
         ({"trigger": "Status2"}, "Status2"),
         ({"stale_s": 0}, "stale_s"),
         ({"period_s": "1 ms"}, "period_s"),
-        ({"counts_per_rev": -1}, "counts_per_rev"),
+        ({"counts_per_rev": 0}, "counts_per_rev"),
     ],
 )
 def test_mistakes_beside_the_map_are_named(dbc: Path, options: dict[str, Any], named: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import cantools
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.base import DriveInfo
+from drivers.can_bus import CanDriver
 from drivers.can_own import MAX_HELD
 from servo_daemon.errors import BadInputError
 from servo_daemon.samples import Quality, make_block
@@ -17,6 +19,7 @@ from tests.can_tools import COUNTS_PER_REV, LSB, Line, RampSource, batch, frames
 
 SYNC, SAMPLE, DESCRIPTION = 0x101, 0x121, 0x681
 DEPLOYED = Path(__file__).parents[2] / "deploy" / "servo.dbc"
+DOCUMENT = Path(__file__).parents[2] / "docs" / "protocol-can.md"
 
 PERIOD_S = 1e-3
 
@@ -59,18 +62,13 @@ def test_frames_are_what_the_dbc_says() -> None:
         assert frames[page] == database.encode_message("Description", {"Page": page, **values})
 
 
-def test_golden_frames() -> None:
-    """The example of docs/protocol-can.md, written by hand."""
+def test_the_example_of_the_document() -> None:
+    """Written by hand in docs/protocol-can.md, with what it means."""
+    block_of_frames = re.search(r"```candump\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
+    assert block_of_frames is not None
+    frames = [(int(i, 16), d) for i, d in (line.split("#") for line in block_of_frames[1].split())]
+    assert [i for i, _ in frames] == [DESCRIPTION] * 4 + [SYNC, SAMPLE, SAMPLE]
     line = Line()
-    frames = [
-        (DESCRIPTION, "00 01 00 00 40 42 0F 00"),
-        (DESCRIPTION, "01 00 00 00 80 84 1E 00"),
-        (DESCRIPTION, "02 00 00 00 40 42 0F 00"),
-        (DESCRIPTION, "03 00 00 00 00 10 00 00"),
-        (SYNC, "40 E2 01 00 05 00 FF FF"),
-        (SAMPLE, "70 17 18 FC FE FF 40 E2"),
-        (SAMPLE, "70 17 19 FC 00 00 28 E6"),
-    ]
     (block,) = line.decoder.feed(batch([(i, bytes.fromhex(d)) for i, d in frames], 100.0))
     assert block.time_s == pytest.approx([0.123456, 0.124456], abs=1e-12)
     assert block.sequence.tolist() == [5, 6]
@@ -248,6 +246,14 @@ def test_what_is_not_measured_and_what_is_at_its_limit() -> None:
     assert np.isnan(out.voltage_V[1])
     assert out.voltage_V[2] == pytest.approx(32.767)
     assert out.current_A[3] == pytest.approx(-32.767)
+
+
+def test_counts_per_rev_can_be_said_otherwise() -> None:
+    driver = CanDriver("axis1", {"interface": "virtual", "counts_per_rev": -100})
+    source = RampSource()
+    (block,) = driver._decoder.feed(batch([(f.frame_id, f.data) for f in frames_of(source, 10)], 1.0))
+    assert block.position_rad == pytest.approx(-2 * np.pi / 100 * 7 * np.arange(10))
+    assert driver.info.counts_per_rev == 100
 
 
 def test_new_scales_hold_from_where_they_are_told() -> None:
