@@ -1,6 +1,6 @@
 """What python-can's slcan interface needs to keep up and to survive line noise: a read-ahead before its serial port.
 
-python-can (4.6) reads an slcan adapter byte by byte, each byte a select and a read of its own: a quarter of a core at
+python-can (4.6) reads an slcan adapter byte by byte, each byte a select and a read of its own: a seventh of a core at
 1,000 frames/s (`benchmarks/wire_can.py`). It also keeps a line with a byte outside ASCII in its buffer and fails to
 decode it again on every later read, so that one disturbed byte ends reception for good. `ReadAhead` stands in for the
 serial port: it reads whatever has arrived at once and hands it out from memory, with bytes that cannot be slcan
