@@ -127,16 +127,15 @@ class Reader:
 
     @property
     def link(self) -> Link:
-        """State of the line; an open one that says nothing is silent."""
-        link = self._link
+        """State of the line: an open one is connected from its first sample on, and silent when none come."""
+        link, last = self._link, self.last_sample
         if link.connection != "connected":
             return link
-        since = time.monotonic() - (link.changed if self.last_sample is None else max(link.changed, self.last_sample))
+        fresh = last is not None and last >= link.changed  # since it was opened
+        since = time.monotonic() - (last if last is not None and fresh else link.changed)
         if since > SILENT_AFTER_S:
             return Link("silent", f"open, but no samples for {since:.1f} s", link.changed)
-        if self.last_sample is None:
-            return Link("connecting", "open, waiting for the first samples", link.changed)
-        return link
+        return link if fresh else Link("connecting", "open, waiting for the first samples", link.changed)
 
     def _run(self) -> None:
         pause = _BACKOFF_FIRST_S

@@ -77,8 +77,8 @@ class Snapshot:
     Attributes:
         drive, driver: name and kind of the drive.
         time: UTC seconds since the epoch at which the last sample arrived (host clock); None before the first.
-        connection: "connecting" (never seen samples), "connected", "silent" (open, but no samples), "down" (device
-            away, being retried), "ended" (a finite source is finished).
+        connection: "connecting" (never opened yet, or just opened and no samples yet), "connected", "silent" (open, but
+            no samples), "down" (device away, being retried), "ended" (a finite source is finished).
         reason: in words, when not connected.
         estimate: None until the first samples.
         counters: totals of driver and queue: samples, samples_lost, queue_dropped, crc_errors, reconnects, ...
