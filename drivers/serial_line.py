@@ -78,7 +78,8 @@ def parse_options(name: str, options: dict[str, Any]) -> SerialOptions:
     try:
         return SerialOptions.model_validate(options)
     except ValidationError as error:
-        first = error.errors()[0]
+        complaints = error.errors()  # a misspelt option before the one it leaves missing
+        first = next((e for e in complaints if e["type"] == "extra_forbidden"), complaints[0])
         key = ".".join(str(part) for part in first["loc"])
         if first["type"] == "extra_forbidden":
             known = ", ".join(SerialOptions.model_fields)

@@ -214,14 +214,15 @@ def parse_drift(text: str) -> float:
 
 
 def _explain(error: ValidationError, source: str) -> str:
-    """Pydantic's first complaint as one line that names the place."""
-    first = error.errors()[0]
+    """Pydantic's first complaint as one line that names the place; a misspelt key before the one it leaves missing."""
+    complaints = error.errors()
+    first = next((e for e in complaints if e["type"] == "extra_forbidden"), complaints[0])
     where = ".".join(str(part) for part in first["loc"]) or "config"
     where = re.sub(r"\.(\d+)", lambda m: f"[{m[1]}]", where)
     if first["type"] == "extra_forbidden":
         return f"{source}: unknown key '{where}'"
     message = first["msg"].removeprefix("Value error, ")
-    more = len(error.errors()) - 1
+    more = len(complaints) - 1
     return f"{source}: {where}: {message}" + (f" (and {more} more)" if more else "")
 
 

@@ -81,7 +81,8 @@ def test_missing_unplugged_and_back_while_another_drive_goes_on(tmp_path: Path) 
     )
     with daemon("--config", config, "--state-dir", tmp_path / "state") as program:
         for name, link in links.items():
-            missing = program.until(lambda d: str(link) in str(d["health"]["connection_reason"]), "told", name)
+            missing = program.until(lambda d: d["health"]["connection_reason"] != "not opened yet", "told", name)
+            assert str(link) in missing["health"]["connection_reason"]
             assert missing["health"]["connection"] == "connecting"
             assert statuses(missing) == {"estimating"} and missing["time"] is None
             assert {p["value"] == p["nominal"] for p in missing["parameters"].values()} == {True}
