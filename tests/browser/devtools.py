@@ -65,7 +65,10 @@ class Page:
         self.command("Emulation.setEmulatedMedia", {"features": [scheme]})
 
     def open(self, url: str) -> None:
-        self.command("Page.navigate", {"url": url})
+        """Goes there and waits until the document and its scripts are loaded."""
+        answer = self.command("Page.navigate", {"url": url})
+        assert "errorText" not in answer, f"{url}: {answer['errorText']}"
+        self.until("location.href != 'about:blank' && document.readyState == 'complete'")
 
     def evaluate(self, script: str) -> Any:
         """The value of an expression, awaited if it is a promise.

@@ -18,6 +18,12 @@ const tickTexts = (chart) => (_plot, ticks, _axis, _space, step) => {
   return ticks.map((tick) => fixed(tick / chart.scale.factor, decimals));
 };
 
+/** Clock times; not where the edge of the chart would cut the text. */
+const timeTexts = (plot, ticks) => {
+  const right = plot.bbox.width / uPlot.pxRatio - 20;
+  return ticks.map((tick) => (plot.valToPos(tick, "x") < right ? clock(tick) : ""));
+};
+
 const axisWidth = (_plot, texts) => 14 + 6.3 * Math.max(3, ...(texts ?? []).map((text) => text.length));
 
 function options(chart, width) {
@@ -32,7 +38,7 @@ function options(chart, width) {
     cursor: { drag: { x: false, y: false }, points: { size: 5 }, sync: { key: "servo" }, y: false },
     scales: { x: { time: true, auto: false }, y: { auto: false } },
     axes: [
-      { ...axis, space: 80, size: 22, gap: 4, values: (_p, ticks) => ticks.map(clock) },
+      { ...axis, space: 80, size: 22, gap: 4, values: timeTexts },
       { ...axis, space: 24, size: axisWidth, gap: 4, values: tickTexts(chart) },
     ],
     series: [
