@@ -48,8 +48,8 @@ async function refresh() {
     const drive = await view.poll();
     answers = true;
     byId("driver").textContent = drive.driver;
-    const state = live || drive.connection !== "connected" ? drive.connection : "connecting";
-    renderConnection(live ? drive.connection : state, drive.name, drive.reason);
+    const following = live || drive.connection !== "connected";
+    renderConnection(following ? drive.connection : "loading", drive.name, drive.reason);
   } catch (error) {
     if (answers || view === null) console.info(`the daemon does not answer: ${error.message}`);
     answers = false;

@@ -6,14 +6,14 @@ const byId = (id) => document.getElementById(id);
 const EVENTS_SHOWN = 50;
 const STATES = {
   connected: "connected", connecting: "waiting for samples", silent: "silent", down: "drive down", ended: "ended",
-  lost: "reconnecting…",
+  lost: "reconnecting…", loading: "loading…",
 };
 
 function write(id, text) {
   if (byId(id).textContent !== text) byId(id).textContent = text;
 }
 
-/** How the drive and the way to it are: one of the connection states, or "lost" when the daemon does not answer. */
+/** How the drive and the way to it are: a connection state, "loading" until the stream runs, "lost" without an answer. */
 export function renderConnection(state, drive, reason) {
   const pill = byId("connection");
   if (pill.dataset.state !== state) pill.dataset.state = state;
