@@ -25,6 +25,8 @@ from servo_daemon.service.view import initial_parameters
 log = logging.getLogger(__name__)
 
 _EVENTS_KEPT = 1000
+#: A pipeline that fails again and again is told this often, s; every failure is counted.
+_FAILURE_SAID_EVERY_S = 60.0
 #: Line events that a user should be warned of; the others are information.
 _WARNINGS = (
     "disconnected", "unavailable", "misconfigured", "silent", "device_restarted", "pipeline_failed", "filter_restarted",
@@ -54,6 +56,7 @@ class DriveRuntime:
         self._estimate: Estimate | None = None
         self._sample_time: float | None = None
         self._failures = self._repeated = 0
+        self._quiet_until = 0.0
         self._reset_wanted = False
         self._was_silent = False
         self._saving = threading.Lock()
@@ -87,7 +90,7 @@ class DriveRuntime:
 
     def events(self) -> Sequence[Event]:
         """The last events, oldest first."""
-        return tuple(self._events)
+        return tuple(self._events.copy())  # a copy is atomic; iterating while another thread appends is not
 
     def request_reset(self) -> None:
         """Forget what was learned; carried out by the worker before the next samples."""
@@ -97,7 +100,8 @@ class DriveRuntime:
 
     def work(self) -> bool:
         """Process what has arrived and publish. Returns whether there were samples."""
-        if self._reset_wanted:
+        was_reset = self._reset_wanted
+        if was_reset:
             self._reset()
         blocks = self.reader.queue.take_all()
         if blocks:
@@ -106,7 +110,7 @@ class DriveRuntime:
                 self._process(blocks)
             except Exception:  # one drive's trouble must not stop the others
                 self._fail()
-        self._follow_link(bool(blocks))
+        self._follow_link(bool(blocks) or was_reset)
         return bool(blocks)
 
     def offer_state(self) -> None:
@@ -164,8 +168,12 @@ class DriveRuntime:
 
     def _fail(self) -> None:
         self._failures += 1
-        log.exception("drive %s: the pipeline failed; it starts over", self.name)
-        self._event("pipeline_failed", "the pipeline failed and starts over; the log has the details", {})
+        now = time.monotonic()
+        if now >= self._quiet_until:  # a failure that comes with every block must not fill the disk
+            self._quiet_until = now + _FAILURE_SAID_EVERY_S
+            log.exception("drive %s: the pipeline failed; it starts over", self.name)
+            text = "the pipeline failed and starts over; the log has the details"
+            self._event("pipeline_failed", text, {"failures": self._failures})
         if self._pipeline is not None:
             self._pipeline.reset()
         self._estimate = None
@@ -180,7 +188,7 @@ class DriveRuntime:
         self._estimate = None
         self._event("reset", "estimates reset by request", {})
 
-    def _follow_link(self, fresh: bool) -> None:
+    def _follow_link(self, changed: bool) -> None:
         """Publish when something changed; say once when the drive falls silent or speaks again."""
         link = self.reader.link
         silent = link.connection == "silent"
@@ -189,7 +197,7 @@ class DriveRuntime:
         elif self._was_silent and link.connection == "connected":
             self._event("speaking", "drive sends samples again", {})
         self._was_silent = silent or (self._was_silent and link.connection != "connected")
-        if fresh or link != self._link:
+        if changed or link != self._link:
             self._link = link
             self._snapshot = self._make_snapshot()
             self.history.append(self._snapshot)

@@ -1,0 +1,445 @@
+"""The daemon in this process, with drives that do what the test says: no port, no server."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import can
+import numpy as np
+import pytest
+
+from drivers.base import DriveInfo, Driver
+from servo_daemon.config import Config, parse_config
+from servo_daemon.errors import DriverConfigError, DriverDisconnectedError
+from servo_daemon.samples import Quality, SampleBlock
+from servo_daemon.service import daemon as daemon_module
+from servo_daemon.service import reader as reader_module
+from servo_daemon.service.daemon import Daemon
+from servo_daemon.service.drive import DriveRuntime
+from servo_daemon.service.snapshot import Snapshot
+from servo_daemon.simulate import DEFAULT_NOMINAL, PAPER_MOTOR, SimulatedDrive, make_settings
+from tests.can_tools import frames_of, new_channel, virtual_sender
+
+PATIENCE_S = 30.0
+
+
+class Fed(Driver):
+    """A drive into which the test puts blocks and errors."""
+
+    kind: ClassVar[str] = "fed"
+
+    def __init__(self, name: str, options: dict[str, Any]) -> None:
+        super().__init__(name, options)
+        self.source = SimulatedDrive(make_settings(seed=int(options.get("seed", 1))))
+        self.identity = self.source.info.identity
+        self._ready = threading.Condition()
+        self._next: list[SampleBlock | Exception] = []
+        self.fed = 0
+
+    @property
+    def info(self) -> DriveInfo:
+        return replace(self.source.info, identity=self.identity)
+
+    def feed(self, n: int) -> SampleBlock:
+        """The next n samples of its motor."""
+        block = self.source.next_block(n)
+        self.put(block)
+        return block
+
+    def put(self, what: SampleBlock | Exception) -> None:
+        with self._ready:
+            self._next.append(what)
+            self._ready.notify_all()
+
+    def _open(self) -> None:
+        pass
+
+    def _read(self, timeout_s: float) -> SampleBlock | None:
+        with self._ready:
+            self._ready.wait_for(lambda: self._next, timeout_s)
+            if not self._next:
+                return None
+            what = self._next.pop(0)
+        if isinstance(what, Exception):
+            raise what
+        self.fed += len(what)
+        return what
+
+    def _close(self) -> None:
+        pass
+
+
+class Rig:
+    """A daemon, running unless told otherwise."""
+
+    def __init__(self, daemon: Daemon) -> None:
+        self.daemon = daemon
+
+    def runtime(self, name: str = "axis1") -> DriveRuntime:
+        return self.daemon.drives[name]  # type: ignore[return-value]
+
+    def driver(self, name: str = "axis1") -> Fed:
+        driver = self.runtime(name).reader.driver
+        assert isinstance(driver, Fed)
+        return driver
+
+    def snapshot(self, name: str = "axis1") -> Snapshot:
+        return self.daemon.drives[name].snapshot()
+
+    def kinds(self, name: str = "axis1") -> list[str]:
+        return [e.kind for e in self.daemon.drives[name].events()]
+
+    def until(self, condition: Callable[[], Any], what: str) -> None:
+        deadline = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert time.monotonic() < deadline, f"{what}: {[self.snapshot(n) for n in self.daemon.drives]}"
+            time.sleep(0.002)
+
+    def until_samples(self, n: int, name: str = "axis1") -> Snapshot:
+        def there() -> bool:
+            estimate = self.snapshot(name).estimate
+            return estimate is not None and estimate.samples >= n
+
+        self.until(there, f"{n} samples of {name}")
+        return self.snapshot(name)
+
+    def statuses(self, name: str = "axis1") -> set[str]:
+        estimate = self.snapshot(name).estimate
+        assert estimate is not None
+        return {p.status for p in estimate.parameters}
+
+
+def configuration(*names: str, **extra: Any) -> Config:
+    drives = [{"name": n, "driver": "fed", "nominal": dict(DEFAULT_NOMINAL)} | extra for n in names or ("axis1",)]
+    return parse_config({"drive": drives, "storage": {"save_interval_s": 0.05}})
+
+
+@pytest.fixture
+def start(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Rig]]:
+    monkeypatch.setattr(reader_module, "_BACKOFF_FIRST_S", 0.01)
+    monkeypatch.setattr(daemon_module, "make_driver", lambda kind, name, options: Fed(name, options))
+    with contextlib.ExitStack() as stack:
+
+        def begin(config: Config | None = None, state: Path | None = None, *, run: bool = True) -> Rig:
+            daemon = Daemon(config or configuration(), state)
+            stack.callback(daemon.stop, PATIENCE_S)
+            if run:
+                daemon.start()
+            return Rig(daemon)
+
+        yield begin
+
+
+def test_samples_become_a_snapshot(start: Callable[..., Rig]) -> None:
+    rig = start()
+    before = rig.snapshot()
+    assert before.estimate is None and before.time is None and before.connection == "connecting"
+    rig.driver().feed(4000)
+    snapshot = rig.until_samples(4000)
+    assert snapshot.estimate is not None and snapshot.estimate.samples == 4000
+    assert snapshot.counters["samples"] == 4000 and snapshot.counters["samples_lost"] == 0
+    assert rig.statuses() == {"tracking"}
+    assert snapshot is rig.snapshot(), "the same object until the next one is published"
+    assert rig.daemon.problems() == []
+
+
+def test_a_slow_worker_loses_the_oldest_and_says_how_many(
+    start: Callable[..., Rig], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = start(run=False)
+    queue = rig.runtime().reader.queue
+    monkeypatch.setattr(queue, "_capacity", 3000)
+    rig.runtime().reader.start()  # nobody works yet
+    for _ in range(100):
+        rig.driver().feed(100)
+    rig.until(lambda: rig.driver().fed == 10_000 and queue.samples + queue.dropped == 10_000, "all queued or dropped")
+    assert queue.dropped == 7000
+    assert rig.runtime().work()
+    snapshot = rig.snapshot()
+    assert snapshot.estimate is not None
+    assert snapshot.counters["samples"] == 10_000
+    assert snapshot.counters["queue_dropped"] == snapshot.counters["samples_lost"] == 7000
+    assert snapshot.estimate.samples == 3000, "what was not dropped is used"
+
+
+def test_one_of_two_drives_dies(start: Callable[..., Rig]) -> None:
+    rig = start(configuration("one", "two"))
+    for _ in range(30):
+        for name in ("one", "two"):
+            rig.driver(name).feed(100)
+    rig.until_samples(3000, "one"), rig.until_samples(3000, "two")
+    values = {p.name: p.value for p in rig.snapshot("one").estimate.parameters}  # type: ignore[union-attr]
+    rig.driver("one").put(DriverDisconnectedError("drive one: device went away: unplugged"))
+    for _ in range(30):
+        rig.driver("two").feed(100)
+    rig.until_samples(6000, "two")
+    rig.until(lambda: "disconnected" in rig.kinds("one"), "told")
+    rig.until(lambda: rig.snapshot("one").connection != "connected", "published")
+    one, two = rig.snapshot("one"), rig.snapshot("two")
+    assert one.estimate is not None
+    assert {p.status for p in one.estimate.parameters} == {"invalid"}
+    assert {p.name: p.value for p in one.estimate.parameters} == values, "values are kept"
+    assert rig.statuses("two") == {"tracking"}
+    assert two.counters["samples_lost"] == 0 and rig.kinds("two") == ["connected", "filter_started"]
+
+
+def test_a_failing_pipeline_starts_over_and_leaves_the_others_alone(
+    start: Callable[..., Rig], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    rig = start(configuration("one", "two"))
+    for name in ("one", "two"):
+        rig.driver(name).feed(2000)
+        rig.until_samples(2000, name)
+    pipeline = rig.runtime("one")._pipeline
+
+    def fail(*_block: SampleBlock, **_how: bool) -> Any:
+        raise FloatingPointError("made up")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(pipeline, "process", fail)
+        for failures in (1, 2, 3):
+            rig.driver("one").feed(100)
+            rig.until(lambda n=failures: rig.snapshot("one").counters["pipeline_failures"] == n, "it failed")
+    assert rig.snapshot("one").estimate is None
+    assert rig.kinds("one")[-1] == "pipeline_failed"
+    assert rig.kinds("one").count("pipeline_failed") == 1, "three failures in a row are told once"
+    assert caplog.text.count("FloatingPointError: made up") == 1
+    for name in ("one", "two"):
+        rig.driver(name).feed(2000)
+    rig.until(lambda: rig.kinds("one")[-1] == "filter_started", "started over")
+    rig.until_samples(4000, "two")
+    assert rig.kinds("two") == ["connected", "filter_started"]
+
+
+def test_a_device_restart_is_told_once_and_its_parameters_go_on(start: Callable[..., Rig]) -> None:
+    rig = start()
+    rig.driver().feed(4000)
+    rig.until_samples(4000)
+    again = rig.driver().source.next_block(1000)
+    position = again.position_rad
+    assert position is not None
+    rig.driver().put(replace(again, time_s=again.time_s - again.time_s[0], position_rad=position - position[0]))
+    snapshot = rig.until_samples(5000)
+    assert snapshot.estimate is not None
+    for p in snapshot.estimate.parameters:
+        if p.name in PAPER_MOTOR:
+            assert p.status == "tracking" and p.value == pytest.approx(PAPER_MOTOR[p.name], rel=0.05)
+    rig.until(lambda: "device_restarted" in rig.kinds(), "told")
+    assert rig.kinds() == ["connected", "filter_started", "device_restarted"]
+
+
+def test_another_device_starts_from_nothing(start: Callable[..., Rig], tmp_path: Path) -> None:
+    rig = start(state=tmp_path)
+    rig.driver().feed(4000)
+    rig.until_samples(4000)
+    rig.until((tmp_path / "axis1.state.json").exists, "saved")
+    rig.driver().identity = "another"
+    rig.driver().feed(100)
+    rig.until(lambda: "device_changed" in rig.kinds(), "noticed")
+    rig.until(lambda: (e := rig.snapshot().estimate) is not None and e.samples == 100, "a pipeline of its own")
+    assert rig.statuses() == {"estimating"}
+    assert "state_restored" not in rig.kinds()
+
+
+def test_a_driver_that_does_not_know_the_device_yet_changes_nothing(start: Callable[..., Rig]) -> None:
+    """Between two attachments what still waits in the queue is the last device's."""
+    rig = start()
+    rig.driver().feed(4000)
+    rig.until_samples(4000)
+    identity, rig.driver().identity = rig.driver().identity, ""
+    rig.driver().feed(100)
+    rig.until_samples(4100)
+    rig.driver().identity = identity
+    rig.driver().feed(100)
+    rig.until_samples(4200)
+    assert "device_changed" not in rig.kinds() and rig.statuses() == {"tracking"}
+
+
+def test_state_survives_a_restart_of_the_daemon(start: Callable[..., Rig], tmp_path: Path) -> None:
+    first = start(state=tmp_path)
+    first.driver().feed(6000)
+    first.until_samples(6000)
+    first.daemon.stop(PATIENCE_S)
+    assert (tmp_path / "axis1.state.json").exists(), "saved on the way out"
+    second = start(state=tmp_path)
+    second.driver().source.next_block(6000)
+    second.driver().feed(500)
+    second.until_samples(500)
+    second.until(lambda: "filter_started" in second.kinds(), "started")
+    assert second.kinds().count("state_restored") == 1
+    assert second.statuses() == {"tracking"}, "half a second after the first sample"
+
+
+def test_a_reset_forgets_estimates_and_file(start: Callable[..., Rig], tmp_path: Path) -> None:
+    rig = start(state=tmp_path)
+    rig.driver().feed(4000)
+    rig.until_samples(4000)
+    rig.until((tmp_path / "axis1.state.json").exists, "saved")
+    rig.runtime().request_reset()
+    rig.until(lambda: "reset" in rig.kinds(), "carried out")
+    assert not (tmp_path / "axis1.state.json").exists()
+    rig.until(lambda: rig.snapshot().estimate is None, "published, with or without samples")
+    rig.driver().feed(100)
+    rig.until(lambda: rig.snapshot().estimate is not None, "published again")
+    assert rig.statuses() == {"estimating"}
+
+
+def test_a_silent_drive_is_invalid_and_recovers(start: Callable[..., Rig], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reader_module, "SILENT_AFTER_S", 0.2)
+    rig = start()
+    rig.driver().feed(4000)
+    rig.until_samples(4000)
+    rig.until(lambda: rig.snapshot().connection == "silent", "silent")
+    estimate = rig.snapshot().estimate
+    assert estimate is not None
+    assert {p.status for p in estimate.parameters} == {"invalid"}
+    assert {"open, but no samples for" in str(p.reason) for p in estimate.parameters} == {True}
+    assert all(p.value is not None and p.std is not None for p in estimate.parameters)
+    rig.driver().feed(200)
+    rig.until_samples(4200)
+    rig.until(lambda: rig.kinds()[-1] == "speaking", "told")
+    assert rig.kinds() == ["connected", "filter_started", "silent", "speaking"]
+    last = rig.runtime().history.query("R").status
+    assert last is not None and len(last) > 0
+
+
+def test_the_hosts_clock_may_jump(start: Callable[..., Rig], monkeypatch: pytest.MonkeyPatch) -> None:
+    """An hour back, then a day forward: device time drives the physics, so nothing but the time stamps changes."""
+    rig = start()
+    step_s, real = [0.0], time.time
+    monkeypatch.setattr("servo_daemon.service.drive.time.time", lambda: real() + step_s[0])
+    rig.driver().feed(4000)
+    rig.until_samples(4000)
+    total = 4000
+    for jump in (-3600.0, 86_400.0):
+        step_s[0] = jump
+        for _ in range(5):
+            rig.driver().feed(200)
+            total += 200
+            snapshot = rig.until_samples(total)
+        assert snapshot.time == pytest.approx(real() + jump, abs=PATIENCE_S)
+        assert rig.statuses() == {"tracking"} and snapshot.connection == "connected"
+    series = rig.runtime().history.query("R")
+    assert (np.diff(series.time_s) >= 0).all() and len(series) >= 3
+    assert np.isfinite(series.value).all()
+    assert rig.kinds() == ["connected", "filter_started"]
+    assert snapshot.estimate is not None and snapshot.estimate.health["filter_restarts"] == 0
+
+
+def test_channels_that_come_and_go(start: Callable[..., Rig]) -> None:
+    """A drive that stops sending its current is one with other signals, not an error."""
+    rig = start()
+    rig.driver().feed(2000)
+    rig.until_samples(2000)
+    block = rig.driver().source.next_block(1000)
+    rig.driver().put(replace(block, current_A=None))
+    rig.until_samples(3000)
+    assert rig.statuses() <= {"estimating", "fixed"}
+    rig.driver().feed(2000)
+    rig.until_samples(5000)
+    rig.until(lambda: rig.statuses() == {"tracking"}, "tracks again")
+    assert rig.snapshot().counters["pipeline_failures"] == 0
+
+
+def test_quality_bits_of_a_drive_reach_the_filter(start: Callable[..., Rig]) -> None:
+    rig = start()
+    rig.driver().feed(4000)
+    rig.until_samples(4000)
+    block = rig.driver().source.next_block(1000)
+    assert block.current_A is not None
+    rig.driver().put(
+        replace(
+            block,
+            quality=np.full(1000, Quality.CURRENT_INVALID, np.uint8),
+            current_A=np.full(1000, 7.7),
+        )
+    )
+    snapshot = rig.until_samples(5000)
+    assert snapshot.estimate is not None
+    for p in snapshot.estimate.parameters:
+        if p.name in PAPER_MOTOR:
+            assert p.value == pytest.approx(PAPER_MOTOR[p.name], rel=0.05)
+    assert snapshot.counters["samples"] == snapshot.estimate.samples == 5000
+
+
+def test_wrong_options_keep_the_daemon_from_being_made() -> None:
+    config = parse_config({"drive": [{"driver": "simulated", "options": {"warp": 9}}]})
+    with pytest.raises(DriverConfigError, match="warp"):
+        Daemon(config)
+
+
+def test_a_worker_that_hangs_is_a_problem(start: Callable[..., Rig], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(daemon_module, "_STUCK_S", 0.2)
+    rig = start()
+    released = threading.Event()
+    work = rig.runtime().work
+
+    def hang() -> bool:
+        released.wait(PATIENCE_S)
+        return work()
+
+    try:
+        monkeypatch.setattr(rig.runtime(), "work", hang)
+        rig.until(rig.daemon.problems, "noticed")
+        assert "has not turned" in rig.daemon.problems()[0]
+    finally:
+        released.set()
+    rig.until(lambda: not rig.daemon.problems(), "and over")
+
+
+def test_stop_is_idempotent_and_ends_every_thread(start: Callable[..., Rig]) -> None:
+    rig = start(configuration("one", "two"))
+    names = {"pipeline", "saver", "reader-one", "reader-two"}
+    assert names <= {t.name for t in threading.enumerate()}
+    assert not rig.daemon.stopping()
+    rig.daemon.begin_stop()
+    assert rig.daemon.stopping()
+    rig.daemon.stop(PATIENCE_S)
+    rig.daemon.stop(PATIENCE_S)
+    assert not names & {t.name for t in threading.enumerate()}
+
+
+# -- CAN, whose bus is in this process ---------------------------------------------------------------------------
+
+
+def test_can_error_frames_are_counted_and_bus_off_is_a_line_that_went_down(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    channel = new_channel()
+    options = {"interface": "virtual", "channel": channel}
+    drive = {"driver": "can", "options": options, "nominal": dict(DEFAULT_NOMINAL)}
+    daemon = Daemon(parse_config({"drive": [drive]}))
+    rig = Rig(daemon)
+    daemon.start()
+    source = SimulatedDrive(make_settings(seed=1))
+    other = can.Bus(interface="virtual", channel=channel, ignore_config=True)
+
+    def error_frame(bits: int) -> can.Message:
+        return can.Message(arbitration_id=bits, is_error_frame=True, is_extended_id=False, dlc=8, data=bytes(8))
+
+    try:
+        with virtual_sender(channel) as send:
+            rig.until(lambda: rig.kinds() == ["connected"], "open")
+            frames = frames_of(source, 4000)
+            for start in range(0, len(frames), 500):
+                send(frames[start : start + 500])
+                other.send(error_frame(0x08))  # a protocol violation on the wire
+            rig.until_samples(4000)
+            counters = rig.snapshot().counters
+            assert counters["error_frames"] == counters["framing_errors"] > 5
+            assert counters["samples"] == 4000 and counters["samples_lost"] == 0
+            assert rig.statuses() == {"tracking"}
+            other.send(error_frame(0x40))  # bus off
+            rig.until(lambda: "disconnected" in rig.kinds(), "bus off")
+            rig.until(lambda: rig.kinds()[-1] == "connected", "and opened again")
+        assert rig.snapshot().counters["reconnects"] == 1
+        assert caplog.text.count("bus-off") == 1
+    finally:
+        other.shutdown()
+        daemon.stop(PATIENCE_S)
