@@ -21,7 +21,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -32,13 +32,11 @@ from servo_daemon.sim_drive.serial_device import run_serial_device
 from servo_daemon.simulate import SimulatedDrive, make_settings
 
 RATE_HZ, REQUESTS_PER_S = 1000, 200
-TICK_HZ = os.sysconf("SC_CLK_TCK")
 
 
 def cpu_s(pid: int) -> float:
-    """User and system time of a process so far, s."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
-    return (int(fields[11]) + int(fields[12])) / TICK_HZ
+    """Time its threads have run so far, s (nanoseconds from the scheduler, not clock ticks)."""
+    return sum(int(p.read_text().split()[0]) for p in Path(f"/proc/{pid}/task").glob("*/schedstat")) * 1e-9
 
 
 def rss_MB(pid: int) -> float:
@@ -107,25 +105,41 @@ def wait_for_samples(api: Api, n: int) -> None:
     raise SystemExit("the drives did not come up")
 
 
+def ask(api: Api, n: int, seconds: float) -> int:
+    """`REQUESTS_PER_S` evenly for so long; returns how many it were."""
+    began, asked = time.monotonic(), 0
+    while time.monotonic() - began < seconds:
+        api.get(f"/drives/axis{asked % n}/estimates")
+        asked += 1
+        time.sleep(max(0.0, asked / REQUESTS_PER_S - (time.monotonic() - began)))
+    return asked
+
+
+def used_percent(pid: int, work: Callable[[], object]) -> float:
+    """CPU of the daemon while `work` runs, % of a core."""
+    cpu, began = cpu_s(pid), time.monotonic()
+    work()
+    return 100 * (cpu_s(pid) - cpu) / (time.monotonic() - began)
+
+
 def load(n: int, seconds: float, folder: Path) -> None:
-    """CPU, memory and losses with n drives while the API answers."""
+    """CPU with n drives, alone and while the API answers; memory and losses over all of it."""
     with simulated_drives(n, folder) as links, daemon(links, folder) as (pid, port):
         api = Api(port)
         wait_for_samples(api, n)
-        before = [api.get(f"/drives/axis{k}") for k in range(n)]
-        cpu, memory, began, asked = cpu_s(pid), rss_MB(pid), time.monotonic(), 0
-        while (now := time.monotonic() - began) < seconds:
-            api.get(f"/drives/axis{asked % n}/estimates")
-            asked += 1
-            time.sleep(max(0.0, asked / REQUESTS_PER_S - (time.monotonic() - began)))
-        used, grown = cpu_s(pid) - cpu, rss_MB(pid)
-        after = [api.get(f"/drives/axis{k}") for k in range(n)]
-    counted = [{k: a["counters"][k] - b["counters"][k] for k in b["counters"]} for a, b in zip(after, before)]
+        before, memory = [api.get(f"/drives/axis{k}") for k in range(n)], rss_MB(pid)
+        alone = used_percent(pid, lambda: time.sleep(max(10.0, seconds / 10)))
+        asked = used_percent(pid, lambda: ask(Api(port), n, seconds))
+        api = Api(port)  # an idle connection has been closed meanwhile
+        grown, after = rss_MB(pid), [api.get(f"/drives/axis{k}") for k in range(n)]
+    pairs = zip(after, before, strict=True)
+    counted = [{k: a["counters"][k] - b["counters"][k] for k in b["counters"]} for a, b in pairs]
     samples, lost = sum(c["samples"] for c in counted), sum(c["samples_lost"] for c in counted)
     bad = sum(c["crc_errors"] + c["framing_errors"] for c in counted)
     limit = 5 if n == 1 else 30
-    print(f"{n} drive{'s' * (n > 1)} at {RATE_HZ} Hz, {now:.0f} s, {asked / now:.0f} requests a second")
-    print(f"  CPU {100 * used / now:6.2f} % of a core (limit {limit} %, {limit / (100 * used / now):.1f} x below)")
+    print(f"{n} drive{'s' * (n > 1)} at {RATE_HZ} Hz over serial lines")
+    print(f"  CPU {alone:6.2f} % of a core (limit {limit} %: {alone / limit:.2f} of it)")
+    print(f"  CPU {asked:6.2f} % with {REQUESTS_PER_S} requests a second, {seconds:.0f} s long")
     print(f"  samples {samples:,}, lost {lost}, bad frames {bad}")
     print(f"  resident memory {memory:.0f} MB at the start, {grown:.0f} MB at the end (limit 300 MB)")
 

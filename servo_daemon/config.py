@@ -38,6 +38,7 @@ class ApiConfig(_Section):
 
     host: str = "127.0.0.1"
     port: int = Field(8077, ge=0, le=65535)  # 0: any free port, logged at start
+    allowed_hosts: tuple[str, ...] = ()  # names under which it may be asked for, beside addresses and local names
 
 
 class StorageConfig(_Section):

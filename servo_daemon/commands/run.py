@@ -9,7 +9,7 @@ import logging
 import os
 import signal
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -50,7 +50,8 @@ def run(arguments: argparse.Namespace) -> int:
             listener = _listen(config.api.host, config.api.port)
             with listener:
                 daemon = Daemon(config, _state_dir(arguments, config))
-                asyncio.run(_serve(daemon, listener))
+                with asyncio.Runner(loop_factory=_loop_factory()) as runner:
+                    runner.run(_serve(daemon, listener))
     except _StopError as stop:
         log.info("%s during start-up: stopped", stop)
     return 0
@@ -138,6 +139,16 @@ def _listen(host: str, port: int) -> socket.socket:
         raise ServoDaemonError(f"cannot listen on {host} port {port}: {reason}{hint}") from error
 
 
+def _loop_factory() -> Callable[[], asyncio.AbstractEventLoop] | None:
+    """uvloop where there is one: a third of the cost of a request; None for asyncio's own."""
+    try:
+        import uvloop
+    except ImportError:
+        return None
+    factory: Callable[[], asyncio.AbstractEventLoop] = uvloop.new_event_loop
+    return factory
+
+
 async def _serve(daemon: Daemon, listener: socket.socket) -> None:
     """API in this thread's event loop, everything else in threads of the daemon, until SIGTERM or SIGINT."""
     loop, told = asyncio.get_running_loop(), asyncio.Event()
@@ -171,7 +182,7 @@ async def _serve_api(daemon: Daemon, listener: socket.socket, told: asyncio.Even
             yield
 
     settings: dict[str, Any] = {"log_level": "warning", "access_log": False, "timeout_graceful_shutdown": _DRAIN_S}
-    server = Server(uvicorn.Config(create_app(daemon), **settings))
+    server = Server(uvicorn.Config(create_app(daemon, daemon.config.api.allowed_hosts), **settings))
 
     async def exit_when_told() -> None:
         await told.wait()

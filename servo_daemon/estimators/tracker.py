@@ -151,7 +151,7 @@ class Tracker:
         if self.plan.plant is not None:
             self._filter(block)
         self.last_s = float(block.time_s[-1])
-        for name in ("current_A", "velocity_rad_s", "position_rad"):
+        for name in ("voltage_V", "current_A", "velocity_rad_s", "position_rad"):
             values = getattr(block, name)
             self.measured_state[name] = None if values is None else float(values[-1])
 

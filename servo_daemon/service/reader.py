@@ -88,16 +88,15 @@ class Reader:
 
     Args:
         driver: closed; the thread opens and closes it.
-        wake: called after each block, from the reader's thread.
         report: called with (kind, message) when the line goes down or comes up, from the reader's thread.
     """
 
-    def __init__(self, driver: Driver, wake: Callable[[], None], report: Callable[[str, str], None]) -> None:
+    def __init__(self, driver: Driver, report: Callable[[str, str], None]) -> None:
         self.driver = driver
         self.queue = BlockQueue()
         self.reconnects = 0
         self.last_sample: float | None = None  # host monotonic, s
-        self._wake, self._report = wake, report
+        self._report = report
         self._stop = threading.Event()
         self._was_open = False  # ever
         self._brought = False  # samples came in this attempt
@@ -197,7 +196,6 @@ class Reader:
         self._brought, self._barren = True, False
         if not self._said_up:
             self._say_up()
-        self._wake()
 
     def _say_up(self) -> None:
         self._said_up, self._complained = True, False
@@ -216,4 +214,3 @@ class Reader:
 
     def _set(self, connection: Connection, reason: str | None) -> None:
         self._link = Link(connection, reason, time.monotonic())
-        self._wake()
