@@ -42,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
+    faulthandler.enable()  # systemd's watchdog ends a hung daemon with SIGABRT: the journal then shows every stack
     try:
         with _stop_during_start_up():
             from servo_daemon.service.daemon import Daemon

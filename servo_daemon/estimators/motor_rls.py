@@ -24,8 +24,8 @@ _ARMATURE_WINDOW_S, _SHAFT_WINDOW_S = 0.02, 0.1
 _FEWEST_SAMPLES = 12
 #: Excited directions forget with this time constant, s.
 _MEMORY_S = 20.0
-#: The estimate is computed anew every so many updates (a tick each).
-_REFRESH_UPDATES, _EAGER_UPDATES = 5, 50
+#: After the first updates (a tick each) so many are worked off together: fewer calls on longer arrays.
+_EAGER_UPDATES, _BATCH = 50, 5
 #: Windows overlap by half, so neighbouring rows share half their noise: their covariance is that much too small.
 _OVERLAP_INFLATION = 2.0
 
@@ -116,9 +116,15 @@ class MotorRls:
         self._next = {"armature": 0.0, "shaft": 0.0}
 
     def update(self, new: Stretch) -> None:
-        """Take the samples of one tick; windows reach back into earlier ones."""
+        """Take the samples of one tick; windows reach back into earlier ones.
+
+        The first ticks are worked off at once (the filter waits to start), later ones `_BATCH` at a time.
+        """
         self._updates += 1
         stretch = new if self._tail is None else _joined(self._tail, new)
+        if self._updates > _EAGER_UPDATES and self._updates % _BATCH:
+            self._tail = stretch
+            return
         if len(stretch.time_s) >= _FEWEST_SAMPLES:
             period = float(np.median(np.diff(stretch.time_s)))
             if stretch.voltage is not None and stretch.current is not None:
@@ -127,8 +133,7 @@ class MotorRls:
             keep = max(_FEWEST_SAMPLES, round(_SHAFT_WINDOW_S / period)) + 2
             stretch = _last(stretch, keep)
         self._tail = stretch
-        if self._updates <= _EAGER_UPDATES or self._updates % _REFRESH_UPDATES == 0:
-            self._estimate = self._compute()
+        self._estimate = self._compute()
 
     def _windows(self, s: Stretch, span_s: float, period: float, which: str) -> Windows | None:
         """Windows that have not been used yet, half overlapping, none across unusable samples."""
@@ -194,7 +199,7 @@ class MotorRls:
 
     def estimate(self) -> RegressionEstimate | None:
         """What the regressions say, in natural units; None before they can say anything. It changes slowly and is
-        asked for often: computed anew with each of the first updates, later with every `_REFRESH_UPDATES`th."""
+        asked for often: computed anew with each of the first updates, later with every batch."""
         return self._estimate
 
     def _compute(self) -> RegressionEstimate | None:
