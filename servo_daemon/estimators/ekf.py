@@ -49,6 +49,12 @@ class Innovations:
     variance: F64
     gated: F64
 
+    def are_sound(self) -> bool:
+        """Everything finite and every variance positive."""
+        return bool(
+            np.isfinite(self.innovation).all() and (self.variance > 0).all() and np.isfinite(self.variance).all()
+        )
+
 
 class Ekf:
     """Joint state and parameter filter.
@@ -173,7 +179,9 @@ class Ekf:
         if not np.isfinite(self._state).all():
             return False
         P = self.covariance
-        scale = np.sqrt(np.maximum(np.diag(P), 1e-300))
+        if not (np.diag(P) > 0).all():
+            return False
+        scale = np.sqrt(np.diag(P))
         try:
             np.linalg.cholesky(P / np.outer(scale, scale) + 1e-12 * np.eye(len(P)))
         except np.linalg.LinAlgError:

@@ -44,6 +44,8 @@ class FilterpyLoop:
                 outputs[row, 3 * k : 3 * k + 3] = self._measure(ekf, state, constants, sample, k)
             q = ekf.x[lay.q]
             ekf.x[lay.q] = np.clip(q, self._low, self._high)
+            # Rounding leaves P a little asymmetric; carried on or not, that must not depend on where a run ends.
+            ekf.P[self._columns, self._rows] = ekf.P[self._rows, self._columns]
             state[lay.held_input], state[lay.held_variance] = sample[2], constants[0] + sample[3]
         state[lay.z] = ekf.x
         state[lay.tri] = ekf.P[self._rows, self._columns]

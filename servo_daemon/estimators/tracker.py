@@ -304,6 +304,8 @@ class Tracker:
             )
         )
         self._rows, self._innovations = [], []
+        if not (self.ekf.is_sound() and innovations.are_sound()):
+            return self._restart("its covariance or state is no longer sound")
         worst = 0.0
         for k, name in enumerate(self.plan.measured):
             nu, s = noise_levels.valid_part(innovations, k, rows[:, 5 + 2 * k])
@@ -318,7 +320,7 @@ class Tracker:
         self.gated += int(innovations.gated.sum())
         self._set_noise()
         self._judge_excitation(duration_s)
-        return self._judge_soundness(worst)
+        return self._judge_divergence(worst)
 
     def _judge_excitation(self, duration_s: float) -> None:
         assert self.ekf is not None and self.plan.plant is not None
@@ -337,10 +339,8 @@ class Tracker:
             out, limit = (_WHITE_OUT, 2 * _UNEXPLAINED) if self.white else (_WHITE_IN, _UNEXPLAINED)
             self.white = bool(worst < out and unexplained < limit)
 
-    def _judge_soundness(self, nis: float) -> list[Message]:
+    def _judge_divergence(self, nis: float) -> list[Message]:
         assert self.ekf is not None and self.rls is not None
-        if not self.ekf.is_sound():
-            return self._restart("its covariance or state is no longer sound")
         self._suspicious_ticks = self._suspicious_ticks + 1 if nis > _DIVERGED_NIS else 0
         if self._suspicious_ticks >= _DIVERGED_TICKS:
             found = self.rls.estimate()

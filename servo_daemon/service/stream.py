@@ -61,8 +61,10 @@ class TickCutter:
             tick = int(ticks[a])
             yield Segment(block.slice(a, b), closes_tick=tick > self._tick)
             self._tick = tick
-        if len(block) > 1:
-            self._period_s = float(block.time_s[-1] - block.time_s[-2])
+        # Of the stream's last two samples, whether or not they came in one block.
+        before = float(block.time_s[-2]) if len(block) > 1 else self._last_s
+        if np.isfinite(before):
+            self._period_s = float(block.time_s[-1]) - before
         self._last_s = float(block.time_s[-1])
 
     def _increasing(self, block: SampleBlock) -> Iterator[SampleBlock]:
