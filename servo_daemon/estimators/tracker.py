@@ -32,6 +32,8 @@ Message = tuple[str, str, Mapping[str, float | int | str | None]]
 _DRIFT_PER_SQRT_MIN = {"R": 0.03, "L": 0.01, "K": 0.01, "J": 0.01, "B": 0.03}
 _DRIFT_OTHER_PER_SQRT_MIN = 0.02
 
+#: Measurements of each channel that a start needs: its noise is judged by them.
+_FEWEST_TO_START = 50
 #: The filter starts no sooner than this after the first sample, s, and waits no longer than that for the regression.
 _EARLIEST_S, _LATEST_S = 1.0, 3.0
 #: A saved state may be of yesterday's temperature and load: added 1 σ.
@@ -218,16 +220,16 @@ class Tracker:
         assert self.ekf is not None and self.rls is not None and self.first_s is not None
         self._early.append(tick)
         elapsed = float(tick.time_s[-1]) - self.first_s
-        enough = sum(len(b) for b in self._early) >= 50
+        enough = sum(len(b) for b in self._early) >= _FEWEST_TO_START
         if not enough or elapsed < (0.2 if self._prior is not None else _EARLIEST_S):
             return []
+        recording = concatenate(self._early)
+        measured = {name: channel(recording, name) for name in self.plan.measured}
         start = self._prior if self._prior is not None else self._best_start(elapsed)
-        if start is None:
+        if start is None or any(valid.sum() < _FEWEST_TO_START for _, valid in measured.values()):
             self._early = self._early[-20:]
             return []
-        recording = concatenate(self._early)
-        for name in self.plan.measured:
-            values, valid = channel(recording, name)
+        for name, (values, valid) in measured.items():
             self._noise[name] = noise_levels.initial_noise(values[valid > 0], self.resolutions.of(name))
         self.ekf.start(start, held_input=self._layout.last_input, held_var=0.0)
         self._set_noise()

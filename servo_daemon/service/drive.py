@@ -6,7 +6,7 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -41,12 +41,13 @@ class DriveRuntime:
         config: the drive.
         driver: closed.
         state_dir: where its knowledge is kept over a restart; None: nowhere.
+        wake: called when there is work, from the reader's thread.
     """
 
-    def __init__(self, config: DriveConfig, driver: Driver, state_dir: Path | None) -> None:
+    def __init__(self, config: DriveConfig, driver: Driver, state_dir: Path | None, wake: Callable[[], None]) -> None:
         self.config = config
         self.history = HistoryRing()
-        self.reader = Reader(driver, self._line_event)
+        self.reader = Reader(driver, wake, self._line_event)
         self._file = StateFile(state_dir, config.name)
         self._events: deque[Event] = deque(maxlen=_EVENTS_KEPT)
         self._pipeline: Pipeline | None = None

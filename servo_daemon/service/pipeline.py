@@ -38,6 +38,7 @@ class Pipeline:
         self._channels: tuple[str, ...] = ()
         self._cutter = TickCutter()
         self._tick: list[SampleBlock] = []
+        self._published: Estimate | None = None
         self._samples = 0
         self.samples_repeated = 0  # those without a time of their own
         self.messages: list[tuple[str, str, Mapping[str, float | int | str | None]]] = []
@@ -47,6 +48,7 @@ class Pipeline:
         self._saved = None
         self._tracker = None
         self._channels = ()
+        self._published = None
         self._cutter = TickCutter()
         self._tick = []
 
@@ -89,7 +91,8 @@ class Pipeline:
         return self._publish()
 
     def current(self) -> Estimate | None:
-        """The estimate after the very last sample, between ticks too; None before the first sample."""
+        """The record after the very last sample, between ticks too; None before the first sample. Time, state and
+        count are of that sample, the parameters of the last tick."""
         if self._tracker is None or self._tracker.last_s is None:
             return None
         return self._publish()
@@ -112,6 +115,7 @@ class Pipeline:
         if self._tracker is not None:
             log.warning("drive %s: channels changed to %s: starting over", self._config.name, ", ".join(channels))
         self._channels = channels
+        self._published = None
         self._tick = []
         self._cutter = TickCutter()
         self._tracker = Tracker(
@@ -125,10 +129,15 @@ class Pipeline:
         assert self._tracker is not None
         self.messages += self._tracker.close_tick(concatenate(self._tick))
         self._tick = []
+        self._published = None
 
     def _publish(self) -> Estimate:
         assert self._tracker is not None
-        return publish.estimate(self._config, self._tracker, self._samples)
+        if self._published is None:
+            self._published = publish.estimate(self._config, self._tracker, self._samples)
+        elif self._published.time_s != self._tracker.last_s:
+            self._published = publish.moved_on(self._published, self._tracker, self._samples)
+        return self._published
 
 
 def all_finite(estimate: Estimate) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -82,6 +82,12 @@ def estimate(config: DriveConfig, tracker: Tracker, samples: int) -> Estimate:
         estimators=_views(tracker, gaussian),
         health=_health(tracker),
     )
+
+
+def moved_on(last: Estimate, tracker: Tracker, samples: int) -> Estimate:
+    """The record between two ticks: time, state and count are of now, the parameters (ten times a second) stay."""
+    assert tracker.last_s is not None
+    return replace(last, time_s=tracker.last_s, samples=samples, state=_state(tracker))
 
 
 def _parameters(config: DriveConfig, tracker: Tracker, g: Gaussian | None) -> tuple[ParameterEstimate, ...]:

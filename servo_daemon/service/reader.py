@@ -88,15 +88,16 @@ class Reader:
 
     Args:
         driver: closed; the thread opens and closes it.
+        wake: called after each block and each change of the line, from the reader's thread.
         report: called with (kind, message) when the line goes down or comes up, from the reader's thread.
     """
 
-    def __init__(self, driver: Driver, report: Callable[[str, str], None]) -> None:
+    def __init__(self, driver: Driver, wake: Callable[[], None], report: Callable[[str, str], None]) -> None:
         self.driver = driver
         self.queue = BlockQueue()
         self.reconnects = 0
         self.last_sample: float | None = None  # host monotonic, s
-        self._report = report
+        self._wake, self._report = wake, report
         self._stop = threading.Event()
         self._was_open = False  # ever
         self._brought = False  # samples came in this attempt
@@ -194,6 +195,7 @@ class Reader:
         self.last_sample = time.monotonic()
         self.queue.put(block)
         self._brought, self._barren = True, False
+        self._wake()
         if not self._said_up:
             self._say_up()
 
@@ -214,3 +216,4 @@ class Reader:
 
     def _set(self, connection: Connection, reason: str | None) -> None:
         self._link = Link(connection, reason, time.monotonic())
+        self._wake()

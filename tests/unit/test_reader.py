@@ -83,7 +83,11 @@ class Watched:
     def __init__(self, driver: Scripted) -> None:
         self.driver = driver
         self.said: list[tuple[str, str]] = []
-        self.reader = Reader(driver, lambda kind, message: self.said.append((kind, message)))
+        self.woken = 0
+        self.reader = Reader(driver, self._wake, lambda kind, message: self.said.append((kind, message)))
+
+    def _wake(self) -> None:
+        self.woken += 1
 
     @property
     def kinds(self) -> list[str]:
@@ -132,6 +136,7 @@ def test_blocks_arrive_in_order(start: Callable[..., Watched]) -> None:
     taken = w.reader.queue.take_all()
     assert [int(b.sequence[0]) for b in taken] == [0, 10, 20]
     assert w.reader.queue.samples == 0 and w.reader.queue.take_all() == []
+    w.until(lambda: w.woken >= 4, "woken for the opened line and each block")
     assert w.said == [("connected", "device opened")]
     assert w.reader.link.connection == "connected" and w.reader.link.reason is None
     assert w.reader.reconnects == 0
