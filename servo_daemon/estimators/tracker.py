@@ -153,7 +153,7 @@ class Tracker:
         if self.plan.plant is not None:
             self._filter(block)
         self.last_s = float(block.time_s[-1])
-        for name in ("voltage_V", "current_A", "velocity_rad_s", "position_rad"):
+        for name in ("current_A", "velocity_rad_s", "position_rad"):
             values = getattr(block, name)
             self.measured_state[name] = None if values is None else float(values[-1])
 
@@ -227,7 +227,8 @@ class Tracker:
         measured = {name: channel(recording, name) for name in self.plan.measured}
         start = self._prior if self._prior is not None else self._best_start(elapsed)
         if start is None or any(valid.sum() < _FEWEST_TO_START for _, valid in measured.values()):
-            self._early = self._early[-20:]
+            while len(self._early) > 20 and len(recording) > 8 * _FEWEST_TO_START:
+                recording = recording.slice(len(self._early.pop(0)), len(recording))
             return []
         for name, (values, valid) in measured.items():
             self._noise[name] = noise_levels.initial_noise(values[valid > 0], self.resolutions.of(name))
