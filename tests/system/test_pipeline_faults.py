@@ -1,6 +1,6 @@
 """What bad samples do to the estimates, in process: nothing lasting, and never a NaN.
 
-Each scenario: twelve seconds of the paper's motor, then something goes wrong for a while, then it is well again. The
+Each scenario: eight seconds of the paper's motor, then something goes wrong for a while, then it is well again. The
 parameters stay within a few of their standard deviations throughout, and every sample is counted.
 """
 
@@ -22,7 +22,7 @@ from servo_daemon.service.pipeline import Pipeline, all_finite
 from servo_daemon.service.snapshot import Estimate
 from servo_daemon.simulate import DEFAULT_NOMINAL, PAPER_MOTOR, SimulatedDrive, make_settings
 
-WELL, LATER = 12_000, 16_000
+WELL, LATER = 8_000, 12_000
 RATE_HZ = 1000.0
 #: A scenario without a fault stays below 2; a normal variable reaches 4 once in 16,000.
 FEW_STD = 4.0
@@ -85,7 +85,7 @@ def test_without_a_fault() -> None:
 
 
 @pytest.mark.parametrize("flagged", [True, False], ids=["flagged", "unflagged"])
-@pytest.mark.parametrize("missing", [1, 2, 5, 20, 100, 200, 300, 3000])
+@pytest.mark.parametrize("missing", [1, 5, 20, 100, 300, 3000])
 def test_a_gap(missing: int, flagged: bool) -> None:
     """Of milliseconds to seconds, whether or not the driver noticed it."""
     pipeline = settled()
@@ -120,9 +120,10 @@ def test_two_percent_of_the_samples_lost_in_bursts() -> None:
             assert abs(p.value - PAPER_MOTOR[p.name]) < FEW_STD * p.std
 
 
-@pytest.mark.parametrize("how", ["nan", "inf", "impossible", "flagged"])
+@pytest.mark.parametrize(
+    ("how", "duration"), [("nan", 50), ("nan", 2000), ("inf", 1), ("impossible", 50), ("flagged", 2000)]
+)
 @pytest.mark.parametrize("name", ["voltage_V", "current_A", "position_rad"])
-@pytest.mark.parametrize("duration", [1, 50, 2000])
 def test_a_channel_that_is_no_measurement(name: str, how: str, duration: int) -> None:
     pipeline = settled()
     value = {"nan": np.nan, "inf": -np.inf, "impossible": 1e30, "flagged": 7.7}[how]
@@ -173,8 +174,7 @@ def test_repeated_time_stamps_are_left_out_and_counted() -> None:
     assert not [m for m in pipeline.messages if m[0] == "device_restarted"]
 
 
-@pytest.mark.parametrize("back_s", [0.003, 5.0, 1e6])
-@pytest.mark.parametrize("at_once", [1, 40, 4000])
+@pytest.mark.parametrize(("back_s", "at_once"), [(0.003, 40), (5.0, 7), (5.0, 4000), (1e6, 40)])
 def test_time_that_jumps_back_is_a_restart(back_s: float, at_once: int) -> None:
     """Between blocks or inside one; the position counts from zero again, and parameters go on."""
     pipeline = settled()
