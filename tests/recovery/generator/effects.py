@@ -9,6 +9,9 @@ library does not hold. What is ours to say where the contract leaves it open:
 - `winding_heating`: the loss that heats is that of the hot resistance.
 - `measurement_delay`: the channel ("current_A" or "position_rad") shows sample k what was t_d before.
 - Sensors show `g_i·i + i0` and `v + v0`.
+- `magnetic_saturation` has a limit of its own: where the back-EMF falls faster with the current than R i rises,
+  2 K |ω i| / I_sat² > R (1 + (i/I_sat)²)², the current runs away. No motor is used there: keep I_sat well above.
+- `position_dependent_friction` is for motions of bounded travel ("steps", "pick_and_place").
 """
 
 from __future__ import annotations
