@@ -79,7 +79,7 @@ DIRECTED = (
     ("coulomb_friction",),
     ("stribeck_friction",),
     ("asymmetric_friction",),
-    ("load_dependent_friction", "coulomb_friction"),
+    ("load_dependent_friction", "coulomb_friction", "torque_ripple"),
     ("position_dependent_friction",),
     ("sticky_spot",),
     ("brush_voltage_drop", "coulomb_friction"),

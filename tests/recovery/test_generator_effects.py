@@ -126,12 +126,11 @@ def test_what_weakens_the_motor_lowers_speed_or_raises_current() -> None:
     for name, values in {
         "brush_voltage_drop": {"Vb": 1.0},
         "resistance_step": {"dR": 0.5, "t_R": 0.1},
+        "winding_heating": {"R_th": 150.0, "C_th": 0.0005},
     }.items():
         slower, same = settled(name, **values)
         assert slower < 0.99 * speed
         assert same == pytest.approx(current, rel=0.03)  # the same load, a little less viscous friction
-    hot, _ = settled("winding_heating", R_th=100.0, C_th=0.01)  # not yet in balance
-    assert hot < 0.99 * speed
     faster, more = settled("magnetic_saturation", I_sat=4.0)
     assert faster > 1.01 * speed
     assert more > 1.01 * current
@@ -237,6 +236,11 @@ def test_sensor_errors_touch_their_channel_alone() -> None:
     for recording, column, expected in (
         (rough(current_sensor_offset={"i0": 0.4}), "current_A", clean.current_A + 0.4),
         (rough(current_sensor_gain={"g_i": 1.1}), "current_A", clean.current_A * 1.1),
+        (
+            rough(current_sensor_gain={"g_i": 1.1}, current_sensor_offset={"i0": 0.4}),
+            "current_A",
+            clean.current_A * 1.1 + 0.4,
+        ),
         (rough(voltage_sensor_offset={"v0": -0.2}), "voltage_V", clean.voltage_V - 0.2),
         (
             rough(encoder_eccentricity={"e_enc": 0.01, "phi_enc": 0.7}),

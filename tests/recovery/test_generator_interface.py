@@ -27,6 +27,7 @@ from tests.recovery.generator import (
     Sensors,
     generate,
     native,
+    servo_gains,
     typical,
 )
 
@@ -153,6 +154,16 @@ def test_servo_arrives(motor: Motor) -> None:
     truth = generate(motor, Scenario(Plan("position", target), 3.0)).truth
     assert np.abs(truth.position_rad[-500:] - 0.6).max() < 0.01
     assert truth.position_rad.max() < 0.75
+
+
+def test_the_integral_does_not_wind_up_at_the_current_limit() -> None:
+    """A step of the speed that takes ten times as long as the loop's own answer, at the limit all the way."""
+    heavy = replace(RE40, J=20 * RE40.J)
+    target = np.full(1500, 0.7 * RE40.speed_max_rad_s)
+    truth = generate(heavy, Scenario(Plan("speed", target, gains=servo_gains(RE40, 1000.0)), 1.5)).truth
+    assert np.mean(truth.current_A > 0.9 * RE40.current_limit_A) > 0.5
+    assert truth.speed_rad_s[-1] == pytest.approx(target[0], rel=0.02)
+    assert truth.speed_rad_s.max() < 1.05 * target[0]
 
 
 # ---- captures ------------------------------------------------------------------------------------------------------
