@@ -41,7 +41,7 @@ class EkfLayout:
 
     state:     x | q | lower triangle of P by columns | held input | its variance | information gained per parameter
     constants: var_input | torque_psd | walk per parameter (1/s) | active per parameter | r per channel
-    sample:    t | h | input | extra variance of the input | (y, valid) per channel
+    sample:    t | h | input | extra variance of the input | (y, valid, doubt) per channel; doubt multiplies r
     output:    (innovation, its variance, gated) per channel
     """
 
@@ -74,7 +74,7 @@ class EkfLayout:
 
     @cached_property
     def n_sample(self) -> int:
-        return 4 + 2 * len(self.channels)
+        return 4 + 3 * len(self.channels)
 
     @cached_property
     def n_output(self) -> int:
@@ -210,7 +210,8 @@ def _measurement_update(
     rows = ca.vertcat(ca.SX.ones(n_x), const[2 + n_q : 2 + 2 * n_q])
     information, outputs = state[lay.information], []
     for k, channel in enumerate(lay.channels):
-        y, valid, r = sample[4 + 2 * k], sample[5 + 2 * k], const[2 + 2 * n_q + k]
+        y, valid, doubt = sample[4 + 3 * k], sample[5 + 3 * k], sample[6 + 3 * k]
+        r = const[2 + 2 * n_q + k] * doubt
         shown, H = _shown(lay, channel)
         predicted, H_here = ca.Function("shown", shown, [H[0], H[1]])(z, sample[0])
         PHt = P @ H_here.T

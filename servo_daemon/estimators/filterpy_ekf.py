@@ -68,8 +68,8 @@ class FilterpyLoop:
     def _measure(self, ekf: Any, state: F64, constants: F64, sample: F64, k: int) -> tuple[float, float, float]:
         """One channel, by filterpy's own update (Joseph's form) with the gated variance and the held rows."""
         lay = self._lay
-        y, valid = sample[4 + 2 * k], sample[5 + 2 * k]
-        r = constants[2 + 2 * lay.n_q + k]
+        y, valid, doubt = sample[4 + 3 * k : 7 + 3 * k]
+        r = constants[2 + 2 * lay.n_q + k] * doubt
         predicted, H = self._shown[k](ekf.x, sample[0])
         s0 = float((H @ ekf.P @ H.T)[0, 0])
         innovation = float(y - predicted)

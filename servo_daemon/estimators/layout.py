@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +25,8 @@ _INVALID_BIT = {
     "velocity_rad_s": Quality.POSITION_INVALID,
     "torque_Nm": Quality.CURRENT_INVALID,
 }
+#: Most by which a standing encoder's variance is raised: 5000 samples on one count.
+_MOST_DOUBT = 5e7
 #: Beyond this a value is no measurement of a servo drive, whatever the drive says; and no square of it overflows.
 _IMPOSSIBLE = {
     "voltage_V": 1e5,
@@ -81,15 +84,18 @@ class Layout:
     last_s: float | None = None
     last_input: float = 0.0
     origin_s: float = 0.0
+    position_lsb: float = 0.0
+    _last_position: float = math.nan
+    _same: int = 0
 
     def rows(self, block: SampleBlock, unknown_input_var: float) -> F64:
-        """shape (n, 4 + 2 channels): t, h, input, extra variance, (y, valid)…
+        """shape (n, 4 + 3 channels): t, h, input, extra variance, (y, valid, doubt)…
 
         Args:
             unknown_input_var: added variance where the input is not known and the last one is held.
         """
         n = len(block)
-        out = np.empty((n, 4 + 2 * len(self.measured)))
+        out = np.ones((n, 4 + 3 * len(self.measured)))
         t = block.time_s - self.origin_s
         out[:, 0] = t
         first = 0.0 if self.last_s is None else float(block.time_s[0]) - self.last_s
@@ -101,9 +107,24 @@ class Layout:
         out[:, 2] = known[source]
         out[:, 3] = (1.0 - valid) * unknown_input_var
         for k, name in enumerate(self.measured):
-            out[:, 4 + 2 * k], out[:, 5 + 2 * k] = channel(block, name)
+            out[:, 4 + 3 * k], out[:, 5 + 3 * k] = channel(block, name)
+            if name == "position_rad" and self.position_lsb > 0:
+                out[:, 6 + 3 * k] = self._standstill_doubt(out[:, 4 + 3 * k])
         self.last_s, self.last_input = float(block.time_s[-1]), float(out[-1, 2])
         return out
+
+
+    def _standstill_doubt(self, position: F64) -> F64:
+        """Factor on the encoder's variance, shape (n,): a count that stands still repeats one error, it does not
+        average it. The k-th sample on the same count weighs 1/(2 k (k − 1)), so that however long it stands all of
+        them together say little more than the first."""
+        n = len(position)
+        moved = np.abs(np.diff(position, prepend=self._last_position)) > 0.5 * self.position_lsb
+        index = np.arange(n)
+        begin = np.maximum.accumulate(np.where(moved, index, -1))
+        same = np.where(begin >= 0, index - begin + 1, self._same + 1 + index)
+        self._last_position, self._same = float(position[-1]), int(same[-1])
+        return np.where(same > 1, np.minimum(2.0 * same * (same - 1.0), _MOST_DOUBT), 1.0)
 
 
 def stretch_of(block: SampleBlock, origin_s: float, last_s: float | None, period_s: float | None) -> Stretch:

@@ -7,6 +7,7 @@ value of a Gaussian is 0.6745 σ. A quantised channel cannot be better than its 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,12 +22,14 @@ _CLIP = 4.0
 #: Time constant of the adaptation, s.
 _ADAPTATION_S = 5.0
 #: A drive's voltage is not what it says, if only by dead time and ripple: 1 σ as a share of its rms.
-_INPUT_SHARE = 2e-3
+_INPUT_SHARE = 1e-3
 #: Unmodelled torque, 1 σ over a millisecond as a share of the rms motor torque.
 _TORQUE_SHARE = 2e-3
 #: Process noise rises per tick above these, and falls below half the correlation.
 _NIS_HIGH, _CORRELATED = 1.3, 0.15
 _RISE, _FALL, _FACTOR_MOST = 1.6, 0.97, 1e8
+#: Steering per tick: by how much per unit of correlation, and what it keeps where nothing is to be seen.
+_STEER, _LEAK = 0.15, 0.998
 
 
 def smallest_step(signal: F64) -> float:
@@ -109,10 +112,18 @@ class ProcessNoise:
 
     factor: float = 1.0
 
-    def after(self, correlation: float, nis: float) -> ProcessNoise:
-        """With a tick's lag-1 correlation and normalised innovation squared."""
+    def after(self, correlation: float, nis: float, *, follow: bool = False) -> ProcessNoise:
+        """With a tick's lag-1 correlation and normalised innovation squared.
+
+        Args:
+            follow: steer towards uncorrelated innovations at any size of theirs. The channel's own noise is adapted
+                beside it, so a wrong share between the two shows in the correlation only.
+        """
         if nis > _NIS_HIGH and correlation > _CORRELATED:
             return ProcessNoise(min(self.factor * _RISE, _FACTOR_MOST))
+        if follow:
+            steered = _LEAK * math.log(self.factor) + _STEER * min(max(correlation, -0.5), 0.5)
+            return ProcessNoise(math.exp(min(max(steered, 0.0), math.log(_FACTOR_MOST))))
         if correlation < 0.5 * _CORRELATED or nis < 1.0:
             return ProcessNoise(max(self.factor * _FALL, 1.0))
         return self

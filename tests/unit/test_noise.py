@@ -78,3 +78,18 @@ def test_whiteness_of_white_and_of_coloured_innovations() -> None:
         coloured = coloured.after(np.convolve(rng.normal(size=101), [1, 1], "valid"), np.ones(100), 0.1)
     assert abs(white.correlation) < 0.05 and white.nis == pytest.approx(1.0, abs=0.1)
     assert coloured.correlation == pytest.approx(0.5, abs=0.07)
+
+
+def test_the_share_of_the_input_is_steered_to_white_innovations() -> None:
+    """Sizes fit, but neighbours are alike: part of what is taken for sensor noise comes in through the voltage."""
+    level = ProcessNoise()
+    for _ in range(60):
+        level = level.after(correlation=0.2, nis=1.0, follow=True)
+    assert level.factor > 3
+    held = ProcessNoise()
+    for _ in range(60):
+        held = held.after(correlation=0.2, nis=1.0)
+    assert held.factor == 1.0
+    for _ in range(2000):
+        level = level.after(correlation=-0.2, nis=1.0, follow=True)
+    assert level.factor == 1.0
