@@ -113,7 +113,6 @@ class Layout:
         self.last_s, self.last_input = float(block.time_s[-1]), float(out[-1, 2])
         return out
 
-
     def _standstill_doubt(self, position: F64) -> F64:
         """Factor on the encoder's variance, shape (n,): a count that stands still repeats one error, it does not
         average it. The k-th sample on the same count weighs 1/(2 k (k − 1)), so that however long it stands all of
