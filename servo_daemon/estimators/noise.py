@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from servo_daemon.estimators.ekf import Innovations, NoiseLevels
 from servo_daemon.samples import F64
 
 _MEDIAN_TO_STD = 0.6745
@@ -150,13 +149,3 @@ def correlation_and_nis(innovation: F64, variance: F64) -> tuple[float, float]:
     normalised = innovation / np.sqrt(variance)
     energy = float(np.mean(np.square(normalised)))
     return float(np.mean(normalised[1:] * normalised[:-1])) / max(energy, 1e-12), energy
-
-
-def levels(channels: tuple[ChannelNoise, ...], input_var: float, torque_psd: float) -> NoiseLevels:
-    return NoiseLevels(input_var, torque_psd, tuple(c.var for c in channels))
-
-
-def valid_part(innovations: Innovations, channel: int, valid: F64) -> tuple[F64, F64]:
-    """Innovation and variance of one channel where it was valid."""
-    chosen = valid > 0
-    return innovations.innovation[chosen, channel], innovations.variance[chosen, channel]

@@ -7,7 +7,6 @@ only ticks change anything but the filter's own recursion.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -19,9 +18,10 @@ from servo_daemon.estimators.excitation import Excitation
 from servo_daemon.estimators.fusion import Qualification
 from servo_daemon.estimators.layout import INPUT, Layout, breaks, channel, gaps, stretch_of
 from servo_daemon.estimators.motor_rls import MotorRls
-from servo_daemon.estimators.noise import ChannelNoise, ProcessNoise, Whiteness
+from servo_daemon.estimators.settings import Resolutions, TrackerSettings
 from servo_daemon.estimators.signals import SignalPlan, plan_signals
 from servo_daemon.estimators.start import starting_point, well_known
+from servo_daemon.estimators.watch import InnovationWatch
 from servo_daemon.plant.parameters import LINEAR, Parameter
 from servo_daemon.samples import F64, SampleBlock, concatenate
 
@@ -42,41 +42,6 @@ _SAVED_STD = 0.03
 _IDLE_STD = 0.3
 #: Diverged: innovations this many times larger than they should be, for as many ticks, while the regression is well.
 _DIVERGED_NIS, _DIVERGED_TICKS = 6.0, 20
-#: Fewest innovations in a tick from which a correlation can be taken.
-_FEWEST_FOR_CORRELATION = 8
-#: Whiteness: leaves at the second value, returns at the first.
-_WHITE_IN, _WHITE_OUT = 0.15, 0.25
-#: White, but only because process noise was raised by this factor: not white.
-_UNEXPLAINED = 10.0
-
-
-@dataclass(frozen=True, slots=True)
-class Resolutions:
-    """Least significant bits, where they are known."""
-
-    position_rad: float | None = None
-    current_A: float | None = None
-    voltage_V: float | None = None
-
-    def of(self, name: str) -> float | None:
-        return getattr(self, name, None)
-
-
-@dataclass(frozen=True, slots=True)
-class TrackerSettings:
-    """What the user fixed.
-
-    Attributes:
-        effects: names of the effects in the model.
-        nominal: given values by parameter, natural units.
-        drift_per_sqrt_s: 1 σ of each coordinate's random walk, 1/√s; defaults where absent.
-        engine: "compiled" or "filterpy".
-    """
-
-    effects: tuple[str, ...] = ()
-    nominal: Mapping[str, float] | None = None
-    drift_per_sqrt_s: Mapping[str, float] | None = None
-    engine: str = "compiled"
 
 
 class Tracker:
@@ -98,9 +63,8 @@ class Tracker:
         self.first_s: float | None = None
         self.measured_state: dict[str, float | None] = {}
         self.sample_period_s: float | None = None
-        self.gated = self.restarts = 0
-        self.white = True
-        self.whiteness: dict[str, Whiteness] = {}
+        self.restarts = 0
+        self.watch = InnovationWatch(self.plan.measured)
         self.rls: MotorRls | None = None
         self.ekf: Ekf | None = None
         if self.plan.plant is not None:
@@ -133,11 +97,9 @@ class Tracker:
         self.excitation = Excitation(np.ones(len(plant.parameters)))
         self.qualification = Qualification(len(plant.parameters))
         self.scales = np.ones(len(plant.parameters))
-        self._noise: dict[str, ChannelNoise] = {}
         self._input_square = 0.0
         self._early: list[SampleBlock] = []
         self._tick_end_s: float | None = None
-        self._process_noise: dict[str, ProcessNoise] = {}
         self._suspicious_ticks = 0
         self._innovations: list[Innovations] = []
         self._rows: list[F64] = []
@@ -230,8 +192,12 @@ class Tracker:
             while len(self._early) > 20 and len(recording) > 8 * _FEWEST_TO_START:
                 recording = recording.slice(len(self._early.pop(0)), len(recording))
             return []
-        for name, (values, valid) in measured.items():
-            self._noise[name] = noise_levels.initial_noise(values[valid > 0], self.resolutions.of(name))
+        self.watch.start(
+            {
+                name: noise_levels.initial_noise(values[valid > 0], self.resolutions.of(name))
+                for name, (values, valid) in measured.items()
+            }
+        )
         self._layout.position_lsb = self._encoder_step(measured)
         self.ekf.start(start, held_input=self._layout.last_input, held_var=0.0)
         self._set_noise()
@@ -277,22 +243,7 @@ class Tracker:
         rms = self._input_square**0.5
         lsb = self.resolutions.voltage_V if self.plan.plant.drive == "voltage" else None
         torque = self._torque_scale()
-        self.ekf.set_noise(
-            noise_levels.levels(
-                tuple(self._noise[c] for c in self.plan.measured),
-                noise_levels.input_variance(rms, lsb) * self.process_noise("current_A").factor,
-                noise_levels.torque_intensity(torque) * self.process_noise(self._motion).factor,
-            )
-        )
-
-    @property
-    def _motion(self) -> str:
-        """The channel that shows torques: position or speed, always the last measured."""
-        return self.plan.measured[-1]
-
-    def process_noise(self, name: str) -> ProcessNoise:
-        """What this channel's innovations say about the noise behind it."""
-        return self._process_noise.get(name, ProcessNoise())
+        self.ekf.set_noise(self.watch.levels(rms, lsb, torque))
 
     def _torque_scale(self) -> float:
         """Typical motor torque, N·m: K V/R at the rms voltage is the most there can be at standstill."""
@@ -319,21 +270,7 @@ class Tracker:
         self._rows, self._innovations = [], []
         if not (self.ekf.is_sound() and innovations.are_sound()):
             return self._restart("its covariance or state is no longer sound")
-        worst = 0.0
-        for k, name in enumerate(self.plan.measured):
-            # A standing encoder repeats itself: what it says then is no sample of any noise.
-            counts = rows[:, 5 + 3 * k] * (rows[:, 6 + 3 * k] == 1.0)
-            nu, s = noise_levels.valid_part(innovations, k, counts)
-            if len(nu) == 0:
-                continue
-            worst = max(worst, float(np.mean(np.square(nu) / s)))
-            if len(nu) >= _FEWEST_FOR_CORRELATION:
-                correlation, nis = noise_levels.correlation_and_nis(nu, s)
-                of_input = name == "current_A"
-                self._process_noise[name] = self.process_noise(name).after(correlation, nis, follow=of_input)
-            self.whiteness[name] = self.whiteness.get(name, Whiteness()).after(nu, s, duration_s)
-            self._noise[name] = noise_levels.adapted(self._noise[name], nu, s, duration_s)
-        self.gated += int(innovations.gated.sum())
+        worst = self.watch.after(rows, innovations, duration_s)
         self._set_noise()
         self._judge_excitation(duration_s)
         return self._judge_divergence(worst)
@@ -349,11 +286,6 @@ class Tracker:
         active = np.where(self.qualification.qualified, active, free)
         walking = free * np.where(self.excitation.excited | (std < _IDLE_STD), 1.0, 0.0)
         self.ekf.set_active(active, walking)
-        if self.whiteness:
-            worst = max(abs(w.correlation) for w in self.whiteness.values())
-            unexplained = max((n.factor for n in self._process_noise.values()), default=1.0)
-            out, limit = (_WHITE_OUT, 2 * _UNEXPLAINED) if self.white else (_WHITE_IN, _UNEXPLAINED)
-            self.white = bool(worst < out and unexplained < limit)
 
     def _judge_divergence(self, nis: float) -> list[Message]:
         assert self.ekf is not None and self.rls is not None
@@ -373,7 +305,6 @@ class Tracker:
         self._early, self._rows, self._innovations = [], [], []
         self.qualification.qualified[:] = False
         self.excitation.reset()
-        self._process_noise.clear()
         self.restarts += 1
         return [("filter_restarted", f"filter restarted: {why}", {"restarts": self.restarts})]
 

@@ -13,7 +13,8 @@ from servo_daemon.config import DriveConfig
 from servo_daemon.estimators.base import Gaussian, from_coordinate
 from servo_daemon.estimators.fusion import Fused, fuse
 from servo_daemon.estimators.motor_rls import RegressionEstimate
-from servo_daemon.estimators.tracker import Resolutions, Tracker, TrackerSettings
+from servo_daemon.estimators.settings import Resolutions, TrackerSettings
+from servo_daemon.estimators.tracker import Tracker
 from servo_daemon.plant.effects import effects_by_name, parameter_table
 from servo_daemon.plant.parameters import J_D, LINEAR, Parameter
 from servo_daemon.service.snapshot import Estimate, EstimatorView, ParameterEstimate, finite_or_none
@@ -182,11 +183,11 @@ def _natural(g: Gaussian) -> Mapping[str, tuple[float | None, float | None]]:
 
 def _health(tracker: Tracker) -> dict[str, float | int | bool | str | None]:
     health: dict[str, float | int | bool | str | None] = {
-        "innovation_white": tracker.white if tracker.whiteness else None,
-        "gated_samples": tracker.gated,
+        "innovation_white": tracker.watch.white if tracker.watch.whiteness else None,
+        "gated_samples": tracker.watch.gated,
         "filter_restarts": tracker.restarts,
     }
-    for name, w in tracker.whiteness.items():
+    for name, w in tracker.watch.whiteness.items():
         channel = name.split("_")[0]
         health[f"nis_{channel}"] = finite_or_none(w.nis)
         health[f"innovation_correlation_{channel}"] = finite_or_none(w.correlation)
