@@ -17,7 +17,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from servo_daemon.config import DriveConfig
-from servo_daemon.samples import CHANNELS, Quality, SampleBlock, concatenate, make_block
+from servo_daemon.samples import Quality, SampleBlock, concatenate, make_block
 from servo_daemon.service.pipeline import Pipeline, all_finite
 from servo_daemon.service.snapshot import Estimate
 from servo_daemon.simulate import DEFAULT_NOMINAL, PAPER_MOTOR, SimulatedDrive, make_settings
@@ -237,7 +237,7 @@ _VALUES = st.sampled_from([0.0, np.nan, np.inf, -np.inf, 1e30, -1e30, 1e300, 1e-
 @st.composite
 def _disturbances(draw: st.DrawFn) -> Callable[[SampleBlock], SampleBlock]:
     """Something that happens to a run of samples."""
-    kind = draw(st.sampled_from(["quality", "value", "gone", "step", "stamps", "backwards", "channels"]))
+    kind = draw(st.sampled_from(["quality", "value", "gone", "step", "stamps", "backwards"]))
     start, length = draw(st.integers(0, 400)), draw(st.integers(1, 300))
     channel = draw(st.sampled_from(["voltage_V", "current_A", "position_rad"]))
     value, bits = draw(_VALUES), draw(st.integers(0, 63))
@@ -260,8 +260,6 @@ def _disturbances(draw: st.DrawFn) -> Callable[[SampleBlock], SampleBlock]:
                 time_s[part] = time_s[min(start, len(block) - 1)]
             case "backwards":
                 time_s[part] -= abs(step_s)
-            case "channels":
-                values.pop(channel, None)
         return make_block(time_s, sequence=block.sequence, quality=quality, **values)
 
     return apply
@@ -269,16 +267,18 @@ def _disturbances(draw: st.DrawFn) -> Callable[[SampleBlock], SampleBlock]:
 
 @given(
     disturbances=st.lists(st.lists(_disturbances(), max_size=3), min_size=1, max_size=8),
-    sizes=st.lists(st.integers(1, 700), min_size=1, max_size=6),
+    sizes=st.lists(st.integers(20, 700), min_size=1, max_size=6),
     model=st.sampled_from([(), ("coulomb_friction",), ("gravity_load",)]),
     knows=st.booleans(),
+    without=st.sampled_from([None, "voltage_V", "current_A", "position_rad"]),
 )
-@settings(max_examples=20, deadline=None, derandomize=True, phases=(Phase.explicit, Phase.generate))
+@settings(max_examples=15, deadline=None, derandomize=True, phases=(Phase.explicit, Phase.generate))
 def test_any_samples_are_survived(
     disturbances: list[list[Callable[[SampleBlock], SampleBlock]]],
     sizes: list[int],
     model: tuple[str, ...],
     knows: bool,
+    without: str | None,
 ) -> None:
     """No exception (warnings are errors here), nothing published that is not finite, every sample accounted for."""
     pipeline = Pipeline(DriveConfig(model=model, nominal=dict(DEFAULT_NOMINAL) if knows else {}))
@@ -289,8 +289,8 @@ def test_any_samples_are_survived(
         start += len(block)
         for apply in next(happens):
             block = apply(block)
-        if not any(name in block.channels for name in CHANNELS):
-            continue
+        if without is not None and 2000 <= start < 3000:  # a channel that goes and comes back
+            block = replace(block, **{without: None})
         fed += len(block)
         for estimate in pipeline.process(block):
             assert all_finite(estimate)
