@@ -30,9 +30,9 @@ from servo_daemon.samples import SampleBlock
 #: The system's buffer of a tty holds 4 kB, with what is still in flight behind it 64 kB: one read takes it all.
 _READ_SIZE = 65536
 
-#: A wakeup costs the same for one frame as for ten, and a UART without buffer would wake for every few bytes. 30 ms
-#: keep a drive at 1 kHz at 33 wakeups a second and leave half of the 60 ms from sample to API.
-_MIN_READ_SPACING_S = 0.03
+#: A wakeup costs the same for one frame as for ten, and a UART without buffer would wake for every few bytes. 40 ms
+#: keep a drive at 1 kHz at 25 wakeups a second and leave a third of the 60 ms from sample to API.
+_MIN_READ_SPACING_S = 0.04
 
 _TEXT_ONLY = ("counts_per_rev", "counts_modulus", "sample_period_s", "voltage_lsb_V", "current_lsb_A")
 

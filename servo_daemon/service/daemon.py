@@ -1,6 +1,6 @@
 """The daemon: one worker thread over all drives, reader threads, a saver, and what systemd wants to hear.
 
-The worker is woken by the readers' blocks, which come some 33 times a second, and takes whatever has queued up for
+The worker is woken by the readers' blocks, which come some 25 times a second, and takes whatever has queued up for
 each drive in one go: the cost of a turn is shared by its samples, and what the reader has just touched is still warm.
 """
 
