@@ -6,6 +6,7 @@ import argparse
 import asyncio
 import errno
 import faulthandler
+import gc
 import logging
 import os
 import signal
@@ -191,6 +192,9 @@ async def _serve_api(daemon: Daemon, listener: socket.socket, told: asyncio.Even
         server.should_exit = True
 
     watcher = asyncio.create_task(exit_when_told())
+    # What is loaded now stays: the garbage collector need not walk through it again and again.
+    gc.collect()
+    gc.freeze()
     host, port = listener.getsockname()[:2]
     log.info("API and dashboard on http://%s:%s/", f"[{host}]" if ":" in host else host, port)
     await server.serve(sockets=[listener])
