@@ -96,7 +96,6 @@ class Tracker:
         self._layout = Layout(plant.drive, self.plan.measured)
         self.excitation = Excitation(np.ones(len(plant.parameters)))
         self.qualification = Qualification(len(plant.parameters))
-        self.scales = np.ones(len(plant.parameters))
         self._input_square = 0.0
         self._early: list[SampleBlock] = []
         self._tick_end_s: float | None = None
@@ -278,7 +277,7 @@ class Tracker:
     def _judge_excitation(self, duration_s: float) -> None:
         assert self.ekf is not None and self.plan.plant is not None
         self.excitation.update(self.ekf.take_information(), duration_s)
-        std = self.ekf.estimate().std / self.scales
+        std = self.ekf.estimate().std
         self.qualification.update(std, self.excitation.excited)
         free = self._free_mask()
         active = free * self.excitation.excited
