@@ -1,6 +1,6 @@
 """Tracking on data of the independent generator: how near the bound, how honest, and what a wrong model shows.
 
-Short runs with fixed seeds of what `benchmarks/tracking.py` does at length.
+Short runs with fixed seeds of what `benchmarks/tracking` does at length.
 """
 
 from __future__ import annotations
@@ -21,11 +21,12 @@ from tests.recovery.generator import MOTORS, PAPER, Recording, Scenario, generat
 def test_near_the_cramer_rao_bound(motor: str) -> None:
     """All variances known, random-walk ageing: nobody does better, and we hardly do worse. Far better would be a bug of
     the bound."""
-    rmse, limit, inside = bound_run((motor, "multisine", 90.0, 7))
+    rmse, limit, inside, share = bound_run((motor, "multisine", 90.0, 7))
     ratio = rmse / limit
     assert np.median(ratio) < 1.3 and ratio.max() < 2.0, dict(zip(NAMES, ratio, strict=True))
     assert ratio.min() > 0.4
     assert 0.88 < inside <= 1.0
+    assert (share > 0.9).all()
 
 
 @pytest.mark.parametrize(("motor", "motion"), [("paper", "multisine"), ("gear", "pick_and_place"), ("re40", "prbs")])
@@ -67,7 +68,7 @@ def test_starts_from_nothing_on_every_motor() -> None:
     """No nominal values at all: tracking within 5 s, within 5 % (L: 20 %) after 15 s."""
     for motor in MOTORS.values():
         recording = generate(motor, Scenario("prbs", seconds=15.0, seed=3))
-        time_s, value, _, tracking = tracked(recording, {})
-        assert tracking[time_s > 5.0].mean() > 0.9, motor.name
-        error = np.abs(value[-1] / [getattr(motor, name) for name in NAMES] - 1)
+        track = tracked(recording, {})
+        assert track.tracking[track.time_s > 5.0].mean() > 0.9, motor.name
+        error = np.abs(track.value[-1] / [getattr(motor, name) for name in NAMES] - 1)
         assert (error < [0.05, 0.2, 0.05, 0.05, 0.1]).all(), (motor.name, error)

@@ -1,0 +1,39 @@
+"""Command line of the package."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from .ageing import report_ageing
+from .bound import report_bound, report_realistic
+from .scenarios import report_scenarios
+
+Part = Callable[[argparse.Namespace], None]
+
+
+def _parts() -> Mapping[str, Part]:
+    return {
+        "bound": lambda a: report_bound(a.runs or 20, a.seconds or 600.0),
+        "realistic": lambda a: report_realistic(a.runs or 20, a.seconds or 600.0),
+        "ageing": lambda a: report_ageing(a.runs or 5, a.seconds or 300.0),
+        "scenarios": lambda a: report_scenarios(a.runs or 1, a.seconds or 60.0, a.only, a.plots),
+    }
+
+
+def main() -> None:
+    """Runs the parts named, or all."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.tracking")
+    parser.add_argument("parts", nargs="*", choices=[*_parts(), []], metavar="PART", help=", ".join(_parts()))
+    parser.add_argument("--runs", type=int, help="of each case (starts: how many starts)")
+    parser.add_argument("--seconds", type=float, help="of each run; scenarios: of each quiet stretch too")
+    parser.add_argument("--only", default="", help="scenarios whose name contains this")
+    parser.add_argument("--plots", type=Path, help="scenarios: write one PNG of each into this directory")
+    arguments = parser.parse_args()
+    for part in arguments.parts or _parts():
+        _parts()[part](arguments)
+
+
+if __name__ == "__main__":
+    main()
