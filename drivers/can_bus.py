@@ -22,9 +22,10 @@ from typing import Any, ClassVar, Protocol
 from drivers.base import DriveInfo, Driver, disconnected
 from drivers.can_decode import FrameBatch, load_dbc
 from drivers.can_map import COUNTS, parse_signal_map
-from drivers.can_own import FIRST_DRIVE, LAST_DRIVE, OwnDecoder
+from drivers.can_own import OwnDecoder
 from drivers.can_port import CanPort, Inbox
 from drivers.can_vendor import STALE_S, VendorDecoder
+from drivers.can_wire import FIRST_DRIVE, LAST_DRIVE
 from servo_daemon.errors import DriverConfigError, DriverError
 from servo_daemon.samples import SampleBlock
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,9 +74,12 @@ class Dated:
     quality: U8
 
 
-@dataclass(frozen=True, slots=True)
-class _Last:
-    """The last sample dated, and how far its clock is behind the host's (the least seen: transport only adds)."""
+class Last(NamedTuple):
+    """The last sample dated, and how far its clock is behind the host's (the least seen: transport only adds).
+
+    Attributes:
+        count_offset: `sequence` minus the running number the device gave it, modulo 2^16.
+    """
 
     time_us: int
     position: int
@@ -98,7 +102,7 @@ class Timeline:
 
     def __init__(self, counters: DriverCounters) -> None:
         self._counters = counters
-        self._last: _Last | None = None
+        self._last: Last | None = None
         self._count_offset = 0
 
     def doubtful(self, host_s: float) -> bool:
@@ -118,10 +122,6 @@ class Timeline:
             host_s: monotonic host clock at their arrival.
             period_s: nominal sample period.
         """
-        if not anchors and not doubt and self._last is not None:
-            steady = self._steady(self._last, time16, position16, host_s, period_s)
-            if steady is not None:
-                return steady
         keep = self._fresh(time16, anchors, doubt)
         if len(keep) < len(time16):
             self._counters.samples_repeated += len(time16) - len(keep)
@@ -131,27 +131,17 @@ class Timeline:
             return _NOTHING
         return self._place(keep, time16, position16, anchors, doubt, host_s, period_s)
 
-    def _steady(self, last: _Last, time16: U16, position16: U16, host_s: float, period_s: float) -> Dated | None:
-        """The common case in few operations: every sample about one period after the other. None if it is not so."""
-        n = len(time16)
-        step_us = differences(time16, last.time_us)
-        if not step_us.min() or step_us.max() >= min(1.5e6 * period_s, STALE_US):
-            return None
-        time_us = step_us.cumsum(dtype=np.int64)
-        time_us += last.time_us
-        position = differences(position16, last.position).view(np.int16).cumsum(dtype=np.int64)
-        position += last.position
-        rows = np.arange(n)
-        dated = Dated(rows, time_us, position, rows + (last.sequence + 1), np.zeros(n, np.uint8))
-        self._remember(dated, host_s, restarted=False)
-        return dated
+    @property
+    def last(self) -> Last | None:
+        return self._last
 
-    def _remember(self, dated: Dated, host_s: float, restarted: bool) -> None:
-        last, time_us = self._last, int(dated.time_us[-1])
+    def advance(self, time_us: int, position: int, sequence: int, host_s: float, restarted: bool = False) -> None:
+        """Go on from this sample, the last that had arrived at `host_s`."""
+        last = self._last
         lag_s = host_s - time_us * 1e-6
         if last is not None and not restarted:
             lag_s = min(lag_s, last.lag_s + last.drift_s(host_s))
-        self._last = _Last(time_us, int(dated.position[-1]), int(dated.sequence[-1]), self._count_offset, host_s, lag_s)
+        self._last = Last(time_us, position, sequence, self._count_offset, host_s, lag_s)
 
     def _fresh(self, time16: U16, anchors: Sequence[Anchor], doubt: bool) -> I64:
         """Rows that are no repetition of an earlier sample. Loops only where there seems to be one."""
@@ -185,14 +175,15 @@ class Timeline:
         host_s: float,
         period_s: float,
     ) -> Dated:
-        last = self._last or _Last(int(time16[0]), int(position16[0]), 0, 0, host_s, 0.0)
+        last = self._last or Last(int(time16[0]), int(position16[0]), 0, 0, host_s, 0.0)
         step_us = differences(time16, last.time_us).astype(np.int64)
         moved = differences(position16, last.position).view(np.int16).astype(np.int64)
         quality = np.zeros(len(time16), np.uint8)
         self._align(step_us, moved, quality, last, anchors, doubt, host_s)
         number = self._number(last, step_us, quality, anchors, doubt, period_s)
         dated = Dated(keep, last.time_us + step_us.cumsum(), last.position + moved.cumsum(), number, quality)
-        self._remember(dated, host_s, restarted=bool((quality & _RESTART).any()))
+        restarted = bool((quality & _RESTART).any())
+        self.advance(int(dated.time_us[-1]), int(dated.position[-1]), int(number[-1]), host_s, restarted)
         return dated
 
     def _align(
@@ -200,7 +191,7 @@ class Timeline:
         step_us: I64,
         moved: I64,
         quality: U8,
-        last: _Last,
+        last: Last,
         anchors: Sequence[Anchor],
         doubt: bool,
         host_s: float,
@@ -228,7 +219,7 @@ class Timeline:
                 latest_us = np.inf  # the clocks have another offset from here on
 
     def _number(
-        self, last: _Last, step_us: I64, quality: U8, anchors: Sequence[Anchor], doubt: bool, period_s: float
+        self, last: Last, step_us: I64, quality: U8, anchors: Sequence[Anchor], doubt: bool, period_s: float
     ) -> I64:
         """Running numbers: by time and period, put right by the count at each anchor."""
         steps = np.maximum(np.rint(step_us / (period_s * 1e6)), 1.0).astype(np.int64)

@@ -7,10 +7,10 @@ sign and scale over all frames of one identifier at once (`Field`), checked agai
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from cantools.database.can import Database, Message, Signal
 
 Bits = NDArray[np.bool_]
+T = TypeVar("T")
 
 #: Marks a 29-bit identifier in a key, as SocketCAN and DBC files do (CAN_EFF_FLAG in linux/can.h).
 EXTENDED = 0x8000_0000
@@ -49,26 +50,46 @@ class FrameBatch:
         keys: shape (n,), `frame_key` of each.
         data: shape (n, 8), or (n, 64) where a CAN FD frame is among them; zero-padded.
         lengths: shape (n,), bytes each frame really had.
+        shortest: the least of them, or `CLASSIC_BYTES` where none has fewer.
         stamp_s: shape (n,), s, python-can's receive time stamps (their zero depends on the interface).
         host_s: s, monotonic host clock when the last of them had been received.
         wall_s: s, wall clock at the same moment.
+        whole: all that was received together, where this is one drive's share of it.
     """
 
     keys: I64
     data: U8
     lengths: I64
+    shortest: int
     stamp_s: F64
     host_s: float
     wall_s: float
+    whole: FrameBatch | None = None
+    _worked_out: dict[str, Any] = field(default_factory=dict)
 
     def __len__(self) -> int:
-        return int(self.keys.shape[0])
+        return len(self.keys)
 
-    def slice(self, start: int, stop: int) -> FrameBatch:
-        """Frames start..stop-1 (views, no copy)."""
+    def shared(self, name: str, work: Callable[[FrameBatch], T]) -> T:
+        """`work` of all frames that were received together, done once for all the drives that ask for it by `name`."""
+        whole = self.whole or self
+        if name not in whole._worked_out:  # two threads may both do it: with the same result
+            whole._worked_out[name] = work(whole)
+        result: T = whole._worked_out[name]
+        return result
+
+    def share(self, start: int, stop: int) -> FrameBatch:
+        """Frames start..stop-1 as one drive's share of this (views, no copy), at least one."""
+        return self.slice(start, stop, self)
+
+    def slice(self, start: int, stop: int, whole: FrameBatch | None = None) -> FrameBatch:
+        """Frames start..stop-1 (views, no copy), at least one."""
         cut = slice(start, stop)
+        lengths, shortest = self.lengths[cut], self.shortest
+        if shortest < CLASSIC_BYTES:  # a short frame of another drive says nothing of these
+            shortest = min(int(lengths.min()), CLASSIC_BYTES)
         return FrameBatch(
-            self.keys[cut], self.data[cut], self.lengths[cut], self.stamp_s[cut], self.host_s, self.wall_s
+            self.keys[cut], self.data[cut], lengths, shortest, self.stamp_s[cut], self.host_s, self.wall_s, whole
         )
 
 
@@ -90,6 +111,7 @@ def batch_of(messages: Sequence[can.Message], host_s: float, wall_s: float) -> F
         ),
         data=np.frombuffer(joined, np.uint8).reshape(n, width),
         lengths=lengths,
+        shortest=min(shortest, CLASSIC_BYTES),
         stamp_s=np.array([m.timestamp for m in messages], np.float64),
         host_s=host_s,
         wall_s=wall_s,

@@ -3,43 +3,38 @@
 A Sample carries 16 bits of everything, so that one classic frame is one sample. A Sync, sent right before its Sample
 at least every 50 ms, says what those 16 bits leave open: the whole device time, the upper half of the position and
 the running number. `can_dating` puts the two together; here frames are sorted, held while nothing dates or scales
-them (at the start, and after a silence in which a wrap of the 16-bit time may hide), and scaled.
+them (at the start, and after a silence in which a wrap of the 16-bit time may hide), and scaled. Where nothing of this
+is to be done, as nearly always, `can_steady` does the work of both.
 """
 
 from __future__ import annotations
 
-import logging
-import math
-from importlib.resources import as_file, files
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.base import DriveInfo, DriverCounters
 from drivers.can_dating import U16, Anchor, Dated, Timeline, signed
-from drivers.can_decode import Bits, Field, FrameBatch, find_field, frame_key, load_dbc
+from drivers.can_decode import CLASSIC_BYTES, Bits, FrameBatch, frame_key
+from drivers.can_description import Description
+from drivers.can_steady import Claim, Run, follow, sample_runs, words_of
+from drivers.can_wire import (
+    AT_LIMIT,
+    CURRENT,
+    DESCRIPTION_ID,
+    FIRST_DRIVE,
+    NOT_MEASURED,
+    POSITION,
+    SAMPLE_ID,
+    SYNC_ID,
+    TIME,
+    VOLTAGE,
+)
 from servo_daemon.samples import F64, I64, U8, Quality, SampleBlock
-
-log = logging.getLogger(__name__)
-
-#: Drive ids on one bus. `servo.dbc` is written for drive 1; drive n adds n - 1 to every identifier. Chosen to stay
-#: clear of CANopen's predefined connection set (CiA 301), so that both can share a bus.
-FIRST_DRIVE, LAST_DRIVE = 1, 31
-SYNC_ID, SAMPLE_ID, DESCRIPTION_ID = 0x101, 0x121, 0x681
-WIRE_VERSION = 1
-#: A Sync must come at least this often; the drive side sends it more often where its period asks for it.
-SYNC_PERIOD_S = 0.05
-
-#: Raw voltage and current that are no number: nothing was measured, and at (or beyond) the end of the range.
-NOT_MEASURED, AT_LIMIT = -32_768, 32_767
 
 #: Samples held while nothing dates or scales them; beyond it the oldest are dropped and counted.
 MAX_HELD = 16_384
 
-DESCRIBED = ("SamplePeriod", "VoltageLsb", "CurrentLsb", "CountsPerRev")
-_VOLTAGE, _CURRENT, _POSITION, _TIME = range(4)
-I16 = NDArray[np.int16]
 _NO_ROWS: U16 = np.empty((0, 4), np.uint16)
 
 
@@ -59,20 +54,20 @@ class OwnDecoder:
         shift = drive_id - FIRST_DRIVE
         self._sync = frame_key(SYNC_ID + shift, extended=False)
         self._sample = frame_key(SAMPLE_ID + shift, extended=False)
-        self._description = frame_key(DESCRIPTION_ID + shift, extended=False)
-        self._fields = _description_fields()
-        self._told_version = False
+        self._page = frame_key(DESCRIPTION_ID + shift, extended=False)
+        self._description = Description(self._identity, counts_per_rev)
+        self._origin = np.zeros((4, 1))
         self.reset()
 
     @property
     def keys(self) -> frozenset[int]:
         """The identifiers this decoder wants."""
-        return frozenset({self._sync, self._sample, self._description})
+        return frozenset({self._sync, self._sample, self._page})
 
     @property
     def info(self) -> DriveInfo:
         """What the drive has said of itself so far."""
-        known = self._known
+        known = self._description.known
         return DriveInfo(
             identity=self._identity,
             sample_period_s=known.get("SamplePeriod"),
@@ -84,7 +79,7 @@ class OwnDecoder:
 
     def reset(self) -> None:
         """Forget everything: the next frames may be another device's."""
-        self._known: dict[str, float] = {}
+        self._description.reset()
         self._timeline = Timeline(self._counters)
         self._doubt = False
         self._rows = _NO_ROWS
@@ -96,13 +91,13 @@ class OwnDecoder:
 
         Frames with other identifiers are ignored; frames too short are counted in `framing_errors`.
         """
+        steady = self._steady(batch)
+        if steady is not None:
+            return [steady]
         is_sample = batch.keys == self._sample
-        if is_sample.all() and batch.lengths.min() >= 8:  # nothing else in it, as in most batches
-            self._counters.frames += len(batch)
-            return self._take(batch.data[:, :8], is_sample, batch.host_s)
-        whole = batch.lengths >= 8
+        whole = batch.lengths >= CLASSIC_BYTES
         mine = is_sample | (batch.keys == self._sync)
-        described = np.flatnonzero(batch.keys == self._description)
+        described = np.flatnonzero(batch.keys == self._page)
         seen = int(np.count_nonzero(mine)) + len(described)
         mine &= whole
         good = int(np.count_nonzero(mine)) + int(np.count_nonzero(whole[described]))
@@ -111,27 +106,57 @@ class OwnDecoder:
         blocks: list[SampleBlock] = []
         done = 0
         for index in described[whole[described]].tolist():
-            page = self._page(batch.data[index : index + 1])
-            if page.items() - self._known.items():  # samples before it are scaled by what was known before it
+            news = self._description.news(batch.data[index])
+            if news:  # samples before it are scaled by what was known before it
                 blocks += self._take_some(batch, is_sample, mine, done, index)
-                self._known |= page
+                self._description.learn(news)
                 done = index
         return blocks + self._take_some(batch, is_sample, mine, done, len(batch))
+
+    def _steady(self, batch: FrameBatch) -> SampleBlock | None:
+        """The block these frames make if nothing is wrong, missing, new or held; None (and nothing done) otherwise."""
+        last = self._timeline.last
+        units = self._description.units
+        if self._doubt or len(self._rows) or batch.shortest < CLASSIC_BYTES:
+            return None
+        if last is None or units is None or self._timeline.doubtful(batch.host_s):
+            return None
+        run = batch.shared("sample_runs", sample_runs).get(self._sample)
+        claims = self._claims(batch, run) if run is not None else None
+        if run is None or claims is None:
+            return None
+        n = run.stop - run.start
+        now = [claim for claim in claims if claim.row < n] if claims else claims
+        raw = follow(run, last, self._description.known["SamplePeriod"], now, self._origin)
+        if raw is None:
+            return None
+        self._counters.frames += len(batch)
+        self._open_sync = claims[-1][1:] if len(claims) > len(now) else None  # speaks of the next batch's first Sample
+        position, time_us = raw[POSITION:, -1].tolist()
+        self._timeline.advance(int(time_us), int(position), last.sequence + n, batch.host_s)
+        sequence = np.arange(last.sequence + 1, last.sequence + 1 + n)
+        quality = np.zeros(n, np.uint8)
+        if run.at_limit:
+            _judge(raw, quality)
+        return _block(raw, units, sequence, quality, batch.host_s)
+
+    def _claims(self, batch: FrameBatch, run: Run) -> list[Claim] | None:
+        """What Syncs say of these Samples and the one after them; None where a frame needs a closer look."""
+        claims = [Claim(0, *self._open_sync)] if self._open_sync is not None else []
+        if len(batch) == run.stop - run.start:
+            return claims
+        for before, index in enumerate(np.flatnonzero(batch.keys != self._sample).tolist()):
+            key = batch.keys[index]
+            if key == self._sync:
+                low, high, count, position_high = words_of(batch.data[index, :CLASSIC_BYTES]).tolist()
+                claims.append(Claim(index - before, low | high << 16, count, position_high))
+            elif key != self._page or not self._description.has_said(batch.data[index]):
+                return None
+        return claims
 
     def _take_some(self, batch: FrameBatch, is_sample: Bits, mine: Bits, start: int, stop: int) -> list[SampleBlock]:
         chosen = start + np.flatnonzero(mine[start:stop])
         return self._take(batch.data[chosen, :8], is_sample[chosen], batch.host_s)
-
-    def _page(self, data: U8) -> dict[str, float]:
-        """What one Description frame says; a zero scale says nothing, nor does a version we do not know."""
-        page = {f.name.partition(".")[2]: float(f.physical(data)[0]) for f in self._fields if f.present(data)[0]}
-        version = page.pop("WireVersion", WIRE_VERSION)
-        if version != WIRE_VERSION:
-            if not self._told_version:
-                log.warning("%s: version %g of the CAN frames, not %d: ignored", self._identity, version, WIRE_VERSION)
-            self._told_version = True
-            return {}
-        return {name: value for name, value in page.items() if value > 0}
 
     def _take(self, data: U8, is_sample: Bits, host_s: float) -> list[SampleBlock]:
         """Date and scale the samples among some Syncs and Samples, or hold them."""
@@ -140,19 +165,19 @@ class OwnDecoder:
         self._collect(data, is_sample)
         if not len(self._rows):
             return []
-        if len(self._known) < len(DESCRIBED) or (self._doubt and not self._anchors):
+        units = self._description.units
+        if units is None or (self._doubt and not self._anchors):
             self._bound_held()
             return []
         rows, anchors, doubt = self._rows, self._anchors, self._doubt
         self._rows, self._anchors, self._doubt = _NO_ROWS, [], False
-        dated = self._timeline.date(
-            rows[:, _TIME], rows[:, _POSITION], anchors, doubt, host_s, self._known["SamplePeriod"]
-        )
-        return self._blocks(rows if len(rows) == len(dated.rows) else rows[dated.rows], dated, host_s)
+        period_s = self._description.known["SamplePeriod"]
+        dated = self._timeline.date(rows[:, TIME], rows[:, POSITION], anchors, doubt, host_s, period_s)
+        return _blocks(rows if len(rows) == len(dated.rows) else rows[dated.rows], dated, units, host_s)
 
     def _collect(self, data: U8, is_sample: Bits) -> None:
         """Append the Samples to those held and tie each Sync to the Sample it belongs to."""
-        words = data.view("<u2").astype(np.uint16, copy=False)
+        words = words_of(data)
         sync_at = np.flatnonzero(~is_sample)
         before = len(self._rows)
         samples = words if not len(sync_at) else words[is_sample]
@@ -170,8 +195,8 @@ class OwnDecoder:
     def _tie(self, row: int, time_us: int, count: int, position_high: int) -> None:
         """A Sync speaks of the very next Sample; if that one was lost, nobody may use the Sync."""
         self._open_sync = None
-        if int(self._rows[row, _TIME]) == time_us & 0xFFFF:
-            position = signed(position_high << 16 | int(self._rows[row, _POSITION]), 32)
+        if int(self._rows[row, TIME]) == time_us & 0xFFFF:
+            position = signed(position_high << 16 | int(self._rows[row, POSITION]), 32)
             self._anchors.append(Anchor(row, time_us, count, position))
 
     def _bound_held(self) -> None:
@@ -184,47 +209,32 @@ class OwnDecoder:
                 Anchor(a.row - excess, a.time_us, a.count, a.position) for a in self._anchors if a.row >= excess
             ]
 
-    def _blocks(self, rows: U16, dated: Dated, host_s: float) -> list[SampleBlock]:
-        """Scaled samples, a new block from each restart on."""
-        if not len(rows):
-            return []
-        quality = dated.quality
-        counts_per_rev = self._counts_per_rev or self._known["CountsPerRev"]
-        measured = rows.view(np.int16)
-        voltage = _scale(measured[:, _VOLTAGE], self._known["VoltageLsb"])
-        current = _scale(measured[:, _CURRENT], self._known["CurrentLsb"])
-        if measured[:, :_POSITION].max() >= AT_LIMIT or measured[:, :_POSITION].min() <= -AT_LIMIT:
-            _judge(measured[:, _VOLTAGE], voltage, Quality.VOLTAGE_INVALID, quality)
-            _judge(measured[:, _CURRENT], current, Quality.CURRENT_INVALID, quality)
-        block = SampleBlock(
-            time_s=_scale(dated.time_us, 1e-6),
-            sequence=dated.sequence,
-            quality=quality,
-            host_time_s=host_s,
-            voltage_V=voltage,
-            current_A=current,
-            position_rad=_scale(dated.position, 2 * math.pi / counts_per_rev),
-        )
-        if not (quality & int(Quality.TIME_RESTART)).any():
-            return [block]
-        edges = [0, *np.flatnonzero(quality & int(Quality.TIME_RESTART)).tolist(), len(rows)]
-        return [block.slice(a, b) for a, b in pairwise(edges) if a < b]
+
+def _blocks(rows: U16, dated: Dated, units: F64, host_s: float) -> list[SampleBlock]:
+    """Scaled samples, a new block from each restart on."""
+    if not len(rows):
+        return []
+    raw = np.empty((4, len(rows)))
+    raw[:POSITION] = rows[:, :POSITION].view(np.int16).T
+    raw[POSITION], raw[TIME] = dated.position, dated.time_us
+    _judge(raw, dated.quality)
+    block = _block(raw, units, dated.sequence, dated.quality, host_s)
+    restarts = np.flatnonzero(dated.quality & int(Quality.TIME_RESTART))
+    edges = [0, *restarts.tolist(), len(rows)]
+    return [block.slice(a, b) for a, b in pairwise(edges) if a < b]
 
 
-def _judge(raw: I16, value: F64, invalid: Quality, quality: U8) -> None:
-    """Mark what is not measured or at its limit, in place."""
-    missing = raw == NOT_MEASURED
-    value[missing] = np.nan
-    quality[missing] |= int(invalid)
-    quality[(raw == AT_LIMIT) | (raw == -AT_LIMIT)] |= int(Quality.SATURATED)
+def _judge(raw: F64, quality: U8) -> None:
+    """Mark what is not measured or at its limit among raw values, shape (4, n), in place."""
+    measured = raw[:POSITION]
+    missing = measured == NOT_MEASURED
+    quality[(np.abs(measured) == AT_LIMIT).any(axis=0)] |= int(Quality.SATURATED)
+    quality[missing[VOLTAGE]] |= int(Quality.VOLTAGE_INVALID)
+    quality[missing[CURRENT]] |= int(Quality.CURRENT_INVALID)
+    measured[missing] = np.nan
 
 
-def _scale(raw: I16 | I64, factor: float) -> F64:
-    return np.multiply(raw, factor, dtype=np.float64)
-
-
-def _description_fields() -> tuple[Field, ...]:
-    """The signals of the Description frame, from the DBC that is packaged with the drivers."""
-    with as_file(files("drivers") / "servo.dbc") as path:
-        database = load_dbc(path)
-    return tuple(find_field(database, f"Description.{name}", "servo.dbc") for name in ("WireVersion", *DESCRIBED))
+def _block(raw: F64, units: F64, sequence: I64, quality: U8, host_s: float) -> SampleBlock:
+    """Samples from raw values, shape (4, n), which are scaled in place."""
+    voltage, current, position, time_s = np.multiply(raw, units, out=raw)
+    return SampleBlock(time_s, sequence, quality, host_s, voltage, current, position)

@@ -3,13 +3,15 @@
 A serial or USB adapter cannot be opened twice (two readers would steal each other's frames), and receiving every frame
 once for eight drives is eight times cheaper than once for each. The thread waits until something has arrived, lets a
 few milliseconds of traffic gather, and drains it in one go; nothing runs in python-can's callbacks, which are known to
-drop frames at 1 kHz.
+drop frames at 1 kHz. What has gathered becomes arrays once for all drives, sorted by drive, so that each drive's frames
+are a slice of them.
 """
 
 from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
@@ -17,7 +19,7 @@ from typing import Any, ClassVar
 import can
 
 from drivers.base import DriverCounters
-from drivers.can_decode import FrameBatch, batch_of, frame_key
+from drivers.can_decode import EXTENDED, FrameBatch, batch_of
 from drivers.can_receive import Receiver, close_bus, open_bus
 from servo_daemon.errors import DriverConfigError
 
@@ -39,13 +41,28 @@ class Inbox:
     Attributes:
         keys: identifiers wanted.
         counters: the drive's, for what is not delivered.
+        batches: what has been received and not been taken, in the order of arrival.
+        waiting: frames in them.
+        sorted_out: this drive's of the messages being handed out now.
     """
 
     keys: frozenset[int]
     counters: DriverCounters
-    messages: list[can.Message] = field(default_factory=list)
-    host_s: float = 0.0
-    wall_s: float = 0.0
+    batches: deque[FrameBatch] = field(default_factory=deque)
+    waiting: int = 0
+    sorted_out: list[can.Message] = field(default_factory=list)
+
+    def put(self, batch: FrameBatch) -> None:
+        """Append; where that is too much, the oldest go and are counted."""
+        self.batches.append(batch)
+        self.waiting += len(batch)
+        excess = self.waiting - INBOX_FRAMES
+        if excess > 0:
+            self.waiting -= excess
+            self.count("inbox_dropped", excess)
+            while excess >= len(self.batches[0]):
+                excess -= len(self.batches.popleft())
+            self.batches[0] = self.batches[0].slice(excess, len(self.batches[0]))
 
     def count(self, what: str, n: int = 1) -> None:
         self.counters.extra[what] = self.counters.extra.get(what, 0) + n
@@ -62,7 +79,7 @@ class CanPort:
         self._bus = open_bus(settings)
         self._ready = threading.Condition()
         self._inboxes: list[Inbox] = []
-        self._routes: dict[int, list[Inbox]] = {}
+        self._routes: dict[int, list[list[can.Message]]] = {}
         self._stopping = False
         self._failure: str | None = None
         self._thread = threading.Thread(target=self._run, name=f"can-{key[1]}", daemon=True)
@@ -108,7 +125,7 @@ class CanPort:
                 self._thread.join()
 
     def take(self, inbox: Inbox, timeout_s: float, closed: Callable[[], bool]) -> FrameBatch | None:
-        """All frames that wait in an inbox, within `timeout_s`; None if there are none.
+        """The oldest frames in an inbox, those that were received together, within `timeout_s`; None if there are none.
 
         Args:
             closed: tells whether the drive has been closed meanwhile, which ends the wait.
@@ -117,20 +134,21 @@ class CanPort:
             ConnectionError: the bus is gone and nothing is left to be taken; the text says why.
         """
         with self._ready:
-            self._ready.wait_for(lambda: inbox.messages or self._failure is not None or closed(), timeout_s)
-            messages, inbox.messages = inbox.messages, []
-            if not messages:
-                if self._failure is not None and not closed():
-                    raise ConnectionError(self._failure)
-                return None
-            host_s, wall_s = inbox.host_s, inbox.wall_s
-        return batch_of(messages, host_s, wall_s)
+            if not inbox.batches:
+                self._ready.wait_for(lambda: inbox.batches or self._failure is not None or closed(), timeout_s)
+            if inbox.batches:
+                batch = inbox.batches.popleft()
+                inbox.waiting -= len(batch)
+                return batch
+            if self._failure is not None and not closed():
+                raise ConnectionError(self._failure)
+            return None
 
     def _reroute(self) -> None:
         self._routes = {}
         for inbox in self._inboxes:
             for key in inbox.keys:
-                self._routes.setdefault(key, []).append(inbox)
+                self._routes.setdefault(key, []).append(inbox.sorted_out)
 
     # ---- the receiving thread
 
@@ -156,31 +174,37 @@ class CanPort:
         """Hand the frames to the drives that want them, and count the rest."""
         host_s, wall_s = time.monotonic(), time.time()
         with self._ready:
-            routes, data_frames, error_frames, bus_off = self._routes, 0, 0, False
-            before = [len(inbox.messages) for inbox in self._inboxes]
+            wanting, data_frames, error_frames, bus_off = self._routes.get, 0, 0, False
             for message in messages:
                 if message.is_error_frame:
                     error_frames += 1
                     bus_off |= bool(message.arbitration_id & BUS_OFF) and message.dlc == 8
                 elif not message.is_remote_frame and message.is_rx:
                     data_frames += 1
-                    for inbox in routes.get(frame_key(message.arbitration_id, message.is_extended_id), ()):
-                        inbox.messages.append(message)
-            for inbox, waiting in zip(self._inboxes, before, strict=True):
-                self._account(inbox, waiting, data_frames, error_frames, bad_lines)
-                inbox.host_s, inbox.wall_s = host_s, wall_s
+                    frame_id = message.arbitration_id  # `frame_key` written out: a call costs as much as the rest
+                    for wanted in wanting(frame_id | EXTENDED if message.is_extended_id else frame_id, ()):
+                        wanted.append(message)
+            for inbox in self._inboxes:
+                inbox.counters.unknown_frames += data_frames - len(inbox.sorted_out)
+                inbox.counters.framing_errors += error_frames + bad_lines
+                if error_frames:
+                    inbox.count("error_frames", error_frames)
+                if bad_lines:
+                    inbox.count("bad_adapter_lines", bad_lines)
+            self._hand_out(host_s, wall_s)
             self._ready.notify_all()
         if bus_off:
             raise can.CanOperationError("the controller is bus-off")
 
-    def _account(self, inbox: Inbox, waiting: int, data_frames: int, error_frames: int, bad_lines: int) -> None:
-        inbox.counters.unknown_frames += data_frames - (len(inbox.messages) - waiting)
-        inbox.counters.framing_errors += error_frames + bad_lines
-        if error_frames:
-            inbox.count("error_frames", error_frames)
-        if bad_lines:
-            inbox.count("bad_adapter_lines", bad_lines)
-        excess = len(inbox.messages) - INBOX_FRAMES
-        if excess > 0:
-            del inbox.messages[:excess]
-            inbox.count("inbox_dropped", excess)
+    def _hand_out(self, host_s: float, wall_s: float) -> None:
+        """What has been sorted out as one batch, of which each drive gets its slice."""
+        together = [message for inbox in self._inboxes for message in inbox.sorted_out]
+        if not together:
+            return
+        batch, start = batch_of(together, host_s, wall_s), 0
+        for inbox in self._inboxes:
+            stop = start + len(inbox.sorted_out)
+            if stop > start:
+                inbox.put(batch.share(start, stop))
+                inbox.sorted_out.clear()
+            start = stop

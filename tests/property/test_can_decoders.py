@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import itertools
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.base import DriverCounters
-from drivers.can_decode import load_dbc
+from drivers.can_decode import FrameBatch, load_dbc
 from drivers.can_map import parse_signal_map
 from drivers.can_own import OwnDecoder
 from drivers.can_vendor import VendorDecoder
@@ -137,6 +138,96 @@ def test_own_samples_do_not_depend_on_the_batches(cuts: set[int], restart_at: in
     edges = sorted(c for c in cuts if c < len(good))
     for whole, parts in zip(decoded([]), decoded(edges), strict=True):
         assert np.array_equal(whole, parts)
+
+
+class Carefully(OwnDecoder):
+    """Without the way for the common case."""
+
+    def _steady(self, batch: FrameBatch) -> SampleBlock | None:
+        return None
+
+
+@settings(derandomize=True, max_examples=100, deadline=None)
+@given(
+    together=st.integers(3, 60),
+    lost=st.sets(st.integers(0, 419), max_size=3),
+    twice=st.sets(st.integers(0, 419), max_size=3),
+    spoiled=st.dictionaries(st.integers(0, 419), st.tuples(st.integers(0, 7), st.integers(1, 255)), max_size=3),
+    silences=st.dictionaries(st.integers(0, 29), st.sampled_from([0.06, 5.0]), max_size=2),
+    restart_at=st.integers(10, 390),
+    speed=st.sampled_from([0, 7, -3001, 32_767, -32_768]),
+    start_us=st.sampled_from([0, 60_000, 2**32 - 150_000]),
+)
+def test_the_common_case_is_no_case_of_its_own(
+    together: int,
+    lost: set[int],
+    twice: set[int],
+    spoiled: dict[int, tuple[int, int]],
+    silences: dict[int, float],
+    restart_at: int,
+    speed: int,
+    start_us: int,
+) -> None:
+    """Whatever is lost, repeated or spoiled and whenever the host looks: the quick way gives what the careful one does,
+    block for block and bit for bit, and counts the same. (Voltage and current pass through all their values.)"""
+    source = RampSource(counts_per_sample=speed, start_us=start_us, start_counts=2**31 - 200 * abs(speed))
+    encoder = FrameEncoder(replace(source.info, voltage_lsb_V=3e-4), 1)
+    sent = encoder.encode(source.next_block(restart_at))
+    encoder.restart()
+    sent += encoder.encode(source.next_block(400 - restart_at))
+    heard: list[tuple[int, bytes]] = []
+    for k, frame in enumerate(sent):
+        data = bytearray(frame.data)
+        if k in spoiled:
+            data[spoiled[k][0]] ^= spoiled[k][1]
+        heard += ([] if k in lost else [(frame.frame_id, bytes(data))]) * (2 if k in twice else 1)
+    quick, careful = (kind(1, DriverCounters()) for kind in (OwnDecoder, Carefully))
+    host_s = 1.0
+    for k in range(-(-len(heard) // together)):
+        some = heard[k * together : (k + 1) * together]
+        host_s += 1e-3 * len(some) + silences.get(k, 0.0)
+        blocks = [decoder.feed(batch(some, host_s)) for decoder in (quick, careful)]
+        for one, other in zip(*blocks, strict=True):
+            for name in ("time_s", "sequence", "quality", "voltage_V", "current_A", "position_rad"):
+                assert np.array_equal(getattr(one, name), getattr(other, name), equal_nan=name.endswith(("V", "A")))
+        assert quick._counters == careful._counters
+        assert quick._timeline.last == careful._timeline.last
+
+
+@settings(derandomize=True, max_examples=30, deadline=None)
+@given(
+    lost=st.sets(st.integers(0, 1300), max_size=4),
+    short=st.sampled_from([None, 0x7FF, 0x122]),
+    twice=st.booleans(),
+    together=st.integers(10, 120),
+)
+def test_drives_that_are_received_together_do_not_touch_each_other(
+    lost: set[int], short: int | None, twice: bool, together: int
+) -> None:
+    """Shares of one batch give each drive what its frames alone would, even if two listen to the same drive."""
+    traffic = [f for n in (1, 2, 3) for f in frames_of(RampSource(counts_per_sample=-5_000 * n), 400, n)]
+    traffic.sort(key=lambda f: f.sample)
+    heard = [(f.frame_id, f.data) for k, f in enumerate(traffic) if k not in lost]
+    if short is not None:
+        heard[600:600] = [(short, b"abc")]
+    ids = (1, 2, 3, 3) if twice else (1, 2, 3)
+    sharing, alone = ([OwnDecoder(n, DriverCounters()) for n in ids] for _ in range(2))
+    for first in range(0, len(heard), together):
+        some, host_s = heard[first : first + together], 1.0 + 1e-3 * first / 3
+        wanted = [[f for f in some if f[0] in decoder.keys or f[0] == 0x7FF] for decoder in sharing]
+        if not (everything := [f for share in wanted for f in share]):
+            continue
+        whole, start = batch(everything, host_s), 0
+        for one, other, share in zip(sharing, alone, wanted, strict=True):
+            stop = start + len(share)
+            if share:
+                blocks = [one.feed(whole.share(start, stop)), other.feed(batch(share, host_s))]
+                for a, b in zip(*blocks, strict=True):
+                    assert np.array_equal(a.time_s, b.time_s)
+                    assert np.array_equal(a.position_rad, b.position_rad)
+                    assert np.array_equal(a.sequence, b.sequence)
+            start = stop
+            assert one._counters == other._counters
 
 
 @settings(derandomize=True, max_examples=40, deadline=None)
