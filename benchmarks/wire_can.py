@@ -1,7 +1,7 @@
 """The CAN path against cantools' decode of each frame, and what a full bus loses, in one run.
 
 1. Our part: from python-can's messages to samples (sorting by drive, arrays, decoding), in batches as they gather in
-   10 ms; the rival decodes each message with cantools, continues time and position in Python and scales, the way
+   25 ms; the rival decodes each message with cantools, continues time and position in Python and scales, the way
    everybody writes it first (it notices no loss, no repetition and no restart).
 2. The whole path on python-can's virtual bus at 8,000 frames/s, as much as 1 Mbit/s carries: what is lost, and what
    python-can's receive and our part cost of a core.

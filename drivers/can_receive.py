@@ -17,10 +17,13 @@ from servo_daemon.errors import DriverConfigError, DriverUnavailableError
 
 log = logging.getLogger(__name__)
 
-#: Frames are gathered this long after the first: at 1 kHz ten frames for one wake-up, at a full bus eighty, which share
-#: the cost of one block. The smallest receive queue in the path (a SocketCAN socket: some 270 frames) holds three times
-#: as much of a full bus, and 10 ms are little of the 60 ms from a sample to the API.
-GATHER_S = 0.01
+#: Frames are gathered this long after the first: from eight drives at 1 kHz two hundred frames for one wake-up of each
+#: reader, which share the cost of one block. 25 ms leave most of the 60 ms from a sample to the API, and are half of
+#: the silence after which samples wait for a Sync (`DOUBT_S`).
+GATHER_S = 0.025
+#: Meanwhile the system's queue is emptied so often: the smallest in the path (a SocketCAN socket: some 270 frames)
+#: then holds two and a half times as much of a full bus.
+FETCH_S = GATHER_S / 2
 #: Frames drained in one go at most, so that a bus that never falls silent is still handed on.
 MAX_FRAMES = 8_192
 #: A message the adapter's library stumbles over is one thing, so many in a row another.
@@ -64,9 +67,10 @@ class Receiver:
             messages.append(first)
         elif not self._read_ahead() and not self._selector.select(timeout_s):
             return messages
-        time.sleep(GATHER_S)
         try:
-            self._drain(messages)
+            for _ in range(round(GATHER_S / FETCH_S)):
+                time.sleep(FETCH_S)
+                self._drain(messages)
         except Exception as error:
             if not messages:
                 raise
