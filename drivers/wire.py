@@ -1,41 +1,28 @@
-"""The binary serial wire, version 1: frames, CRC, description and sample records, as `docs/protocol.md` defines them.
+"""The binary serial wire, version 1: payloads of description and sample frames, as `docs/protocol.md` defines them.
 
-This file is the format and nothing else: bytes of one frame to and from plain values. `wire_decoder` turns a stream
-of bytes into samples, `wire_encoder` samples into frames, `deploy/firmware/servo_wire.h` does the latter in C.
-
-On the wire a frame is ``COBS(payload + CRC) + 00``. COBS (Cheshire and Baker, "Consistent overhead byte stuffing",
-IEEE/ACM Trans. Networking 7(2), 1999) leaves no zero inside, so a reader finds the next frame after any damage. The CRC
-is CRC-16/IBM-3740 (poly 1021h, init FFFFh, not reflected, no final XOR; check value 29B1h): `binascii.crc_hqx` of the
-standard library, Hamming distance 4 up to 4 kB. It is sent high byte first, so the CRC over payload and CRC is 0.
-Every other number is little-endian.
+This file is the format and nothing else: bytes of one payload to and from plain values; `wire_frame` makes frames of
+payloads. `wire_decoder` turns a stream of bytes into samples, `wire_encoder` samples into frames,
+`deploy/firmware/servo_wire.h` does the latter in C. Every number is little-endian.
 """
 
 from __future__ import annotations
 
 import math
 import struct
-from binascii import crc_hqx
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-from cobs import cobs
 from numpy.typing import NDArray
 
+from drivers.wire_frame import MAX_PAYLOAD
+from drivers.wire_frame import encode_frame as encode_frame  # noqa: PLC0414 (whoever writes payloads needs it)
 from servo_daemon.errors import WireError
 from servo_daemon.samples import CHANNELS, Quality
 
 PROTOCOL_VERSION = 1
-CRC_INIT = 0xFFFF
-CRC_SIZE = 2
-DELIMITER = b"\0"
-
-#: Longest payload (without CRC) a device may send: it fits a small microcontroller and bounds what garbage can cost.
-MAX_PAYLOAD = 1024
-#: Longest run of bytes without a delimiter that can be a frame: payload, CRC, one COBS code byte for every 254.
-MAX_ENCODED = cobs.max_encoded_length(MAX_PAYLOAD + CRC_SIZE)
 
 
 class FrameType(IntEnum):
@@ -181,34 +168,6 @@ def frame_dtype(record: np.dtype[np.void], n: int) -> np.dtype[np.void]:
             ("crc", "V2"),
         ]
     )
-
-
-def encode_frame(payload: bytes) -> bytes:
-    """A payload as it goes over the wire: CRC appended, stuffed, delimited.
-
-    Raises:
-        ValueError: the payload is empty or longer than `MAX_PAYLOAD`.
-    """
-    if not 0 < len(payload) <= MAX_PAYLOAD:
-        raise ValueError(f"payload of {len(payload)} bytes: 1 .. {MAX_PAYLOAD} are possible")
-    return bytes(cobs.encode(payload + crc_hqx(payload, CRC_INIT).to_bytes(CRC_SIZE, "big"))) + DELIMITER
-
-
-def decode_frame(encoded: bytes) -> bytes:
-    """The payload of one frame, given without its delimiter.
-
-    Raises:
-        WireError: not a frame, or its CRC is wrong.
-    """
-    try:
-        payload = bytes(cobs.decode(encoded))
-    except cobs.DecodeError as error:
-        raise WireError(f"not a frame: {error}") from error
-    if len(payload) <= CRC_SIZE:
-        raise WireError(f"frame of {len(payload)} bytes is too short")
-    if crc_hqx(payload, CRC_INIT):
-        raise WireError("wrong CRC")
-    return payload[:-CRC_SIZE]
 
 
 def encode_description(description: Description) -> bytes:

@@ -17,10 +17,6 @@ from numpy.typing import NDArray
 from drivers.base import DriverCounters
 from drivers.wire import (
     CHANNEL_OF,
-    CRC_INIT,
-    CRC_SIZE,
-    DELIMITER,
-    MAX_ENCODED,
     SAMPLES_HEADER,
     STATUS_MASK,
     Description,
@@ -30,6 +26,7 @@ from drivers.wire import (
     frame_dtype,
 )
 from drivers.wire_counts import CountUnwrapper
+from drivers.wire_frame import CRC_INIT, CRC_SIZE, DELIMITER, MAX_ENCODED
 from drivers.wire_timeline import Placement, Timeline
 from servo_daemon.errors import WireError
 from servo_daemon.samples import I64, Quality, SampleBlock, concatenate

@@ -19,9 +19,9 @@ from drivers.wire import (
     Description,
     Quantity,
     encode_description,
-    encode_frame,
     encode_samples,
 )
+from drivers.wire_frame import encode_frame
 from servo_daemon.samples import F64, I64, U8, Quality, SampleBlock
 
 _INVALID = {

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.wire import Channel, Description, Quantity, encode_description, encode_frame, encode_samples
+from drivers.wire import Channel, Description, Quantity, encode_description, encode_samples
+from drivers.wire_frame import encode_frame
 
 PERIOD_US = 1000
 

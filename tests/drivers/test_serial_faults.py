@@ -17,7 +17,8 @@ from serial.tools import list_ports
 
 from drivers.base import DriveInfo
 from drivers.serial_line import SerialDriver, existing_ports
-from drivers.wire import encode_frame, encode_samples
+from drivers.wire import encode_samples
+from drivers.wire_frame import encode_frame
 from servo_daemon.errors import DriverConfigError, DriverDisconnectedError, DriverUnavailableError
 from servo_daemon.samples import Quality, SampleBlock, concatenate
 from servo_daemon.sim_drive.line_faults import Fault, LineFaults

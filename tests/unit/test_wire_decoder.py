@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from drivers.base import DriverCounters
-from drivers.wire import MAX_ENCODED, Channel, Description, Quantity, encode_frame, encode_samples
+from drivers.wire import Channel, Description, Quantity, encode_samples
 from drivers.wire_decoder import BinaryDecoder
+from drivers.wire_frame import MAX_ENCODED, encode_frame
 from servo_daemon.samples import Quality, SampleBlock, concatenate
 from tests.wire_tools import PERIOD_US, SERVO, describe, frame, frames, with_position
 

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from drivers.base import DriveInfo
-from drivers.wire import Channel, Description, Quantity, encode_description, encode_frame, encode_samples
+from drivers.wire import Channel, Description, Quantity, encode_description, encode_samples
 from drivers.wire_decoder import BinaryDecoder
 from drivers.wire_encoder import BinaryEncoder, describe
+from drivers.wire_frame import encode_frame
 from servo_daemon.errors import BadInputError, WireError
 from servo_daemon.samples import Quality, SampleBlock, make_block
 from servo_daemon.sim_drive.line_faults import Fault, LineFaults

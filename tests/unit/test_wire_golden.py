@@ -11,12 +11,11 @@ from crccheck.crc import Crc16Ibm3740
 
 from drivers.wire import (
     decode_description,
-    decode_frame,
     encode_description,
-    encode_frame,
     encode_samples,
 )
 from drivers.wire_decoder import BinaryDecoder
+from drivers.wire_frame import decode_frame, encode_frame
 from servo_daemon.errors import WireError
 from servo_daemon.samples import Quality
 from tests.wire_tools import DESCRIPTIONS, SAMPLES, VECTORS, description_of, rows_of
