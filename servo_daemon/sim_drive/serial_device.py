@@ -10,7 +10,6 @@ import os
 import select
 import threading
 import time
-import tty
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -19,9 +18,10 @@ import numpy as np
 
 from drivers.wire_encoder import BinaryEncoder, describe
 from drivers.wire_text import encode_lines
-from servo_daemon.errors import BadInputError, EndOfStreamError
+from servo_daemon.errors import EndOfStreamError
 from servo_daemon.samples import SampleBlock
 from servo_daemon.sim_drive.line_faults import Fault, LineFaults
+from servo_daemon.sim_drive.pty_link import PtyLink
 from servo_daemon.sim_drive.source import SampleSource
 
 Wire = Literal["binary", "text"]
@@ -50,26 +50,15 @@ class DeviceCounters:
     restarts: int = 0
 
 
-class _Terminal:
-    """A pseudo-terminal whose other end has a name, used like a UART's transmitter."""
+class _Transmitter:
+    """The master side of a pseudo-terminal, used like a UART's transmitter."""
 
-    def __init__(self, link: Path) -> None:
-        self._link = link
-        self._master, slave = os.openpty()
-        try:
-            self._target = os.ttyname(slave)
-            tty.setraw(slave)
-            _make_link(link, self._target)
-        except BaseException:
-            os.close(self._master)
-            raise
-        finally:
-            os.close(slave)  # from here on the system tells (POLLHUP) whether a reader has it open
-        os.set_blocking(self._master, False)
+    def __init__(self, master: int) -> None:
+        self._master = master
         self._poll = select.poll()
-        self._poll.register(self._master, select.POLLIN | select.POLLHUP)
+        self._poll.register(master, select.POLLIN | select.POLLHUP)
         self._poll_write = select.poll()
-        self._poll_write.register(self._master, select.POLLOUT)
+        self._poll_write.register(master, select.POLLOUT)
 
     def has_reader(self) -> bool:
         """Whether somebody has the port open. What they send is read and thrown away."""
@@ -89,27 +78,6 @@ class _Terminal:
     def wait_for_room(self, timeout_s: float) -> None:
         """Wait until there is room, or the reader left, or the timeout."""
         self._poll_write.poll(timeout_s * 1e3)
-
-    def close(self) -> None:
-        """Hang up and take the name away, if it is still ours."""
-        with contextlib.suppress(OSError):
-            if self._link.readlink() == Path(self._target):  # not that of a successor
-                self._link.unlink()
-        os.close(self._master)
-
-
-def _make_link(link: Path, target: str) -> None:
-    """Name a terminal, in one step, replacing an old symbolic link but nothing else."""
-    if os.path.lexists(link) and not link.is_symlink():
-        raise BadInputError(f"{link} exists and is not a symbolic link: it is not replaced")
-    temporary = link.with_name(f".{link.name}.{os.getpid()}.{threading.get_ident()}")
-    try:
-        temporary.symlink_to(target)
-        temporary.replace(link)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
-        raise BadInputError(f"{link} cannot be made: {error.strerror or error}") from error
 
 
 class _Firmware:
@@ -203,8 +171,8 @@ def run_serial_device(
     """
     counters = DeviceCounters() if counters is None else counters
     firmware = _Firmware(source, wire, drive_id, faults or LineFaults(), counters)
-    with contextlib.closing(_Terminal(link)) as terminal:
-        device = _Device(terminal, stop, realtime, counters)
+    with PtyLink(link, hold_open=False) as pty:
+        device = _Device(_Transmitter(pty.master), stop, realtime, counters)
         while not stop.is_set():
             try:
                 block = source.next_block(samples_per_frame)
@@ -218,15 +186,15 @@ def run_serial_device(
 class _Device:
     """Sends at the right time, and never waits for ever."""
 
-    def __init__(self, terminal: _Terminal, stop: threading.Event, realtime: bool, counters: DeviceCounters) -> None:
-        self._terminal, self._stop, self._realtime, self._counters = terminal, stop, realtime, counters
+    def __init__(self, line: _Transmitter, stop: threading.Event, realtime: bool, counters: DeviceCounters) -> None:
+        self._line, self._stop, self._realtime, self._counters = line, stop, realtime, counters
         self._start_s: float | None = None  # host time at device time 0
 
     def wait_for(self, time_s: float) -> None:
         """Wait until the sample of this device time has been taken: by absolute deadlines, so that delays of the
         host do not add up. Without real time: until somebody listens."""
         if not self._realtime:
-            while not self._terminal.has_reader() and not self._stop.wait(_POLL_S):
+            while not self._line.has_reader() and not self._stop.wait(_POLL_S):
                 pass
             return
         now = time.monotonic()
@@ -238,14 +206,14 @@ class _Device:
         """Put frames on the line."""
         if not self._realtime:
             self._send_all(b"".join(frames))
-        elif not self._terminal.has_reader():
+        elif not self._line.has_reader():
             self._counters.unheard += len(frames)
         else:
             for frame in frames:
-                self._counters.overruns += self._terminal.write(frame) < len(frame)
+                self._counters.overruns += self._line.write(frame) < len(frame)
 
     def _send_all(self, data: bytes) -> None:
-        while data and not self._stop.is_set() and self._terminal.has_reader():
-            data = data[self._terminal.write(data) :]
+        while data and not self._stop.is_set() and self._line.has_reader():
+            data = data[self._line.write(data) :]
             if data:
-                self._terminal.wait_for_room(_POLL_S)
+                self._line.wait_for_room(_POLL_S)
