@@ -8,7 +8,10 @@ from pathlib import Path
 
 from .ageing import report_ageing
 from .bound import report_bound, report_realistic
+from .long import report_long
+from .rivals import report_rivals
 from .scenarios import report_scenarios
+from .starts import report_starts
 
 Part = Callable[[argparse.Namespace], None]
 
@@ -19,6 +22,9 @@ def _parts() -> Mapping[str, Part]:
         "realistic": lambda a: report_realistic(a.runs or 20, a.seconds or 600.0),
         "ageing": lambda a: report_ageing(a.runs or 5, a.seconds or 300.0),
         "scenarios": lambda a: report_scenarios(a.runs or 1, a.seconds or 60.0, a.only, a.plots),
+        "starts": lambda a: report_starts(a.first, a.runs or 1000, a.seconds or 20.0),
+        "rivals": lambda a: report_rivals(a.seconds or 60.0),
+        "long": lambda a: report_long(a.steps),
     }
 
 
@@ -30,6 +36,8 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, help="of each run; scenarios: of each quiet stretch too")
     parser.add_argument("--only", default="", help="scenarios whose name contains this")
     parser.add_argument("--plots", type=Path, help="scenarios: write one PNG of each into this directory")
+    parser.add_argument("--first", type=int, default=0, help="starts: number of the first")
+    parser.add_argument("--steps", type=float, default=1e8, help="long: how many")
     arguments = parser.parse_args()
     for part in arguments.parts or _parts():
         _parts()[part](arguments)

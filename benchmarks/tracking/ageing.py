@@ -19,9 +19,9 @@ AGEING_S = 300.0
 
 
 def ageing_recording(motor: Motor, motion: str, seconds: float, seed: int) -> Recording:
-    """Parameters that move linearly to their end."""
-    n = round(1000 * seconds)
-    ageing = {name: getattr(motor, name) * np.linspace(1.0, end, n) for name, end in AGEING_END.items()}
+    """Parameters that move linearly, at the rate that takes them to their end in five minutes."""
+    share = np.arange(round(1000 * seconds)) / (1000 * AGEING_S)
+    ageing = {name: getattr(motor, name) * (1 + (end - 1) * share) for name, end in AGEING_END.items()}
     return generate(motor, Scenario(motion, seconds=seconds, ageing=ageing, seed=seed))
 
 
@@ -38,11 +38,10 @@ def ageing_run(arguments: tuple[str, str, float, int]) -> tuple[F64, F64, F64, F
 
 
 def report_ageing(runs: int, seconds: float) -> None:
-    """Prints the table; never longer than five minutes, so that the rate of ageing is the issue's or faster."""
+    """Prints the table; a run is five minutes at most."""
     seconds = min(seconds, AGEING_S)
-    print(
-        f"\nLinear ageing in {seconds:.0f} s (R +40 %, K −15 %, B +80 %, J +30 %), laboratory sensors, {runs} runs each"
-    )
+    print(f"\nLinear ageing (R +40 %, K −15 %, B +80 %, J +30 % in 300 s), laboratory sensors, {runs} runs each,")
+    print(f"{seconds:.0f} s; what counts is the time after {BURN_IN_S:.0f} s while tracking")
     print("RMS error in %, share of truths inside 95 %, std over RMS error, share of the time tracking")
     print(f"{'motor  motion':23}" + "".join(f"{n:>26}" for n in NAMES))
     with ProcessPoolExecutor(2) as pool:

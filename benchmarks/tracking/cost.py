@@ -1,0 +1,97 @@
+"""What the estimators cost: a filter step in C and in the virtual machine against filterpy, and 32 drives at 1 kHz."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from servo_daemon.config import DriveConfig
+from servo_daemon.estimators.ekf import Ekf, Loop
+from servo_daemon.estimators.ekf_model import build_ekf_step
+from servo_daemon.estimators.filterpy_ekf import FilterpyLoop
+from servo_daemon.plant.build import build_plant
+from servo_daemon.plant.compiled import SampleLoop
+from servo_daemon.samples import F64, SampleBlock, make_block
+from servo_daemon.service.pipeline import Pipeline
+from tests.recovery.generator import MOTORS, PAPER, Scenario, generate
+
+from .bound import CHANNELS, WALK_PER_SQRT_MIN, bound_recording, known_noise_filter, rows
+from .follow import NAMES, info_of
+from .rival_filters import Task, filterpy_ekf
+
+DRIVES, WARM_S, MEASURED_S, BLOCK = 32, 5.0, 15.0, 100
+REPEATS, RIVAL_SAMPLES = 5, 3000
+LIMIT_US = {"c": 2.5, "vm": 15.0}
+LIMIT_FILTERPY, LIMIT_DRIVES = 30.0, 0.15
+
+
+def report_cost() -> None:
+    """Prints both."""
+    _report_step()
+    _report_drives()
+
+
+def _report_step() -> None:
+    recording, variances = bound_recording(PAPER, "multisine", 30.0, 1)
+    drift = WALK_PER_SQRT_MIN**2 / 60
+    plant = build_plant()
+    _, function = build_ekf_step(plant, CHANNELS)
+    template = known_noise_filter(np.log([getattr(PAPER, n) for n in NAMES]), variances, drift, 1)
+    samples = rows(recording, template.layout)
+
+    def shortest_us(loop: Loop, taken: F64, repeats: int) -> float:
+        best = np.inf
+        for _ in range(repeats):
+            ekf = Ekf(plant, CHANNELS, drift, loop)
+            ekf._state[:], ekf._constants[:] = template._state, template._constants
+            began = time.perf_counter()
+            ekf.update(taken)
+            best = min(best, time.perf_counter() - began)
+        return 1e6 * best / len(taken)
+
+    compiled = SampleLoop(function)
+    us = {compiled.backend: shortest_us(compiled, samples, REPEATS)}
+    us["vm"] = shortest_us(SampleLoop(function, compiled=False), samples, REPEATS)
+    readable = shortest_us(FilterpyLoop(plant, CHANNELS), np.ascontiguousarray(samples[:RIVAL_SAMPLES]), 2)
+    short, _ = bound_recording(PAPER, "multisine", RIVAL_SAMPLES / 1000, 1)
+    began = time.perf_counter()
+    filterpy_ekf(Task(short, PAPER, {n: getattr(PAPER, n) for n in NAMES}))
+    users = 1e6 * (time.perf_counter() - began) / RIVAL_SAMPLES
+    print("\nOne filter step, 8 states, 2 measurements, µs (the shortest of several runs)")
+    print(f"  filterpy, our plant's exact step {readable:7.1f};  filterpy, a user's own model {users:7.1f}")
+    for backend, value in us.items():
+        ratios = f"{readable / value:.0f} × and {users / value:.0f} × faster (limit {LIMIT_FILTERPY:g})"
+        print(f"  ours, {backend:3} {value:6.2f} (limit {LIMIT_US[backend]:g}): {ratios}")
+
+
+def _report_drives() -> None:
+    """As the daemon does: blocks of 100 ms, drive after drive, nothing published in between."""
+    seconds = WARM_S + MEASURED_S
+    drives: list[tuple[Pipeline, list[SampleBlock]]] = []
+    for k in range(DRIVES):
+        motor = list(MOTORS.values())[k % len(MOTORS)]
+        recording = generate(motor, Scenario("pick_and_place", seconds=seconds, seed=k))
+        nominal = {n: 1.4 * float(getattr(motor, n)) for n in NAMES}
+        block = make_block(
+            recording.time_s,
+            voltage_V=recording.voltage_V,
+            current_A=recording.current_A,
+            position_rad=recording.position_rad,
+        )
+        blocks = [block.slice(a, a + BLOCK) for a in range(0, len(block), BLOCK)]
+        drives.append((Pipeline(DriveConfig(nominal=nominal), info_of(recording)), blocks))
+    spent = 0.0
+    for turn in range(len(drives[0][1])):
+        began = time.process_time()
+        for pipeline, blocks in drives:
+            pipeline.process(blocks[turn], rows=False)
+            pipeline.current()
+        if turn * BLOCK >= 1000 * WARM_S:
+            spent += time.process_time() - began
+    share = spent / MEASURED_S
+    each = 1e6 * spent / (DRIVES * 1000 * MEASURED_S)
+    print(
+        f"{DRIVES} drives at 1 kHz, blocks of {BLOCK} samples: {100 * share:.1f} % of a core "
+        f"(limit {100 * LIMIT_DRIVES:.0f} %), {each:.2f} µs a sample, pipeline and a record ten times a second"
+    )
