@@ -35,6 +35,10 @@ _MAX_BEHIND_S = 1.0
 #: Longest wait before looking at `stop` again.
 _POLL_S = 0.05
 
+#: A reader throws away what has arrived when it has opened the port (pyserial does), so where nothing may be lost it
+#: is given so long to get there.
+_SETTLE_S = 0.05
+
 _DEFAULT_COUNTS_PER_REV = 4096.0
 
 
@@ -189,18 +193,29 @@ class _Device:
     def __init__(self, line: _Transmitter, stop: threading.Event, realtime: bool, counters: DeviceCounters) -> None:
         self._line, self._stop, self._realtime, self._counters = line, stop, realtime, counters
         self._start_s: float | None = None  # host time at device time 0
+        self._settled = False
 
     def wait_for(self, time_s: float) -> None:
         """Wait until the sample of this device time has been taken: by absolute deadlines, so that delays of the
         host do not add up. Without real time: until somebody listens."""
         if not self._realtime:
-            while not self._line.has_reader() and not self._stop.wait(_POLL_S):
-                pass
+            self._wait_for_reader()
             return
         now = time.monotonic()
         if self._start_s is None or now - (self._start_s + time_s) > _MAX_BEHIND_S:
             self._start_s = now - time_s
         self._stop.wait(max(0.0, self._start_s + time_s - now))
+
+    def _wait_for_reader(self) -> None:
+        while not self._stop.is_set():
+            if not self._line.has_reader():
+                self._settled = False
+                self._stop.wait(_POLL_S)
+            elif self._settled:
+                return
+            else:
+                self._settled = True
+                self._stop.wait(_SETTLE_S)
 
     def send(self, frames: list[bytes]) -> None:
         """Put frames on the line."""
