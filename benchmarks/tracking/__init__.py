@@ -1,9 +1,15 @@
 """Tracking on data of the independent generator: against the Cramér–Rao bound, under ageing, faults and wrong starts.
 
-    .venv/bin/python -m benchmarks.tracking [bound] [realistic] [ageing] [scenarios] [starts] [long] [rivals]
-        [--runs N] [--seconds S] [--only TEXT] [--plots DIR]
+    .venv/bin/python -m benchmarks.tracking [PART …] [--runs N] [--seconds S] [--only TEXT] [--plots DIR]
 
-Each part is a module of that name; its docstring says what it measures. Both cores are used; timings on a shared
+bound, realistic   random-walk ageing against the Cramér–Rao bound, ideal and laboratory sensors (`bound.py`)
+ageing             linear ageing (`ageing.py`)
+scenarios          steps, quiet motion and faults: values, intervals, status, events, pictures (`scenarios.py`)
+starts             a thousand wrong datasheets (`starts.py`)
+long               10⁸ steps (`long.py`)
+rivals, cost       filterpy, padasip, NumPy on the same samples; µs a sample, 32 drives (`rivals.py`, `cost.py`)
+
+Each module's docstring says what it measures. Two cores are used; timings on a shared
 machine are noisy.
 """
 

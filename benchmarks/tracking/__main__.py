@@ -8,6 +8,7 @@ from pathlib import Path
 
 from .ageing import report_ageing
 from .bound import report_bound, report_realistic
+from .cost import report_cost
 from .long import report_long
 from .rivals import report_rivals
 from .scenarios import report_scenarios
@@ -24,6 +25,7 @@ def _parts() -> Mapping[str, Part]:
         "scenarios": lambda a: report_scenarios(a.runs or 1, a.seconds or 60.0, a.only, a.plots),
         "starts": lambda a: report_starts(a.first, a.runs or 1000, a.seconds or 20.0),
         "rivals": lambda a: report_rivals(a.seconds or 60.0),
+        "cost": lambda _: report_cost(),
         "long": lambda a: report_long(a.steps),
     }
 

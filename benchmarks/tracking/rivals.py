@@ -1,5 +1,4 @@
-"""`rivals`: the daemon's pipeline and what others would run, on the same samples in the same process; then what the
-estimators cost (`cost`).
+"""`rivals`: the daemon's pipeline and what others would run, on the same samples in the same process.
 
 Laboratory sensors, linear ageing at the issue's rate, datasheet 1.4 × the truth. Errors and intervals are taken at the
 same instants for all: every tick (0.1 s) after 20 s at which ours is tracking.
@@ -17,7 +16,6 @@ from servo_daemon.samples import F64
 from tests.recovery.generator import MOTORS
 
 from .ageing import ageing_recording
-from .cost import report_cost
 from .follow import BURN_IN_S, NAMES, Flags, nominal_of, sampled, tracked
 from .rival_filters import FILTERS, Rival, Task
 from .rival_regressions import REGRESSIONS
@@ -62,7 +60,7 @@ def compete(job: tuple[str, str, float, int]) -> list[Measured]:
 
 
 def report_rivals(seconds: float) -> None:
-    """Prints a block for each motor and motion, then the costs."""
+    """Prints a block for each motor and motion, then the medians."""
     print(
         f"\nRivals: {seconds:.0f} s at 1 kHz, laboratory sensors, linear ageing; timings on a shared machine are noisy"
     )
@@ -83,7 +81,6 @@ def report_rivals(seconds: float) -> None:
     print("\nerror over ours, median over the motors and motions on which it did not diverge: " + ", ".join(NAMES))
     for label, values in ratios.items():
         print(f"  {label:22} " + " ".join(f"{r:8.1f}×" for r in np.median(values, axis=0)), f"({len(values)} runs)")
-    report_cost()
 
 
 def _line(measured: Measured, ours: Measured) -> str:
