@@ -9,8 +9,7 @@ starts             a thousand wrong datasheets (`starts.py`)
 long               10⁸ steps (`long.py`)
 rivals, cost       filterpy, padasip, NumPy on the same samples; µs a sample, 32 drives (`rivals.py`, `cost.py`)
 
-Each module's docstring says what it measures. Two cores are used; timings on a shared
-machine are noisy.
+Each module's docstring says what it measures. Two cores are used; timings on a shared machine are noisy.
 """
 
 from .ageing import ageing_run

@@ -1,4 +1,4 @@
-"""`cost`: what the estimators take: a filter step in C and in the virtual machine against filterpy, and 32 drives at 1 kHz."""
+"""`cost`: a filter step in C and in the virtual machine against filterpy, and 32 drives at 1 kHz."""
 
 from __future__ import annotations
 
