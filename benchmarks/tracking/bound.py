@@ -172,5 +172,5 @@ def _cells(results: list[tuple[F64, Score, Score]], k: int) -> str:
     ratio = mean(np.array([s.rms / limit for limit, s in scores]))
     inside, share = (mean(np.array([getattr(s, name) for _, s in scores])) for name in ("inside", "share"))
     return "".join(
-        f"{100 * rms[p]:9.3f}{ratio[p]:5.2f}×{100 * inside[p]:5.0f} %{100 * share[p]:4.0f} %" for p in range(5)
+        f"{100 * rms[p]:8.3f} {ratio[p]:6.2f}×{100 * inside[p]:4.0f} %{100 * share[p]:4.0f} %" for p in range(5)
     )

@@ -16,7 +16,7 @@ from servo_daemon.samples import F64
 from tests.recovery.generator import MOTORS
 
 from .cases import CASES, Case
-from .follow import Flags, Track, nominal_of, sampled, tracked
+from .follow import Flags, Told, Track, nominal_of, sampled, tracked
 
 #: How long after a step a value may still be on its way, s.
 FOLLOW_S = 5.0
@@ -47,6 +47,7 @@ class Row:
         after: error of the stepped parameter 5 s after the step, relative; NaN without a step.
         not_white_s: from the change to `innovation_white` false; None: never.
         white: share of the time after the change with `innovation_white` true.
+        wrong_jumps: jumps that were reported and were none, as "parameter@time".
         events: in words.
     """
 
@@ -64,6 +65,7 @@ class Row:
     after: float
     not_white_s: float | None
     white: float
+    wrong_jumps: tuple[str, ...]
     events: str
 
 
@@ -86,7 +88,8 @@ def judge(job: Job, case: Case, track: Track) -> Row:
     ratio = np.abs(error) / track.std
     counted = track.tracking & _counted(case, track)[:, None]
     late = track.time_s > (case.change_s or 0.0)
-    steps = [t for t in track.told if _is_step(t.kind, t.data.get("parameter"), case)]
+    jumps = [t for t in track.told if "jump" in t.kind or "step" in t.kind]
+    named = [t for t in jumps if _is_of_the_step(t, case)]
     after = np.nan
     if case.stepped and case.change_s is not None:
         p, k = track.names.index(case.stepped), np.searchsorted(track.time_s, case.change_s + FOLLOW_S)
@@ -102,10 +105,11 @@ def judge(job: Job, case: Case, track: Track) -> Row:
         beyond=np.array([np.mean(ratio[c, p] > BEYOND) if c.any() else np.nan for p, c in enumerate(counted.T)]),
         share=track.tracking.mean(axis=0),
         stepped=case.stepped,
-        recognised_s=steps[0].time_s - (case.change_s or 0.0) if steps else None,
+        recognised_s=named[0].time_s - (case.change_s or 0.0) if named else None,
         after=after,
         not_white_s=_first(track.time_s[late & ~track.white], case.change_s or 0.0),
         white=float(track.white[late].mean()),
+        wrong_jumps=tuple(f"{t.data.get('parameter')}@{t.time_s:.1f}" for t in jumps if t not in named),
         events=_in_words(track),
     )
 
@@ -126,9 +130,11 @@ def _counted(case: Case, track: Track) -> Flags:
     return np.asarray((track.time_s <= case.change_s) | (track.time_s > case.change_s + FOLLOW_S))
 
 
-def _is_step(kind: str, parameter: object, case: Case) -> bool:
-    """An event that recognises the case's step (before it there is nothing to recognise: that shows in `events`)."""
-    return case.stepped != "" and ("jump" in kind or "step" in kind) and parameter == case.stepped
+def _is_of_the_step(told: Told, case: Case) -> bool:
+    """The jump that was reported is the case's step, or a part of it."""
+    if not case.stepped or case.change_s is None or told.data.get("parameter") != case.stepped:
+        return False
+    return case.change_s <= told.time_s <= case.change_s + FOLLOW_S
 
 
 def _first(times_s: F64, begin_s: float) -> float | None:
@@ -198,7 +204,7 @@ def _number(value: float) -> str:
 
 
 def _summary(rows: list[Row]) -> None:
-    """The wrong values with a small std, and what was asked and not seen."""
+    """The wrong values with a small std, what was asked and not seen, and what was seen and was not."""
     print(
         f"\nbeyond 3 std for more than {100 * NAMED_SHARE:.0f} % of the tracking time, or once beyond {NAMED_STDS:g}:"
     )
@@ -215,3 +221,8 @@ def _summary(rows: list[Row]) -> None:
         late = row.stepped and not (row.recognised_s is not None and 0 <= row.recognised_s <= 2.0 and row.after < 0.03)
         if late or (row.expect == "not white" and row.not_white_s is None):
             print(f"  {row.job[0]}, {row.job[1]}: {as_text(row).split('|')[1].strip()}")
+    print("jumps that were reported and were none:")
+    for row in rows:
+        if row.wrong_jumps:
+            more = f" and {len(row.wrong_jumps) - 6} more" if len(row.wrong_jumps) > 6 else ""
+            print(f"  {row.job[0]}, {row.job[1]}: {', '.join(row.wrong_jumps[:6])}{more}")

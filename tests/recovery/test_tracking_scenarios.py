@@ -71,6 +71,7 @@ def test_a_right_track_is_not_blamed(recording: Recording) -> None:
     case, track = perfect(recording)
     row = judge(("R +30 %", "paper", 10.0, 1, None), case, track)
     assert row.worst == pytest.approx(0.1, rel=0.1) and (row.beyond == 0).all() and (row.share == 1).all()
+    assert row.wrong_jumps == ()
     assert row.recognised_s == pytest.approx(0.6) and row.after == pytest.approx(0.001)
     assert row.not_white_s is None and row.white == 1.0
 
@@ -90,7 +91,8 @@ def test_a_wrong_value_with_a_small_std_is_caught_while_tracking_only(recording:
 def test_an_event_of_another_parameter_recognises_nothing(recording: Recording) -> None:
     case, track = perfect(recording)
     told = (Told(5.6, "parameter_jump", "", {"parameter": "J"}), Told(5.7, "filter_started", "", {}))
-    assert judge(("R +30 %", "paper", 10.0, 1, None), case, replace(track, told=told)).recognised_s is None
+    row = judge(("R +30 %", "paper", 10.0, 1, None), case, replace(track, told=told))
+    assert row.recognised_s is None and row.wrong_jumps == ("J@5.6",)
 
 
 @pytest.mark.parametrize("name", list(CASES))
