@@ -200,7 +200,7 @@ def _percent(value: float, digits: int = 2) -> str:
 
 
 def _number(value: float) -> str:
-    return f"{min(value, 9999.0):6.1f}" if np.isfinite(value) else f"{'–':>6}"
+    return f"{min(value, 9999.0):7.1f}" if np.isfinite(value) else f"{'–':>7}"
 
 
 def _summary(rows: list[Row]) -> None:
