@@ -51,6 +51,7 @@ VISIBLE: Mapping[str, float] = {
     "phi_g": 0.3,
     "R_th": 2.0,
     "C_th": 15.0,
+    "i0": 0.3,
 }
 
 

@@ -17,6 +17,7 @@ NAMES = (
     "constant_load_torque",
     "gravity_load",
     "winding_heating",
+    "current_sensor_offset",
 )
 
 
