@@ -6,15 +6,25 @@ and B from the shaft with that K); with less, what is missing must be given (`kn
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from servo_daemon.estimators.balances import (
+    GramWindow,
+    armature_slopes,
+    column_noise,
+    information,
+    mismatch_std,
+    noise_gram,
+    shaft_slopes,
+)
+from servo_daemon.estimators.excitation import WINDOW_S
 from servo_daemon.estimators.modulating import Windows, make_windows
-from servo_daemon.estimators.rls import DirectionalRls
+from servo_daemon.estimators.rls import DirectionalRls, LinearEstimate
+from servo_daemon.estimators.stretch import Stretch, between_samples, joined, last, median, motion, speed_sign
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.samples import F64
 
@@ -25,17 +35,18 @@ _FEWEST_SAMPLES = 12
 #: Excited directions forget with this time constant, s.
 _MEMORY_S = 20.0
 #: After the first updates (a tick each) so many are worked off together: fewer calls on longer arrays.
-_EAGER_UPDATES, _BATCH = 50, 5
+_EAGER_UPDATES, _BATCH = 50, 10
 #: Windows overlap by half, so neighbouring rows share half their noise: their covariance is that much too small.
 _OVERLAP_INFLATION = 2.0
 
-#: Effects whose torque is linear in what they add to the shaft's regression, with the parameters they give.
 _ARMATURE = ("R", "L", "K")
-_SHAFT_EFFECTS: Mapping[str, tuple[str, ...]] = {
+#: Effects whose torque is linear in what they add to the shaft's regression: its columns, and what they give.
+_SHAFT_COLUMNS: Mapping[str, tuple[str, ...]] = {
     "coulomb_friction": ("Tc",),
-    "constant_load_torque": ("TL",),
-    "gravity_load": ("Tg_cos", "Tg_sin"),
+    "constant_load_torque": ("one",),
+    "gravity_load": ("sin", "cos"),
 }
+_GIVES = {"one": "TL", "sin": "Tg", "cos": "phi_g"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,39 +62,6 @@ class RegressionEstimate:
         return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
 
 
-@dataclass(frozen=True, slots=True)
-class Stretch:
-    """Consecutive samples handed to the regressions: time since some start, and the signals there are."""
-
-    time_s: F64
-    usable: NDArray[np.bool_]
-    voltage: F64 | None
-    current: F64 | None
-    torque: F64 | None
-    position: F64 | None
-    velocity: F64 | None
-
-
-def _motion(w: Windows, s: Stretch) -> tuple[F64, F64]:
-    """∫φ ω and ∫φ dω/dt, from the position if there is one."""
-    if s.position is not None:
-        centred = s.position - s.position[0]
-        return -w.integral(centred, 1), w.integral(centred, 2)
-    assert s.velocity is not None
-    return w.integral(s.velocity), -w.integral(s.velocity, 1)
-
-
-def _speed_sign(s: Stretch) -> F64:
-    """Direction of motion per sample, 0 where the speed is within the noise of its own difference."""
-    if s.velocity is not None:
-        return np.asarray(np.sign(s.velocity))
-    assert s.position is not None
-    reach = min(5, len(s.position) // 2)
-    ahead = np.concatenate([s.position[reach:], np.full(reach, s.position[-1])])
-    behind = np.concatenate([np.full(reach, s.position[0]), s.position[:-reach]])
-    return np.asarray(np.sign(ahead - behind))
-
-
 class MotorRls:
     """Armature and shaft regression over a growing recording, a tick at a time.
 
@@ -94,10 +72,14 @@ class MotorRls:
 
     def __init__(self, plant: PlantModel, known: Mapping[str, float]) -> None:
         self._plant, self._known = plant, dict(known)
-        self._shaft_names = ["J", "B"] + [n for e in plant.effects for n in _SHAFT_EFFECTS.get(e, ())]
+        self._shaft_columns = ("J", "B", *(c for e in plant.effects for c in _SHAFT_COLUMNS.get(e, ())))
+        self._armature_columns = (*_ARMATURE, *(("one",) if "current_sensor_offset" in plant.effects else ()))
+        self._grams = {"armature": GramWindow(WINDOW_S), "shaft": GramWindow(WINDOW_S)}
+        self._end_s = 0.0
         self._armature: DirectionalRls | None = None
         self._shaft: DirectionalRls | None = None
-        self._tail: Stretch | None = None
+        self._pending: list[Stretch] = []
+        self._noise_var: dict[str, float] = {}
         self._estimate: RegressionEstimate | None = None
         self._updates = 0
         self._next = {"armature": 0.0, "shaft": 0.0}
@@ -105,35 +87,123 @@ class MotorRls:
     @property
     def names(self) -> tuple[str, ...]:
         """Parameters these regressions can give, if the motion shows them."""
-        gravity = {"Tg_cos": "Tg", "Tg_sin": "phi_g"}
-        shaft = [gravity.get(n, n) for n in self._shaft_names]
         both = self._plant.drive == "voltage" and not self._known
-        return (*(_ARMATURE if both else ()), *shaft)
+        return (*(_ARMATURE if both else ()), *(_GIVES.get(c, c) for c in self._shaft_columns))
 
     def reset(self) -> None:
-        self._armature = self._shaft = self._tail = None
-        self._estimate, self._updates = None, 0
+        self._armature = self._shaft = None
+        self._estimate, self._updates, self._pending = None, 0, []
         self._next = {"armature": 0.0, "shaft": 0.0}
+        for window in self._grams.values():
+            window.clear()
 
-    def update(self, new: Stretch) -> None:
-        """Take the samples of one tick; windows reach back into earlier ones.
+    def update(self, new: Stretch, noise_var: Mapping[str, float]) -> bool:
+        """Take the samples of one tick; windows reach back into earlier ones. Returns whether they were worked off.
+
+        Args:
+            noise_var: of the measured channels, as far as it is known: what it adds to the regressors is taken out.
 
         The first ticks are worked off at once (the filter waits to start), later ones `_BATCH` at a time.
         """
         self._updates += 1
-        stretch = new if self._tail is None else _joined(self._tail, new)
+        self._noise_var = dict(noise_var)
+        self._pending.append(new)
         if self._updates > _EAGER_UPDATES and self._updates % _BATCH:
-            self._tail = stretch
-            return
+            return False
+        stretch = recorded = joined(self._pending)
+        self._end_s = float(stretch.time_s[-1])
         if len(stretch.time_s) >= _FEWEST_SAMPLES:
-            period = float(np.median(np.diff(stretch.time_s)))
+            period = median(stretch.time_s[1:] - stretch.time_s[:-1])
+            stretch = between_samples(stretch, self._rest_of_lag(period))
             if stretch.voltage is not None and stretch.current is not None:
                 self._armature_rows(stretch, period)
             self._shaft_rows(stretch, period)
             keep = max(_FEWEST_SAMPLES, round(_SHAFT_WINDOW_S / period)) + 2
-            stretch = _last(stretch, keep)
-        self._tail = stretch
+            recorded = last(recorded, keep)
+        self._pending = [recorded]
         self._estimate = self._compute()
+        return True
+
+    def _regressor_noise(self, columns: tuple[str, ...], w: Windows) -> F64:
+        """What white noise of the sensors adds to ΦᵀΦ, shape (n, n)."""
+        return column_noise(columns, w.weight_squares, self._noise_var)
+
+    def _rest_of_lag(self, period_s: float) -> float:
+        """0 .. ½: by how much more than half of the current's change from one sample to the next has happened in the
+        mean between them. It approaches the end of each held voltage with the time constant L/R: with x = h R/L the
+        mean is i_k + a (i_{k+1} − i_k), a = 1/(1 − exp(−x)) − 1/x."""
+        names = self._estimate.names if self._estimate is not None else ()
+        if self._estimate is None or "R" not in names or "L" not in names:
+            return 0.0
+        R, L = (float(self._estimate.value[names.index(n)]) for n in ("R", "L"))
+        if R <= 0.0 or L <= 0.0:
+            return 0.0
+        x = min(max(period_s * R / L, 1e-3), 1e3)
+        return float(1.0 / -np.expm1(-x) - 1.0 / x) - 0.5
+
+    def determined(self, names: Sequence[str], value: Mapping[str, float], noise_var: Mapping[str, float]) -> F64:
+        """Information on the coordinates of `names` that the last `WINDOW_S` hold if the balances are only nearly right
+        (`balances.py`), shape (n, n); rows of parameters that are in no regression are zero.
+
+        Args:
+            value: of all parameters, natural units.
+            noise_var: of the measured channels.
+        """
+        out = np.zeros((len(names), len(names)))
+        total = self._grams["armature"].total(self._end_s)
+        if total is not None:
+            columns = (*self._armature_columns, "y")
+            noise = noise_gram(columns, total[1], noise_var, None)
+            out += information(total[0], noise, armature_slopes(columns, value), names, 1.0)
+        total = self._grams["shaft"].total(self._end_s)
+        if total is not None:
+            per_current = self._armature is not None
+            columns = (*self._shaft_columns, "y")
+            noise = noise_gram(columns, total[1], noise_var, "current_A" if per_current else None)
+            slopes = shaft_slopes(columns, value, per_current)
+            out += information(total[0], noise, slopes, names, value["K"] if per_current else 1.0)
+        return out
+
+    def mismatch(
+        self, value: Mapping[str, float], noise_var: Mapping[str, float], sample_period_s: float
+    ) -> dict[str, float]:
+        """1 σ of the coordinates by which they may be off because the balances do not close over the last `WINDOW_S`.
+
+        Args:
+            value: of all parameters, natural units.
+            noise_var: of the measured channels, what the current does between two samples included.
+            sample_period_s: a winding much faster than this cannot be judged by integrals over samples.
+        """
+        out: dict[str, float] = {}
+        if self._plant.drive == "voltage" and self._known:
+            return out  # without a current the torque is itself only nearly known
+        total = self._grams["armature"].total(self._end_s)
+        if total is not None and value["L"] > 2.0 * sample_period_s * value["R"]:
+            columns = (*self._armature_columns, "y")
+            slopes = armature_slopes(columns, value)
+            noise = np.diag(noise_gram(columns, total[1], noise_var, None))
+            out |= mismatch_std(total[0], _explained(noise, slopes, 1.0), slopes)
+        total = self._grams["shaft"].total(self._end_s)
+        if total is not None:
+            per_current = self._armature is not None
+            columns = (*self._shaft_columns, "y")
+            slopes = shaft_slopes(columns, value, per_current)
+            noise = np.diag(noise_gram(columns, total[1], noise_var, "current_A" if per_current else None))
+            size = value["K"] if per_current else 1.0
+            found = mismatch_std(total[0], _explained(noise, slopes, size), {n: s / size for n, s in slopes.items()})
+            out |= {name: std for name, std in found.items() if name not in out}
+        return out
+
+    @property
+    def in_regression(self) -> tuple[str, ...]:
+        """Names that `determined` can say something of."""
+        offset = ("i0",) if "one" in self._armature_columns else ()
+        return (*self.names, *offset) if "R" in self.names else self.names
+
+    def begin_window(self) -> None:
+        """What the window holds is of another motor: a parameter has jumped."""
+        for window in self._grams.values():
+            window.clear()
 
     def _windows(self, s: Stretch, span_s: float, period: float, which: str) -> Windows | None:
         """Windows that have not been used yet, half overlapping, none across unusable samples."""
@@ -155,29 +225,37 @@ class MotorRls:
             return
         if self._armature is None:
             rows_per_s = 2.0 / max(_ARMATURE_WINDOW_S, _FEWEST_SAMPLES * period)
-            self._armature = DirectionalRls(3, _MEMORY_S * rows_per_s)
-        speed, _ = _motion(w, s)
-        Phi = np.column_stack([w.integral(s.current), -w.integral(s.current, 1), speed])
-        self._armature.update(Phi, w.held(s.voltage))
+            self._armature = DirectionalRls(len(self._armature_columns), _MEMORY_S * rows_per_s)
+        speed, _ = motion(w, s)
+        columns = [w.integral(s.current), -w.integral(s.current, 1), speed]
+        if "one" in self._armature_columns:
+            columns.append(w.integral(np.ones_like(s.time_s)))
+        Phi, y = np.column_stack(columns), w.held(s.voltage)
+        self._armature.update(Phi, y, self._regressor_noise(self._armature_columns, w))
+        self._grams["armature"].add(float(s.time_s[-1]), Phi, y, w.weight_squares)
 
     def _shaft_rows(self, s: Stretch, period: float) -> None:
+        if "coulomb_friction" in self._plant.effects:  # at rest it holds with any torque up to its level
+            s = replace(s, usable=s.usable & (speed_sign(s) != 0.0))
         w = self._windows(s, _SHAFT_WINDOW_S, period, "shaft")
         if w is None:
             return
         if self._shaft is None:
             rows_per_s = 2.0 / max(_SHAFT_WINDOW_S, _FEWEST_SAMPLES * period)
-            self._shaft = DirectionalRls(len(self._shaft_names), _MEMORY_S * rows_per_s)
-        speed, acceleration = _motion(w, s)
+            self._shaft = DirectionalRls(len(self._shaft_columns), _MEMORY_S * rows_per_s)
+        speed, acceleration = motion(w, s)
         columns = [acceleration, speed]
         for effect in self._plant.effects:
             columns += self._effect_columns(effect, w, s)
         y = self._driving_torque(w, s, speed)
         if y is not None:
-            self._shaft.update(np.column_stack(columns), y)
+            Phi = np.column_stack(columns)
+            self._shaft.update(Phi, y, self._regressor_noise(self._shaft_columns, w))
+            self._grams["shaft"].add(float(s.time_s[-1]), Phi, y, w.weight_squares)
 
     def _effect_columns(self, effect: str, w: Windows, s: Stretch) -> list[F64]:
         if effect == "coulomb_friction":
-            return [w.integral(_speed_sign(s))]
+            return [w.integral(speed_sign(s))]
         if effect == "constant_load_torque":
             return [w.integral(np.ones_like(s.time_s))]
         if effect == "gravity_load":
@@ -203,20 +281,35 @@ class MotorRls:
         return self._estimate
 
     def _compute(self) -> RegressionEstimate | None:
-        armature = self._armature.estimate() if self._armature is not None else None
+        armature = _first(self._armature.estimate(), len(_ARMATURE)) if self._armature is not None else None
         shaft = self._shaft.estimate() if self._shaft is not None else None
         if armature is None and (shaft is None or self._armature is not None):
             return None  # without K the shaft's coefficients are quotients only
         blocks = [e for e in (armature, shaft) if e is not None]
         value = np.concatenate([e.value for e in blocks])
         covariance = block_diag(*[e.covariance for e in blocks]) * _OVERLAP_INFLATION
-        names = [*(_ARMATURE if armature is not None else []), *(self._shaft_names if shaft is not None else [])]
+        names = [*(_ARMATURE if armature is not None else []), *(self._shaft_columns if shaft is not None else [])]
         if armature is not None and shaft is not None:
             value, covariance = _times_torque_constant(value, covariance)
-        if "Tg_cos" in names:
-            value, covariance = _amplitude_and_phase(value, covariance, names.index("Tg_cos"))
-            names[names.index("Tg_cos") : names.index("Tg_sin") + 1] = ["Tg", "phi_g"]
-        return RegressionEstimate(tuple(names), value, covariance)
+        elif self._plant.drive == "voltage" and self._known:
+            value, covariance = _without_lag(value, covariance, self._known["L"] / self._known["R"])
+        if "sin" in names:
+            value, covariance = _amplitude_and_phase(value, covariance, names.index("sin"))
+        return RegressionEstimate(tuple(_GIVES.get(n, n) for n in names), value, covariance)
+
+
+def _explained(noise: F64, slopes: Mapping[str, F64], size_per_y: float) -> float:
+    """The sum of squares that noise, shape (m + 1,), leaves of a fit with these slopes."""
+    coefficients = np.zeros(len(noise))
+    for slope in slopes.values():
+        coefficients = np.maximum(coefficients, np.abs(slope) / size_per_y)
+    coefficients[-1] = 1.0
+    return float(np.square(coefficients) @ noise)
+
+
+def _first(e: LinearEstimate | None, n: int) -> LinearEstimate | None:
+    """The first n coefficients: an offset's is of no use to anybody."""
+    return None if e is None else LinearEstimate(e.value[:n], e.covariance[:n, :n], e.residual_var)
 
 
 def _times_torque_constant(value: F64, covariance: F64) -> tuple[F64, F64]:
@@ -228,6 +321,14 @@ def _times_torque_constant(value: F64, covariance: F64) -> tuple[F64, F64]:
     return np.concatenate([value[:3], K * value[3:]]), by @ covariance @ by.T
 
 
+def _without_lag(value: F64, covariance: F64, lag_s: float) -> tuple[F64, F64]:
+    """(J, B, …) where (v − K ω)/R stood for the current, which lags behind it by L/R: the coefficient of dω/dt was then
+    J + B L/R (to first order in the lag)."""
+    by = np.eye(len(value))
+    by[0, 1] = -lag_s
+    return by @ value, by @ covariance @ by.T
+
+
 def _amplitude_and_phase(value: F64, covariance: F64, k: int) -> tuple[F64, F64]:
     """(Tg cos φ, Tg sin φ) at k, k+1 as (Tg, φ): Tg sin(θ + φ) = (Tg cos φ) sin θ + (Tg sin φ) cos θ."""
     c, s = value[k], value[k + 1]
@@ -237,33 +338,3 @@ def _amplitude_and_phase(value: F64, covariance: F64, k: int) -> tuple[F64, F64]
     out = value.copy()
     out[k], out[k + 1] = size, np.arctan2(s, c)
     return out, by @ covariance @ by.T
-
-
-def _joined(a: Stretch, b: Stretch) -> Stretch:
-    def both(x: F64 | None, y: F64 | None) -> F64 | None:
-        return None if x is None or y is None else np.concatenate([x, y])
-
-    return Stretch(
-        np.concatenate([a.time_s, b.time_s]),
-        np.concatenate([a.usable, b.usable]),
-        both(a.voltage, b.voltage),
-        both(a.current, b.current),
-        both(a.torque, b.torque),
-        both(a.position, b.position),
-        both(a.velocity, b.velocity),
-    )
-
-
-def _last(s: Stretch, n: int) -> Stretch:
-    def cut(x: F64 | None) -> F64 | None:
-        return None if x is None else x[-n:]
-
-    return Stretch(
-        s.time_s[-n:],
-        s.usable[-n:],
-        cut(s.voltage),
-        cut(s.current),
-        cut(s.torque),
-        cut(s.position),
-        cut(s.velocity),
-    )

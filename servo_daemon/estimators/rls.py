@@ -19,13 +19,22 @@ from servo_daemon.samples import F64
 
 #: Information of the start, relative to the first rows: enough for a Cholesky factor, too little to pull.
 _START_INFORMATION = 1e-9
+#: By how much the model of a row may be off, as a share of y: dead time, ripple, friction that is not quite viscous.
+SYSTEMATIC = 1e-3
+#: Noise is compensated only while it is a smaller part of every regressor than this.
+_MOST_NOISE = 0.3
 #: A column this much smaller than the largest is zero: no units of motors differ by as much.
 _INVISIBLE = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
 class LinearEstimate:
-    """θ of y = Φ θ: value shape (n,), covariance shape (n, n), and the variance of one row's error."""
+    """θ of y = Φ θ: value shape (n,), covariance shape (n, n), and the variance of one row's error.
+
+    The covariance holds the noise, which averages out, and an error of the model of the share `SYSTEMATIC` of y, which
+    does not: as if it stood in every row in the worst way. Where a regressor is nothing but noise (its coefficient is
+    then drawn towards zero, as always with errors in variables), it is this that says so.
+    """
 
     value: F64
     covariance: F64
@@ -48,11 +57,18 @@ class DirectionalRls:
         self._A = np.zeros((self._n, self._n))
         self._value = np.zeros(self._n)
         self._residual_sum = 0.0
+        self._energy = 0.0  # Σ y², as weighted
+        self._noise = np.zeros((self._n, self._n))
         self._weight = 0.0
         self.rows = 0
 
-    def update(self, Phi: F64, y: F64) -> None:
-        """Take rows: Phi shape (m, n), y shape (m,). Rows that are not finite must not be passed."""
+    def update(self, Phi: F64, y: F64, noise: F64 | None = None) -> None:
+        """Take rows: Phi shape (m, n), y shape (m,). Rows that are not finite must not be passed.
+
+        Args:
+            noise: what of ΦᵀΦ is noise of the regressors, shape (n, n): compensated in the estimate (bias-compensated
+                least squares; Stoica & Söderström, *Automatica* 18, 1982), as far as it is the smaller part.
+        """
         m = len(y)
         if m == 0:
             return
@@ -61,18 +77,21 @@ class DirectionalRls:
             self._A = np.diag(np.maximum(np.diag(gained), 1e-300)) * _START_INFORMATION
         keep = np.exp(-m / self._memory)
         residual = y - Phi @ self._value
-        kept = self._forget(gained, keep)
+        kept, slowest = self._forget(gained, keep)
         A = kept + gained
         self._value = self._value + np.linalg.solve(A, Phi.T @ residual)
         after = y - Phi @ self._value
         self._A = (A + A.T) / 2
         # Errors before times errors after: by how much the least-squares cost rises (Ljung 1999, eq. 11.17).
         self._residual_sum = keep * self._residual_sum + float(residual @ after)
+        # An error of the model is remembered as long as any direction remembers the rows it came with.
+        self._energy = max(keep * self._energy + float(y @ y), slowest * self._energy)
         self._weight = keep * self._weight + m
+        self._noise = keep * self._noise + (0.0 if noise is None else noise)
         self.rows += m
 
-    def _forget(self, gained: F64, keep: float) -> F64:
-        """What is left of the old information when `gained` arrives."""
+    def _forget(self, gained: F64, keep: float) -> tuple[F64, float]:
+        """What is left of the old information when `gained` arrives, and of the direction that forgets least."""
         scale = np.sqrt(np.diag(self._A) + np.diag(gained) + 1e-300)
         A, G = self._A / np.outer(scale, scale), gained / np.outer(scale, scale)
         L = np.linalg.cholesky(A + 1e-13 * np.eye(self._n))
@@ -80,7 +99,7 @@ class DirectionalRls:
         g, V = np.linalg.eigh(np.linalg.solve(L, half.T))
         factor = np.maximum(keep, 1.0 - np.maximum(g, 0.0))
         LV = L @ V
-        return np.asarray((LV * factor) @ LV.T * np.outer(scale, scale))
+        return np.asarray((LV * factor) @ LV.T * np.outer(scale, scale)), min(float(factor.max()), 1.0)
 
     def estimate(self) -> LinearEstimate | None:
         """None until there are more rows than coefficients and every direction has been seen."""
@@ -93,5 +112,15 @@ class DirectionalRls:
         if np.linalg.cond(normalised) > 1e10:
             return None
         variance = self._residual_sum / (self._weight - self._n)
-        covariance = np.linalg.inv(normalised) / np.outer(scale, scale) * variance
-        return LinearEstimate(self._value.copy(), covariance, variance)
+        inverse = np.linalg.inv(normalised) / np.outer(scale, scale)
+        covariance = inverse * (variance + SYSTEMATIC**2 * self._energy)
+        return LinearEstimate(self._compensated(), covariance, variance)
+
+    def _compensated(self) -> F64:
+        """The coefficients without the bias that noise in the regressors makes: (A − N) θ = A θ_LS."""
+        part = np.diag(self._noise) / np.maximum(np.diag(self._A), 1e-300)
+        scale = np.sqrt(np.diag(self._A))
+        signal = (self._A - self._noise) / np.outer(scale, scale)
+        if part.max() > _MOST_NOISE or np.linalg.eigvalsh(signal)[0] <= 1e-8:
+            return self._value.copy()
+        return np.asarray(np.linalg.solve(signal, self._A @ self._value / scale) / scale)

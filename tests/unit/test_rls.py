@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servo_daemon.estimators.rls import DirectionalRls
+from servo_daemon.estimators import rls as rls_module
+from servo_daemon.estimators.rls import SYSTEMATIC, DirectionalRls
 
 TRUE = np.array([2.0, -0.5, 30.0])
 
@@ -14,7 +15,8 @@ def rows(rng: np.random.Generator, n: int, scale: tuple[float, ...] = (1.0, 100.
     return rng.normal(size=(n, 3)) * np.array(scale)
 
 
-def test_equals_batch_least_squares_where_nothing_is_forgotten() -> None:
+def test_equals_batch_least_squares_where_nothing_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rls_module, "SYSTEMATIC", 0.0)
     rng = np.random.default_rng(0)
     Phi = rows(rng, 400)
     y = Phi @ TRUE + 0.01 * rng.normal(size=400)
@@ -30,7 +32,8 @@ def test_equals_batch_least_squares_where_nothing_is_forgotten() -> None:
     np.testing.assert_allclose(np.diag(found.covariance), np.diag(expected_covariance), rtol=0.1)
 
 
-def test_reported_spread_is_the_real_one() -> None:
+def test_reported_spread_is_the_real_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rls_module, "SYSTEMATIC", 0.0)
     errors = []
     for seed in range(200):
         rng = np.random.default_rng(seed)
@@ -41,6 +44,35 @@ def test_reported_spread_is_the_real_one() -> None:
         assert found is not None
         errors.append((found.value - TRUE) / np.sqrt(np.diag(found.covariance)))
     assert np.std(errors) == pytest.approx(1.0, abs=0.12)
+
+
+def test_an_error_of_the_model_does_not_average_out() -> None:
+    """However many rows: a y that is off by a thousandth of its size leaves the coefficients as uncertain."""
+    rng = np.random.default_rng(5)
+    std = []
+    for n in (1_000, 100_000):
+        rls = DirectionalRls(3, memory=1e9)
+        Phi = rows(rng, n)
+        rls.update(Phi, Phi @ TRUE + 1e-6 * rng.normal(size=n))
+        found = rls.estimate()
+        assert found is not None
+        std.append(np.sqrt(np.diag(found.covariance)))
+    size = np.sqrt(np.mean((rows(rng, 10_000) @ TRUE) ** 2))
+    np.testing.assert_allclose(std[1], SYSTEMATIC * size / np.array([1.0, 100.0, 0.01]), rtol=0.05)
+    np.testing.assert_allclose(std[0], std[1], rtol=0.2)
+
+
+def test_a_regressor_that_is_only_noise_is_not_known() -> None:
+    """Errors in variables draw its coefficient towards zero; the std says how little that means."""
+    rng = np.random.default_rng(6)
+    rls = DirectionalRls(2, memory=1e9)
+    true_column = np.full(5000, 3.0)
+    y = 2.0 * true_column
+    rls.update(np.column_stack([true_column + 1e-4 * rng.normal(size=5000), np.ones(5000)]), y)
+    found = rls.estimate()
+    assert found is not None
+    assert abs(found.value[0] - 2.0) < 2.0 * np.sqrt(found.covariance[0, 0])
+    assert np.sqrt(found.covariance[0, 0]) > 10.0
 
 
 def test_follows_a_change_where_excited() -> None:

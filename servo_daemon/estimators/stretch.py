@@ -1,0 +1,97 @@
+"""Consecutive samples as the regressions take them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_daemon.estimators.modulating import Windows
+from servo_daemon.samples import F64
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Time since some start (s), which samples may be used, and the signals there are (0 where they are no
+    measurement); shapes (n,). `complete`: all of them are measurements."""
+
+    time_s: F64
+    usable: NDArray[np.bool_]
+    voltage: F64 | None
+    current: F64 | None
+    torque: F64 | None
+    position: F64 | None
+    velocity: F64 | None
+    complete: bool = True
+
+
+def median(values: F64) -> float:
+    """The upper median, without NumPy's overhead: it is asked for in every tick."""
+    middle = len(values) // 2
+    return float(np.partition(values, middle)[middle])
+
+
+def joined(parts: Sequence[Stretch]) -> Stretch:
+    """Stretches with the same signals, one after the other, as one."""
+    if len(parts) == 1:
+        return parts[0]
+
+    def both(name: str) -> F64 | None:
+        arrays = [x for p in parts if (x := getattr(p, name)) is not None]
+        return np.concatenate(arrays) if arrays else None
+
+    return Stretch(
+        np.concatenate([p.time_s for p in parts]),
+        np.concatenate([p.usable for p in parts]),
+        both("voltage"),
+        both("current"),
+        both("torque"),
+        both("position"),
+        both("velocity"),
+        all(p.complete for p in parts),
+    )
+
+
+def last(s: Stretch, n: int) -> Stretch:
+    """The last n samples."""
+
+    def cut(x: F64 | None) -> F64 | None:
+        return None if x is None else x[-n:]
+
+    signals = (cut(s.voltage), cut(s.current), cut(s.torque), cut(s.position), cut(s.velocity))
+    return Stretch(s.time_s[-n:], s.usable[-n:], *signals, s.complete)
+
+
+def motion(w: Windows, s: Stretch) -> tuple[F64, F64]:
+    """∫φ ω and ∫φ dω/dt, from the position if there is one."""
+    if s.position is not None:
+        centred = s.position - s.position[0]
+        return -w.integral(centred, 1), w.integral(centred, 2)
+    assert s.velocity is not None
+    return w.integral(s.velocity), -w.integral(s.velocity, 1)
+
+
+def speed_sign(s: Stretch) -> F64:
+    """Direction of motion per sample, 0 where the speed is within the noise of its own difference."""
+    if s.velocity is not None:
+        return np.asarray(np.sign(s.velocity))
+    assert s.position is not None
+    reach = min(5, len(s.position) // 2)
+    ahead = np.concatenate([s.position[reach:], np.full(reach, s.position[-1])])
+    behind = np.concatenate([np.full(reach, s.position[0]), s.position[:-reach]])
+    return np.asarray(np.sign(ahead - behind))
+
+
+def between_samples(s: Stretch, rest: float) -> Stretch:
+    """With the current as its mean around each sample would be seen by the trapezoidal rule.
+
+    Args:
+        rest: share of the step to the next sample that comes on top of the rule's half.
+    """
+    if s.current is None or rest == 0.0:
+        return s
+    current = s.current.copy()
+    current[:-1] += rest * (s.current[1:] - s.current[:-1])
+    return replace(s, current=current)
