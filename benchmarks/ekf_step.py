@@ -12,7 +12,8 @@ import time
 
 import numpy as np
 
-from servo_daemon.estimators.ekf_model import EkfLayout, build_ekf_step
+from servo_daemon.estimators.ekf_layout import EkfLayout
+from servo_daemon.estimators.ekf_model import INSTRUMENT_S, build_ekf_step
 from servo_daemon.estimators.filterpy_ekf import FilterpyLoop
 from servo_daemon.plant.build import build_plant
 from servo_daemon.plant.compiled import SampleLoop
@@ -40,8 +41,8 @@ def start(layout: EkfLayout) -> tuple[np.ndarray, np.ndarray]:
     tri = [(r, c) for c in range(layout.n_z) for r in range(c, layout.n_z)]
     state[layout.tri] = [P[r, c] for r, c in tri]
     constants[0], constants[1] = 1e-4, 1e-9
-    constants[2 : 2 + layout.n_q] = 1e-7
-    constants[-2:] = [2e-3, 1e-8]
+    constants[layout.walk], constants[layout.active] = 1e-7, 1.0
+    constants[layout.r], constants[-1] = [2e-3, 1e-8], INSTRUMENT_S
     return state, constants
 
 

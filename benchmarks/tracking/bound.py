@@ -17,7 +17,7 @@ import numpy as np
 
 from servo_daemon.estimators.base import Gaussian
 from servo_daemon.estimators.ekf import Ekf, NoiseLevels
-from servo_daemon.estimators.ekf_model import EkfLayout
+from servo_daemon.estimators.ekf_layout import EkfLayout
 from servo_daemon.estimators.excitation import Excitation
 from servo_daemon.estimators.fusion import Qualification
 from servo_daemon.plant.build import build_plant
@@ -74,11 +74,11 @@ def rows(recording: Recording, layout: EkfLayout) -> F64:
 
 def known_noise_filter(truth: F64, variances: tuple[float, float, float], drift: F64, seed: int) -> Ekf:
     """The filter with all variances told, started 10 % (1 σ) beside the truth, shape (5,) of logarithms."""
-    ekf = Ekf(build_plant(), CHANNELS, drift)
+    ekf = Ekf(build_plant(), CHANNELS)
     start = truth + stream(seed, "start").normal(size=5) * START_STD
     ekf.start(Gaussian(NAMES, start, np.eye(5) * START_STD**2))
     ekf.set_noise(NoiseLevels(variances[0], 0.0, variances[1:]))
-    ekf.set_active(np.ones(5), np.ones(5))
+    ekf.set_active(np.ones(5), drift)
     return ekf
 
 
@@ -86,13 +86,13 @@ def filtered(ekf: Ekf, samples: F64) -> tuple[F64, F64, Flags]:
     """Mean and std of the logarithms at each tick, and whether the daemon would call them tracking; (m, 5) each."""
     m = len(samples) // STRIDE
     mean_, std, tracking = np.empty((m, 5)), np.empty((m, 5)), np.zeros((m, 5), dtype=bool)
-    excitation, qualification = Excitation(np.ones(5)), Qualification(5)
+    excitation, qualification = Excitation(5), Qualification(5)
     for k in range(m):
         ekf.update(samples[k * STRIDE : (k + 1) * STRIDE])
         found = ekf.estimate()
         mean_[k], std[k] = found.mean, found.std
         excitation.update(ekf.take_information(), STRIDE / RATE_HZ)
-        qualification.update(found.std, excitation.excited)
+        qualification.update(found.std, excitation.excited, np.ones(5, dtype=bool))
         tracking[k] = qualification.qualified & excitation.excited
     return mean_, std, tracking
 

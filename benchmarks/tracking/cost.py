@@ -43,7 +43,7 @@ def _report_step() -> None:
     def shortest_us(loop: Loop, taken: F64, repeats: int) -> float:
         best = np.inf
         for _ in range(repeats):
-            ekf = Ekf(plant, CHANNELS, drift, loop)
+            ekf = Ekf(plant, CHANNELS, loop)
             ekf._state[:], ekf._constants[:] = template._state, template._constants
             began = time.perf_counter()
             ekf.update(taken)

@@ -40,11 +40,11 @@ def a_minute(motor: Motor, drift_var_per_s: F64) -> tuple[F64, Ekf]:
     sensors, variances = ideal_sensors(motor)
     still = Sensors(current_noise_A=sensors.current_noise_A)
     recording = generate(motor, Scenario(periodic, seconds=2 * PERIOD_S, sensors=still, seed=1))
-    ekf = Ekf(build_plant(), CHANNELS, drift_var_per_s)
+    ekf = Ekf(build_plant(), CHANNELS)
     truth = np.log([getattr(motor, n) for n in NAMES])
     ekf.start(Gaussian(NAMES, truth + 0.1, np.eye(5) * 0.01))
     ekf.set_noise(NoiseLevels(variances[0], 0.0, variances[1:]))
-    ekf.set_active(np.ones(5), np.ones(5))
+    ekf.set_active(np.ones(5), drift_var_per_s)
     samples = rows(recording, ekf.layout)[len(recording.time_s) // 2 :].copy()
     samples[:, 7] += stream(1, "position noise").normal(size=len(samples)) * np.sqrt(variances[2])
     return samples, ekf

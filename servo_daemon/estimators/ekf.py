@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servo_daemon.estimators.base import Gaussian, to_coordinate
-from servo_daemon.estimators.ekf_model import EkfLayout, build_ekf_step
+from servo_daemon.estimators.ekf_layout import STATISTICS, EkfLayout
+from servo_daemon.estimators.ekf_model import INSTRUMENT_S, NO_INSTRUMENT_S, build_ekf_step
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.plant.compiled import SampleLoop
 from servo_daemon.samples import F64
@@ -49,11 +52,45 @@ class Innovations:
     variance: F64
     gated: F64
 
-    def are_sound(self) -> bool:
-        """Everything finite and every variance positive."""
-        return bool(
-            np.isfinite(self.innovation).all() and (self.variance > 0).all() and np.isfinite(self.variance).all()
-        )
+
+@dataclass(frozen=True, slots=True)
+class ChannelStatistics:
+    """A run of one channel's innovations ν with variances s, standing encoders left out.
+
+    Attributes:
+        count: how many.
+        nis: mean of ν²/s.
+        excess: mean of ν² − s, outliers clipped.
+        correlation: lag-1, of ν/√s.
+        gated: how many were weighted down as outliers (of all).
+        crossed: correlation with the first channel's ν/√s one sample earlier.
+    """
+
+    count: float
+    nis: float
+    excess: float
+    correlation: float
+    gated: float
+    crossed: float
+
+    @classmethod
+    def of(cls, sums: Sequence[float]) -> ChannelStatistics:
+        """From `ekf_model.STATISTICS`."""
+        count, nis, excess, lagged, _, gated, crossed = sums
+        n = max(count, 1.0)
+        return cls(count, nis / n, excess / n, lagged / max(nis, 1e-12), gated, crossed / n)
+
+    def joined(self, other: ChannelStatistics) -> ChannelStatistics:
+        """Both runs as one."""
+        count = self.count + other.count
+        if count < 1:
+            return other
+        a, b = self.count / count, other.count / count
+        nis = a * self.nis + b * other.nis
+        lagged = a * self.nis * self.correlation + b * other.nis * other.correlation
+        excess = a * self.excess + b * other.excess
+        crossed = a * self.crossed + b * other.crossed
+        return ChannelStatistics(count, nis, excess, lagged / max(nis, 1e-12), self.gated + other.gated, crossed)
 
 
 class Ekf:
@@ -62,23 +99,22 @@ class Ekf:
     Args:
         plant: the model.
         channels: measured channels, some of `ekf_model.MEASURABLE`.
-        drift_var_per_s: random-walk intensity of each parameter's coordinate, 1/s, shape (n_q,).
         loop: engine; the compiled one if None.
     """
 
-    def __init__(
-        self, plant: PlantModel, channels: tuple[str, ...], drift_var_per_s: F64, loop: Loop | None = None
-    ) -> None:
+    def __init__(self, plant: PlantModel, channels: tuple[str, ...], loop: Loop | None = None) -> None:
         self.plant, self.channels = plant, channels
         layout, function = build_ekf_step(plant, channels)
         self._lay: EkfLayout = layout
         self._loop: Loop = SampleLoop(function) if loop is None else loop
-        self._drift = drift_var_per_s
         self._state = np.zeros(layout.n_state)
         self._constants = np.zeros(layout.n_constants)
+        self.use_instrument(True)
         rows, columns = np.tril_indices(layout.n_z)
         order = np.lexsort((rows, columns))  # by columns, as the step packs it
         self._rows, self._columns = rows[order], columns[order]
+        diagonal = layout.n_z + np.flatnonzero(self._rows == self._columns)
+        self._variances, self._parameter_variances = diagonal, diagonal[layout.n_x :]
         self.started = False
 
     @property
@@ -124,6 +160,8 @@ class Ekf:
             state = self.plant.states[k]
             P[k, k] = _UNKNOWN_STATE_STD.get(state.name, 3 * state.scale) ** 2
         self._put(z, P)
+        self._state[self._lay.instrument] = z[self._lay.x]
+        self._state[-1] = 0.0
 
     def doubt_input(self, var: float) -> None:
         """Samples are missing before the next one: what was applied meanwhile is known only to this variance more."""
@@ -131,18 +169,21 @@ class Ekf:
 
     def set_noise(self, noise: NoiseLevels) -> None:
         self._constants[0], self._constants[1] = noise.input_var, noise.torque_psd
-        self._constants[2 + 2 * self._lay.n_q :] = noise.channel_var
+        self._constants[self._lay.r] = noise.channel_var
 
-    def set_active(self, active: F64, walking: F64) -> None:
-        """Which parameters may move.
+    def set_active(self, active: F64, walk_var_per_s: F64) -> None:
+        """How the parameters may move.
 
         Args:
             active: shape (n_q,), 1 or 0: whether the gain's row acts.
-            walking: shape (n_q,), 1 or 0: whether process noise is added.
+            walk_var_per_s: shape (n_q,): process noise of each coordinate, 1/s.
         """
-        n = self._lay.n_q
-        self._constants[2 : 2 + n] = self._drift * walking
-        self._constants[2 + n : 2 + 2 * n] = active
+        self._constants[self._lay.walk] = walk_var_per_s
+        self._constants[self._lay.active] = active
+
+    def use_instrument(self, use: bool) -> None:
+        """Whether derivatives are taken along the instrument (`ekf_model`); for parameters that are nearly right."""
+        self._constants[-1] = INSTRUMENT_S if use else NO_INSTRUMENT_S
 
     def update(self, samples: F64) -> Innovations:
         """Run over samples laid out as `EkfLayout` says, shape (n, n_sample)."""
@@ -155,14 +196,24 @@ class Ekf:
         self._state[self._lay.information] = 0.0
         return gained
 
+    def take_statistics(self) -> dict[str, ChannelStatistics]:
+        """Sums over the innovations of each channel since the last call."""
+        sums = self._state[self._lay.statistics].reshape(len(self.channels), len(STATISTICS))
+        taken = {name: ChannelStatistics.of(row) for name, row in zip(self.channels, sums.tolist(), strict=True)}
+        sums[:, [k for k, name in enumerate(STATISTICS) if name != "last"]] = 0.0
+        return taken
+
     @property
     def mean(self) -> F64:
         return self._state[self._lay.z].copy()
 
     @property
     def covariance(self) -> F64:
+        return self._unpacked(self._state)
+
+    def _unpacked(self, state: F64) -> F64:
         P = np.empty((self._lay.n_z, self._lay.n_z))
-        P[self._rows, self._columns] = P[self._columns, self._rows] = self._state[self._lay.tri]
+        P[self._rows, self._columns] = P[self._columns, self._rows] = state[self._lay.tri]
         return P
 
     @property
@@ -174,13 +225,73 @@ class Ekf:
         lay = self._lay
         return Gaussian(self.plant.parameter_names, self._state[lay.q].copy(), self.covariance[lay.q, lay.q])
 
+    @property
+    def coordinates(self) -> F64:
+        """The parameters' coordinates, shape (n_q,)."""
+        return self._state[self._lay.q].copy()
+
+    @property
+    def coordinate_std(self) -> F64:
+        """1 σ of the parameters' coordinates, shape (n_q,)."""
+        return np.asarray(np.sqrt(np.maximum(self._state[self._parameter_variances], 0.0)))
+
+    def snapshot(self) -> F64:
+        """A copy of everything the filter carries, for `parameters_of`; cheap."""
+        return self._state.copy()
+
+    def parameters_of(self, snapshot: F64) -> tuple[F64, F64]:
+        """The parameters' coordinates (n_q,) and their covariance (n_q, n_q) in a snapshot."""
+        lay = self._lay
+        return snapshot[lay.q].copy(), self._unpacked(snapshot)[lay.q, lay.q]
+
+    def put_parameters(self, mean: F64, covariance: F64) -> None:
+        """Replace what is known of the parameters; the plant's states stay and are no longer correlated with them.
+
+        Args:
+            mean: coordinates, shape (n_q,).
+            covariance: shape (n_q, n_q).
+        """
+        z, P = self.mean, self.covariance
+        z[self._lay.q] = mean
+        P[self._lay.q, :] = 0.0
+        P[:, self._lay.q] = 0.0
+        P[self._lay.q, self._lay.q] = covariance
+        self._put(z, P)
+
+    def recall(self, which: NDArray[np.bool_], mean: F64, covariance: F64) -> None:
+        """What was known of some coordinates, and was left out of the filter meanwhile, holds again: taken as a
+        measurement.
+
+        Args:
+            which: coordinates, shape (n_q,).
+            mean, covariance: of all coordinates then, shapes (n_q,) and (n_q, n_q).
+        """
+        index = np.flatnonzero(which)
+        if len(index) == 0:
+            return
+        z, P, at = self.mean, self.covariance, self._lay.n_x + index
+        S = P[np.ix_(at, at)] + covariance[np.ix_(index, index)]
+        size = np.sqrt(np.diag(S))
+        gain = np.linalg.solve(S / np.outer(size, size), P[at] / size[:, None]).T / size
+        z = z + gain @ (mean[index] - z[at])
+        left = np.eye(len(z))
+        left[:, at] -= gain
+        P = left @ P @ left.T + gain @ covariance[np.ix_(index, index)] @ gain.T
+        self._put(z, (P + P.T) / 2)
+
+    def widen_parameters(self, var: F64) -> None:
+        """Add to the variances of the coordinates, shape (n_q,)."""
+        self._state[self._parameter_variances] += var
+
+    def is_plausible(self) -> bool:
+        """Everything finite and every variance positive; cheap."""
+        return bool(np.isfinite(self._state).all() and (self._state[self._variances] > 0).all())
+
     def is_sound(self) -> bool:
-        """Everything finite and every variance positive (a Cholesky factor exists)."""
-        if not np.isfinite(self._state).all():
+        """Plausible, and the covariance has a Cholesky factor."""
+        if not self.is_plausible():
             return False
         P = self.covariance
-        if not (np.diag(P) > 0).all():
-            return False
         scale = np.sqrt(np.diag(P))
         try:
             np.linalg.cholesky(P / np.outer(scale, scale) + 1e-12 * np.eye(len(P)))

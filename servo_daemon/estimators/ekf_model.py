@@ -12,17 +12,27 @@ whose motion says nothing can be held by zeroing its row of the gain (Schmidt's 
 outlier by enlarging r, both without P becoming a lie.
 
 An innovation beyond `GATE` standard deviations is not thrown away but weighted down to the weight it would have at the
-gate: a single wrong sample moves nothing much, a model that has gone wrong is never locked out of its data.
+gate: a single wrong sample moves nothing much, a model that has gone wrong is never locked out of its data. The
+variance that this takes is given half to the sensor and half to the state it shows: the sample may lie, but the motor
+may also have been pushed by what is in no signal (a wrong voltage sample), and a state that then stays behind would
+make every sample after it an outlier.
+
+The derivatives by the parameters are taken along an instrument: the states as the model has them when it follows the
+filter only slowly. Along the filter's own states, which hold the last samples' noise, an EKF takes that noise for
+excitation: it gains information about L or J from nothing but the colour of the noise, and since regressor and
+innovation then share their noise, what it gains is wrong (Ljung, *IEEE Trans. Autom. Control* 24, 1979, on the bias;
+Söderström & Stoica, *Instrumental Variable Methods for System Identification*, 1983, on the cure).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 
 import casadi as ca
 
+from servo_daemon.estimators.ekf_layout import CLIP, MEASURABLE, STATISTICS, EkfLayout
 from servo_daemon.plant.build import PlantModel
 
 #: Standard deviations at which an innovation is weighted down: 1 in 1.7 million for a Gaussian.
@@ -31,82 +41,13 @@ GATE = 5.0
 #: Shortest step, s: two samples with one time stamp must not divide by zero.
 _SHORTEST_STEP_S = 1e-9
 
-#: Channels the filter can take, in the order in which it takes them.
-MEASURABLE = ("current_A", "velocity_rad_s", "position_rad")
-
-
-@dataclass(frozen=True)
-class EkfLayout:
-    """Where everything is in the flat vectors that the compiled loop carries.
-
-    state:     x | q | lower triangle of P by columns | held input | its variance | information gained per parameter
-    constants: var_input | torque_psd | walk per parameter (1/s) | active per parameter | r per channel
-    sample:    t | h | input | extra variance of the input | (y, valid, doubt) per channel; doubt multiplies r
-    output:    (innovation, its variance, gated) per channel
-    """
-
-    plant: PlantModel
-    channels: tuple[str, ...]
-
-    @cached_property
-    def n_x(self) -> int:
-        return len(self.plant.states)
-
-    @cached_property
-    def n_q(self) -> int:
-        return len(self.plant.parameters)
-
-    @cached_property
-    def n_z(self) -> int:
-        return self.n_x + self.n_q
-
-    @cached_property
-    def n_tri(self) -> int:
-        return self.n_z * (self.n_z + 1) // 2
-
-    @cached_property
-    def n_state(self) -> int:
-        return self.n_z + self.n_tri + 2 + self.n_q
-
-    @cached_property
-    def n_constants(self) -> int:
-        return 2 + 2 * self.n_q + len(self.channels)
-
-    @cached_property
-    def n_sample(self) -> int:
-        return 4 + 3 * len(self.channels)
-
-    @cached_property
-    def n_output(self) -> int:
-        return 3 * len(self.channels)
-
-    @cached_property
-    def z(self) -> slice:
-        return slice(0, self.n_z)
-
-    @cached_property
-    def x(self) -> slice:
-        return slice(0, self.n_x)
-
-    @cached_property
-    def q(self) -> slice:
-        return slice(self.n_x, self.n_z)
-
-    @cached_property
-    def tri(self) -> slice:
-        return slice(self.n_z, self.n_z + self.n_tri)
-
-    @cached_property
-    def held_input(self) -> int:
-        return self.n_z + self.n_tri
-
-    @cached_property
-    def held_variance(self) -> int:
-        return self.held_input + 1
-
-    @cached_property
-    def information(self) -> slice:
-        return slice(self.n_state - self.n_q, self.n_state)
+#: Time constants with which the instrument follows the filter, s. Long against a sample, short against what a wrong
+#: model needs to run away; and at once, where the parameters are not known yet and the model would lead it astray.
+INSTRUMENT_S, NO_INSTRUMENT_S = 0.1, 1e-9
+#: An input known this many times worse than usual (in variance) leads it astray.
+DOUBTFUL_INPUT = 100.0
+#: Its time constant is at most this share of its age.
+_YOUTH = 0.1
 
 
 def natural(plant: PlantModel, q: ca.SX) -> ca.SX:
@@ -132,9 +73,10 @@ def _unpack(tri: ca.SX, n: int) -> ca.SX:
 
 @dataclass(frozen=True)
 class Prediction:
-    """x_next, its derivatives, and the process noise of the plant's states."""
+    """States and instrument after the step, derivatives, and the process noise of the plant's states."""
 
     x: ca.SX
+    instrument: ca.SX
     by_state: ca.SX
     by_parameter: ca.SX
     noise: ca.SX
@@ -147,19 +89,28 @@ def _own_state_noise(plant: PlantModel, h: ca.SX) -> ca.SX:
 
 
 def predict(
-    plant: PlantModel, x: ca.SX, q: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX, var_u: ca.SX, torque_psd: ca.SX
+    plant: PlantModel,
+    x: ca.SX,
+    instrument: ca.SX,
+    q: ca.SX,
+    u: ca.SX,
+    t: ca.SX,
+    h: ca.SX,
+    var_u: ca.SX,
+    torque_psd: ca.SX,
 ) -> Prediction:
-    """The plant's step and its linearisation at (x, q).
+    """The plant's step and its linearisation, by the states at (x, q), by the parameters at (instrument, q).
 
     Args:
         var_u: variance of the held input.
         torque_psd: intensity of a white load torque, (N·m)²·s; held over one step its variance is psd / h.
     """
     p = natural(plant, q)
-    x_next = plant.step(x, u, p, t, h)
+    x_next, modelled = plant.step(x, u, p, t, h), plant.step(instrument, u, p, t, h)
     gain = plant.noise_gain(x, u, p, t, h)
     noise = gain[:, 0] @ gain[:, 0].T * var_u + gain[:, 1] @ gain[:, 1].T * (torque_psd / h)
-    return Prediction(x_next, ca.jacobian(x_next, x), ca.jacobian(x_next, q), noise + _own_state_noise(plant, h))
+    noise += _own_state_noise(plant, h)
+    return Prediction(x_next, modelled, ca.jacobian(x_next, x), ca.jacobian(modelled, q), noise)
 
 
 @cache
@@ -179,57 +130,98 @@ def build_ekf_step(plant: PlantModel, channels: tuple[str, ...]) -> tuple[EkfLay
     lay = EkfLayout(plant, channels)
     state, const = ca.SX.sym("state", lay.n_state), ca.SX.sym("const", lay.n_constants)
     sample = ca.SX.sym("sample", lay.n_sample)
-    z, P = _time_update(lay, state, const, sample)
-    z, P, information, output = _measurement_update(lay, z, P, state, const, sample)
+    z, P, modelled = _time_update(lay, state, const, sample)
+    z, P, sums, output = _measurement_update(lay, z, P, state, const, sample)
     held = ca.vertcat(sample[2], const[0] + sample[3])
-    next_state = ca.vertcat(z, _pack(P), held, information)
-    return lay, ca.Function("step", [state, const, sample], [next_state, output])
+    # Where the input was not known the model knows nothing; after an outlier, which may have been the input's, neither.
+    trusted = ca.fmin(DOUBTFUL_INPUT * const[0] / ca.fmax(state[lay.held_variance], 1e-300), 1.0)
+    slowly = trusted * slowness(ca.fmax(sample[1], _SHORTEST_STEP_S), state[-1], const[-1])
+    instrument = instrument_after(plant, modelled, z[lay.x], slowly)
+    outlier = sum((output[3 * k + 2] for k in range(len(channels))), start=ca.SX(0)) > 0
+    age = ca.if_else(outlier, 0.0, state[-1] + sample[1])
+    next_state = ca.vertcat(z, _pack(P), held, sums, instrument, age)
+    return lay, ca.Function("step", [state, const, sample], ca.cse([next_state, output]))
 
 
-def _time_update(lay: EkfLayout, state: ca.SX, const: ca.SX, sample: ca.SX) -> tuple[ca.SX, ca.SX]:
-    n_x, n_q = lay.n_x, lay.n_q
+def slowness(h: ca.SX, age_s: ca.SX, time_constant_s: ca.SX) -> ca.SX:
+    """What is left of the instrument's distance from the filter after h. A young one follows quickly: after a gap or at
+    the start the filter finds its own states first."""
+    return ca.exp(-h / ca.fmin(time_constant_s, _YOUTH * (age_s + h)))
+
+
+def instrument_after(plant: PlantModel, modelled: ca.SX, x: ca.SX, slowly: ca.SX) -> ca.SX:
+    """The instrument follows the filter slowly in what noise drives (current, speed), at once in the rest.
+
+    Args:
+        slowly: 1 .. 0: from not at all to at once.
+    """
+    slow = ca.vertcat(*[1.0 if s.name in ("current_A", "velocity_rad_s") else 0.0 for s in plant.states])
+    return x + slow * slowly * (modelled - x)
+
+
+def _time_update(lay: EkfLayout, state: ca.SX, const: ca.SX, sample: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    n_x = lay.n_x
     x, q, P = state[lay.x], state[lay.q], _unpack(state[lay.tri], lay.n_z)
     h = ca.fmax(sample[1], _SHORTEST_STEP_S)
     u, var_u = state[lay.held_input], state[lay.held_variance]
     if lay.plant.drive != "voltage":  # a measured current or torque is a sample of a continuous signal: trapezoid
         u, var_u = (u + sample[2]) / 2, (var_u + const[0] + sample[3]) / 4
-    step = predict(lay.plant, x, q, u, sample[0] - h, h, var_u, const[1])
+    step = predict(lay.plant, x, state[lay.instrument], q, u, sample[0] - h, h, var_u, const[1])
     M = ca.horzcat(step.by_state, step.by_parameter)
     T = M @ P
     P_xx = T @ M.T + step.noise
     P_xq = T[:, n_x:]
-    P_qq = P[n_x:, n_x:] + ca.diag(const[2 : 2 + n_q] * h)
+    P_qq = P[n_x:, n_x:] + ca.diag(const[lay.walk] * h)
     P_next = ca.vertcat(ca.horzcat(P_xx, P_xq), ca.horzcat(P_xq.T, P_qq))
-    return ca.vertcat(step.x, q), P_next
+    return ca.vertcat(step.x, q), P_next, step.instrument
 
 
 def _measurement_update(
     lay: EkfLayout, z: ca.SX, P: ca.SX, state: ca.SX, const: ca.SX, sample: ca.SX
 ) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-    n_x, n_q = lay.n_x, lay.n_q
-    rows = ca.vertcat(ca.SX.ones(n_x), const[2 + n_q : 2 + 2 * n_q])
-    information, outputs = state[lay.information], []
+    n_x = lay.n_x
+    rows = ca.vertcat(ca.SX.ones(n_x), const[lay.active])
+    information, outputs, statistics = state[lay.information], [], []
     for k, channel in enumerate(lay.channels):
         y, valid, doubt = sample[4 + 3 * k], sample[5 + 3 * k], sample[6 + 3 * k]
-        r = const[2 + 2 * n_q + k] * doubt
+        r = const[lay.r][k] * doubt
         shown, H = _shown(lay, channel)
         predicted, H_here = ca.Function("shown", shown, [H[0], H[1]])(z, sample[0])
-        PHt = P @ H_here.T
-        s0 = H_here @ PHt
         innovation = y - predicted
-        s = ca.fmax(s0 + r, innovation**2 / GATE**2)
-        gain = valid * rows * PHt / s
+        s0 = H_here @ P @ H_here.T + r
+        extra = valid * ca.fmax(innovation**2 / GATE**2 - s0, 0.0)
+        own = lay.plant.state_names.index(channel)
+        P[own, own] += extra / 2
+        PHt, s = P @ H_here.T, s0 + extra
+        gain = valid / s * rows * PHt
         # What this sample would tell of each parameter if it were free: held ones must be able to wake up.
         p_qq, seen = ca.diag(P)[n_x:], PHt[n_x:]
         reduction = seen**2 / s
         information = information + valid * reduction / (p_qq * (p_qq - reduction))
         z = z + gain * innovation
         P = P - gain @ PHt.T - PHt @ gain.T + s * (gain @ gain.T)
-        gated = valid * (innovation**2 > GATE**2 * (s0 + r))
-        outputs += [valid * innovation, s0 + r, gated]
+        outputs += [valid * innovation, s0, extra > 0]
+        statistics.append(_counted(state[lay.statistics], k, innovation, s0, valid, doubt, extra))
     bounds = [_bounds(p.lower, p.upper, p.transform) for p in lay.plant.parameters]
     q = [ca.fmax(ca.fmin(z[n_x + k], high), low) for k, (low, high) in enumerate(bounds)]
-    return ca.vertcat(z[:n_x], *q), P, information, ca.vertcat(*outputs)
+    return ca.vertcat(z[:n_x], *q), P, ca.vertcat(information, *statistics), ca.vertcat(*outputs)
+
+
+def _counted(before: ca.SX, k: int, innovation: ca.SX, s0: ca.SX, valid: ca.SX, doubt: ca.SX, extra: ca.SX) -> ca.SX:
+    """Channel k's `STATISTICS` with one more sample."""
+    n = len(STATISTICS)
+    count, nis, excess, lagged, last, gated, crossed = ca.vertsplit(before[k * n : (k + 1) * n])
+    counts = valid * (doubt <= 1.0)
+    normalised = innovation / ca.sqrt(s0)
+    return ca.vertcat(
+        count + counts,
+        nis + counts * normalised**2,
+        excess + counts * s0 * (ca.fmin(normalised**2, CLIP**2) - 1.0),
+        lagged + counts * normalised * last,
+        ca.if_else(counts > 0, normalised, last),
+        gated + (extra > 0),
+        crossed + counts * normalised * before[STATISTICS.index("last")],
+    )
 
 
 def _shown(lay: EkfLayout, channel: str) -> tuple[list[ca.SX], tuple[ca.SX, ca.SX]]:

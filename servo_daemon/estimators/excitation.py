@@ -1,7 +1,14 @@
-"""What the motion says about each parameter now: information gained over the last seconds, with hysteresis.
+"""What the motion says about each parameter now, over the last seconds, with hysteresis.
 
-`information` is the increase of 1/σ² that the samples of a tick brought (as if the parameter were free). A parameter is
-excited when the last `WINDOW_S` alone would determine it to `ENTER` (relative, 1 σ); it stops being so at `LEAVE`.
+Two measures, and a parameter is excited only by both:
+
+- statistical: the information that the filter gained from the samples (as if the parameter were free);
+- systematic: what is left of it if the balances are only nearly right (`balances.py`), jointly for all parameters.
+
+A parameter is excited when by each of them the last `WINDOW_S` alone would determine it to `ENTER` (1 σ, relative); it
+stops being so at `LEAVE`. A parameter that is not excited is held (its row of the gain is zero), unless it is one of
+several that the data show together only (R and K at one constant speed): those move, so that a change which they
+explain together arrives where the covariance puts it, and their covariance grows in the direction that is not seen.
 """
 
 from __future__ import annotations
@@ -15,12 +22,20 @@ from servo_daemon.samples import F64
 
 WINDOW_S = 5.0
 ENTER, LEAVE = 0.10, 0.20
+#: The same for the systematic measure, which is a worst case.
+SYSTEMATIC_ENTER, SYSTEMATIC_LEAVE = 0.20, 0.40
+#: A window that says nothing leaves this much, 1 σ: nothing is worse known than by a factor of about 1000.
+_NOTHING_STD = 7.0
+#: The running sum over the window is taken anew after so many ticks.
+_SUM_ANEW = 100
+#: Share of a parameter in the directions that are not determined, above which it is one of them.
+_INSIDE = 0.98
 
 #: Why a parameter is not visible, in words.
 REASONS = {
-    "R": "hardly any current: R not visible",
+    "R": "hardly any current, or only in proportion to the speed: R not visible",
     "L": "current hardly changes: L not visible",
-    "K": "hardly any speed or torque: K not visible",
+    "K": "hardly any speed, or only in proportion to the current: K not visible",
     "J": "speed hardly changes: J not visible",
     "B": "hardly any speed, or only one: B not visible",
     "Tc": "no motion in both directions: Tc not visible",
@@ -31,33 +46,76 @@ class Excitation:
     """Flags for n parameters, fed a tick at a time.
 
     Args:
+        n: number of parameters.
+
+    Attributes:
+        excited: flags, shape (n,).
         scales: shape (n,): what counts as one unit of each coordinate (1 for logarithms).
     """
 
-    def __init__(self, scales: F64) -> None:
-        self._scales = scales
+    def __init__(self, n: int) -> None:
+        self.scales: F64 = np.ones(n)
         self._window: deque[tuple[float, F64]] = deque()
+        self._sum: F64 = np.zeros(n)
         self._sum_s = 0.0
-        self.excited: NDArray[np.bool_] = np.zeros(len(scales), dtype=bool)
+        self._updates = 0
+        self._systematic_std: F64 = np.zeros(n)
+        self._null: F64 = np.zeros((n, 0))
+        self.excited: NDArray[np.bool_] = np.zeros(n, dtype=bool)
 
     def reset(self) -> None:
+        n = len(self.scales)
         self._window.clear()
-        self._sum_s = 0.0
-        self.excited[:] = False
+        self._sum, self._sum_s = np.zeros(n), 0.0
+        self._systematic_std, self._null = np.zeros(n), np.zeros((n, 0))
+        self.excited = np.zeros(n, dtype=bool)
+
+    def determine(self, information: F64, covered: NDArray[np.bool_]) -> None:
+        """Take the systematic measure.
+
+        Args:
+            information: of the coordinates, shape (n, n).
+            covered: which parameters it can say anything of, shape (n,).
+        """
+        index = np.flatnonzero(covered)
+        scaled = (information * np.outer(self.scales, self.scales))[np.ix_(index, index)]
+        eigenvalues, vectors = np.linalg.eigh(scaled)
+        eigenvalues = np.maximum(eigenvalues, 0.0) + _NOTHING_STD**-2  # rounding may leave a zero a little below
+        self._systematic_std = np.zeros(len(self.scales))
+        self._systematic_std[index] = np.sqrt(np.sum(vectors**2 / eigenvalues, axis=1))
+        undetermined = eigenvalues < SYSTEMATIC_LEAVE**-2
+        self._null = np.zeros((len(self.scales), int(np.sum(undetermined))))
+        self._null[index] = vectors[:, undetermined]
 
     def update(self, information: F64, duration_s: float) -> None:
-        """information: shape (n,), gained in this tick of `duration_s`."""
+        """Take what the filter gained in a tick of `duration_s`, shape (n,)."""
         self._window.append((duration_s, information))
         self._sum_s += duration_s
+        self._sum = self._sum + information
         while self._sum_s - self._window[0][0] >= WINDOW_S:
-            self._sum_s -= self._window.popleft()[0]
-        std = self.std()
-        self.excited = np.where(self.excited, std < LEAVE, std < ENTER)
+            old_s, old = self._window.popleft()
+            self._sum_s -= old_s
+            self._sum = self._sum - old
+        self._updates += 1
+        if self._updates % _SUM_ANEW == 0:  # rounding must not gather
+            self._sum = np.sum([gained for _, gained in self._window], axis=0)
+        enough = self.std() < np.where(self.excited, LEAVE, ENTER)
+        self.excited = enough & (self._systematic_std < np.where(self.excited, SYSTEMATIC_LEAVE, SYSTEMATIC_ENTER))
 
     def std(self) -> F64:
-        """What the window alone would leave of each coordinate, 1 σ over its scale; shape (n,)."""
-        total = np.sum([information for _, information in self._window], axis=0)
-        return np.asarray(1.0 / (np.sqrt(np.maximum(total, 1e-300)) * self._scales))
+        """What the samples of the window alone would leave of each coordinate, 1 σ over its scale; shape (n,)."""
+        return np.asarray(1.0 / (np.sqrt(np.maximum(self._sum, 1e-300)) * self.scales))
+
+    def held(self, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Which parameters must not move, shape (n,).
+
+        Args:
+            known: parameters that there is something to hold of.
+        """
+        share = np.sum(self._null**2, axis=1)
+        alone = (share > _INSIDE) | (share < 1.0 - _INSIDE)
+        held: NDArray[np.bool_] = known & ~self.excited & alone
+        return held
 
 
 def reason(name: str) -> str:

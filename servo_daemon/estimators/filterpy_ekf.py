@@ -12,7 +12,16 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from servo_daemon.estimators.ekf_model import _SHORTEST_STEP_S, GATE, MEASURABLE, EkfLayout, natural, predict
+from servo_daemon.estimators.ekf_layout import CLIP, MEASURABLE, STATISTICS, EkfLayout
+from servo_daemon.estimators.ekf_model import (
+    _SHORTEST_STEP_S,
+    DOUBTFUL_INPUT,
+    GATE,
+    instrument_after,
+    natural,
+    predict,
+    slowness,
+)
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.samples import F64
 
@@ -23,6 +32,7 @@ class FilterpyLoop:
     def __init__(self, plant: PlantModel, channels: tuple[str, ...]) -> None:
         self._lay = EkfLayout(plant, channels)
         self._predict = _prediction(plant)
+        self._follow = _following(plant)
         self._shown = [_shown(plant, channel) for channel in channels]
         rows, columns = np.tril_indices(self._lay.n_z)
         order = np.lexsort((rows, columns))
@@ -40,12 +50,17 @@ class FilterpyLoop:
         outputs = np.empty((len(samples), lay.n_output))
         for row, sample in enumerate(samples):
             self._time_update(ekf, state, constants, sample)
+            self._earlier = state[lay.statistics][STATISTICS.index("last")]
             for k in range(len(lay.channels)):
                 outputs[row, 3 * k : 3 * k + 3] = self._measure(ekf, state, constants, sample, k)
             q = ekf.x[lay.q]
             ekf.x[lay.q] = np.clip(q, self._low, self._high)
             # Rounding leaves P a little asymmetric; carried on or not, that must not depend on where a run ends.
             ekf.P[self._columns, self._rows] = ekf.P[self._rows, self._columns]
+            trusted = min(DOUBTFUL_INPUT * constants[0] / max(state[lay.held_variance], 1e-300), 1.0)
+            slowly = trusted * float(slowness(max(sample[1], _SHORTEST_STEP_S), state[-1], constants[-1]))
+            state[lay.instrument] = self._follow(state[lay.instrument], ekf.x[lay.x], slowly)
+            state[-1] = 0.0 if outputs[row, 2::3].any() else state[-1] + sample[1]
             state[lay.held_input], state[lay.held_variance] = sample[2], constants[0] + sample[3]
         state[lay.z] = ekf.x
         state[lay.tri] = ekf.P[self._rows, self._columns]
@@ -56,35 +71,52 @@ class FilterpyLoop:
         u, var_u = state[lay.held_input], state[lay.held_variance]
         if lay.plant.drive != "voltage":
             u, var_u = (u + sample[2]) / 2, (var_u + constants[0] + sample[3]) / 4
-        x_next, by_z, noise = self._predict(ekf.x[lay.x], ekf.x[lay.q], u, sample[0] - h, h, var_u, constants[1])
+        x_next, modelled, by_z, noise = self._predict(
+            ekf.x[lay.x], state[lay.instrument], ekf.x[lay.q], u, sample[0] - h, h, var_u, constants[1]
+        )
+        state[lay.instrument] = modelled
         F, Q = np.eye(lay.n_z), np.zeros((lay.n_z, lay.n_z))
         F[lay.x, :] = by_z
         Q[lay.x, lay.x] = noise
-        Q[lay.q, lay.q] = np.diag(constants[2 : 2 + lay.n_q] * h)
+        Q[lay.q, lay.q] = np.diag(constants[lay.walk] * h)
         ekf.F, ekf.Q = F, Q
         ekf.P = F @ ekf.P @ F.T + Q
         ekf.x = np.concatenate([x_next, ekf.x[lay.q]])
 
     def _measure(self, ekf: Any, state: F64, constants: F64, sample: F64, k: int) -> tuple[float, float, float]:
-        """One channel, by filterpy's own update (Joseph's form) with the gated variance and the held rows."""
+        """One channel, by filterpy's own update (Joseph's form) with the gated variance and the held directions."""
         lay = self._lay
         y, valid, doubt = sample[4 + 3 * k : 7 + 3 * k]
-        r = constants[2 + 2 * lay.n_q + k] * doubt
+        r = constants[lay.r][k] * doubt
         predicted, H = self._shown[k](ekf.x, sample[0])
-        s0 = float((H @ ekf.P @ H.T)[0, 0])
+        s0 = float((H @ ekf.P @ H.T)[0, 0]) + r
         innovation = float(y - predicted)
-        s = max(s0 + r, innovation**2 / GATE**2)
+        extra = valid * max(innovation**2 / GATE**2 - s0, 0.0)
         if valid > 0:
+            own = lay.plant.state_names.index(lay.channels[k])
+            ekf.P[own, own] += extra / 2
             PHt = (ekf.P @ H.T)[:, 0]
-            reduction, p_qq = PHt[lay.q] ** 2 / s, np.diag(ekf.P)[lay.q]
+            reduction, p_qq = PHt[lay.q] ** 2 / (s0 + extra), np.diag(ekf.P)[lay.q]
             state[lay.information] += reduction / (p_qq * (p_qq - reduction))
-            self._update(ekf, H, innovation, s, s - s0, constants)
-        gated = float(innovation**2 > GATE**2 * (s0 + r))
-        return valid * innovation, s0 + r, valid * gated
+            self._count(state, k, innovation, s0, doubt, extra)
+            self._update(ekf, H, innovation, s0 + extra, r + extra / 2, constants)
+        return valid * innovation, s0, float(extra > 0)
+
+    def _count(self, state: F64, k: int, innovation: float, s0: float, doubt: float, extra: float) -> None:
+        n = len(STATISTICS)
+        sums = state[self._lay.statistics][k * n : (k + 1) * n]
+        earlier = self._earlier
+        if doubt <= 1.0:
+            normalised = innovation / np.sqrt(s0)
+            clipped = min(normalised**2, CLIP**2)
+            sums[:4] += (1.0, normalised**2, s0 * (clipped - 1.0), normalised * sums[4])
+            sums[4] = normalised
+            sums[6] += normalised * earlier
+        sums[5] += extra > 0
 
     def _update(self, ekf: Any, H: F64, innovation: float, s: float, r: float, constants: F64) -> None:
         lay = self._lay
-        active = np.concatenate([np.ones(lay.n_x), constants[2 + lay.n_q : 2 + 2 * lay.n_q]])
+        active = np.concatenate([np.ones(lay.n_x), constants[lay.active]])
         if active.all():
             # The innovation is already known: hand filterpy a measurement whose residual is just that.
             ekf.update(np.array([innovation]), lambda _x: H, lambda _x: np.zeros(1), R=np.array([[r]]))
@@ -96,18 +128,27 @@ class FilterpyLoop:
         ekf.P = I_KH @ ekf.P @ I_KH.T + r * np.outer(gain, gain)
 
 
-def _prediction(plant: PlantModel) -> Callable[..., tuple[F64, F64, F64]]:
-    x, q = ca.SX.sym("x", len(plant.states)), ca.SX.sym("q", len(plant.parameters))
+def _prediction(plant: PlantModel) -> Callable[..., tuple[F64, ...]]:
+    x, instrument = ca.SX.sym("x", len(plant.states)), ca.SX.sym("instrument", len(plant.states))
+    q = ca.SX.sym("q", len(plant.parameters))
     u, t, h, var_u, psd = (ca.SX.sym(n) for n in ("u", "t", "h", "var_u", "psd"))
-    step = predict(plant, x, q, u, t, h, var_u, psd)
+    step = predict(plant, x, instrument, q, u, t, h, var_u, psd)
     by_z = ca.horzcat(step.by_state, step.by_parameter)
-    function = ca.Function("predict", [x, q, u, t, h, var_u, psd], [step.x, ca.densify(by_z), ca.densify(step.noise)])
+    results = [step.x, step.instrument, ca.densify(by_z), ca.densify(step.noise)]
+    function = ca.Function("predict", [x, instrument, q, u, t, h, var_u, psd], results)
 
-    def call(*arguments: Any) -> tuple[F64, F64, F64]:
-        x_next, F, Q = function(*arguments)
-        return np.asarray(x_next).reshape(-1), np.asarray(F), np.asarray(Q)
+    def call(*arguments: Any) -> tuple[F64, ...]:
+        x_next, modelled, F, Q = (np.asarray(r) for r in function(*arguments))
+        return x_next.reshape(-1), modelled.reshape(-1), F, Q
 
     return call
+
+
+def _following(plant: PlantModel) -> Callable[..., F64]:
+    modelled, x = ca.SX.sym("m", len(plant.states)), ca.SX.sym("x", len(plant.states))
+    slowly = ca.SX.sym("slowly")
+    function = ca.Function("follow", [modelled, x, slowly], [instrument_after(plant, modelled, x, slowly)])
+    return lambda *arguments: np.asarray(function(*arguments)).reshape(-1)
 
 
 def _shown(plant: PlantModel, channel: str) -> Callable[[F64, float], tuple[float, F64]]:

@@ -21,6 +21,8 @@ Status = Literal["estimating", "tracking", "unexcited", "at_bound", "fixed", "in
 
 #: A parameter qualifies below this (1 σ, relative) and loses its qualification above the second: hysteresis.
 QUALIFIED, LOST = 0.05, 0.15
+#: A regression knows a parameter when its std is below this share of it, and agrees within this share and 3 σ.
+KNOWS, AGREES = 0.25, 0.15
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,10 +41,17 @@ class Qualification:
     def __init__(self, n: int) -> None:
         self.qualified: NDArray[np.bool_] = np.zeros(n, dtype=bool)
 
-    def update(self, relative_std: F64, excited: NDArray[np.bool_]) -> None:
-        """Both shape (n,). Only an excited parameter can qualify; any can lose it."""
-        gained = (relative_std < QUALIFIED) & excited
+    def update(self, relative_std: F64, excited: NDArray[np.bool_], confirmed: NDArray[np.bool_]) -> None:
+        """All shape (n,). Only an excited parameter that is confirmed by another estimator can qualify; any can lose
+        it."""
+        gained = (relative_std < QUALIFIED) & excited & confirmed
         self.qualified = (self.qualified | gained) & (relative_std < LOST)
+
+
+def confirms(found: float, found_std: float, value: float) -> bool:
+    """Whether a regression's estimate speaks for the filter's: it knows the parameter, and they are not far apart. The
+    filter alone, started far off on data that show little, can be sure of nonsense; a regression has no start."""
+    return found_std < KNOWS * abs(found) and abs(found - value) < AGREES * abs(value) + 3.0 * found_std
 
 
 def fuse(

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
-from servo_daemon.estimators.motor_rls import Stretch
+from servo_daemon.estimators.stretch import Stretch
 from servo_daemon.plant.build import Drive
 from servo_daemon.samples import F64, Quality, SampleBlock
 
 #: A gap longer than this leaves the plant's states unknown; a shorter one is predicted through.
 LONG_GAP_S = 0.25
 #: Samples further apart than this many periods have lost some between them: no regular drive's jitter is as large.
-_GAP_PERIODS = 2.5
+_GAP_PERIODS = 1.6
 #: Up to this many periods the motion is predicted through a gap; beyond, what the voltage did meanwhile counts more.
 _SHORT_GAP_PERIODS = 3.5
 
@@ -25,6 +26,10 @@ _INVALID_BIT = {
     "velocity_rad_s": Quality.POSITION_INVALID,
     "torque_Nm": Quality.CURRENT_INVALID,
 }
+#: So many samples of a current alike, or of a speed, are no accident of its noise.
+_FEWEST_ALIKE = 8
+#: So many samples on one step of the input's converter are counted as one error.
+_MOST_ALIKE = 100.0
 #: Most by which a standing encoder's variance is raised: 5000 samples on one count.
 _MOST_DOUBT = 5e7
 #: Beyond this a value is no measurement of a servo drive, whatever the drive says; and no square of it overflows.
@@ -36,6 +41,14 @@ _IMPOSSIBLE = {
     "torque_Nm": 1e7,
 }
 INPUT: dict[Drive, str] = {"voltage": "voltage_V", "current": "current_A", "torque": "torque_Nm"}
+
+
+def distances(time_s: F64, last_s: float) -> F64:
+    """Of each sample from the one before it, s, shape (n,)."""
+    out = np.empty(len(time_s))
+    out[0] = time_s[0] - last_s
+    np.subtract(time_s[1:], time_s[:-1], out=out[1:])
+    return out
 
 
 def breaks(block: SampleBlock, last_s: float | None) -> list[int]:
@@ -59,20 +72,70 @@ def gaps(block: SampleBlock, last_s: float | None, period_s: float | None) -> di
     missing = (block.quality & Quality.GAP_BEFORE) != 0
     if period_s is None or last_s is None:
         return dict.fromkeys(np.flatnonzero(missing).tolist(), False)
-    distance = np.diff(block.time_s, prepend=last_s)
+    distance = distances(block.time_s, last_s)
+    if not missing.any() and float(distance.max()) <= _GAP_PERIODS * period_s:
+        return {}  # the usual case
     missing |= distance > _GAP_PERIODS * period_s
     return {k: bool(distance[k] <= _SHORT_GAP_PERIODS * period_s) for k in np.flatnonzero(missing).tolist()}
 
 
-def channel(block: SampleBlock, name: str) -> tuple[F64, F64]:
-    """Values (0 where they are no measurement) and validity (1 or 0) of a channel."""
+def channel(block: SampleBlock, name: str) -> tuple[F64, NDArray[np.bool_] | None]:
+    """Values (0 where they are no measurement) and validity of a channel; None where all are valid."""
     values: F64 = getattr(block, name)
-    valid = np.abs(values) <= _IMPOSSIBLE[name]  # which a NaN is not
-    if block.quality.any():
-        valid &= (block.quality & _INVALID_BIT[name]) == 0
-    if valid.all():
-        return values, np.ones(len(values))
-    return np.where(valid, values, 0.0), valid.astype(np.float64)
+    limit = _IMPOSSIBLE[name]
+    if not block.quality.any() and values.max() <= limit and values.min() >= -limit:  # which a NaN is not
+        return values, None
+    valid = np.abs(values) <= limit
+    valid &= (block.quality & _INVALID_BIT[name]) == 0
+    return np.where(valid, values, 0.0), valid
+
+
+@dataclass(slots=True)
+class Repetition:
+    """How often a channel has shown one value. A count that stands still repeats one error, it does not average it; a
+    current that no longer flickers is not measured any more.
+
+    Attributes:
+        least: from how many samples alike on they are doubted.
+        step: two values nearer than half of this are alike.
+    """
+
+    least: int
+    step: float = 0.0
+    _last: float = math.nan
+    _same: int = 0
+
+    @property
+    def alike(self) -> int:
+        """How many values alike there have been last; 0 below `least`."""
+        return self._same if self._same >= self.least else 0
+
+    def doubt(self, values: F64) -> F64 | None:
+        """Factor on the channel's variance, shape (n,); None where it is 1 throughout. The k-th sample alike weighs
+        1/(2 k (k − 1)), so that however long it stands all of them together say little more than the first."""
+        same = self.lengths(values)
+        if same is None:
+            return None
+        return np.where(same >= self.least, np.minimum(2.0 * same * (same - 1.0), _MOST_DOUBT), 1.0)
+
+    def lengths(self, values: F64) -> F64 | None:
+        """How many samples alike there have been up to each one, shape (n,); None where it is below `least`
+        throughout."""
+        n = len(values)
+        moved = np.empty(n, dtype=bool)
+        moved[0] = not abs(values[0] - self._last) <= 0.5 * self.step
+        np.greater(np.abs(values[1:] - values[:-1]), 0.5 * self.step, out=moved[1:])
+        self._last = float(values[-1])
+        alike = n - int(np.count_nonzero(moved))
+        before = self._same
+        if alike == 0 or alike + max(before, 1) < self.least:
+            self._same = 1 + (before + n - 1 if alike == n else int(np.argmax(moved[::-1])))
+            return None
+        index = np.arange(n)
+        begin = np.maximum.accumulate(np.where(moved, index, -1))
+        same = np.where(begin >= 0, index - begin + 1, before + 1 + index)
+        self._same = int(same[-1])
+        return np.asarray(same, dtype=np.float64)
 
 
 @dataclass(slots=True)
@@ -84,9 +147,22 @@ class Layout:
     last_s: float | None = None
     last_input: float = 0.0
     origin_s: float = 0.0
-    position_lsb: float = 0.0
-    _last_position: float = math.nan
-    _same: int = 0
+    repetition: dict[str, Repetition] = field(default_factory=dict)
+    _input_repetition: Repetition | None = None
+    _input_step_var: float = 0.0
+
+    def expect_steps(self, position_lsb: float, input_lsb: float) -> None:
+        """From now on repeated values are doubted.
+
+        Args:
+            position_lsb: the encoder's step; 0: it has none, and may well stand still.
+            input_lsb: step of the recorded input; 0: it has none.
+        """
+        self._input_step_var = input_lsb**2 / 12.0
+        self._input_repetition = Repetition(2) if input_lsb > 0 else None
+        self.repetition = {name: Repetition(_FEWEST_ALIKE) for name in self.measured if name != "position_rad"}
+        if position_lsb > 0:
+            self.repetition["position_rad"] = Repetition(2, position_lsb)
 
     def rows(self, block: SampleBlock, unknown_input_var: float) -> F64:
         """shape (n, 4 + 3 channels): t, h, input, extra variance, (y, valid, doubt)…
@@ -98,56 +174,75 @@ class Layout:
         out = np.ones((n, 4 + 3 * len(self.measured)))
         t = block.time_s - self.origin_s
         out[:, 0] = t
-        first = 0.0 if self.last_s is None else float(block.time_s[0]) - self.last_s
-        out[0, 1] = first
-        out[1:, 1] = np.diff(block.time_s)
-        u, valid = channel(block, INPUT[self.drive])
-        known = np.concatenate([[self.last_input], u])
-        source = np.maximum.accumulate(np.where(valid > 0, np.arange(1, n + 1), 0))
-        out[:, 2] = known[source]
-        out[:, 3] = (1.0 - valid) * unknown_input_var
+        out[:, 1] = distances(block.time_s, float(block.time_s[0]) if self.last_s is None else self.last_s)
+        self._put_input(out, *channel(block, INPUT[self.drive]), unknown_input_var)
         for k, name in enumerate(self.measured):
-            out[:, 4 + 3 * k], out[:, 5 + 3 * k] = channel(block, name)
-            if name == "position_rad" and self.position_lsb > 0:
-                out[:, 6 + 3 * k] = self._standstill_doubt(out[:, 4 + 3 * k])
+            values, valid = channel(block, name)
+            out[:, 4 + 3 * k] = values
+            if valid is not None:
+                out[:, 5 + 3 * k] = valid
+            repetition = self.repetition.get(name)
+            if repetition is not None and (doubt := repetition.doubt(values)) is not None:
+                out[:, 6 + 3 * k] = doubt
         self.last_s, self.last_input = float(block.time_s[-1]), float(out[-1, 2])
         return out
 
-    def _standstill_doubt(self, position: F64) -> F64:
-        """Factor on the encoder's variance, shape (n,): a count that stands still repeats one error, it does not
-        average it. The k-th sample on the same count weighs 1/(2 k (k − 1)), so that however long it stands all of
-        them together say little more than the first."""
-        n = len(position)
-        moved = np.abs(np.diff(position, prepend=self._last_position)) > 0.5 * self.position_lsb
-        index = np.arange(n)
-        begin = np.maximum.accumulate(np.where(moved, index, -1))
-        same = np.where(begin >= 0, index - begin + 1, self._same + 1 + index)
-        self._last_position, self._same = float(position[-1]), int(same[-1])
-        return np.where(same > 1, np.minimum(2.0 * same * (same - 1.0), _MOST_DOUBT), 1.0)
+    def _put_input(self, out: F64, u: F64, valid: NDArray[np.bool_] | None, unknown_var: float) -> None:
+        """Input and its extra variance: the last known one is held where there is none."""
+        out[:, 3] = 0.0
+        if self._input_repetition is not None and (same := self._input_repetition.lengths(u)) is not None:
+            # A step of a converter that is held for long is one error, not many: its effect adds up.
+            out[:, 3] = self._input_step_var * np.minimum(same - 1.0, _MOST_ALIKE)
+        if valid is None:
+            out[:, 2] = u
+            return
+        known = np.concatenate([[self.last_input], u])
+        source = np.maximum.accumulate(np.where(valid, np.arange(1, len(u) + 1), 0))
+        out[:, 2] = known[source]
+        out[~valid, 3] = unknown_var
 
 
-def stretch_of(block: SampleBlock, origin_s: float, last_s: float | None, period_s: float | None) -> Stretch:
-    """The block for the regressions; samples after a gap or with an invalid channel are not usable.
+class Stretches:
+    """Blocks as the regressions take them; remembers how long a current has shown one value."""
 
-    Args:
-        last_s, period_s: as for `gaps`.
-    """
-    usable = np.ones(len(block), dtype=bool)
-    usable &= (block.quality & (Quality.GAP_BEFORE | Quality.TIME_RESTART)) == 0
-    usable[list(gaps(block, last_s, period_s))] = False
-    signals: dict[str, F64 | None] = {}
-    for name in ("voltage_V", "current_A", "torque_Nm", "position_rad", "velocity_rad_s"):
-        if getattr(block, name) is None:
-            signals[name] = None
-            continue
-        signals[name], valid = channel(block, name)
-        usable &= valid > 0
-    return Stretch(
-        block.time_s - origin_s,
-        usable,
-        signals["voltage_V"],
-        signals["current_A"],
-        signals["torque_Nm"],
-        signals["position_rad"],
-        signals["velocity_rad_s"],
-    )
+    def __init__(self) -> None:
+        self._frozen = {name: Repetition(_FEWEST_ALIKE) for name in ("current_A", "velocity_rad_s")}
+
+    def alike(self, name: str) -> int:
+        """For how many samples the channel has shown one value; 0 while it flickers."""
+        return self._frozen[name].alike
+
+    def of(self, block: SampleBlock, origin_s: float, last_s: float | None, period_s: float | None) -> Stretch:
+        """The block for the regressions. Samples after a long gap, with an invalid channel or a frozen one are not
+        usable. (What the voltage did in a short gap is noise to a regression, and no bias.)
+
+        Args:
+            origin_s: time is counted from here.
+            last_s, period_s: as for `gaps`.
+        """
+        usable = (block.quality & Quality.TIME_RESTART) == 0
+        usable[[k for k, short in gaps(block, last_s, period_s).items() if not short]] = False
+        signals: dict[str, F64 | None] = {}
+        complete = True
+        for name in ("voltage_V", "current_A", "torque_Nm", "position_rad", "velocity_rad_s"):
+            if getattr(block, name) is None:
+                signals[name] = None
+                continue
+            values, valid = channel(block, name)
+            signals[name] = values
+            if valid is not None:
+                usable &= valid
+                complete = False
+            frozen = self._frozen.get(name)
+            if frozen is not None and (same := frozen.lengths(values)) is not None:
+                usable &= same < _FEWEST_ALIKE
+        return Stretch(
+            block.time_s - origin_s,
+            usable,
+            signals["voltage_V"],
+            signals["current_A"],
+            signals["torque_Nm"],
+            signals["position_rad"],
+            signals["velocity_rad_s"],
+            complete,
+        )

@@ -16,10 +16,10 @@ from servo_daemon.samples import F64
 
 _MEDIAN_TO_STD = 0.6745
 _THIRD_DIFFERENCE_GAIN = 20.0
-#: Innovations beyond this many standard deviations do not teach the noise level.
-_CLIP = 4.0
 #: Time constant of the adaptation, s.
 _ADAPTATION_S = 5.0
+#: While the level is still a guess it may change fourfold at once.
+_FIRST_UPDATES = 5
 #: A drive's voltage is not what it says, if only by dead time and ripple: 1 σ as a share of its rms.
 _INPUT_SHARE = 1e-3
 #: Unmodelled torque, 1 σ over a millisecond as a share of the rms motor torque.
@@ -72,20 +72,18 @@ def initial_noise(signal: F64, lsb: float | None) -> ChannelNoise:
     return ChannelNoise(max(white_noise_var(signal), floor), floor)
 
 
-def adapted(noise: ChannelNoise, innovation: F64, variance: F64, duration_s: float) -> ChannelNoise:
+def adapted(noise: ChannelNoise, excess: float, duration_s: float, update: int = 1_000_000) -> ChannelNoise:
     """Move a channel's variance towards what its innovations show: E ν² = s₀ + r (innovation-based adaptive estimation,
     Mehra, *IEEE Trans. Autom. Control* 15, 1970).
 
     Args:
-        innovation, variance: shape (n,), of the valid samples.
+        excess: mean of ν² − s over the tick, outliers clipped (`ekf_model.CLIP`).
+        update: how many there have been, this one included: the first ones count as much as all before them.
     """
-    if len(innovation) == 0:
-        return noise
-    squared = np.minimum(np.square(innovation), _CLIP**2 * variance)
-    wanted = noise.var + float(np.mean(squared - variance))
-    share = 1.0 - np.exp(-duration_s / _ADAPTATION_S)
-    # Never more than halve or double at once: a tick is a small sample.
-    wanted = float(np.clip(wanted, 0.5 * noise.var, 2.0 * noise.var))
+    share = max(1.0 - math.exp(-duration_s / _ADAPTATION_S), 1.0 / update)
+    # Never more than halve or double at once, later on: a tick is a small sample.
+    most = 2.0 if update > _FIRST_UPDATES else 4.0
+    wanted = min(max(noise.var + excess, noise.var / most), most * noise.var)
     return ChannelNoise(max(noise.var + share * (wanted - noise.var), noise.floor), noise.floor)
 
 
@@ -111,17 +109,17 @@ class ProcessNoise:
 
     factor: float = 1.0
 
-    def after(self, correlation: float, nis: float, *, follow: bool = False) -> ProcessNoise:
+    def after(self, correlation: float, nis: float, follow: float | None = None) -> ProcessNoise:
         """With a tick's lag-1 correlation and normalised innovation squared.
 
         Args:
-            follow: steer towards uncorrelated innovations at any size of theirs. The channel's own noise is adapted
-                beside it, so a wrong share between the two shows in the correlation only.
+            follow: a correlation to be steered to zero at any size of the innovations. The channel's own noise is
+                adapted beside it, so a wrong share between the two shows in correlations only.
         """
         if nis > _NIS_HIGH and correlation > _CORRELATED:
             return ProcessNoise(min(self.factor * _RISE, _FACTOR_MOST))
-        if follow:
-            steered = _LEAK * math.log(self.factor) + _STEER * min(max(correlation, -0.5), 0.5)
+        if follow is not None:
+            steered = _LEAK * math.log(self.factor) + _STEER * min(max(follow, -0.5), 0.5)
             return ProcessNoise(math.exp(min(max(steered, 0.0), math.log(_FACTOR_MOST))))
         if correlation < 0.5 * _CORRELATED or nis < 1.0:
             return ProcessNoise(max(self.factor * _FALL, 1.0))
@@ -135,17 +133,9 @@ class Whiteness:
     correlation: float = 0.0
     nis: float = 1.0
 
-    def after(self, innovation: F64, variance: F64, duration_s: float, memory_s: float = 10.0) -> Whiteness:
-        """With another tick's innovations."""
-        if len(innovation) < 4:
-            return self
-        lagged, energy = correlation_and_nis(innovation, variance)
-        share = 1.0 - np.exp(-duration_s / memory_s)
-        return Whiteness(self.correlation + share * (lagged - self.correlation), self.nis + share * (energy - self.nis))
-
-
-def correlation_and_nis(innovation: F64, variance: F64) -> tuple[float, float]:
-    """Lag-1 correlation and mean normalised square of a run of innovations, shape (n,) each."""
-    normalised = innovation / np.sqrt(variance)
-    energy = float(np.mean(np.square(normalised)))
-    return float(np.mean(normalised[1:] * normalised[:-1])) / max(energy, 1e-12), energy
+    def after(self, correlation: float, nis: float, duration_s: float, memory_s: float = 10.0) -> Whiteness:
+        """With another tick's lag-1 correlation and mean normalised square."""
+        share = 1.0 - math.exp(-duration_s / memory_s)
+        return Whiteness(
+            self.correlation + share * (correlation - self.correlation), self.nis + share * (nis - self.nis)
+        )

@@ -2,8 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+
+#: Something to tell: kind, text, and numbers with units in their names.
+Message = tuple[str, str, Mapping[str, float | int | str | None]]
+
+#: Random walk of a parameter's coordinate when the user says nothing, 1 σ after a minute: copper follows the load,
+#: magnets and bearings take their time, inertia changes with what is mounted.
+_DRIFT_PER_SQRT_MIN = {"R": 0.03, "L": 0.006, "K": 0.01, "J": 0.015, "B": 0.03}
+_DRIFT_OTHER_PER_SQRT_MIN = 0.02
+#: An offset of a sensor or a hanging cable moves slowly, over its scale.
+_OFFSET_DRIFT_PER_SQRT_MIN = 0.003
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +36,7 @@ class TrackerSettings:
     Attributes:
         effects: names of the effects in the model.
         nominal: given values by parameter, natural units.
-        drift_per_sqrt_s: 1 σ of each coordinate's random walk, 1/√s; defaults where absent.
+        drift_per_sqrt_s: 1 σ of each coordinate's random walk over its scale, 1/√s; defaults where absent.
         engine: "compiled" or "filterpy".
     """
 
@@ -33,3 +44,15 @@ class TrackerSettings:
     nominal: Mapping[str, float] | None = None
     drift_per_sqrt_s: Mapping[str, float] | None = None
     engine: str = "compiled"
+
+    def drift_of(self, name: str, *, offset: bool = False) -> float:
+        """1 σ of this parameter's random walk over its scale, 1/√s.
+
+        Args:
+            offset: a nuisance parameter.
+        """
+        given = (self.drift_per_sqrt_s or {}).get(name)
+        if given is not None and not offset:
+            return given
+        other = _OFFSET_DRIFT_PER_SQRT_MIN if offset else _DRIFT_OTHER_PER_SQRT_MIN
+        return _DRIFT_PER_SQRT_MIN.get(name, other) / math.sqrt(60.0)

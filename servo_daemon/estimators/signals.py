@@ -23,6 +23,8 @@ class SignalPlan:
         measured: channels the filter corrects with.
         held: parameters kept at a given value.
         free: parameters that are estimated.
+        nuisance: parameters estimated beside them and not published: small offsets that every drive has and that would
+            bend the others at full confidence. Those of the user's model are among the free ones instead.
         reasons: why a parameter is not free, in words.
     """
 
@@ -31,8 +33,14 @@ class SignalPlan:
     held: Mapping[str, float]
     free: tuple[str, ...]
     reasons: Mapping[str, str]
+    nuisance: tuple[str, ...] = ()
 
 
+#: Offsets that are always in the filter's model: of the torque (a hanging cable, a tilted axis) and, where a voltage
+#: lets it be told apart, of the current sensor (one of the voltage leaves the same trace).
+_NUISANCE: Mapping[str, str] = {"constant_load_torque": "TL", "current_sensor_offset": "i0"}
+#: Which effect a nuisance parameter stands for.
+EFFECT_OF: Mapping[str, str] = {parameter: effect for effect, parameter in _NUISANCE.items()}
 _HIDDEN_BY: dict[Drive, tuple[str, ...]] = {"voltage": (), "current": ("R", "L"), "torque": ("R", "L", "K")}
 #: Without a current sensor the armature's share must be given: R and K close the two null directions of ω/v, and L/R is
 #: far too short to show in the motion.
@@ -61,34 +69,49 @@ def plan_signals(channels: tuple[str, ...], effects: tuple[str, ...], nominal: M
 def _with_voltage(
     channels: tuple[str, ...], motion: tuple[str, ...], effects: tuple[str, ...], nominal: Mapping[str, float]
 ) -> SignalPlan:
-    plant = build_plant(effects, "voltage")
     if not motion:
         why = "no position or speed is measured: the motion is not visible"
         return SignalPlan(None, (), {}, (), {p.name: why for p in LINEAR})
     if "current_A" in channels:
-        return SignalPlan(plant, ("current_A", *motion), {}, plant.parameter_names, {})
+        plant, nuisance = _with_offsets(effects, "voltage", tuple(_NUISANCE))
+        return SignalPlan(plant, ("current_A", *motion), {}, _own(plant, nuisance), {}, nuisance)
     why = "no current is measured: of R, L, K, J, B only combinations are visible"
     missing = [name for name in _NEEDED_WITHOUT_CURRENT if name not in nominal]
     if missing:
         why += f"; give {', '.join(missing)} as nominal values to determine the others"
         return SignalPlan(None, (), {}, (), {p.name: why for p in LINEAR})
     held = {name: nominal[name] for name in _NEEDED_WITHOUT_CURRENT}
-    free = tuple(n for n in plant.parameter_names if n not in held)
-    return SignalPlan(plant, motion, held, free, dict.fromkeys(held, f"held at the nominal value: {why}"))
+    plant, nuisance = _with_offsets(effects, "voltage", ("constant_load_torque",))
+    free = tuple(n for n in _own(plant, nuisance) if n not in held)
+    reasons = dict.fromkeys(held, f"held at the nominal value: {why}")
+    return SignalPlan(plant, motion, held, free, reasons, nuisance)
+
+
+def _with_offsets(
+    effects: tuple[str, ...], drive: Drive, offsets: tuple[str, ...]
+) -> tuple[PlantModel, tuple[str, ...]]:
+    """The plant with the offsets that are not in it already, and their parameters."""
+    added = tuple(e for e in offsets if e not in effects)
+    return build_plant((*effects, *added), drive), tuple(_NUISANCE[e] for e in added)
+
+
+def _own(plant: PlantModel, nuisance: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(n for n in plant.parameter_names if n not in nuisance)
 
 
 def _without_voltage(
     drive: Drive, motion: tuple[str, ...], effects: tuple[str, ...], nominal: Mapping[str, float]
 ) -> SignalPlan:
     # Heating is driven by R i², which nothing here can show; effects on the armature have no say without a voltage.
-    plant = build_plant(tuple(e for e in effects if e not in ("winding_heating", "brush_voltage_drop")), drive)
+    shown = tuple(e for e in effects if e not in ("winding_heating", "brush_voltage_drop", "current_sensor_offset"))
+    plant, nuisance = _with_offsets(shown, drive, ("constant_load_torque",))
     missing_signal = "voltage" if drive == "current" else "voltage and current"
     reasons = {name: f"no {missing_signal} measured: {name} not visible" for name in _HIDDEN_BY[drive]}
     if drive == "torque":
-        return SignalPlan(plant, motion, {}, plant.parameter_names, reasons)
+        return SignalPlan(plant, motion, {}, _own(plant, nuisance), reasons, nuisance)
     if "K" not in nominal:
         why = "no voltage is measured: only J/K and B/K are visible; give K as nominal value to determine J and B"
         return SignalPlan(None, (), {}, (), {p.name: why for p in LINEAR})
     reasons["K"] = "held at the nominal value: no voltage is measured, only J/K and B/K are visible"
-    free = tuple(n for n in plant.parameter_names if n != "K")
-    return SignalPlan(plant, motion, {"K": nominal["K"]}, free, reasons)
+    free = tuple(n for n in _own(plant, nuisance) if n != "K")
+    return SignalPlan(plant, motion, {"K": nominal["K"]}, free, reasons, nuisance)

@@ -16,6 +16,10 @@ _INFLATION = 3.0
 GOOD_STD = 0.15
 #: Beyond this relative std a logarithm of the regression's value means little.
 _USABLE_STD = 0.5
+#: What a regression over samples may be off by in any case (trapezoids, jitter), and where the winding is much faster
+#: than the sampling, 1 σ.
+_FLOOR_STD = 0.01
+_BLIND_STD = {"R": 0.2, "L": 0.5, "K": 0.1, "J": 0.2, "B": 0.5}
 #: A nominal value is a datasheet's, or a motor that has aged: 1 σ of its logarithm.
 _NOMINAL_STD = 0.7
 #: A guess from the regression's error alone, or an effect's start value: 1 σ.
@@ -34,13 +38,16 @@ def well_known(found: RegressionEstimate | None, names: Sequence[str]) -> bool:
 
 
 def starting_point(
-    free: Sequence[Parameter], found: RegressionEstimate | None, nominal: Mapping[str, float]
+    free: Sequence[Parameter],
+    found: RegressionEstimate | None,
+    nominal: Mapping[str, float],
+    sample_period_s: float = 0.0,
 ) -> Gaussian | None:
     """Mean and covariance of the free parameters' coordinates; None if nothing is known of one of R, L, K, J, B."""
     taken = [p for p in free if found is not None and _usable(p, found)]
     mean, covariance = np.zeros(len(free)), np.zeros((len(free), len(free)))
     if found is not None and taken:
-        _put_regression(free, taken, found, mean, covariance)
+        _put_regression(free, taken, found, mean, covariance, sample_period_s)
     for k, p in enumerate(free):
         if p in taken:
             continue
@@ -62,7 +69,12 @@ def _usable(p: Parameter, found: RegressionEstimate) -> bool:
 
 
 def _put_regression(
-    free: Sequence[Parameter], taken: Sequence[Parameter], found: RegressionEstimate, mean: np.ndarray, cov: np.ndarray
+    free: Sequence[Parameter],
+    taken: Sequence[Parameter],
+    found: RegressionEstimate,
+    mean: np.ndarray,
+    cov: np.ndarray,
+    sample_period_s: float,
 ) -> None:
     """The regression's values with their correlations, in estimated coordinates."""
     source = [found.names.index(p.name) for p in taken]
@@ -71,8 +83,18 @@ def _put_regression(
     slope = np.array([1.0 / v if p.transform == "log" else 1.0 for p, v in zip(taken, value, strict=True)])
     mean[target] = [to_coordinate(p, float(v)) for p, v in zip(taken, value, strict=True)]
     part = found.covariance[np.ix_(source, source)] * np.outer(slope, slope) * _INFLATION**2
-    floor = [1e-4 if p.transform == "log" else 0.0 for p in taken]  # 1 %: trapezoids and jitter
+    blind = _between_samples(found, sample_period_s)
+    floor = [(_FLOOR_STD + _BLIND_STD.get(p.name, 0.0) * blind) ** 2 if p.transform == "log" else 0.0 for p in taken]
     cov[np.ix_(target, target)] = (part + part.T) / 2 + np.diag(floor)
+
+
+def _between_samples(found: RegressionEstimate, sample_period_s: float) -> float:
+    """0 .. 1: how much of the winding's reaction happens between two samples, where the regression does not see it."""
+    if "R" not in found.names or "L" not in found.names:
+        return 0.0
+    R, L = (max(float(found.value[found.names.index(n)]), 1e-12) for n in ("R", "L"))
+    periods = sample_period_s * R / L
+    return periods / (1.0 + periods)
 
 
 def _guess(p: Parameter, found: RegressionEstimate | None, nominal: Mapping[str, float]) -> tuple[float, float] | None:

@@ -2,21 +2,43 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-
-import numpy as np
+from dataclasses import dataclass
 
 from servo_daemon.estimators import noise
-from servo_daemon.estimators.ekf import Innovations, NoiseLevels
+from servo_daemon.estimators.ekf import ChannelStatistics, NoiseLevels
 from servo_daemon.estimators.noise import ChannelNoise, ProcessNoise, Whiteness
-from servo_daemon.samples import F64
 
-#: Fewest innovations in a tick from which a correlation can be taken.
-_FEWEST_FOR_CORRELATION = 8
+#: Fewest innovations from which noise and correlation are learned.
+_FEWEST_TO_LEARN = 50
+_NOTHING = ChannelStatistics(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+#: The correlation of the current's innovations with the motion's a sample later is small: averaged over so long, s, and
+#: weighted up.
+_CROSS_MEMORY_S, _CROSS_WEIGHT = 10.0, 4.0
 #: Whiteness: leaves at the second value, returns at the first.
 _WHITE_IN, _WHITE_OUT = 0.15, 0.25
 #: White, but only because process noise was raised by this factor: not white.
 _UNEXPLAINED = 10.0
+#: A tick is unexplained above so many standard deviations of its mean square, or with so many outliers; settled below.
+_UNEXPLAINED_NIS, _SETTLED_NIS = 7.0, 4.0
+_FEWEST_GATED, _GATED_SHARE = 3, 0.03
+
+
+@dataclass(frozen=True, slots=True)
+class TickVerdict:
+    """What a tick's innovations look like.
+
+    Attributes:
+        nis: largest mean of ν²/s of a channel.
+        unexplained: beyond what the noise explains, and not by chance: outliers, or large and one following the other
+            (large but white is noise that has grown).
+        settled: as the noise has them.
+    """
+
+    nis: float
+    unexplained: bool
+    settled: bool
 
 
 class InnovationWatch:
@@ -35,6 +57,9 @@ class InnovationWatch:
         self._measured = measured
         self._channel: dict[str, ChannelNoise] = {}
         self._process: dict[str, ProcessNoise] = {}
+        self._pool: dict[str, tuple[ChannelStatistics, float]] = {}
+        self._updates: dict[str, int] = {}
+        self._crossed = 0.0
         self.whiteness: dict[str, Whiteness] = {}
         self.white = True
         self.gated = 0
@@ -43,6 +68,12 @@ class InnovationWatch:
         """Begin with these levels; what was found about the model before is forgotten."""
         self._channel = dict(channels)
         self._process = {}
+        self._pool, self._updates, self._crossed = {}, {}, 0.0
+
+    @property
+    def noise_var(self) -> dict[str, float]:
+        """Of the measured channels, in their units squared."""
+        return {name: c.var for name, c in self._channel.items()}
 
     def levels(self, input_rms: float, input_lsb: float | None, torque_Nm: float) -> NoiseLevels:
         """What the filter is to work with.
@@ -58,24 +89,43 @@ class InnovationWatch:
             tuple(self._channel[c].var for c in self._measured),
         )
 
-    def after(self, rows: F64, innovations: Innovations, duration_s: float) -> float:
-        """Take a tick's rows (see `EkfLayout`) and innovations; returns the largest mean of ν²/s of a channel."""
-        worst = 0.0
-        for k, name in enumerate(self._measured):
-            # A standing encoder repeats itself: what it says then is no sample of any noise.
-            chosen = rows[:, 5 + 3 * k] * (rows[:, 6 + 3 * k] == 1.0) > 0
-            nu, s = innovations.innovation[chosen, k], innovations.variance[chosen, k]
-            if len(nu) == 0:
+    def judge(self, statistics: Mapping[str, ChannelStatistics]) -> TickVerdict:
+        """Look at the innovations of a tick; nothing is learned yet."""
+        worst, unexplained, settled = 0.0, False, True
+        for s in statistics.values():
+            self.gated += int(s.gated)
+            if s.count < 1:
+                unexplained |= s.gated >= _FEWEST_GATED
                 continue
-            worst = max(worst, float(np.mean(np.square(nu) / s)))
-            if len(nu) >= _FEWEST_FOR_CORRELATION:
-                correlation, nis = noise.correlation_and_nis(nu, s)
-                self._process[name] = self._of(name).after(correlation, nis, follow=name == "current_A")
-            self.whiteness[name] = self.whiteness.get(name, Whiteness()).after(nu, s, duration_s)
-            self._channel[name] = noise.adapted(self._channel[name], nu, s, duration_s)
-        self.gated += int(innovations.gated.sum())
+            correlation, nis = s.correlation, s.nis
+            worst = max(worst, nis)
+            spread = math.sqrt(2.0 / s.count)  # of the mean square of as many white innovations
+            drifts = nis > 1.0 + _UNEXPLAINED_NIS * spread and correlation > max(0.2, 3.0 / math.sqrt(s.count))
+            unexplained |= drifts or s.gated >= max(_FEWEST_GATED, _GATED_SHARE * s.count)
+            settled &= nis < 1.0 + _SETTLED_NIS * spread and s.gated < _FEWEST_GATED
+        return TickVerdict(worst, unexplained, settled)
+
+    def learn(self, statistics: Mapping[str, ChannelStatistics], duration_s: float) -> None:
+        """Let a tick's innovations move noise levels and whiteness."""
+        for name, tick in statistics.items():
+            s, span_s = self._pool.get(name, (_NOTHING, 0.0))
+            s, span_s = s.joined(tick), span_s + duration_s
+            if s.count < _FEWEST_TO_LEARN:  # a slow drive: a tick is too small a sample
+                self._pool[name] = s, span_s
+                continue
+            self._pool.pop(name, None)
+            follow = None
+            if name == "current_A":
+                # What moves the current really moves the shaft a sample later; where the winding is faster than the
+                # sampling this alone tells voltage noise from sensor noise.
+                follow = s.correlation + _CROSS_WEIGHT * self._crossed
+            self._process[name] = self._of(name).after(s.correlation, s.nis, follow)
+            self.whiteness[name] = self.whiteness.get(name, Whiteness()).after(s.correlation, s.nis, span_s)
+            if name == self._measured[-1]:
+                self._crossed += (1.0 - math.exp(-span_s / _CROSS_MEMORY_S)) * (s.crossed - self._crossed)
+            self._updates[name] = self._updates.get(name, 0) + 1
+            self._channel[name] = noise.adapted(self._channel[name], s.excess, span_s, self._updates[name])
         self._judge()
-        return worst
 
     def _of(self, name: str) -> ProcessNoise:
         return self._process.get(name, ProcessNoise())

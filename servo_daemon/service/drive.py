@@ -30,6 +30,7 @@ _FAILURE_SAID_EVERY_S = 60.0
 #: Line events that a user should be warned of; the others are information.
 _WARNINGS = (
     "disconnected", "unavailable", "misconfigured", "silent", "device_restarted", "pipeline_failed", "filter_restarted",
+    "model_mismatch", "channel_frozen",
 )  # fmt: skip
 
 

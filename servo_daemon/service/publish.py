@@ -68,9 +68,7 @@ def published_names(config: DriveConfig) -> tuple[str, ...]:
 
 def estimate(config: DriveConfig, tracker: Tracker, samples: int) -> Estimate:
     """The published record of this moment."""
-    running = tracker.ekf is not None and tracker.ekf.started
-    gaussian = tracker.ekf.estimate() if tracker.ekf is not None and running else None
-    parameters = _parameters(config, tracker, gaussian)
+    parameters = _parameters(config, tracker, tracker.published())
     assert tracker.last_s is not None
     period = tracker.sample_period_s
     return Estimate(
@@ -80,7 +78,7 @@ def estimate(config: DriveConfig, tracker: Tracker, samples: int) -> Estimate:
         model=config.model,
         parameters=parameters,
         state=_state(tracker),
-        estimators=_views(tracker, gaussian),
+        estimators=_views(tracker),
         health=_health(tracker),
     )
 
@@ -153,37 +151,40 @@ def _state(tracker: Tracker) -> dict[str, float | None]:
     return state
 
 
-def _views(tracker: Tracker, gaussian: Gaussian | None) -> dict[str, EstimatorView]:
+def _views(tracker: Tracker) -> dict[str, EstimatorView]:
     views = {}
-    if gaussian is not None:
-        views["ekf"] = EstimatorView(_natural(gaussian), {"restarts": tracker.restarts})
+    if tracker.ekf is not None and tracker.ekf.started:
+        views["ekf"] = EstimatorView(
+            _natural(tracker.ekf.estimate(), tracker.plan.nuisance), {"restarts": tracker.restarts}
+        )
     rls = tracker.rls.estimate() if tracker.rls is not None else None
-    views["rls"] = EstimatorView({} if rls is None else _regression(rls))
+    views["rls"] = EstimatorView({} if rls is None else _regression(rls, tracker.plan.nuisance))
     return views
 
 
-def _regression(e: RegressionEstimate) -> Mapping[str, tuple[float | None, float | None]]:
+def _regression(e: RegressionEstimate, hidden: tuple[str, ...]) -> Mapping[str, tuple[float | None, float | None]]:
     """Possible values only: a negative resistance says that the regression does not know yet."""
     table = parameter_table()
     return {
         name: (finite_or_none(float(value)), finite_or_none(float(std)))
         for name, value, std in zip(e.names, e.value, e.std, strict=True)
-        if table[name].lower <= value <= table[name].upper
+        if name not in hidden and table[name].lower <= value <= table[name].upper
     }
 
 
-def _natural(g: Gaussian) -> Mapping[str, tuple[float | None, float | None]]:
+def _natural(g: Gaussian, hidden: tuple[str, ...]) -> Mapping[str, tuple[float | None, float | None]]:
     table = parameter_table()
     pairs = (
         (name, from_coordinate(table[name], float(m), float(s)))
         for name, m, s in zip(g.names, g.mean, g.std, strict=True)
+        if name not in hidden
     )
     return {name: (finite_or_none(value), finite_or_none(std)) for name, (value, std) in pairs}
 
 
 def _health(tracker: Tracker) -> dict[str, float | int | bool | str | None]:
     health: dict[str, float | int | bool | str | None] = {
-        "innovation_white": tracker.watch.white if tracker.watch.whiteness else None,
+        "innovation_white": tracker.explained if tracker.watch.whiteness else None,
         "gated_samples": tracker.watch.gated,
         "filter_restarts": tracker.restarts,
     }

@@ -150,17 +150,18 @@ def test_a_short_lie_of_a_sensor(name: str, how: str) -> None:
     rest = recording().slice(WELL + len(bad), LATER)
     assert feed(pipeline, concatenate([changed(bad, **{name: values}), rest])) < FEW_STD
     gated = current(pipeline).health["gated_samples"]
-    assert isinstance(gated, int) and gated > 10
+    assert isinstance(gated, int) and gated > 0
 
 
-def test_a_sensor_that_lies_for_long_is_told_by_the_innovations() -> None:
-    """What is believed must not look well: a current frozen for two seconds shows as innovations that are not white."""
+def test_a_sensor_that_lies_for_long_is_not_believed_and_told_of() -> None:
+    """A current frozen for two seconds moves nothing, and is an event; so is its coming back."""
     pipeline = settled()
     bad = recording().slice(WELL, WELL + 2000)
     assert bad.current_A is not None
-    feed(pipeline, changed(bad, current_A=bad.current_A[0]))
-    assert current(pipeline).health["innovation_white"] is False
-    assert pipeline.save() is None or current(pipeline).health["nis_current"] is not None
+    assert feed(pipeline, changed(bad, current_A=bad.current_A[0])) < FEW_STD
+    assert [m[0] for m in pipeline.messages][-1] == "channel_frozen"
+    assert feed(pipeline, recording().slice(WELL + 2000, LATER)) < FEW_STD
+    assert [m[0] for m in pipeline.messages][-1] == "channel_alive"
 
 
 def test_repeated_time_stamps_are_left_out_and_counted() -> None:

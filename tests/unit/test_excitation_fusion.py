@@ -7,7 +7,7 @@ import pytest
 
 from servo_daemon.estimators import excitation
 from servo_daemon.estimators.excitation import Excitation
-from servo_daemon.estimators.fusion import Qualification, fuse
+from servo_daemon.estimators.fusion import Qualification, confirms, fuse
 from servo_daemon.plant.parameters import J, L
 
 
@@ -18,7 +18,7 @@ def fed(e: Excitation, std: float, seconds: float = 6.0) -> None:
 
 
 def test_enters_and_leaves_with_hysteresis() -> None:
-    e = Excitation(np.ones(1))
+    e = Excitation(1)
     between = (excitation.ENTER + excitation.LEAVE) / 2
     fed(e, between)
     assert not e.excited[0]
@@ -31,7 +31,7 @@ def test_enters_and_leaves_with_hysteresis() -> None:
 
 
 def test_old_information_is_forgotten() -> None:
-    e = Excitation(np.ones(1))
+    e = Excitation(1)
     fed(e, 0.01)
     assert e.excited[0]
     for _ in range(60):
@@ -39,15 +39,53 @@ def test_old_information_is_forgotten() -> None:
     assert not e.excited[0]
 
 
+def test_what_the_balances_do_not_determine_is_not_excited_however_long_one_looks() -> None:
+    e = Excitation(1)
+    e.determine(np.array([[0.5 * excitation.SYSTEMATIC_ENTER**-2]]), np.array([True]))
+    fed(e, 0.001)
+    assert not e.excited[0]
+    e.determine(np.array([[2.0 * excitation.SYSTEMATIC_ENTER**-2]]), np.array([True]))
+    fed(e, 0.001)
+    assert e.excited[0]
+    e.determine(np.array([[2.0 * excitation.SYSTEMATIC_LEAVE**-2]]), np.array([True]))
+    fed(e, 0.001)
+    assert e.excited[0]
+    e.determine(np.zeros((1, 1)), np.array([True]))
+    fed(e, 0.001)
+    assert not e.excited[0]
+
+
+def test_single_parameters_are_held_and_those_seen_together_are_not() -> None:
+    """Of three the first two show as their sum only, the third not at all."""
+    e = Excitation(3)
+    e.determine(1e6 * np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 0.0]]), np.ones(3, dtype=bool))
+    for _ in range(60):
+        e.update(np.full(3, 1e6), 0.1)
+    assert not e.excited.any()
+    assert e.held(np.ones(3, dtype=bool)).tolist() == [False, False, True]
+    assert e.held(np.array([True, True, False])).tolist() == [False, False, False]
+
+
+YES, NO = np.array([True]), np.array([False])
+
+
 def test_qualification_needs_excitation_and_has_hysteresis() -> None:
     q = Qualification(1)
-    q.update(np.array([0.01]), np.array([False]))
+    q.update(np.array([0.01]), NO, YES)
     assert not q.qualified[0]
-    q.update(np.array([0.01]), np.array([True]))
-    q.update(np.array([0.10]), np.array([False]))
+    q.update(np.array([0.01]), YES, YES)
+    q.update(np.array([0.10]), NO, YES)
     assert q.qualified[0]
-    q.update(np.array([0.20]), np.array([True]))
+    q.update(np.array([0.20]), YES, YES)
     assert not q.qualified[0]
+
+
+def test_what_no_other_estimator_confirms_does_not_qualify() -> None:
+    q = Qualification(1)
+    q.update(np.array([0.01]), YES, NO)
+    assert not q.qualified[0]
+    assert confirms(1.0, 0.05, 1.2) and not confirms(1.0, 0.02, 1.5)
+    assert not confirms(1.0, 0.4, 1.0)
 
 
 def published(**changes: object) -> tuple[str, float | None, str | None]:

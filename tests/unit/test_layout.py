@@ -13,7 +13,8 @@ LSB = 1e-3
 
 def doubts(counts: list[int], cuts: tuple[int, ...] = ()) -> np.ndarray:
     """Factors on the encoder's variance for these counts, delivered in blocks cut there."""
-    layout = Layout("voltage", ("current_A", "position_rad"), position_lsb=LSB)
+    layout = Layout("voltage", ("current_A", "position_rad"))
+    layout.expect_steps(LSB, 0.0)
     n = len(counts)
     t, zero = np.arange(n) * 1e-3, np.zeros(n)
     block = make_block(t, voltage_V=zero, current_A=zero, position_rad=LSB * np.array(counts))

@@ -30,7 +30,7 @@ def test_a_signal_without_steps_has_no_step() -> None:
 def test_a_quantised_channel_is_never_better_than_its_step() -> None:
     start = noise.initial_noise(np.repeat([0.0, 1e-3], 50), 1e-3)
     assert start.var >= 1e-6 / 12
-    quiet = noise.adapted(start, np.zeros(100), np.full(100, start.var), 100.0)
+    quiet = noise.adapted(start, -start.var, 100.0)
     assert quiet.var >= 1e-6 / 12
 
 
@@ -39,19 +39,9 @@ def test_adaptation_finds_the_level_from_innovations(true_std: float) -> None:
     rng = np.random.default_rng(2)
     level = ChannelNoise(0.05**2, 1e-12)
     for _ in range(600):
-        s0 = 1e-6
-        level = noise.adapted(level, true_std * rng.normal(size=100), np.full(100, s0 + level.var), 0.1)
+        squared = np.minimum((true_std * rng.normal(size=100)) ** 2, 16 * level.var)
+        level = noise.adapted(level, float(np.mean(squared - level.var)), 0.1)
     assert level.var == pytest.approx(true_std**2, rel=0.2)
-
-
-def test_outliers_do_not_teach() -> None:
-    level = ChannelNoise(1.0, 1e-12)
-    innovations = np.zeros(1000)
-    innovations[::100] = 1e9
-    innovations[1::2] = np.random.default_rng(3).normal(size=500) * 2**0.5
-    for _ in range(100):
-        level = noise.adapted(level, innovations, np.full(1000, level.var), 0.1)
-    assert 0.5 < level.var < 2.0
 
 
 def test_process_noise_rises_on_drifting_innovations_and_falls_back() -> None:
@@ -69,13 +59,17 @@ def test_process_noise_ignores_a_slow_encoder() -> None:
     assert ProcessNoise().after(correlation=0.99, nis=0.01).factor == 1.0
 
 
+def correlation_and_nis(e: np.ndarray) -> tuple[float, float]:
+    nis = float(np.mean(e * e))
+    return float(np.sum(e[1:] * e[:-1])) / (len(e) * nis), nis
+
+
 def test_whiteness_of_white_and_of_coloured_innovations() -> None:
     rng = np.random.default_rng(4)
     white, coloured = Whiteness(), Whiteness()
     for _ in range(300):
-        e = rng.normal(size=100)
-        white = white.after(e, np.ones(100), 0.1)
-        coloured = coloured.after(np.convolve(rng.normal(size=101), [1, 1], "valid"), np.ones(100), 0.1)
+        white = white.after(*correlation_and_nis(rng.normal(size=100)), 0.1)
+        coloured = coloured.after(*correlation_and_nis(np.convolve(rng.normal(size=101), [1, 1], "valid")), 0.1)
     assert abs(white.correlation) < 0.05 and white.nis == pytest.approx(1.0, abs=0.1)
     assert coloured.correlation == pytest.approx(0.5, abs=0.07)
 
@@ -84,12 +78,12 @@ def test_the_share_of_the_input_is_steered_to_white_innovations() -> None:
     """Sizes fit, but neighbours are alike: part of what is taken for sensor noise comes in through the voltage."""
     level = ProcessNoise()
     for _ in range(60):
-        level = level.after(correlation=0.2, nis=1.0, follow=True)
+        level = level.after(correlation=0.2, nis=1.0, follow=0.2)
     assert level.factor > 3
     held = ProcessNoise()
     for _ in range(60):
         held = held.after(correlation=0.2, nis=1.0)
     assert held.factor == 1.0
     for _ in range(2000):
-        level = level.after(correlation=-0.2, nis=1.0, follow=True)
+        level = level.after(correlation=-0.2, nis=1.0, follow=-0.2)
     assert level.factor == 1.0

@@ -1,0 +1,132 @@
+"""Sudden changes: told apart from noise, from slow drift and from what no parameter explains.
+
+A tick whose innovations the noise does not explain is not learned from: the parameters go back to what they were before
+it. A wrong sample or two, a lost encoder count, a voltage that read zero for a moment end there. If such ticks go on,
+something has changed: the parameters' covariance is opened for a moment. Either they settle on new values and the
+innovations are white again: a jump, reported with its time and size; or they do not: no parameter explains it, what was
+known before is put back, and it is left to the process noise and the mismatch watch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_daemon.estimators.base import from_coordinate
+from servo_daemon.estimators.settings import Message
+from servo_daemon.plant.parameters import Parameter
+from servo_daemon.samples import F64
+
+#: Ticks with unexplained innovations (others count a quarter against) until the covariance is opened: 0.3 s.
+_TICKS_TO_OPEN = 3.0
+#: Ticks the filter has to settle: at least and at most; so many in a row must be explained again.
+_OPEN_LEAST, _OPEN_MOST, _SETTLED = 10, 30, 5
+#: After something that no parameter explained the watch rests, ticks.
+_REST = 300
+#: By how much a coordinate's covariance is opened, 1 σ over its scale: below the loss of qualification.
+OPEN_STD = 0.13
+#: The same for signed parameters (a load torque), which have no qualification to lose by it.
+OPEN_SIGNED_STD = 0.5
+#: A parameter has jumped when it moved by this many standard deviations, and by this much of its size.
+_SIGNIFICANT, _NOTICEABLE = 6.0, 0.02
+#: Beside a large jump of one, others are named only if they are this share as significant: they have been pulled along.
+_BESIDE = 0.3
+
+#: What the filter is to do with the tick it has just worked through.
+Action = Literal["learn", "undo", "open", "settle", "accept", "reject"]
+
+
+class JumpWatch:
+    """Decides, tick by tick. It holds no estimate itself."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        self._score = 0.0
+        self._open_ticks = self._settled = self._rest = 0
+        self.is_open = False
+
+    @property
+    def quiet(self) -> bool:
+        """Nothing unexplained is being looked into: what is known now is what a restart of the daemon may keep."""
+        return self._score == 0.0 and not self.is_open
+
+    def judge(self, unexplained: bool, settled: bool) -> Action:
+        """Take a tick.
+
+        Args:
+            unexplained: its innovations are beyond what the noise explains.
+            settled: they are as the noise has them.
+        """
+        if self.is_open:
+            return self._judge_open(settled)
+        if self._rest > 0:
+            self._rest -= 1
+            return "learn"
+        if not unexplained:
+            self._score = max(0.0, self._score - 0.25)
+            return "learn"
+        self._score += 1.0
+        if self._score < _TICKS_TO_OPEN:
+            return "undo"
+        self.is_open, self._open_ticks, self._settled = True, 0, 0
+        return "open"
+
+    def _judge_open(self, settled: bool) -> Action:
+        self._open_ticks += 1
+        self._settled = self._settled + 1 if settled else 0
+        if self._open_ticks >= _OPEN_LEAST and self._settled >= _SETTLED:
+            self.reset()
+            return "accept"
+        if self._open_ticks >= _OPEN_MOST:
+            self.reset()
+            self._rest = _REST
+            return "reject"
+        return "settle"
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """The parameters before something happened: coordinates (n,), covariance (n, n), and when, s of device time."""
+
+    names: tuple[str, ...]
+    mean: F64
+    covariance: F64
+    time_s: float
+
+
+def jumped(before: Known, mean: F64, std: F64, scales: F64, candidates: NDArray[np.bool_]) -> list[int]:
+    """Indices of the parameters that moved, the most significant first.
+
+    Args:
+        mean, std: after it, shape (n,).
+        scales: one unit of each coordinate, shape (n,).
+        candidates: which may be named, shape (n,).
+    """
+    moved = np.abs(mean - before.mean)
+    z = moved / np.sqrt(np.diag(before.covariance) + std**2)
+    possible = candidates & (z > _SIGNIFICANT) & (moved > _NOTICEABLE * scales)
+    significant = possible & (z > _BESIDE * np.max(z, where=possible, initial=0.0))
+    return [int(k) for k in np.argsort(-z) if significant[k]]
+
+
+def message(parameter: Parameter, before: Known, coordinate: float, time_s: float) -> Message:
+    """The event: when, from where, to where, in the parameter's unit."""
+    k = before.names.index(parameter.name)
+    old, _ = from_coordinate(parameter, float(before.mean[k]), 0.0)
+    new, _ = from_coordinate(parameter, coordinate, 0.0)
+    size = f"{100 * (new / old - 1):+.1f} %" if parameter.transform == "log" else f"{new - old:+.3g} {parameter.unit}"
+    text = f"{parameter.name} stepped from {old:.4g} to {new:.4g} {parameter.unit} ({size})"
+    data: dict[str, float | int | str | None] = {
+        "parameter": parameter.name,
+        "unit": parameter.unit,
+        "from": old,
+        "to": new,
+        "time_s": before.time_s,
+        "recognised_s": time_s,
+    }
+    return "parameter_jump", text, data
