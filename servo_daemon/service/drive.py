@@ -13,7 +13,9 @@ from pathlib import Path
 from drivers.base import Driver
 from servo_daemon.config import DriveConfig
 from servo_daemon.errors import NumericalError
+from servo_daemon.estimators.settings import Message
 from servo_daemon.samples import SampleBlock, concatenate
+from servo_daemon.service.alarms import Alarms
 from servo_daemon.service.history import HistoryRing
 from servo_daemon.service.persist import StateFile
 from servo_daemon.service.pipeline import Pipeline, all_finite
@@ -30,7 +32,7 @@ _FAILURE_SAID_EVERY_S = 60.0
 #: Line events that a user should be warned of; the others are information.
 _WARNINGS = (
     "disconnected", "unavailable", "misconfigured", "silent", "device_restarted", "pipeline_failed", "filter_restarted",
-    "model_mismatch", "channel_frozen",
+    "model_mismatch", "channel_frozen", "alarm", "alarm_impossible",
 )  # fmt: skip
 
 
@@ -65,6 +67,8 @@ class DriveRuntime:
         self._unwritable = False
         self._link: Link = self.reader.link
         self._initial = initial_parameters(published_parameters(config), config.nominal)
+        self._alarms = Alarms(config)
+        self._tell(self._alarms.impossible)
         self._snapshot = self._make_snapshot()
 
     @property
@@ -144,10 +148,12 @@ class DriveRuntime:
         estimate = pipeline.current()
         if estimate is not None and not all_finite(estimate):
             raise NumericalError("an estimate is not a number")
-        self._estimate = estimate
-        for kind, message, data in pipeline.messages:
-            self._event(kind, message, data)
+        self._tell(pipeline.messages)
         pipeline.messages.clear()
+        if estimate is not None:
+            self._tell(self._alarms.update(estimate))
+            estimate = replace(estimate, health={**estimate.health, "alarms": self._alarms.active})
+        self._estimate = estimate
 
     def _pipeline_for_device(self) -> Pipeline:
         """The pipeline of the device that is attached now; a new device starts from what is known of it."""
@@ -157,6 +163,7 @@ class DriveRuntime:
         if self._pipeline is None or other:
             if self._pipeline is not None:
                 self._event("device_changed", f"another device is attached: {info.identity}", {})
+                self._tell(self._alarms.forget("another device is attached"))
             saved = self._file.load(info.identity, self.config.model)
             if saved is not None:
                 self._event("state_restored", "estimates of the last run restored", {})
@@ -188,6 +195,7 @@ class DriveRuntime:
             self._pipeline.reset()
         self._estimate = None
         self._event("reset", "estimates reset by request", {})
+        self._tell(self._alarms.forget("estimates were reset"))
 
     def _follow_link(self, changed: bool) -> None:
         """Publish when something changed; say once when the drive falls silent or speaks again."""
@@ -240,6 +248,10 @@ class DriveRuntime:
 
     def _line_event(self, kind: str, message: str) -> None:
         self._event(kind, message, {})
+
+    def _tell(self, messages: Sequence[Message]) -> None:
+        for kind, message, data in messages:
+            self._event(kind, message, data)
 
     def _event(self, kind: str, message: str, data: Mapping[str, float | int | str | None]) -> None:
         level = logging.WARNING if kind in _WARNINGS else logging.INFO

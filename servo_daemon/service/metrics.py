@@ -107,6 +107,7 @@ def _add_estimate(out: Exposition, drive: str, estimate: Estimate, counters: set
     )
     for parameter in estimate.parameters:
         _add_parameter(out, drive, parameter)
+    _add_alarms(out, drive, estimate)
     for name, value in estimate.state.items():
         stem, unit = split_unit(name)
         word, text = (_clean(stem), "") if unit is None else (f"{_clean(stem)}_{unit_words(unit)}", f" in {unit}")
@@ -136,6 +137,24 @@ def _add_parameter(out: Exposition, drive: str, p: ParameterEstimate) -> None:
             parameter=p.name,
             status=status,
         )
+
+
+def _add_alarms(out: Exposition, drive: str, estimate: Estimate) -> None:
+    """Both sides of every parameter, so that an alarm which ends goes to 0 instead of vanishing."""
+    if "alarms" not in estimate.health:
+        return
+    active = str(estimate.health["alarms"] or "").split(",")
+    for parameter in estimate.parameters:
+        for limit in ("min", "max"):
+            out.add(
+                _PREFIX + "parameter_alarm",
+                "gauge",
+                "1 while the parameter is beyond the limit that the configuration sets.",
+                f"{parameter.name}_{limit}" in active,
+                drive=drive,
+                parameter=parameter.name,
+                limit=limit,
+            )
 
 
 def _health_word(key: str) -> tuple[str, float]:
