@@ -16,8 +16,9 @@ from dataclasses import replace
 import numpy as np
 
 from servo_daemon.estimators.base import Gaussian
-from servo_daemon.estimators.ekf import Ekf, NoiseLevels
+from servo_daemon.estimators.ekf import Ekf
 from servo_daemon.estimators.ekf_layout import EkfLayout
+from servo_daemon.estimators.ekf_records import NoiseLevels
 from servo_daemon.estimators.excitation import Excitation
 from servo_daemon.estimators.fusion import Qualification
 from servo_daemon.plant.build import build_plant

@@ -14,7 +14,8 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 
 from servo_daemon.estimators.base import Gaussian
-from servo_daemon.estimators.ekf import Ekf, NoiseLevels
+from servo_daemon.estimators.ekf import Ekf
+from servo_daemon.estimators.ekf_records import NoiseLevels
 from servo_daemon.plant.build import build_plant
 from servo_daemon.samples import F64
 from tests.recovery.generator import PAPER, Motor, Plan, Scenario, Sensors, generate, stream

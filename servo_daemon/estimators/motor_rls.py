@@ -6,22 +6,16 @@ and B from the shaft with that K); with less, what is missing must be given (`kn
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
 
+from servo_daemon.estimators.balance_window import BalanceWindow
 from servo_daemon.estimators.balances import (
-    GramWindow,
-    armature_slopes,
     column_noise,
-    information,
-    mismatch_std,
-    noise_gram,
-    shaft_slopes,
 )
-from servo_daemon.estimators.excitation import WINDOW_S
 from servo_daemon.estimators.modulating import Windows, make_windows
 from servo_daemon.estimators.rls import DirectionalRls, LinearEstimate
 from servo_daemon.estimators.stretch import Stretch, between_samples, joined, last, median, motion, speed_sign
@@ -74,8 +68,8 @@ class MotorRls:
         self._plant, self._known = plant, dict(known)
         self._shaft_columns = ("J", "B", *(c for e in plant.effects for c in _SHAFT_COLUMNS.get(e, ())))
         self._armature_columns = (*_ARMATURE, *(("one",) if "current_sensor_offset" in plant.effects else ()))
-        self._grams = {"armature": GramWindow(WINDOW_S), "shaft": GramWindow(WINDOW_S)}
-        self._end_s = 0.0
+        given_torque = plant.drive == "voltage" and bool(known)
+        self.window = BalanceWindow(self._armature_columns, self._shaft_columns, judges_mismatch=not given_torque)
         self._armature: DirectionalRls | None = None
         self._shaft: DirectionalRls | None = None
         self._pending: list[Stretch] = []
@@ -94,8 +88,7 @@ class MotorRls:
         self._armature = self._shaft = None
         self._estimate, self._updates, self._pending = None, 0, []
         self._next = {"armature": 0.0, "shaft": 0.0}
-        for window in self._grams.values():
-            window.clear()
+        self.window.clear()
 
     def update(self, new: Stretch, noise_var: Mapping[str, float]) -> bool:
         """Take the samples of one tick; windows reach back into earlier ones. Returns whether they were worked off.
@@ -111,7 +104,7 @@ class MotorRls:
         if self._updates > _EAGER_UPDATES and self._updates % _BATCH:
             return False
         stretch = recorded = joined(self._pending)
-        self._end_s = float(stretch.time_s[-1])
+        self.window.advance(float(stretch.time_s[-1]))
         if len(stretch.time_s) >= _FEWEST_SAMPLES:
             period = median(stretch.time_s[1:] - stretch.time_s[:-1])
             stretch = between_samples(stretch, self._rest_of_lag(period))
@@ -141,69 +134,11 @@ class MotorRls:
         x = min(max(period_s * R / L, 1e-3), 1e3)
         return float(1.0 / -np.expm1(-x) - 1.0 / x) - 0.5
 
-    def determined(self, names: Sequence[str], value: Mapping[str, float], noise_var: Mapping[str, float]) -> F64:
-        """Information on the coordinates of `names` that the last `WINDOW_S` hold if the balances are only nearly right
-        (`balances.py`), shape (n, n); rows of parameters that are in no regression are zero.
-
-        Args:
-            value: of all parameters, natural units.
-            noise_var: of the measured channels.
-        """
-        out = np.zeros((len(names), len(names)))
-        total = self._grams["armature"].total(self._end_s)
-        if total is not None:
-            columns = (*self._armature_columns, "y")
-            noise = noise_gram(columns, total[1], noise_var, None)
-            out += information(total[0], noise, armature_slopes(columns, value), names, 1.0)
-        total = self._grams["shaft"].total(self._end_s)
-        if total is not None:
-            per_current = self._armature is not None
-            columns = (*self._shaft_columns, "y")
-            noise = noise_gram(columns, total[1], noise_var, "current_A" if per_current else None)
-            slopes = shaft_slopes(columns, value, per_current)
-            out += information(total[0], noise, slopes, names, value["K"] if per_current else 1.0)
-        return out
-
-    def mismatch(
-        self, value: Mapping[str, float], noise_var: Mapping[str, float], sample_period_s: float
-    ) -> dict[str, float]:
-        """1 σ of the coordinates by which they may be off because the balances do not close over the last `WINDOW_S`.
-
-        Args:
-            value: of all parameters, natural units.
-            noise_var: of the measured channels, what the current does between two samples included.
-            sample_period_s: a winding much faster than this cannot be judged by integrals over samples.
-        """
-        out: dict[str, float] = {}
-        if self._plant.drive == "voltage" and self._known:
-            return out  # without a current the torque is itself only nearly known
-        total = self._grams["armature"].total(self._end_s)
-        if total is not None and value["L"] > 2.0 * sample_period_s * value["R"]:
-            columns = (*self._armature_columns, "y")
-            slopes = armature_slopes(columns, value)
-            noise = np.diag(noise_gram(columns, total[1], noise_var, None))
-            out |= mismatch_std(total[0], _explained(noise, slopes, 1.0), slopes)
-        total = self._grams["shaft"].total(self._end_s)
-        if total is not None:
-            per_current = self._armature is not None
-            columns = (*self._shaft_columns, "y")
-            slopes = shaft_slopes(columns, value, per_current)
-            noise = np.diag(noise_gram(columns, total[1], noise_var, "current_A" if per_current else None))
-            size = value["K"] if per_current else 1.0
-            found = mismatch_std(total[0], _explained(noise, slopes, size), {n: s / size for n, s in slopes.items()})
-            out |= {name: std for name, std in found.items() if name not in out}
-        return out
-
     @property
     def in_regression(self) -> tuple[str, ...]:
         """Names that `determined` can say something of."""
         offset = ("i0",) if "one" in self._armature_columns else ()
         return (*self.names, *offset) if "R" in self.names else self.names
-
-    def begin_window(self) -> None:
-        """What the window holds is of another motor: a parameter has jumped."""
-        for window in self._grams.values():
-            window.clear()
 
     def _windows(self, s: Stretch, span_s: float, period: float, which: str) -> Windows | None:
         """Windows that have not been used yet, half overlapping, none across unusable samples."""
@@ -232,7 +167,7 @@ class MotorRls:
             columns.append(w.integral(np.ones_like(s.time_s)))
         Phi, y = np.column_stack(columns), w.held(s.voltage)
         self._armature.update(Phi, y, self._regressor_noise(self._armature_columns, w))
-        self._grams["armature"].add(float(s.time_s[-1]), Phi, y, w.weight_squares)
+        self.window.add_armature(float(s.time_s[-1]), Phi, y, w.weight_squares)
 
     def _shaft_rows(self, s: Stretch, period: float) -> None:
         if "coulomb_friction" in self._plant.effects:  # at rest it holds with any torque up to its level
@@ -251,7 +186,7 @@ class MotorRls:
         if y is not None:
             Phi = np.column_stack(columns)
             self._shaft.update(Phi, y, self._regressor_noise(self._shaft_columns, w))
-            self._grams["shaft"].add(float(s.time_s[-1]), Phi, y, w.weight_squares)
+            self.window.add_shaft(float(s.time_s[-1]), Phi, y, w.weight_squares)
 
     def _effect_columns(self, effect: str, w: Windows, s: Stretch) -> list[F64]:
         if effect == "coulomb_friction":
@@ -296,15 +231,6 @@ class MotorRls:
         if "sin" in names:
             value, covariance = _amplitude_and_phase(value, covariance, names.index("sin"))
         return RegressionEstimate(tuple(_GIVES.get(n, n) for n in names), value, covariance)
-
-
-def _explained(noise: F64, slopes: Mapping[str, F64], size_per_y: float) -> float:
-    """The sum of squares that noise, shape (m + 1,), leaves of a fit with these slopes."""
-    coefficients = np.zeros(len(noise))
-    for slope in slopes.values():
-        coefficients = np.maximum(coefficients, np.abs(slope) / size_per_y)
-    coefficients[-1] = 1.0
-    return float(np.square(coefficients) @ noise)
 
 
 def _first(e: LinearEstimate | None, n: int) -> LinearEstimate | None:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from servo_daemon.estimators import noise
-from servo_daemon.estimators.ekf import ChannelStatistics, NoiseLevels
+from servo_daemon.estimators.ekf_records import ChannelStatistics, NoiseLevels
 from servo_daemon.estimators.noise import ChannelNoise, ProcessNoise, Whiteness
 
 #: Fewest innovations from which noise and correlation are learned.

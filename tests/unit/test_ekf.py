@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from servo_daemon.estimators.base import Gaussian
-from servo_daemon.estimators.ekf import Ekf, NoiseLevels
+from servo_daemon.estimators.ekf import Ekf
+from servo_daemon.estimators.ekf_records import NoiseLevels
 from servo_daemon.estimators.filterpy_ekf import FilterpyLoop
 from servo_daemon.plant.build import PlantModel, build_plant
 from servo_daemon.samples import SampleBlock

@@ -1,0 +1,89 @@
+"""Does with the filter what the watch for jumps decides, and knows what to publish meanwhile."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from servo_daemon.estimators import jumps
+from servo_daemon.estimators.base import Gaussian
+from servo_daemon.estimators.ekf import Ekf
+from servo_daemon.estimators.jumps import JumpWatch, Known
+from servo_daemon.estimators.motor_rls import MotorRls
+from servo_daemon.estimators.parameter_judge import ParameterJudge
+from servo_daemon.estimators.roster import Roster
+from servo_daemon.estimators.settings import Message
+from servo_daemon.samples import F64
+
+
+class JumpActions:
+    """One drive's. `watch` decides, `remember` is called after every tick that is quiet."""
+
+    def __init__(self, roster: Roster, ekf: Ekf, rls: MotorRls, judge: ParameterJudge) -> None:
+        self._roster, self._ekf, self._rls, self._judge = roster, ekf, rls, judge
+        self.watch = JumpWatch()
+        self._before: tuple[F64, float] | None = None
+
+    def reset(self) -> None:
+        self.watch.reset()
+        self._before = None
+
+    def remember(self, time_s: float) -> None:
+        """What is known now, unless something is being looked into."""
+        if self.watch.quiet:
+            self._before = self._ekf.snapshot(), time_s
+
+    def act(self, action: jumps.Action, time_s: float) -> list[Message]:
+        """Do with the last tick what the watch for jumps has decided."""
+        if self._before is None or action in ("learn", "settle"):
+            return []
+        before = self._known_before()
+        if action in ("undo", "open", "reject"):
+            self._ekf.put_parameters(before.mean, before.covariance)
+            self._ekf.forget_motion(self._ekf.x)  # it was led astray as well
+        if action == "open":
+            self._ekf.widen_parameters(self._opening())
+        if action == "accept":
+            return self._report(before, time_s)
+        return []
+
+    def _known_before(self) -> Known:
+        """What was known of the parameters before something happened."""
+        assert self._before is not None
+        assert self._before is not None
+        state, time_s = self._before
+        mean, covariance = self._ekf.parameters_of(state)
+        return Known(self._roster.names, mean, covariance, time_s)
+
+    def _opening(self) -> F64:
+        """Added to the coordinates' variances while a jump is looked for, shape (n,)."""
+        std = np.where(self._roster.logarithmic, jumps.OPEN_STD, jumps.OPEN_SIGNED_STD) * self._judge.excitation.scales
+        return np.asarray(np.where(self._roster.free, std**2, 0.0))
+
+    def _report(self, before: Known, time_s: float) -> list[Message]:
+        excitation, qualified = self._judge.excitation, self._judge.qualification.qualified
+        excitation, qualified = self._judge.excitation, self._judge.qualification.qualified
+        candidates = (self._roster.published & qualified & excitation.excited) | self._roster.nuisance
+        moved = jumps.jumped(before, self._ekf.coordinates, self._ekf.coordinate_std, excitation.scales, candidates)
+        self._rls.window.clear()
+        stayed = self._roster.free.copy()
+        stayed[moved] = False
+        self._ekf.recall(stayed, before.mean, before.covariance)
+        after = self._ekf.coordinates
+        return [
+            jumps.message(self._roster.parameters[k], before, float(after[k]), time_s)
+            for k in moved
+            if self._roster.published[k]
+        ]
+
+    def published(self) -> Gaussian | None:
+        """What is to be published of all parameters; None before the filter runs. Beside the filter's own spread: what
+        the balances leave open. While something unexplained is being looked into it is what was known before, with the
+        spread that it has by now."""
+        if not self._ekf.started:
+            return None
+        balance = np.diag(np.square(self._judge.mismatch_std))
+        if self._before is None or not self.watch.is_open:
+            g = self._ekf.estimate()
+            return Gaussian(g.names, g.mean, g.covariance + balance)
+        before = self._known_before()
+        return Gaussian(before.names, before.mean, before.covariance + np.diag(self._opening()) + balance)

@@ -1,0 +1,132 @@
+"""Of each parameter: is it excited, may it move, is it known, and how far the balances let it be off."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from servo_daemon.estimators import balances
+from servo_daemon.estimators.ekf import Ekf
+from servo_daemon.estimators.excitation import Excitation
+from servo_daemon.estimators.fusion import QUALIFIED, Qualification, confirms
+from servo_daemon.estimators.motor_rls import MotorRls
+from servo_daemon.estimators.roster import Mask, Roster
+from servo_daemon.estimators.starter import NUISANCE_SHARE
+from servo_daemon.samples import F64
+
+#: An unexcited parameter's covariance grows with its drift up to this 1 σ.
+_IDLE_STD = 0.3
+#: Nothing qualifies in the first ticks: noise levels are still guesses.
+_TICKS_TO_QUALIFY = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """What else there is to know after a tick.
+
+    Attributes:
+        number: of the running filter's.
+        open, looked_into: a jump is being looked for, something unexplained is being looked into.
+        noise_var: of the measured channels.
+        current_step_square: mean square of the current's change from one sample to the next, A².
+        sample_period_s: usual distance of two samples.
+    """
+
+    number: int
+    open: bool
+    looked_into: bool
+    noise_var: Mapping[str, float]
+    current_step_square: float
+    sample_period_s: float
+
+
+class ParameterJudge:
+    """One drive's.
+
+    Attributes:
+        excitation, qualification: per parameter.
+        mismatch_std: 1 σ of the coordinates by which they may be off because the balances do not close, shape (n,).
+    """
+
+    def __init__(self, roster: Roster, ekf: Ekf, rls: MotorRls) -> None:
+        self._roster, self._ekf, self._rls = roster, ekf, rls
+        n = len(roster.parameters)
+        self.excitation, self.qualification = Excitation(n), Qualification(n)
+        self.mismatch_std: F64 = np.zeros(n)
+        self._trusted = False
+        self._confirmed: Mask = ~roster.covered
+
+    def begin(self, trusted: bool) -> None:
+        """A filter starts.
+
+        Args:
+            trusted: from a saved state, which was qualified when it was saved.
+        """
+        self._trusted = trusted
+        self._confirmed = np.ones_like(self._roster.covered) if trusted else ~self._roster.covered
+
+    def reset(self) -> None:
+        self.qualification.qualified[:] = False
+        self.excitation.reset()
+
+    def walk(self, walking: Mask) -> F64:
+        """Process noise per coordinate, 1/s."""
+        return np.asarray(np.where(walking, np.square(self._roster.drift * self.excitation.scales), 0.0))
+
+    def update(self, duration_s: float, fresh: bool, tick: Tick) -> None:
+        """After each tick: which parameters may move, which are known.
+
+        Args:
+            fresh: the regressions have been worked off.
+        """
+        roster, values = self._roster, self._roster.values(self._ekf.coordinates) if fresh else {}
+        if fresh:
+            self.excitation.determine(
+                self._rls.window.determined(self._roster.names, values, tick.noise_var), self._roster.covered
+            )
+        self.excitation.update(self._ekf.take_information(), duration_s)
+        excited, std = self.excitation.excited, self._ekf.coordinate_std / self.excitation.scales
+        if fresh:
+            self._confirmed = self._confirmed_by_regression(values, tick)
+            if not tick.looked_into:
+                self._measure_mismatch(values, tick)
+        settled = self._confirmed & (tick.number >= _TICKS_TO_QUALIFY or self._trusted)
+        self.qualification.update(np.hypot(std, self.mismatch_std), excited, settled)
+        # What no regression can judge is free until it has been seen once: there is nothing to hold yet.
+        known = self.qualification.qualified | roster.covered
+        held = self.excitation.held(known) & (not tick.open)
+        idle = np.where(roster.nuisance, NUISANCE_SHARE, _IDLE_STD)
+        walking = roster.free & ((excited & ~roster.nuisance) | (std < idle))
+        self._ekf.set_active((roster.free & ~held).astype(np.float64), self.walk(walking))
+        self._ekf.use_instrument(bool((std[roster.published & excited] < QUALIFIED).all()))
+
+    def _measure_mismatch(self, values: Mapping[str, float], tick: Tick) -> None:
+        """How far the parameters may be off because the balances do not close; kept while a parameter is not
+        excited."""
+        noise = dict(tick.noise_var)
+        if "current_A" in noise:
+            noise["current_A"] += 0.25 * tick.current_step_square
+        found = self._rls.window.mismatch(values, noise, tick.sample_period_s)
+        for k, name in enumerate(self._roster.names):
+            if self.excitation.excited[k] and self._roster.logarithmic[k]:
+                self.mismatch_std[k] = found.get(name, 0.0)
+
+    def _confirmed_by_regression(self, values: Mapping[str, float], tick: Tick) -> Mask:
+        """Parameters whose value the regression confirms, or cannot judge at all because it is in none."""
+        if self._trusted:
+            return np.ones_like(self._roster.covered)
+        out: Mask = ~self._roster.covered
+        found = self._rls.estimate()
+        if found is None:
+            return out
+        for name, value, std in zip(found.names, found.value.tolist(), found.std.tolist(), strict=True):
+            k = self._roster.names.index(name)
+            # Between two samples the current has settled: integrals over samples cannot show what it did meanwhile.
+            blind = name == "L" and values["L"] < tick.sample_period_s * values["R"]
+            if self._roster.logarithmic[k] and not blind:
+                out[k] = confirms(value, std * balances.ALIGNED.get(name, 1.0), values[name])
+            else:
+                out[k] = True
+        return out

@@ -1,0 +1,69 @@
+"""Which of the plant's parameters are estimated, published, in a regression; as masks in the plant's order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_daemon.estimators.base import from_coordinate
+from servo_daemon.estimators.settings import TrackerSettings
+from servo_daemon.estimators.signals import SignalPlan
+from servo_daemon.plant.parameters import Parameter
+from servo_daemon.samples import F64
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Roster:
+    """Shapes (n,).
+
+    Attributes:
+        parameters: the plant's.
+        published: estimated and published.
+        nuisance: estimated and not published.
+        covered: estimated, and in a regression that can judge them.
+        logarithmic: positive ones, estimated as logarithms.
+        drift: 1 σ of the coordinate's random walk over its scale, 1/√s.
+    """
+
+    parameters: tuple[Parameter, ...]
+    published: Mask
+    nuisance: Mask
+    covered: Mask
+    logarithmic: Mask
+    drift: F64
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def free(self) -> Mask:
+        """What the filter estimates."""
+        mask: Mask = self.published | self.nuisance
+        return mask
+
+    def values(self, coordinates: F64) -> dict[str, float]:
+        """Natural units."""
+        return {
+            p.name: from_coordinate(p, c, 0.0)[0] for p, c in zip(self.parameters, coordinates.tolist(), strict=True)
+        }
+
+
+def make_roster(plan: SignalPlan, settings: TrackerSettings, in_regression: tuple[str, ...]) -> Roster:
+    """For a plan that has a plant."""
+    assert plan.plant is not None
+    names = plan.plant.parameter_names
+    published = np.array([n in plan.free for n in names])
+    nuisance = np.array([n in plan.nuisance for n in names])
+    return Roster(
+        parameters=plan.plant.parameters,
+        published=published,
+        nuisance=nuisance,
+        covered=np.array([n in in_regression for n in names]) & (published | nuisance),
+        logarithmic=np.array([p.transform == "log" for p in plan.plant.parameters]),
+        drift=np.array([settings.drift_of(n, offset=n in plan.nuisance) for n in names]),
+    )

@@ -1,0 +1,73 @@
+"""What a user should be told of, once when it begins and once when it ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_daemon.estimators.ekf import Ekf
+from servo_daemon.estimators.roster import Roster
+from servo_daemon.estimators.settings import Message
+from servo_daemon.estimators.signals import EFFECT_OF
+from servo_daemon.estimators.stretch import Stretch
+from servo_daemon.estimators.watch import InnovationWatch
+from servo_daemon.samples import F64
+
+#: A current that shows one value for so long, s, is told of.
+_FROZEN_S = 0.5
+#: An offset that the user's model does not hold is told of beyond this share of its scale; hysteresis.
+_OFFSET_OUT, _OFFSET_IN = 0.10, 0.07
+
+
+class Telling:
+    """Remembers what has been said.
+
+    Args:
+        scales: one unit of each coordinate, as it is now.
+    """
+
+    def __init__(self, roster: Roster, ekf: Ekf, watch: InnovationWatch, scales: Callable[[], F64]) -> None:
+        self._roster, self._ekf, self._watch, self._scales = roster, ekf, watch, scales
+        self._was_white, self._said_frozen = True, False
+
+    def whether_white(self) -> list[Message]:
+        """Once when the model no longer explains the data, and once when it does again."""
+        if self.explained == self._was_white:
+            return []
+        self._was_white = self.explained
+        if self._was_white:
+            return [("model_fits", "innovations are white again: the model explains the data", {})]
+        if self._watch.white:
+            names = " and ".join(EFFECT_OF[self._roster.names[k]] for k in np.flatnonzero(self._large_offsets()))
+            return [("model_mismatch", f"the data hold an offset that the model does not: add {names}", {})]
+        return [("model_mismatch", "innovations are not white: the data hold what the model does not", {})]
+
+    def whether_frozen(self, stretch: Stretch, alike_s: float) -> list[Message]:
+        """A current that no longer flickers while the voltage moves is no measurement; nobody else would notice.
+
+        Args:
+            alike_s: for how long it has shown one value; 0 while it flickers.
+        """
+        moves = stretch.voltage is not None and float(np.ptp(stretch.voltage)) > 0.0
+        if self._said_frozen and alike_s == 0.0:
+            self._said_frozen = False
+            return [("channel_alive", "current_A moves again", {})]
+        if self._said_frozen or alike_s < _FROZEN_S or not moves:
+            return []
+        self._said_frozen = True
+        return [("channel_frozen", "current_A shows one value although the voltage moves: it is not believed", {})]
+
+    def _large_offsets(self) -> NDArray[np.bool_]:
+        """Nuisance parameters too large to be one."""
+        limit = (_OFFSET_OUT if self._was_white else _OFFSET_IN) * self._scales()
+        large = np.abs(self._ekf.coordinates) > limit + 3.0 * self._ekf.coordinate_std
+        return np.asarray(self._roster.nuisance & large)
+
+    @property
+    def explained(self) -> bool:
+        """Whether the model explains the data: innovations are white, and without an offset that is not in it."""
+        if not self._ekf.started:
+            return True
+        return self._watch.white and not bool(self._large_offsets().any())
