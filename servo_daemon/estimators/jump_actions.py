@@ -81,9 +81,16 @@ class JumpActions:
         spread that it has by now."""
         if not self._ekf.started:
             return None
-        balance = np.diag(np.square(self._judge.mismatch_std))
+        balance = np.square(self._judge.mismatch_std)
         if self._before is None or not self.watch.is_open:
             g = self._ekf.estimate()
-            return Gaussian(g.names, g.mean, g.covariance + balance)
+            return Gaussian(g.names, g.mean, _widened(g.covariance, balance))
         before = self._known_before()
-        return Gaussian(before.names, before.mean, before.covariance + np.diag(self._opening()) + balance)
+        return Gaussian(before.names, before.mean, _widened(before.covariance, self._opening() + balance))
+
+
+def _widened(covariance: F64, var: F64) -> F64:
+    """With more on its diagonal, var shape (n,)."""
+    out = covariance.copy()
+    out.flat[:: len(var) + 1] += var
+    return out

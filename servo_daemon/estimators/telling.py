@@ -26,18 +26,22 @@ class Telling:
 
     Args:
         scales: one unit of each coordinate, as it is now.
+
+    Attributes:
+        explained: the model explains the data: innovations are white, and without an offset that is not in it.
     """
 
     def __init__(self, roster: Roster, ekf: Ekf, watch: InnovationWatch, scales: Callable[[], F64]) -> None:
         self._roster, self._ekf, self._watch, self._scales = roster, ekf, watch, scales
-        self._was_white, self._said_frozen = True, False
+        self.explained, self._said_frozen = True, False
 
     def whether_white(self) -> list[Message]:
-        """Once when the model no longer explains the data, and once when it does again."""
-        if self.explained == self._was_white:
+        """After each tick. Says it once when the model no longer explains the data, and once when it does again."""
+        explained = self._watch.white and not bool(self._large_offsets().any())
+        if explained == self.explained:
             return []
-        self._was_white = self.explained
-        if self._was_white:
+        self.explained = explained
+        if explained:
             return [("model_fits", "innovations are white again: the model explains the data", {})]
         if self._watch.white:
             names = " and ".join(EFFECT_OF[self._roster.names[k]] for k in np.flatnonzero(self._large_offsets()))
@@ -61,13 +65,6 @@ class Telling:
 
     def _large_offsets(self) -> NDArray[np.bool_]:
         """Nuisance parameters too large to be one."""
-        limit = (_OFFSET_OUT if self._was_white else _OFFSET_IN) * self._scales()
+        limit = (_OFFSET_OUT if self.explained else _OFFSET_IN) * self._scales()
         large = np.abs(self._ekf.coordinates) > limit + 3.0 * self._ekf.coordinate_std
         return np.asarray(self._roster.nuisance & large)
-
-    @property
-    def explained(self) -> bool:
-        """Whether the model explains the data: innovations are white, and without an offset that is not in it."""
-        if not self._ekf.started:
-            return True
-        return self._watch.white and not bool(self._large_offsets().any())

@@ -291,14 +291,14 @@ class Tracker:
     def _begin_better(self, fresh: bool) -> list[Message]:
         """The filter had to start from little and still does not know what the regression knows by now: begin from
         that."""
+        if not fresh or self._ticks < _TICKS_TO_BEGIN_BETTER:
+            return []
         assert self.rls is not None and self.ekf is not None
         core = [p for p in self.free if p in LINEAR]
         index = [self._roster.names.index(p.name) for p in core]
         std = self.ekf.coordinate_std[index] / self.excitation.scales[index]
         lost = ~self.qualification.qualified[index] & (std > QUALIFIED)
-        if not fresh or not lost.any() or self._ticks < _TICKS_TO_BEGIN_BETTER:
-            return []
-        if not well_known(self.rls.estimate(), [p.name for p in core]):
+        if not lost.any() or not well_known(self.rls.estimate(), [p.name for p in core]):
             return []
         self._restart("")
         self.restarts -= 1
