@@ -1,0 +1,176 @@
+"""Steps of a parameter are named, sized and followed; what is no step is not named. On the independent generator.
+
+20 s runs at 1 kHz, the step or fault after 10 s, a datasheet wrong by 40 %, laboratory sensors. A case that does not
+hold is marked with what was measured.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from benchmarks.tracking.cases import CASES, Case
+from benchmarks.tracking.follow import NAMES, Told, Track, nominal_of, tracked
+from benchmarks.tracking.scenarios import truth_of
+from servo_daemon.samples import F64
+from tests.recovery.generator import MOTORS, Scenario, generate
+
+pytestmark = pytest.mark.usefixtures("generator_built")
+
+SECONDS, CHANGE_S, SEED = 20.0, 10.0, 1
+#: The issue's: recognised within, followed after, s; and how near then.
+RECOGNISED_S, FOLLOWED_S, NEAR = 2.0, 5.0, 0.03
+#: Calibrated intervals are left by 4 std once in 16,000 independent values; a run has some dozens.
+STDS = 4.0
+STEPS = ("R +30 %", "J +30 %", "load step in the model")
+HIDDEN_LOAD = "load step not in the model"
+FAULTS = ("voltage reported 0 for 50 ms", "current frozen for 2 s")
+#: Excitation of the cases: a multisine, and as named.
+MOTIONS = ("", ", pick and place")
+
+
+@cache
+def followed(name: str, motor: str) -> tuple[Case, Track]:
+    """A case's run; several tests look at it."""
+    case = CASES[name](MOTORS[motor], SECONDS, SEED)
+    return case, tracked(case.recording, nominal_of(MOTORS[motor]), case.model)
+
+
+def jumps(track: Track) -> list[Told]:
+    return [t for t in track.told if t.kind == "parameter_jump"]
+
+
+def errors(case: Case, track: Track) -> F64:
+    """Shape (m, parameters): as shares of the true values; of a load torque as shares of what it is at the end."""
+    return np.asarray((track.value - truth_of(case, track)) / [abs(case.truth[name][-1]) for name in track.names])
+
+
+def each(*names: str, failing: dict[tuple[str, str], str] | None = None) -> pytest.MarkDecorator:
+    """All motors under both motions; `failing`: by name and motor, why not."""
+    rows = []
+    for name in [n + motion for n in names for motion in MOTIONS]:
+        for motor in MOTORS:
+            why = (failing or {}).get((name, motor))
+            marks = [pytest.mark.xfail(strict=True, reason=why)] if why else []
+            rows.append(pytest.param(name, motor, marks=marks, id=f"{name}-{motor}"))
+    return pytest.mark.parametrize(("name", "motor"), rows)
+
+
+# -- steps that a parameter explains ----------------------------------------------------------------------------------
+
+
+@each(*STEPS)
+def test_a_step_is_named_within_two_seconds_and_nothing_else(name: str, motor: str) -> None:
+    case, track = followed(name, motor)
+    assert [t.data["parameter"] for t in jumps(track)] == [case.stepped], [t.message for t in jumps(track)]
+    (told,) = jumps(track)
+    assert CHANGE_S < told.time_s <= CHANGE_S + RECOGNISED_S
+    # The event names when it began. What is unexplained is judged in ticks of 0.1 s, so no sooner than one before; a
+    # dwell, in which nothing shows, may come first.
+    began = told.data["time_s"]
+    assert isinstance(began, float)
+    assert CHANGE_S - 0.11 <= began <= CHANGE_S + (0.11 if "pick" not in name else 1.0)
+    assert track.white[(track.time_s > CHANGE_S) & (track.time_s < CHANGE_S + 3.0)].all(), "what is explained is none"
+
+
+@each(
+    *STEPS,
+    failing={("J +30 %, pick and place", "paper"): "size 3.4 % off (29.0 % for 30 %), seed 2 alike; 0.5 % after 5 s"},
+)
+def test_the_size_of_a_step_is_right_to_three_percent(name: str, motor: str) -> None:
+    case, track = followed(name, motor)
+    told, values = jumps(track)[0].data, case.truth[case.stepped]
+    assert isinstance(told["from"], float) and isinstance(told["to"], float)
+    assert told["to"] - told["from"] == pytest.approx(values[-1] - values[0], rel=NEAR)
+
+
+@each(*STEPS)
+def test_values_are_right_again_after_five_seconds(name: str, motor: str) -> None:
+    """All but L, for which see the next test."""
+    case, track = followed(name, motor)
+    seen = [k for k, p in enumerate(track.names) if p != "L"]
+    late = track.time_s >= CHANGE_S + FOLLOWED_S
+    worst = np.abs(errors(case, track)[late]).max(axis=0)
+    assert (worst[seen] < NEAR).all(), dict(zip(track.names, worst, strict=True))
+    assert track.tracking[late][:, seen].all()
+
+
+UNSEEN_L = "L/R = 0.29 ms at 1 kHz in slow moves: L is {} off after 5 s"
+
+
+@each(
+    *STEPS,
+    failing={
+        ("R +30 %, pick and place", "re40"): UNSEEN_L.format("12 %"),
+        ("J +30 %, pick and place", "re40"): UNSEEN_L.format("9 %"),
+        ("load step in the model, pick and place", "re40"): UNSEEN_L.format("14 %"),
+    },
+)
+def test_inductance_is_right_again_after_five_seconds(name: str, motor: str) -> None:
+    case, track = followed(name, motor)
+    late = track.time_s >= CHANGE_S + FOLLOWED_S
+    assert np.abs(errors(case, track)[late, track.names.index("L")]).max() < NEAR
+
+
+# -- a step that no parameter explains --------------------------------------------------------------------------------
+
+
+@each(HIDDEN_LOAD)
+def test_a_load_that_is_not_in_the_model_is_a_mismatch_and_bends_nothing(name: str, motor: str) -> None:
+    case, track = followed(name, motor)
+    late = track.time_s >= CHANGE_S - 1.0
+    assert track.white[track.time_s < CHANGE_S].all()
+    not_white = track.time_s[~track.white]
+    assert len(not_white) and not_white[0] <= CHANGE_S + RECOGNISED_S
+    assert not jumps(track)
+    worst = np.abs(errors(case, track)[late]).max(axis=0)
+    for parameter in ("R", "K", "J"):
+        assert worst[track.names.index(parameter)] < NEAR, dict(zip(track.names, worst, strict=True))
+
+
+# -- no step -------------------------------------------------------------------------------------------------------
+
+
+@cache
+def clean(motion: str, motor: str) -> Track:
+    recording = generate(MOTORS[motor], Scenario(motion, seconds=60.0, seed=SEED))
+    return tracked(recording, nominal_of(MOTORS[motor]))
+
+
+@pytest.mark.parametrize("motion", ["multisine", "pick_and_place"])
+@pytest.mark.parametrize("motor", list(MOTORS))
+def test_a_clean_run_reports_no_jump(motor: str, motion: str) -> None:
+    assert not jumps(clean(motion, motor))
+
+
+FALSE_MISMATCH = "not white at 36.3 s of 60 for 6 s, and with seed 4 of 1 .. 4 at 37.0 s"
+
+
+@pytest.mark.parametrize(
+    ("motor", "motion"),
+    [
+        pytest.param(motor, motion, marks=[pytest.mark.xfail(strict=True, reason=why)] if why else [])
+        for motor in MOTORS
+        for motion in ("multisine", "pick_and_place")
+        for why in [FALSE_MISMATCH if (motor, motion) == ("large", "pick_and_place") else ""]
+    ],
+)
+def test_a_clean_run_reports_no_mismatch(motor: str, motion: str) -> None:
+    track = clean(motion, motor)
+    assert not [t for t in track.told if t.kind == "model_mismatch"]
+    assert track.white.all()
+
+
+@pytest.mark.parametrize("motor", list(MOTORS))
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_passing_fault_of_an_instrument_is_no_jump_and_teaches_nothing(name: str, motor: str) -> None:
+    case, track = followed(name, motor)
+    assert not jumps(track), [t.message for t in jumps(track)]
+    stds = np.where(track.tracking, np.abs(track.value - truth_of(case, track)) / track.std, 0.0)
+    worst = dict(zip(NAMES, stds.max(axis=0), strict=True))
+    assert max(worst.values()) < STDS, worst
+    # Of interest only if the values were claimed before, during and after it. L of re40 is not, in these moves.
+    claimed = [k for k, p in enumerate(NAMES) if (p, motor) != ("L", "re40")]
+    assert track.tracking[track.time_s > 5.0][:, claimed].mean() > 0.9
