@@ -10,7 +10,7 @@ from servo_daemon.plant.build import PlantModel
 #: Sums over the samples since they were last taken, kept beside the state so that nothing walks over them again: how
 #: many samples; Σ ν²/s; Σ (ν² clipped at `CLIP` σ − s); Σ of products of neighbours' ν/√s; the last ν/√s; how many were
 #: gated; Σ of ν/√s times the first channel's one sample earlier. A standing encoder repeats itself: its samples are no
-#: sample of any noise and count in the number of gated ones only.
+#: sample of any noise and count in the number of gated ones only; so do samples whose input was in doubt.
 STATISTICS = ("count", "nis", "excess", "lagged", "last", "gated", "crossed")
 #: Innovations beyond this many standard deviations do not teach the noise level.
 CLIP = 4.0

@@ -44,6 +44,9 @@ _SHORTEST_STEP_S = 1e-9
 #: Time constants with which the instrument follows the filter, s. Long against a sample, short against what a wrong
 #: model needs to run away; and at once, where the parameters are not known yet and the model would lead it astray.
 INSTRUMENT_S, NO_INSTRUMENT_S = 0.1, 1e-9
+#: Where the input is known this many times worse than usual (in variance), as after a missing sample, the innovations
+#: are no sample of the usual noise.
+UNUSUAL_INPUT = 30.0
 #: An input known this many times worse than usual (in variance) leads it astray.
 DOUBTFUL_INPUT = 100.0
 #: Its time constant is at most this share of its age.
@@ -201,17 +204,17 @@ def _measurement_update(
         z = z + gain * innovation
         P = P - gain @ PHt.T - PHt @ gain.T + s * (gain @ gain.T)
         outputs += [valid * innovation, s0, extra > 0]
-        statistics.append(_counted(state[lay.statistics], k, innovation, s0, valid, doubt, extra))
+        counts = valid * (doubt <= 1.0) * (state[lay.held_variance] <= UNUSUAL_INPUT * const[0])
+        statistics.append(_counted(state[lay.statistics], k, innovation, s0, counts, extra))
     bounds = [_bounds(p.lower, p.upper, p.transform) for p in lay.plant.parameters]
     q = [ca.fmax(ca.fmin(z[n_x + k], high), low) for k, (low, high) in enumerate(bounds)]
     return ca.vertcat(z[:n_x], *q), P, ca.vertcat(information, *statistics), ca.vertcat(*outputs)
 
 
-def _counted(before: ca.SX, k: int, innovation: ca.SX, s0: ca.SX, valid: ca.SX, doubt: ca.SX, extra: ca.SX) -> ca.SX:
-    """Channel k's `STATISTICS` with one more sample."""
+def _counted(before: ca.SX, k: int, innovation: ca.SX, s0: ca.SX, counts: ca.SX, extra: ca.SX) -> ca.SX:
+    """Channel k's `STATISTICS` with one more sample, if it `counts`."""
     n = len(STATISTICS)
     count, nis, excess, lagged, last, gated, crossed = ca.vertsplit(before[k * n : (k + 1) * n])
-    counts = valid * (doubt <= 1.0)
     normalised = innovation / ca.sqrt(s0)
     return ca.vertcat(
         count + counts,

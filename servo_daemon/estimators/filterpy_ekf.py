@@ -17,6 +17,7 @@ from servo_daemon.estimators.ekf_model import (
     _SHORTEST_STEP_S,
     DOUBTFUL_INPUT,
     GATE,
+    UNUSUAL_INPUT,
     instrument_after,
     natural,
     predict,
@@ -98,15 +99,16 @@ class FilterpyLoop:
             PHt = (ekf.P @ H.T)[:, 0]
             reduction, p_qq = PHt[lay.q] ** 2 / (s0 + extra), np.diag(ekf.P)[lay.q]
             state[lay.information] += reduction / (p_qq * (p_qq - reduction))
-            self._count(state, k, innovation, s0, doubt, extra)
+            usual = state[lay.held_variance] <= UNUSUAL_INPUT * constants[0]
+            self._count(state, k, innovation, s0, bool(doubt <= 1.0 and usual), extra)
             self._update(ekf, H, innovation, s0 + extra, r + extra / 2, constants)
         return valid * innovation, s0, float(extra > 0)
 
-    def _count(self, state: F64, k: int, innovation: float, s0: float, doubt: float, extra: float) -> None:
+    def _count(self, state: F64, k: int, innovation: float, s0: float, counts: bool, extra: float) -> None:
         n = len(STATISTICS)
         sums = state[self._lay.statistics][k * n : (k + 1) * n]
         earlier = self._earlier
-        if doubt <= 1.0:
+        if counts:
             normalised = innovation / np.sqrt(s0)
             clipped = min(normalised**2, CLIP**2)
             sums[:4] += (1.0, normalised**2, s0 * (clipped - 1.0), normalised * sums[4])

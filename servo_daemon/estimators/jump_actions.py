@@ -33,7 +33,11 @@ class JumpActions:
             self._before = self._ekf.snapshot(), time_s
 
     def act(self, action: jumps.Action, time_s: float) -> list[Message]:
-        """Do with the last tick what the watch for jumps has decided."""
+        """Do with the last tick what the watch for jumps has decided.
+
+        Args:
+            time_s: the tick's end.
+        """
         if self._before is None or action in ("learn", "settle"):
             return []
         before = self._known_before()
@@ -72,7 +76,7 @@ class JumpActions:
         return [
             jumps.message(self._roster.parameters[k], before, float(after[k]), time_s)
             for k in moved
-            if self._roster.published[k]
+            if self.watch.sudden and self._roster.published[k]
         ]
 
     def published(self) -> Gaussian | None:

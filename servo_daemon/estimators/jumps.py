@@ -24,6 +24,8 @@ from servo_daemon.samples import F64
 _TICKS_TO_OPEN = 3.0
 #: Ticks the filter has to settle: at least and at most; so many in a row must be explained again.
 _OPEN_LEAST, _OPEN_MOST, _SETTLED = 10, 30, 5
+#: Share of unexplained ticks, over about so many, from which on they are the rule.
+_RULE, _USUAL_TICKS = 0.15, 50
 #: After something that no parameter explained the watch rests, ticks.
 _REST = 300
 #: By how much a coordinate's covariance is opened, 1 σ over its scale: below the loss of qualification.
@@ -40,9 +42,17 @@ Action = Literal["learn", "undo", "open", "settle", "accept", "reject"]
 
 
 class JumpWatch:
-    """Decides, tick by tick. It holds no estimate itself."""
+    """Decides, tick by tick. It holds no estimate itself.
+
+    Attributes:
+        is_open: the covariance is open.
+        sudden: what is being looked into came suddenly, after ticks that were explained. Where unexplained ticks are
+            the rule the model lacks something, and what moves then is no jump that could be named.
+    """
 
     def __init__(self) -> None:
+        self._usual = 0.0  # running share of unexplained ticks
+        self.sudden = True
         self.reset()
 
     def reset(self) -> None:
@@ -54,6 +64,17 @@ class JumpWatch:
     def quiet(self) -> bool:
         """Nothing unexplained is being looked into: what is known now is what a restart of the daemon may keep."""
         return self._score == 0.0 and not self.is_open
+
+    @property
+    def calm(self) -> bool:
+        """Unexplained ticks are the exception."""
+        return self._usual < _RULE
+
+    def observe(self, unexplained: bool) -> None:
+        """Every tick, also those that are not judged."""
+        if self.quiet:
+            self.sudden = self.calm
+        self._usual += (float(unexplained) - self._usual) / _USUAL_TICKS
 
     def judge(self, unexplained: bool, settled: bool) -> Action:
         """Take a tick.

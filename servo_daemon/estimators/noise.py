@@ -27,6 +27,8 @@ _TORQUE_SHARE = 2e-3
 #: Process noise rises per tick above these, and falls below half the correlation.
 _NIS_HIGH, _CORRELATED = 1.3, 0.15
 _RISE, _FALL, _FACTOR_MOST = 1.6, 0.97, 1e8
+#: Innovations smaller than this say that the noise is too large already: then it recedes per tick by this.
+_NIS_LOW, _RECEDE = 0.7, 0.05
 #: Steering per tick: by how much per unit of correlation, and what it keeps where nothing is to be seen.
 _STEER, _LEAK = 0.15, 0.998
 
@@ -119,7 +121,10 @@ class ProcessNoise:
         if nis > _NIS_HIGH and correlation > _CORRELATED:
             return ProcessNoise(min(self.factor * _RISE, _FACTOR_MOST))
         if follow is not None:
-            steered = _LEAK * math.log(self.factor) + _STEER * min(max(follow, -0.5), 0.5)
+            steer = _STEER * min(max(follow, -0.5), 0.5)
+            if nis < _NIS_LOW:  # more noise than there is: whatever the correlation says, it is not missing here
+                steer = min(steer, 0.0) - _RECEDE
+            steered = _LEAK * math.log(self.factor) + steer
             return ProcessNoise(math.exp(min(max(steered, 0.0), math.log(_FACTOR_MOST))))
         if correlation < 0.5 * _CORRELATED or nis < 1.0:
             return ProcessNoise(max(self.factor * _FALL, 1.0))

@@ -29,6 +29,7 @@ class Tick:
     Attributes:
         number: of the running filter's.
         open, looked_into: a jump is being looked for, something unexplained is being looked into.
+        explained: ticks that the noise does not explain are the exception.
         noise_var: of the measured channels.
         current_step_square: mean square of the current's change from one sample to the next, A².
         sample_period_s: usual distance of two samples.
@@ -37,6 +38,7 @@ class Tick:
     number: int
     open: bool
     looked_into: bool
+    explained: bool
     noise_var: Mapping[str, float]
     current_step_square: float
     sample_period_s: float
@@ -47,6 +49,7 @@ class ParameterJudge:
 
     Attributes:
         excitation, qualification: per parameter.
+        confirmed: parameters for which the regression speaks, or which it cannot judge, shape (n,).
         mismatch_std: 1 σ of the coordinates by which they may be off because the balances do not close, shape (n,).
     """
 
@@ -56,7 +59,7 @@ class ParameterJudge:
         self.excitation, self.qualification = Excitation(n), Qualification(n)
         self.mismatch_std: F64 = np.zeros(n)
         self._trusted = False
-        self._confirmed: Mask = ~roster.covered
+        self.confirmed: Mask = ~roster.covered
 
     def begin(self, trusted: bool) -> None:
         """A filter starts.
@@ -65,7 +68,7 @@ class ParameterJudge:
             trusted: from a saved state, which was qualified when it was saved.
         """
         self._trusted = trusted
-        self._confirmed = np.ones_like(self._roster.covered) if trusted else ~self._roster.covered
+        self.confirmed = np.ones_like(self._roster.covered) if trusted else ~self._roster.covered
 
     def reset(self) -> None:
         self.qualification.qualified[:] = False
@@ -89,10 +92,13 @@ class ParameterJudge:
         self.excitation.update(self._ekf.take_information(), duration_s)
         excited, std = self.excitation.excited, self._ekf.coordinate_std / self.excitation.scales
         if fresh:
-            self._confirmed = self._confirmed_by_regression(values, tick)
+            self.confirmed = self._confirmed_by_regression(values, tick)
             if not tick.looked_into:
                 self._measure_mismatch(values, tick)
-        settled = self._confirmed & (tick.number >= _TICKS_TO_QUALIFY or self._trusted)
+        if fresh and not tick.explained:
+            # The model lacks something: what the filter makes of it is worth nothing without a second opinion.
+            self.qualification.qualified &= self.confirmed
+        settled = self.confirmed & (tick.number >= _TICKS_TO_QUALIFY or self._trusted)
         self.qualification.update(np.hypot(std, self.mismatch_std), excited, settled)
         # What no regression can judge is free until it has been seen once: there is nothing to hold yet.
         known = self.qualification.qualified | roster.covered

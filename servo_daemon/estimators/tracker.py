@@ -245,6 +245,7 @@ class Tracker:
             return self._restart("its covariance or state is no longer sound")
         statistics = self.ekf.take_statistics()
         verdict = self.watch.judge(statistics)
+        self._jumps.watch.observe(verdict.unexplained)
         action: jumps.Action = "learn"
         if self._ticks > _TICKS_TO_LEARN_NOISE and stretch.complete:
             action = self._jumps.watch.judge(verdict.unexplained, verdict.settled)
@@ -274,6 +275,7 @@ class Tracker:
             number=self._ticks,
             open=self._jumps.watch.is_open,
             looked_into=not self._jumps.watch.quiet,
+            explained=self._jumps.watch.calm,
             noise_var=self.watch.noise_var,
             current_step_square=self._levels.current_step_square,
             sample_period_s=self.sample_period_s or 0.0,
@@ -297,7 +299,7 @@ class Tracker:
         core = [p for p in self.free if p in LINEAR]
         index = [self._roster.names.index(p.name) for p in core]
         std = self.ekf.coordinate_std[index] / self.excitation.scales[index]
-        lost = ~self.qualification.qualified[index] & (std > QUALIFIED)
+        lost = ~self.qualification.qualified[index] & ((std > QUALIFIED) | ~self._judge.confirmed[index])
         if not lost.any() or not well_known(self.rls.estimate(), [p.name for p in core]):
             return []
         self._restart("")
