@@ -111,7 +111,8 @@ def test_a_term_must_be_more_than_a_thousandth_of_its_balance(share: float, dete
 
 
 def test_an_error_of_the_voltage_lies_less_along_the_current_s_derivative() -> None:
-    """L alone: what it would be, times `ALIGNED`."""
+    """L alone: what it would be, times `ALIGNED`, which is far less than 1."""
+    assert ALIGNED["L"] < 0.25
     angle = 2 * np.pi * np.arange(N) / N
     G = armature(5.0 * np.cos(angle), -500.0 * np.sin(angle), np.zeros(N))
     share = 500.0 * VALUE["L"] / np.hypot(5.0 * VALUE["R"], 500.0 * VALUE["L"])
