@@ -44,7 +44,8 @@ lint: venv ## ruff, its formatter, mypy --strict, the import contracts
 
 .PHONY: bench
 bench: venv ## every benchmark: each prints ours, the rival or limit, and the ratio
-	shopt -s nullglob; for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python $$file; done
+	shopt -s nullglob; for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python $$file; done; \
+	$(BIN)/python -m benchmarks.tracking
 
 .PHONY: install
 install: ## as root: into PREFIX (/opt/servo-daemon) without development tools, with the systemd unit and the udev rules

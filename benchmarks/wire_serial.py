@@ -28,8 +28,9 @@ from cobs import cobs
 
 from drivers.base import DriveInfo
 from drivers.serial_line import SerialDriver
-from drivers.wire import Channel, Description, Quantity, encode_description, encode_frame, encode_samples
+from drivers.wire import Channel, Description, Quantity, encode_description, encode_samples
 from drivers.wire_decoder import BinaryDecoder
+from drivers.wire_frame import encode_frame
 from servo_daemon.samples import SampleBlock, make_block
 from servo_daemon.sim_drive.serial_device import run_serial_device
 

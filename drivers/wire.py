@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.wire_frame import MAX_PAYLOAD
-from drivers.wire_frame import encode_frame as encode_frame  # noqa: PLC0414 (whoever writes payloads needs it)
 from servo_daemon.errors import WireError
 from servo_daemon.samples import CHANNELS, Quality
 
