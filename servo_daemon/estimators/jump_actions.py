@@ -53,7 +53,6 @@ class JumpActions:
     def _known_before(self) -> Known:
         """What was known of the parameters before something happened."""
         assert self._before is not None
-        assert self._before is not None
         state, time_s = self._before
         mean, covariance = self._ekf.parameters_of(state)
         return Known(self._roster.names, mean, covariance, time_s)
@@ -64,7 +63,6 @@ class JumpActions:
         return np.asarray(np.where(self._roster.free, std**2, 0.0))
 
     def _report(self, before: Known, time_s: float) -> list[Message]:
-        excitation, qualified = self._judge.excitation, self._judge.qualification.qualified
         excitation, qualified = self._judge.excitation, self._judge.qualification.qualified
         candidates = (self._roster.published & qualified & excitation.excited) | self._roster.nuisance
         moved = jumps.jumped(before, self._ekf.coordinates, self._ekf.coordinate_std, excitation.scales, candidates)
