@@ -9,15 +9,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servo_daemon.estimators import jumps
 from servo_daemon.estimators.base import Gaussian
 from servo_daemon.estimators.ekf import Ekf
 from servo_daemon.estimators.excitation import Excitation
+from servo_daemon.estimators.filtering import Filtering
 from servo_daemon.estimators.fusion import QUALIFIED, Qualification
 from servo_daemon.estimators.jump_actions import JumpActions
-from servo_daemon.estimators.layout import Layout, Stretches, breaks, channel, gaps
+from servo_daemon.estimators.layout import Stretches
 from servo_daemon.estimators.levels import Levels
 from servo_daemon.estimators.motor_rls import MotorRls
 from servo_daemon.estimators.parameter_judge import ParameterJudge, Tick
@@ -31,7 +31,7 @@ from servo_daemon.estimators.telling import Telling
 from servo_daemon.estimators.watch import InnovationWatch, TickVerdict
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.plant.parameters import LINEAR, Parameter
-from servo_daemon.samples import F64, SampleBlock
+from servo_daemon.samples import SampleBlock
 
 #: A saved state may be of yesterday's temperature and load: added 1 σ.
 _SAVED_STD = 0.03
@@ -83,11 +83,10 @@ class Tracker:
         self._judge = ParameterJudge(self._roster, self.ekf, self.rls)
         self._jumps = JumpActions(self._roster, self.ekf, self.rls, self._judge)
         self._telling = Telling(self._roster, self.ekf, self.watch, lambda: self.excitation.scales)
-        self._layout = Layout(plant.drive, self.plan.measured)
         self._stretches = Stretches()
         self._starter = Starter(self.plan, self.nominal, self.rls.names)
         self._levels = Levels(plant)
-        self._outliers: list[NDArray[np.bool_]] = []
+        self._filtering = Filtering(self.ekf, self._levels)
         self._tick_end_s: float | None = None
         self._suspicious_ticks = self._ticks = 0
         self._input_lsb = self._torque_Nm = 0.0
@@ -125,53 +124,13 @@ class Tracker:
         if self.first_s is None:
             self.first_s = float(block.time_s[0])
             if self.plan.plant is not None:
-                self._layout.origin_s = self.first_s
+                self._filtering.layout.origin_s = self.first_s
         if self.plan.plant is not None:
-            self._filter(block)
+            self._filtering.take(block, self.last_s, self.sample_period_s)
         self.last_s = float(block.time_s[-1])
         for name in ("current_A", "velocity_rad_s", "position_rad"):
             values = getattr(block, name)
             self.measured_state[name] = None if values is None else float(values[-1])
-
-    def _filter(self, block: SampleBlock) -> None:
-        assert self.ekf is not None
-        if not self.ekf.started:
-            self._layout.rows(block, 0.0)
-            return
-        cuts = breaks(block, self.last_s)
-        holes = gaps(block, self.last_s, self.sample_period_s)
-        if not cuts and not holes:
-            self._update(block)
-            return
-        edges = sorted({*cuts, *holes})
-        for a, b in zip([0, *edges], [*edges, len(block)], strict=True):
-            if b <= a:
-                continue
-            part = block.slice(a, b)
-            if a in cuts or not holes.get(a, True):
-                self._layout.last_s = float(part.time_s[0])  # begins at this sample: no prediction up to it
-                forget = self.ekf.forget_state if a in cuts else self.ekf.forget_motion
-                forget(self._first_state(part))
-            elif a in holes:
-                self.ekf.doubt_input(self._levels.input_step_square)
-            self._update(part)
-
-    def _update(self, part: SampleBlock) -> None:
-        assert self.ekf is not None
-        innovations = self.ekf.update(self._layout.rows(part, self._levels.input_square))
-        self._outliers.append(np.asarray(np.any(innovations.gated, axis=1)))
-
-    def _first_state(self, block: SampleBlock) -> F64:
-        """Plant states at the first sample of a block: what is measured; the last known where that is no measurement
-        (looking further would make the result depend on where blocks end); the model's start for the rest."""
-        assert self.plan.plant is not None and self.ekf is not None
-        x = np.array([s.initial for s in self.plan.plant.states])
-        first = block.slice(0, 1)
-        for k, state in enumerate(self.plan.plant.states):
-            if state.name in self.plan.measured:
-                values, valid = channel(first, state.name)
-                x[k] = values[0] if valid is None or valid[0] else self.ekf.x[k]
-        return x
 
     # -- ticks -----------------------------------------------------------------------------------------------
 
@@ -214,16 +173,16 @@ class Tracker:
         assert self.ekf is not None
         self.watch.start(start.noise)
         self._input_lsb = start.input_lsb
-        self._layout.expect_steps(start.position_lsb, start.input_lsb)
-        self.ekf.start(start.parameters, held_input=self._layout.last_input)
+        self._filtering.layout.expect_steps(start.position_lsb, start.input_lsb)
+        self.ekf.start(start.parameters, held_input=self._filtering.layout.last_input)
         self._jumps.reset()
         self._judge.begin(trusted=self._prior is not None)
-        self._ticks, self._outliers = 0, []
+        self._ticks, self._filtering.outliers = 0, []
         self._rescale()
         self._set_noise()
         free = self._roster.free
         self.ekf.set_active(free.astype(np.float64), self._judge.walk(free))
-        self.ekf.forget_state(self._first_state(start.last))
+        self.ekf.forget_state(self._filtering.first_state(start.last))
 
     def _rescale(self) -> None:
         """The scales follow the levels of the signals."""
@@ -251,9 +210,8 @@ class Tracker:
             action = self._jumps.watch.judge(verdict.unexplained, verdict.settled)
         messages = self._jumps.act(action, self._tick_end_s or 0.0)
         # What the filter does not believe, the regressions are not told either.
-        believed = stretch.usable & ~np.concatenate(self._outliers) & (action != "undo")
+        believed = stretch.usable & ~self._filtering.take_outliers() & (action != "undo")
         fresh = self.rls.update(replace(stretch, usable=believed), self._noise_var())
-        self._outliers = []
         if action == "learn" and stretch.complete:
             self.watch.learn(statistics, duration_s)
         if fresh:
