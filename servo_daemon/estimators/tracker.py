@@ -41,8 +41,8 @@ _DIVERGED_NIS, _DIVERGED_TICKS = 6.0, 20
 _TICKS_TO_LEARN_NOISE, _SOUNDNESS_EVERY = 30, 20
 #: A filter that started from little has this long to find out for itself, ticks.
 _TICKS_TO_BEGIN_BETTER = 50
-#: By then the covariance is widened once, 1 σ over the scales.
-_SECOND_START_STD = 0.04
+#: In this tick, before anything can have qualified, the covariance is widened once, 1 σ over the scales.
+_SECOND_START_TICK, _SECOND_START_STD = 7, 0.04
 
 
 class Tracker:
@@ -218,7 +218,7 @@ class Tracker:
             self._rescale()
         self._set_noise()
         self._judge.update(duration_s, fresh, self._tick())
-        if self._ticks == _TICKS_TO_LEARN_NOISE:
+        if self._ticks == _SECOND_START_TICK:
             # What was learned with noise levels that were only guessed, and from a start that was, is taken for less.
             self.ekf.widen_parameters(
                 np.where(self._roster.published, np.square(_SECOND_START_STD * self.excitation.scales), 0)

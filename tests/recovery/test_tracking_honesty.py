@@ -141,7 +141,6 @@ def test_five_percent_of_current_offset_bends_nothing(motor: str, motion: str) -
             ("re40", "pick_and_place", 4): "L 5.1 std (35 %) off between 10.5 and 18.1 s (6 of seeds 1 .. 12 are)",
             ("paper", "reversals", 1): "R 5.3 std off between 11.0 and 12.9 s",
             ("re40", "reversals", 1): "J 6.7, B 5.9 std off between 5.6 and 6.0 s",
-            ("large", "reversals", 1): "K 6.5, R 4.5 std off at 5.6 s",
         },
         *((motor, motion, 1) for motor in MOTORS for motion in ("pick_and_place", "reversals")),
         ("paper", "pick_and_place", 2),
@@ -171,7 +170,10 @@ def with_friction(motor: str, motion: str) -> tuple[Track, Recording]:
 @pytest.mark.parametrize(
     ("motor", "motion"),
     failing(
-        {("re40", "multisine"): "B 90, J 8 std off while tracking, not white"},
+        {
+            ("re40", "multisine"): "B 90, J 8 std off while tracking, not white",
+            ("paper", "multisine"): "B 4.9 std off once while tracking, not white",
+        },
         *((motor, motion) for motor in MOTORS for motion in ("pick_and_place", "multisine")),
     ),
 )
