@@ -83,11 +83,8 @@ def noise_gram(
         noise_var: per channel; one that is not measured adds nothing.
         y_channel: the channel that y is ∫φ of, if it is a noisy one.
     """
-    out = np.zeros(len(columns))
-    for k, name in enumerate(columns):
-        channel, derivative = (y_channel or "", 0) if name == "y" else _NOISE_IN.get(name, ("", 0))
-        out[k] = _NOISE_MARGIN.get(channel, 0.0) * noise_var.get(channel, 0.0) * weight_squares[derivative]
-    return np.diag(out)
+    most = {channel: margin * noise_var.get(channel, 0.0) for channel, margin in _NOISE_MARGIN.items()}
+    return column_noise(columns, weight_squares, most, y_channel)
 
 
 def armature_slopes(columns: Sequence[str], value: Mapping[str, float]) -> dict[str, F64]:
@@ -133,11 +130,18 @@ def information(gram: F64, noise: F64, slopes: Mapping[str, F64], names: Sequenc
     return np.asarray(S.T @ (gram - noise) @ S / (SYSTEMATIC**2 * energy))
 
 
-def column_noise(columns: Sequence[str], weight_squares: F64, noise_var: Mapping[str, float]) -> F64:
-    """What white noise adds to the regressors' ΦᵀΦ on average, shape (n, n); without any margin."""
+def column_noise(
+    columns: Sequence[str], weight_squares: F64, noise_var: Mapping[str, float], y_channel: str | None = None
+) -> F64:
+    """What white noise adds to the columns' Gram matrix on average, shape (n, n); without any margin.
+
+    Args:
+        columns: of Φ, and "y" if it is one of them.
+        y_channel: the channel that y is ∫φ of, if it is a noisy one.
+    """
     out = np.zeros(len(columns))
     for k, name in enumerate(columns):
-        channel, derivative = _NOISE_IN.get(name, ("", 0))
+        channel, derivative = (y_channel or "", 0) if name == "y" else _NOISE_IN.get(name, ("", 0))
         out[k] = noise_var.get(channel, 0.0) * weight_squares[derivative]
     return np.diag(out)
 

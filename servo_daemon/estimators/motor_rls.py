@@ -13,9 +13,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from servo_daemon.estimators.balance_window import BalanceWindow
-from servo_daemon.estimators.balances import (
-    column_noise,
-)
+from servo_daemon.estimators.balances import column_noise
 from servo_daemon.estimators.modulating import Windows, make_windows
 from servo_daemon.estimators.rls import DirectionalRls, LinearEstimate
 from servo_daemon.estimators.stretch import Stretch, between_samples, joined, last, median, motion, speed_sign
@@ -84,12 +82,6 @@ class MotorRls:
         both = self._plant.drive == "voltage" and not self._known
         return (*(_ARMATURE if both else ()), *(_GIVES.get(c, c) for c in self._shaft_columns))
 
-    def reset(self) -> None:
-        self._armature = self._shaft = None
-        self._estimate, self._updates, self._pending = None, 0, []
-        self._next = {"armature": 0.0, "shaft": 0.0}
-        self.window.clear()
-
     def update(self, new: Stretch, noise_var: Mapping[str, float]) -> bool:
         """Take the samples of one tick; windows reach back into earlier ones. Returns whether they were worked off.
 
@@ -136,7 +128,7 @@ class MotorRls:
 
     @property
     def in_regression(self) -> tuple[str, ...]:
-        """Names that `determined` can say something of."""
+        """Parameters that some column of these regressions stands for."""
         offset = ("i0",) if "one" in self._armature_columns else ()
         return (*self.names, *offset) if "R" in self.names else self.names
 

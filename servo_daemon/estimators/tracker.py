@@ -260,11 +260,16 @@ class Tracker:
         lost = ~self.qualification.qualified[index] & ((std > QUALIFIED) | ~self._judge.confirmed[index])
         if not lost.any() or not well_known(self.rls.estimate(), [p.name for p in core]):
             return []
-        self._restart("")
-        self.restarts -= 1
+        self._begin_again()
         return []
 
     def _restart(self, why: str) -> list[Message]:
+        """Something went wrong, and whoever watches the daemon is to know of it."""
+        self._begin_again()
+        self.restarts += 1
+        return [("filter_restarted", f"filter restarted: {why}", {"restarts": self.restarts})]
+
+    def _begin_again(self) -> None:
         """Back to the start: the next tick begins again from the regression."""
         assert self.ekf is not None
         self.ekf.reset()
@@ -272,8 +277,6 @@ class Tracker:
         self._prior = None
         self._suspicious_ticks = 0
         self._judge.reset()
-        self.restarts += 1
-        return [("filter_restarted", f"filter restarted: {why}", {"restarts": self.restarts})]
 
     def worth_keeping(self) -> Gaussian | None:
         """Qualified parameters for a later run, with what may have changed meanwhile; None unless all are well."""
