@@ -1,9 +1,8 @@
-"""What every estimator is to the pipeline, and the form of its answer."""
+"""The form of an estimator's answer."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -29,14 +28,6 @@ class Gaussian:
     def std(self) -> F64:
         """shape (n,), in the estimated coordinate (relative, for a log parameter)."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-
-
-class Estimator(Protocol):
-    """A pure object: no I/O, no clock; the live daemon, `replay` and the tests run the same one."""
-
-    def reset(self) -> None: ...
-
-    def estimate(self) -> Gaussian | None: ...
 
 
 def to_coordinate(parameter: Parameter, value: float) -> float:
