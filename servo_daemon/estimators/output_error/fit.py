@@ -1,0 +1,253 @@
+"""The fit from recordings to parameters with their standard deviations."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from servo_daemon.errors import NumericalError
+from servo_daemon.estimators.base import from_coordinate
+from servo_daemon.estimators.output_error.information import Information, NullDirection, information, sandwich
+from servo_daemon.estimators.output_error.problem import Problem
+from servo_daemon.estimators.output_error.residual import ResidualTest, residual_tests
+from servo_daemon.estimators.output_error.setup import OFFSETS, Recording, current_size, make_problem
+from servo_daemon.estimators.output_error.solver import Iteration, Point, Solution, solve
+from servo_daemon.estimators.output_error.starts import Start, coordinates, starting_points, torque_size
+from servo_daemon.plant.parameters import Parameter
+from servo_daemon.samples import F64
+
+Status = Literal["estimated", "undetermined", "fixed"]
+
+#: Guessed starts that are searched from, besides nominal values and regression.
+_SEARCHED = 2
+#: Another start must lower V (2 log-likelihood) by more than this to win.
+_BETTER = 1.0
+#: Two ends closer than this in every determined coordinate are one.
+_SAME = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class FitOptions:
+    """How to fit.
+
+    Attributes:
+        nominal: start values, and values of what the data do not determine; natural units.
+        fixed: held at these values.
+        robust: isolated wrong samples lose weight.
+        segment_s: cut recordings into pieces of about this length.
+    """
+
+    nominal: Mapping[str, float] = field(default_factory=dict)
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    robust: bool = True
+    segment_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FittedParameter:
+    """One parameter of the fit.
+
+    Attributes:
+        value: natural units; None where neither data nor a nominal value give one.
+        std: 1 σ in the same unit; None where it is not estimated.
+        status: "undetermined": the data leave it open, the value is a start value that took part in the fit.
+        at_bound: it ended at a physical bound.
+    """
+
+    value: float | None
+    std: float | None
+    unit: str
+    status: Status
+    at_bound: bool
+
+
+@dataclass(frozen=True)
+class OutputErrorFit:
+    """The result.
+
+    Attributes:
+        problem, solution: what was solved and how.
+        parameters: every parameter of the model.
+        offsets: per recording its own offsets, where there are several recordings.
+        correlation: of the determined shared parameters, by name.
+        before, after: what the recordings determine, at the start and at the end.
+        residual: by channel.
+        start: which start won.
+        seconds: time taken.
+    """
+
+    problem: Problem
+    solution: Solution
+    parameters: Mapping[str, FittedParameter]
+    offsets: tuple[Mapping[str, FittedParameter], ...]
+    correlation: Mapping[str, Mapping[str, float]]
+    before: Information
+    after: Information
+    residual: Mapping[str, ResidualTest]
+    start: str
+    seconds: float
+
+    @property
+    def null_directions(self) -> tuple[NullDirection, ...]:
+        return self.after.null
+
+    @property
+    def white(self) -> bool:
+        return all(test.white for test in self.residual.values())
+
+    def cost(self, iteration: Iteration) -> float:
+        """Mean squared residual over the mean square of the measured signal about its mean; the geometric mean over the
+        channels' samples, which is what falls with the likelihood (one channel: the sum of squares but for a factor)."""
+        counts = self.problem.counts
+        with np.errstate(divide="ignore"):
+            logs = np.log(iteration.sse / (counts * self.problem.spread**2))
+        return float(np.exp(counts @ logs / counts.sum()))
+
+    def coordinates(self, recording: int = 0) -> F64:
+        """The plant's parameter vector in coordinates, shape (np,)."""
+        return self.problem.coordinates(self.solution.point.unknowns, recording)
+
+
+def fit_output_error(
+    recordings: Sequence[Recording], effects: tuple[str, ...] = (), options: FitOptions | None = None
+) -> OutputErrorFit:
+    """Fit a motor with these effects to the recordings.
+
+    Raises:
+        BadInputError: no usable signals, too few samples, an impossible fixed value.
+        ConfigError: an unknown effect.
+        NumericalError: no start could be simulated.
+    """
+    options = options or FitOptions()
+    began = time.perf_counter()
+    problem = make_problem(recordings, effects, options.fixed, segment_s=options.segment_s)
+    starts = starting_points(recordings, problem, {**options.nominal, **options.fixed})
+    scale = _coordinate_scale(problem, recordings, starts[0])
+    solution, start = _search(problem, starts, options.robust)
+    first = solve(problem, problem.start(coordinates(start, problem)), robust=False, max_iterations=0)
+    assert first is not None  # it was searched from
+    after = information(problem, solution.point, scale)
+    residual = residual_tests(problem, solution.point)
+    if not all(test.white for test in residual.values()):
+        after = replace(after, covariance=sandwich(problem, solution.point, after))
+    parameters, offsets = _parameters(problem, solution, after, options)
+    return OutputErrorFit(
+        problem=problem,
+        solution=solution,
+        parameters=parameters,
+        offsets=offsets,
+        correlation=_correlation(after, problem.n_shared),
+        before=information(problem, first.point, scale),
+        after=after,
+        residual=residual,
+        start=start.source,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _search(problem: Problem, starts: Sequence[Start], robust: bool) -> tuple[Solution, Start]:
+    """The best end of the searches: all but the guesses from sizes are tried, and of these the most promising."""
+    guesses = [s for s in starts if s.source == "signal sizes"]
+    chosen = [s for s in starts if s.source != "signal sizes"] + _most_promising(problem, guesses)
+    best: tuple[Solution, Start] | None = None
+    for start in chosen:
+        been = None if best is None else best[0].point
+        found = solve(
+            problem,
+            problem.start(coordinates(start, problem)),
+            robust=robust,
+            give_up=None if been is None else _same_place(problem, been),
+        )
+        if found is not None and (best is None or found.point.value < best[0].point.value - _BETTER):
+            best = found, start
+    if best is None:
+        raise NumericalError("the motor cannot be simulated over these data from any start: values out of range?")
+    return best
+
+
+def _most_promising(problem: Problem, guesses: Sequence[Start]) -> list[Start]:
+    ends = [
+        (solve(problem, problem.start(coordinates(g, problem)), robust=False, max_iterations=0), g) for g in guesses
+    ]
+    ranked = sorted(((s.point.value, k) for k, (s, _) in enumerate(ends) if s is not None))
+    return [guesses[k] for _, k in ranked[:_SEARCHED]]
+
+
+def _same_place(problem: Problem, been: Point):  # type: ignore[no-untyped-def]
+    """Whether a search has come to where another has ended: as good, and alike in what is shown."""
+
+    def same(point: Point) -> bool:
+        return abs(point.value - been.value) < _SAME * max(1.0, abs(been.value) * 1e-6)
+
+    return same
+
+
+def _coordinate_scale(problem: Problem, recordings: Sequence[Recording], start: Start) -> F64:
+    """One unit of each coordinate: a factor of e for a logarithm, the typical signal for an offset."""
+    block = max((r.block for r in recordings), key=len)
+    table = {p.name: p for p in problem.plant.parameters}
+    voltage = float(np.max(np.abs(block.voltage_V))) if block.voltage_V is not None else 1.0
+    sizes = {
+        "N·m": torque_size(start.values, block, problem.plant.drive),
+        "A": current_size(block),
+        "V": voltage,
+    }
+
+    def unit(p: Parameter) -> float:
+        return 1.0 if p.transform == "log" else max(sizes.get(p.unit, 1.0), 1e-12)
+
+    return np.array([unit(table[name]) for name in problem.parameter_of_column])
+
+
+def _parameters(
+    problem: Problem, solution: Solution, info: Information, options: FitOptions
+) -> tuple[dict[str, FittedParameter], tuple[Mapping[str, FittedParameter], ...]]:
+    table = {p.name: p for p in problem.plant.parameters}
+    std = np.sqrt(np.maximum(np.diag(info.covariance), 0.0))
+
+    def fitted(column: int) -> FittedParameter:
+        p = table[info.names[column]]
+        value, sigma = from_coordinate(p, float(solution.point.unknowns[column]), float(std[column]))
+        bound = column in solution.at_bound
+        if info.undetermined[column]:
+            shown = value if p.name in options.nominal else None
+            return FittedParameter(shown, None, p.unit, "undetermined", bound)
+        return FittedParameter(value, None if bound else sigma, p.unit, "estimated", bound)
+
+    out: dict[str, FittedParameter] = {}
+    offsets: list[dict[str, FittedParameter]] = [{} for _ in range(problem.recordings if problem.local else 0)]
+    for column, name in enumerate(info.names):
+        if column < problem.n_shared:
+            out[name] = fitted(column)
+        else:
+            offsets[(column - problem.n_shared) // len(problem.local)][name] = fitted(column)
+    for name, coordinate in problem.given.items():
+        value, _ = from_coordinate(table[name], coordinate, 0.0)
+        out[name] = FittedParameter(value, None, table[name].unit, "fixed", False)
+    for name in problem.local:
+        out[name] = _mean([o[name] for o in offsets])
+    return {n: out[n] for n in problem.plant.parameter_names}, tuple(offsets)
+
+
+def _mean(each: Sequence[FittedParameter]) -> FittedParameter:
+    """One figure for an offset that every recording has for itself: weighted mean and its std."""
+    known = [(e.value, e.std) for e in each if e.value is not None and e.std]
+    if not known:
+        return replace(each[0], std=None)
+    weight = np.array([1.0 / s**2 for _, s in known if s])
+    values = np.array([v for v, _ in known])
+    return replace(each[0], value=float(weight @ values / weight.sum()), std=float(1.0 / np.sqrt(weight.sum())))
+
+
+def _correlation(info: Information, n_shared: int) -> dict[str, dict[str, float]]:
+    known = [k for k in range(n_shared) if not info.undetermined[k]]
+    std = np.sqrt(np.maximum(np.diag(info.covariance), 1e-300))
+    C = info.covariance / np.outer(std, std)
+    return {info.names[a]: {info.names[b]: float(np.clip(C[a, b], -1, 1)) for b in known} for a in known}
+
+
+__all__ = ["OFFSETS", "FitOptions", "FittedParameter", "OutputErrorFit", "Recording", "fit_output_error"]

@@ -1,0 +1,162 @@
+"""What a recording determines: singular values of the sensitivities, null directions, standard deviations.
+
+The initial states (and each recording's own offsets) are eliminated by QR, segment by segment: what is left, R, has
+RᵀR = the Fisher information of the parameters with those unknown (Golub & Van Loan, *Matrix Computations*, 4th ed.
+2013, sec. 5.3). Its singular value decomposition shows the directions: 1/s is the standard deviation along each, in
+logarithms. QR of the sensitivities instead of their squares keeps a direction that is exactly null apart from one that
+is a billion times weaker than the strongest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_daemon.estimators.output_error.problem import Problem
+from servo_daemon.estimators.output_error.solver import Point
+from servo_daemon.samples import F64
+
+#: A singular value this much smaller than the largest is rounding.
+_RANK = 1e-9
+#: A direction along which the data leave more than a factor of e (1 σ) is not determined.
+_UNKNOWN = 1.0
+#: Components smaller than this have no part in a null direction; exact ones are clean to rounding.
+_COMPONENT = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class NullDirection:
+    """A direction in which the parameters may move without a trace.
+
+    Attributes:
+        components: share of each parameter's coordinate, the largest 1; those below 1 % are left out.
+        exact: nothing at all is seen along it; otherwise 1 σ is more than a factor of e.
+    """
+
+    components: dict[str, float]
+    exact: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Information:
+    """What is known about the free parameters (shared, then each recording's own), coordinates scaled by `scale`.
+
+    Attributes:
+        names: of the columns.
+        covariance: shape (k, k), coordinates; along exact null directions nothing is added.
+        undetermined: shape (k,), whether a null direction moves it or its own 1 σ exceeds a factor of e.
+        null: the null directions.
+    """
+
+    names: tuple[str, ...]
+    covariance: F64
+    undetermined: NDArray[np.bool_]
+    null: tuple[NullDirection, ...]
+
+
+def information(problem: Problem, point: Point, scale: F64) -> Information:
+    """At one point, with the residuals' RMS there as the noise.
+
+    Args:
+        scale: shape (k,), size of one unit of each coordinate: 1 for a logarithm.
+    """
+    names = problem.parameter_of_column
+    _, s, directions = np.linalg.svd(_reduced(problem, point)[:, : len(names)] * scale)
+    exact = s < _RANK * max(float(s[0]), 1e-300)
+    with np.errstate(divide="ignore"):
+        spread = np.where(exact, 0.0, 1.0 / np.where(exact, 1.0, s))
+    covariance = (directions.T * spread**2) @ directions * np.outer(scale, scale)
+    std = np.sqrt(np.diag(covariance)) / scale
+    lost = (np.abs(directions[exact]) > _COMPONENT).any(axis=0) if exact.any() else np.zeros(len(names), dtype=bool)
+    null = [
+        NullDirection(_components(names, v), bool(e))
+        for v, e, d in zip(directions, exact, spread, strict=True)
+        if e or d > _UNKNOWN
+    ]
+    return Information(names, covariance, lost | (std > _UNKNOWN), tuple(null))
+
+
+def _components(names: tuple[str, ...], direction: F64) -> dict[str, float]:
+    largest = direction[np.argmax(np.abs(direction))]
+    shares = direction / largest
+    out: dict[str, float] = {}
+    for name, share in zip(names, shares, strict=True):
+        if abs(share) >= 0.01:
+            out[name] = out.get(name, 0.0) or float(share)
+    return out
+
+
+def _reduced(problem: Problem, point: Point) -> F64:
+    """R over (parameters), initial states eliminated; shape (at least k, k)."""
+    n_x, n_q = len(problem.plant.states), len(problem.parameter_of_column)
+    mean, prior = problem.state_prior()
+    del mean
+    parts = []
+    for k, (J, w) in enumerate(zip(point.linearisation.jacobian, point.weights, strict=True)):
+        where = problem.columns(k)
+        A = (J * (np.sqrt(w) / point.sigma)[:, :, None]).reshape(-1, J.shape[2])
+        states = np.vstack([A[:, -n_x:], np.diag(np.sqrt(prior[where[-n_x:]]))])
+        others = np.vstack([A[:, :-n_x], np.zeros((n_x, A.shape[1] - n_x))])
+        # Scaled states: their units (A, rad/s, rad) must not decide what counts as rounding.
+        size = np.maximum(np.linalg.norm(states, axis=0), 1e-300)
+        R = np.linalg.qr(np.hstack([states / size, others]), mode="r")[n_x:, n_x:]
+        wide = np.zeros((R.shape[0], n_q))
+        wide[:, where[:-n_x]] = R
+        parts.append(wide)
+    stacked = np.vstack([*parts, np.zeros((n_q, n_q))])
+    return np.linalg.qr(stacked, mode="r")
+
+
+def sandwich(problem: Problem, point: Point, info: Information) -> F64:
+    """Covariance for residuals that are not white: H⁻¹ M H⁻¹ with M the long-run covariance of the scores.
+
+    M = (1/n) Σ_ω J(ω)ᴴ W S(ω) W J(ω), S the residuals' spectral matrix over all channels, smoothed (Daniell) over √n
+    frequencies: correlation in time and between channels is in it, whatever made it (voltage noise, quantisation,
+    what the model lacks).
+    """
+    H_inverse = info.covariance
+    n_q = len(info.names)
+    M = np.zeros((n_q, n_q))
+    for k, scores in enumerate(_reduced_sensitivities(problem, point)):
+        r = point.linearisation.residuals[k] * np.sqrt(point.weights[k]) / point.sigma
+        M += _long_run(scores, r)
+    return np.asarray(H_inverse @ M @ H_inverse)
+
+
+def _reduced_sensitivities(problem: Problem, point: Point) -> list[F64]:
+    """Per segment, shape (n, c, k): weighted sensitivities less what the segment's initial state can explain of them."""
+    n_x, out = len(problem.plant.states), []
+    for k, (J, w) in enumerate(zip(point.linearisation.jacobian, point.weights, strict=True)):
+        where = problem.columns(k)
+        A = (J * (np.sqrt(w) / point.sigma)[:, :, None]).reshape(-1, J.shape[2])
+        states, others = A[:, -n_x:], A[:, :-n_x]
+        size = np.maximum(np.linalg.norm(states, axis=0), 1e-300)
+        explained, *_ = np.linalg.lstsq(states / size, others, rcond=1e-10)
+        wide = np.zeros((len(A), len(problem.parameter_of_column)))
+        wide[:, where[:-n_x]] = others - (states / size) @ explained
+        out.append(wide.reshape(len(J), J.shape[1], -1))
+    return out
+
+
+def _long_run(scores: F64, residuals: F64) -> F64:
+    n, c = residuals.shape
+    length = 1 << (2 * n - 1).bit_length()
+    E, D = np.fft.rfft(residuals, length, axis=0), np.fft.rfft(scores, length, axis=0)
+    cross = E[:, :, None] * E[:, None, :].conj() / n
+    width = max(3, int(np.sqrt(n) * length / n) | 1)
+    S = _smoothed(cross, width)
+    double = np.full(len(E), 2.0)
+    double[[0, -1]] = 1.0
+    # J_c(ω)* S_cd(ω) J_d(ω), summed over channels and frequencies; Parseval's factor 1/length.
+    M = np.einsum("wcp,wcd,wdq,w->pq", D.conj(), S, D, double, optimize=True).real / length
+    return np.asarray((M + M.T) / 2) if c else M
+
+
+def _smoothed(values: np.ndarray, width: int) -> np.ndarray:
+    """Moving mean over frequencies; at the ends over what there is (mirrored)."""
+    reach = width // 2
+    padded = np.concatenate([values[reach:0:-1].conj(), values, values[-2 : -2 - reach : -1].conj()])
+    sums = np.cumsum(np.concatenate([np.zeros_like(padded[:1]), padded]), axis=0)
+    return np.asarray((sums[width:] - sums[:-width]) / width)

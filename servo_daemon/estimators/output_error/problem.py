@@ -1,0 +1,192 @@
+"""What is fitted to what: recordings cut into segments, the unknowns in one vector, residuals and their derivatives.
+
+The vector of unknowns is laid out as
+
+    shared parameters | each recording's own offsets | each segment's initial state
+
+in the parameters' coordinates (logarithms where positive). Nothing here decides anything: `solver.py` minimises.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_daemon.estimators.output_error.rollout import simulate
+from servo_daemon.plant.build import PlantModel
+from servo_daemon.samples import F64
+
+#: A state that the data do not show (the angle where only a speed is measured, the current of a fast winding) is kept
+#: near its start by a prior this many times as wide as the signal is large: it decides nothing where data do.
+_STATE_PRIOR = 100.0
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """A stretch that is simulated freely from an initial state of its own.
+
+    Attributes:
+        recording: index of the recording it is from.
+        rows: shape (n, 3), see `rollout`.
+        measured: shape (n, c).
+        valid: shape (n, c).
+        x0: shape (nx,), initial state to start from.
+        x0_scale: shape (nx,), size of that state over the recording.
+    """
+
+    recording: int
+    rows: F64
+    measured: F64
+    valid: NDArray[np.bool_]
+    x0: F64
+    x0_scale: F64
+
+
+@dataclass(frozen=True, slots=True)
+class Linearisation:
+    """Residuals and derivatives at one point.
+
+    Attributes:
+        residuals: per segment, shape (n, c), measured − shown; 0 where not valid.
+        jacobian: per segment, shape (n, c, k), of what is shown by `columns` of that segment.
+        finite: whether the simulation stayed in range.
+    """
+
+    residuals: tuple[F64, ...]
+    jacobian: tuple[F64, ...]
+    finite: bool
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Plant, data and which parameters are free.
+
+    Attributes:
+        plant: the model.
+        channels: measured channels, c of them.
+        segments: the data.
+        free: names of the shared free parameters.
+        local: names of the free parameters that every recording has for itself.
+        given: coordinate of every parameter that is not free.
+        recordings: how many there are.
+    """
+
+    plant: PlantModel
+    channels: tuple[str, ...]
+    segments: tuple[Segment, ...]
+    free: tuple[str, ...]
+    local: tuple[str, ...]
+    given: Mapping[str, float]
+    recordings: int
+
+    @cached_property
+    def n_shared(self) -> int:
+        return len(self.free)
+
+    @cached_property
+    def n_unknowns(self) -> int:
+        per_recording = len(self.local) * self.recordings
+        return self.n_shared + per_recording + len(self.plant.states) * len(self.segments)
+
+    @cached_property
+    def bounds(self) -> tuple[F64, F64]:
+        """Lower and upper bound of every unknown, shape (unknowns,) each."""
+        table = {p.name: p for p in self.plant.parameters}
+        low, high = np.full(self.n_unknowns, -np.inf), np.full(self.n_unknowns, np.inf)
+        for k, name in enumerate(self.parameter_of_column):
+            p = table[name]
+            low[k], high[k] = (np.log(p.lower), np.log(p.upper)) if p.transform == "log" else (p.lower, p.upper)
+        return low, high
+
+    @cached_property
+    def parameter_of_column(self) -> tuple[str, ...]:
+        """Names of the unknowns that are parameters, in order."""
+        return (*self.free, *(name for _ in range(self.recordings) for name in self.local))
+
+    @cached_property
+    def logarithmic(self) -> NDArray[np.bool_]:
+        """Which unknowns are logarithms, shape (unknowns,)."""
+        table = {p.name: p for p in self.plant.parameters}
+        out = np.zeros(self.n_unknowns, dtype=bool)
+        out[: len(self.parameter_of_column)] = [table[n].transform == "log" for n in self.parameter_of_column]
+        return out
+
+    def columns(self, index: int) -> NDArray[np.intp]:
+        """Which unknowns act on a segment: shared, its recording's own, its initial state; shape (k,)."""
+        recording = self.segments[index].recording
+        n_local, n_x = len(self.local), len(self.plant.states)
+        own = self.n_shared + n_local * recording
+        state = self.n_shared + n_local * self.recordings + n_x * index
+        parts = (np.arange(self.n_shared), np.arange(own, own + n_local), np.arange(state, state + n_x))
+        return np.concatenate(parts)
+
+    def start(self, coordinates: Mapping[str, float]) -> F64:
+        """The vector of unknowns with these parameters and the segments' own initial states."""
+        parameters = [coordinates[name] for name in self.parameter_of_column]
+        return np.concatenate([parameters, *[s.x0 for s in self.segments]])
+
+    def with_parameters(self, unknowns: F64, coordinates: Mapping[str, float]) -> F64:
+        """The same initial states with other parameters."""
+        out = unknowns.copy()
+        out[: len(self.parameter_of_column)] = [coordinates[name] for name in self.parameter_of_column]
+        return out
+
+    def coordinates(self, unknowns: F64, recording: int) -> F64:
+        """The plant's parameter vector for a recording, shape (np,)."""
+        own = self.n_shared + len(self.local) * recording
+        values = dict(zip(self.free, unknowns, strict=False))
+        values |= dict(zip(self.local, unknowns[own : own + len(self.local)], strict=True))
+        return np.array([values[n] if n in values else self.given[n] for n in self.plant.parameter_names])
+
+    def initial_state(self, unknowns: F64, index: int) -> F64:
+        """Shape (nx,)."""
+        return unknowns[self.columns(index)[-len(self.plant.states) :]]
+
+    def linearise(self, unknowns: F64) -> Linearisation:
+        """Simulate every segment and differentiate."""
+        names = self.plant.parameter_names
+        chosen = [names.index(n) for n in (*self.free, *self.local)]
+        residuals, jacobians, finite = [], [], True
+        for k, segment in enumerate(self.segments):
+            q = self.coordinates(unknowns, segment.recording)
+            run = simulate(self.plant, self.channels, q, self.initial_state(unknowns, k), segment.rows)
+            finite = finite and bool(np.isfinite(run.last).all() and np.isfinite(run.shown[-1]).all())
+            residuals.append(np.where(segment.valid, segment.measured - run.shown, 0.0))
+            jacobian = np.concatenate([run.by_parameter[:, :, chosen], run.by_state], axis=2)
+            if not segment.valid.all():
+                jacobian = jacobian * segment.valid[:, :, None]
+            jacobians.append(jacobian)
+        finite = finite and all(bool(np.isfinite(r).all()) for r in residuals)
+        return Linearisation(tuple(residuals), tuple(jacobians), finite)
+
+    def state_prior(self) -> tuple[F64, F64]:
+        """Mean and inverse variance of the unknowns' prior: zero weight but for initial states."""
+        mean, weight = np.zeros(self.n_unknowns), np.zeros(self.n_unknowns)
+        for k, segment in enumerate(self.segments):
+            where = self.columns(k)[-len(self.plant.states) :]
+            mean[where] = segment.x0
+            weight[where] = 1.0 / (_STATE_PRIOR * segment.x0_scale) ** 2
+        return mean, weight
+
+    @cached_property
+    def counts(self) -> F64:
+        """Valid samples of each channel, shape (c,)."""
+        return np.sum([s.valid.sum(axis=0) for s in self.segments], axis=0).astype(np.float64)
+
+    @cached_property
+    def spread(self) -> F64:
+        """RMS of each measured channel about its mean, shape (c,): what a model that explains nothing leaves."""
+        out = []
+        for k in range(len(self.channels)):
+            values = np.concatenate([s.measured[s.valid[:, k], k] for s in self.segments])
+            out.append(max(float(np.std(values)), 1e-12 * float(np.max(np.abs(values), initial=0.0)), 1e-300))
+        return np.array(out)
+
+
+def joined(parts: Sequence[F64]) -> F64:
+    """Segments' arrays one after the other."""
+    return np.concatenate(list(parts))

@@ -1,0 +1,74 @@
+"""What the fit leaves: its size, whether it is white, and what it still follows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from servo_daemon.estimators.output_error.problem import Problem
+from servo_daemon.estimators.output_error.rollout import INPUT
+from servo_daemon.estimators.output_error.solver import Point
+from servo_daemon.samples import F64
+
+#: Lags that are looked at, samples.
+LAGS = 25
+#: A correlation below this is none that matters, however many samples make it significant.
+RELEVANT = 0.1
+#: Correlation of a residual with the past input beyond which the model lacks some of the response.
+_SIGNIFICANT = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class ResidualTest:
+    """Of one channel.
+
+    Attributes:
+        rmse: in the channel's unit.
+        autocorrelation: the largest in modulus over lags 1 … `LAGS`.
+        input_correlation: the largest in modulus with the input, lags 0 … `LAGS`, of the residual made white first.
+        white: neither exceeds what noise gives by chance (4 σ) and what matters (0.1).
+        outliers: samples that lost weight as isolated outliers.
+    """
+
+    rmse: float
+    autocorrelation: float
+    input_correlation: float
+    white: bool
+    outliers: int
+
+
+def residual_tests(problem: Problem, point: Point) -> dict[str, ResidualTest]:
+    """One test for each channel."""
+    out = {}
+    for c, name in enumerate(problem.channels):
+        parts = [r[:, c] * np.sqrt(w[:, c]) for r, w in zip(point.linearisation.residuals, point.weights, strict=True)]
+        inputs = [s.rows[:, INPUT] for s in problem.segments]
+        auto, cross, n = _autocorrelation(parts), _input_correlation(parts, inputs), sum(map(len, parts))
+        limit = max(RELEVANT, _SIGNIFICANT / np.sqrt(n))
+        rmse = float(np.sqrt(point.sse[c] / problem.counts[c]))
+        outliers = int(sum((w[:, c] < 1.0).sum() for w in point.weights))
+        out[name] = ResidualTest(rmse, auto, cross, max(abs(auto), abs(cross)) < limit, outliers)
+    return out
+
+
+def _autocorrelation(parts: list[F64]) -> float:
+    power = sum(float(r @ r) for r in parts)
+    if power == 0.0:
+        return 0.0
+    lags = [sum(float(r[k:] @ r[:-k]) for r in parts if len(r) > k) / power for k in range(1, LAGS + 1)]
+    return max(lags, key=abs)
+
+
+def _input_correlation(parts: list[F64], inputs: list[F64]) -> float:
+    """With the input as it comes: differences of both, so that a slow input correlates no more than a fast one."""
+    best = 0.0
+    r = [np.diff(x) for x in parts]
+    u = [np.diff(x) for x in inputs]
+    power = np.sqrt(sum(float(x @ x) for x in r) * sum(float(x @ x) for x in u))
+    if power == 0.0:
+        return 0.0
+    for k in range(LAGS + 1):
+        value = sum(float(a[k:] @ b[: len(b) - k]) for a, b in zip(r, u, strict=True) if len(a) > k) / power
+        best = max(best, value, key=abs)
+    return float(best)
