@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -26,7 +26,7 @@ Status = Literal["estimated", "undetermined", "fixed"]
 _SEARCHED = 2
 #: Another start must lower V (2 log-likelihood) by more than this to win.
 _BETTER = 1.0
-#: Two ends closer than this in every determined coordinate are one.
+#: Two ends whose V differ by less (relative to 10⁶ of it, where rounding is larger) are one.
 _SAME = 0.01
 
 
@@ -100,8 +100,8 @@ class OutputErrorFit:
         return all(test.white for test in self.residual.values())
 
     def cost(self, iteration: Iteration) -> float:
-        """Mean squared residual over the mean square of the measured signal about its mean; the geometric mean over the
-        channels' samples, which is what falls with the likelihood (one channel: the sum of squares but for a factor)."""
+        """Mean squared residual over the mean square of the measured signal about its mean; over several channels the
+        geometric mean, which is what falls with the likelihood (one channel: the sum of squares but for a factor)."""
         counts = self.problem.counts
         with np.errstate(divide="ignore"):
             logs = np.log(iteration.sse / (counts * self.problem.spread**2))
@@ -160,7 +160,7 @@ def _search(problem: Problem, starts: Sequence[Start], robust: bool) -> tuple[So
             problem,
             problem.start(coordinates(start, problem)),
             robust=robust,
-            give_up=None if been is None else _same_place(problem, been),
+            give_up=None if been is None else _same_place(been),
         )
         if found is not None and (best is None or found.point.value < best[0].point.value - _BETTER):
             best = found, start
@@ -170,15 +170,13 @@ def _search(problem: Problem, starts: Sequence[Start], robust: bool) -> tuple[So
 
 
 def _most_promising(problem: Problem, guesses: Sequence[Start]) -> list[Start]:
-    ends = [
-        (solve(problem, problem.start(coordinates(g, problem)), robust=False, max_iterations=0), g) for g in guesses
-    ]
-    ranked = sorted(((s.point.value, k) for k, (s, _) in enumerate(ends) if s is not None))
+    ends = [solve(problem, problem.start(coordinates(g, problem)), robust=False, max_iterations=0) for g in guesses]
+    ranked = sorted((s.point.value, k) for k, s in enumerate(ends) if s is not None)
     return [guesses[k] for _, k in ranked[:_SEARCHED]]
 
 
-def _same_place(problem: Problem, been: Point):  # type: ignore[no-untyped-def]
-    """Whether a search has come to where another has ended: as good, and alike in what is shown."""
+def _same_place(been: Point) -> Callable[[Point], bool]:
+    """Whether a search has come to where another has ended: nothing would be won by going on."""
 
     def same(point: Point) -> bool:
         return abs(point.value - been.value) < _SAME * max(1.0, abs(been.value) * 1e-6)

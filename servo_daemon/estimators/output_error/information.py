@@ -101,12 +101,16 @@ def _reduced(problem: Problem, point: Point) -> F64:
         others = np.vstack([A[:, :-n_x], np.zeros((n_x, A.shape[1] - n_x))])
         # Scaled states: their units (A, rad/s, rad) must not decide what counts as rounding.
         size = np.maximum(np.linalg.norm(states, axis=0), 1e-300)
-        R = np.linalg.qr(np.hstack([states / size, others]), mode="r")[n_x:, n_x:]
+        R = _triangle(np.hstack([states / size, others]))[n_x:, n_x:]
         wide = np.zeros((R.shape[0], n_q))
         wide[:, where[:-n_x]] = R
         parts.append(wide)
     stacked = np.vstack([*parts, np.zeros((n_q, n_q))])
-    return np.linalg.qr(stacked, mode="r")
+    return _triangle(stacked)
+
+
+def _triangle(A: F64) -> F64:
+    return np.asarray(np.linalg.qr(A, mode="r"), dtype=np.float64)
 
 
 def sandwich(problem: Problem, point: Point, info: Information) -> F64:
@@ -126,7 +130,7 @@ def sandwich(problem: Problem, point: Point, info: Information) -> F64:
 
 
 def _reduced_sensitivities(problem: Problem, point: Point) -> list[F64]:
-    """Per segment, shape (n, c, k): weighted sensitivities less what the segment's initial state can explain of them."""
+    """Per segment, shape (n, c, k): weighted sensitivities less what the segment's initial state explains of them."""
     n_x, out = len(problem.plant.states), []
     for k, (J, w) in enumerate(zip(point.linearisation.jacobian, point.weights, strict=True)):
         where = problem.columns(k)

@@ -9,7 +9,7 @@ in the parameters' coordinates (logarithms where positive). Nothing here decides
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -175,7 +175,7 @@ class Problem:
     @cached_property
     def counts(self) -> F64:
         """Valid samples of each channel, shape (c,)."""
-        return np.sum([s.valid.sum(axis=0) for s in self.segments], axis=0).astype(np.float64)
+        return np.asarray(np.sum([s.valid.sum(axis=0) for s in self.segments], axis=0), dtype=np.float64)
 
     @cached_property
     def spread(self) -> F64:
@@ -185,8 +185,3 @@ class Problem:
             values = np.concatenate([s.measured[s.valid[:, k], k] for s in self.segments])
             out.append(max(float(np.std(values)), 1e-12 * float(np.max(np.abs(values), initial=0.0)), 1e-300))
         return np.array(out)
-
-
-def joined(parts: Sequence[F64]) -> F64:
-    """Segments' arrays one after the other."""
-    return np.concatenate(list(parts))

@@ -53,7 +53,7 @@ def _from_neighbours(r: F64) -> F64:
         return r - np.median(r)
     padded = np.concatenate([np.full(reach, r[0]), r, np.full(reach, r[-1])])
     around = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1)
-    return r - np.median(around, axis=1)
+    return np.asarray(r - np.median(around, axis=1))
 
 
 def _long_runs(mask: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from math import isfinite
 
 import numpy as np
@@ -130,12 +131,12 @@ def _cuts(time: F64, segment_s: float | None) -> list[tuple[int, int]]:
     gap = max(_LONG_GAP_PERIODS * float(np.median(distance)), _LONG_GAP_S)
     edges = [0, *(np.flatnonzero(distance > gap) + 1).tolist(), len(time)]
     cuts = []
-    for begin, end in zip(edges, edges[1:], strict=False):
+    for begin, end in pairwise(edges):
         pieces = 1
         if segment_s is not None and end - begin > 1:
             pieces = max(1, round(float(time[end - 1] - time[begin]) / segment_s))
         inner = np.linspace(begin, end, pieces + 1).astype(int)
-        cuts += list(zip(inner.tolist(), inner[1:].tolist(), strict=False))
+        cuts += list(pairwise(inner.tolist()))
     return cuts
 
 

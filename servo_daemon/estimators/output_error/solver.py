@@ -6,8 +6,8 @@ With white noise of unknown size in every channel the negative log-likelihood, i
 
 (Ljung, *System Identification*, 2nd ed. 1999, sec. 7.4; Jategaonkar, *Flight Vehicle System Identification*, 2nd ed.
 2015, sec. 4.5). Its Gauss–Newton step is that of least squares weighted by σ_c² = SSE_c/n_c of the present point: the
-channels balance themselves, and a decrease of V counts in units of 2 log-likelihood, in which "converged" has a meaning:
-the step still to go is a small part of a standard deviation.
+channels balance themselves, and a decrease of V counts in units of 2 log-likelihood, in which "converged" has a
+meaning: the step still to go is a small part of a standard deviation.
 """
 
 from __future__ import annotations

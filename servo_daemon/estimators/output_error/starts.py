@@ -86,8 +86,7 @@ def _from_sizes(block: SampleBlock, plant: PlantModel) -> list[dict[str, float]]
         assert known is not None
         torque = max(float(np.percentile(np.abs(known), 95.0)), 1e-12)
         acceleration = max(acceleration_size(block), 1e-9)
-        for share in (0.1, 0.5):
-            core.append({"K": 1.0, "J": (1 - share) * torque / acceleration, "B": share * torque / speed})
+        core = [{"K": 1.0, "J": (1 - s) * torque / acceleration, "B": s * torque / speed} for s in (0.1, 0.5)]
     return [_with_effects(values, block, plant) for values in core]
 
 
