@@ -28,6 +28,7 @@ COMMANDS = {
     "sim-drive": "servo_daemon.commands.sim_drive",
     "record": "servo_daemon.commands.record",
     "replay": "servo_daemon.commands.replay",
+    "fit": "servo_daemon.commands.fit",
     "check": "servo_daemon.commands.check",
 }
 

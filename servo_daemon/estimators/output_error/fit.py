@@ -11,6 +11,7 @@ import numpy as np
 
 from servo_daemon.errors import NumericalError
 from servo_daemon.estimators.base import from_coordinate
+from servo_daemon.estimators.output_error.combinations import Combination, determined_combinations
 from servo_daemon.estimators.output_error.information import Information, NullDirection, information, sandwich
 from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.output_error.residual import ResidualTest, residual_tests
@@ -75,6 +76,7 @@ class OutputErrorFit:
         offsets: per recording its own offsets, where there are several recordings.
         correlation: of the determined shared parameters, by name.
         before, after: what the recordings determine, at the start and at the end.
+        combinations: what is determined of parameters that are not.
         residual: by channel.
         start: which start won.
         seconds: time taken.
@@ -87,6 +89,7 @@ class OutputErrorFit:
     correlation: Mapping[str, Mapping[str, float]]
     before: Information
     after: Information
+    combinations: tuple[Combination, ...]
     residual: Mapping[str, ResidualTest]
     start: str
     seconds: float
@@ -143,6 +146,9 @@ def fit_output_error(
         correlation=_correlation(after, problem.n_shared),
         before=information(problem, first.point, scale),
         after=after,
+        combinations=determined_combinations(
+            problem.plant, problem.coordinates(solution.point.unknowns, 0), after, scale
+        ),
         residual=residual,
         start=start.source,
         seconds=time.perf_counter() - began,

@@ -19,7 +19,7 @@ from servo_daemon.estimators.output_error.solver import Point
 from servo_daemon.samples import F64
 
 #: A singular value this much smaller than the largest is rounding.
-_RANK = 1e-9
+_RANK = 1e-7
 #: A direction along which the data leave more than a factor of e (1 σ) is not determined.
 _UNKNOWN = 1.0
 #: Components smaller than this have no part in a null direction; exact ones are clean to rounding.
@@ -48,12 +48,14 @@ class Information:
         covariance: shape (k, k), coordinates; along exact null directions nothing is added.
         undetermined: shape (k,), whether a null direction moves it or its own 1 σ exceeds a factor of e.
         null: the null directions.
+        exact: shape (·, k), the exact ones as unit vectors in scaled coordinates.
     """
 
     names: tuple[str, ...]
     covariance: F64
     undetermined: NDArray[np.bool_]
     null: tuple[NullDirection, ...]
+    exact: F64
 
 
 def information(problem: Problem, point: Point, scale: F64) -> Information:
@@ -75,7 +77,7 @@ def information(problem: Problem, point: Point, scale: F64) -> Information:
         for v, e, d in zip(directions, exact, spread, strict=True)
         if e or d > _UNKNOWN
     ]
-    return Information(names, covariance, lost | (std > _UNKNOWN), tuple(null))
+    return Information(names, covariance, lost | (std > _UNKNOWN), tuple(null), directions[exact])
 
 
 def _components(names: tuple[str, ...], direction: F64) -> dict[str, float]:

@@ -14,6 +14,8 @@ from servo_daemon.samples import F64
 
 #: A residual that stands out from its neighbours by more standard deviations is suspect (Gaussian: 1 in 1.7 million).
 GATE = 5.0
+#: … and so is only one that stands out from what the model leaves anyway.
+_OF_RESIDUAL = 0.6
 #: Longest run of suspects that still counts as isolated, samples.
 LONGEST_GLITCH = 3
 
@@ -35,7 +37,8 @@ def sample_weights(residuals: Sequence[F64]) -> tuple[F64, ...]:
         scale = 1.4826 * float(np.median(np.abs(np.concatenate(differences))))
         # Neighbours that differ by nothing (a standing encoder): no scale by which anything could stand out.
         rms = float(np.sqrt(np.mean(np.concatenate(differences) ** 2)))
-        scale = max(scale, 0.1 * rms)
+        left = float(np.sqrt(np.mean(np.concatenate([r[:, k] for r in residuals]) ** 2)))
+        scale = max(scale, 0.1 * rms, _OF_RESIDUAL * left)
         if scale == 0.0:
             continue
         for weight, d in zip(out, differences, strict=True):

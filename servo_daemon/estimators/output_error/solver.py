@@ -26,6 +26,8 @@ from servo_daemon.samples import F64
 _DECREMENT = 4e-4
 #: … or when V cannot be lowered by more than rounding leaves of it.
 _RELATIVE = 1e-12
+#: … or when it has fallen by less than this so many times in a row: dry friction makes steps in it that no slope shows.
+_LITTLE, _IN_A_ROW = 0.2, 3
 #: No parameter changes by a larger factor in one step.
 _LONGEST_STEP = 300.0
 #: A sensor shows no less of its signal: 20 bits. It keeps the weights finite on data without noise.
@@ -102,7 +104,7 @@ def solve(
     point = _reweigh(problem, point) if robust else point
     iterations = [Iteration(0, 1, point.sse, point.unknowns)]
     evaluations, damping, converged = 1, _FIRST_DAMPING, False
-    free = np.ones(len(start), dtype=bool)
+    free, gains = np.ones(len(start), dtype=bool), [np.inf]
     while len(iterations) <= max_iterations:
         H, g = normal_equations(problem, point)
         free = ~((point.unknowns <= low) & (g < 0) | (point.unknowns >= high) & (g > 0))
@@ -114,7 +116,8 @@ def solve(
         if better is None:  # no step helps at any damping: the bottom, as far as a cost with kinks has one
             converged = True
             break
-        converged = point.value - better.value < _RELATIVE * abs(point.value)
+        gains = [*gains[1 - _IN_A_ROW :], point.value - better.value]
+        converged = gains[-1] < _RELATIVE * abs(point.value) or (len(gains) == _IN_A_ROW and max(gains) < _LITTLE)
         point = _reweigh(problem, better) if robust else better
         iterations.append(Iteration(len(iterations), evaluations, point.sse, point.unknowns))
         if give_up is not None and give_up(point):

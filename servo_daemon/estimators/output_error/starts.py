@@ -44,7 +44,7 @@ def starting_points(recordings: Sequence[Recording], problem: Problem, nominal: 
         nominal: what the user gave, natural units.
     """
     block = max((r.block for r in recordings), key=len)
-    guesses = [Start("signal sizes", values) for values in _from_sizes(block, problem.plant)]
+    guesses = [Start("signal sizes", values) for values in _from_sizes(block, problem.plant, nominal)]
     regression = _from_regression(block, problem.plant)
     starts = []
     needed = {p.name for p in LINEAR} & {*problem.free, *problem.local}
@@ -68,15 +68,17 @@ def _complete(some: Mapping[str, float], rest: Mapping[str, float], plant: Plant
     return {n: some.get(n, rest[n]) for n in plant.parameter_names}
 
 
-def _from_sizes(block: SampleBlock, plant: PlantModel) -> list[dict[str, float]]:
+def _from_sizes(block: SampleBlock, plant: PlantModel, nominal: Mapping[str, float]) -> list[dict[str, float]]:
     speed = max(speed_size(block), 1e-9)
     core: list[dict[str, float]] = []
     if plant.drive == "voltage":
         assert block.voltage_V is not None
         voltage = max(float(np.percentile(np.abs(block.voltage_V), 95.0)), 1e-9)
         moves = block.position_rad is not None or block.velocity_rad_s is not None
-        R = 0.5 * voltage / max(current_size(block), 1e-9) if block.current_A is not None else 1.0
         K = 0.7 * voltage / speed if moves else 0.05
+        R = 0.5 * voltage / max(current_size(block), 1e-9) if block.current_A is not None else 1.0
+        if block.current_A is None and "Tg" in nominal:  # a known weight says how much torque a volt makes
+            R = K * voltage / (2.0 * nominal["Tg"])
         for mechanical, electrical in product(_MECHANICAL_S, _ELECTRICAL_S):
             braking = K * K / R
             J = mechanical * braking * (1 + _FRICTION_SHARE)

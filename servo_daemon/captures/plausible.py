@@ -1,0 +1,86 @@
+"""What a capture's numbers say about its units: a motor of 4,000 A is more often one of 4 A in milliamperes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from servo_daemon.captures.model import Capture, capture_error
+from servo_daemon.samples import F64
+
+#: Sampling periods of a servo drive, s: slower shows no motor's dynamics, faster is no drive's log.
+_SLOWEST_S, _FASTEST_S = 0.25, 1e-6
+#: Below this share of its largest value a channel does not move.
+_STILL = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class _Range:
+    """Of the 99th percentile of the modulus; beyond it the hint is given."""
+
+    channel: str
+    column: str
+    largest: float
+    hint: str
+
+
+_RANGES = (
+    _Range("voltage_V", "voltage_V", 1500.0, "is it in millivolts?"),
+    _Range("current_A", "current_A", 1000.0, "is it in milliamperes?"),
+    _Range("velocity_rad_s", "velocity_rad_s", 12000.0, "is it in rpm, degrees or counts a second?"),
+)
+#: Fastest a shaft turns, rad/s (115,000 rpm): an angle that runs faster is in degrees or counts.
+_FASTEST_SHAFT = 12000.0
+
+
+def check_time_unit(capture: Capture) -> None:
+    """A servo drive's sampling period must be possible.
+
+    Raises:
+        CaptureError: it is not; the message says which unit it probably is.
+    """
+    period = capture.sample_period_s
+    if period > _SLOWEST_S:
+        unit = "milliseconds" if period < 100.0 else "microseconds"
+        raise capture_error(
+            capture.path,
+            f"the median distance of two samples is {period:g} s, too slow to show a motor's dynamics: "
+            f"is it in {unit}? time_s must be in seconds",
+            column="time_s",
+        )
+    if period < _FASTEST_S:
+        raise capture_error(
+            capture.path,
+            f"the median distance of two samples is {period:g} s: time_s must be in seconds",
+            column="time_s",
+        )
+
+
+def plausibility_notes(capture: Capture) -> tuple[str, ...]:
+    """What should be checked before the result is believed, one sentence each; empty where nothing is odd."""
+    notes = [n for r in _RANGES if (n := _too_large(r, getattr(capture, r.channel))) is not None]
+    if capture.position_rad is not None and capture.axis == "rotary":
+        speed = np.diff(capture.position_rad) / np.diff(capture.time_s)
+        fast = float(np.percentile(np.abs(speed), 90.0))
+        if fast > _FASTEST_SHAFT:
+            notes.append(f"column position_rad moves at {fast:,.0f} rad/s: is it in degrees or counts?")
+    notes += _still(capture)
+    return tuple(notes)
+
+
+def _too_large(limits: _Range, values: F64 | None) -> str | None:
+    if values is None:
+        return None
+    size = float(np.percentile(np.abs(values), 99.0))
+    return f"column {limits.column} reaches {size:,.0f}: {limits.hint}" if size > limits.largest else None
+
+
+def _still(capture: Capture) -> list[str]:
+    """Channels that never change. Without a changing input there is nothing to learn from."""
+    notes = []
+    for name in capture.channels:
+        values = getattr(capture, name)
+        if name != "temperature_C" and float(np.ptp(values)) <= _STILL * float(np.max(np.abs(values), initial=0.0)):
+            notes.append(f"column {name} never changes: it tells nothing about the dynamics")
+    return notes

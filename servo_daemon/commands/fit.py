@@ -1,0 +1,87 @@
+"""`servo-daemon fit`: careful offline identification of one capture or several."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from servo_daemon.commands import common
+
+HELP = "identify a motor from captures: values, standard deviations, what the data do not determine"
+EXAMPLE = """  servo-daemon fit capture.csv
+  servo-daemon fit day1.csv day2.csv --effect coulomb_friction --validate day3.csv --adapt 0.3
+  servo-daemon fit axis.csv.gz --method idim --effect coulomb_friction --effect constant_load_torque --json
+  servo-daemon fit no_current.csv --fix R=3.57,K=0.046 --out report/"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("captures", type=Path, nargs="+", metavar="CAPTURE", help="what is fitted, all together")
+    add_model(parser)
+    parser.add_argument(
+        "--validate",
+        type=Path,
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="C",
+        help="captures that are only scored",
+    )
+    parser.add_argument(
+        "--adapt",
+        type=float,
+        metavar="SHARE",
+        help="let friction and offsets settle on this first share of each validation capture, score the rest (0.3)",
+    )
+    parser.add_argument(
+        "--method", choices=("output-error", "idim"), default="output-error", help="default: output-error"
+    )
+    parser.add_argument(
+        "--segment", type=float, metavar="S", help="free runs of this length, each with its own initial state"
+    )
+    parser.add_argument("--no-robust", action="store_true", help="give isolated wrong samples full weight")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write fit.json and report.html there")
+    common.add_config(parser)
+    common.add_json(parser)
+
+
+def add_model(parser: argparse.ArgumentParser) -> None:
+    """The flags that say which model is fitted."""
+    parser.add_argument(
+        "--effect",
+        action="append",
+        default=[],
+        metavar="NAME[:k=v,…]",
+        help="an effect beside the config's model, with start values; repeatable",
+    )
+    parser.add_argument("--fix", default="", metavar="P=v,…", help="parameters held at a value, e.g. R=3.57,K=0.046")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from servo_daemon.commands.fit_document import fit_document
+    from servo_daemon.commands.fit_inputs import gather, unused_fixed
+    from servo_daemon.commands.fit_text import print_fit
+    from servo_daemon.errors import BadInputError
+    from servo_daemon.estimators.output_error import FitOptions
+    from servo_daemon.identification import IdentifyOptions, identify
+
+    if arguments.adapt is not None and not 0.0 < arguments.adapt < 1.0:
+        raise BadInputError(f"--adapt must lie between 0 and 1, not {arguments.adapt:g}")
+    if arguments.segment is not None and not arguments.segment > 0.0:
+        raise BadInputError(f"--segment must be greater than zero, not {arguments.segment:g}")
+    inputs = gather(arguments)
+    if lost := unused_fixed(inputs.fixed, inputs.effects):
+        raise BadInputError(f"--fix: the model has no parameter {', '.join(lost)}")
+    for text in inputs.notes:
+        common.note(text)
+    options = FitOptions(
+        nominal=inputs.nominal, fixed=inputs.fixed, robust=not arguments.no_robust, segment_s=arguments.segment
+    )
+    result = identify(
+        inputs.captures, inputs.validation, IdentifyOptions(inputs.effects, inputs.baseline, options, arguments.adapt)
+    )
+    document = fit_document(result)
+    if arguments.json:
+        common.print_json(document)
+    else:
+        print_fit(document)
+    return 0

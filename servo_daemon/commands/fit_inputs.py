@@ -1,0 +1,127 @@
+"""What the offline commands (fit, compare) make of their arguments: captures, model, fixed and nominal values."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from servo_daemon.captures import Capture, read_capture
+from servo_daemon.captures.plausible import check_time_unit, plausibility_notes
+from servo_daemon.commands import common
+from servo_daemon.config import DriveConfig
+from servo_daemon.errors import BadInputError
+from servo_daemon.plant.effects import effects_by_name, parameter_table
+from servo_daemon.simulate.settings import parse_effect
+
+#: m/s², standard acceleration of gravity (CGPM 1901).
+GRAVITY = 9.80665
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """Everything a fit starts from.
+
+    Attributes:
+        drive: of the config, or without one a drive of which nothing is nominal.
+        captures: to be fitted.
+        validation: only to be scored.
+        effects: the model: the config's, then those of the flags.
+        baseline: the config's model alone.
+        nominal: start values, natural units.
+        fixed: held values.
+        notes: for the user.
+    """
+
+    drive: DriveConfig
+    captures: tuple[Capture, ...]
+    validation: tuple[Capture, ...]
+    effects: tuple[str, ...]
+    baseline: tuple[str, ...]
+    nominal: Mapping[str, float]
+    fixed: Mapping[str, float]
+    notes: tuple[str, ...]
+
+
+def gather(arguments: argparse.Namespace) -> Inputs:
+    """Read and check everything the command line names.
+
+    Raises:
+        BadInputError: a file, the config or a flag is wrong; one line naming it.
+    """
+    drive = common.offline_drive(arguments)
+    captures = tuple(read_checked(path) for path in arguments.captures)
+    validation = tuple(read_checked(path) for path in getattr(arguments, "validate", []))
+    _same_axis((*captures, *validation))
+    effects, starts = model_effects(drive, getattr(arguments, "effect", []))
+    fixed = fixed_values(arguments.fix)
+    notes = [f"{c.path}: {text}" for c in (*captures, *validation) for text in (*c.notes, *plausibility_notes(c))]
+    weight = known_weight(drive, captures[0])
+    if "gravity_load" in effects and weight is not None and "Tg" not in fixed:
+        fixed["Tg"] = weight
+        notes.append(f"gravity_load: Tg = {weight:.6g} N·m is held, from the known mass and arm length")
+    nominal = {k: v for k, v in drive.nominal.items() if k != "J_m"} | starts
+    return Inputs(drive, captures, validation, effects, drive.model, nominal, fixed, tuple(notes))
+
+
+def read_checked(path: Path) -> Capture:
+    """A capture whose time can be a servo drive's."""
+    capture = read_capture(path)
+    check_time_unit(capture)
+    return capture
+
+
+def model_effects(drive: DriveConfig, texts: Sequence[str]) -> tuple[tuple[str, ...], dict[str, float]]:
+    """Effects of config and flags, in that order, each once; start values given with the flags."""
+    names, starts = list(drive.model), dict[str, float]()
+    for text in texts:
+        name, values = parse_effect(text)
+        if name not in names:
+            names.append(name)
+        starts |= values
+    return tuple(names), starts
+
+
+def fixed_values(text: str) -> dict[str, float]:
+    """'R=3.57,K=0.046' as numbers within the parameters' bounds.
+
+    Raises:
+        BadInputError: not of that form, unknown parameter, impossible value.
+    """
+    table, out = parameter_table(), {}
+    for part in filter(None, (p.strip() for p in text.split(","))):
+        name, equals, number = (s.strip() for s in part.partition("="))
+        if not equals or name not in table or name == "J_m":
+            known = ", ".join(n for n in table if n != "J_m")
+            raise BadInputError(f"--fix: {part!r} is not of the form R=3.57; parameters are {known}")
+        try:
+            value = float(number)
+        except ValueError:
+            raise BadInputError(f"--fix: {number!r} is not a number") from None
+        p = table[name]
+        if not (math.isfinite(value) and p.lower <= value <= p.upper):
+            raise BadInputError(f"--fix: {name} = {number} {p.unit} is outside {p.lower:g} .. {p.upper:g}")
+        out[name] = value
+    return out
+
+
+def known_weight(drive: DriveConfig, capture: Capture) -> float | None:
+    """m g l of a pendulum told by the config or the capture's metadata, N·m; None where it is not."""
+    mass = drive.load.mass_kg if drive.load.mass_kg is not None else capture.mass_kg
+    arm = drive.load.arm_length_m if drive.load.arm_length_m is not None else capture.arm_length_m
+    return None if mass is None or arm is None else mass * GRAVITY * arm
+
+
+def unused_fixed(fixed: Mapping[str, float], effects: Sequence[str]) -> list[str]:
+    """Fixed parameters that belong to no effect of the model."""
+    own = {p.name for name in effects for p in effects_by_name()[name].parameters}
+    return [name for name in fixed if name not in own and name not in ("R", "L", "K", "J", "B")]
+
+
+def _same_axis(captures: Sequence[Capture]) -> None:
+    axes = {c.axis for c in captures}
+    if len(axes) > 1:
+        names = ", ".join(f"{c.path} is {c.axis}" for c in captures)
+        raise BadInputError(f"captures of a rotary and of a linear axis cannot be fitted together: {names}")

@@ -1,0 +1,76 @@
+"""What `fit` prints for a reader."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+
+def print_fit(document: Mapping[str, Any]) -> None:
+    """The document of `fit` as text on stdout."""
+    print("\n".join(fit_lines(document)))
+
+
+def fit_lines(document: Mapping[str, Any]) -> list[str]:
+    """Lines: parameters, what is open, the residual, the validation."""
+    model = " + ".join(["linear motor", *document["model"]])
+    lines = [f"{', '.join(document['captures'])}: {model}, {document['method']}", ""]
+    lines += [parameter_line(name, p) for name, p in document["parameters"].items()]
+    lines += _open_lines(document)
+    lines += ["", *_residual_lines(document), *_validation_lines(document)]
+    last = document["iterations"][-1] if document.get("iterations") else None
+    if last is not None:
+        lines.append(
+            f"{last['iteration']} iterations, {last['function_count']} simulations, {document['seconds']:.2f} s, "
+            f"from {document['start']}" + ("" if document["converged"] else "; NOT CONVERGED")
+        )
+    return lines
+
+
+def parameter_line(name: str, p: Mapping[str, Any]) -> str:
+    """'R = 0.4937 ± 0.0002 Ω'."""
+    remark = {"fixed": "  (held)", "undetermined": "  (not determined by these data)"}.get(p["status"], "")
+    remark += "  (AT ITS BOUND)" if p["at_bound"] else ""
+    value = "—" if p["value"] is None else f"{p['value']:.6g}"
+    std = "" if p["std"] is None else f" ± {p['std']:.2g}"
+    return f"  {name:>8} = {value}{std} {p['unit']}{remark}"
+
+
+def _open_lines(document: Mapping[str, Any]) -> list[str]:
+    lines = []
+    if document["null_directions"]:
+        lines += ["", "These data do not determine everything:"]
+        lines += [f"  {d['text']}" for d in document["null_directions"]]
+    if document["combinations"]:
+        lines.append("They do determine:")
+        lines += [
+            f"  {c['expression']} = {c['value']:.5g} ± {c['std']:.2g} {c['unit']}" for c in document["combinations"]
+        ]
+    return lines
+
+
+def _residual_lines(document: Mapping[str, Any]) -> list[str]:
+    residual = document["residual"]
+    what = (
+        "white: the model explains these data to their noise"
+        if residual["white"]
+        else ("not white: the model lacks something, or the noise is coloured (`servo-daemon diagnose` says which)")
+    )
+    sizes = ", ".join(f"{name} {value:.4g}" for name, value in residual["rmse"].items())
+    return [f"residual rms: {sizes}; {what}"]
+
+
+def _validation_lines(document: Mapping[str, Any]) -> list[str]:
+    lines = []
+    for v in document["validation"]:
+        lines.append(f"validation {v['capture']}:")
+        for kind in ("baseline", "extended", "adapted"):
+            if v[kind] is not None:
+                lines += [f"  {kind:>8} {_score(v[kind])}"]
+    return lines
+
+
+def _score(scores: Mapping[str, Any]) -> str:
+    return "; ".join(
+        f"{name} {scores['rmse'][name]:.4g} (1 s: {scores['rmse_1s'][name]:.4g})" for name in scores["rmse"]
+    )

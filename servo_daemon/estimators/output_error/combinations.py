@@ -1,0 +1,95 @@
+"""What a recording determines where it does not determine the parameters: their combinations.
+
+Without a current sensor only the coefficients of ω/v are visible, without a voltage only ratios to K, and so on. The
+combinations that mean something to an engineer are listed here; which of them these data determine is computed (a
+combination is determined if its gradient has no part along a null direction), not looked up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from servo_daemon.estimators.output_error.information import Information
+from servo_daemon.plant.build import PlantModel
+from servo_daemon.samples import F64
+
+#: A combination known worse than this (1 σ, relative) is not worth a line.
+_USELESS = 0.5
+#: Part of a gradient along a null direction beyond which the combination is not determined.
+_LEAK = 1e-4
+
+_Values = Mapping[str, float]
+_CANDIDATES: tuple[tuple[str, str, tuple[str, ...], Callable[[_Values], float]], ...] = (
+    ("K/(B R + K²)", "rad/(s·V)", ("R", "K", "B"), lambda p: p["K"] / (p["B"] * p["R"] + p["K"] ** 2)),
+    (
+        "(J R + L B)/(B R + K²)",
+        "s",
+        ("R", "L", "K", "J", "B"),
+        lambda p: (p["J"] * p["R"] + p["L"] * p["B"]) / (p["B"] * p["R"] + p["K"] ** 2),
+    ),
+    (
+        "J L/(B R + K²)",
+        "s²",
+        ("R", "L", "K", "J", "B"),
+        lambda p: p["J"] * p["L"] / (p["B"] * p["R"] + p["K"] ** 2),
+    ),
+    ("K/R", "N·m/V", ("R", "K"), lambda p: p["K"] / p["R"]),
+    ("L/R", "s", ("R", "L"), lambda p: p["L"] / p["R"]),
+    ("K²/R + B", "N·m·s/rad", ("R", "K", "B"), lambda p: p["K"] ** 2 / p["R"] + p["B"]),
+    ("K²/J", "Ω/s", ("K", "J"), lambda p: p["K"] ** 2 / p["J"]),
+    ("J/K", "A·s²/rad", ("K", "J"), lambda p: p["J"] / p["K"]),
+    ("B/K", "A·s/rad", ("K", "B"), lambda p: p["B"] / p["K"]),
+    ("J/B", "s", ("J", "B"), lambda p: p["J"] / p["B"]),
+    ("Tc/K", "A", ("K", "Tc"), lambda p: p["Tc"] / p["K"]),
+    ("Tc R/K", "V", ("R", "K", "Tc"), lambda p: p["Tc"] * p["R"] / p["K"]),
+    ("TL/K", "A", ("K", "TL"), lambda p: p["TL"] / p["K"]),
+    ("TL R/K", "V", ("R", "K", "TL"), lambda p: p["TL"] * p["R"] / p["K"]),
+    ("Tg/K", "A", ("K", "Tg"), lambda p: p["Tg"] / p["K"]),
+    ("Tg R/K", "V", ("R", "K", "Tg"), lambda p: p["Tg"] * p["R"] / p["K"]),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Combination:
+    """A determined combination of parameters, with 1 σ to first order."""
+
+    expression: str
+    value: float
+    std: float
+    unit: str
+
+
+def determined_combinations(plant: PlantModel, q: F64, info: Information, scale: F64) -> tuple[Combination, ...]:
+    """Those that the data determine although they leave one of its parameters open.
+
+    Args:
+        q: shape (np,), coordinates of the plant's parameters.
+        scale: as for `information`.
+    """
+    open_ones = {name for name, lost in zip(info.names, info.undetermined, strict=True) if lost}
+    logs = np.array([p.transform == "log" for p in plant.parameters])
+
+    def natural(coordinates: F64) -> dict[str, float]:
+        values: F64 = np.where(logs, np.exp(np.where(logs, coordinates, 0.0)), coordinates)
+        return dict(zip(plant.parameter_names, values.tolist(), strict=True))
+
+    out = []
+    for expression, unit, names, function in _CANDIDATES:
+        if not set(names) <= set(plant.parameter_names) or not set(names) & open_ones:
+            continue
+        value = function(natural(q))
+        gradient = np.zeros(len(info.names))
+        for column, name in enumerate(info.names):
+            if name in names:
+                at = plant.parameter_names.index(name)
+                step = 1e-5 * scale[column] * np.eye(len(q))[at]
+                gradient[column] = (function(natural(q + step)) - function(natural(q - step))) / 2e-5
+        length = float(np.linalg.norm(gradient))
+        leak = float(np.max(np.abs(info.exact @ gradient), initial=0.0))
+        std = float(np.sqrt(max(float(gradient / scale @ info.covariance @ (gradient / scale)), 0.0)))
+        if leak <= _LEAK * length and 0.0 < std < _USELESS * abs(value):
+            out.append(Combination(expression, value, std, unit))
+    return tuple(out)
