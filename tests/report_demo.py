@@ -88,7 +88,7 @@ def _time_figures(s: dict[str, F64]) -> tuple[TimeSeries, ...]:
                 Line("explained", 0.012 * np.sign(smooth)),
             ),
             Axis("torque", "N·m"),
-            "The torque that the simulation would have needed, with its 95 % band, and what the named cause gives of it.",
+            "The torque that the simulation would have needed, with its 95 % band, and what the cause gives of it.",
             levels=(Mark(0.0, "nothing missing"),),
         ),
     )
@@ -135,7 +135,7 @@ def _tables() -> tuple[Table, Table]:
     )
     names = ("R", "L", "K", "J", "B", "τ_c", "τ_s", "v_s", "T_load")
     rows = tuple((a, *(float(np.cos(i - k)) for k in range(len(names)))) for i, a in enumerate(names))
-    wide = (Column("", text=True), *(Column(name, digits=3) for name in names))
+    wide = (Column("", text=True), *(Column(name, decimals=3) for name in names))
     return parameters, Table("Correlations of the estimates", wide, rows)
 
 
@@ -157,7 +157,7 @@ def demo_report(seconds: float = 60.0, rate_hz: float = 1000.0) -> Report:
             Bar("gravity", 0.03, -0.021, 0.08),
             Bar("winding heating", -0.012, -0.05, float("inf")),
         ),
-        Axis("part of the error", "1"),
+        Axis("part of the error"),
         "With the 95 % interval of a block bootstrap.",
     )
     verdict = Verdict("warn", "The simulation lacks Coulomb friction", ("It removes 91 % (88 … 94 %) of the error.",))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from servo_daemon.report.blocks import CHOSEN_MARK, row_start, text_html
 from servo_daemon.report.figures import Bar, Bars
-from servo_daemon.report.numbers import number_text
+from servo_daemon.report.numbers import fixed_text, number_text
 from servo_daemon.report.plots import axis_text
 
 
@@ -18,12 +18,23 @@ from servo_daemon.report.plots import axis_text
 class _Scale:
     low: float
     high: float
+    step: float
     ticks: tuple[float, ...]
 
     def place(self, value: float) -> str:
         """Where a value stands, in percent of the width; at the edge where it is beyond."""
         part = (min(max(value, self.low), self.high) - self.low) / (self.high - self.low)
         return f"{100 * part:.2f}%"
+
+    @property
+    def decimals(self) -> int:
+        """Those of a tick's step."""
+        return -math.floor(math.log10(self.step) + 1e-9)
+
+    def text(self, value: float) -> str:
+        """A hundredth of a step is told apart; all numbers of a figure with the same decimals."""
+        decimals = self.decimals + 2
+        return fixed_text(value, decimals) if 0 <= decimals <= 6 else number_text(value, 3)
 
 
 def _make_scale(figure: Bars) -> _Scale:
@@ -37,7 +48,7 @@ def _make_scale(figure: Bars) -> _Scale:
     step = power * max(m for m in (1, 2, 5) if m * power <= rough * 1.0001)
     first = math.ceil(low / step - 1e-9)
     ticks = tuple(step * k for k in range(first, math.floor(high / step + 1e-9) + 1))
-    return _Scale(low, high, ticks)
+    return _Scale(low, high, step, ticks)
 
 
 def _tick_texts(scale: _Scale) -> str:
@@ -45,15 +56,9 @@ def _tick_texts(scale: _Scale) -> str:
     for tick in scale.ticks:
         part = (tick - scale.low) / (scale.high - scale.low)
         anchor = "start" if part < 0.04 else "end" if part > 0.96 else "middle"
-        text = "0" if tick == 0 else number_text(float(f"{tick:.6g}"), 1 + _digits(tick, scale))
+        text = fixed_text(tick, scale.decimals) if abs(scale.decimals) <= 4 else number_text(tick, 2)
         texts.append(f'<text x="{scale.place(tick)}" y="13" text-anchor="{anchor}">{text}</text>')
     return "".join(texts)
-
-
-def _digits(tick: float, scale: _Scale) -> int:
-    """Significant digits of a tick beyond the first, so that neighbours differ."""
-    step = scale.ticks[1] - scale.ticks[0] if len(scale.ticks) > 1 else tick
-    return max(0, math.floor(math.log10(abs(tick)) + 1e-9) - math.floor(math.log10(abs(step)) + 1e-9))
 
 
 def _drawing(bar: Bar, figure: Bars, scale: _Scale) -> str:
@@ -77,13 +82,13 @@ def _end(value: float | None, edge: float) -> float:
     return value if value is not None and math.isfinite(value) else edge
 
 
-def _number(bar: Bar) -> str:
-    text = number_text(bar.value, 3)
+def _number(bar: Bar, scale: _Scale) -> str:
+    text = scale.text(bar.value)
     if bar.low is None and bar.high is None:
         return text
     low = -math.inf if bar.low is None else bar.low
     high = math.inf if bar.high is None else bar.high
-    return f'{text} <span class="interval">{number_text(low, 3)} … {number_text(high, 3)}</span>'
+    return f'{text} <span class="interval">{scale.text(low)} … {scale.text(high)}</span>'
 
 
 def bars_html(figure: Bars) -> str:
@@ -95,7 +100,7 @@ def bars_html(figure: Bars) -> str:
         note = f'<span class="note">{text_html(bar.note)}</span>' if bar.note else ""
         rows.append(
             f'{row_start(bar.chosen)}<th scope="row">{text_html(bar.name)}{mark}{note}</th>'
-            f'<td class="drawing">{_drawing(bar, figure, scale)}</td><td class="number">{_number(bar)}</td></tr>'
+            f'<td class="drawing">{_drawing(bar, figure, scale)}</td><td class="number">{_number(bar, scale)}</td></tr>'
         )
     caption = f"<figcaption>{text_html(figure.caption)}</figcaption>" if figure.caption else ""
     return (

@@ -8,7 +8,7 @@ from typing import Final
 
 from servo_daemon.report.document import Cell, Code, Column, Equation, Items, Measured, Table, Text, Tone, Verdict
 from servo_daemon.report.equations import equation_html
-from servo_daemon.report.numbers import measured_text, number_text
+from servo_daemon.report.numbers import fixed_text, measured_text, number_text
 
 _TONES: Final[dict[Tone, str]] = {"good": "Good", "warn": "Attention", "bad": "Problem", "neutral": "Result"}
 #: Characters that HTML forbids even as references.
@@ -65,7 +65,7 @@ def _cell_text(cell: Cell, column: Column) -> str:
         return cell
     if isinstance(cell, Measured):
         return measured_text(cell.value, cell.std, column.digits)
-    return number_text(cell, column.digits)
+    return number_text(cell, column.digits) if column.decimals is None else fixed_text(cell, column.decimals)
 
 
 def table_html(table: Table) -> str:

@@ -74,11 +74,13 @@ Cell: TypeAlias = str | int | float | Measured | None
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column: its heading, the unit of its numbers, their significant digits. `text` aligns it left."""
+    """One column: its heading, the unit of its numbers, their significant digits; `decimals` instead aligns their
+    points (correlations, say). `text` aligns the column left."""
 
     heading: str
     unit: str = ""
     digits: int = 4
+    decimals: int | None = None
     text: bool = False
 
 

@@ -42,6 +42,11 @@ def number_text(value: float | None, digits: int = 4) -> str:
     return _fixed(value / 10.0**exponent, digits - 1) + _power(exponent)
 
 
+def fixed_text(value: float | None, decimals: int) -> str:
+    """A number with so many decimals, "−0.042"; what is not finite as `number_text` says it."""
+    return number_text(value) if value is None or not math.isfinite(value) else _fixed(value, decimals)
+
+
 def measured_text(value: float | None, std: float | None, digits: int = 4) -> str:
     """Value ± std, std with two significant digits and the value with the same decimals; a common power of ten.
 

@@ -4,15 +4,22 @@ const root = document.documentElement;
 const colour = (name) => getComputedStyle(root).getPropertyValue(name).trim();
 const COLOURS = 6;
 const shade = (k) => `--c${1 + (k % COLOURS)}`;
-const CROWD = 600; // points of a cloud from which they are drawn small and see-through
+/** Size in px and opacity (hexadecimal) of the points of a cloud of n. */
+const dot = (n) => (n > 5000 ? [2.5, "78"] : n > 600 ? [3, "80"] : [5, "d0"]);
+
+/** Lines show their samples once these are far enough apart (uPlot's choice), iterations always. */
+function pointOptions(kind, stroke) {
+  if (kind === "scatter") return { show: false };
+  return { size: 5, width: 0, stroke, fill: stroke, ...(kind === "iterations" && { show: true, size: 7 }) };
+}
 
 function seriesOptions(entry, k, spec, columns) {
   const name = shade(k);
   const stroke = () => colour(name);
   if (entry.style === "dots") {
-    const many = columns[entry.main].reduce((n, y) => n + (y !== null), 0) > CROWD;
-    const fill = () => colour(name) + (many ? "70" : "d0");
-    return { paths: () => null, points: { show: true, size: many ? 3 : 5, width: 0, stroke: fill, fill } };
+    const [size, opacity] = dot(columns[entry.main].reduce((n, y) => n + (y !== null), 0));
+    const fill = () => colour(name) + opacity;
+    return { paths: () => null, points: { show: true, size, width: 0, stroke: fill, fill } };
   }
   return {
     stroke,
@@ -20,18 +27,19 @@ function seriesOptions(entry, k, spec, columns) {
     dash: entry.style === "dashed" ? [6, 4] : undefined,
     spanGaps: entry.style === "joined" || spec.kind === "scatter",
     paths: entry.style === "steps" ? uPlot.paths.stepped({ align: 1 }) : undefined,
-    points:
-      spec.kind === "scatter" ? { show: false } : { size: 5, width: 0, stroke, fill: stroke, ...(spec.kind === "iterations" && { show: true, size: 7 }) },
+    points: pointOptions(spec.kind, stroke),
   };
 }
 
 function allSeries(spec, columns, entries) {
-  const series = new Array(columns.length).fill(null).map(() => ({ stroke: "transparent", width: 0, points: { show: false } }));
+  const edge = { stroke: "transparent", width: 0, points: { show: false } };
+  const series = columns.map(() => ({ ...edge }));
   series[0] = {};
   entries.forEach((entry, k) => (series[entry.main] = seriesOptions(entry, k, spec, columns)));
   return series;
 }
 
+const WHOLE = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000]; // steps between ticks of an axis of whole numbers
 const axisWidth = (_plot, texts) => 12 + 6.4 * Math.max(3, ...(texts ?? []).map((text) => text.length));
 
 function axes(spec) {
@@ -39,14 +47,14 @@ function axes(spec) {
   const axis = { stroke: () => colour("--ink-2"), font: font(1), grid, ticks: { show: false }, gap: 4 };
   const texts = (log) => (_plot, ticks, _axis, _space, step) => (log ? logTicks(ticks) : linearTicks(ticks, step));
   return [
-    { ...axis, space: 64, size: 24, values: texts(spec.log[0]), ...(spec.kind === "iterations" && { incrs: [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000] }) },
+    { ...axis, space: 64, size: 20, values: texts(spec.log[0]), ...(spec.kind === "iterations" && { incrs: WHOLE }) },
     { ...axis, space: 28, size: axisWidth, values: texts(spec.log[1]) },
   ];
 }
 
 /** What of the visible part is to be seen: every line; bands where they are not wildly wider than usual; levels that
  * do not squeeze the rest to less than half. */
-function yRange(plot, entries, levels) {
+function yRange(plot, entries, levels, log) {
   const [from, to] = plot.series[0].idxs ?? [0, plot.data[0].length - 1];
   let low = Infinity;
   let high = -Infinity;
@@ -69,11 +77,14 @@ function yRange(plot, entries, levels) {
       see(highs[k]);
     }
   }
-  if (low > high) return [-1, 1];
-  const span = high - low;
-  for (const [at] of levels) if (Math.max(high, at) - Math.min(low, at) <= 2 * span) see(at);
-  const margin = 0.06 * Math.max(high - low, 1e-6 * Math.max(Math.abs(low), Math.abs(high)), 1e-12);
-  return [low - margin, high + margin];
+  if (low > high) return log ? [0.1, 10] : [-1, 1];
+  const size = log ? (a, b) => Math.log(b / a) : (a, b) => b - a;
+  const span = size(low, high);
+  for (const [at] of levels) if ((at > 0 || !log) && size(Math.min(low, at), Math.max(high, at)) <= 2 * span) see(at);
+  const margin = 0.06 * Math.max(size(low, high), 1e-6 * Math.max(Math.abs(low), Math.abs(high)), 1e-12);
+  if (!log) return [low - margin, high + margin];
+  const factor = Math.exp(Math.max(margin, 0.1));
+  return [low / factor, high * factor];
 }
 
 class Figure {
@@ -111,14 +122,18 @@ class Figure {
 
   #options(columns) {
     const { spec } = this;
-    const y = spec.log[1] ? { distr: 3 } : { range: (plot) => yRange(plot, this.entries, spec.levels) };
+    const [xLog, yLog] = spec.log;
+    const scale = (log, range) => ({ time: false, distr: log ? 3 : 1, range });
     const quiet = (type) => type === "mousemove" || type === "mouseleave" || type === "mouseenter";
     return {
       width: this.box.clientWidth || 600,
       height: this.height,
       padding: [8, 12, 0, 0],
       legend: { show: false },
-      scales: { x: { time: false, distr: spec.log[0] ? 3 : 1, range: (_plot, min, max) => [min, max] }, y },
+      scales: {
+        x: scale(xLog, (_plot, min, max) => [min, max]),
+        y: scale(yLog, (plot) => yRange(plot, this.entries, spec.levels, yLog)),
+      },
       axes: axes(spec),
       series: allSeries(spec, columns, this.entries),
       bands: this.entries.flatMap((entry, k) =>
@@ -132,9 +147,9 @@ class Figure {
       },
       hooks: {
         drawClear: [(plot) => drawSpans(plot, spec.spans)],
-        draw: [(plot) => drawLevels(plot, spec.levels), (plot) => drawMarks(plot, spec.marks)],
+        draw: [(plot) => drawSpanLabels(plot, spec.spans), (plot) => drawLevels(plot, spec.levels), (plot) => drawMarks(plot, spec.marks)],
         setCursor: [(plot) => this.#pointed(plot)],
-        setScale: [(_plot, key) => key === "x" && this.#moved()],
+        setScale: [(_plot, key) => this.#moved(key)],
       },
     };
   }
@@ -160,10 +175,11 @@ class Figure {
     });
   }
 
-  #moved() {
-    const [min, max] = this.range;
-    Object.assign(this.element.dataset, { from: min, to: max });
-    this.onRange(min, max);
+  /** The visible ranges stand in the document, too: data-x and data-y of the figure. */
+  #moved(key) {
+    const { min, max } = this.plot.scales[key];
+    this.element.dataset[key] = `${min} ${max}`;
+    if (key === "x") this.onRange(min, max);
   }
 
   /** x from min to max, and y (a scatter's) if given; never finer than the numbers are. */
@@ -179,8 +195,8 @@ class Figure {
   }
 
   whole() {
-    this.show(...this.ends);
-    if (this.spec.kind === "scatter") this.plot.setData(this.plot.data); // y by the data again, too
+    const [min, max] = this.ends;
+    this.plot.setScale("x", { min, max }); // even if x shows all of it already: a scatter's y follows the data again
   }
 
   resize(width = this.box.clientWidth) {

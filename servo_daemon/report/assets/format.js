@@ -22,25 +22,33 @@ function number(value, digits = 5) {
 const numberNear = (value, step) =>
   number(value, Math.min(12, Math.max(3, exponentOf(Math.abs(value)) - exponentOf(step) + 2)));
 
+/** Decimals that write a step of 1, 2, 2.5 or 5 times a power of ten exactly. */
+function decimalsOf(step) {
+  const decimals = Math.max(0, -exponentOf(step));
+  const scaled = step * 10 ** decimals;
+  return decimals + (Math.abs(scaled - Math.round(scaled)) > 1e-6 * scaled ? 1 : 0);
+}
+
 /** Ticks of a linear axis, all with the decimals that their distance needs and one power of ten. */
 function linearTicks(ticks, step) {
   const size = Math.max(...ticks.map(Math.abs));
   const exponent = exponentOf(size);
   const common = size > 0 && (exponent < -3 || exponent > 5) ? exponent : 0;
-  const decimals = Math.max(0, common - exponentOf(step));
+  const decimals = decimalsOf(step / 10 ** common);
   return ticks.map((tick) => {
     const text = fixed(tick / 10 ** common, decimals);
     return common === 0 || tick === 0 ? text : `${text}×${powerOfTen(common)}`;
   });
 }
 
-/** Ticks of a logarithmic axis; those that uPlot leaves out are null. */
+/** Ticks of a logarithmic axis, all as powers of ten or all written out; those that uPlot leaves out are null. */
 function logTicks(ticks) {
+  const plain = ticks.every((tick) => tick === null || (tick > 0.9e-3 && tick < 1.1e4));
   return ticks.map((tick) => {
     if (tick === null) return "";
     const exponent = exponentOf(tick);
     const mantissa = Math.round(tick / 10 ** exponent);
-    if (exponent >= -2 && exponent <= 3) return fixed(tick, -exponent);
+    if (plain) return fixed(tick, -exponent);
     return mantissa === 1 ? powerOfTen(exponent) : `${mantissa}×${powerOfTen(exponent)}`;
   });
 }

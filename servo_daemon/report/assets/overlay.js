@@ -14,19 +14,19 @@ function clipped(plot, draw) {
   ctx.restore();
 }
 
+/** The visible part of a span, in pixels of the canvas. */
+const edges = (plot, bbox, start, stop) => [
+  Math.max(plot.valToPos(start, "x", true), bbox.left),
+  Math.min(plot.valToPos(stop, "x", true), bbox.left + bbox.width),
+];
+
 function drawSpans(plot, spans) {
-  clipped(plot, (ctx, bbox, ratio) => {
-    for (const [start, stop, label] of spans) {
-      const left = Math.max(plot.valToPos(start, "x", true), bbox.left);
-      const right = Math.min(plot.valToPos(stop, "x", true), bbox.left + bbox.width);
+  clipped(plot, (ctx, bbox) => {
+    for (const [start, stop] of spans) {
+      const [left, right] = edges(plot, bbox, start, stop);
       if (right <= left) continue;
       ctx.fillStyle = colour("--span");
       ctx.fillRect(left, bbox.top, right - left, bbox.height);
-      if (ctx.measureText(label).width > right - left - 8 * ratio) continue;
-      ctx.fillStyle = colour("--ink-2");
-      ctx.textAlign = "center";
-      ctx.textBaseline = "bottom";
-      ctx.fillText(label, (left + right) / 2, bbox.top + bbox.height - 4 * ratio);
     }
   });
 }
@@ -40,6 +40,18 @@ function label(ctx, text, x, y, ratio) {
   ctx.textAlign = "left";
   ctx.textBaseline = "top";
   ctx.fillText(text, x, y + 1 * ratio);
+}
+
+/** Names of the spans at the bottom of the figure, where they fit. */
+function drawSpanLabels(plot, spans) {
+  clipped(plot, (ctx, bbox, ratio) => {
+    for (const [start, stop, text] of spans) {
+      const [left, right] = edges(plot, bbox, start, stop);
+      const width = ctx.measureText(text).width;
+      if (width > right - left - 8 * ratio) continue;
+      label(ctx, text, (left + right - width) / 2, bbox.top + bbox.height - (FONT_SIZE + 6) * ratio, ratio);
+    }
+  });
 }
 
 function stroke(ctx, from, to, ratio) {
