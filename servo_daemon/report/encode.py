@@ -22,8 +22,8 @@ def encode(values: F64, *, ordered: bool = False) -> dict[str, Any]:
     """
     known = np.isfinite(values)
     finite = values[known]
-    offset = float(0.5 * (finite.min() + finite.max())) if finite.size else 0.0
-    if not np.isfinite(offset) or np.all(finite == np.round(finite)):
+    offset = float(0.5 * finite.min() + 0.5 * finite.max()) if finite.size else 0.0
+    if np.all((finite == np.round(finite)) & (np.abs(finite) < 2**24)):
         offset = 0.0  # whole numbers (iterations, indices) stay whole
     shifted = np.where(known, np.where(known, values, 0.0) - offset, 0.0)
     wide = ordered and values.size > 1 and _blurred(shifted)

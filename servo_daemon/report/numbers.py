@@ -27,7 +27,7 @@ def _power(exponent: int) -> str:
 def number_text(value: float | None, digits: int = 4) -> str:
     """A number with so many significant digits: "0.4937", "−12.30", "9.751×10⁻³⁰", "∞", "–" for what is not known.
 
-    An int is written in full.
+    An int is written in full, and so is what stands before the point.
     """
     if value is None or math.isnan(value):
         return NOTHING
@@ -35,8 +35,9 @@ def number_text(value: float | None, digits: int = 4) -> str:
         return "∞" if value > 0 else "−∞"
     if isinstance(value, int):
         return f"{value:,}".replace(",", "\u202f").replace("-", "−")
-    value = float(f"{value:.{digits - 1}e}")  # rounded first: 9.9996 has one digit more before the point
-    exponent = _exponent(abs(value))
+    if value == 0:
+        return "0"
+    exponent = _exponent(float(f"{abs(value):.{digits - 1}e}"))  # of the rounded one: 9.9996 is 10.00
     if exponent in _PLAIN:
         return _fixed(value, digits - 1 - exponent)
     return _fixed(value / 10.0**exponent, digits - 1) + _power(exponent)
