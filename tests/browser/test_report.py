@@ -4,15 +4,30 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
 from servo_daemon.api.guard import Guard
-from servo_daemon.report import content_security_policy, render_report, write_report
+from servo_daemon.report import (
+    Axis,
+    Iterations,
+    Line,
+    Mark,
+    Points,
+    Scatter,
+    Section,
+    Spectrum,
+    TimeSeries,
+    content_security_policy,
+    render_report,
+    write_report,
+)
 from tests.browser.devtools import Browser, Page
 from tests.http_rig import serving
 from tests.report_demo import SPIKE_S, demo_report
@@ -238,6 +253,32 @@ def test_a_window_that_changes_its_width_and_paper(open_report: OpenReport) -> N
     assert len(pdf) > 50_000
     page.until(f"{width} == {narrow}")
     assert page.evaluate(INKED % (CURRENT, "c2")) > 200
+    assert page.errors() == []
+
+
+def test_figures_of_nearly_nothing(open_report: OpenReport, tmp_path: Path) -> None:
+    nothing, one = np.full(3, np.nan), np.zeros(1)
+    three, axis, log = np.arange(3.0), Axis("a"), Axis("a", log=True)
+    figures = (
+        TimeSeries("one sample", one, (Line("a", one + 24),), axis),
+        TimeSeries("all zero", three, (Line("a", 0 * three, 0 * three, 0 * three),), axis),
+        TimeSeries("nothing known", three, (Line("a", nothing, nothing, nothing, "steps"),), axis),
+        Spectrum("nothing known", three + 1, (Line("a", nothing), Line("b", -three)), log),
+        Spectrum("one frequency", one + 50, (Line("a", one + 1),), log, x_axis=log),
+        Scatter("nothing known", (Points("a", nothing, three),), axis, axis, (Points("c", three, nothing),)),
+        Scatter("one point", (Points("a", one, one),), axis, log),
+        Iterations("one iteration", one, (Line("a", one + 1e-30),), log, levels=(Mark(1e-31, "goal"), Mark(-1, "no"))),
+    )
+    path = tmp_path / "report.html"
+    demo = demo_report(1.0)
+    write_report(path, replace(demo, sections=(Section("Little", figures),)))
+    page = open_report(url=path.as_uri())
+    for figure in ("f1", "f2", "f5", "f8"):
+        assert page.evaluate(INKED % (figure, "c1")) > 10, figure
+    low, high = shown(page, "f2", "y")
+    assert low < 0 < high
+    assert shown(page, "f1", "y")[1] > 24
+    page.evaluate("document.querySelectorAll('[data-zoom]').forEach((button) => button.click())")
     assert page.errors() == []
 
 

@@ -81,9 +81,10 @@ function yRange(plot, entries, levels, log) {
   const size = log ? (a, b) => Math.log(b / a) : (a, b) => b - a;
   const span = size(low, high);
   for (const [at] of levels) if ((at > 0 || !log) && size(Math.min(low, at), Math.max(high, at)) <= 2 * span) see(at);
-  const margin = 0.06 * Math.max(size(low, high), 1e-6 * Math.max(Math.abs(low), Math.abs(high)), 1e-12);
+  const flat = low === high ? Math.abs(low) || 10 : 1e-6 * Math.max(Math.abs(low), Math.abs(high));
+  const margin = Math.max(0.06 * size(low, high), 0.1 * flat);
   if (!log) return [low - margin, high + margin];
-  const factor = Math.exp(Math.max(margin, 0.1));
+  const factor = Math.exp(Math.max(0.06 * size(low, high), 0.1));
   return [low / factor, high * factor];
 }
 
