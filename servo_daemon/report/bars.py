@@ -34,7 +34,7 @@ class _Scale:
     def text(self, value: float) -> str:
         """A hundredth of a step is told apart; all numbers of a figure with the same decimals."""
         decimals = self.decimals + 2
-        return fixed_text(value, decimals) if 0 <= decimals <= 6 else number_text(value, 3)
+        return fixed_text(value, max(0, decimals)) if -4 <= decimals <= 6 else number_text(value, 3)
 
 
 def _make_scale(figure: Bars) -> _Scale:

@@ -18,7 +18,7 @@ MAX_ROWS: Final = 20_000
 _MIN_ROWS: Final = 4_000
 #: Numbers in all figures of one report together, 5⅓ bytes each: about 2.7 MB.
 _BUDGET: Final = 500_000
-#: Colours of the style sheet; series beyond take them again from the first.
+#: Colours of the style sheet; solid lines beyond take them again from the first, dashed.
 COLOURS: Final = 6
 
 
@@ -78,8 +78,8 @@ def _draw_plot(figure: Plot, limit: int) -> Drawing:
     gapped = [line.y for line in lines if line.style != "joined"]
     rows = keep_rows(columns, max(limit, 4 * len(columns)), gapped)
     series = []
-    for line in lines:
-        entry: dict[str, Any] = {"name": line.name, "style": line.style, "y": encode(line.y[rows])}
+    for k, line in enumerate(lines):
+        entry: dict[str, Any] = {"name": line.name, "style": _style(line, k), "y": encode(line.y[rows])}
         if line.low is not None and line.high is not None:
             entry |= {"low": encode(line.low[rows]), "high": encode(line.high[rows])}
         series.append(entry)
@@ -91,10 +91,15 @@ def _draw_plot(figure: Plot, limit: int) -> Drawing:
         "series": series,
     }
     legend = tuple(
-        Entry(line.name, line.style, 1 + k % COLOURS, line.low is not None) for k, line in enumerate(figure.lines)
+        Entry(line.name, _style(line, k), 1 + k % COLOURS, line.low is not None) for k, line in enumerate(figure.lines)
     )
     ranges = [_range_text(line.name, line.y, figure.y_axis) for line in lines]
     return Drawing(spec, legend, figure.alternative or _alternative(figure, ends, ranges), _thinned(rows, x.shape[0]))
+
+
+def _style(line: Line, k: int) -> str:
+    """Of the k-th line of a figure."""
+    return "dashed" if line.style == "solid" and k >= COLOURS else line.style
 
 
 def _with_gaps(figure: Plot) -> tuple[F64, tuple[Line, ...]]:

@@ -165,6 +165,12 @@ def test_how_many_points_are_drawn_is_said() -> None:
     assert draw(figure, n).note == ""
 
 
+def test_the_seventh_line_does_not_look_like_the_first() -> None:
+    lines = tuple(Line(str(k), np.zeros(2)) for k in range(8))
+    legend = draw(TimeSeries("f", np.arange(2.0), lines, VOLT), MAX_ROWS).legend
+    assert len({(entry.colour, entry.style) for entry in legend}) == 8
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [

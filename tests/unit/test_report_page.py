@@ -239,6 +239,7 @@ def test_bars_stand_where_their_numbers_are() -> None:
     assert f'<rect class="bar" x="{place[4]}"' in second
     assert '<line class="whisker" x1="0.00%" x2="100.00%"' in second
     assert "−∞ … ∞" in second
+    assert ">−0.250 <" in second
     assert "rect" not in third
     assert "–" in third
 
