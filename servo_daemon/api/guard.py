@@ -96,7 +96,7 @@ class Guard:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
                 for name, value in SECURITY_HEADERS.items():
-                    headers[name] = value
+                    headers.setdefault(name, value)  # a report admits its own script by hash, and nothing else
             await send(message)
 
         refusal = self._refusal(scope)

@@ -27,8 +27,10 @@ Status = Literal["estimated", "undetermined", "fixed"]
 _SEARCHED = 2
 #: Another start must lower V (2 log-likelihood) by more than this to win.
 _BETTER = 1.0
-#: Two ends whose V differ by less (relative to 10⁶ of it, where rounding is larger) are one.
-_SAME = 0.01
+#: Two ends whose V differ by less are one.
+_SAME = 0.2
+#: Iterations of the first search, and of those that follow only to see whether there is a better minimum.
+_FIRST_SEARCH, _OTHER_SEARCHES = 60, 25
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +158,10 @@ def fit_output_error(
 
 
 def _search(problem: Problem, starts: Sequence[Start], robust: bool) -> tuple[Solution, Start]:
-    """The best end of the searches: all but the guesses from sizes are tried, and of these the most promising."""
+    """The best end of the searches: all but the guesses from sizes are tried, and of these the most promising.
+
+    It is over when an end explains the data to their noise, or when another search comes to the same place.
+    """
     guesses = [s for s in starts if s.source == "signal sizes"]
     chosen = [s for s in starts if s.source != "signal sizes"] + _most_promising(problem, guesses)
     best: tuple[Solution, Start] | None = None
@@ -166,10 +171,17 @@ def _search(problem: Problem, starts: Sequence[Start], robust: bool) -> tuple[So
             problem,
             problem.start(coordinates(start, problem)),
             robust=robust,
+            max_iterations=_FIRST_SEARCH if been is None else _OTHER_SEARCHES,
             give_up=None if been is None else _same_place(been),
         )
-        if found is not None and (best is None or found.point.value < best[0].point.value - _BETTER):
+        if found is None:
+            continue
+        if been is not None and _same_place(been)(found.point):
+            break
+        if best is None or found.point.value < best[0].point.value - _BETTER:
             best = found, start
+            if all(test.white for test in residual_tests(problem, found.point).values()):
+                break
     if best is None:
         raise NumericalError("the motor cannot be simulated over these data from any start: values out of range?")
     return best
@@ -185,7 +197,7 @@ def _same_place(been: Point) -> Callable[[Point], bool]:
     """Whether a search has come to where another has ended: nothing would be won by going on."""
 
     def same(point: Point) -> bool:
-        return abs(point.value - been.value) < _SAME * max(1.0, abs(been.value) * 1e-6)
+        return abs(point.value - been.value) < max(_SAME, 1e-8 * abs(been.value))
 
     return same
 
