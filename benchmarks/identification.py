@@ -149,7 +149,9 @@ def main() -> None:
     iterations = fit.solution.iterations[-1]
     print(f"10 s at 1 kHz, R L K J B and initial state: ours {seconds:.3f} s, {iterations.evaluations} simulations")
     values, theirs = with_ipopt(block, sigma)
-    print(f"  CasADi + IPOPT {theirs:8.2f} s   {theirs / seconds:6.0f} x   optimum differs by {difference(mine, values):.1e}")
+    print(
+        f"  CasADi + IPOPT {theirs:8.2f} s   {theirs / seconds:6.0f} x   optimum differs by {difference(mine, values):.1e}"
+    )
     if not arguments.quick:
         values, theirs, calls = with_scipy(block, sigma)
         print(
@@ -158,7 +160,11 @@ def main() -> None:
         )
     _, plain = timed(lambda: fit_output_error([Recording("capture", block)]))
     print(f"a whole fit of it from nothing (limit 1 s): {plain:.2f} s")
-    effects = {"coulomb_friction": {"Tc": 0.1}, "constant_load_torque": {"TL": 0.05}, "current_sensor_offset": {"i0": 0.1}}
+    effects = {
+        "coulomb_friction": {"Tc": 0.1},
+        "constant_load_torque": {"TL": 0.05},
+        "current_sensor_offset": {"i0": 0.1},
+    }
     long = recording(60.0, effects)
     fit, seconds = timed(lambda: fit_output_error([Recording("capture", long)], tuple(effects)))
     errors = [
@@ -167,8 +173,10 @@ def main() -> None:
             fit.parameters.values(), [PAPER.R, PAPER.L, PAPER.K, PAPER.J, PAPER.B, 0.1, 0.05, 0.1], strict=True
         )
     ]
-    print(f"60 s at 1 kHz, 8 parameters (limit 5 s): {seconds:.2f} s; errors in standard deviations: "
-          + ", ".join(f"{n} {e:.1f}" for n, e in zip(fit.parameters, errors, strict=True)))
+    print(
+        f"60 s at 1 kHz, 8 parameters (limit 5 s): {seconds:.2f} s; errors in standard deviations: "
+        + ", ".join(f"{n} {e:.1f}" for n, e in zip(fit.parameters, errors, strict=True))
+    )
 
 
 if __name__ == "__main__":

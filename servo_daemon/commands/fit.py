@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from servo_daemon.commands import common
+
+if TYPE_CHECKING:
+    from servo_daemon.identification import Identification
 
 HELP = "identify a motor from captures: values, standard deviations, what the data do not determine"
 EXAMPLE = """  servo-daemon fit capture.csv
@@ -80,8 +85,23 @@ def run(arguments: argparse.Namespace) -> int:
         inputs.captures, inputs.validation, IdentifyOptions(inputs.effects, inputs.baseline, options, arguments.adapt)
     )
     document = fit_document(result)
+    if arguments.out is not None:
+        _write(arguments, result, document)
     if arguments.json:
         common.print_json(document)
     else:
         print_fit(document)
     return 0
+
+
+def _write(arguments: argparse.Namespace, result: Identification, document: dict[str, Any]) -> None:
+    """`fit.json` and `report.html` in the folder, which is made."""
+    from servo_daemon.commands.fit_report import fit_report
+    from servo_daemon.commands.output_folder import OutputFolder
+    from servo_daemon.report import make_provenance
+
+    folder = OutputFolder(arguments.out)
+    provenance = make_provenance(sys.argv[1:], [c.path for c in result.captures])
+    folder.write_json("fit.json", document)
+    folder.write_report("report.html", fit_report(result, document, provenance))
+    common.note(f"{folder.path}/report.html")

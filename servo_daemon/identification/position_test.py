@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import brentq
@@ -94,9 +95,9 @@ def product_for(parameters: Mapping[str, float], final_deg: float = REPORTED_DEG
         return position_test(parameters, float(np.exp(logarithm))).final_deg - final_deg
 
     # The first crossing from below: beyond it the loop overshoots and crosses again.
-    grid = np.linspace(*np.log(_PRODUCTS), 60)
+    grid = np.log(np.geomspace(*_PRODUCTS, 60)).tolist()
     below = missing(grid[0])
-    for low, high in zip(grid[:-1], grid[1:], strict=True):
+    for low, high in pairwise(grid):
         above = missing(high)
         if below < 0.0 <= above:
             return float(np.exp(brentq(missing, low, high, xtol=1e-10)))

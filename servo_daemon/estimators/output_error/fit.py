@@ -184,7 +184,19 @@ def _search(problem: Problem, starts: Sequence[Start], robust: bool) -> tuple[So
                 break
     if best is None:
         raise NumericalError("the motor cannot be simulated over these data from any start: values out of range?")
+    if not best[0].converged and (further := solve(problem, best[0].point.unknowns, robust=robust)) is not None:
+        best = _in_a_row(best[0], further), best[1]
     return best
+
+
+def _in_a_row(first: Solution, then: Solution) -> Solution:
+    """One search that went on where it had been stopped."""
+    done = first.iterations[-1]
+    more = tuple(
+        replace(i, number=done.number + i.number, evaluations=done.evaluations + i.evaluations)
+        for i in then.iterations[1:]
+    )
+    return replace(then, iterations=(*first.iterations, *more))
 
 
 def _most_promising(problem: Problem, guesses: Sequence[Start]) -> list[Start]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servo_daemon.samples import F64
 
@@ -33,20 +34,32 @@ def sample_weights(residuals: Sequence[F64]) -> tuple[F64, ...]:
     if not residuals:
         return out
     for k in range(residuals[0].shape[1]):
-        differences = [_from_neighbours(r[:, k]) for r in residuals]
-        scale = 1.4826 * float(np.median(np.abs(np.concatenate(differences))))
-        # Neighbours that differ by nothing (a standing encoder): no scale by which anything could stand out.
-        rms = float(np.sqrt(np.mean(np.concatenate(differences) ** 2)))
-        left = float(np.sqrt(np.mean(np.concatenate([r[:, k] for r in residuals]) ** 2)))
-        scale = max(scale, 0.1 * rms, _OF_RESIDUAL * left)
-        if scale == 0.0:
-            continue
-        for weight, d in zip(out, differences, strict=True):
-            suspect = np.abs(d) > GATE * scale
-            if suspect.any():
-                isolated = suspect & ~_long_runs(suspect)
-                weight[isolated, k] = (GATE * scale / np.abs(d[isolated])) ** 2
+        r = [part[:, k] for part in residuals]
+        differences = [_from_neighbours(part) for part in r]
+        scale = _scale(r, differences)
+        for weight, d, isolated in zip(out, differences, _isolated(differences, scale), strict=True):
+            weight[isolated, k] = (GATE * scale / np.abs(d[isolated])) ** 2
     return out
+
+
+def _scale(residuals: Sequence[F64], differences: Sequence[F64]) -> float:
+    """By how much a sample usually stands out, and not less than a share of what the model leaves apart from glitches.
+
+    Where most neighbours differ by nothing (a standing encoder) the RMS takes the place of the median.
+    """
+    every = np.concatenate(differences)
+    usual = max(1.4826 * float(np.median(np.abs(every))), 0.1 * float(np.sqrt(np.mean(every**2))))
+    glitches = np.concatenate(_isolated(differences, usual))
+    left = np.concatenate(residuals)[~glitches]
+    return max(usual, _OF_RESIDUAL * float(np.sqrt(np.mean(left**2))) if left.size else 0.0)
+
+
+def _isolated(differences: Sequence[F64], scale: float) -> list[NDArray[np.bool_]]:
+    """Per segment, where a sample stands out by more than the gate, and few of its neighbours do."""
+    if scale == 0.0:
+        return [np.zeros(len(d), dtype=bool) for d in differences]
+    suspects = [np.abs(d) > GATE * scale for d in differences]
+    return [s & ~_long_runs(s) if s.any() else s for s in suspects]
 
 
 def _from_neighbours(r: F64) -> F64:
@@ -59,7 +72,7 @@ def _from_neighbours(r: F64) -> F64:
     return np.asarray(r - np.median(around, axis=1))
 
 
-def _long_runs(mask: np.ndarray) -> np.ndarray:
+def _long_runs(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Where the mask holds for more than `LONGEST_GLITCH` samples in a row."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     out = np.zeros_like(mask)
