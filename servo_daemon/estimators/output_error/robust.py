@@ -45,10 +45,11 @@ def sample_weights(residuals: Sequence[F64]) -> tuple[F64, ...]:
 def _scale(residuals: Sequence[F64], differences: Sequence[F64]) -> float:
     """By how much a sample usually stands out, and not less than a share of what the model leaves apart from glitches.
 
-    Where most neighbours differ by nothing (a standing encoder) the RMS takes the place of the median.
+    Where most neighbours differ by nothing (a standing encoder) the 95th percentile takes the median's place.
     """
     every = np.concatenate(differences)
-    usual = max(1.4826 * float(np.median(np.abs(every))), 0.1 * float(np.sqrt(np.mean(every**2))))
+    middle, large = np.percentile(np.abs(every), [50.0, 95.0])
+    usual = max(1.4826 * float(middle), 0.51 * float(large))
     glitches = np.concatenate(_isolated(differences, usual))
     left = np.concatenate(residuals)[~glitches]
     return max(usual, _OF_RESIDUAL * float(np.sqrt(np.mean(left**2))) if left.size else 0.0)
