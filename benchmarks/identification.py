@@ -150,7 +150,8 @@ def main() -> None:
     print(f"10 s at 1 kHz, R L K J B and initial state: ours {seconds:.3f} s, {iterations.evaluations} simulations")
     values, theirs = with_ipopt(block, sigma)
     print(
-        f"  CasADi + IPOPT {theirs:8.2f} s   {theirs / seconds:6.0f} x   optimum differs by {difference(mine, values):.1e}"
+        f"  CasADi + IPOPT {theirs:8.2f} s   {theirs / seconds:6.0f} x   optimum differs by "
+        f"{difference(mine, values):.1e}"
     )
     if not arguments.quick:
         values, theirs, calls = with_scipy(block, sigma)

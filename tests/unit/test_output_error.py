@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -92,7 +93,7 @@ def test_all_five_parameters_from_nothing() -> None:
         assert p.std < 0.02 * truth
     assert fit.residual["position_rad"].rmse == pytest.approx(1e-3, rel=0.05)
     costs = [fit.cost(i) for i in fit.solution.iterations]
-    assert all(b <= a * (1 + 1e-9) for a, b in zip(costs, costs[1:], strict=False))
+    assert all(b <= a * (1 + 1e-9) for a, b in pairwise(costs))
 
 
 @pytest.mark.parametrize("scale", [0.2, 5.0])

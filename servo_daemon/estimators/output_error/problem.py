@@ -183,5 +183,5 @@ class Problem:
         out = []
         for k in range(len(self.channels)):
             values = np.concatenate([s.measured[s.valid[:, k], k] for s in self.segments])
-            out.append(max(float(np.std(values)), 1e-12 * float(np.max(np.abs(values), initial=0.0)), 1e-300))
+            out.append(max(float(np.std(values)), 1e-12 * float(np.max(np.abs(values), initial=0.0)), 1e-9))
         return np.array(out)

@@ -1,0 +1,238 @@
+"""`servo-daemon fit` as a user calls it: documents, reports, and answers to captures that are no good."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from servo_daemon.captures import read_capture, write_capture
+from tests.unit.commands import Result, run_command
+
+Run = Callable[..., Result]
+
+KEYS = {"parameters", "null_directions", "iterations", "residual", "validation", "seconds"}
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """10 s of the simulated paper's motor."""
+    path = tmp_path_factory.mktemp("fit") / "motor.csv"
+    assert run_command("simulate", "--out", path, "--seconds", "6", "--seed", "4").code == 0
+    return path
+
+
+def rewritten(source: Path, target: Path, change: Callable[[dict[str, Any]], None]) -> Path:
+    """A capture with its columns changed."""
+    capture = read_capture(source)
+    columns = {"time_s": capture.time_s.copy(), **{n: getattr(capture, n).copy() for n in capture.channels}}
+    change(columns)
+    names = list(columns)
+    table = np.column_stack([columns[n] for n in names])
+    np.savetxt(target, table, delimiter=",", header=",".join(names), comments="", fmt="%.9g")
+    return target
+
+
+def test_the_document_is_the_contracts(capture: Path) -> None:
+    document = run_command("fit", capture, "--json").document
+    assert document.keys() >= KEYS
+    assert list(document["parameters"]) == ["R", "L", "K", "J", "B"]
+    truth = read_capture(capture)
+    for name, p in document["parameters"].items():
+        assert p.keys() >= {"value", "std", "unit", "at_bound"}
+        assert abs(p["value"] - float(truth.metadata[f"truth_{name}"])) < 5 * p["std"]
+        assert p["at_bound"] is False
+    rows = document["iterations"]
+    assert [r["iteration"] for r in rows] == list(range(len(rows)))
+    assert all(b["function_count"] > a["function_count"] for a, b in pairwise(rows))
+    assert all(b["cost"] <= a["cost"] * (1 + 1e-9) for a, b in pairwise(rows))
+    assert set(document["residual"]["rmse"]) == {"current_A", "position_rad"}
+    assert isinstance(document["residual"]["white"], bool)
+
+
+def test_the_text_names_every_parameter(capture: Path) -> None:
+    result = run_command("fit", capture)
+    assert result.code == 0
+    assert all(f" {name} = " in result.out for name in ("R", "L", "K", "J", "B"))
+    assert "null" not in result.out
+    assert "nan" not in result.out.lower()
+
+
+def test_fixed_values_are_held(capture: Path) -> None:
+    document = run_command("fit", capture, "--fix", "R=0.5,K=0.3", "--json").document
+    assert document["parameters"]["R"] == {
+        "value": pytest.approx(0.5),
+        "std": None,
+        "unit": "Ω",
+        "at_bound": False,
+        "status": "fixed",
+    }
+    assert document["parameters"]["J"]["std"] > 0
+
+
+def test_effects_and_validation(capture: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.csv"
+    assert (
+        run_command(
+            "simulate", "--out", other, "--seconds", "6", "--seed", "9", "--effect", "coulomb_friction:Tc=0.1"
+        ).code
+        == 0
+    )
+    document = run_command(
+        "fit", other, "--effect", "coulomb_friction", "--validate", other, capture, "--adapt", "0.3", "--json"
+    ).document
+    assert document["parameters"]["Tc"]["value"] == pytest.approx(0.1, rel=0.05)
+    assert [Path(v["capture"]).name for v in document["validation"]] == ["other.csv", "motor.csv"]
+    same, without = document["validation"]
+    for v in (same, without):
+        for kind in ("baseline", "extended", "adapted"):
+            assert (
+                v[kind]["rmse"].keys() == v[kind]["rmse_1s"].keys() == {"current_A", "velocity_rad_s", "position_rad"}
+            )
+    assert same["extended"]["rmse"]["velocity_rad_s"] < 0.5 * same["baseline"]["rmse"]["velocity_rad_s"]
+    # The other motor has no dry friction: what settles sees it.
+    assert without["adapted"]["settled"]["Tc"] < 0.03
+    assert without["adapted"]["rmse"]["velocity_rad_s"] < without["extended"]["rmse"]["velocity_rad_s"]
+
+
+def test_a_capture_without_current_says_what_it_holds(capture: Path, tmp_path: Path) -> None:
+    bare = rewritten(capture, tmp_path / "bare.csv", lambda c: c.pop("current_A"))
+    result = run_command("fit", bare, "--json")
+    assert result.code == 0
+    document = result.document
+    assert len(document["null_directions"]) == 2
+    assert all(p["value"] is None and p["std"] is None for p in document["parameters"].values())
+    assert {c["expression"] for c in document["combinations"]} >= {"K/(B R + K²)"}
+    text = run_command("fit", bare).out
+    assert "do not determine" in text
+
+
+def test_the_report_is_one_file(capture: Path, tmp_path: Path) -> None:
+    result = run_command("fit", capture, "--out", tmp_path / "deep" / "report")
+    assert result.code == 0
+    html = (tmp_path / "deep" / "report" / "report.html").read_text()
+    assert "Parameters" in html
+    assert 'src="http' not in html
+    assert "NaN" not in html.split("<script")[0]
+    document = json.loads((tmp_path / "deep" / "report" / "fit.json").read_text())
+    assert document["parameters"]["R"]["value"] > 0
+
+
+def _milliseconds(c: dict[str, Any]) -> None:
+    c["time_s"] *= 1e3
+
+
+def _milliamperes(c: dict[str, Any]) -> None:
+    c["current_A"] *= 1e3
+
+
+def _millivolts(c: dict[str, Any]) -> None:
+    c["voltage_V"] *= 1e3
+
+
+def _still(c: dict[str, Any]) -> None:
+    for name in ("voltage_V", "current_A", "position_rad"):
+        c[name][:] = 0.0
+
+
+def _not_a_number(c: dict[str, Any]) -> None:
+    c["current_A"][17] = np.nan
+
+
+def test_time_in_milliseconds_is_refused_by_name(capture: Path, tmp_path: Path) -> None:
+    bad = rewritten(capture, tmp_path / "ms.csv", _milliseconds)
+    result = run_command("fit", bad)
+    assert result.code == 2
+    assert len(result.err.strip().splitlines()) == 1
+    assert "ms.csv, column time_s" in result.err
+    assert "milliseconds" in result.err
+
+
+@pytest.mark.parametrize(
+    ("change", "word"), [(_milliamperes, "milliamperes"), (_millivolts, "millivolts"), (_still, "never changes")]
+)
+def test_odd_numbers_are_remarked_upon(capture: Path, tmp_path: Path, change: Any, word: str) -> None:
+    result = run_command("fit", rewritten(capture, tmp_path / "odd.csv", change))
+    assert result.code == 0
+    assert word in result.err
+
+
+def test_no_excitation_claims_nothing(capture: Path, tmp_path: Path) -> None:
+    document = run_command("fit", rewritten(capture, tmp_path / "still.csv", _still), "--json").document
+    assert all(p["std"] is None for p in document["parameters"].values())
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("", "empty"),
+        ("time_s,voltage_V,current_A,position_rad\n", "no rows"),
+        ("time_s,voltage_V\n0,1\n1,1\n", "no usable set of columns"),
+    ],
+)
+def test_bad_files_get_one_line(tmp_path: Path, content: str, words: str) -> None:
+    path = tmp_path / "bad.csv"
+    path.write_text(content)
+    result = run_command("fit", path)
+    assert result.code == 2
+    assert words in result.err
+    assert len(result.err.strip().splitlines()) == 1
+
+
+def test_nan_is_placed(capture: Path, tmp_path: Path) -> None:
+    result = run_command("fit", rewritten(capture, tmp_path / "nan.csv", _not_a_number))
+    assert result.code == 2
+    assert "line 19, column current_A" in result.err
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--fix", "Q=3"), "'Q=3' is not of the form"),
+        (("--fix", "R=abc"), "'abc' is not a number"),
+        (("--fix", "R=-3"), "is outside"),
+        (("--fix", "Tc=0.1"), "the model has no parameter Tc"),
+        (("--effect", "magic"), "unknown effect 'magic'"),
+        (("--adapt", "1.5"), "--adapt must lie between 0 and 1"),
+        (("--segment", "0"), "--segment must be greater than zero"),
+    ],
+)
+def test_wrong_flags_are_named(capture: Path, words: tuple[str, ...], message: str) -> None:
+    result = run_command("fit", capture, *words)
+    assert result.code == 2
+    assert message in result.err
+
+
+def test_the_config_gives_model_and_nominal_values(capture: Path, tmp_path: Path) -> None:
+    config = tmp_path / "c.toml"
+    config.write_text(
+        '[[drive]]\nname = "a"\ndriver = "no such driver"\nmodel = ["coulomb_friction"]\n'
+        "[drive.nominal]\nR = 1.0\nL = 1e-3\nK = 0.2\nJ = 0.02\nB = 0.3\nTc = 0.01\n"
+    )
+    document = run_command("fit", capture, "--config", config, "--json").document
+    assert document["model"] == ["coulomb_friction"]
+    assert document["start"] == "nominal values"
+    assert document["iterations"][0]["parameters"]["R"] == pytest.approx(1.0)
+
+
+def test_a_known_weight_fixes_the_gravity_torque(capture: Path, tmp_path: Path) -> None:
+    source = read_capture(capture)
+    path = tmp_path / "arm.csv"
+    write_capture(path, source.block(), metadata={"mass_kg": "0.5", "arm_length_m": "0.1"})
+    document = run_command("fit", path, "--effect", "gravity_load", "--json").document
+    assert document["parameters"]["Tg"]["status"] == "fixed"
+    assert document["parameters"]["Tg"]["value"] == pytest.approx(0.5 * 9.80665 * 0.1)
+
+
+def test_rotary_and_linear_do_not_mix(capture: Path, tmp_path: Path) -> None:
+    other = tmp_path / "axis.csv"
+    t = np.arange(100) * 1e-3
+    np.savetxt(other, np.c_[t, np.sin(t), t**2], delimiter=",", header="time_s,force_N,position_m", comments="")
+    result = run_command("fit", capture, other)
+    assert result.code == 2
+    assert "cannot be fitted together" in result.err
