@@ -8,8 +8,11 @@ frames is the driver's: each arrival of the trigger message is one, every other 
 from __future__ import annotations
 
 import io
+import logging
+import struct
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, TextIO
@@ -31,10 +34,13 @@ from servo_daemon.samples import Quality, SampleBlock, concatenate
 
 if TYPE_CHECKING:
     import can
+    from can.io.blf import BLFReader
 
 _OPTIONS = ("dbc", "counts_per_rev", "drive_id", "channel", "trigger", "period_s", "stale_s")
 #: Frames are handed on in pieces this long, s, as a live bus does: the decoders' sense for silence rests on it.
 _PIECE_S = 0.025
+#: A BLF object up to its size, and the least it can have: its header, base and version 1 (can/io/blf.py).
+_OBJECT, _OBJECT_LEAST = struct.Struct("<8xI"), 32
 _INVALID = Quality.VOLTAGE_INVALID | Quality.CURRENT_INVALID | Quality.POSITION_INVALID
 
 _HINT = (
@@ -62,16 +68,18 @@ def read_blf(path: Path, raw: BinaryIO, signal_map: SignalMap | None) -> Capture
     """The capture in an open BLF log.
 
     Raises:
-        CaptureError: damaged, or the frames make no capture.
+        CaptureError: damaged, cut off, or the frames make no capture.
         ConfigError: the map or its DBC is wrong.
     """
     from can.io.blf import BLFReader
 
-    # python-can closes the file when it is through: a copy of it, which a log in memory is anyway.
     data = raw.read()
     try:
-        with io.BytesIO(data) as copy:
-            log = _collect(path, BLFReader(copy), "BLF log")
+        with _quiet(), io.BytesIO(data) as copy:  # python-can closes the file when it is through
+            reader = _checking(BLFReader)(copy)
+            if reader.file_size > len(data):
+                raise capture_error(path, f"the BLF log is cut off: {len(data)} of {reader.file_size} bytes are there")
+            log = _collect(path, reader, "BLF log")
     except CaptureError:
         raise
     except Exception as error:  # the parser raises whatever the bytes make it stumble over
@@ -79,12 +87,43 @@ def read_blf(path: Path, raw: BinaryIO, signal_map: SignalMap | None) -> Capture
     return _capture(log, signal_map)
 
 
+def _checking(reader: type[BLFReader]) -> type[BLFReader]:
+    """python-can's reader, which goes round for ever where an object says it has no length, with a look at that."""
+
+    class CheckingReader(reader):  # type: ignore[misc, valid-type]  # a base that is imported late
+        def _parse_data(self, data: bytes) -> Iterator[can.Message]:
+            at = 0
+            while (at := data.find(b"LOBJ", at, at + 8)) >= 0 and at + _OBJECT.size <= len(data):
+                size = _OBJECT.unpack_from(data, at)[0]
+                if size < _OBJECT_LEAST:
+                    raise ValueError(f"an object of {size} bytes")
+                at += size
+            yield from super()._parse_data(data)
+
+    return CheckingReader
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without python-can's own log lines about what it passes over."""
+    log = logging.getLogger("can.io")
+    level = log.level
+    log.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
+
+
 def read_asc(path: Path, text: TextIO, signal_map: SignalMap | None) -> Capture:
     """The capture in an open ASC log; raises as `read_blf`."""
     from can.io.asc import ASCReader
 
     try:
-        with io.StringIO(text.read()) as copy:
+        content = text.read()
+        if not content.endswith("\n"):
+            raise capture_error(path, "the ASC log is cut off: its last line has no end")
+        with _quiet(), io.StringIO(content) as copy:
             reader = ASCReader(copy)
             log = _collect(path, reader, "ASC log")
             if reader.timestamps_format == "relative":

@@ -14,7 +14,7 @@ from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
 
-from servo_daemon.captures.held import HeldSignal, describe
+from servo_daemon.captures.held import HeldSignal, describe, proposal
 from servo_daemon.captures.layout import METADATA_LINE
 from servo_daemon.captures.model import MIN_SAMPLES, capture_error
 from servo_daemon.captures.recording import Series, parser_failed
@@ -120,7 +120,9 @@ def read_excel(path: Path, raw: BinaryIO, signal_map: SignalMap | None) -> Sheet
         raise capture_error(path, f'more than one sheet fits: {fitting}; name one in a map: sheet = "…"')
     if not sheets_that_fit and len(sheets) > 1:
         found = "; ".join(f"sheet {s.name}: {describe(_held(s))}" for s in sheets if s.header)
-        raise capture_error(path, f"no sheet has the columns needed: {found or 'all are empty'}")
+        held = [signal for sheet in sheets for signal in _held(sheet)]
+        todo = f"; {proposal(held)}" if signal_map is None and held else ""
+        raise capture_error(path, f"no sheet has the columns needed: {found or 'all are empty'}{todo}")
     if not sheets:
         raise capture_error(path, "the workbook has no sheet with cells")
     return SheetRecording(path, (sheets_that_fit or sheets)[0])

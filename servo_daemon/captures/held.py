@@ -68,12 +68,19 @@ class HeldSignal:
         size: its samples, in words ("5000", "5000 × 4"); empty: not known without reading the file.
         unit: as the file has it; empty: none.
         columns: of a matrix; 0: it is none.
+        plain: its name without what it is part of, where it may go by that.
     """
 
     name: str
     size: str = ""
     unit: str = ""
     columns: int = 0
+    plain: str = ""
+
+    @property
+    def short(self) -> str:
+        """The name that may be one of a capture's columns."""
+        return self.plain or self.name
 
     @property
     def text(self) -> str:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO, ClassVar
 
@@ -23,6 +23,7 @@ from servo_daemon.captures.signal_map import SignalRef
 from servo_daemon.samples import F64
 
 _TIME_NAMES = ("time", "Time")
+_FUNCTION = "function handle"
 _STEP = re.compile(r"([A-Za-z]\w*)((?:\(\d+\))?)")
 
 
@@ -128,12 +129,16 @@ def read_mat(path: Path, raw: BinaryIO) -> MatRecording:
     if not held and objects:
         name, class_name = next(iter(objects.items()))
         raise capture_error(path, _object_help(name, class_name))
-    # Names of a capture may stand in one struct: they are then as good as variables of their own.
-    structs = [node for node in tree.values() if isinstance(node, Mapping)]
-    if "time_s" not in tree and len(structs) == 1 and "time_s" in structs[0]:
-        tree = {**structs[0], **tree}
-        held = tuple(_leaves(tree, ""))
-    return MatRecording(path, tree, held, objects, {})
+    return MatRecording(path, tree, _with_plain_names(tree, held), objects, {})
+
+
+def _with_plain_names(tree: Mapping[str, Any], held: tuple[HeldSignal, ...]) -> tuple[HeldSignal, ...]:
+    """Where one struct holds everything, its fields are as good as variables of their own."""
+    structs = [key for key, node in tree.items() if isinstance(node, Mapping)]
+    if len(structs) != 1 or "time_s" in tree:
+        return held
+    prefix = f"{structs[0]}."
+    return tuple(replace(signal, plain=signal.name.removeprefix(prefix)) for signal in held)
 
 
 def _leaves(node: Any, path: str) -> Iterator[HeldSignal]:
@@ -187,7 +192,7 @@ def _class_of(value: Any) -> str | None:
     from scipy.io.matlab import MatlabFunction, MatlabOpaque
 
     if isinstance(value, MatlabFunction):
-        return "function handle"
+        return _FUNCTION
     names = getattr(getattr(value, "dtype", None), "names", None) or ()
     if isinstance(value, MatlabOpaque) or {"s0", "s1", "s2", "arr"} <= set(names):
         item = np.atleast_1d(value)[0]
@@ -197,7 +202,10 @@ def _class_of(value: Any) -> str | None:
 
 
 def _object_help(name: str, class_name: str) -> str:
+    what = f"{name} is a MATLAB object (class {class_name}), which only MATLAB can read"
+    if class_name == _FUNCTION:
+        return what
     return (
-        f"{name} is a MATLAB object (class {class_name}), which only MATLAB can read; for a timeseries say there  "
-        f"s = struct('time', {name}.Time, 'data', {name}.Data); save('name.mat', 's', '-v7')"
+        f"{what}; of a timeseries make there  s = struct('time', {name}.Time, 'data', {name}.Data); "
+        "save('name.mat', 's', '-v7')"
     )

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 import logging
+import sys
+import traceback
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -97,13 +100,17 @@ def read_mdf(path: Path, raw: BinaryIO, signal_map: SignalMap | None) -> Capture
         BadInputError: asammdf is not installed.
     """
     asammdf = _require_asammdf(path)
-    try:
-        with _quiet(), asammdf.MDF(raw) as file:
-            return assemble(MdfRecording(path, file), signal_map)
-    except ServoDaemonError:
-        raise
-    except Exception as error:  # the parser raises whatever the bytes make it stumble over, channels included
-        raise parser_failed(path, "MDF file", error) from error
+    with _quiet():
+        try:
+            with asammdf.MDF(raw) as file:
+                return assemble(MdfRecording(path, file), signal_map)
+        except ServoDaemonError:
+            raise
+        except Exception as error:  # the parser raises whatever the bytes make it stumble over, channels included
+            failure = parser_failed(path, "MDF file", error)
+            traceback.clear_frames(error.__traceback__)
+        gc.collect()  # what is half made complains when it goes: here, where nobody hears it
+    raise failure
 
 
 def _require_asammdf(path: Path) -> Any:
@@ -115,15 +122,17 @@ def _require_asammdf(path: Path) -> Any:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without asammdf's own log lines, which would come beside the one line of an error."""
-    log = logging.getLogger("asammdf")
+    """Without asammdf's own log lines, and what its destructors raise on damaged files: an error is one line."""
+    log, hook = logging.getLogger("asammdf"), sys.unraisablehook
     level = log.level
     log.setLevel(logging.CRITICAL + 1)
+    sys.unraisablehook = lambda _: None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
     finally:
+        sys.unraisablehook = hook
         log.setLevel(level)
 
 

@@ -115,25 +115,26 @@ def assemble(recording: Recording, signal_map: SignalMap | None) -> Capture:
 
 def _plain_columns(recording: Recording) -> tuple[MappedColumn, ...]:
     """The signals that are called as a capture's columns are."""
-    names = [signal.name for signal in recording.held if signal.name in KNOWN_COLUMNS]
-    for name in names:
-        if names.count(name) > 1:
-            raise capture_error(recording.path, f"there are {names.count(name)} of this name", column=name)
-    fields = {KNOWN_COLUMNS[name] for name in names} | ({"time_s"} if recording.timed else set())
+    found = {signal.short: signal for signal in recording.held if signal.short in KNOWN_COLUMNS}
+    for name in found:
+        count = [signal.short for signal in recording.held].count(name)
+        if count > 1:
+            raise capture_error(recording.path, f"there are {count} of this name: say which in a map", column=name)
+    fields = {KNOWN_COLUMNS[name] for name in found} | ({"time_s"} if recording.timed else set())
     lack = lacks(fields)
     if lack:
-        what = f"{lack}; needed: {NEEDED}; the file holds {describe(recording.held)}"
+        what = f"{lack}; the file holds {describe(recording.held)}"
         todo = f"; {proposal(recording.held, timed=recording.timed)}" if recording.held else ""
-        raise capture_error(recording.path, what + todo)
-    return tuple(MappedColumn(name, (SignalRef("value", name),)) for name in names)
+        raise capture_error(recording.path, f"{what}; needed: {NEEDED}{todo}")
+    return tuple(MappedColumn(name, (SignalRef("value", signal.name),)) for name, signal in found.items())
 
 
 def _with_time(columns: tuple[MappedColumn, ...], recording: Recording) -> tuple[MappedColumn, ...]:
     """A signal time_s needs no line in the map."""
-    mapped = any(column.name == "time_s" for column in columns)
-    if mapped or recording.timed or all(signal.name != "time_s" for signal in recording.held):
+    time = [signal for signal in recording.held if signal.short == "time_s"]
+    if recording.timed or len(time) != 1 or any(column.name == "time_s" for column in columns):
         return columns
-    return (MappedColumn("time_s", (SignalRef("value", "time_s"),)), *columns)
+    return (MappedColumn("time_s", (SignalRef("value", time[0].name),)), *columns)
 
 
 def _unused(recording: Recording, columns: Sequence[MappedColumn]) -> tuple[str, ...]:
@@ -269,4 +270,4 @@ def _base(signal_map: SignalMap, timed: Mapping[str, Timed]) -> str:
 def parser_failed(path: Path, what: str, error: Exception) -> CaptureError:
     """A library's complaint about a file, whatever it raised, as one line."""
     reason = " ".join(str(error).split())[:200] or type(error).__name__
-    return capture_error(path, f"not a usable {what}: {reason}")
+    return capture_error(path, f"not a usable {what}, or cut off: {reason}")
