@@ -55,7 +55,7 @@ class MdfRecording:
             signal = signal.validate()
         values = np.asarray(signal.samples)
         if values.ndim != 1 or values.dtype.kind not in "biuf":
-            what = "text" if values.dtype.kind in "SU" else f"{values.dtype} of shape {values.shape[1:]}"
+            what = "text" if values.dtype.kind in "SU" else "arrays"
             raise capture_error(self.path, f"holds {what}, not numbers", column=ref.label)
         time_s = np.asarray(signal.timestamps, np.float64)
         # One array for each group: that its channels have the same time is then seen at once.
