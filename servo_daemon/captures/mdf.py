@@ -109,7 +109,7 @@ def read_mdf(path: Path, raw: BinaryIO, signal_map: SignalMap | None) -> Capture
         except Exception as error:  # the parser raises whatever the bytes make it stumble over, channels included
             failure = parser_failed(path, "MDF file", error)
             traceback.clear_frames(error.__traceback__)
-        gc.collect()  # what is half made complains when it goes: here, where nobody hears it
+        gc.collect()  # a half-made file complains when it goes, and is held by a cycle: here it goes unheard
     raise failure
 
 

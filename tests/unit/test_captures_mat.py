@@ -92,7 +92,7 @@ def test_timeseries_as_structs_have_their_own_times(tmp_path: Path) -> None:
     series = {"u": {"Time": T, "Data": U}, "i": {"Time": T, "Data": A}, "q": {"Time": T[::2], "Data": Q[::2]}}
     capture = read(tmp_path, series, 'signals = { voltage_V = "u", current_A = "i", position_rad = "q" }')
     np.testing.assert_array_equal(capture.time_s, T[::2])
-    np.testing.assert_allclose(capture.current_A, A[::2])  # type: ignore[arg-type]
+    np.testing.assert_allclose(capture.current_A, A[::2])
     assert capture.notes[-1].startswith("3 signals with different sampling, brought to the times of position_rad: volt")
     capture = read(
         tmp_path,
@@ -100,7 +100,7 @@ def test_timeseries_as_structs_have_their_own_times(tmp_path: Path) -> None:
         'time_base = "current_A"\nsignals = { voltage_V = "u", current_A = "i", position_rad = "q" }',
     )
     np.testing.assert_array_equal(capture.time_s, T[: N - 1])  # the position has ended before the last current
-    np.testing.assert_allclose(capture.position_rad, Q[: N - 1], atol=1e-15)  # type: ignore[arg-type]
+    np.testing.assert_allclose(capture.position_rad, Q[: N - 1], atol=1e-15)
     assert "current_A" not in capture.notes[-2] or "times of current_A" in capture.notes[-2]
     assert capture.notes[-1].startswith(f"1 of {N} samples left out")
 

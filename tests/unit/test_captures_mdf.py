@@ -79,7 +79,7 @@ def test_different_sampling_is_brought_to_the_times_of_the_position(tmp_path: Pa
     # The first position comes before the first voltage, the last two after the last current.
     kept = time_s["x"][(time_s["x"] >= 0.0003) & (time_s["x"] <= time_s["I"][-1])]
     np.testing.assert_array_equal(capture.time_s, kept)
-    np.testing.assert_allclose(capture.current_A, kept, rtol=1e-12)  # type: ignore[arg-type]
+    np.testing.assert_allclose(capture.current_A, kept, rtol=1e-12)
     np.testing.assert_array_equal(capture.position_rad, kept)
     # From 1.1 to 2.1 ms the voltage is 0; from 2.1 to 3.1 ms it is 0 for 0.2 ms, then 1 for 0.8 ms.
     assert capture.voltage_V is not None
@@ -143,7 +143,7 @@ def test_a_formula_over_groups_holds_the_slower(tmp_path: Path) -> None:
     capture = read(path, f'signals = {{ voltage_V = {formula}, current_A = "i" }}')
     bus = (np.arange(len(T)) - 3) // 10
     np.testing.assert_array_equal(capture.time_s, T[3:])
-    np.testing.assert_allclose(capture.voltage_V, (U * bus)[3:])  # type: ignore[arg-type]
+    np.testing.assert_allclose(capture.voltage_V, (U * bus)[3:])
 
 
 def test_group_and_time_channel(tmp_path: Path) -> None:
