@@ -164,6 +164,8 @@ def _capture(log: _Log, signal_map: SignalMap | None) -> Capture:
     notes = [f"{len(whole)} samples from {counters.frames} frames; each signal has the value it last had"]
     if counters.samples_lost:
         notes.append(f"{counters.samples_lost} samples are missing in the log")
+    if counters.framing_errors:
+        notes.append(f"{counters.framing_errors} frames are too short for their message and were passed over")
     info = decoder.info
     metadata = {"identity": info.identity}
     if info.counts_per_rev:

@@ -212,14 +212,13 @@ def _check_header(path: Path, line: str, number: int, comment: str) -> None:
     """Say what is wrong with a first row that cannot be a header, in the terms of what the user probably did."""
     if "\ufffd" in line:
         raise capture_error(path, "not a text file, or not in UTF-8", line=number)
-    if "time_s" in line and "," not in line:
-        for separator, name in ((";", "semicolons"), ("\t", "tabs")):
-            if separator in line:
-                message = f"columns are separated by {name}: use commas, and a point in numbers"
-                raise capture_error(path, message, line=number)
     try:
         [float(cell) for cell in re.split("[,;\t ]+", line) if cell]
     except ValueError:
+        for separator, name in ((";", "semicolons"), ("\t", "tabs")):
+            if separator in line and "," not in line:
+                message = f"columns are separated by {name}: use commas, and a point in numbers"
+                raise capture_error(path, message, line=number) from None
         return
     hint = "; the commented line above looks like it: remove its '#'" if "time_s" in comment else ""
     raise capture_error(path, f"numbers where the header (time_s,voltage_V,…) should be{hint}", line=number)
