@@ -1,9 +1,4 @@
-"""CAN logs (Vector's BLF and ASC) read by python-can and decoded by the CAN driver's own decoders.
-
-Without a map, or with one that has no `dbc`, the log is searched for our own frames (docs/protocol-can.md); with `dbc`
-and `signals`, as in `[drive.options]` of a CAN drive, another maker's are decoded. The rule that makes samples of
-frames is the driver's: each arrival of the trigger message is one, every other signal has the value it last had.
-"""
+"""CAN logs in the files of Vector's tools, BLF and ASC, read by python-can into arrays of frames."""
 
 from __future__ import annotations
 
@@ -15,47 +10,31 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, TextIO
+from typing import TYPE_CHECKING, BinaryIO, TextIO
 
 import numpy as np
 
-from drivers.base import DriverCounters
-from drivers.can_decode import FrameBatch, batch_of, frame_key, key_text, load_dbc
-from drivers.can_map import COUNTS, parse_signal_map
-from drivers.can_own import OwnDecoder
-from drivers.can_vendor import STALE_S, VendorDecoder
-from drivers.can_wire import FIRST_DRIVE, LAST_DRIVE, SAMPLE_ID
-from servo_daemon.captures.layout import make_layout
-from servo_daemon.captures.model import LINEAR_COLUMNS, MIN_SAMPLES, Capture, capture_error, first_bad_time, time_fault
+from drivers.can_decode import FrameBatch, batch_of, key_text
+from servo_daemon.captures.model import capture_error
 from servo_daemon.captures.recording import parser_failed
-from servo_daemon.captures.signal_map import SignalMap
-from servo_daemon.errors import CaptureError, ConfigError
-from servo_daemon.samples import Quality, SampleBlock, concatenate
+from servo_daemon.errors import CaptureError
+from servo_daemon.samples import I64
 
 if TYPE_CHECKING:
     import can
     from can.io.blf import BLFReader
 
-_OPTIONS = ("dbc", "counts_per_rev", "drive_id", "channel", "trigger", "period_s", "stale_s")
-#: Frames are handed on in pieces this long, s, as a live bus does: the decoders' sense for silence rests on it.
-_PIECE_S = 0.025
 #: A BLF object up to its size, and the least it can have: its header, base and version 1 (can/io/blf.py).
 _OBJECT, _OBJECT_LEAST = struct.Struct("<8xI"), 32
-_INVALID = Quality.VOLTAGE_INVALID | Quality.CURRENT_INVALID | Quality.POSITION_INVALID
-
-_HINT = (
-    'give a map: --signals MAP.toml with  dbc = "drive.dbc"  and a line such as  '
-    'signals = { position_rad = "Feedback.Angle", current_A = "Status.Current", voltage_V = "Status.Voltage" }'
-)
 
 
 @dataclass(frozen=True, slots=True)
-class _Log:
+class CanLog:
     """The data frames of a log, in order of time; channels count from 1, 0: the log does not tell."""
 
     path: Path
     frames: FrameBatch
-    channels: np.ndarray[Any, np.dtype[np.int64]]
+    channels: I64
 
     def heard(self) -> str:
         """What is on the bus, in words."""
@@ -64,12 +43,11 @@ class _Log:
         return f"{shown} and {len(counts) - 16} more" if len(counts) > 16 else shown
 
 
-def read_blf(path: Path, raw: BinaryIO, signal_map: SignalMap | None) -> Capture:
-    """The capture in an open BLF log.
+def read_blf(path: Path, raw: BinaryIO) -> CanLog:
+    """The frames of an open BLF log.
 
     Raises:
-        CaptureError: damaged, cut off, or the frames make no capture.
-        ConfigError: the map or its DBC is wrong.
+        CaptureError: damaged, cut off, or without a data frame.
     """
     from can.io.blf import BLFReader
 
@@ -79,12 +57,11 @@ def read_blf(path: Path, raw: BinaryIO, signal_map: SignalMap | None) -> Capture
             reader = _checking(BLFReader)(copy)
             if reader.file_size > len(data):
                 raise capture_error(path, f"the BLF log is cut off: {len(data)} of {reader.file_size} bytes are there")
-            log = _collect(path, reader, "BLF log")
+            return _collect(path, reader, "BLF log")
     except CaptureError:
         raise
     except Exception as error:  # the parser raises whatever the bytes make it stumble over
         raise parser_failed(path, "BLF log", error) from error
-    return _capture(log, signal_map)
 
 
 def _checking(reader: type[BLFReader]) -> type[BLFReader]:
@@ -115,8 +92,8 @@ def _quiet() -> Iterator[None]:
         log.setLevel(level)
 
 
-def read_asc(path: Path, text: TextIO, signal_map: SignalMap | None) -> Capture:
-    """The capture in an open ASC log; raises as `read_blf`."""
+def read_asc(path: Path, text: TextIO) -> CanLog:
+    """The frames of an open ASC log; raises as `read_blf`."""
     from can.io.asc import ASCReader
 
     try:
@@ -128,176 +105,18 @@ def read_asc(path: Path, text: TextIO, signal_map: SignalMap | None) -> Capture:
             log = _collect(path, reader, "ASC log")
             if reader.timestamps_format == "relative":
                 raise capture_error(path, "its time stamps are relative to the line before: save it with absolute ones")
+            return log
     except CaptureError:
         raise
     except Exception as error:  # as above
         raise parser_failed(path, "ASC log", error) from error
-    return _capture(log, signal_map)
 
 
-def _collect(path: Path, messages: Iterable[can.Message], what: str) -> _Log:
+def _collect(path: Path, messages: Iterable[can.Message], what: str) -> CanLog:
     kept = [m for m in messages if not (m.is_error_frame or m.is_remote_frame)]
     if not kept:
         raise capture_error(path, f"the {what} holds no data frame, or is cut off before the first")
     kept.sort(key=lambda m: m.timestamp)  # stable: channels may have been written one after the other
     last_s = kept[-1].timestamp
     channels = np.array([m.channel + 1 if isinstance(m.channel, int) else 0 for m in kept], np.int64)
-    return _Log(path, batch_of(kept, last_s, last_s), channels)
-
-
-def _capture(log: _Log, signal_map: SignalMap | None) -> Capture:
-    signal_map = signal_map or SignalMap(log.path)
-    signal_map.only(_OPTIONS, "CAN logs")
-    counters = DriverCounters()
-    decoder = _decoder(log, signal_map, counters)
-    frames = _of_one_channel(log, decoder.keys, signal_map)
-    with np.errstate(all="ignore"):
-        blocks = [block for piece in _pieces(frames) for block in decoder.feed(piece)]
-    if not blocks:
-        raise capture_error(log.path, f"its frames make no sample ({_why_none(decoder)}); it holds {log.heard()}")
-    if counters.device_restarts:
-        after = next(i for i, block in enumerate(blocks) if block.quality[0] & Quality.TIME_RESTART)
-        taken = sum(len(block) for block in blocks[:after])
-        message = f"the drive restarted after {taken} samples: a capture cannot go on, cut the log there"
-        raise capture_error(log.path, message)
-    whole = concatenate(blocks)
-    notes = [f"{len(whole)} samples from {counters.frames} frames; each signal has the value it last had"]
-    if counters.samples_lost:
-        notes.append(f"{counters.samples_lost} samples are missing in the log")
-    if counters.framing_errors:
-        notes.append(f"{counters.framing_errors} frames are too short for their message and were passed over")
-    info = decoder.info
-    metadata = {"identity": info.identity}
-    if info.counts_per_rev:
-        metadata["counts_per_rev"] = f"{info.counts_per_rev:g}"
-    return _checked(log.path, whole, signal_map, {**metadata, **signal_map.metadata}, notes)
-
-
-def _checked(
-    path: Path, whole: SampleBlock, signal_map: SignalMap, metadata: dict[str, str], notes: list[str]
-) -> Capture:
-    """The samples that are measurements, as a capture."""
-    linear = any(name in signal_map.signals for name in LINEAR_COLUMNS)
-    if linear:
-        metadata = {"axis": "linear", **metadata}
-    names = {field: name for name, field in LINEAR_COLUMNS.items()} if linear else {}
-    layout = make_layout(path, ["time_s", *(names.get(c, c) for c in whole.channels)], metadata)
-    columns = {name: getattr(whole, name) for name in ("time_s", *whole.channels)}
-    good = (whole.quality & int(_INVALID)) == 0
-    for column in columns.values():
-        good &= np.isfinite(column)
-    n = int(np.count_nonzero(good))
-    if n < MIN_SAMPLES:
-        never = [name for name, column in columns.items() if not np.isfinite(column).any()]
-        silent = f"; never heard: {', '.join(never)}" if never else ""
-        raise capture_error(
-            path, f"{n} of {len(whole)} samples are complete: at least {MIN_SAMPLES} are needed{silent}"
-        )
-    if n < len(whole):
-        notes.append(f"{len(whole) - n} of {len(whole)} samples left out: a signal was not heard yet or too long ago")
-        columns = {name: column[good] for name, column in columns.items()}
-    bad = first_bad_time(columns["time_s"])
-    if bad is not None:
-        fault = time_fault(float(columns["time_s"][bad]), float(columns["time_s"][bad - 1]))
-        raise capture_error(path, fault, place=f"sample {bad + 1}", column="time_s")
-    return Capture(path, axis=layout.axis, metadata=metadata, notes=tuple(notes), **columns)
-
-
-def _decoder(log: _Log, signal_map: SignalMap, counters: DriverCounters) -> OwnDecoder | VendorDecoder:
-    dbc = signal_map.text("dbc")
-    if dbc is None and not signal_map.signals:
-        for key in ("trigger", "period_s", "stale_s"):
-            if key in signal_map.options:
-                raise ConfigError(f"{signal_map.path}: {key} needs dbc and signals")
-        return OwnDecoder(_drive_id(log, signal_map), counters, signal_map.counts_per_rev)
-    if dbc is None or not signal_map.signals:
-        given, missing = ("dbc", "[signals]") if dbc else ("[signals]", "dbc")
-        raise ConfigError(f"{signal_map.path}: {given} needs {missing} as well, for a CAN log")
-    if "drive_id" in signal_map.options:
-        raise ConfigError(f"{signal_map.path}: drive_id is for our own frames, which need no dbc")
-    database = signal_map.path.parent / Path(dbc).expanduser()
-    table = {LINEAR_COLUMNS.get(name, name): entry for name, entry in signal_map.signals.items()}
-    where = f"{signal_map.path}: {dbc}"
-    signals = parse_signal_map(table, load_dbc(database), where, signal_map.text("trigger"))
-    counts_per_rev = signal_map.counts_per_rev
-    if signals.get(COUNTS) is not None and counts_per_rev is None:
-        raise ConfigError(f"{signal_map.path}: position_counts needs counts_per_rev")
-    return VendorDecoder(
-        signals,
-        counters,
-        counts_per_rev=counts_per_rev,
-        period_s=signal_map.positive("period_s"),
-        stale_s=signal_map.positive("stale_s") or STALE_S,
-    )
-
-
-def _drive_id(log: _Log, signal_map: SignalMap) -> int:
-    """Which drive's frames of our own are meant: the map says, or there is only one."""
-    there = {
-        drive
-        for drive in range(FIRST_DRIVE, LAST_DRIVE + 1)
-        if (log.frames.keys == frame_key(SAMPLE_ID + drive - FIRST_DRIVE, extended=False)).any()
-    }
-    wanted = signal_map.options.get("drive_id")
-    if wanted is not None:
-        if isinstance(wanted, bool) or not isinstance(wanted, int) or wanted not in there:
-            found = ", ".join(map(str, sorted(there))) or "none"
-            raise ConfigError(f"{signal_map.path}: drive_id = {wanted!r}: drives with frames in {log.path}: {found}")
-        return wanted
-    if not there:
-        raise capture_error(log.path, f"no frames of our own among {log.heard()}; {_HINT}")
-    if len(there) > 1:
-        drives = ", ".join(map(str, sorted(there)))
-        raise capture_error(
-            log.path, f"holds the frames of drives {drives}: say which in a map: drive_id = {min(there)}"
-        )
-    return there.pop()
-
-
-def _of_one_channel(log: _Log, keys: frozenset[int], signal_map: SignalMap) -> FrameBatch:
-    """The frames the decoder wants, of one CAN channel: two may carry the same identifiers."""
-    mine = np.isin(log.frames.keys, list(keys))
-    channel = signal_map.options.get("channel")
-    if channel is not None:
-        if isinstance(channel, bool) or not isinstance(channel, int) or channel not in log.channels:
-            there = ", ".join(str(c) for c in np.unique(log.channels))
-            raise ConfigError(f"{signal_map.path}: channel = {channel!r}: the log has {there}")
-        mine &= log.channels == channel
-    if not mine.any():
-        wanted = ", ".join(key_text(key) for key in sorted(keys))
-        raise capture_error(log.path, f"none of the frames needed ({wanted}) among {log.heard()}")
-    channels = np.unique(log.channels[mine])
-    if len(channels) > 1:
-        there = ", ".join(map(str, channels))
-        raise capture_error(
-            log.path, f"the frames are on channels {there}: say which in a map: channel = {channels[0]}"
-        )
-    frames = log.frames
-    lengths = frames.lengths[mine]
-    return FrameBatch(
-        frames.keys[mine],
-        frames.data[mine],
-        lengths,
-        min(frames.shortest, int(lengths.min())),
-        frames.stamp_s[mine],
-        frames.host_s,
-        frames.wall_s,
-    )
-
-
-def _pieces(frames: FrameBatch) -> Iterator[FrameBatch]:
-    """The frames as they would have arrived, `_PIECE_S` at a time."""
-    stamp_s = frames.stamp_s
-    start = 0
-    while start < len(frames):
-        stop = int(np.searchsorted(stamp_s, stamp_s[start] + _PIECE_S, side="right"))
-        last_s = float(stamp_s[stop - 1])
-        piece = frames.slice(start, stop)
-        yield FrameBatch(piece.keys, piece.data, piece.lengths, piece.shortest, piece.stamp_s, last_s, last_s)
-        start = stop
-
-
-def _why_none(decoder: OwnDecoder | VendorDecoder) -> str:
-    if isinstance(decoder, VendorDecoder):
-        return f"the message that makes one, {decoder.info.identity.partition(':')[2]}, never came whole"
-    return "no Sync or not all four pages of the Description came; see docs/protocol-can.md"
+    return CanLog(path, batch_of(kept, last_s, last_s), channels)

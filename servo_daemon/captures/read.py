@@ -101,8 +101,9 @@ def _read_kind(path: Path, raw: BinaryIO, head: bytes, signal_map: SignalMap | N
         return read_mdf(path, raw, signal_map)
     if head.startswith(b"LOGG"):
         from servo_daemon.captures.can_log import read_blf
+        from servo_daemon.captures.can_samples import decode_log
 
-        return read_blf(path, raw, signal_map)
+        return decode_log(read_blf(path, raw), signal_map)
     if is_mat(head):
         from servo_daemon.captures.mat import read_mat
 
@@ -124,9 +125,10 @@ def _read_text(path: Path, raw: BinaryIO, signal_map: SignalMap | None, *, packe
     with io.TextIOWrapper(binary, encoding="utf-8-sig", errors="replace") as text:
         if is_asc(text.readline(_MAX_LINE)):
             from servo_daemon.captures.can_log import read_asc
+            from servo_daemon.captures.can_samples import decode_log
 
             text.seek(0)
-            return read_asc(path, text, signal_map)
+            return decode_log(read_asc(path, text), signal_map)
         text.seek(0)
         preamble = _read_preamble(path, text)
         if signal_map is not None:
