@@ -22,9 +22,6 @@ from servo_daemon.captures.signal_map import SignalMap, SignalRef
 from servo_daemon.errors import BadInputError, ServoDaemonError
 from servo_daemon.samples import F64
 
-#: What the first eight bytes may be; the second: a recorder that was cut off.
-MAGIC = (b"MDF     ", b"UnFinMF ")
-
 
 class MdfRecording:
     """An open MDF file. Groups count from 0, as asammdf and its viewer number them."""

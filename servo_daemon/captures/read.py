@@ -167,7 +167,10 @@ class _MappedText:
         self._text, self._preamble = text, preamble
         names = [name.strip() for name in preamble.names]
         self.held = tuple(HeldSignal(name) for name in names)
-        needed = {operand.signal for column in signal_map.columns() for operand in column.operands} | {"time_s"}
+        columns = signal_map.columns()
+        needed = {operand.signal for column in columns for operand in column.operands}
+        if all(column.name != "time_s" for column in columns):
+            needed.add("time_s")
         used = {i: (name, name) for i, name in enumerate(names) if name in needed and names.count(name) == 1}
         self._layout = Layout(len(names), used, "rotary", ())
         self._columns = _read_rows(path, text, self._layout, preamble) if used else {}

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import importlib.util
 import io
+import os
 import tempfile
 import time
 import zipfile
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
 
@@ -159,6 +161,17 @@ def test_damage_to_a_good_file(kind: str, damage: list[tuple[float, bytes]], cut
 def test_undamaged_they_are_captures(kind: str) -> None:
     need(kind)
     assert outcome(good(kind)) == len(T)
+
+
+@pytest.mark.parametrize("kind", GOOD)
+def test_they_may_come_through_a_pipe(kind: str, tmp_path: Path) -> None:
+    need(kind)
+    path, content = tmp_path / "pipe", good(kind)
+    os.mkfifo(path)
+    with ThreadPoolExecutor(1) as pool:
+        feeding = pool.submit(path.write_bytes, content)
+        assert len(read_capture(path)) == len(T)
+        assert feeding.result() == len(content)
 
 
 TEXT = st.text(max_size=6)

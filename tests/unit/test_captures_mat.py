@@ -50,7 +50,7 @@ def test_variables_named_as_the_contract_has_them(tmp_path: Path, options: dict[
     assert_same(capture, tmp_path)
 
 
-def test_whatever_the_name_and_through_a_pipe_it_is_a_mat_file(tmp_path: Path) -> None:
+def test_the_content_decides_not_the_name(tmp_path: Path) -> None:
     path = saved(tmp_path, PLAIN).rename(tmp_path / "a.csv")
     assert_same(read_capture(path), tmp_path)
 

@@ -60,6 +60,14 @@ def test_map_object_and_file_are_the_same(tmp_path: Path) -> None:
     np.testing.assert_array_equal(one.block().voltage_V, other.block().voltage_V)
 
 
+def test_columns_that_the_map_does_not_name_may_hold_anything(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("time_s,t,voltage_V,u,i\n12:00,0,x,1,2\n12:00,1,,3,4\n")
+    capture = read_capture(path, mapped(tmp_path, 'signals = { time_s = "t", voltage_V = "u", current_A = "i" }'))
+    assert capture.time_s.tolist() == [0.0, 1.0]
+    assert capture.notes == ("signals not used: time_s, voltage_V",)
+
+
 def test_encoder_counts(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("time_s,enc,i\n" + "".join(f"{k},{(k * 20_000) % 65_536},1\n" for k in range(9)))
