@@ -1,10 +1,13 @@
-"""Captures: recorded samples in a file (CSV, gzipped CSV, Parquet), read, checked and written.
+"""Captures: recorded samples in a file, read, checked and written.
 
-Depends on `samples` and `errors` only, so that every command, driver and test can read the same files.
+CSV, gzipped CSV and Parquet both ways; MAT, Excel, MDF and CAN logs to read, with a signal map. Depends on `samples`,
+`errors` and, for formulas, counters that wrap and CAN logs, on the CAN driver's decoders, so that every command, driver
+and test can read the same files.
 """
 
 from servo_daemon.captures.model import Axis, Capture
 from servo_daemon.captures.read import read_capture
+from servo_daemon.captures.signal_map import SignalMap, load_signal_map
 from servo_daemon.captures.write import CaptureWriter, write_capture
 
-__all__ = ["Axis", "Capture", "CaptureWriter", "read_capture", "write_capture"]
+__all__ = ["Axis", "Capture", "CaptureWriter", "SignalMap", "load_signal_map", "read_capture", "write_capture"]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +13,9 @@ from servo_daemon.samples import CHANNELS
 
 #: Column name in the file -> field of `Capture`.
 KNOWN_COLUMNS: Mapping[str, str] = {"time_s": "time_s", **{c: c for c in CHANNELS}, **LINEAR_COLUMNS}
+
+#: A line before the header that is one of the metadata.
+METADATA_LINE = re.compile(r"#\s*([\w.-]+)\s*:\s*(.*)")
 
 _ROTARY_ONLY = frozenset(LINEAR_COLUMNS.values())
 _EFFORT = frozenset({"voltage_V", "current_A", "torque_Nm"})
@@ -47,6 +51,7 @@ def make_layout(
     *,
     line: int | None = None,
     metadata_lines: Mapping[str, int] | None = None,
+    hint: Callable[[], str] | None = None,
 ) -> Layout:
     """What the columns mean, checked.
 
@@ -55,6 +60,7 @@ def make_layout(
         metadata: the capture's metadata.
         line: the header's line; None for a file without lines.
         metadata_lines: the line of each metadata key, for messages.
+        hint: what the user can do where columns are missing.
 
     Raises:
         CaptureError: duplicate columns, no usable set, rotary and linear columns mixed, impossible metadata.
@@ -66,22 +72,39 @@ def make_layout(
             if stripped.index(name) != index:
                 raise capture_error(path, "the column is there twice", line=line, column=name)
             columns[index] = (name, KNOWN_COLUMNS[name])
-    _check_usable(path, stripped, columns, line)
+    _check_usable(path, stripped, columns, line, hint)
     lines = metadata_lines or {}
     _check_numbers(path, metadata, lines)
     axis = _axis(path, columns, metadata, line=line, metadata_line=lines.get("axis"))
     return Layout(len(stripped), columns, axis, _notes(stripped, columns))
 
 
-def _check_usable(path: Path, names: Sequence[str], columns: Mapping[int, tuple[str, str]], line: int | None) -> None:
+def lacks(fields: Collection[str]) -> str:
+    """What is missing in these fields of `Capture` to make a capture; empty: nothing is."""
+    if "time_s" not in fields:
+        return "no column time_s"
+    usable = (_EFFORT.intersection(fields) and _MOTION.intersection(fields)) or {"voltage_V", "current_A"} <= set(
+        fields
+    )
+    return "" if usable else "no usable set of columns"
+
+
+def _check_usable(
+    path: Path,
+    names: Sequence[str],
+    columns: Mapping[int, tuple[str, str]],
+    line: int | None,
+    hint: Callable[[], str] | None,
+) -> None:
     fields = {field for _, field in columns.values()}
-    usable = (fields & _EFFORT and fields & _MOTION) or {"voltage_V", "current_A"} <= fields
-    if "time_s" in fields and usable:
+    lack = lacks(fields)
+    if not lack:
         return
     shown = ", ".join(name or "(no name)" for name in names[:12]) + (", …" if len(names) > 12 else "")
+    todo = f"; {hint()}" if hint is not None else ""
     if "time_s" not in fields:
-        raise capture_error(path, f"no column time_s among: {shown}", line=line, column="time_s")
-    raise capture_error(path, f"no usable set of columns among: {shown}; needed: {NEEDED}", line=line)
+        raise capture_error(path, f"{lack} among: {shown}{todo}", line=line, column="time_s")
+    raise capture_error(path, f"{lack} among: {shown}; needed: {NEEDED}{todo}", line=line)
 
 
 def _check_numbers(path: Path, metadata: Mapping[str, str], lines: Mapping[str, int]) -> None:

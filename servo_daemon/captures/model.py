@@ -33,11 +33,18 @@ GAP_FACTOR = 1.75
 MIN_SAMPLES = 2
 
 
-def capture_error(path: Path, message: str, *, line: int | None = None, column: str | None = None) -> CaptureError:
-    """The one wording of everything that is wrong with a capture: file, line (1-based, all lines count), column."""
+def capture_error(
+    path: Path, message: str, *, line: int | None = None, place: str | None = None, column: str | None = None
+) -> CaptureError:
+    """The one wording of everything that is wrong with a capture: file, line (1-based, all lines count), column.
+
+    A file without lines has a place of its own kind instead ("sheet Data, row 17"; "sample 17", counted from 1).
+    """
     where = [str(path)]
     if line is not None:
         where.append(f"line {line}")
+    if place is not None:
+        where.append(place)
     if column is not None:
         where.append(f"column {column}")
     return CaptureError(f"{', '.join(where)}: {message}")
@@ -147,6 +154,11 @@ class Capture:
         whole = self.block()
         for start in range(0, len(self), samples):
             yield whole.slice(start, start + samples)
+
+
+def time_fault(now: float, before: float) -> str:
+    """What is wrong with two successive times of which the second is not later."""
+    return f"time {'is repeated' if now == before else 'jumps back'}: {now!r} after {before!r}"
 
 
 def first_bad_time(time_s: F64) -> int | None:

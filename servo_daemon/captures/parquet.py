@@ -5,12 +5,15 @@ from __future__ import annotations
 import importlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
 
+from servo_daemon.captures.held import HeldSignal, describe, proposal
 from servo_daemon.captures.layout import Layout, make_layout
-from servo_daemon.captures.model import MIN_SAMPLES, Capture, capture_error, first_bad_time
+from servo_daemon.captures.model import MIN_SAMPLES, Capture, capture_error, first_bad_time, time_fault
+from servo_daemon.captures.recording import Series, assemble
+from servo_daemon.captures.signal_map import SignalMap, SignalRef
 from servo_daemon.errors import BadInputError
 from servo_daemon.samples import F64
 
@@ -35,12 +38,12 @@ def require_pyarrow(path: Path) -> tuple[Any, Any]:
         ) from error
 
 
-def read_parquet(path: Path, raw: BinaryIO) -> Capture:
+def read_parquet(path: Path, raw: BinaryIO, signal_map: SignalMap | None = None) -> Capture:
     """A capture from an open Parquet file. Rows count from 1 in messages.
 
     Raises:
         CaptureError: damaged, or not usable; one line naming file, row and column.
-        BadInputError: pyarrow is not installed.
+        BadInputError: pyarrow is not installed, or the map is wrong.
     """
     arrow, parquet = require_pyarrow(path)
     try:
@@ -48,7 +51,9 @@ def read_parquet(path: Path, raw: BinaryIO) -> Capture:
         schema = file.schema_arrow
         stored = {k.decode(errors="replace"): v.decode(errors="replace") for k, v in (schema.metadata or {}).items()}
         metadata = {key: value for key, value in stored.items() if key not in _FOREIGN}
-        layout = make_layout(path, schema.names, metadata)
+        if signal_map is not None:
+            return assemble(ParquetRecording(path, file, metadata), signal_map)
+        layout = make_layout(path, schema.names, metadata, hint=lambda: proposal(_named(schema.names)))
         table = file.read(columns=[name for name, _ in layout.columns.values()])
     except (arrow.ArrowException, OSError) as error:
         raise capture_error(path, f"not a usable Parquet file: {str(error).splitlines()[0]}") from error
@@ -59,26 +64,57 @@ def read_parquet(path: Path, raw: BinaryIO) -> Capture:
     return Capture(path, axis=layout.axis, metadata=metadata, notes=layout.notes, **columns)
 
 
+def _named(names: Sequence[str]) -> list[HeldSignal]:
+    return [HeldSignal(name) for name in names]
+
+
 def _columns(path: Path, arrow: Any, table: Any, layout: Layout) -> dict[str, F64]:
     columns: dict[str, F64] = {}
     for name, field in layout.columns.values():
-        column = table.column(name)
-        kind = column.type
-        if not (arrow.types.is_floating(kind) or arrow.types.is_integer(kind) or arrow.types.is_decimal(kind)):
-            raise capture_error(path, f"holds {kind}, not numbers", column=name)
-        # Through double without Arrow's check that every integer is representable; nulls become NaN.
-        values = column.cast(arrow.float64(), safe=False).to_numpy()
+        values = _doubles(path, arrow, table.column(name), name)
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
             raise capture_error(path, f"row {bad[0] + 1}: the value is missing or not finite", column=name)
-        columns[field] = np.array(values, dtype=np.float64)
+        columns[field] = values
     bad_time = first_bad_time(columns["time_s"])
     if bad_time is not None:
-        now, before = columns["time_s"][bad_time], columns["time_s"][bad_time - 1]
-        how = "is repeated" if now == before else "jumps back"
-        message = f"row {bad_time + 1}: time {how}: {float(now)!r} after {float(before)!r}"
-        raise capture_error(path, message, column="time_s")
+        fault = time_fault(float(columns["time_s"][bad_time]), float(columns["time_s"][bad_time - 1]))
+        raise capture_error(path, f"row {bad_time + 1}: {fault}", column="time_s")
     return columns
+
+
+def _doubles(path: Path, arrow: Any, column: Any, name: str) -> F64:
+    """A column as doubles; nulls become NaN."""
+    kind = column.type
+    if not (arrow.types.is_floating(kind) or arrow.types.is_integer(kind) or arrow.types.is_decimal(kind)):
+        raise capture_error(path, f"holds {kind}, not numbers", column=name)
+    # Without Arrow's check that every integer is representable.
+    return np.array(column.cast(arrow.float64(), safe=False).to_numpy(), dtype=np.float64)
+
+
+class ParquetRecording:
+    """The columns of a Parquet file, for a signal map."""
+
+    kind: ClassVar[str] = "Parquet"
+    options: ClassVar[tuple[str, ...]] = ()
+    timed: ClassVar[bool] = False
+
+    def __init__(self, path: Path, file: Any, metadata: Mapping[str, str]) -> None:
+        self.path, self.metadata, self._file = path, metadata, file
+        rows = str(file.metadata.num_rows)
+        self.held = tuple(HeldSignal(name, rows) for name in file.schema_arrow.names)
+
+    def read(self, ref: SignalRef) -> Series:
+        count = [signal.name for signal in self.held].count(ref.signal)
+        if count != 1 or ref.label != ref.signal:
+            message = "the column is there twice" if count > 1 else f"no such column; there are {describe(self.held)}"
+            raise capture_error(self.path, message, column=ref.label)
+        arrow, _ = require_pyarrow(self.path)
+        table = self._file.read(columns=[ref.signal])
+        return Series(_doubles(self.path, arrow, table.column(ref.signal), ref.signal))
+
+    def place(self, index: int) -> str:
+        return f"row {index + 1}"
 
 
 class ParquetSink:

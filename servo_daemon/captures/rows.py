@@ -11,21 +11,21 @@ from typing import TextIO
 import numpy as np
 
 from servo_daemon.captures.layout import Layout
-from servo_daemon.captures.model import capture_error, first_bad_time
+from servo_daemon.captures.model import capture_error, first_bad_time, time_fault
 from servo_daemon.samples import F64
 
 _POINT = "numbers need a decimal point, columns are separated by commas"
 
 
-def read_rows_slowly(path: Path, text: TextIO, layout: Layout, header_line: int) -> dict[str, F64]:
-    """The used columns by field, each shape (n,) with n >= 0.
+def read_rows_slowly(path: Path, text: TextIO, layout: Layout, header_line: int) -> tuple[dict[str, F64], list[int]]:
+    """The used columns by field, each shape (n,) with n >= 0, and the line of each row.
 
     Args:
         text: positioned after the header.
         header_line: the header's line number.
 
     Raises:
-        CaptureError: the first bad row, or the first time that does not increase, with line and column.
+        CaptureError: the first bad row, with line and column.
     """
     used = [(index, name) for index, (name, _) in layout.columns.items()]
     rows: list[list[float]] = []
@@ -43,9 +43,7 @@ def read_rows_slowly(path: Path, text: TextIO, layout: Layout, header_line: int)
     except csv.Error as error:
         raise capture_error(path, f"not CSV, a quote without its end? ({error})", line=before + 1) from error
     table = np.array(rows, dtype=np.float64).reshape(len(rows), len(used))
-    columns = {layout.columns[i][1]: table[:, k].copy() for k, (i, _) in enumerate(used)}
-    _check_time(path, columns["time_s"], lines)
-    return columns
+    return {layout.columns[i][1]: table[:, k].copy() for k, (i, _) in enumerate(used)}, lines
 
 
 def _check_width(path: Path, row: Sequence[str], layout: Layout, line: int) -> None:
@@ -76,11 +74,13 @@ def _number(path: Path, cell: str, line: int, column: str) -> float:
     return value
 
 
-def _check_time(path: Path, time_s: F64, lines: Sequence[int]) -> None:
+def check_time(path: Path, time_s: F64, lines: Sequence[int]) -> None:
+    """Refuse the first time, shape (n,), that is not later than the one before it.
+
+    Raises:
+        CaptureError: naming both lines.
+    """
     bad = first_bad_time(time_s)
-    if bad is None:
-        return
-    now, before = float(time_s[bad]), float(time_s[bad - 1])
-    how = "is repeated" if now == before else "jumps back"
-    message = f"time {how}: {now!r} after {before!r} in line {lines[bad - 1]}"
-    raise capture_error(path, message, line=lines[bad], column="time_s")
+    if bad is not None:
+        fault = time_fault(float(time_s[bad]), float(time_s[bad - 1]))
+        raise capture_error(path, f"{fault} in line {lines[bad - 1]}", line=lines[bad], column="time_s")

@@ -6,17 +6,24 @@ import argparse
 import json
 import signal
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Event
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
 from servo_daemon.config import DriveConfig, load_config
 from servo_daemon.service.snapshot import ParameterEstimate
+
+if TYPE_CHECKING:
+    from servo_daemon.captures import Capture
+
+
+#: What a command's argument CAPTURE may be.
+CAPTURE_HELP = "CSV, CSV.gz, Parquet, MAT, Excel, MDF or a CAN log (BLF, ASC)"
 
 
 def add_config(parser: argparse.ArgumentParser, *, required: bool = False, drive: bool = True) -> None:
@@ -27,6 +34,31 @@ def add_config(parser: argparse.ArgumentParser, *, required: bool = False, drive
 
 def add_json(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print exactly one JSON document on stdout")
+
+
+def add_signals(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--signals",
+        type=Path,
+        metavar="MAP.toml",
+        help="which signal of the file is which column (docs/captures.md); for every capture given",
+    )
+
+
+def read_captures(paths: Sequence[Path], arguments: argparse.Namespace) -> tuple[Capture, ...]:
+    """The captures a command is given, through its `--signals`; their notes go to the user.
+
+    Raises:
+        BadInputError: a capture, the map, or a library for the kind of file; one line that names the place.
+    """
+    from servo_daemon.captures import load_signal_map, read_capture
+
+    signal_map = None if arguments.signals is None else load_signal_map(arguments.signals)
+    captures = tuple(read_capture(path, signal_map) for path in paths)
+    for capture in captures:
+        for text in capture.notes:
+            note(f"{capture.path}: {text}")
+    return captures
 
 
 def offline_drive(arguments: argparse.Namespace) -> DriveConfig:

@@ -20,7 +20,7 @@ EXAMPLE = """  servo-daemon fit capture.csv
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("captures", type=Path, nargs="+", metavar="CAPTURE", help="what is fitted, all together")
+    parser.add_argument("captures", type=Path, nargs="+", metavar="CAPTURE", help=f"fitted together: {common.CAPTURE_HELP}")
     add_model(parser)
     parser.add_argument(
         "--validate",
@@ -45,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--no-robust", action="store_true", help="give isolated wrong samples full weight")
     parser.add_argument("--out", type=Path, metavar="DIR", help="write fit.json and report.html there")
+    common.add_signals(parser)
     common.add_config(parser)
     common.add_json(parser)
 

@@ -6,9 +6,8 @@ import argparse
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
-from servo_daemon.captures import Capture, read_capture
+from servo_daemon.captures import Capture
 from servo_daemon.captures.plausible import check_time_unit, plausibility_notes
 from servo_daemon.commands import common
 from servo_daemon.config import DriveConfig
@@ -52,25 +51,20 @@ def gather(arguments: argparse.Namespace) -> Inputs:
         BadInputError: a file, the config or a flag is wrong; one line naming it.
     """
     drive = common.offline_drive(arguments)
-    captures = tuple(read_checked(path) for path in arguments.captures)
-    validation = tuple(read_checked(path) for path in getattr(arguments, "validate", []))
+    captures = common.read_captures(arguments.captures, arguments)
+    validation = common.read_captures(getattr(arguments, "validate", []), arguments)
+    for capture in (*captures, *validation):
+        check_time_unit(capture)
     _same_axis((*captures, *validation))
     effects, starts = model_effects(drive, getattr(arguments, "effect", []))
     fixed = fixed_values(arguments.fix)
-    notes = [f"{c.path}: {text}" for c in (*captures, *validation) for text in (*c.notes, *plausibility_notes(c))]
+    notes = [f"{c.path}: {text}" for c in (*captures, *validation) for text in plausibility_notes(c)]
     weight = known_weight(drive, captures[0])
     if "gravity_load" in effects and weight is not None and "Tg" not in fixed:
         fixed["Tg"] = weight
         notes.append(f"gravity_load: Tg = {weight:.6g} N·m is held, from the known mass and arm length")
     nominal = {k: v for k, v in drive.nominal.items() if k != "J_m"} | starts
     return Inputs(drive, captures, validation, effects, drive.model, nominal, fixed, tuple(notes))
-
-
-def read_checked(path: Path) -> Capture:
-    """A capture whose time can be a servo drive's."""
-    capture = read_capture(path)
-    check_time_unit(capture)
-    return capture
 
 
 def model_effects(drive: DriveConfig, texts: Sequence[str]) -> tuple[tuple[str, ...], dict[str, float]]:

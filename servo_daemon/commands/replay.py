@@ -11,14 +11,16 @@ from servo_daemon.service.snapshot import ParameterEstimate
 
 HELP = "run the daemon's own pipeline over a capture, as fast as it goes"
 EXAMPLE = """  servo-daemon replay capture.csv.gz --out estimates.csv
-  servo-daemon replay capture.csv --out estimates.csv --config servo-daemon.toml --drive axis1"""
+  servo-daemon replay capture.csv --out estimates.csv --config servo-daemon.toml --drive axis1
+  servo-daemon replay measurement.mf4 --signals map.toml --out estimates.csv"""
 
 #: Samples handed to the pipeline at once; the result does not depend on it.
 BLOCK_SAMPLES = 8192
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("capture", type=Path, metavar="CAPTURE", help="CSV, CSV.gz or Parquet")
+    parser.add_argument("capture", type=Path, metavar="CAPTURE", help=common.CAPTURE_HELP)
+    common.add_signals(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="EST.csv", help="estimates at 10 Hz of capture time")
     parser.add_argument(
         "--block",
@@ -33,7 +35,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from drivers.base import DriveInfo
-    from servo_daemon.captures import read_capture
     from servo_daemon.errors import BadInputError
     from servo_daemon.estimates_csv import EstimatesWriter
     from servo_daemon.service.pipeline import Pipeline
@@ -42,9 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.block < 1:
         raise BadInputError(f"--block must be at least 1, not {arguments.block}")
     drive = common.offline_drive(arguments)
-    capture = read_capture(arguments.capture)
-    for text in capture.notes:
-        common.note(f"{capture.path}: {text}")
+    (capture,) = common.read_captures([arguments.capture], arguments)
     info = DriveInfo(
         identity="capture",
         sample_period_s=capture.sample_period_s,

@@ -222,7 +222,7 @@ def test_bad_capture_is_one_line_naming_the_place(tmp_path: Path, name: str, pac
         (gzip.compress((FULL + ROWS).encode())[:14], "the gzip file is cut off or damaged"),
         (gzip.compress((FULL + ROWS).encode())[:-8] + bytes(8), "the gzip file is cut off or damaged"),
         (bytes(range(256)) * 40, "line 1: not a text file"),
-        (b"PK\x03\x04" + bytes(100), "line 1: not a text file"),
+        (b"PK\x03\x04" + bytes(100), "not a usable Excel workbook (.xlsx), or cut off: File is not a zip file"),
         (b"\x89PNG\xff\xfe\xfd,\xfc", "line 1: not a text file"),
         ((FULL + ROWS).encode("utf-16"), "line 1: not a text file"),
         (b"x" * 200_000, "line 1: not a text file"),

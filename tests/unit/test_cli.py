@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from drivers.registry import make_driver
 from servo_daemon import cli
@@ -270,6 +271,27 @@ def test_est_csv_is_as_the_contract_says(run: Run, capture: Path, tmp_path: Path
         assert result.document["parameters"][name]["std"] == float(last[f"{name}_std"])
     assert result.document["samples"] == 6000 and result.document["rows"] == len(rows)
     assert float(last["time_s"]) == result.document["time_s"] == read_capture(capture).time_s[-1]
+
+
+def test_replay_through_a_signal_map(run: Run, capture: Path, tmp_path: Path) -> None:
+    """A foreign file of the same samples gives the same estimates, and its notes are shown."""
+    read = read_capture(capture)
+    assert read.voltage_V is not None and read.current_A is not None and read.position_rad is not None
+    foreign, signals = tmp_path / "foreign.mat", tmp_path / "map.toml"
+    data = np.column_stack([read.time_s, read.voltage_V, read.current_A, read.position_rad])
+    savemat(foreign, {"data": data, "label": data[:, 0]})
+    names = ("time_s", "voltage_V", "current_A", "position_rad")
+    lines = [f'{name} = {{ signal = "data", column = {k} }}' for k, name in enumerate(names, 1)]
+    cpr = f"{read.counts_per_rev:g}"
+    signals.write_text("\n".join(["[signals]", *lines, "[metadata]", f"counts_per_rev = {cpr}"]))
+    result = run("replay", foreign, "--signals", signals, "--out", tmp_path / "e.csv", "--json")
+    assert result.code == 0, result.err
+    assert f"{foreign}: signal not used: label" in result.err
+    assert (tmp_path / "e.csv").read_bytes() == replayed(run, capture, tmp_path / "here.csv")
+    bad = run("replay", foreign, "--signals", tmp_path / "none.toml", "--out", tmp_path / "e.csv", "--json")
+    assert bad.code == 2 and "none.toml: cannot be read: No such file" in bad.document["error"]
+    bad = run("replay", foreign, "--out", tmp_path / "e.csv")
+    assert bad.code == 2 and len(bad.err.splitlines()) == 1 and 'time_s = { signal = "data", column = 1 }' in bad.err
 
 
 def test_replay_never_writes_what_is_no_number(run: Run, tmp_path: Path, capture: Path) -> None:

@@ -1,0 +1,273 @@
+"""From the signals of a foreign file to a capture: what every format but our own CSV and Parquet goes through."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from drivers.can_unwrap import WrappedPosition
+from servo_daemon.captures.held import HeldSignal, describe, proposal
+from servo_daemon.captures.layout import KNOWN_COLUMNS, NEEDED, lacks, make_layout
+from servo_daemon.captures.model import (
+    LINEAR_COLUMNS,
+    MIN_SAMPLES,
+    Capture,
+    capture_error,
+    first_bad_time,
+    time_fault,
+)
+from servo_daemon.captures.signal_map import COUNTS, MappedColumn, SignalMap, SignalRef
+from servo_daemon.captures.time_base import BASE_ORDER, BRIDGE_FACTOR, Timed, held, same_time, to_one_time
+from servo_daemon.errors import CaptureError, ConfigError
+from servo_daemon.samples import F64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Series:
+    """A signal read from a file: shape (n,), with time stamps of its own, shape (n,), or without."""
+
+    values: F64
+    time_s: F64 | None = None
+
+
+class Recording(Protocol):
+    """A file with named signals.
+
+    Attributes:
+        path: the file.
+        kind: what it is, in words ("Excel sheets").
+        metadata: what it says of itself.
+        held: its signals.
+        timed: they have time stamps of their own.
+        options: the keys of a signal map it takes, beside `counts_per_rev`.
+    """
+
+    @property
+    def path(self) -> Path: ...
+    @property
+    def kind(self) -> str: ...
+    @property
+    def metadata(self) -> Mapping[str, str]: ...
+    @property
+    def held(self) -> Sequence[HeldSignal]: ...
+    @property
+    def timed(self) -> bool: ...
+    @property
+    def options(self) -> tuple[str, ...]: ...
+
+    def read(self, ref: SignalRef) -> Series:
+        """A signal.
+
+        Raises:
+            CaptureError: there is none of this name, or it holds no numbers.
+        """
+
+    def place(self, index: int) -> str:
+        """Where in the file a sample is, for messages."""
+
+
+def assemble(recording: Recording, signal_map: SignalMap | None) -> Capture:
+    """The capture in a recording, checked like any other.
+
+    Args:
+        recording: the file.
+        signal_map: None: the signals whose names are the contract's.
+
+    Raises:
+        CaptureError: a signal is missing, not finite, or its time does not increase; there is no usable set; one line
+            that names file, place and signal.
+        ConfigError: the map is wrong.
+    """
+    path = recording.path
+    if signal_map is None:
+        signal_map = SignalMap(path)
+        columns = _plain_columns(recording)
+    else:
+        signal_map.only((*recording.options, "counts_per_rev"), recording.kind)
+        columns = _with_time(signal_map.columns(), recording)
+    metadata = {**recording.metadata, **signal_map.metadata}
+    series = {column.name: _read_column(recording, column) for column in columns}
+    if COUNTS in series:
+        per_rev = signal_map.counts_per_rev
+        assert per_rev is not None  # `columns` asked for it
+        counts = series.pop(COUNTS)
+        series["position_rad"] = Series(counts.values * (2 * math.pi / per_rev), counts.time_s)
+        metadata.setdefault("counts_per_rev", f"{abs(per_rev):g}")
+    labels = {column.name.replace(COUNTS, "position_rad"): column.operands[0].label for column in columns}
+    names = [*series, *({"time_s"} - series.keys())]
+    layout = make_layout(path, names, metadata)
+    timed = _timed(recording, series, labels)
+    time_s, values, notes = _one_time(recording, timed, signal_map)
+    return Capture(
+        path,
+        time_s=time_s,
+        axis=layout.axis,
+        metadata=metadata,
+        notes=(*_unused(recording, columns), *notes),
+        **values,
+    )
+
+
+def _plain_columns(recording: Recording) -> tuple[MappedColumn, ...]:
+    """The signals that are called as a capture's columns are."""
+    found = {signal.short: signal for signal in recording.held if signal.short in KNOWN_COLUMNS}
+    for name in found:
+        count = [signal.short for signal in recording.held].count(name)
+        if count > 1:
+            raise capture_error(recording.path, f"there are {count} of this name: say which in a map", column=name)
+    fields = {KNOWN_COLUMNS[name] for name in found} | ({"time_s"} if recording.timed else set())
+    lack = lacks(fields)
+    if lack:
+        what = f"{lack}; the file holds {describe(recording.held)}"
+        todo = f"; {proposal(recording.held, timed=recording.timed)}" if recording.held else ""
+        raise capture_error(recording.path, f"{what}; needed: {NEEDED}{todo}")
+    return tuple(MappedColumn(name, (SignalRef("value", signal.name),)) for name, signal in found.items())
+
+
+def _with_time(columns: tuple[MappedColumn, ...], recording: Recording) -> tuple[MappedColumn, ...]:
+    """A signal time_s needs no line in the map."""
+    time = [signal for signal in recording.held if signal.short == "time_s"]
+    if recording.timed or len(time) != 1 or any(column.name == "time_s" for column in columns):
+        return columns
+    return (MappedColumn("time_s", (SignalRef("value", time[0].name),)), *columns)
+
+
+def _unused(recording: Recording, columns: Sequence[MappedColumn]) -> tuple[str, ...]:
+    used = {operand.signal for column in columns for operand in column.operands}
+    ignored = [signal.name or "(no name)" for signal in recording.held if signal.name not in used]
+    if not ignored:
+        return ()
+    more = f" and {len(ignored) - 12} more" if len(ignored) > 12 else ""
+    return (f"signal{'s' if len(ignored) > 1 else ''} not used: {', '.join(ignored[:12])}{more}",)
+
+
+def _read_column(recording: Recording, column: MappedColumn) -> Series:
+    """A column's values: signals scaled, combined, unwrapped."""
+    parts: dict[str, Series] = {}
+    for operand in column.operands:
+        one = recording.read(operand)
+        bad = np.flatnonzero(~np.isfinite(one.values))
+        if bad.size:
+            value = float(one.values[bad[0]])
+            message = "the value is missing (NaN)" if math.isnan(value) else f"{value!r} is not a finite number"
+            raise capture_error(recording.path, message, place=recording.place(int(bad[0])), column=operand.label)
+        parts[operand.name] = Series(one.values * operand.scale + operand.offset, one.time_s)
+    result = _combined(recording, column, parts)
+    if column.wrap is not None:
+        result = Series(WrappedPosition(column.wrap).unwrap(result.values), result.time_s)
+    return result
+
+
+def _combined(recording: Recording, column: MappedColumn, parts: Mapping[str, Series]) -> Series:
+    """The formula's value at the samples of its first signal; the others are held, as on a CAN bus."""
+    first = parts[column.operands[0].name]
+    if column.formula is None:
+        return first
+    values: dict[str, F64] = {}
+    there = np.ones(len(first.values), np.bool_)
+    for operand in column.operands:
+        part = parts[operand.name]
+        if first.time_s is None or part.time_s is None or same_time(first.time_s, part.time_s):
+            if len(part.values) != len(first.values):
+                message = f"{len(part.values)} samples, but {column.operands[0].label} has {len(first.values)}"
+                raise capture_error(recording.path, message, column=operand.label)
+            values[operand.name] = part.values
+        else:
+            _check_time(recording, part.time_s, operand.label)
+            values[operand.name], known = held(Timed(part.time_s, part.values), first.time_s)
+            there &= known
+    result = np.broadcast_to(column.formula(values), first.values.shape)
+    bad = np.flatnonzero(there & ~np.isfinite(result))
+    if bad.size:
+        message = f"the formula {column.formula.text!r} has no finite value"
+        raise capture_error(recording.path, message, place=recording.place(int(bad[0])), column=column.name)
+    return Series(result[there], None if first.time_s is None else first.time_s[there])
+
+
+def _timed(recording: Recording, series: dict[str, Series], labels: Mapping[str, str]) -> dict[str, Timed]:
+    """Every column with its time: that of `time_s`, else its own."""
+    path = recording.path
+    clock = series.get("time_s")
+    timed: dict[str, Timed] = {}
+    for name, one in series.items():
+        if name == "time_s":
+            continue
+        time_s, whose = one.time_s, labels[name]
+        if clock is not None:
+            time_s, whose = clock.values, labels["time_s"]
+            foreign = one.time_s is not None and clock.time_s is not None and not same_time(one.time_s, clock.time_s)
+            if len(time_s) != len(one.values) or foreign:
+                message = f"{len(one.values)} samples, but time_s ({labels['time_s']}) has {len(time_s)}"
+                if foreign:
+                    message = f"not sampled with time_s ({labels['time_s']}): leave time_s out of the map"
+                raise capture_error(path, message, column=labels[name])
+        if time_s is None:
+            what = f"no time: map time_s; the file holds {describe(recording.held)}"
+            raise capture_error(path, what, column=labels[name])
+        if len(time_s) < MIN_SAMPLES:
+            what = f"{len(time_s)} sample{'s' if len(time_s) != 1 else ''}: at least {MIN_SAMPLES} are needed"
+            raise capture_error(path, what, column=labels[name])
+        if not any(time_s is other.time_s for other in timed.values()):
+            _check_time(recording, time_s, whose)
+        timed[KNOWN_COLUMNS[name]] = Timed(time_s, one.values)
+    return timed
+
+
+def _check_time(recording: Recording, time_s: F64, whose: str) -> None:
+    bad = first_bad_time(time_s)
+    if bad is not None:
+        fault = time_fault(float(time_s[bad]), float(time_s[bad - 1]))
+        raise capture_error(recording.path, fault, place=recording.place(bad), column=whose)
+    bad_values = np.flatnonzero(~np.isfinite(time_s))
+    if bad_values.size:
+        raise capture_error(
+            recording.path, "the time is not finite", place=recording.place(int(bad_values[0])), column=whose
+        )
+
+
+def _one_time(
+    recording: Recording, timed: dict[str, Timed], signal_map: SignalMap
+) -> tuple[F64, dict[str, F64], tuple[str, ...]]:
+    """One time for all, and what was done for it."""
+    base = _base(signal_map, timed)
+    time_s, values, keep = to_one_time(timed, base)
+    others = [name for name, one in timed.items() if not same_time(one.time_s, time_s)]
+    if not others:
+        return time_s, values, ()
+    done = []
+    if "voltage_V" in others:
+        done.append("voltage_V held (its mean from each sample to the next)")
+    if rest := [name for name in others if name != "voltage_V"]:
+        done.append(f"{', '.join(rest)} interpolated")
+    notes = [f"{len(timed)} signals with different sampling, brought to the times of {base}: {'; '.join(done)}"]
+    left_out = len(keep) - int(np.count_nonzero(keep))
+    if left_out:
+        notes.append(
+            f"{left_out} of {len(keep)} samples left out, where a signal has not begun, has ended or is silent for "
+            f"more than {BRIDGE_FACTOR:g} of its periods"
+        )
+    if len(keep) - left_out < MIN_SAMPLES:
+        spans = ", ".join(f"{k} {v.time_s[0]:g} … {v.time_s[-1]:g} s" for k, v in timed.items())
+        raise capture_error(recording.path, f"the signals have no time in common: {spans}")
+    return time_s[keep], {name: value[keep] for name, value in values.items()}, tuple(notes)
+
+
+def _base(signal_map: SignalMap, timed: Mapping[str, Timed]) -> str:
+    wanted = signal_map.text("time_base")
+    if wanted is None:
+        return next(name for name in BASE_ORDER if name in timed)
+    field = {**LINEAR_COLUMNS, COUNTS: "position_rad"}.get(wanted, wanted)
+    if field not in timed:
+        raise ConfigError(f"{signal_map.path}: time_base: {wanted!r} is none of the columns {', '.join(timed)}")
+    return field
+
+
+def parser_failed(path: Path, what: str, error: Exception) -> CaptureError:
+    """A library's complaint about a file, whatever it raised, as one line."""
+    reason = " ".join(str(error).split())[:200] or type(error).__name__
+    return capture_error(path, f"not a usable {what}, or cut off: {reason}")
