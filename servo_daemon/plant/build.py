@@ -176,7 +176,7 @@ class _Builder:
         return ca.vertcat(x_next, self._own_states(ca.vertcat(middle_x[:n], x[n:]), u, t + h / 2, h)), core
 
     def _factors_follow_motion(self) -> bool:
-        """Whether R, K or B as scaled depends on current, speed or angle, whose midpoint is only known after a guess."""
+        """Whether R, K or B as scaled depends on current, speed or angle, whose midpoint needs a guess."""
         x, n = ca.SX.sym("x", len(self.states)), self.n_core
         terms = self.terms(x, ca.SX(0), ca.SX(0))
         factors = ca.vertcat(*[ca.SX(f) for term in terms for f in (term.factor_R, term.factor_K, term.factor_B)])

@@ -83,7 +83,9 @@ def test_slides_like_under_a_constant_load(direction: int) -> None:
 
 
 @pytest.mark.parametrize(
-    "torque, moves", [(0.299, False), (0.301, True), (-0.499, False), (-0.501, True)], ids=["+in", "+out", "-in", "-out"]
+    "torque, moves",
+    [(0.299, False), (0.301, True), (-0.499, False), (-0.501, True)],
+    ids=["+in", "+out", "-in", "-out"],
 )
 def test_asymmetric_levels_break_away_each_at_its_own(torque: float, moves: bool) -> None:
     loop, names = loop_of(("asymmetric_friction",))
@@ -99,7 +101,7 @@ def test_asymmetric_levels_break_away_each_at_its_own(torque: float, moves: bool
 @pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize("B_neg", [0.1, 2.0, 2000.0])
 def test_asymmetric_friction_is_linear_in_either_direction(direction: int, B_neg: float) -> None:
-    """One way a motor with B and a constant load Tc, the other way one with B_neg and −Tc_neg: exactly, however stiff."""
+    """One way a motor with B and a constant load Tc, the other way one with B_neg and −Tc_neg, however stiff."""
     loop, names = loop_of(("asymmetric_friction",))
     loaded, loaded_names = loop_of(("constant_load_torque",))
     p = PAPER | {"Tc": 0.3, "Tc_neg": 0.5, "B_neg": B_neg}
