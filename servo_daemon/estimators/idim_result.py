@@ -8,18 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from servo_daemon.estimators.estimate import Axis, Estimate, unit_on
-from servo_daemon.estimators.idim_armature import ArmatureFit
+from servo_daemon.estimators.idim_armature import L_WEIGHT, ArmatureFit
 from servo_daemon.estimators.idim_solve import ShaftFit
-from servo_daemon.estimators.linear_regression import ROBUST, SYSTEMATIC, WHITE
+from servo_daemon.estimators.linear_regression import ROBUST, WHITE, is_determined
 from servo_daemon.plant.effects import parameter_table
 from servo_daemon.samples import F64
 
-#: A positive parameter below so many standard deviations is not determined.
-_SIGMA = 2.0
-#: ... nor is one that an error of a thousandth of its balance would change by more than this part.
-_SYSTEMATIC = 0.4
-#: What is wrong with a voltage does not go with di/dt: for L that counts so much less (as in the tracker).
-_L_WEIGHT = 12.0**0.5
 _ORDER = ("R", "L", "K", "J", "B")
 
 
@@ -71,8 +65,7 @@ def as_estimates(found: Found) -> tuple[dict[str, Estimate], dict[str, Estimate]
     bad: dict[str, Estimate] = {}
     for k, name in enumerate(found.names):
         estimate = Estimate(float(found.value[k]), float(std[ROBUST, k]), found.units[k], float(std[WHITE, k]))
-        systematic = float(std[SYSTEMATIC, k]) / (_L_WEIGHT if name == "L" else 1.0)
-        unclear = estimate.value <= max(_SIGMA * estimate.std, systematic / _SYSTEMATIC)
+        unclear = not is_determined(estimate.value, std[:, k] ** 2, L_WEIGHT if name == "L" else 1.0)
         positive = parameter_table()[_base(name)].transform == "log"
         (bad if positive and unclear else good)[name] = estimate
     return good, bad

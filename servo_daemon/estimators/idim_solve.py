@@ -137,11 +137,12 @@ def solve_shaft(
         BadInputError: too few rows, or signs that no motor has.
     """
     factor: float | None = 1.0 if is_torque else given.get("K")
-    if factor is None and armature is not None and not armature.fit.is_unclear("K"):
-        factor = float(armature.value[armature.names.index("K")])
-        if factor <= 0.0:
+    if factor is None and armature is not None:
+        factor = armature.get("K", given)
+        if factor is None and not armature.fit.is_unclear("K"):
+            K = float(armature.value[armature.names.index("K")])
             raise BadInputError(
-                f"voltage and speed of this capture give K = {factor:.4g}: is the sign of position or voltage right?"
+                f"voltage and speed of this capture give K = {K:.4g}: is the sign of position or voltage right?"
             )
     problem = _Problem(make_rows, given, armature, factor)
     phi, Tg = given.get("phi_g"), given.get("Tg")

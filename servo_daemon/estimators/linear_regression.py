@@ -23,6 +23,7 @@ _MODEL_ERROR = 1e-3
 _METHOD_ERROR = 2e-4
 #: Rows of `covariances`.
 ROBUST, WHITE, SYSTEMATIC = range(3)
+_SIGMA, _SYSTEMATIC = 2.0, 0.4
 #: Singular values of the scaled regressors below this part of the largest: a direction that the data do not contain.
 _NULL = 1e-7
 #: In such a direction a coefficient takes part from this weight on.
@@ -51,15 +52,26 @@ class LinearFit:
     null_directions: tuple[Mapping[str, float], ...]
 
     def is_unclear(self, name: str) -> bool:
-        """Not determined, or not known to better than half of its value."""
+        """Not determined, see `is_determined`; of either sign."""
         if name not in self.names:
             return True
         k = self.names.index(name)
-        return bool(abs(self.value[k]) <= 2.0 * np.sqrt(self.covariances[ROBUST, k, k]))
+        return not is_determined(abs(float(self.value[k])), self.covariances[:, k, k])
 
     def is_seen(self, name: str) -> bool:
-        """A positive value that is known to better than half of itself."""
+        """Determined and positive."""
         return not self.is_unclear(name) and bool(self.value[self.names.index(name)] > 0.0)
+
+
+def is_determined(value: float, variances: F64, weight: float = 1.0) -> bool:
+    """Whether a positive parameter is above 2 σ, and would change by less than 40 % by an error of the model.
+
+    Args:
+        variances: shape (3,), as in `LinearFit.covariances`.
+        weight: the model's error counts so much less.
+    """
+    std = np.sqrt(np.maximum(variances, 0.0))
+    return bool(value > max(_SIGMA * std[ROBUST], std[SYSTEMATIC] / weight / _SYSTEMATIC))
 
 
 def fit_linear(names: Sequence[str], X: F64, y: F64, Z: F64 | None = None) -> LinearFit:
