@@ -2,8 +2,8 @@
 
 One step over h (any h, jitter included) with the input held:
 
-1. The linear core, with R and K as the effects scale them at the predicted midpoint, by its exact exponential (twice
-   where they depend on the motion, whose midpoint is only known after a first guess).
+1. The linear core, with R, K and B as the effects scale them at the predicted midpoint, by its exact exponential
+   (twice where they depend on the motion, whose midpoint is only known after a first guess).
 2. Smooth effect torques and voltage drops as constants over the step, evaluated at the midpoint of the first guess
    (second order, as Strang splitting, but with one exponential).
 3. Dry friction last, as the constant torque that would bring the speed to zero at the end of the step, limited to its
@@ -153,6 +153,7 @@ class _Builder:
                 p["R"] = p["R"] * term.factor_R
             if "K" in p:
                 p["K"] = p["K"] * term.factor_K
+            p["B"] = p["B"] * term.factor_B
         if self.drive == "voltage":
             return _voltage_core(x, p, h)
         return _mechanical_core(x, p, h, p["K"] if self.drive == "current" else ca.SX(1))
@@ -168,17 +169,17 @@ class _Builder:
         if self._factors_follow_motion():
             core = self.core(x, middle, h)
         x_next = core.free + core.per_input * (u - _drop(middle)) + core.per_load * _load(middle)
-        level = ca.sum1(ca.vertcat(*[ca.SX(term.dry_friction) for term in middle])) if middle else ca.SX(0)
-        if not level.is_zero():
+        forward, backward = _dry_levels(middle)
+        if not (forward.is_zero() and backward.is_zero()):
             stopping = -x_next[n - 2] / core.per_load[n - 2]
-            x_next = x_next + core.per_load * ca.fmax(ca.fmin(stopping, level), -level)
+            x_next = x_next + core.per_load * ca.fmax(ca.fmin(stopping, forward), -backward)
         return ca.vertcat(x_next, self._own_states(ca.vertcat(middle_x[:n], x[n:]), u, t + h / 2, h)), core
 
     def _factors_follow_motion(self) -> bool:
-        """Whether R or K as scaled depends on current, speed or angle, whose midpoint is only known after a guess."""
+        """Whether R, K or B as scaled depends on current, speed or angle, whose midpoint needs a guess."""
         x, n = ca.SX.sym("x", len(self.states)), self.n_core
         terms = self.terms(x, ca.SX(0), ca.SX(0))
-        factors = ca.vertcat(*[ca.SX(f) for term in terms for f in (term.factor_R, term.factor_K)])
+        factors = ca.vertcat(*[ca.SX(f) for term in terms for f in (term.factor_R, term.factor_K, term.factor_B)])
         return bool(terms) and bool(ca.depends_on(factors, x[:n]))
 
     def _own_states(self, x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX) -> ca.SX:
@@ -214,6 +215,13 @@ def _load(terms: Sequence[Terms]) -> ca.SX:
     return sum((ca.SX(term.load_torque) for term in terms), start=ca.SX(0))
 
 
+def _dry_levels(terms: Sequence[Terms]) -> tuple[ca.SX, ca.SX]:
+    """Sum of the dry friction levels against positive and against negative motion."""
+    levels = [term.dry_levels for term in terms]
+    forward, backward = (sum((ca.SX(level[k]) for level in levels), start=ca.SX(0)) for k in range(2))
+    return forward, backward
+
+
 def _collect(effects: Sequence[Effect], drive: Drive) -> tuple[Parameter, ...]:
     """Core parameters, then the effects' own, a shared one (Tc) once."""
     parameters = {p.name: p for p in LINEAR if p.name in _CORE_PARAMETERS[drive]}
@@ -228,7 +236,7 @@ def build_plant(effects: tuple[str, ...] = (), drive: Drive = "voltage") -> Plan
     """The motor with these effects, driven by this signal.
 
     Raises:
-        ConfigError: an effect of that name does not exist or is named twice.
+        ConfigError: an effect of that name does not exist or is named twice, or two of them bring Tc.
     """
     known = effects_by_name()
     for name in effects:
@@ -237,6 +245,9 @@ def build_plant(effects: tuple[str, ...] = (), drive: Drive = "voltage") -> Plan
     if len(set(effects)) != len(effects):
         raise ConfigError(f"an effect is named twice: {', '.join(effects)}")
     chosen = tuple(known[name] for name in effects)
+    rubbing = [name for name in effects if any(p.name == "Tc" for p in known[name].parameters)]
+    if len(rubbing) > 1:
+        raise ConfigError(f"{' and '.join(rubbing)} are the same dry friction Tc: a model has one of them")
     parameters = _collect(chosen, drive)
     states = _CORE_STATES[drive] + tuple(s for effect in chosen for s in effect.states)
 

@@ -31,14 +31,16 @@ def _terms(model: PlantModel, x: F64, u: float, p: Mapping[str, float], t: float
     own = dict(zip(model.state_names[3:], map(ca.DM, x[3:]), strict=True))
     time, voltage, current, speed, angle = map(ca.DM, (t, u, x[0], x[1], x[2]))
     signals = Signals(time, voltage, current, speed, angle, states=own, p={k: ca.DM(v) for k, v in p.items()})
-    total = {"load_torque": 0.0, "dry_friction": 0.0, "voltage_drop": 0.0, "factor_R": 1.0, "factor_K": 1.0}
+    total = {"load_torque": 0.0, "voltage_drop": 0.0, "factor_R": 1.0, "factor_K": 1.0, "factor_B": 1.0}
+    levels, rates = np.zeros(2), dict[str, float]()
     for name in model.effects:
         term = effects_by_name()[name].terms(signals)
         for key, before in total.items():
             value = float(getattr(term, key))
             total[key] = before * value if key.startswith("factor") else before + value
-        total |= {state: float(rate) for state, rate in term.rates.items()}
-    return total
+        levels += [float(level) for level in term.dry_levels]
+        rates |= {state: float(rate) for state, rate in term.rates.items()}
+    return total | rates | {"dry_forward": float(levels[0]), "dry_backward": float(levels[1])}
 
 
 def reference_step(model: PlantModel, x: F64, u: float, p: F64, t: float, h: float) -> F64:
@@ -50,7 +52,7 @@ def reference_step(model: PlantModel, x: F64, u: float, p: F64, t: float, h: flo
     middle_x = (x[:3] + guess) / 2
     middle = _terms(model, np.r_[middle_x, own_middle], u, named, t + h / 2)
     core, per_load = _core_step(x, u, middle, named, h)
-    core += per_load * np.clip(-core[1] / per_load[1], -middle["dry_friction"], middle["dry_friction"])
+    core += per_load * np.clip(-core[1] / per_load[1], -middle["dry_backward"], middle["dry_forward"])
     own = [_own_state(model, k, np.r_[middle_x, x[3:]], u, named, t + h / 2, h) for k in range(3, len(x))]
     return np.concatenate((core, own))
 
@@ -58,6 +60,7 @@ def reference_step(model: PlantModel, x: F64, u: float, p: F64, t: float, h: flo
 def _core_step(x: F64, u: float, terms: Mapping[str, float], p: Mapping[str, float], h: float) -> tuple[F64, F64]:
     """(i, ω, θ) after h under these terms without dry friction, and the change per N·m of load torque."""
     scaled = {**p, "R": p["R"] * terms["factor_R"], "K": p["K"] * terms["factor_K"]}
+    scaled["B"] = p["B"] * terms["factor_B"]
     Ad, Bd = linear_step(scaled, h)
     return Ad @ x[:3] + Bd @ [u - terms["voltage_drop"], terms["load_torque"]], Bd[:, 1]
 

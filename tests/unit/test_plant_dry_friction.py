@@ -82,6 +82,48 @@ def test_slides_like_under_a_constant_load(direction: int) -> None:
     np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    "torque, moves",
+    [(0.299, False), (0.301, True), (-0.499, False), (-0.501, True)],
+    ids=["+in", "+out", "-in", "-out"],
+)
+def test_asymmetric_levels_break_away_each_at_its_own(torque: float, moves: bool) -> None:
+    loop, names = loop_of(("asymmetric_friction",))
+    p = PAPER | {"Tc": 0.3, "Tc_neg": 0.5, "B_neg": 1.5}
+    i = torque / p["K"]
+    x = np.array([i, 0.0, 0.7])
+    out = loop.run(x, np.array([p[n] for n in names]), rows(np.full(1000, p["R"] * i), 1e-3))
+    assert (abs(x[1]) > 1e-12) == moves
+    assert not moves or math.copysign(1, x[1]) == math.copysign(1, torque)
+    assert moves or np.ptp(out[:, 2]) < 1e-15
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize("B_neg", [0.1, 2.0, 2000.0])
+def test_asymmetric_friction_is_linear_in_either_direction(direction: int, B_neg: float) -> None:
+    """One way a motor with B and a constant load Tc, the other way one with B_neg and −Tc_neg, however stiff."""
+    loop, names = loop_of(("asymmetric_friction",))
+    loaded, loaded_names = loop_of(("constant_load_torque",))
+    p = PAPER | {"Tc": 0.3, "Tc_neg": 0.5, "B_neg": B_neg}
+    same = PAPER | ({"TL": 0.3} if direction > 0 else {"TL": -0.5, "B": B_neg})
+    v = direction * (8.0 + 2.0 * np.sin(np.arange(2000) * 0.05))
+    start = np.array([direction * 5.0, direction * 1e-3, 0.0])
+    ours = loop.run(start.copy(), np.array([p[n] for n in names]), rows(v, 1e-3))
+    theirs = loaded.run(start.copy(), np.array([same[n] for n in loaded_names]), rows(v, 1e-3))
+    assert np.all(direction * ours[:, 1] > 0)
+    np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-12)
+
+
+def test_asymmetric_friction_with_equal_sides_is_coulomb_friction() -> None:
+    loop, names = loop_of(("asymmetric_friction",))
+    plain, plain_names = loop_of(("coulomb_friction",))
+    p = PAPER | {"Tc": 0.3, "Tc_neg": 0.3, "B_neg": PAPER["B"]}
+    v = 8.0 * np.sin(np.arange(3000) * 0.02)
+    ours = loop.run(np.zeros(3), np.array([p[n] for n in names]), rows(v, 1e-3))
+    theirs = plain.run(np.zeros(3), np.array([p[n] for n in plain_names]), rows(v, 1e-3))
+    np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-13)
+
+
 def event_driven(p: dict[str, float], x: F64) -> tuple[F64, int]:
     """(i, ω, θ) after PULLS, each change between sticking and sliding found as an event; and how many there were."""
 

@@ -22,8 +22,10 @@ from servo_daemon.samples import F64
 EFFECTS = ("coulomb_friction", "constant_load_torque", "gravity_load", "winding_heating")
 SMOOTH = EFFECTS[1:]
 SETS = [c for n in range(len(EFFECTS) + 1) for c in itertools.combinations(EFFECTS, n)]
+SETS += [("asymmetric_friction",), ("asymmetric_friction", *SMOOTH)]
 VALUES = {p.name: p.nominal for p in LINEAR} | {
     "Tc": 0.3, "TL": 0.4, "Tg": 0.9, "phi_g": 0.4, "R_th": 2.0, "C_th": 3.0,
+    "Tc_neg": 0.5, "B_neg": 0.9,
 }  # fmt: skip
 
 
@@ -98,7 +100,7 @@ def shapes(model: PlantModel) -> list[tuple[int, int]]:
     return [model.step.size_in(k) for k in range(model.step.n_in())]
 
 
-@pytest.mark.parametrize("effects", [(), SMOOTH, EFFECTS], ids="+".join)
+@pytest.mark.parametrize("effects", [(), SMOOTH, EFFECTS, SETS[-1]], ids="+".join)
 def test_derivatives_are_the_slopes(effects: tuple[str, ...]) -> None:
     model, rng = build_plant(effects), np.random.default_rng(5)
     derive = jacobians(model)
@@ -117,7 +119,7 @@ def test_derivatives_are_the_slopes(effects: tuple[str, ...]) -> None:
                 np.testing.assert_allclose(np.asarray(exact)[:, column] / scale, slope / scale, atol=2e-6)
 
 
-@pytest.mark.parametrize("effects", [(), EFFECTS], ids="+".join)
+@pytest.mark.parametrize("effects", [(), EFFECTS, SETS[-1]], ids="+".join)
 @pytest.mark.parametrize("h", [1e-9, 1e-4, 1e-2, 10.0])
 def test_derivatives_are_finite_everywhere(effects: tuple[str, ...], h: float) -> None:
     """At rest, at a double eigenvalue, with parameters at their bounds' order of magnitude: no branch leaks its NaN."""
@@ -170,3 +172,8 @@ def test_other_inputs_have_fewer_parameters_and_the_same_shaft(drive: build.Driv
 def test_wrong_effects_are_refused_by_name(effects: tuple[str, ...]) -> None:
     with pytest.raises(ConfigError, match=effects[0]):
         build_plant(effects)
+
+
+def test_a_model_has_one_dry_friction() -> None:
+    with pytest.raises(ConfigError, match="coulomb_friction and asymmetric_friction"):
+        build_plant(("coulomb_friction", "asymmetric_friction"))

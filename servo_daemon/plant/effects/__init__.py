@@ -14,6 +14,7 @@ __all__ = ["NAMES", "Effect", "Signals", "State", "Terms", "effects_by_name", "p
 #: Order of the ladder: simpler causes first.
 NAMES = (
     "coulomb_friction",
+    "asymmetric_friction",
     "constant_load_torque",
     "gravity_load",
     "winding_heating",

@@ -41,19 +41,27 @@ class Terms:
     Attributes:
         load_torque: smooth torque added to τ_load, N·m.
         dry_friction: level of dry friction, N·m: the torque that opposes sliding and holds at rest up to that level.
+        dry_friction_neg: that level against negative motion, N·m; None: the same.
         voltage_drop: subtracted from the applied voltage, V.
-        factor_R, factor_K: multiply R and K.
+        factor_R, factor_K, factor_B: multiply R, K and B.
         rates: d/dt of the effect's states.
         sensed: added to what a sensor shows: "current_A", "position_rad", "voltage_V".
     """
 
     load_torque: ca.SX | float = 0.0
     dry_friction: ca.SX | float = 0.0
+    dry_friction_neg: ca.SX | float | None = None
     voltage_drop: ca.SX | float = 0.0
     factor_R: ca.SX | float = 1.0
     factor_K: ca.SX | float = 1.0
+    factor_B: ca.SX | float = 1.0
     rates: Mapping[str, ca.SX] = field(default_factory=dict)
     sensed: Mapping[str, ca.SX] = field(default_factory=dict)
+
+    @property
+    def dry_levels(self) -> tuple[ca.SX | float, ca.SX | float]:
+        """Level of dry friction against positive and against negative motion, N·m."""
+        return self.dry_friction, self.dry_friction if self.dry_friction_neg is None else self.dry_friction_neg
 
 
 @dataclass(frozen=True, slots=True)

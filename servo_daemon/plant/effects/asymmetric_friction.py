@@ -1,0 +1,50 @@
+"""Asymmetric friction: Coulomb and viscous friction that differ by direction."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from servo_daemon.plant.effects.base import Effect, Signals, Terms
+from servo_daemon.plant.effects.coulomb_friction import TC
+from servo_daemon.plant.parameters import Parameter
+
+TC_NEG = Parameter(
+    "Tc_neg",
+    "T_c^-",
+    "N·m",
+    0.02,
+    1e-9,
+    1e4,
+    "log",
+    "Coulomb friction torque in negative direction",
+    "start value: that of Tc",
+)
+B_NEG = Parameter(
+    "B_neg",
+    "B^-",
+    "N·m·s/rad",
+    0.51141,
+    1e-10,
+    1e3,
+    "log",
+    "viscous friction in negative direction",
+    "start value: the paper's motor's B",
+)
+
+
+def _terms(s: Signals) -> Terms:
+    return Terms(
+        dry_friction=s.p["Tc"],
+        dry_friction_neg=s.p["Tc_neg"],
+        # A factor on B and no torque on top: the core stays exact in either direction, however stiff B_neg is.
+        factor_B=ca.if_else(s.omega < 0, s.p["B_neg"] / s.p["B"], 1.0),
+    )
+
+
+EFFECT = Effect(
+    name="asymmetric_friction",
+    cause="A worn screw or gear rubs harder in one direction: Coulomb and viscous friction differ by direction.",
+    equation=r"T_c + B\omega \ (\omega > 0), \quad -T_c^- + B^-\omega \ (\omega < 0)",
+    parameters=(TC, TC_NEG, B_NEG),
+    terms=_terms,
+)
