@@ -20,7 +20,7 @@ EXAMPLE = """  servo-daemon fit capture.csv
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("captures", type=Path, nargs="+", metavar="CAPTURE", help=f"fitted together: {common.CAPTURE_HELP}")
+    parser.add_argument("captures", type=Path, nargs="+", metavar="CAPTURE", help=common.CAPTURE_HELP)
     add_model(parser)
     parser.add_argument(
         "--validate",

@@ -28,17 +28,18 @@ _DECREMENT = 4e-4
 _RELATIVE = 1e-12
 #: … or when it has fallen by less than this so many times in a row: dry friction makes steps in it that no slope shows.
 _LITTLE, _IN_A_ROW = 0.2, 3
-#: No parameter changes by a larger factor in one step.
-_LONGEST_STEP = 300.0
+#: No parameter changes by a factor of more than six in one step: R, K and B all scale the response, and three leaps
+#: that each would be right alone are far too much together.
+_LONGEST_STEP = 5.0
 #: A sensor shows no less of its signal: 20 bits. It keeps the weights finite on data without noise.
 _FINEST = 1e-6
-#: A step that keeps this share of what it promised needs no other beside it.
+#: A step that promises this share of the whole way, and keeps this share of its promise, needs no other beside it.
 _AS_PROMISED = 0.7
 #: The acceleration may be this share of the step (Transtrum & Sethna ask for 2 |a|/|v| ≤ 0.75).
 _MOST_BENT = 0.375
 #: A step that promises less (in V) is short enough to be straight.
 _STRAIGHT = 1.0
-_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-9, 1e12
+_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-13, 1e12
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +109,7 @@ def solve(
     while len(iterations) <= max_iterations:
         H, g = normal_equations(problem, point)
         free = ~((point.unknowns <= low) & (g < 0) | (point.unknowns >= high) & (g > 0))
-        if converged or _decrement(H, g, free) < _DECREMENT:
+        if converged or _decrement(H, g, free, problem.logarithmic) < _DECREMENT:
             converged = True
             break
         better, damping, tried = _search(problem, point, (H, g, free), damping)
@@ -138,10 +139,11 @@ def _search(
         the point (None: none is better), the damping to begin with next, how many points were simulated.
     """
     H, g, free = equations
+    whole = _decrement(H, g, free, problem.logarithmic)
     low, high = problem.bounds
     best, best_damping, tried = None, damping, 0
     while damping < _MOST_DAMPING:
-        step, damping = _step(H, g, free, damping, problem.logarithmic)
+        step = _step(H, g, free, damping, problem.logarithmic)
         promised = float(2 * g @ step - step @ H @ step)
         if promised > _STRAIGHT:
             step_bent = step + _acceleration(problem, point, (H, free), step, damping)
@@ -158,12 +160,10 @@ def _search(
         if best is not None and trial.value >= best.value:
             break
         best, best_damping = trial, damping
-        kept = point.value - trial.value > _AS_PROMISED * promised
+        kept = point.value - trial.value > _AS_PROMISED * promised and promised > _AS_PROMISED * whole
         if kept or damping <= _LEAST_DAMPING:
             break
         damping = max(damping / 16.0, _LEAST_DAMPING)
-        if _step(H, g, free, damping, problem.logarithmic)[1] > damping:  # the step would leap
-            break
     return best, max(best_damping / 16.0, _LEAST_DAMPING), tried
 
 
@@ -239,33 +239,33 @@ def _acceleration(
         root = np.sqrt(w) / point.sigma
         g[where] -= (J * root[:, :, None]).reshape(-1, J.shape[2]).T @ (root * second).ravel()
     bend = np.zeros_like(step)
-    A = _scaled(H[np.ix_(free, free)], damping)
+    A = _scaled(H[np.ix_(free, free)], damping, problem.logarithmic[free])
     bend[free] = 0.5 * np.linalg.solve(A, g[free])
     metric = np.sqrt(np.diag(H))
     length = float(np.linalg.norm(metric * step))
     return bend if float(np.linalg.norm(metric * bend)) <= _MOST_BENT * length else np.zeros_like(step)
 
 
-def _scaled(H: F64, damping: float) -> F64:
-    return H + damping * np.diag(np.maximum(np.diag(H), 1e-12 * float(np.max(np.diag(H)))))
+def _scaled(H: F64, damping: float, logarithmic: NDArray[np.bool_]) -> F64:
+    """H with damping: alike for all logarithms, so that a parameter that is hardly seen does not run off; for states
+    and offsets, whose units differ, each by its own size."""
+    d = np.maximum(np.diag(H), 1e-12 * float(np.max(np.diag(H))))
+    if logarithmic.any():
+        d[logarithmic] = np.mean(d[logarithmic])
+    return H + damping * np.diag(d)
 
 
-def _decrement(H: F64, g: F64, free: NDArray[np.bool_]) -> float:
+def _decrement(H: F64, g: F64, free: NDArray[np.bool_], logarithmic: NDArray[np.bool_]) -> float:
     """What a full step promises, over the directions the data show."""
     if not free.any():
         return 0.0
-    A = _scaled(H[np.ix_(free, free)], _LEAST_DAMPING)
+    A = _scaled(H[np.ix_(free, free)], _LEAST_DAMPING, logarithmic[free])
     return float(g[free] @ np.linalg.solve(A, g[free]))
 
 
-def _step(H: F64, g: F64, free: NDArray[np.bool_], damping: float, logarithmic: NDArray[np.bool_]) -> tuple[F64, float]:
-    """The damped step; damped more until no parameter leaps."""
+def _step(H: F64, g: F64, free: NDArray[np.bool_], damping: float, logarithmic: NDArray[np.bool_]) -> F64:
+    """The damped step, shortened where a parameter would leap."""
     step = np.zeros(len(g))
-    while True:
-        step[free] = np.linalg.solve(_scaled(H[np.ix_(free, free)], damping), g[free])
-        longest = float(np.max(np.abs(step[logarithmic]), initial=0.0))
-        if longest <= _LONGEST_STEP:
-            return step, damping
-        if damping > 1e3:
-            return step * (_LONGEST_STEP / longest), damping
-        damping *= 4.0
+    step[free] = np.linalg.solve(_scaled(H[np.ix_(free, free)], damping, logarithmic[free]), g[free])
+    longest = float(np.max(np.abs(step[logarithmic]), initial=0.0))
+    return step if longest <= _LONGEST_STEP else step * (_LONGEST_STEP / longest)
