@@ -29,6 +29,7 @@ COMMANDS = {
     "record": "servo_daemon.commands.record",
     "replay": "servo_daemon.commands.replay",
     "fit": "servo_daemon.commands.fit",
+    "compare": "servo_daemon.commands.compare",
     "check": "servo_daemon.commands.check",
 }
 

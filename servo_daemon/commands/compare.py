@@ -1,0 +1,98 @@
+"""`servo-daemon compare`: the paper's three methods side by side."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from servo_daemon.commands import common
+from servo_daemon.commands.fit import add_model
+
+HELP = "the paper's three methods side by side, on a capture or on the paper's own numbers"
+EXAMPLE = """  servo-daemon compare capture.csv --assumed-R 0.5
+  servo-daemon compare capture.csv --config servo-daemon.toml --out report/
+  servo-daemon compare --paper"""
+
+#: Ω, what the paper assumes in its method 1.
+PAPER_R = 1.5
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("captures", type=Path, nargs="?", metavar="CAPTURE", help=common.CAPTURE_HELP)
+    parser.add_argument("--paper", action="store_true", help="the paper's own numbers redone; needs no capture")
+    parser.add_argument(
+        "--assumed-R",
+        type=float,
+        metavar="OHM",
+        help=f"R for method 1, which cannot find it (the config's nominal R, else the paper's {PAPER_R})",
+    )
+    add_model(parser)
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write compare.json and report.html there")
+    common.add_signals(parser)
+    common.add_config(parser)
+    common.add_json(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from servo_daemon.commands.compare_document import capture_document, paper_document
+    from servo_daemon.commands.compare_text import print_compare
+    from servo_daemon.errors import BadInputError
+    from servo_daemon.identification.paper import redo
+
+    if arguments.captures is None and not arguments.paper:
+        raise BadInputError("a CAPTURE is needed, or --paper for the paper's own numbers")
+    if arguments.assumed_R is not None and not arguments.assumed_R > 0.0:
+        raise BadInputError(f"--assumed-R must be greater than zero, not {arguments.assumed_R:g}")
+    document: dict[str, Any] = {}
+    paper = redo() if arguments.paper else None
+    if paper is not None:
+        document |= paper_document(paper)
+    comparison = None if arguments.captures is None else _compare(arguments)
+    if comparison is not None:
+        document |= capture_document(comparison)
+    if arguments.out is not None:
+        _write(arguments, document, comparison, paper)
+    if arguments.json:
+        common.print_json(document)
+    else:
+        print_compare(document)
+    return 0
+
+
+def _compare(arguments: argparse.Namespace) -> Any:
+    from servo_daemon.commands.fit_inputs import gather
+    from servo_daemon.estimators.coefficients import redo_paper
+    from servo_daemon.estimators.output_error import FitOptions
+    from servo_daemon.identification.compare import compare_methods
+    from servo_daemon.identification.position_test import product_for
+
+    arguments.captures = [arguments.captures]
+    inputs = gather(arguments)
+    for text in inputs.notes:
+        common.note(text)
+    R = arguments.assumed_R or inputs.fixed.get("R") or inputs.nominal.get("R") or PAPER_R
+    first = redo_paper().values
+    product = product_for({"R": first["R"], "L": first["L"], "K": first["K"], "J": first["J"], "B": first["D"]})
+    return compare_methods(
+        inputs.captures[0],
+        assumed_R=R,
+        effects=inputs.effects,
+        options=FitOptions(nominal=inputs.nominal, fixed=inputs.fixed),
+        product_V_rad=product,
+    )
+
+
+def _write(arguments: argparse.Namespace, document: dict[str, Any], comparison: Any, paper: Any) -> None:
+    """`compare.json` and `report.html` in the folder, which is made."""
+    from servo_daemon.commands.compare_report import compare_report
+    from servo_daemon.commands.output_folder import OutputFolder
+    from servo_daemon.report import make_provenance
+
+    folder = OutputFolder(arguments.out)
+    captures = [] if comparison is None else [comparison.capture.path]
+    folder.write_json("compare.json", document)
+    report = compare_report(document, comparison, paper, make_provenance(sys.argv[1:], captures))
+    folder.write_report("report.html", report)
+    common.note(f"{folder.path}/report.html")
