@@ -1,4 +1,4 @@
-"""Regressions of balances: what is not in the data is not answered, and deviations hold where the residual is not white."""
+"""Regressions of balances: what is not in the data is not answered, and deviations hold for residuals not white."""
 
 from __future__ import annotations
 
