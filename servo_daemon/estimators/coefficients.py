@@ -2,12 +2,13 @@
 
     motor:   ω/v = K / (J L s² + (R J + D L) s + D R + K²)          process:  k / (τ₁τ₂ s² + (τ₁ + τ₂) s + 1)
 
-The paper compares without dividing the motor's form by N = D R + K²; it needs "1 = D R + k²" for that, and K_t = k. Divided,
+The paper compares without dividing the motor's form by N = D R + K²; it needs "1 = D R + k²" for that, and K_t = k.
+Divided,
 
     k = K/N,      τ₁τ₂ = J L/N,      τ₁ + τ₂ = (R J + D L)/N
 
-and K and D follow from the steady state: K = (v − R i)/ω, D = K i/ω. In both, R is assumed, and J and L are the two roots
-of one quadratic: J = [s ± √(s² − 4 R D p)]/(2 R) with s = N (τ₁ + τ₂), p = N τ₁τ₂. The one with the larger J has the
+and K and D follow from the steady state: K = (v − R i)/ω, D = K i/ω. In both, R is assumed, and J and L are a root of
+one quadratic: J = [s ± √(s² − 4 R D p)]/(2 R) with s = N (τ₁ + τ₂), p = N τ₁τ₂. The one with the larger J has the
 faster electrical pole. (The paper's D is B everywhere else in this project.)
 """
 
@@ -90,7 +91,7 @@ class Coefficients:
     """The corrected method on a capture.
 
     Attributes:
-        parameters: R (as assumed, std 0), L, K, J, B; without L where it is not above 2 σ or no root is real.
+        parameters: R (as assumed, std 0), L, K, J, B; without those that are not above 2 σ (without L no J).
         root, other_root: the quadratic's two answers.
         process: the fitted process model.
         steady: where K and B come from.
@@ -121,8 +122,10 @@ def quadratic_roots(sum_s: float, product_s2: float, R: float, D: float, N: floa
             "assumed R is wrong"
         )
     J = (s + math.sqrt(inside)) / (2 * R)
-    other = R * J and D * p / (R * J)  # R J and D L change places
-    return Root(J, p / J), Root(other, p / other if other else math.inf)
+    if J <= 0.0:
+        raise BadInputError(f"time constants with a sum of {sum_s:.4g} s belong to no motor")
+    other = D * p / (R * J)  # R J and D L change places
+    return Root(J, p / J), Root(other, R * J / D if D else math.inf)
 
 
 def redo_paper(
@@ -137,8 +140,8 @@ def redo_paper(
     root, other = quadratic_roots(tau_1_s + tau_2_s, tau_1_s * tau_2_s, R, D, 1.0)
     values = {"J": root.J, "L": root.L, "D": D, "K": k, "R": R}
     note = (
-        "K = k and R are inputs, not results; D follows from the assumed R by the normalisation 1 = D R + k² alone, which "
-        "forgets to divide by D R + k²"
+        "K = k and R are inputs, not results; D follows from the assumed R by the normalisation 1 = D R + k² alone, "
+        "which forgets to divide by D R + k²"
     )
     comparison = tuple(_beside(name, values[name]) for name in PAPER_PRINTED)
     return PaperCoefficients(MappingProxyType(values), root, other, comparison, note)
@@ -150,10 +153,9 @@ def _beside(name: str, value: float) -> PrintedNumber:
     decimals = len(mantissa.partition(".")[2])
     scaled = f"{value / 10.0 ** int(exponent or 0):.{decimals}f}"
     theirs, ours = (text.replace(".", "").lstrip("0") for text in (mantissa, scaled))
-    same = len(theirs) == len(ours)
-    agreeing = (
-        next((k for k, (a, b) in enumerate(zip(theirs, ours, strict=False)) if a != b), len(theirs)) if same else 0
-    )
+    agreeing = 0
+    if len(theirs) == len(ours):
+        agreeing = next((k for k, (a, b) in enumerate(zip(theirs, ours, strict=True)) if a != b), len(theirs))
     rounded = scaled + (f"e{exponent}" if exponent else "")
     return PrintedNumber(name, _UNITS[name], printed, value, rounded, len(theirs), agreeing, name in ("R", "K"))
 
@@ -186,9 +188,12 @@ def compare_coefficients(blocks: Sequence[SampleBlock], R: float) -> Coefficient
     K_std, B_std = (float(s) for s in np.sqrt(np.diag(steady.covariance)))
     found = {"L": (root.L, L_std), "K": (steady.K, K_std), "J": (root.J, J_std), "B": (steady.B, B_std)}
     ratio = process.gain * N / steady.K
-    notes = _notes(found, ratio, steady, process)
+    lost = [n for n, (v, s) in found.items() if not v > 2 * s]
+    if "L" in lost and "J" not in lost:
+        lost.append("J")  # sum and product give both or neither
+    notes = _notes(lost, ratio, steady, process)
     parameters = {"R": Estimate(R, 0.0, _UNITS["R"])}
-    parameters |= {n: Estimate(v, s, _UNITS[n]) for n, (v, s) in found.items() if v > 2 * s}
+    parameters |= {n: Estimate(v, s, _UNITS[n]) for n, (v, s) in found.items() if n not in lost}
     return Coefficients(MappingProxyType(parameters), root, other, process, steady, ratio, notes)
 
 
@@ -210,17 +215,12 @@ def _slopes(inputs: F64, R: float) -> F64:
     return out
 
 
-def _notes(
-    found: Mapping[str, tuple[float, float]], ratio: float, steady: SteadyState, process: ProcessModel
-) -> tuple[str, ...]:
+def _notes(lost: Sequence[str], ratio: float, steady: SteadyState, process: ProcessModel) -> tuple[str, ...]:
     notes = []
-    lost = [name for name, (value, std) in found.items() if not value > 2 * std]
     if lost:
-        notes.append(f"{', '.join(lost)}: not determined by this capture (below 2 σ)")
+        notes.append(f"{', '.join(lost)}: not determined by this capture (below 2 σ, or L is)")
     if steady.source == "slow":
-        notes.append(
-            "the capture is never steady: K and B are from slow sections, their acceleration taken into account"
-        )
+        notes.append("the capture is never steady: K and B are from all its sections, acceleration taken into account")
     if abs(ratio - 1) > 0.05:
         notes.append(
             f"the process model's gain is {ratio:.2f} × that of the steady state: dry friction, a load or a wrong R; "

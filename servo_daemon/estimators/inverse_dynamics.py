@@ -161,7 +161,8 @@ def _effort(
     if R is None or K is None:
         return np.asarray((current[1:] + current[:-1]) / 2)
     period = float(np.median(np.diff(piece.time_s)))
-    return Lag.of(R, L, period).mean_current(piece, current, K / R)
+    made = piece.current_A is None  # of speeds that are constant over an interval: nothing bends
+    return Lag.of(R, L, period).mean_current(piece, current, 0.0 if made else K / R)
 
 
 def _finish(

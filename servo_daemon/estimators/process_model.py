@@ -3,11 +3,11 @@
     ω/v = k / (1 + a₁ s + a₂ s²)        a₁ = τ₁ + τ₂,  a₂ = τ₁ τ₂
 
 Sum and product of the time constants exist for an underdamped motor, too, where τ₁ and τ₂ are a complex pair. The model
-is simulated exactly for a held voltage and any sampling instants and compared with the measured increments of the angle,
-by Gauss–Newton; a load's or a sensor's constant offset and the states at the beginning are fitted along. Increments,
-because what the voltage does not tell (its noise, a load) adds up in the angle; then both sides are whitened by an
-autoregression of the residual (generalised least squares; Söderström & Stoica, *System Identification*, 1989, sec. 7.4),
-so that neither the encoder's steps nor slow disturbances weigh more than they should.
+is simulated exactly for a held voltage and any sampling instants and compared with the measured increments of the
+angle, by Gauss–Newton; a load's or a sensor's constant offset and the states at the beginning are fitted along.
+Increments, because what the voltage does not tell (its noise, a load) adds up in the angle; then both sides are
+whitened by an autoregression of the residual (generalised least squares; Söderström & Stoica, *System Identification*,
+1989, sec. 7.4), so that neither the encoder's steps nor slow disturbances weigh more than they should.
 """
 
 from __future__ import annotations
