@@ -54,9 +54,7 @@ def _capture_sections(document: Mapping[str, Any], c: Comparison) -> list[Sectio
     columns = (Column("method", text=True), *(Column(n, _UNITS[n]) for n in _NAMES), Column("time", "s", digits=3))
     rows: list[tuple[Cell, ...]] = []
     for m in c.methods:
-        cells = [
-            Measured(m.parameters[n].value, _finite(m.parameters[n].std)) if n in m.parameters else None for n in _NAMES
-        ]
+        cells = (_cell(m.parameters.get(n)) for n in _NAMES)
         rows.append((m.title, *cells, m.seconds if m.parameters else None))
     if c.truth:
         rows.append(("truth", *(c.truth.get(n) for n in _NAMES), None))
@@ -161,10 +159,8 @@ def _paper_sections(document: Mapping[str, Any], p: PaperRedone) -> list[Section
             (*_ways(document["table1"]["current_and_angle"], "Figures 4 and 5, current and angle"), fit_figure),
         ),
         Section(
-            "What is open", (Items(tuple(d["text"] for d in document["table1"]["angle_alone"]["null_directions"])),)
-        )
-        if angle.null_directions
-        else Section("What is open", (Items(("nothing",)),)),
+            "What the angle alone leaves open", (Items(tuple(null_text(d) for d in p.from_angle.null_directions)),)
+        ),
     ]
 
 

@@ -32,12 +32,10 @@ def _table(rows: Sequence[Sequence[str]]) -> list[str]:
 def capture_lines(document: Mapping[str, Any]) -> list[str]:
     """The table of methods, then what each has to say."""
     rows = [["method", *_NAMES, "50° after 5 s", "overshoot", "distance", "held-out ω rms", "time"]]
-    for m in document["methods"].values():
-        rows.append([m["title"], *_parameter_cells(m), *_result_cells(m)])
+    rows += [[m["title"], *_parameter_cells(m), *_result_cells(m)] for m in document["methods"].values()]
     if document["truth"]:
-        rows.append(
-            ["truth", *(f"{document['truth'][n]:.5g}" if n in document["truth"] else "" for n in _NAMES)] + [""] * 5
-        )
+        truth = (f"{document['truth'][n]:.5g}" if n in document["truth"] else "" for n in _NAMES)
+        rows.append(["truth", *truth, *[""] * 5])
     test = document["position_test"]
     lines = [f"{document['capture']}: method 1 assumes R = {document['assumed_R']:g} Ω", "", *_table(rows), ""]
     for m in document["methods"].values():
@@ -85,12 +83,12 @@ def paper_lines(document: Mapping[str, Any]) -> list[str]:
     lines += [f"  {document['method1_note']}", "", "Its position test, 50° after 5 s:", ""]
     first, second = test["methods"]["method1"], test["methods"]["method2"]
     lines += [
-        f"  method 1: {first['final_deg']:.1f}°   chosen: k_io·k_s = {test['k_io_k_s_V_rad']:.4g} V/rad makes it the 45° "
-        "reported",
+        f"  method 1: {first['final_deg']:.1f}°   chosen: k_io·k_s = {test['k_io_k_s_V_rad']:.4g} V/rad makes it the "
+        "45° reported",
         f"  method 2: {second['final_deg']:.1f}°   reproduced with that gain (the paper: 99 %); overshoot "
         f"{100 * second['overshoot']:.0f} %",
         "",
-        "Its Table 1, and ours from the same start on a simulated, noisy experiment (cost scaled to the paper's first):",
+        "Its Table 1, and ours from the same start on a simulated noisy experiment (cost scaled to its first):",
         "",
     ]
     return lines + _table(_table_1(document["table1"])) + ["", *_verdict_lines(document["table1"]), ""]
