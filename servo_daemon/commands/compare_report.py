@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from servo_daemon.commands.compare_text import capture_lines, paper_lines
+from servo_daemon.commands.compare_text import capture_lines, table_1_rows, verdict_lines
 from servo_daemon.estimators.estimate import Estimate
 from servo_daemon.identification.compare import Comparison
 from servo_daemon.identification.paper import PaperRedone
@@ -25,6 +25,7 @@ from servo_daemon.report import (
     Report,
     Section,
     Table,
+    Text,
     TimeSeries,
 )
 from servo_daemon.report.document import Block, Cell
@@ -138,30 +139,50 @@ def _shown(values: np.ndarray) -> np.ndarray:
 
 def _paper_sections(document: Mapping[str, Any], p: PaperRedone) -> list[Section]:
     curves = [("method 1", p.tests["method1"]), ("method 2", p.tests["method2"])]
-    both = p.from_both
-    point = both.solution.point.linearisation.residuals[0]
-    k = both.problem.channels.index("position_rad")
-    segment = both.problem.segments[0]
-    measured = segment.measured[:, k]
-    fit_figure = TimeSeries(
-        "The paper's Figure 6, from our run: measured and simulated angle",
-        segment.rows[:, 0],
-        (Line("measured", measured), Line("simulated", measured - point[:, k], style="dashed")),
-        Axis("angle", "rad"),
-        group="experiment",
+    test, table = document["paper_position_test"], document["table1"]
+    gain = (
+        f"Chosen: k_io·k_s = {test['k_io_k_s_V_rad']:.4g} V/rad, so that method 1 stands at 45°. Method 2 then follows."
     )
+    open_ones = Items(tuple(d["text"] for d in table["angle_alone"]["null_directions"]))
     return [
-        Section("The paper's numbers and ours", (Code("\n".join(paper_lines(document))),)),
-        Section("Position test", (_curves(curves, None),)),
-        Section("From the angle alone", _ways(document["table1"]["angle_alone"], "Figures 4 and 5, angle alone")),
-        Section(
-            "From current and angle",
-            (*_ways(document["table1"]["current_and_angle"], "Figures 4 and 5, current and angle"), fit_figure),
-        ),
-        Section(
-            "What the angle alone leaves open", (Items(tuple(null_text(d) for d in p.from_angle.null_directions)),)
-        ),
+        Section("The paper's method 1 and ours", (_digits(document), Text(document["method1_note"]))),
+        Section("The paper's position test", (Text(gain), _curves(curves, None))),
+        Section("The paper's Table 1 and ours", (_iterations_table(table), Items(tuple(verdict_lines(table))))),
+        Section("From the angle alone, as in the paper", (*_ways(table["angle_alone"], "Angle alone"), open_ones)),
+        Section("From current and angle", (*_ways(table["current_and_angle"], "Current and angle"), _figure_6(p))),
     ]
+
+
+def _digits(document: Mapping[str, Any]) -> Table:
+    columns = (
+        Column("parameter", text=True),
+        Column("unit", text=True),
+        Column("paper", text=True),
+        Column("ours", text=True),
+        Column("digits that agree", text=True),
+    )
+    rows = tuple(
+        (n, c["unit"], c["printed"], c["ours"], "an input" if c["input"] else f"{c['agreeing']} of {c['digits']}")
+        for n, c in document["method1_digits"].items()
+    )
+    return Table("Comparing coefficients with 1 = D R + k²", columns, rows)
+
+
+def _iterations_table(table: Mapping[str, Any]) -> Table:
+    heading, *rows = table_1_rows(table)
+    columns = tuple(Column(h, text=k == 0) for k, h in enumerate(heading))
+    return Table("Iterations", columns, tuple(tuple(row) for row in rows), note="Costs scaled to the paper's first.")
+
+
+def _figure_6(p: PaperRedone) -> TimeSeries:
+    """Measured and simulated angle."""
+    fit = p.from_both
+    k, segment = fit.problem.channels.index("position_rad"), fit.problem.segments[0]
+    residual = fit.solution.point.linearisation.residuals[0][:, k]
+    measured = segment.measured[:, k]
+    lines = (Line("measured", measured), Line("simulated", measured - residual, style="dashed"))
+    title = "The paper's Figure 6 from our run: measured and simulated angle"
+    return TimeSeries(title, segment.rows[:, 0], lines, Axis("angle", "rad"), group="experiment")
 
 
 def _ways(run: Mapping[str, Any], title: str) -> tuple[Block, ...]:
@@ -171,6 +192,14 @@ def _ways(run: Mapping[str, Any], title: str) -> tuple[Block, ...]:
     last = rows[-1]["parameters"]
     ways = tuple(Line(n, np.array([r["parameters"][n] / last[n] for r in rows])) for n in last)
     return (
-        Iterations(f"{title}: cost", number, (Line("cost", cost),), Axis("cost", log=True), group=title),
-        Iterations(f"{title}: parameters over their last value", number, ways, Axis("value / last value"), group=title),
+        Iterations(
+            f"{title}: cost (the paper's Figure 4)", number, (Line("cost", cost),), Axis("cost", log=True), group=title
+        ),
+        Iterations(
+            f"{title}: parameters over their last value (Figure 5)",
+            number,
+            ways,
+            Axis("value / last value"),
+            group=title,
+        ),
     )

@@ -91,10 +91,12 @@ def paper_lines(document: Mapping[str, Any]) -> list[str]:
         "Its Table 1, and ours from the same start on a simulated noisy experiment (cost scaled to its first):",
         "",
     ]
-    return lines + _table(_table_1(document["table1"])) + ["", *_verdict_lines(document["table1"]), ""]
+    verdict = (f"  {text}" for text in verdict_lines(document["table1"]))
+    return [*lines, *_table(table_1_rows(document["table1"])), "", *verdict, ""]
 
 
-def _table_1(table: Mapping[str, Any]) -> list[list[str]]:
+def table_1_rows(table: Mapping[str, Any]) -> list[list[str]]:
+    """Headings, then the paper's iterations beside ours."""
     rows = [
         ["iteration", "paper: F-count", "cost", "angle alone: F-count", "cost", "current and angle: F-count", "cost"]
     ]
@@ -109,15 +111,16 @@ def _table_1(table: Mapping[str, Any]) -> list[list[str]]:
     return rows
 
 
-def _verdict_lines(table: Mapping[str, Any]) -> list[str]:
+def verdict_lines(table: Mapping[str, Any]) -> list[str]:
+    """What the two runs show."""
     angle, both = table["angle_alone"], table["current_and_angle"]
     lines = [
-        f"  from the angle alone the cost falls {angle['fall']:.3g}-fold, and {len(angle['null_directions'])} null "
+        f"from the angle alone the cost falls {angle['fall']:.3g}-fold, and {len(angle['null_directions'])} null "
         "directions are left: the values are not determined by the data, whatever the fit looks like"
     ]
-    lines += [f"    {d['text']}" for d in angle["null_directions"]]
+    lines += [d["text"] for d in angle["null_directions"]]
     errors = ", ".join(f"{name} {e:+.1f}" for name, e in both["errors_in_std"].items())
-    lines.append(f"  from current and angle all five are determined; errors in standard deviations: {errors}")
+    lines.append(f"from current and angle all five are determined; errors in standard deviations: {errors}")
     floor = {n: both["residual"]["rmse"][n] / both["noise_floor"][n] for n in both["noise_floor"]}
-    lines.append("  residual over the noise floor: " + ", ".join(f"{n} {v:.4f}" for n, v in floor.items()))
+    lines.append("residual over the noise floor: " + ", ".join(f"{n} {v:.4f}" for n, v in floor.items()))
     return lines

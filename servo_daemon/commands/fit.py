@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from servo_daemon.commands import common
 
 if TYPE_CHECKING:
+    from servo_daemon.commands.fit_inputs import Inputs
     from servo_daemon.identification import Identification
 
 HELP = "identify a motor from captures: values, standard deviations, what the data do not determine"
@@ -79,6 +80,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise BadInputError(f"--fix: the model has no parameter {', '.join(lost)}")
     for text in inputs.notes:
         common.note(text)
+    if arguments.method == "idim":
+        return _idim(arguments, inputs)
     options = FitOptions(
         nominal=inputs.nominal, fixed=inputs.fixed, robust=not arguments.no_robust, segment_s=arguments.segment
     )
@@ -88,6 +91,26 @@ def run(arguments: argparse.Namespace) -> int:
     document = fit_document(result)
     if arguments.out is not None:
         _write(arguments, result, document)
+    if arguments.json:
+        common.print_json(document)
+    else:
+        print_fit(document)
+    return 0
+
+
+def _idim(arguments: argparse.Namespace, inputs: Inputs) -> int:
+    from servo_daemon.commands.fit_idim import idim_document
+    from servo_daemon.commands.fit_text import print_fit
+    from servo_daemon.commands.output_folder import OutputFolder
+    from servo_daemon.errors import BadInputError
+
+    if arguments.adapt is not None or arguments.segment is not None:
+        raise BadInputError("--adapt and --segment belong to --method output-error")
+    document = idim_document(inputs)
+    for text in document["notes"]:
+        common.note(text)
+    if arguments.out is not None:
+        OutputFolder(arguments.out).write_json("fit.json", document)
     if arguments.json:
         common.print_json(document)
     else:

@@ -18,7 +18,9 @@ def fit_lines(document: Mapping[str, Any]) -> list[str]:
     lines += [parameter_line(name, p) for name, p in document["parameters"].items()]
     lines += _open_lines(document)
     lines += ["", *_residual_lines(document), *_validation_lines(document)]
-    last = document["iterations"][-1] if document.get("iterations") else None
+    for name, share in document["residual"].get("relative_error", {}).items():
+        lines.append(f"relative error of {name}: {100 * share:.3f} %")
+    last = document["iterations"][-1] if document["iterations"] else None
     if last is not None:
         lines.append(
             f"{last['iteration']} iterations, {last['function_count']} simulations, {document['seconds']:.2f} s, "
@@ -33,6 +35,8 @@ def parameter_line(name: str, p: Mapping[str, Any]) -> str:
     remark += "  (AT ITS BOUND)" if p["at_bound"] else ""
     value = "—" if p["value"] is None else f"{p['value']:.6g}"
     std = "" if p["std"] is None else f" ± {p['std']:.2g}"
+    if p.get("std_white") is not None:
+        std += f" (± {p['std_white']:.2g} if the residual were white)"
     return f"  {name:>8} = {value}{std} {p['unit']}{remark}"
 
 
