@@ -28,6 +28,7 @@ COMMANDS = {
     "sim-drive": "servo_daemon.commands.sim_drive",
     "record": "servo_daemon.commands.record",
     "replay": "servo_daemon.commands.replay",
+    "tune": "servo_daemon.commands.tune",
     "check": "servo_daemon.commands.check",
 }
 
