@@ -112,13 +112,7 @@ class ControllerConfig(_Section):
     sensitivity_max: float = Field(2.0, gt=1, le=10)
 
     @model_validator(mode="after")
-    def _belongs_together(self) -> ControllerConfig:
-        speed = self.speed_kp_V_s_rad or self.speed_ki_V_rad
-        position = self.position_kp_1_s or self.position_ki_1_s2 or self.position_kd
-        if position and not speed:
-            raise ValueError("the position loop's output is a speed: give the speed loop's gains too")
-        if position and not self.position_kp_1_s:
-            raise ValueError("a position loop needs position_kp_1_s")
+    def _asks_for_one(self) -> ControllerConfig:
         if self.bandwidth_hz is not None and self.settling_s is not None:
             raise ValueError("bandwidth_hz and settling_s: give one of them")
         return self

@@ -7,9 +7,19 @@ from servo_daemon.service.knowledge import LoopFacts
 from servo_daemon.tuning.knowledge import Ask, CascadeGains, MarginLimits
 
 
-def gains_in_use(c: ControllerConfig) -> CascadeGains | None:
-    """The configured gains; None where there are none. Gains that are not given are zero."""
+def incomplete(c: ControllerConfig) -> str | None:
+    """Why the configured gains are no loop whose margins could be watched, in words; None: they are, or there are
+    none."""
+    if not (c.position_kp_1_s or c.position_ki_1_s2 or c.position_kd):
+        return None
     if not c.speed_kp_V_s_rad and not c.speed_ki_V_rad:
+        return "the position loop's output is a speed; the speed loop's gains (speed_kp_V_s_rad) are missing"
+    return None if c.position_kp_1_s else "the position loop has no position_kp_1_s"
+
+
+def gains_in_use(c: ControllerConfig) -> CascadeGains | None:
+    """The configured gains; None where there are none, or not enough. Gains that are not given are zero."""
+    if incomplete(c) is not None or not (c.speed_kp_V_s_rad or c.speed_ki_V_rad):
         return None
     return CascadeGains(
         speed_kp_V_s_rad=c.speed_kp_V_s_rad or 0.0,

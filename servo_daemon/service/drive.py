@@ -16,7 +16,7 @@ from servo_daemon.errors import NumericalError
 from servo_daemon.estimators.settings import Message
 from servo_daemon.samples import SampleBlock, concatenate
 from servo_daemon.service.alarms import Alarms
-from servo_daemon.service.controller import loop_facts
+from servo_daemon.service.controller import incomplete, loop_facts
 from servo_daemon.service.history import HistoryRing
 from servo_daemon.service.knowledge import LoopFacts
 from servo_daemon.service.margin_watch import ALARM, MarginWatch
@@ -35,7 +35,7 @@ _FAILURE_SAID_EVERY_S = 60.0
 #: Line events that a user should be warned of; the others are information.
 _WARNINGS = (
     "disconnected", "unavailable", "misconfigured", "silent", "device_restarted", "pipeline_failed", "filter_restarted",
-    "model_mismatch", "channel_frozen", "alarm", "alarm_impossible", "margin_low",
+    "model_mismatch", "channel_frozen", "alarm", "alarm_impossible", "margin_low", "margin_impossible",
 )  # fmt: skip
 
 
@@ -73,6 +73,8 @@ class DriveRuntime:
         self._alarms = Alarms(config)
         self._margins = MarginWatch(loop_facts(config))
         self._tell(self._alarms.impossible)
+        if (why := incomplete(config.controller)) is not None:
+            self._event("margin_impossible", f"margins cannot be watched: {why}", {})
         self._snapshot = self._make_snapshot()
 
     @property
