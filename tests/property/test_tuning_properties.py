@@ -57,7 +57,7 @@ def designed(key: str, motor: MotorKnowledge, setup: LoopSetup, ask: Ask) -> Des
 
 
 @given(motors(), covariances(), st.sampled_from(sorted(FAMILY)), between(300.0, 20_000.0), st.floats(0.0, 2.5))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_designs_are_stable_and_keep_their_margins(
     motor: dict[str, float], covariance: F64, key: str, rate_hz: float, delay: float
 ) -> None:
@@ -81,7 +81,7 @@ def test_designs_are_stable_and_keep_their_margins(
 
 
 @given(motors(), st.sampled_from(sorted(FAMILY)), st.floats(0.1, 0.95))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=12, deadline=None)
 def test_what_is_asked_is_what_comes(motor: dict[str, float], key: str, share: float) -> None:
     setup = LoopSetup(1000.0)
     fast = designed(key, known(motor), setup, Ask(bandwidth_hz=100.0))
@@ -120,7 +120,7 @@ def test_faster_loops_have_larger_gains_and_smaller_margins(motor: dict[str, flo
 
 
 @given(motors(), st.floats(1.0, 3.0))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=12, deadline=None)
 def test_a_louder_loop_has_so_much_less_gain_margin(motor: dict[str, float], louder: float) -> None:
     setup = LoopSetup(1000.0)
     design = designed("speed_pi", known(motor), setup, Ask())
