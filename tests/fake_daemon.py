@@ -42,10 +42,10 @@ def parameters_at(t: float, status: Status = "tracking", reason: str | None = No
 
 def covariance_of(parameters: Sequence[ParameterEstimate]) -> Covariance | None:
     """Of the known ones, without correlations."""
-    known = [p for p in parameters if p.status == "tracking" and p.value and p.std and math.isfinite(p.value + p.std)]
+    known = [p for p in parameters if p.status == "tracking" and p.value and p.std and 0 < p.std < p.value < math.inf]
     if not known:
         return None
-    rows = [tuple((p.std or 0.0) ** 2 / (p.value or 1.0) ** 2 * (p is q) for q in known) for p in known]
+    rows = [tuple(((p.std or 0.0) / (p.value or 1.0)) ** 2 * (p is q) for q in known) for p in known]
     return Covariance(tuple(p.name for p in known), tuple(rows))
 
 

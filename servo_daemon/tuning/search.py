@@ -186,8 +186,10 @@ class _Search:
         scan = np.geomspace(ends[0], ends[1], 2 * _SCAN)
         times = np.array([self._settling(float(omega), 4.0 * wanted) for omega in scan])
         if times.min() > wanted:
-            best = float(scan[times.argmin()])
-            when = "later" if math.isinf(times.min()) else f"after {times.min():.3g} s at the earliest"
+            best, least = float(scan[times.argmin()]), float(times.min())
+            if math.isinf(least):
+                best, least = fastest, self._settling(fastest, 1000.0 * wanted)
+            when = "much later" if math.isinf(least) else f"after {least:.3g} s at the earliest"
             return best, f"settles {when}: {self._why_not_faster(best)}"
         k = int((times <= wanted).argmax())
         if k == 0:

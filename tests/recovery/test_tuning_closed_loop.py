@@ -30,7 +30,7 @@ def generated_step(motor: Motor, g: CascadeGains, seconds: float, louder: float 
     """Time, speed and angle of the generator's own drive after a step of the reference, over the step. Its integral
     holds the errors before the present one: k_p takes the difference."""
     T = 1e-3
-    assert g.filter_hz is not None and g.setpoint_weight == 1.0
+    assert g.filter_hz is not None and g.setpoint_weight == pytest.approx(1.0)
     gains = Gains(
         kp=louder * (g.speed_kp_V_s_rad + g.speed_ki_V_rad * T),
         ki=louder * g.speed_ki_V_rad,
