@@ -112,10 +112,10 @@ def _friction_notes(breakaway: float | None, position: _Stiffness | None, gains:
         ki = gains.speed_ki_V_rad if isinstance(gains, CascadeGains) else 0.0
         tail = "" if ki > 0 else "; without k_i it also keeps a speed error"
         return [f"dry friction: each reversal costs the loop a jump of {2 * breakaway:.3g} V{tail}"]
-    error = breakaway / position.proportional
     if position.integral == 0:
+        error = breakaway / position.proportional
         return [f"dry friction: it may stop up to {error:.3g} rad off the wanted angle"]
-    text = f"dry friction and integral action: it stops up to {error:.3g} rad off, then creeps there or hunts around it"
+    text = "dry friction and integral action: it stops a little off, waits for the integral, and creeps there or hunts"
     if setup.counts_per_rev is not None:
         count = 2.0 * math.pi / setup.counts_per_rev
         wait = 2.0 * breakaway / (position.integral * count)
