@@ -96,16 +96,17 @@ def motor_knowledge(
     """
     published = {p.name: p for p in parameters}
     found: dict[str, Known] = {}
-    missing: list[str] = []
+    missing: dict[str | None, list[str]] = {}  # by reason
     for name in NEEDED:
         known = _known(name, published.get(name), source, fixed or {})
         if known is None:
             p = published.get(name)
-            missing.append(name if p is None or p.reason is None else f"{name} ({p.reason})")
+            missing.setdefault(None if p is None else p.reason, []).append(name)
         else:
             found[name] = known
     if missing:
-        raise TuningError(f"no gains without {', '.join(missing)}: neither estimated, nor nominal, nor given")
+        told = ", ".join(", ".join(n) + (f" ({why})" if why else "") for why, n in missing.items())
+        raise TuningError(f"no gains without {told}: neither estimated, nor nominal, nor given")
     names, values = _joint(covariance, {n for n, k in found.items() if k.source == source and k.std is not None})
     return MotorKnowledge(
         parameters=_warm(found, effects, state),
