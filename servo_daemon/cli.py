@@ -30,6 +30,7 @@ COMMANDS = {
     "replay": "servo_daemon.commands.replay",
     "fit": "servo_daemon.commands.fit",
     "compare": "servo_daemon.commands.compare",
+    "tune": "servo_daemon.commands.tune",
     "check": "servo_daemon.commands.check",
 }
 

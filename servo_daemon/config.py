@@ -93,13 +93,29 @@ class LimitsConfig(BaseModel):
 
 
 class ControllerConfig(_Section):
-    """`[drive.controller]`: the gains now in use (position loop P, speed loop PI), for the margin warning."""
+    """`[drive.controller]`: the gains now in use (position loop around speed loop, `tuning/laws.py`), the loop's
+    timing, when its margins are too small, and what `tune` is to aim at."""
 
     position_kp_1_s: float | None = Field(None, ge=0)
     position_ki_1_s2: float | None = Field(None, ge=0)
     position_kd: float | None = Field(None, ge=0)
     speed_kp_V_s_rad: float | None = Field(None, ge=0)
     speed_ki_V_rad: float | None = Field(None, ge=0)
+    speed_setpoint_weight: float = Field(1.0, ge=0, le=1)
+    speed_filter_hz: PositiveFloat | None = None
+    rate_hz: float | None = Field(None, gt=0, le=1e6)
+    delay_samples: float = Field(1.0, ge=0, le=20)
+    bandwidth_hz: PositiveFloat | None = None
+    settling_s: PositiveFloat | None = None
+    phase_margin_min_deg: float = Field(30.0, gt=0, lt=90)
+    gain_margin_min_dB: float = Field(6.0, gt=0, le=40)
+    sensitivity_max: float = Field(2.0, gt=1, le=10)
+
+    @model_validator(mode="after")
+    def _asks_for_one(self) -> ControllerConfig:
+        if self.bandwidth_hz is not None and self.settling_s is not None:
+            raise ValueError("bandwidth_hz and settling_s: give one of them")
+        return self
 
 
 class DriveConfig(_Section):

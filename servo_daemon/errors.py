@@ -23,6 +23,10 @@ class CaptureError(BadInputError):
     """A capture cannot be used; the text names file, line and column."""
 
 
+class TuningError(BadInputError):
+    """Gains cannot be found: something they need is not known, or what was asked for is out of reach."""
+
+
 class DriverError(ServoDaemonError):
     """Base of everything a driver raises."""
 

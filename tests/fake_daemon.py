@@ -10,8 +10,10 @@ from dataclasses import dataclass, field, replace
 
 from servo_daemon.plant.parameters import LINEAR
 from servo_daemon.service.history import HistoryRing
+from servo_daemon.service.knowledge import LoopFacts
 from servo_daemon.service.snapshot import (
     Connection,
+    Covariance,
     Estimate,
     EstimatorView,
     Event,
@@ -38,6 +40,15 @@ def parameters_at(t: float, status: Status = "tracking", reason: str | None = No
     return tuple(out)
 
 
+def covariance_of(parameters: Sequence[ParameterEstimate]) -> Covariance | None:
+    """Of the known ones, without correlations."""
+    known = [p for p in parameters if p.status == "tracking" and p.value and p.std and 0 < p.std < p.value < math.inf]
+    if not known:
+        return None
+    rows = [tuple(((p.std or 0.0) / (p.value or 1.0)) ** 2 * (p is q) for q in known) for p in known]
+    return Covariance(tuple(p.name for p in known), tuple(rows))
+
+
 def make_estimate(t: float = 1.0, parameters: Sequence[ParameterEstimate] | None = None, **changes: object) -> Estimate:
     """An estimate `t` seconds after the start; `changes` replace fields."""
     shown = tuple(parameters_at(t) if parameters is None else parameters)
@@ -55,6 +66,7 @@ def make_estimate(t: float = 1.0, parameters: Sequence[ParameterEstimate] | None
         },
         estimators={"ekf": EstimatorView(pairs, {"restarts": 0}), "rls": EstimatorView(pairs)},
         health={"innovation_white": True, "step_time_us": 8.5},
+        covariance=covariance_of(shown),
     )
     return replace(estimate, **changes)  # type: ignore[arg-type]
 
@@ -85,6 +97,7 @@ class FakeDrive:
     current: Snapshot | None = None
     log: deque[Event] = field(default_factory=lambda: deque(maxlen=100))
     resets: int = 0
+    loop: LoopFacts = field(default_factory=lambda: LoopFacts(nominal=NOMINAL))
 
     @property
     def initial_parameters(self) -> Sequence[ParameterEstimate]:

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Annotated, Any, Final
 
 from fastapi import APIRouter, Path, Query
 from pydantic import BaseModel
 from starlette.responses import Response, StreamingResponse
 
-from servo_daemon.api import documents, schemas
+from servo_daemon.api import documents, schemas, tuning_schemas
 from servo_daemon.api.problems import MEDIA_TYPE, ProblemError, parameter_problem
 from servo_daemon.api.stream import StreamSlots, estimates_stream
 from servo_daemon.api.times import ACCEPTED, parse_time
+from servo_daemon.api.tuning import TuningAnswers
 from servo_daemon.service import exposition
 from servo_daemon.service.metrics import render_metrics
 from servo_daemon.service.view import DaemonView, DriveView
+from servo_daemon.tuning.knowledge import Ask
 
 DEFAULT_POINTS: Final = 1000
 MAX_POINTS: Final = 20_000
@@ -47,6 +50,14 @@ SeriesName = Annotated[
         examples=["R"],
     ),
 ]
+BandwidthHz = Annotated[
+    float | None,
+    Query(gt=0, allow_inf_nan=False, description="−3 dB bandwidth that each loop is to have, Hz.", examples=[10.0]),
+]
+SettlingS = Annotated[
+    float | None,
+    Query(gt=0, allow_inf_nan=False, description="Time until a small step stays within 2 %, s; not with a bandwidth."),
+]
 
 
 def _json(document: documents.Document, status: int = 200) -> Response:
@@ -59,16 +70,20 @@ def _problem(description: str) -> dict[str, Any]:
 
 _UNKNOWN_DRIVE: Final[Responses] = {404: _problem("There is no such drive; `known` names those there are.")}
 _INVALID: Final[Responses] = {422: _problem("A parameter is missing or makes no sense; `errors` names it.")}
+_NOT_YET: Final[Responses] = {409: _problem("What the gains need is not known (yet); `detail` says what and why.")}
 _REFUSED: Final[Responses] = {403: _problem("Asked for by a page of another site.")}
 
 
 class Routes:
-    """The handlers, bound to one daemon. All are coroutines without blocking work: they run in the event loop."""
+    """The handlers, bound to one daemon. All are coroutines without blocking work: they run in the event loop;
+    `tuning` hands its work to a thread."""
 
     def __init__(self, daemon: DaemonView) -> None:
         self._daemon = daemon
         self._encoders = {n: documents.EstimatesEncoder(d) for n, d in daemon.drives.items()}
         self._slots = StreamSlots()
+        executor = ThreadPoolExecutor(1, "tuning")  # its thread starts with the first request
+        self._tuning = {n: TuningAnswers(d, executor) for n, d in daemon.drives.items()}
 
     def _drive(self, name: str) -> DriveView:
         """The drive of that name.
@@ -136,6 +151,20 @@ class Routes:
         """What happened to this drive lately."""
         return _json({"events": [documents.event_document(e) for e in self._drive(drive).events()]})
 
+    async def tuning(
+        self, drive: DriveName, bandwidth_hz: BandwidthHz = None, settling_s: SettlingS = None
+    ) -> Response:
+        """Controller gains for the motor as it is, and the margins of the gains in use. With neither bandwidth nor
+        settling time: as `[drive.controller]` asks, else half of what each loop can reach.
+
+        Computed from the published estimate; an answer is up to ten seconds older than it.
+        """
+        self._drive(drive)
+        if bandwidth_hz is not None and settling_s is not None:
+            raise parameter_problem("settling_s", "give bandwidth_hz or settling_s, not both")
+        body = await self._tuning[drive].get(Ask(bandwidth_hz, settling_s))
+        return Response(body, headers=_NO_STORE, media_type="application/json")
+
     async def stream(self, drive: DriveName) -> Response:
         """The estimates document as server-sent events (`event: estimates`), each new one, at most ten a second.
 
@@ -198,6 +227,7 @@ def api_router(daemon: DaemonView) -> APIRouter:
         ("/estimates", routes.estimates, schemas.EstimatesDocument, {}),
         ("/history", routes.history, schemas.HistoryDocument, _INVALID),
         ("/events", routes.events, schemas.EventsDocument, {}),
+        ("/tuning", routes.tuning, tuning_schemas.TuningDocument, {**_INVALID, **_NOT_YET}),
     )
     for path, handler, model, responses in of_a_drive:
         router.add_api_route(

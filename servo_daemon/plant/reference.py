@@ -17,13 +17,19 @@ from servo_daemon.plant.effects import Signals, effects_by_name
 from servo_daemon.samples import F64
 
 
-def linear_step(p: Mapping[str, float], h: float) -> tuple[F64, F64]:
-    """(Ad, Bd) of (i, ω, θ) over h seconds with (voltage, load torque) held: shapes (3, 3) and (3, 2)."""
-    R, L, K, J, B = (p[name] for name in ("R", "L", "K", "J", "B"))
-    augmented = np.zeros((5, 5))
-    augmented[:3] = np.array([[-R / L, -K / L, 0, 1 / L, 0], [K / J, -B / J, 0, 0, -1 / J], [0, 1, 0, 0, 0]])
+def linear_step(p: Mapping[str, float | F64], h: float) -> tuple[F64, F64]:
+    """(Ad, Bd) of (i, ω, θ) over h seconds with (voltage, load torque) held: shapes (…, 3, 3) and (…, 3, 2).
+
+    Args:
+        p: R, L, K, J, B: numbers, or arrays of one shape (…) for as many motors.
+    """
+    R, L, K, J, B = np.broadcast_arrays(*(np.asarray(p[name], np.float64) for name in ("R", "L", "K", "J", "B")))
+    augmented = np.zeros((*R.shape, 5, 5))
+    augmented[..., 0, 0], augmented[..., 0, 1], augmented[..., 0, 3] = -R / L, -K / L, 1 / L
+    augmented[..., 1, 0], augmented[..., 1, 1], augmented[..., 1, 4] = K / J, -B / J, -1 / J
+    augmented[..., 2, 1] = 1.0
     step = expm(augmented * h)
-    return step[:3, :3], step[:3, 3:]
+    return step[..., :3, :3], step[..., :3, 3:]
 
 
 def _terms(model: PlantModel, x: F64, u: float, p: Mapping[str, float], t: float) -> dict[str, float]:

@@ -16,7 +16,10 @@ from servo_daemon.errors import NumericalError
 from servo_daemon.estimators.settings import Message
 from servo_daemon.samples import SampleBlock, concatenate
 from servo_daemon.service.alarms import Alarms
+from servo_daemon.service.controller import incomplete, loop_facts
 from servo_daemon.service.history import HistoryRing
+from servo_daemon.service.knowledge import LoopFacts
+from servo_daemon.service.margin_watch import ALARM, MarginWatch
 from servo_daemon.service.persist import StateFile
 from servo_daemon.service.pipeline import Pipeline, all_finite
 from servo_daemon.service.publish import SavedState, published_parameters
@@ -32,7 +35,7 @@ _FAILURE_SAID_EVERY_S = 60.0
 #: Line events that a user should be warned of; the others are information.
 _WARNINGS = (
     "disconnected", "unavailable", "misconfigured", "silent", "device_restarted", "pipeline_failed", "filter_restarted",
-    "model_mismatch", "channel_frozen", "alarm", "alarm_impossible",
+    "model_mismatch", "channel_frozen", "alarm", "alarm_impossible", "margin_low", "margin_impossible",
 )  # fmt: skip
 
 
@@ -68,7 +71,10 @@ class DriveRuntime:
         self._link: Link = self.reader.link
         self._initial = initial_parameters(published_parameters(config), config.nominal)
         self._alarms = Alarms(config)
+        self._margins = MarginWatch(loop_facts(config))
         self._tell(self._alarms.impossible)
+        if (why := incomplete(config.controller)) is not None:
+            self._event("margin_impossible", f"margins cannot be watched: {why}", {})
         self._snapshot = self._make_snapshot()
 
     @property
@@ -88,6 +94,11 @@ class DriveRuntime:
     def initial_parameters(self) -> Sequence[ParameterEstimate]:
         """What is published before the first samples."""
         return self._initial
+
+    @property
+    def loop(self) -> LoopFacts:
+        """What is known of the control loop around this drive."""
+        return loop_facts(self.config, self.reader.driver.info.counts_per_rev)
 
     def snapshot(self) -> Snapshot:
         """The last published state; immutable."""
@@ -152,7 +163,10 @@ class DriveRuntime:
         pipeline.messages.clear()
         if estimate is not None:
             self._tell(self._alarms.update(estimate))
-            estimate = replace(estimate, health={**estimate.health, "alarms": self._alarms.active})
+            self._tell(self._margins.update(estimate))
+            ringing = [name for name in (self._alarms.active, ALARM if self._margins.low else None) if name]
+            health = {**estimate.health, **self._margins.health, "alarms": ",".join(ringing) or None}
+            estimate = replace(estimate, health=health)
         self._estimate = estimate
 
     def _pipeline_for_device(self) -> Pipeline:
@@ -163,7 +177,7 @@ class DriveRuntime:
         if self._pipeline is None or other:
             if self._pipeline is not None:
                 self._event("device_changed", f"another device is attached: {info.identity}", {})
-                self._tell(self._alarms.forget("another device is attached"))
+                self._forget_alarms("another device is attached")
             saved = self._file.load(info.identity, self.config.model)
             if saved is not None:
                 self._event("state_restored", "estimates of the last run restored", {})
@@ -195,7 +209,7 @@ class DriveRuntime:
             self._pipeline.reset()
         self._estimate = None
         self._event("reset", "estimates reset by request", {})
-        self._tell(self._alarms.forget("estimates were reset"))
+        self._forget_alarms("estimates were reset")
 
     def _follow_link(self, changed: bool) -> None:
         """Publish when something changed; say once when the drive falls silent or speaks again."""
@@ -245,6 +259,10 @@ class DriveRuntime:
             "pipeline_failures": self._failures,
             **c.extra,
         }
+
+    def _forget_alarms(self, why: str) -> None:
+        self._tell(self._alarms.forget(why))
+        self._tell(self._margins.forget(why))
 
     def _line_event(self, kind: str, message: str) -> None:
         self._event(kind, message, {})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import Final, get_args
 
@@ -41,6 +42,8 @@ _HEALTH_UNITS: Final = (
     ("_ms", "_seconds", 1e-3),
     ("_s", "_seconds", 1.0),
     ("_hz", "_hertz", 1.0),
+    ("_deg", "_radian", math.pi / 180.0),
+    ("_dB", "_decibel", 1.0),
     ("_A", "_ampere", 1.0),
     ("_V", "_volt", 1.0),
 )

@@ -17,7 +17,7 @@ from servo_daemon.estimators.settings import Resolutions, TrackerSettings
 from servo_daemon.estimators.tracker import Tracker
 from servo_daemon.plant.effects import effects_by_name, parameter_table
 from servo_daemon.plant.parameters import J_D, LINEAR, Parameter
-from servo_daemon.service.snapshot import Estimate, EstimatorView, ParameterEstimate, finite_or_none
+from servo_daemon.service.snapshot import Covariance, Estimate, EstimatorView, ParameterEstimate, finite_or_none
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,8 @@ def published_names(config: DriveConfig) -> tuple[str, ...]:
 
 def estimate(config: DriveConfig, tracker: Tracker, samples: int) -> Estimate:
     """The published record of this moment."""
-    parameters = _parameters(config, tracker, tracker.published())
+    gaussian = tracker.published()
+    parameters = _parameters(config, tracker, gaussian)
     assert tracker.last_s is not None
     period = tracker.sample_period_s
     return Estimate(
@@ -80,6 +81,7 @@ def estimate(config: DriveConfig, tracker: Tracker, samples: int) -> Estimate:
         state=_state(tracker),
         estimators=_views(tracker),
         health=_health(tracker),
+        covariance=None if gaussian is None else _covariance(config, gaussian, parameters),
     )
 
 
@@ -128,6 +130,19 @@ def _fused(config: DriveConfig, tracker: Tracker, gaussian: Gaussian | None) -> 
                 floor,
             )
     return out
+
+
+def _covariance(config: DriveConfig, g: Gaussian, parameters: tuple[ParameterEstimate, ...]) -> Covariance | None:
+    """Of what is known, as published: with what unknown skew leaves open of L."""
+    known = tuple(p.name for p in parameters if p.status in ("tracking", "unexcited") and p.name in g.names)
+    rows = [g.names.index(name) for name in known]
+    values = g.covariance[np.ix_(rows, rows)].copy()
+    if "L" in known:
+        k = known.index("L")
+        values[k, k] += (_skew_floor(config, g) / float(np.exp(g.mean[rows[k]]))) ** 2
+    if not known or not np.isfinite(values).all():
+        return None
+    return Covariance(known, tuple(map(tuple, values.tolist())))
 
 
 def _skew_floor(config: DriveConfig, g: Gaussian) -> float:

@@ -33,6 +33,20 @@ class ParameterEstimate:
 
 
 @dataclass(frozen=True, slots=True)
+class Covariance:
+    """Joint covariance of the parameters that are known, those with a std and the status `tracking` or `unexcited`.
+
+    Attributes:
+        names: n parameters, in the order of the rows.
+        values: n × n, symmetric; of the logarithms of positive parameters (relative), of signed ones themselves. Its
+            diagonal is that of the published stds.
+    """
+
+    names: tuple[str, ...]
+    values: tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
 class EstimatorView:
     """What one estimator says by itself, beside the fused estimate: parameter -> (value, std), and its own status of
     each where it has one."""
@@ -54,6 +68,7 @@ class Estimate:
     state: Mapping[str, float | None]
     estimators: Mapping[str, EstimatorView]
     health: Mapping[str, float | int | bool | str | None]
+    covariance: Covariance | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ from typing import Protocol
 
 from servo_daemon.plant.parameters import Parameter
 from servo_daemon.service.history import HistoryRing
+from servo_daemon.service.knowledge import LoopFacts
 from servo_daemon.service.snapshot import Event, ParameterEstimate, Snapshot
 
 
@@ -36,6 +37,10 @@ class DriveView(Protocol):
     @property
     def history(self) -> HistoryRing:
         """The last minutes of what was published."""
+
+    @property
+    def loop(self) -> LoopFacts:
+        """What configuration and driver say of the control loop around it."""
 
     def snapshot(self) -> Snapshot:
         """The last published snapshot: the same object until the next one is published (answers are encoded once per

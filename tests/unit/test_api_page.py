@@ -98,6 +98,7 @@ def test_openapi_describes_every_route_with_examples(client: Client) -> None:
         f"{drive}/estimates",
         f"{drive}/history",
         f"{drive}/events",
+        f"{drive}/tuning",
         f"{drive}/stream",
         f"{drive}/reset",
         "/metrics",
