@@ -13,7 +13,7 @@ from servo_daemon.config import DriveConfig
 from servo_daemon.errors import BadInputError, TuningError
 from servo_daemon.plant.effects import parameter_table
 from servo_daemon.plant.parameters import LINEAR
-from servo_daemon.service.snapshot import Estimate, ParameterEstimate
+from servo_daemon.service.snapshot import Covariance, Estimate, ParameterEstimate
 
 if TYPE_CHECKING:
     from servo_daemon.captures import Capture
@@ -34,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "capture", type=Path, nargs="?", metavar="CAPTURE", help="the motor today; without: the config's nominal values"
     )
+    common.add_signals(parser)
     common.add_config(parser)
     asked = parser.add_mutually_exclusive_group()
     asked.add_argument("--bandwidth-hz", type=float, metavar="F", help="-3 dB bandwidth that each loop is to have")
@@ -65,10 +66,11 @@ def run(arguments: argparse.Namespace) -> int:
     drive = drive.model_copy(update={"nominal": {**drive.nominal, **fixed}})
     capture = None
     if arguments.capture is not None:
-        from servo_daemon.captures import read_capture
+        from servo_daemon.captures.plausible import check_time_unit, plausibility_notes
 
-        capture = read_capture(arguments.capture)
-        for text in capture.notes:
+        (capture,) = common.read_captures([arguments.capture], arguments)
+        check_time_unit(capture)
+        for text in plausibility_notes(capture):
             common.note(f"{capture.path}: {text}")
     motor = _motor(drive, capture, fixed)
     setup = _setup(drive, capture, arguments)
@@ -115,6 +117,35 @@ def estimate_capture(capture: Capture, drive: DriveConfig) -> Estimate:
     return estimate
 
 
+def fitted(capture: Capture, drive: DriveConfig, fixed: dict[str, float]) -> tuple[list[ParameterEstimate], Covariance]:
+    """The motor as the mean over a capture: output error.
+
+    Raises:
+        BadInputError: the capture cannot be used.
+    """
+    from servo_daemon.estimators.output_error import FitOptions, Recording, fit_output_error
+
+    nominal = {name: value for name, value in drive.nominal.items() if name != "J_m"}
+    options = FitOptions(nominal=nominal, fixed=fixed)
+    fit = fit_output_error([Recording(str(capture.path), capture.block())], drive.model, options)
+    parameters = [
+        ParameterEstimate(
+            name,
+            p.value,
+            p.std,
+            p.unit,
+            nominal.get(name),
+            "tracking" if p.std is not None else "estimating",
+            "not determined by this capture" if p.status == "undetermined" else None,
+        )
+        for name, p in fit.parameters.items()
+    ]
+    known = [k for k, name in enumerate(fit.after.names) if fit.parameters[name].std is not None]
+    names = tuple(fit.after.names[k] for k in known)
+    rows = fit.after.covariance[known][:, known].tolist()
+    return parameters, Covariance(names, tuple(tuple(row) for row in rows))
+
+
 def _motor(drive: DriveConfig, capture: Capture | None, fixed: dict[str, float]) -> MotorKnowledge:
     """From the capture, else from nominal and fixed values.
 
@@ -127,7 +158,11 @@ def _motor(drive: DriveConfig, capture: Capture | None, fixed: dict[str, float])
     try:
         if capture is not None:
             e = estimate_capture(capture, drive)
-            return motor_knowledge(e.parameters, e.covariance, e.model, e.state, "capture", fixed)
+            try:
+                return motor_knowledge(e.parameters, e.covariance, e.model, e.state, "capture", fixed)
+            except TuningError:  # too short for the daemon's filter, perhaps not for a fit
+                parameters, covariance = fitted(capture, drive, fixed)
+                return motor_knowledge(parameters, covariance, drive.model, {}, "capture", fixed)
         parameters = [
             ParameterEstimate(p.name, drive.nominal.get(p.name), None, p.unit, drive.nominal.get(p.name), "fixed")
             for p in published_parameters(drive)
