@@ -47,7 +47,7 @@ _CORE_PARAMETERS: dict[Drive, tuple[str, ...]] = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # `build_plant` makes each model once: it is its own key in caches
 class PlantModel:
     """A motor with its effects.
 

@@ -162,8 +162,8 @@ def _search(problem: Problem, starts: Sequence[Start], robust: bool) -> tuple[So
 
     It is over when an end explains the data to their noise, or when another search comes to the same place.
     """
-    guesses = [s for s in starts if s.source == "signal sizes"]
-    chosen = [s for s in starts if s.source != "signal sizes"] + _most_promising(problem, guesses)
+    guesses = [s for s in starts if "signal sizes" in s.source]
+    chosen = [s for s in starts if "signal sizes" not in s.source] + _most_promising(problem, guesses)
     best: tuple[Solution, Start] | None = None
     for start in chosen:
         been = None if best is None else best[0].point
