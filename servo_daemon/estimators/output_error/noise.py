@@ -174,8 +174,7 @@ def fit_noise(
     )
     plain = likelihood.value(alone)
     if start is not None:
-        used = [k for k in sources if start[k] > -np.inf]
-        best, value = likelihood.maximise(start, [*used, *sensors])
+        best, value = _settled(likelihood, start, sensors)
     else:
         best, value = alone, plain
         for k in sources:
@@ -186,6 +185,19 @@ def fit_noise(
     names = tuple(SOURCE_NAMES[k] for k in range(SOURCES) if best[k] > -np.inf)
     by_channel = dict(zip(problem.channels, sigma[SOURCES:].tolist(), strict=True))
     return NoiseModel(names, float(sigma[0]), float(sigma[1]), by_channel, plain - value), best
+
+
+def _settled(likelihood: NoiseLikelihood, start: F64, sensors: list[int]) -> tuple[F64, float]:
+    """From variances found before; a source that is not worth its place any more goes."""
+    used = [k for k in range(SOURCES) if start[k] > -np.inf]
+    best, value = likelihood.maximise(start, [*used, *sensors])
+    for k in used[1:]:
+        fewer = best.copy()
+        fewer[k] = -np.inf
+        fewer, fewer_value = likelihood.maximise(fewer, [*(m for m in used if m != k), *sensors])
+        if fewer_value < value + WORTH:
+            best, value = fewer, fewer_value
+    return best, value
 
 
 def _free(best: F64, k: int, sensors: list[int]) -> list[int]:

@@ -26,7 +26,10 @@ from servo_daemon.samples import F64
 
 #: Rounds of noise and parameters; both have settled after two or three.
 _ROUNDS = 4
-_STEPS = 8
+_STEPS = 20
+#: Variances that change by a smaller share have settled.
+_SAME = 0.01
+_HALVINGS = 6
 #: Settled when the step left over is this many standard deviations, squared.
 _DECREMENT = 1e-4
 
@@ -66,7 +69,7 @@ def polish(problem: Problem, point: Point, torque_size: float) -> Polished | Non
         point, whitened, at_bound = found
         before = a
         noise, a = fit_noise(problem, _likelihood(problem, point, limits), sources, a)
-        if np.max(np.abs(a[a > -np.inf] - before[a > -np.inf])) < 0.01:
+        if np.allclose(np.exp(a), np.exp(before), rtol=_SAME, atol=0.0):
             break
     return Polished(point, whiten_point(problem, point, a), noise, at_bound)
 
@@ -77,8 +80,8 @@ def _likelihood(problem: Problem, point: Point, limits: tuple[F64, F64]) -> Nois
 
 
 def whiten_point(problem: Problem, point: Point, log_variance: F64) -> Point:
-    """Residuals and sensitivities through the filter, in units of the innovations' σ."""
-    residuals, jacobians = [], []
+    """Residuals and sensitivities through the filter, in units of the innovations' σ; its value is −2 log p."""
+    residuals, jacobians, logs = [], [], 0.0
     for model, w, r, J in zip(
         tangents(problem, point.unknowns),
         channel_weights(problem, point.weights),
@@ -86,35 +89,53 @@ def whiten_point(problem: Problem, point: Point, log_variance: F64) -> Point:
         point.linearisation.jacobian,
         strict=True,
     ):
-        out = whiten(model, w, np.concatenate([r[:, :, None], J], axis=2), np.exp(log_variance)).values
-        residuals.append(out[:, :, 0])
-        jacobians.append(out[:, :, 1:])
+        out = whiten(model, w, np.concatenate([r[:, :, None], J], axis=2), np.exp(log_variance))
+        residuals.append(out.values[:, :, 0])
+        jacobians.append(out.values[:, :, 1:])
+        logs += float(out.log_variance.sum())
     ones = tuple(np.ones_like(r) for r in residuals)
     sse = np.sum([(r * r).sum(axis=0) for r in residuals], axis=0)
     linear = Linearisation(tuple(residuals), tuple(jacobians), True)
-    return Point(point.unknowns, linear, ones, sse, np.ones(len(problem.channels)), float(sse.sum()))
+    mean, prior = problem.state_prior()
+    value = logs + float(sse.sum() + prior @ (point.unknowns - mean) ** 2)
+    return Point(point.unknowns, linear, ones, sse, np.ones(len(problem.channels)), value)
 
 
 def _minimise(problem: Problem, point: Point, a: F64) -> tuple[Point, Point, frozenset[int]] | None:
     """Gauss–Newton with the noise held; None if it does not settle."""
     low, high = problem.bounds
-    last = np.inf
+    whitened = whiten_point(problem, point, a)
     for _ in range(_STEPS):
-        whitened = whiten_point(problem, point, a)
         H, g = normal_equations(problem, whitened)
         free = ~((point.unknowns <= low) & (g < 0) | (point.unknowns >= high) & (g > 0))
         step, decrement = stepped(H, g, free, problem.logarithmic)
         if decrement < _DECREMENT:
             stuck = frozenset(int(k) for k in np.flatnonzero(~free) if k < len(problem.parameter_of_column))
             return point, whitened, stuck
-        if decrement > last:
+        better = _along(problem, (point, whitened), step, a, decrement)
+        if better is None:
             return None
-        last = decrement
-        unknowns = np.clip(point.unknowns + step, low, high)
+        point, whitened = better
+    return None
+
+
+def _along(
+    problem: Problem, here: tuple[Point, Point], step: F64, a: F64, decrement: float
+) -> tuple[Point, Point] | None:
+    """The first point along the step, halved at most `_HALVINGS` times, that is as good as this one. A step of less
+    than a standard deviation is not asked: what the filter's own change with the parameters does to the likelihood is
+    left out of the equations and may be as large."""
+    low, high = problem.bounds
+    point, whitened = here
+    for halved in range(_HALVINGS):
+        unknowns = np.clip(point.unknowns + step / 2**halved, low, high)
         with np.errstate(over="ignore", invalid="ignore"):
             linear = problem.linearise(unknowns)
         if not linear.finite:
-            return None
+            continue
         sse = np.sum([(w * r * r).sum(axis=0) for w, r in zip(point.weights, linear.residuals, strict=True)], axis=0)
-        point = Point(unknowns, linear, point.weights, sse, np.sqrt(sse / problem.counts), np.nan)
+        trial = Point(unknowns, linear, point.weights, sse, np.sqrt(sse / problem.counts), point.value)
+        trial_whitened = whiten_point(problem, trial, a)
+        if decrement < 1.0 or trial_whitened.value < whitened.value:
+            return trial, trial_whitened
     return None

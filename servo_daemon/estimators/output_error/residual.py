@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.output_error.rollout import INPUT
@@ -72,3 +74,33 @@ def _input_correlation(parts: list[F64], inputs: list[F64]) -> float:
         value = sum(float(a[k:] @ b[: len(b) - k]) for a, b in zip(r, u, strict=True) if len(a) > k) / power
         best = max(best, value, key=abs)
     return float(best)
+
+
+def innovation_tests(problem: Problem, whitened: Point, rmse: F64, counted: Sequence[NDArray[np.bool_]]) -> dict[str, ResidualTest]:
+    """The same for whitened residuals. In closed loop the input answers to a residual from its own sample on: only the
+    input before it may not correlate with it.
+
+    Args:
+        rmse: shape (c,), of the innovations in the channels' units.
+        counted: per segment, shape (n, c): samples that are a sample of the noise; a standing encoder's are not.
+    """
+    out = {}
+    for c, name in enumerate(problem.channels):
+        parts = [np.where(u[:, c], r[:, c], 0.0) for r, u in zip(whitened.linearisation.residuals, counted, strict=True)]
+        inputs = [s.rows[:, INPUT] for s in problem.segments]
+        n = sum(int(u[:, c].sum()) for u in counted)
+        auto, cross = _autocorrelation(parts), _past_input_correlation(parts, inputs)
+        limit = max(RELEVANT, _SIGNIFICANT / np.sqrt(max(n, 1)))
+        out[name] = ResidualTest(float(rmse[c]), auto, cross, max(abs(auto), abs(cross)) < limit, 0)
+    return out
+
+
+def _past_input_correlation(parts: list[F64], inputs: list[F64]) -> float:
+    """Of white residuals with the input's changes at least one sample earlier."""
+    u = [np.diff(x, prepend=x[0]) for x in inputs]
+    power = np.sqrt(sum(float(x @ x) for x in parts) * sum(float(x @ x) for x in u))
+    if power == 0.0:
+        return 0.0
+    lags = range(1, LAGS + 1)
+    values = [sum(float(a[k:] @ b[:-k]) for a, b in zip(parts, u, strict=True) if len(a) > k) / power for k in lags]
+    return float(max(values, key=abs))

@@ -20,6 +20,7 @@ from functools import cache
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from servo_daemon.estimators.ekf_layout import MEASURABLE
 from servo_daemon.estimators.ekf_model import natural
@@ -33,6 +34,8 @@ from servo_daemon.samples import F64
 SOURCES = 2
 #: Columns that one compiled pass takes; one alone for the likelihood.
 _BATCH = 8
+#: More equal samples in a row are a channel that stands.
+_LONGEST_REPEAT = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,3 +159,16 @@ def tangents(problem: Problem, unknowns: F64) -> tuple[F64, ...]:
 def channel_weights(problem: Problem, weights: Sequence[F64]) -> tuple[F64, ...]:
     """The samples' weights, 0 where not valid."""
     return tuple(w * s.valid for w, s in zip(weights, problem.segments, strict=True))
+
+
+def moving(problem: Problem) -> tuple[NDArray[np.bool_], ...]:
+    """Valid samples of channels that do not stand on one value, per segment, shape (n, c): an encoder at rest repeats
+    one rounding error and is no sample of a noise."""
+    out = []
+    for segment in problem.segments:
+        mask = segment.valid.copy()
+        for c in range(mask.shape[1]):
+            lengths = np.diff(np.flatnonzero(np.diff(segment.measured[:, c], prepend=np.nan, append=np.nan) != 0))
+            mask[:, c] &= np.repeat(lengths <= _LONGEST_REPEAT, lengths)
+        out.append(mask)
+    return tuple(out)
