@@ -18,7 +18,7 @@ import numpy as np
 
 from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.output_error.rollout import INPUT
-from servo_daemon.estimators.output_error.whitening import SOURCES, whiten
+from servo_daemon.estimators.output_error.whitening import SOURCES, Prepared, prepare
 from servo_daemon.samples import F64
 
 #: A source must lower −2 log p by more than this: chance does so once in 10⁵ (χ² with one degree of freedom).
@@ -55,28 +55,25 @@ class NoiseModel:
 
 @dataclass(frozen=True)
 class NoiseLikelihood:
-    """−2 log p of residuals as a function of the log-variances (of input, torque, then each channel).
+    """−2 log p of residuals as a function of the log-variances (of input, torque, then each channel), shape (2 + c,);
+    −∞: a source that is not there.
 
     Attributes:
-        models: per segment, see `whitening.tangent`.
-        weights: per segment, shape (n, c), 0 where not valid.
-        residuals: per segment, shape (n, c).
-        low, high: bounds of the log-variances, shape (2 + c,).
+        prepared: per segment.
+        alone: log-variances of the sensors if there is no other noise.
+        local: log-variances of the sensors as neighbouring residuals show them.
+        low, high: bounds of the log-variances.
     """
 
-    models: Sequence[F64]
-    weights: Sequence[F64]
-    residuals: Sequence[F64]
+    prepared: Sequence[Prepared]
+    alone: F64
+    local: F64
     low: F64
     high: F64
 
     def innovations(self, log_variance: F64) -> tuple[F64, F64]:
         """ε and log s of all samples, shape (N,) each."""
-        variance = np.where(log_variance > -np.inf, np.exp(log_variance), 0.0)
-        parts = [
-            whiten(m, w, r[:, :, None], variance)
-            for m, w, r in zip(self.models, self.weights, self.residuals, strict=True)
-        ]
+        parts = [p.run(np.exp(log_variance)) for p in self.prepared]
         return (
             np.concatenate([p.values.ravel() for p in parts]),
             np.concatenate([p.log_variance.ravel() for p in parts]),
@@ -84,6 +81,39 @@ class NoiseLikelihood:
 
     def value(self, log_variance: F64) -> float:
         return _value(*self.innovations(log_variance))
+
+    def sensors_alone(self) -> F64:
+        """Log-variances where no noise enters the motor."""
+        return np.concatenate([np.full(SOURCES, -np.inf), np.clip(self.alone, self.low[SOURCES:], self.high[SOURCES:])])
+
+    def with_source(self, a: F64, source: int) -> tuple[F64, float]:
+        """The best with one source more than in `a`, and −2 log p there."""
+        start = a.copy()
+        start[SOURCES:] = np.clip(self.local, self.low[SOURCES:], self.high[SOURCES:])
+        trials = []
+        for share in _STARTS:
+            start[source] = self.high[source] + 2 * np.log(share / _MOST)
+            trials.append((self.value(start), start.copy()))
+        return self.refine(min(trials, key=lambda t: t[0])[1])
+
+    def refine(self, start: F64) -> tuple[F64, float]:
+        """From variances found before; a source that is not worth its place any more goes."""
+        best, value = self.maximise(start, np.flatnonzero(start > -np.inf).tolist())
+        for source in range(SOURCES):
+            if np.isfinite(best[:SOURCES]).all():
+                fewer = best.copy()
+                fewer[source] = -np.inf
+                fewer, fewer_value = self.maximise(fewer, np.flatnonzero(fewer > -np.inf).tolist())
+                if fewer_value < value + WORTH:
+                    best, value = fewer, fewer_value
+        return best, value
+
+    def model(self, problem: Problem, a: F64, plain: float) -> NoiseModel:
+        """In the units of the signals; `plain`: −2 log p without noise that enters the motor."""
+        sigma = np.exp(a / 2).tolist()
+        names = tuple(SOURCE_NAMES[k] for k in range(SOURCES) if a[k] > -np.inf)
+        sensors = dict(zip(problem.channels, sigma[SOURCES:], strict=True))
+        return NoiseModel(names, sigma[0], sigma[1], sensors, plain - self.value(a))
 
     def maximise(self, start: F64, free: Sequence[int]) -> tuple[F64, float]:
         """Fisher scoring from `start` over the log-variances `free`; the others stay.
@@ -126,13 +156,13 @@ class NoiseLikelihood:
             moved[k] += _DIFFERENCE
             e1, logs1 = self.innovations(moved)
             d_e[row], d_logs[row] = (e1 - e) / _DIFFERENCE, (logs1 - logs) / _DIFFERENCE
-        g = d_logs.sum(axis=1) + 2 * d_e @ e
+        g = np.sum(d_logs + 2 * d_e * e, axis=1)
         raw = d_e + 0.5 * e * d_logs  # of the innovation itself, in units of √s
-        return g, d_logs @ d_logs.T + 2 * raw @ raw.T
+        return g, np.einsum("an,bn->ab", d_logs, d_logs) + 2 * np.einsum("an,bn->ab", raw, raw)
 
 
 def _value(e: F64, logs: F64) -> float:
-    return float(logs.sum() + e @ e)
+    return float(np.sum(logs + e * e))
 
 
 def bounds(problem: Problem, torque_size: float) -> tuple[F64, F64]:
@@ -157,70 +187,20 @@ def resolution(problem: Problem) -> F64:
     return out
 
 
-def fit_noise(
-    problem: Problem, likelihood: NoiseLikelihood, sources: Sequence[int], start: F64 | None = None
-) -> tuple[NoiseModel, F64]:
-    """The variances of the sensors and of those sources that earn their place.
+def likelihood_of(
+    models: Sequence[F64], weights: Sequence[F64], residuals: Sequence[F64], limits: tuple[F64, F64]
+) -> NoiseLikelihood:
+    """Of residuals, shape (n, c) per segment.
 
     Args:
-        sources: which of `SOURCE_NAMES` may be used, by index.
-        start: log-variances found before: their sources are kept.
+        models: per segment, see `whitening.tangent`.
+        weights: per segment, shape (n, c), 0 where not valid.
+        limits: see `bounds`.
     """
-    sensors = list(range(SOURCES, len(likelihood.low)))
-    alone = np.full(len(likelihood.low), -np.inf)
-    counts, squares = _sums(likelihood)
-    alone[sensors] = np.clip(
-        np.log(np.maximum(squares / np.maximum(counts, 1), 1e-300)), likelihood.low[sensors], likelihood.high[sensors]
-    )
-    plain = likelihood.value(alone)
-    if start is not None:
-        best, value = _settled(likelihood, start, sensors)
-    else:
-        best, value = alone, plain
-        for k in sources:
-            trial, trial_value = likelihood.maximise(_guess(likelihood, best, k), _free(best, k, sensors))
-            if trial_value < value - WORTH:
-                best, value = trial, trial_value
-    sigma = np.exp(best / 2)
-    names = tuple(SOURCE_NAMES[k] for k in range(SOURCES) if best[k] > -np.inf)
-    by_channel = dict(zip(problem.channels, sigma[SOURCES:].tolist(), strict=True))
-    return NoiseModel(names, float(sigma[0]), float(sigma[1]), by_channel, plain - value), best
-
-
-def _settled(likelihood: NoiseLikelihood, start: F64, sensors: list[int]) -> tuple[F64, float]:
-    """From variances found before; a source that is not worth its place any more goes."""
-    used = [k for k in range(SOURCES) if start[k] > -np.inf]
-    best, value = likelihood.maximise(start, [*used, *sensors])
-    for k in used[1:]:
-        fewer = best.copy()
-        fewer[k] = -np.inf
-        fewer, fewer_value = likelihood.maximise(fewer, [*(m for m in used if m != k), *sensors])
-        if fewer_value < value + WORTH:
-            best, value = fewer, fewer_value
-    return best, value
-
-
-def _free(best: F64, k: int, sensors: list[int]) -> list[int]:
-    return sorted({k, *(m for m in range(SOURCES) if best[m] > -np.inf)}) + sensors
-
-
-def _guess(likelihood: NoiseLikelihood, best: F64, k: int) -> F64:
-    """The best of some sizes of source k, the sensors' noise as neighbouring residuals show it."""
-    start = best.copy()
-    for c in range(SOURCES, len(start)):
-        second = np.concatenate([np.diff(r[:, c - SOURCES], 2) for r in likelihood.residuals])
-        size = 1.4826 * float(np.median(np.abs(second))) / np.sqrt(6.0)
-        start[c] = np.clip(2 * np.log(max(size, 1e-300)), likelihood.low[c], likelihood.high[c])
-    trials = []
-    for share in _STARTS:
-        trial = start.copy()
-        trial[k] = likelihood.high[k] + 2 * np.log(share / _MOST)
-        trials.append((likelihood.value(trial), share, trial))
-    return min(trials, key=lambda t: t[:2])[2]
-
-
-def _sums(likelihood: NoiseLikelihood) -> tuple[F64, F64]:
-    """Valid samples and weighted squares by channel."""
-    counts = np.sum([(w > 0).sum(axis=0) for w in likelihood.weights], axis=0)
-    pairs = zip(likelihood.weights, likelihood.residuals, strict=True)
-    return counts, np.sum([(w * r * r).sum(axis=0) for w, r in pairs], axis=0)
+    counts = np.sum([(w > 0).sum(axis=0) for w in weights], axis=0)
+    squares = np.sum([(w * r * r).sum(axis=0) for w, r in zip(weights, residuals, strict=True)], axis=0)
+    alone = np.log(np.maximum(squares / np.maximum(counts, 1), 1e-300))
+    second = np.concatenate([np.diff(r, 2, axis=0) for r in residuals])
+    local = 2 * np.log(np.maximum(1.4826 / np.sqrt(6.0) * np.median(np.abs(second), axis=0), 1e-300))
+    parts = zip(models, weights, residuals, strict=True)
+    return NoiseLikelihood(tuple(prepare(m, w, r[:, :, None]) for m, w, r in parts), alone, local, *limits)

@@ -17,21 +17,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from servo_daemon.estimators.output_error.noise import NoiseLikelihood, NoiseModel, bounds, fit_noise
+from servo_daemon.estimators.output_error.noise import WORTH, NoiseLikelihood, NoiseModel, bounds, likelihood_of
 from servo_daemon.estimators.output_error.problem import Linearisation, Problem
-from servo_daemon.estimators.output_error.solver import Point, normal_equations, stepped
+from servo_daemon.estimators.output_error.solver import Point, normal_equations, point_of, stepped
 from servo_daemon.estimators.output_error.whitening import channel_weights, tangents, whiten
 from servo_daemon.samples import F64
 
-#: Rounds of noise and parameters; both have settled after two or three.
-_ROUNDS = 4
-_STEPS = 20
-#: Variances that change by a smaller share have settled.
-_SAME = 0.01
-_HALVINGS = 6
-#: Settled when the step left over is this many standard deviations, squared.
-_DECREMENT = 1e-4
+#: Most steps, and most halvings of one.
+_STEPS, _HALVINGS = 30, 6
+#: No logarithm moves by more in one step.
+_LONGEST = 0.5
+#: Settled when the step left over is this many standard deviations, squared, and no variance changes by a larger share;
+#: close enough where it comes no nearer.
+_DECREMENT, _SAME, _CLOSE = 1e-4, 0.01, 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,12 +42,14 @@ class Polished:
         point: of the free run there.
         whitened: the same with innovations for residuals, in units of their σ.
         noise: the noise model.
+        innovation_rms: shape (c,), in the channels' units.
         at_bound: columns of parameters that ended at a bound.
     """
 
     point: Point
     whitened: Point
     noise: NoiseModel
+    innovation_rms: F64
     at_bound: frozenset[int]
 
 
@@ -57,31 +59,81 @@ def polish(problem: Problem, point: Point, torque_size: float) -> Polished | Non
     Args:
         torque_size: N·m, what the motor typically exerts.
     """
-    sources = (0, 1) if problem.plant.drive == "voltage" else (0,)
     limits = bounds(problem, torque_size)
-    noise, a = fit_noise(problem, _likelihood(problem, point, limits), sources)
-    if not noise.sources:
+    at = _likelihood(problem, point, limits)
+    a = at.sensors_alone()
+    plain, best = at.value(a), None
+    for source in (0, 1) if problem.plant.drive == "voltage" else (0,):
+        trial, value = at.with_source(a, source)
+        if value > at.value(a) - WORTH:
+            continue
+        end = _settle(problem, point, trial, limits)
+        if end is not None:
+            point, whitened, a = best = end
+            at = _likelihood(problem, point, limits)
+    if best is None:
         return None
-    for _ in range(_ROUNDS):
-        found = _minimise(problem, point, a)
-        if found is None:
-            return None
-        point, whitened, at_bound = found
-        before = a
-        noise, a = fit_noise(problem, _likelihood(problem, point, limits), sources, a)
-        if np.allclose(np.exp(a), np.exp(before), rtol=_SAME, atol=0.0):
+    whitened, rms = whiten_point(problem, point, a)
+    return Polished(point, whitened, at.model(problem, a, plain), rms, _at_bound(problem, whitened))
+
+
+def _settle(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64]) -> tuple[Point, Point, F64] | None:
+    """Steps of the parameters and of the noise in turn, until neither moves; None if they do not come to rest.
+
+    In turn, because the noise as seen from a poor estimate leads astray where the data say little.
+    """
+    settled = False
+    whitened, _ = whiten_point(problem, point, a)
+    for _ in range(_STEPS):
+        step, decrement = _step(problem, whitened)
+        if decrement < _DECREMENT and settled:
             break
-    return Polished(point, whiten_point(problem, point, a), noise, at_bound)
+        better = _along(problem, (point, whitened), step, a, decrement) if decrement >= _DECREMENT else None
+        if better is not None:
+            point, whitened = better
+        elif settled:
+            break
+        if decrement > _DECREMENT or not settled:
+            before, (a, _) = a, _likelihood(problem, point, limits).refine(a)
+            settled = bool(np.allclose(np.exp(a), np.exp(before), rtol=_SAME, atol=0.0))
+            whitened, _ = whiten_point(problem, point, a)
+    return (point, whitened, a) if _step(problem, whitened)[1] < _CLOSE else None
+
+
+def _step(problem: Problem, whitened: Point) -> tuple[F64, float]:
+    """The Gauss–Newton step and what it promises, in units of −2 log p."""
+    H, g = normal_equations(problem, whitened)
+    return stepped(H, g, ~_held(problem, whitened.unknowns, g), problem.logarithmic)
+
+
+def _held(problem: Problem, unknowns: F64, g: F64) -> NDArray[np.bool_]:
+    """Unknowns at a bound that would go beyond it."""
+    low, high = problem.bounds
+    return np.asarray((unknowns <= low) & (g < 0) | (unknowns >= high) & (g > 0))
+
+
+def _at_bound(problem: Problem, whitened: Point) -> frozenset[int]:
+    _, g = normal_equations(problem, whitened)
+    held = np.flatnonzero(_held(problem, whitened.unknowns, g))
+    return frozenset(int(k) for k in held if k < len(problem.parameter_of_column))
 
 
 def _likelihood(problem: Problem, point: Point, limits: tuple[F64, F64]) -> NoiseLikelihood:
-    weights = channel_weights(problem, point.weights)
-    return NoiseLikelihood(tangents(problem, point.unknowns), weights, point.linearisation.residuals, *limits)
+    return likelihood_of(
+        tangents(problem, point.unknowns),
+        channel_weights(problem, point.weights),
+        point.linearisation.residuals,
+        limits,
+    )
 
 
-def whiten_point(problem: Problem, point: Point, log_variance: F64) -> Point:
-    """Residuals and sensitivities through the filter, in units of the innovations' σ; its value is −2 log p."""
-    residuals, jacobians, logs = [], [], 0.0
+def whiten_point(problem: Problem, point: Point, log_variance: F64) -> tuple[Point, F64]:
+    """Residuals and sensitivities through the filter, in units of the innovations' σ; its value is −2 log p.
+
+    Returns:
+        that point, and the RMS of the innovations in the channels' units, shape (c,).
+    """
+    residuals, jacobians, logs, squares = [], [], 0.0, np.zeros(len(problem.channels))
     for model, w, r, J in zip(
         tangents(problem, point.unknowns),
         channel_weights(problem, point.weights),
@@ -93,30 +145,14 @@ def whiten_point(problem: Problem, point: Point, log_variance: F64) -> Point:
         residuals.append(out.values[:, :, 0])
         jacobians.append(out.values[:, :, 1:])
         logs += float(out.log_variance.sum())
+        squares += (residuals[-1] ** 2 * np.exp(out.log_variance)).sum(axis=0)
     ones = tuple(np.ones_like(r) for r in residuals)
     sse = np.sum([(r * r).sum(axis=0) for r in residuals], axis=0)
     linear = Linearisation(tuple(residuals), tuple(jacobians), True)
     mean, prior = problem.state_prior()
     value = logs + float(sse.sum() + prior @ (point.unknowns - mean) ** 2)
-    return Point(point.unknowns, linear, ones, sse, np.ones(len(problem.channels)), value)
-
-
-def _minimise(problem: Problem, point: Point, a: F64) -> tuple[Point, Point, frozenset[int]] | None:
-    """Gauss–Newton with the noise held; None if it does not settle."""
-    low, high = problem.bounds
-    whitened = whiten_point(problem, point, a)
-    for _ in range(_STEPS):
-        H, g = normal_equations(problem, whitened)
-        free = ~((point.unknowns <= low) & (g < 0) | (point.unknowns >= high) & (g > 0))
-        step, decrement = stepped(H, g, free, problem.logarithmic)
-        if decrement < _DECREMENT:
-            stuck = frozenset(int(k) for k in np.flatnonzero(~free) if k < len(problem.parameter_of_column))
-            return point, whitened, stuck
-        better = _along(problem, (point, whitened), step, a, decrement)
-        if better is None:
-            return None
-        point, whitened = better
-    return None
+    whitened = Point(point.unknowns, linear, ones, sse, np.ones(len(problem.channels)), value)
+    return whitened, np.sqrt(squares / problem.counts)
 
 
 def _along(
@@ -127,15 +163,15 @@ def _along(
     left out of the equations and may be as large."""
     low, high = problem.bounds
     point, whitened = here
+    step = step * min(1.0, _LONGEST / max(float(np.max(np.abs(step[problem.logarithmic]), initial=0.0)), 1e-300))
     for halved in range(_HALVINGS):
         unknowns = np.clip(point.unknowns + step / 2**halved, low, high)
         with np.errstate(over="ignore", invalid="ignore"):
             linear = problem.linearise(unknowns)
         if not linear.finite:
             continue
-        sse = np.sum([(w * r * r).sum(axis=0) for w, r in zip(point.weights, linear.residuals, strict=True)], axis=0)
-        trial = Point(unknowns, linear, point.weights, sse, np.sqrt(sse / problem.counts), point.value)
-        trial_whitened = whiten_point(problem, trial, a)
+        trial = point_of(problem, unknowns, linear, point.weights)
+        trial_whitened, _ = whiten_point(problem, trial, a)
         if decrement < 1.0 or trial_whitened.value < whitened.value:
             return trial, trial_whitened
     return None

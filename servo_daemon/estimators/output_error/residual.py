@@ -76,7 +76,9 @@ def _input_correlation(parts: list[F64], inputs: list[F64]) -> float:
     return float(best)
 
 
-def innovation_tests(problem: Problem, whitened: Point, rmse: F64, counted: Sequence[NDArray[np.bool_]]) -> dict[str, ResidualTest]:
+def innovation_tests(
+    problem: Problem, whitened: Point, rmse: F64, counted: Sequence[NDArray[np.bool_]]
+) -> dict[str, ResidualTest]:
     """The same for whitened residuals. In closed loop the input answers to a residual from its own sample on: only the
     input before it may not correlate with it.
 
@@ -86,7 +88,9 @@ def innovation_tests(problem: Problem, whitened: Point, rmse: F64, counted: Sequ
     """
     out = {}
     for c, name in enumerate(problem.channels):
-        parts = [np.where(u[:, c], r[:, c], 0.0) for r, u in zip(whitened.linearisation.residuals, counted, strict=True)]
+        parts = [
+            np.where(u[:, c], r[:, c], 0.0) for r, u in zip(whitened.linearisation.residuals, counted, strict=True)
+        ]
         inputs = [s.rows[:, INPUT] for s in problem.segments]
         n = sum(int(u[:, c].sum()) for u in counted)
         auto, cross = _autocorrelation(parts), _past_input_correlation(parts, inputs)

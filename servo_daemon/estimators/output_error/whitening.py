@@ -14,9 +14,11 @@ if the model of the noise is right. The same numbers whiten the sensitivities, c
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -81,7 +83,7 @@ def _filter_loop(n: int, c: int, k: int) -> SampleLoop:
     state, variance = ca.SX.sym("state", n_tri + n * k), ca.SX.sym("variance", SOURCES + c)
     sample = ca.SX.sym("sample", n_model + c + c * k)
     edges = np.cumsum([0, n * n, SOURCES * n, c * n, c, c * k])
-    F, g, H, weight, data = (sample[int(a) : int(b)] for a, b in zip(edges, edges[1:], strict=False))
+    F, g, H, weight, data = (sample[a:b] for a, b in pairwise(edges.tolist()))
     F, g, H, data = ca.reshape(F, n, n), ca.reshape(g, n, SOURCES), ca.reshape(H, c, n), ca.reshape(data, k, c)
     P, xi = ca.tril2symm(ca.tril(_square(state[:n_tri], n))), ca.reshape(state[n_tri:], n, k)
     whitened, logs = [], []
@@ -112,6 +114,37 @@ def _square(tri: ca.SX, n: int) -> ca.SX:
     return P
 
 
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """Samples as the filter takes them, to be run with several variances.
+
+    Attributes:
+        samples: shape (n, nx² + 2 nx + c nx + c + c k), k columns of data at the end.
+        states, channels, columns: nx, c, k.
+    """
+
+    samples: F64
+    states: int
+    channels: int
+    columns: int
+
+    def run(self, variance: F64) -> Whitened:
+        """Through the filter, with variances as for `whiten`."""
+        n, c, k = self.states, self.channels, self.columns
+        out = _filter_loop(n, c, k).run(np.zeros(n * (n + 1) // 2 + n * k), variance, self.samples)
+        return Whitened(out[:, : c * k].reshape(-1, c, k), out[:, c * k :])
+
+
+def prepare(model: F64, weights: F64, data: F64) -> Prepared:
+    """For one or up to eight columns; arguments as for `whiten`."""
+    rows, c, width = data.shape
+    k, m = (1 if width == 1 else _BATCH), model.shape[1]
+    samples = np.zeros((rows, m + c + c * k))
+    samples[:, :m], samples[:, m : m + c] = model, weights
+    samples[:, m + c :].reshape(rows, c, k)[:, :, :width] = data
+    return Prepared(samples, _states(m, c), c, k)
+
+
 def whiten(model: F64, weights: F64, data: F64, variance: F64) -> Whitened:
     """Run the filter over k columns.
 
@@ -121,25 +154,14 @@ def whiten(model: F64, weights: F64, data: F64, variance: F64) -> Whitened:
         data: shape (n, c, k).
         variance: shape (2 + c,): of w_u and w_τ, held over a step, then of each channel's noise.
     """
-    rows, c, k = data.shape
-    n = _states(model.shape[1], c)
-    batch = 1 if k == 1 else _BATCH
-    loop, values, logs = _filter_loop(n, c, batch), np.empty_like(data), np.empty((rows, c))
-    samples = np.zeros((rows, model.shape[1] + c + c * batch))
-    samples[:, : model.shape[1]], samples[:, model.shape[1] : model.shape[1] + c] = model, weights
-    for begin in range(0, k, batch):
-        width = min(batch, k - begin)
-        columns = samples[:, model.shape[1] + c :].reshape(rows, c, batch)
-        columns[:, :, :width], columns[:, :, width:] = data[:, :, begin : begin + width], 0.0
-        out = loop.run(np.zeros(n * (n + 1) // 2 + n * batch), variance, samples)
-        values[:, :, begin : begin + width] = out[:, : c * batch].reshape(rows, c, batch)[:, :, :width]
-        logs = out[:, c * batch :]
-    return Whitened(values, logs)
+    k = data.shape[2]
+    parts = [prepare(model, weights, data[:, :, b : b + _BATCH]).run(variance) for b in range(0, k, _BATCH)]
+    return Whitened(np.concatenate([p.values for p in parts], axis=2)[:, :, :k], parts[0].log_variance)
 
 
 def _states(width: int, c: int) -> int:
     """nx from nx² + 2 nx + c nx."""
-    return round((np.sqrt((SOURCES + c) ** 2 + 4 * width) - SOURCES - c) / 2)
+    return round((math.sqrt((SOURCES + c) ** 2 + 4 * width) - SOURCES - c) / 2)
 
 
 def tangents(problem: Problem, unknowns: F64) -> tuple[F64, ...]:
