@@ -129,10 +129,8 @@ def parsed() -> argparse.Namespace:
 def main() -> None:
     arguments = parsed()
     print(f"{arguments.runs} captures of {arguments.seconds:g} s at 1 kHz each; R L K J B; seed {arguments.seed}")
-    print(
-        f"{'':39s}  | std of z{'':22s} | mean of z{'':21s} | % within 95 %{'':17s} | std, %{'':29s} |  noise model, white,"
-    )
-    print(f"{'':39s}  | {'':29s} | {'':29s} | {'':29s} | {'':34s} |  not determined, %")
+    print(f"{'':39s}  | std of z{'':22s} | mean of z{'':21s} | % within 95 %{'':17s} | std, %{'':29s} | % noise model,")
+    print(f"{'':39s}  | {'':29s} | {'':29s} | {'':29s} | {'':34s} | white, not determined")
     seeds = range(arguments.seed, arguments.seed + arguments.runs)
     with ProcessPoolExecutor(arguments.jobs) as pool:
         for case, model in product(cases(arguments), arguments.models):

@@ -11,7 +11,7 @@ likelihood by much more than chance does.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,8 +23,8 @@ from servo_daemon.samples import F64
 
 #: A source must lower −2 log p by more than this: chance does so once in 10⁵ (χ² with one degree of freedom).
 WORTH = 20.0
-#: Sources, in the order in which they are tried.
-SOURCE_NAMES = ("input", "torque")
+#: Sources by index.
+INPUT_NOISE, TORQUE_NOISE = range(SOURCES)
 #: No noise is smaller than this share of its signal (in σ), nor larger than the signal.
 _LEAST, _MOST = 1e-6, 1.0
 #: σ of a source against its signal that are tried as a start.
@@ -39,18 +39,20 @@ class NoiseModel:
     """White noises, 1 σ each.
 
     Attributes:
-        sources: in use, some of "input", "torque".
-        input: of the model's input, held over a sample period; V, A or N·m as the input is.
-        torque: of a load torque, held over a sample period, N·m.
-        sensors: by channel, in its unit; never below what its steps make (step/√12).
-        gain: by how much the sources lower −2 log p.
+        input_std: of the applied voltage, held over a sample period, beyond what the recording shows, V.
+        sensor_std: by channel, in its unit; never below what its steps make (step/√12).
+        gain: by how much the voltage's noise lowers −2 log p.
     """
 
-    sources: tuple[str, ...]
-    input: float
-    torque: float
-    sensors: dict[str, float]
+    input_std: float
+    sensor_std: Mapping[str, float]
     gain: float
+
+
+def noise_model(problem: Problem, log_variance: F64, gain: float) -> NoiseModel:
+    """In the units of the signals."""
+    sigma = np.exp(log_variance / 2).tolist()
+    return NoiseModel(sigma[INPUT_NOISE], dict(zip(problem.channels, sigma[SOURCES:], strict=True)), gain)
 
 
 @dataclass(frozen=True)
@@ -89,7 +91,8 @@ class NoiseLikelihood:
     def with_source(self, a: F64, source: int) -> tuple[F64, float]:
         """The best with one source more than in `a`, and −2 log p there."""
         start = a.copy()
-        start[SOURCES:] = np.clip(self.local, self.low[SOURCES:], self.high[SOURCES:])
+        if not np.isfinite(a[:SOURCES]).any():  # so far the sensors answered for everything
+            start[SOURCES:] = np.clip(self.local, self.low[SOURCES:], self.high[SOURCES:])
         trials = []
         for share in _STARTS:
             start[source] = self.high[source] + 2 * np.log(share / _MOST)
@@ -97,23 +100,8 @@ class NoiseLikelihood:
         return self.refine(min(trials, key=lambda t: t[0])[1])
 
     def refine(self, start: F64) -> tuple[F64, float]:
-        """From variances found before; a source that is not worth its place any more goes."""
-        best, value = self.maximise(start, np.flatnonzero(start > -np.inf).tolist())
-        for source in range(SOURCES):
-            if np.isfinite(best[:SOURCES]).all():
-                fewer = best.copy()
-                fewer[source] = -np.inf
-                fewer, fewer_value = self.maximise(fewer, np.flatnonzero(fewer > -np.inf).tolist())
-                if fewer_value < value + WORTH:
-                    best, value = fewer, fewer_value
-        return best, value
-
-    def model(self, problem: Problem, a: F64, plain: float) -> NoiseModel:
-        """In the units of the signals; `plain`: −2 log p without noise that enters the motor."""
-        sigma = np.exp(a / 2).tolist()
-        names = tuple(SOURCE_NAMES[k] for k in range(SOURCES) if a[k] > -np.inf)
-        sensors = dict(zip(problem.channels, sigma[SOURCES:], strict=True))
-        return NoiseModel(names, sigma[0], sigma[1], sensors, plain - self.value(a))
+        """The best near variances found before, and −2 log p there."""
+        return self.maximise(start, np.flatnonzero(start > -np.inf).tolist())
 
     def maximise(self, start: F64, free: Sequence[int]) -> tuple[F64, float]:
         """Fisher scoring from `start` over the log-variances `free`; the others stay.

@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 
 from servo_daemon.estimators.output_error.information import Information, information, sandwich
-from servo_daemon.estimators.output_error.noise import NoiseModel, resolution
+from servo_daemon.estimators.output_error.noise import WORTH, NoiseModel, resolution
 from servo_daemon.estimators.output_error.polish import Polished, polish
 from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.output_error.residual import ResidualTest, innovation_tests, residual_tests
@@ -58,11 +58,13 @@ def conclude(problem: Problem, plain: Solution, scale: F64, option: NoiseOption,
         scale: as for `information`.
         torque_size: N·m, what the motor typically exerts.
     """
-    polished = polish(problem, plain.point, torque_size) if option == "auto" else None
+    polished = None
+    if option == "auto" and problem.plant.drive == "voltage":
+        polished = polish(problem, plain.point, torque_size)
     if polished is None:
         return _plain(problem, plain, scale, None)
     tests = innovation_tests(problem, polished.whitened, polished.innovation_rms, moving(problem), resolution(problem))
-    explained = polished.noise.sources == ("input",) and "current_A" in problem.channels
+    explained = polished.torque_gain < WORTH and "current_A" in problem.channels
     if not explained or not all(test.white for test in tests.values()):
         return _plain(problem, plain, scale, polished)
     solution = replace(plain, point=polished.point, at_bound=polished.at_bound)

@@ -19,10 +19,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_daemon.estimators.output_error.noise import WORTH, NoiseLikelihood, NoiseModel, bounds, likelihood_of
+from servo_daemon.estimators.output_error.noise import (
+    INPUT_NOISE,
+    TORQUE_NOISE,
+    WORTH,
+    NoiseLikelihood,
+    NoiseModel,
+    bounds,
+    likelihood_of,
+    noise_model,
+)
 from servo_daemon.estimators.output_error.problem import Linearisation, Problem
 from servo_daemon.estimators.output_error.solver import Point, normal_equations, point_of, stepped
-from servo_daemon.estimators.output_error.whitening import channel_weights, tangents, whiten
+from servo_daemon.estimators.output_error.whitening import channel_weights, moving, tangents, whiten
 from servo_daemon.samples import F64
 
 #: Most steps, and most halvings of one.
@@ -42,6 +51,7 @@ class Polished:
         point: of the free run there.
         whitened: the same with innovations for residuals, in units of their σ.
         noise: the noise model.
+        torque_gain: by how much a white load torque beside it would lower −2 log p.
         innovation_rms: shape (c,), in the channels' units.
         at_bound: columns of parameters that ended at a bound.
     """
@@ -49,6 +59,7 @@ class Polished:
     point: Point
     whitened: Point
     noise: NoiseModel
+    torque_gain: float
     innovation_rms: F64
     at_bound: frozenset[int]
 
@@ -61,20 +72,26 @@ def polish(problem: Problem, point: Point, torque_size: float) -> Polished | Non
     """
     limits = bounds(problem, torque_size)
     at = _likelihood(problem, point, limits)
-    a = at.sensors_alone()
-    plain, best = at.value(a), None
-    for source in (0, 1) if problem.plant.drive == "voltage" else (0,):
-        trial, value = at.with_source(a, source)
-        if value > at.value(a) - WORTH:
-            continue
-        end = _settle(problem, point, trial, limits)
-        if end is not None:
-            point, whitened, a = best = end
-            at = _likelihood(problem, point, limits)
-    if best is None:
+    alone = at.sensors_alone()
+    plain = at.value(alone)
+    a, value = at.with_source(alone, INPUT_NOISE)
+    end = _settle(problem, point, a, limits) if value < plain - WORTH else None
+    if end is None:
         return None
+    point, whitened, a = end
+    gain = plain - _likelihood(problem, point, limits).value(a)
     whitened, rms = whiten_point(problem, point, a)
-    return Polished(point, whitened, at.model(problem, a, plain), rms, _at_bound(problem, whitened))
+    torque = _torque_gain(problem, point, a, limits)
+    return Polished(point, whitened, noise_model(problem, a, gain), torque, rms, _at_bound(problem, whitened))
+
+
+def _torque_gain(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64]) -> float:
+    """By how much a white load torque would lower −2 log p. Samples of an encoder at rest are left out: one rounding
+    error, repeated, can be mistaken for a torque that holds the shaft."""
+    weights = [w * m for w, m in zip(channel_weights(problem, point.weights), moving(problem), strict=True)]
+    at = likelihood_of(tangents(problem, point.unknowns), weights, point.linearisation.residuals, limits)
+    a, value = at.refine(a)
+    return value - at.with_source(a, TORQUE_NOISE)[1]
 
 
 def _settle(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64]) -> tuple[Point, Point, F64] | None:
