@@ -7,9 +7,9 @@ error (`noise_model="none"`), which takes noise that enters the motor for the se
     .venv/bin/python -m benchmarks.identification_montecarlo --runs 300
     .venv/bin/python -m benchmarks.identification_montecarlo --runs 2000 --motors paper --motions multisine
 
-Noise: `laboratory` (sensors, encoder steps, sampling jitter, voltage noise of 0.1 % of the supply that is not recorded),
-`pieces` (the same, eight pieces of voltage noise a sample), `sensors` (white Gaussian noise of current and angle alone,
-of the laboratory's size), `pwm` (laboratory, the voltage switched at about 20 kHz).
+Noise: `laboratory` (sensors, encoder steps, sampling jitter, voltage noise of 0.1 % of the supply that is not
+recorded), `pieces` (the same, eight pieces of voltage noise a sample), `sensors` (white Gaussian noise of current and
+angle alone, of the laboratory's size), `pwm` (laboratory, the voltage switched at about 20 kHz).
 """
 
 from __future__ import annotations

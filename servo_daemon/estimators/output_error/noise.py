@@ -27,11 +27,15 @@ WORTH = 20.0
 INPUT_NOISE, TORQUE_NOISE = range(SOURCES)
 #: No noise is smaller than this share of its signal (in σ), nor larger than the signal.
 _LEAST, _MOST = 1e-6, 1.0
+#: Its square is still a number.
+_TINY = 1e-100
 #: σ of a source against its signal that are tried as a start.
 _STARTS = (1e-4, 1e-3, 1e-2, 1e-1)
 _DIFFERENCE, _LONGEST, _ENOUGH, _ROUNDS = 1e-3, 3.0, 1e-2, 30
 #: Share of differences that must be multiples of the smallest for it to be the channel's step.
 _STEPPED = 0.99
+#: The smallest difference is at most so many steps; how near to a whole number counts as one.
+_COARSEST, _WHOLE = 4, 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,9 +161,14 @@ def bounds(problem: Problem, torque_size: float) -> tuple[F64, F64]:
     """Of the log-variances: from a millionth of the signal, or its steps, to the signal."""
     u = np.concatenate([s.rows[:, INPUT] for s in problem.segments])
     size = np.array([max(float(np.sqrt(np.mean(u * u))), 1e-300), max(torque_size, 1e-300), *problem.spread])
-    low = _LEAST * size
+    low = np.maximum(_LEAST * size, _TINY)
     low[SOURCES:] = np.maximum(low[SOURCES:], resolution(problem) / np.sqrt(12.0))
     return 2 * np.log(low), 2 * np.log(np.maximum(_MOST * size, low))
+
+
+def _multiples(ratio: F64) -> float:
+    """Share of whole numbers."""
+    return float(np.mean(np.abs(ratio - np.round(ratio)) < _WHOLE))
 
 
 def resolution(problem: Problem) -> F64:
@@ -169,9 +178,9 @@ def resolution(problem: Problem) -> F64:
         values = np.concatenate([s.measured[s.valid[:, c], c] for s in problem.segments])
         d = np.diff(np.unique(values))
         d = d[d > 1e-9 * max(float(np.ptp(values)), 1e-300)]
-        if len(d):
-            ratio = d / d.min()
-            out[c] = d.min() if np.mean(np.abs(ratio - np.round(ratio)) < 0.05) > _STEPPED else 0.0
+        # The smallest difference may be two or three steps, where nothing is slow.
+        steps = [d.min() / m for m in range(1, _COARSEST + 1)] if len(d) else []
+        out[c] = next((step for step in steps if _multiples(d / step) > _STEPPED), 0.0)
     return out
 
 

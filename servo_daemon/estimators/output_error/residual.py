@@ -20,7 +20,7 @@ RELEVANT = 0.1
 #: Correlation of a residual with the past input beyond which the model lacks some of the response.
 _SIGNIFICANT = 4.0
 #: Correlation that a pattern of rounding may have, and the power of sums over `_BLOCK` samples, 1 for white noise.
-_PATTERN, _SLOW, _BLOCK = 0.35, 1.6, 20
+_PATTERN, _SLOW, _BLOCK = 0.6, 2.0, 20
 
 
 @dataclass(frozen=True, slots=True)
