@@ -30,12 +30,18 @@ from servo_daemon.estimators.output_error.noise import (
     noise_model,
 )
 from servo_daemon.estimators.output_error.problem import Linearisation, Problem
-from servo_daemon.estimators.output_error.solver import Point, normal_equations, point_of, stepped
+from servo_daemon.estimators.output_error.solver import Point, normal_equations, point_of
 from servo_daemon.estimators.output_error.whitening import channel_weights, moving, tangents, whiten
 from servo_daemon.samples import F64
 
 #: Most steps, and most halvings of one.
 _STEPS, _HALVINGS = 30, 6
+#: A step left over that is not smaller than this share of the last one has gone too far.
+_PROGRESS = 0.8
+#: Keeps a direction that the data do not show where it is, in units of what each unknown is known by.
+_RIDGE = 1e-10
+#: Directions of which the data know less than this (1/σ², σ of three e-folds) stay: a friction near zero.
+_FAINT = 0.1
 #: No logarithm moves by more in one step.
 _LONGEST = 0.5
 #: Settled when the step left over is this many standard deviations, squared, and no variance changes by a larger share;
@@ -99,13 +105,14 @@ def _settle(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64]) -> 
 
     In turn, because the noise as seen from a poor estimate leads astray where the data say little.
     """
-    settled = False
+    settled, share, last = False, 1.0, np.inf
     whitened, _ = whiten_point(problem, point, a)
     for _ in range(_STEPS):
         step, decrement = _step(problem, whitened)
+        share, last = (share / 2 if decrement > _PROGRESS * last else share), decrement  # to and fro in a bent valley
         if decrement < _DECREMENT and settled:
             break
-        better = _along(problem, (point, whitened), step, a, decrement) if decrement >= _DECREMENT else None
+        better = _along(problem, (point, whitened), share * step, a, decrement) if decrement >= _DECREMENT else None
         if better is not None:
             point, whitened = better
         elif settled:
@@ -120,7 +127,13 @@ def _settle(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64]) -> 
 def _step(problem: Problem, whitened: Point) -> tuple[F64, float]:
     """The Gauss–Newton step and what it promises, in units of −2 log p."""
     H, g = normal_equations(problem, whitened)
-    return stepped(H, g, ~_held(problem, whitened.unknowns, g), problem.logarithmic)
+    H = H + np.diag(np.where(problem.logarithmic, _FAINT, 0.0))
+    free = ~_held(problem, whitened.unknowns, g) & (np.diag(H) > 0)
+    size = np.sqrt(np.diag(H)[free])
+    A = H[np.ix_(free, free)] / np.outer(size, size) + _RIDGE * np.eye(len(size))
+    step = np.zeros(len(g))
+    step[free] = np.linalg.solve(A, g[free] / size) / size
+    return step, float(g @ step)
 
 
 def _held(problem: Problem, unknowns: F64, g: F64) -> NDArray[np.bool_]:
@@ -180,7 +193,7 @@ def _along(
     left out of the equations and may be as large."""
     low, high = problem.bounds
     point, whitened = here
-    step = step * min(1.0, _LONGEST / max(float(np.max(np.abs(step[problem.logarithmic]), initial=0.0)), 1e-300))
+    step = np.where(problem.logarithmic, np.clip(step, -_LONGEST, _LONGEST), step)
     for halved in range(_HALVINGS):
         unknowns = np.clip(point.unknowns + step / 2**halved, low, high)
         with np.errstate(over="ignore", invalid="ignore"):

@@ -207,12 +207,6 @@ def normal_equations(problem: Problem, point: Point) -> tuple[F64, F64]:
     return H, g
 
 
-def stepped(H: F64, g: F64, free: NDArray[np.bool_], logarithmic: NDArray[np.bool_]) -> tuple[F64, float]:
-    """The least damped step and what it promises."""
-    step, _ = _step(H, g, free, _LEAST_DAMPING, logarithmic)
-    return step, _decrement(H, g, free)
-
-
 def _moved(problem: Problem, unknowns: F64, step: F64) -> F64:
     """The point after a step. A logarithm's step δ multiplies the parameter by 1 + δ, or divides it by 1 + |δ| if it is
     negative: to first order the same as e^δ, but what is shown is nearly linear in a torque constant that is 60 times
