@@ -12,7 +12,9 @@ import numpy as np
 from servo_daemon.errors import NumericalError
 from servo_daemon.estimators.base import from_coordinate
 from servo_daemon.estimators.output_error.combinations import Combination, determined_combinations
-from servo_daemon.estimators.output_error.information import Information, NullDirection, information, sandwich
+from servo_daemon.estimators.output_error.information import Information, NullDirection, information
+from servo_daemon.estimators.output_error.noise import NoiseModel
+from servo_daemon.estimators.output_error.outcome import NoiseOption, conclude
 from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.output_error.residual import ResidualTest, residual_tests
 from servo_daemon.estimators.output_error.setup import OFFSETS, Recording, current_size, make_problem
@@ -42,12 +44,15 @@ class FitOptions:
         fixed: held at these values.
         robust: isolated wrong samples lose weight.
         segment_s: cut recordings into pieces of about this length.
+        noise_model: "auto": noise that enters the motor is looked for and, if it explains the residuals, weighed;
+            "none": plain output error.
     """
 
     nominal: Mapping[str, float] = field(default_factory=dict)
     fixed: Mapping[str, float] = field(default_factory=dict)
     robust: bool = True
     segment_s: float | None = None
+    noise_model: NoiseOption = "auto"
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +84,11 @@ class OutputErrorFit:
         correlation: of the determined shared parameters, by name.
         before, after: what the recordings determine, at the start and at the end.
         combinations: what is determined of parameters that are not.
-        residual: by channel.
+        residual: of the free run, by channel.
+        innovation: of the noise model's filter, by channel, where that model is used.
+        noise: noise that enters the motor, where it explains what the free run leaves: `solution` is then the estimate
+            of largest likelihood under it. None: plain output error.
+        plain: the plain output-error solution, whatever was published; `iterations` are its own.
         start: which start won.
         seconds: time taken.
     """
@@ -93,6 +102,9 @@ class OutputErrorFit:
     after: Information
     combinations: tuple[Combination, ...]
     residual: Mapping[str, ResidualTest]
+    innovation: Mapping[str, ResidualTest] | None
+    noise: NoiseModel | None
+    plain: Solution
     start: str
     seconds: float
 
@@ -102,7 +114,8 @@ class OutputErrorFit:
 
     @property
     def white(self) -> bool:
-        return all(test.white for test in self.residual.values())
+        """Whether the model and the noise explain the data."""
+        return all(test.white for test in (self.innovation or self.residual).values())
 
     def cost(self, iteration: Iteration) -> float:
         """Mean squared residual over the mean square of the measured signal about its mean; over several channels the
@@ -135,10 +148,8 @@ def fit_output_error(
     solution, start = _search(problem, starts, options.robust)
     first = solve(problem, problem.start(coordinates(start, problem)), robust=False, max_iterations=0)
     assert first is not None  # it was searched from
-    after = information(problem, solution.point, scale)
-    residual = residual_tests(problem, solution.point)
-    if not all(test.white for test in residual.values()):
-        after = replace(after, covariance=sandwich(problem, solution.point, after))
+    outcome = conclude(problem, solution, scale, options.noise_model, _torque_size(problem, recordings, solution))
+    plain, solution, after = solution, outcome.solution, outcome.information
     parameters, offsets = _parameters(problem, solution, after, options)
     return OutputErrorFit(
         problem=problem,
@@ -151,7 +162,10 @@ def fit_output_error(
         combinations=determined_combinations(
             problem.plant, problem.coordinates(solution.point.unknowns, 0), after, scale
         ),
-        residual=residual,
+        residual=outcome.residual,
+        innovation=outcome.innovation,
+        noise=outcome.noise,
+        plain=plain,
         start=start.source,
         seconds=time.perf_counter() - began,
     )
@@ -229,6 +243,14 @@ def _coordinate_scale(problem: Problem, recordings: Sequence[Recording], start: 
         return 1.0 if p.transform == "log" else max(sizes.get(p.unit, 1.0), 1e-12)
 
     return np.array([unit(table[name]) for name in problem.parameter_of_column])
+
+
+def _torque_size(problem: Problem, recordings: Sequence[Recording], solution: Solution) -> float:
+    """N·m, what the motor exerts in its longest recording, as fitted."""
+    names, q = problem.plant.parameter_names, problem.coordinates(solution.point.unknowns, 0)
+    table = {p.name: p for p in problem.plant.parameters}
+    values = {n: from_coordinate(table[n], float(c), 0.0)[0] for n, c in zip(names, q, strict=True)}
+    return torque_size(values, max((r.block for r in recordings), key=len), problem.plant.drive)
 
 
 def _parameters(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.output_error.rollout import INPUT
@@ -17,6 +19,8 @@ LAGS = 25
 RELEVANT = 0.1
 #: Correlation of a residual with the past input beyond which the model lacks some of the response.
 _SIGNIFICANT = 4.0
+#: Correlation that a pattern of rounding may have, and the power of sums over `_BLOCK` samples, 1 for white noise.
+_PATTERN, _SLOW, _BLOCK = 0.6, 2.0, 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,3 +76,54 @@ def _input_correlation(parts: list[F64], inputs: list[F64]) -> float:
         value = sum(float(a[k:] @ b[: len(b) - k]) for a, b in zip(r, u, strict=True) if len(a) > k) / power
         best = max(best, value, key=abs)
     return float(best)
+
+
+def innovation_tests(
+    problem: Problem, whitened: Point, rms: F64, counted: Sequence[NDArray[np.bool_]], resolution: F64
+) -> dict[str, ResidualTest]:
+    """The same for whitened residuals.
+
+    In closed loop the input answers to a residual from its own sample on: only the input before it may not correlate
+    with it. At constant speed the rounding errors of an encoder repeat after a few samples: where rounding is most of
+    the noise, a correlation is none of the model's as long as there is no more power at low frequencies, where motors
+    live, than elsewhere.
+
+    Args:
+        rms: shape (c,), of the innovations in the channels' units.
+        counted: per segment, shape (n, c): samples that are a sample of the noise; a standing encoder's are not.
+        resolution: shape (c,), step of each channel's values, or 0.
+    """
+    out = {}
+    inputs = [s.rows[:, INPUT] for s in problem.segments]
+    for c, name in enumerate(problem.channels):
+        parts = [
+            np.where(u[:, c], r[:, c], 0.0) for r, u in zip(whitened.linearisation.residuals, counted, strict=True)
+        ]
+        every, n = [r[:, c] for r in whitened.linearisation.residuals], sum(int(u[:, c].sum()) for u in counted)
+        auto, cross = _autocorrelation(parts), _past_input_correlation(parts, inputs)
+        limit = max(RELEVANT, _SIGNIFICANT / np.sqrt(max(n, 1)))
+        rounding = resolution[c] ** 2 / 12.0 > 0.5 * rms[c] ** 2
+        pattern = bool(rounding and abs(auto) < _PATTERN and _slow_excess(every) < _SLOW)
+        white = abs(cross) < limit and (abs(auto) < limit or pattern)
+        out[name] = ResidualTest(float(rms[c]), auto, cross, bool(white), 0)
+    return out
+
+
+def _slow_excess(parts: list[F64]) -> float:
+    """Mean square of sums over `_BLOCK` samples over what it is for white noise."""
+    sums = [np.add.reduceat(r, np.arange(0, len(r) - _BLOCK + 1, _BLOCK)) for r in parts if len(r) >= _BLOCK]
+    power = sum(float(r @ r) for r in parts) / sum(map(len, parts))
+    if not sums or power == 0.0:
+        return 1.0
+    return float(np.mean(np.concatenate(sums) ** 2)) / (_BLOCK * power)
+
+
+def _past_input_correlation(parts: list[F64], inputs: list[F64]) -> float:
+    """Of white residuals with the input's changes at least one sample earlier."""
+    u = [np.diff(x, prepend=x[0]) for x in inputs]
+    power = np.sqrt(sum(float(x @ x) for x in parts) * sum(float(x @ x) for x in u))
+    if power == 0.0:
+        return 0.0
+    lags = range(1, LAGS + 1)
+    values = [sum(float(a[k:] @ b[:-k]) for a, b in zip(parts, u, strict=True) if len(a) > k) / power for k in lags]
+    return float(max(values, key=abs))

@@ -174,14 +174,14 @@ def _evaluate(problem: Problem, unknowns: F64, weights: tuple[F64, ...] | None) 
     if not linearisation.finite:
         return None
     weights = weights or tuple(np.ones_like(r) for r in linearisation.residuals)
-    return _point(problem, unknowns, linearisation, weights)
+    return point_of(problem, unknowns, linearisation, weights)
 
 
 def _reweigh(problem: Problem, point: Point) -> Point:
-    return _point(problem, point.unknowns, point.linearisation, sample_weights(point.linearisation.residuals))
+    return point_of(problem, point.unknowns, point.linearisation, sample_weights(point.linearisation.residuals))
 
 
-def _point(problem: Problem, unknowns: F64, linearisation: Linearisation, weights: tuple[F64, ...]) -> Point:
+def point_of(problem: Problem, unknowns: F64, linearisation: Linearisation, weights: tuple[F64, ...]) -> Point:
     sse = np.sum([(w * r * r).sum(axis=0) for w, r in zip(weights, linearisation.residuals, strict=True)], axis=0)
     floor = (_FINEST * problem.spread) ** 2
     variance = sse / problem.counts + floor

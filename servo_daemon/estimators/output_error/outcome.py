@@ -1,0 +1,94 @@
+"""Which estimate is published, with which covariance: plain output error, or the likelihood's with the noise it found.
+
+Plain output error is the likelihood's own answer where the sensors' noise is all there is, and it is the safer one
+where the model lacks something: a free run shows what is missing, a filter would follow it. So the likelihood's answer
+is taken only if noise of the voltage explains the residuals: the innovations are white, and a white load torque beside
+it adds nothing.
+
+A white load torque is no explanation. Encoders are coarse against what a torque does to an angle within a sample, so
+that a filter with enough of it follows whatever is missing and leaves white innovations: dry friction of 2 % of the
+working torque passes for a white torque of 4 %. Where the likelihood asks for one, the model lacks something, and plain
+output error is published, with the larger standard deviations. The same goes for drives without a measured current or
+voltage, where noise of the input cannot be told from a torque.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from servo_daemon.estimators.output_error.information import Information, information, sandwich
+from servo_daemon.estimators.output_error.noise import WORTH, NoiseModel, resolution
+from servo_daemon.estimators.output_error.polish import Polished, polish
+from servo_daemon.estimators.output_error.problem import Problem
+from servo_daemon.estimators.output_error.residual import ResidualTest, innovation_tests, residual_tests
+from servo_daemon.estimators.output_error.solver import Solution
+from servo_daemon.estimators.output_error.whitening import moving
+from servo_daemon.samples import F64
+
+NoiseOption = Literal["auto", "none"]
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What is published.
+
+    Attributes:
+        solution: the estimate.
+        information: what is known there; its covariance is that of the estimate.
+        residual: of the free run there, by channel.
+        innovation: of the filter, by channel; None without a noise model.
+        noise: the noise model the estimate is for; None: plain output error.
+    """
+
+    solution: Solution
+    information: Information
+    residual: Mapping[str, ResidualTest]
+    innovation: Mapping[str, ResidualTest] | None
+    noise: NoiseModel | None
+
+
+def conclude(problem: Problem, plain: Solution, scale: F64, option: NoiseOption, torque_size: float) -> Outcome:
+    """From the plain output-error solution to what is published.
+
+    Args:
+        scale: as for `information`.
+        torque_size: N·m, what the motor typically exerts.
+    """
+    polished = None
+    if option == "auto" and problem.plant.drive == "voltage":
+        polished = polish(problem, plain.point, torque_size)
+    if polished is None:
+        return _plain(problem, plain, scale, None)
+    tests = innovation_tests(problem, polished.whitened, polished.innovation_rms, moving(problem), resolution(problem))
+    explained = polished.torque_gain < WORTH and "current_A" in problem.channels
+    if not explained or not all(test.white for test in tests.values()):
+        return _plain(problem, plain, scale, polished)
+    solution = replace(plain, point=polished.point, at_bound=polished.at_bound)
+    known = information(problem, polished.whitened, scale)
+    return Outcome(solution, known, residual_tests(problem, polished.point), tests, polished.noise)
+
+
+def _plain(problem: Problem, plain: Solution, scale: F64, rejected: Polished | None) -> Outcome:
+    """The standard deviations are the largest of those that can be defended: of white residuals, of coloured ones by
+    their spectrum, and of the noise model, whose innovations count as many times as they correlate."""
+    known = information(problem, plain.point, scale)
+    residual = residual_tests(problem, plain.point)
+    if rejected is not None or not all(test.white for test in residual.values()):
+        covariances = [sandwich(problem, plain.point, known)]
+        if rejected is not None:
+            filtered = information(problem, rejected.whitened, scale)
+            covariances += [filtered.covariance, sandwich(problem, rejected.whitened, filtered)]
+        known = replace(known, covariance=_widened(covariances))
+    return Outcome(plain, known, residual, None, None)
+
+
+def _widened(covariances: list[F64]) -> F64:
+    """The first with the largest of all variances."""
+    variance = np.diag(covariances[0])
+    largest = np.max([np.diag(c) for c in covariances], axis=0)
+    factor = np.sqrt(np.where(variance > 0, largest / np.where(variance > 0, variance, 1.0), 1.0))
+    return np.asarray(covariances[0] * np.outer(factor, factor))

@@ -1,0 +1,207 @@
+"""The maximum-likelihood estimate under noise that enters the motor: Gauss–Newton on whitened residuals.
+
+Output error weighs every sample alike. Where noise enters the motor, its residuals are coloured, its weights wrong and
+its standard deviations too small; in closed loop, where the recorded input answers to that noise, it is biased. Here
+residuals and sensitivities go through the same Kalman filter (`whitening`), and
+
+    Σ J̃ᵀ ε̃ = 0
+
+is solved, relinearised until nothing moves. The filter is causal and the sensitivities are those of the free run, which
+knows the input only: with the right noise model an innovation is independent of all that came before it, the input's
+answers included, so that the equation holds on average at the true parameters, in closed loop as well (Ljung, *System
+Identification*, 2nd ed. 1999, sec. 8.4; Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015, ch. 5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_daemon.estimators.output_error.noise import (
+    INPUT_NOISE,
+    TORQUE_NOISE,
+    WORTH,
+    NoiseLikelihood,
+    NoiseModel,
+    bounds,
+    likelihood_of,
+    noise_model,
+)
+from servo_daemon.estimators.output_error.problem import Linearisation, Problem
+from servo_daemon.estimators.output_error.solver import Point, normal_equations, point_of
+from servo_daemon.estimators.output_error.whitening import channel_weights, moving, tangents, whiten
+from servo_daemon.samples import F64
+
+#: Most steps, and most halvings of one.
+_STEPS, _HALVINGS = 30, 6
+#: A step left over that is not smaller than this share of the last one has gone too far.
+_PROGRESS = 0.8
+#: Keeps a direction that the data do not show where it is, in units of what each unknown is known by.
+_RIDGE = 1e-10
+#: Directions of which the data know less than this (1/σ², σ of three e-folds) stay: a friction near zero.
+_FAINT = 0.1
+#: No logarithm moves by more in one step.
+_LONGEST = 0.5
+#: Settled when the step left over is this many standard deviations, squared, and no variance changes by a larger share;
+#: close enough where it comes no nearer.
+_DECREMENT, _SAME, _CLOSE = 1e-4, 0.01, 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Polished:
+    """Where the likelihood is largest.
+
+    Attributes:
+        point: of the free run there.
+        whitened: the same with innovations for residuals, in units of their σ.
+        noise: the noise model.
+        torque_gain: by how much a white load torque beside it would lower −2 log p.
+        innovation_rms: shape (c,), in the channels' units.
+        at_bound: columns of parameters that ended at a bound.
+    """
+
+    point: Point
+    whitened: Point
+    noise: NoiseModel
+    torque_gain: float
+    innovation_rms: F64
+    at_bound: frozenset[int]
+
+
+def polish(problem: Problem, point: Point, torque_size: float) -> Polished | None:
+    """From the plain output-error estimate; None where no noise but the sensors' is seen, or no estimate is found.
+
+    Args:
+        torque_size: N·m, what the motor typically exerts.
+    """
+    limits = bounds(problem, torque_size)
+    at = _likelihood(problem, point, limits)
+    alone = at.sensors_alone()
+    plain = at.value(alone)
+    a, value = at.with_source(alone, INPUT_NOISE)
+    end = _settle(problem, point, a, limits) if value < plain - WORTH else None
+    if end is None:
+        return None
+    point, whitened, a = end
+    gain = plain - _likelihood(problem, point, limits).value(a)
+    whitened, rms = whiten_point(problem, point, a)
+    torque = _torque_gain(problem, point, a, limits)
+    return Polished(point, whitened, noise_model(problem, a, gain), torque, rms, _at_bound(problem, whitened))
+
+
+def _torque_gain(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64]) -> float:
+    """By how much a white load torque would lower −2 log p. Samples of an encoder at rest are left out: one rounding
+    error, repeated, can be mistaken for a torque that holds the shaft."""
+    weights = [w * m for w, m in zip(channel_weights(problem, point.weights), moving(problem), strict=True)]
+    at = likelihood_of(tangents(problem, point.unknowns), weights, point.linearisation.residuals, limits)
+    a, value = at.refine(a)
+    return value - at.with_source(a, TORQUE_NOISE)[1]
+
+
+def _settle(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64]) -> tuple[Point, Point, F64] | None:
+    """Steps of the parameters and of the noise in turn, until neither moves; None if they do not come to rest.
+
+    In turn, because the noise as seen from a poor estimate leads astray where the data say little.
+    """
+    settled, share, last = False, 1.0, np.inf
+    whitened, _ = whiten_point(problem, point, a)
+    for _ in range(_STEPS):
+        step, decrement = _step(problem, whitened)
+        share, last = (share / 2 if decrement > _PROGRESS * last else share), decrement  # to and fro in a bent valley
+        if decrement < _DECREMENT and settled:
+            break
+        better = _along(problem, (point, whitened), share * step, a, decrement) if decrement >= _DECREMENT else None
+        if better is not None:
+            point, whitened = better
+        elif settled:
+            break
+        if decrement > _DECREMENT or not settled:
+            before, (a, _) = a, _likelihood(problem, point, limits).refine(a)
+            settled = bool(np.allclose(np.exp(a), np.exp(before), rtol=_SAME, atol=0.0))
+            whitened, _ = whiten_point(problem, point, a)
+    return (point, whitened, a) if _step(problem, whitened)[1] < _CLOSE else None
+
+
+def _step(problem: Problem, whitened: Point) -> tuple[F64, float]:
+    """The Gauss–Newton step and what it promises, in units of −2 log p."""
+    H, g = normal_equations(problem, whitened)
+    H = H + np.diag(np.where(problem.logarithmic, _FAINT, 0.0))
+    free = ~_held(problem, whitened.unknowns, g) & (np.diag(H) > 0)
+    size = np.sqrt(np.diag(H)[free])
+    A = H[np.ix_(free, free)] / np.outer(size, size) + _RIDGE * np.eye(len(size))
+    step = np.zeros(len(g))
+    step[free] = np.linalg.solve(A, g[free] / size) / size
+    return step, float(g @ step)
+
+
+def _held(problem: Problem, unknowns: F64, g: F64) -> NDArray[np.bool_]:
+    """Unknowns at a bound that would go beyond it."""
+    low, high = problem.bounds
+    return np.asarray((unknowns <= low) & (g < 0) | (unknowns >= high) & (g > 0))
+
+
+def _at_bound(problem: Problem, whitened: Point) -> frozenset[int]:
+    _, g = normal_equations(problem, whitened)
+    held = np.flatnonzero(_held(problem, whitened.unknowns, g))
+    return frozenset(int(k) for k in held if k < len(problem.parameter_of_column))
+
+
+def _likelihood(problem: Problem, point: Point, limits: tuple[F64, F64]) -> NoiseLikelihood:
+    return likelihood_of(
+        tangents(problem, point.unknowns),
+        channel_weights(problem, point.weights),
+        point.linearisation.residuals,
+        limits,
+    )
+
+
+def whiten_point(problem: Problem, point: Point, log_variance: F64) -> tuple[Point, F64]:
+    """Residuals and sensitivities through the filter, in units of the innovations' σ; its value is −2 log p.
+
+    Returns:
+        that point, and the RMS of the innovations in the channels' units, shape (c,).
+    """
+    residuals, jacobians, logs, squares = [], [], 0.0, np.zeros(len(problem.channels))
+    for model, w, r, J in zip(
+        tangents(problem, point.unknowns),
+        channel_weights(problem, point.weights),
+        point.linearisation.residuals,
+        point.linearisation.jacobian,
+        strict=True,
+    ):
+        out = whiten(model, w, np.concatenate([r[:, :, None], J], axis=2), np.exp(log_variance))
+        residuals.append(out.values[:, :, 0])
+        jacobians.append(out.values[:, :, 1:])
+        logs += float(out.log_variance.sum())
+        squares += (residuals[-1] ** 2 * np.exp(out.log_variance)).sum(axis=0)
+    ones = tuple(np.ones_like(r) for r in residuals)
+    sse = np.sum([(r * r).sum(axis=0) for r in residuals], axis=0)
+    linear = Linearisation(tuple(residuals), tuple(jacobians), True)
+    mean, prior = problem.state_prior()
+    value = logs + float(sse.sum() + prior @ (point.unknowns - mean) ** 2)
+    whitened = Point(point.unknowns, linear, ones, sse, np.ones(len(problem.channels)), value)
+    return whitened, np.sqrt(squares / problem.counts)
+
+
+def _along(
+    problem: Problem, here: tuple[Point, Point], step: F64, a: F64, decrement: float
+) -> tuple[Point, Point] | None:
+    """The first point along the step, halved at most `_HALVINGS` times, that is as good as this one. A step of less
+    than a standard deviation is not asked: what the filter's own change with the parameters does to the likelihood is
+    left out of the equations and may be as large."""
+    low, high = problem.bounds
+    point, whitened = here
+    step = np.where(problem.logarithmic, np.clip(step, -_LONGEST, _LONGEST), step)
+    for halved in range(_HALVINGS):
+        unknowns = np.clip(point.unknowns + step / 2**halved, low, high)
+        with np.errstate(over="ignore", invalid="ignore"):
+            linear = problem.linearise(unknowns)
+        if not linear.finite:
+            continue
+        trial = point_of(problem, unknowns, linear, point.weights)
+        trial_whitened, _ = whiten_point(problem, trial, a)
+        if decrement < 1.0 or trial_whitened.value < whitened.value:
+            return trial, trial_whitened
+    return None

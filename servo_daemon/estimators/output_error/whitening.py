@@ -1,0 +1,196 @@
+"""Kalman filter of what a free run leaves, linear along the simulated trajectory, over any number of columns at once.
+
+A free run knows nothing of the noise that enters the motor: a voltage or torque that the recording does not show is
+integrated and leaves coloured residuals. To first order they obey
+
+    ξ⁺ = F ξ + g_u w_u + g_τ w_τ,   ξ(0) = 0          F = ∂f/∂x at the simulated state, w white, held over a step
+    e = H ξ + v                                         v white, one variance for each channel
+
+(ξ(0) = 0: the initial state is an unknown of the fit, its error is a column of the sensitivities). The filter's
+innovations over their standard deviations are the residuals times the inverse Cholesky factor of their covariance
+(Kailath, Sayed & Hassibi, *Linear Estimation*, 2000, ch. 9; Ljung, *System Identification*, 2nd ed. 1999, ch. 3): white
+if the model of the noise is right. The same numbers whiten the sensitivities, column by column.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_daemon.estimators.ekf_layout import MEASURABLE
+from servo_daemon.estimators.ekf_model import natural
+from servo_daemon.estimators.output_error.problem import Problem
+from servo_daemon.estimators.output_error.rollout import INPUT, STEP, TIME
+from servo_daemon.plant.build import PlantModel
+from servo_daemon.plant.compiled import SampleLoop
+from servo_daemon.samples import F64
+
+#: White inputs: of the model's input and of the load torque.
+SOURCES = 2
+#: Columns that one compiled pass takes; one alone for the likelihood.
+_BATCH = 8
+#: More equal samples in a row are a channel that stands.
+_LONGEST_REPEAT = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Whitened:
+    """Innovations over their standard deviations.
+
+    Attributes:
+        values: shape (n, c, k); 0 where a sample is not valid.
+        log_variance: shape (n, c), of the innovations; 0 where not valid.
+    """
+
+    values: F64
+    log_variance: F64
+
+
+@cache
+def _tangent_loop(plant: PlantModel, channels: tuple[str, ...]) -> SampleLoop:
+    """Along a free run: F, the two noise gains, H, all column-major."""
+    n, row = len(plant.states), ca.SX.sym("row", 3)
+    x, q = ca.SX.sym("x", n), ca.SX.sym("q", len(plant.parameters))
+    u, t, h = row[INPUT], row[TIME], row[STEP]
+    p = natural(plant, q)
+    x_next = plant.step(x, u, p, t, h)
+    shown = ca.vertcat(*[plant.sensed(x, p, t)[MEASURABLE.index(c)] for c in channels])
+    per_input, gain = ca.jacobian(x_next, u), plant.noise_gain(x, u, p, t, h)
+    # Dry friction that sticks lets nothing through: the share of the input's gain that is left is the torque's, too.
+    speed = plant.state_names.index("velocity_rad_s")
+    through = per_input[speed] / gain[speed, 0]
+    parts = [ca.jacobian(x_next, x), per_input, gain[:, 1] * through, ca.jacobian(shown, x)]
+    outputs = ca.vertcat(*[ca.vec(ca.densify(part)) for part in parts])
+    return SampleLoop(ca.Function("step", [x, q, row], ca.cse([x_next, outputs])))
+
+
+def tangent(plant: PlantModel, channels: tuple[str, ...], q: F64, x0: F64, rows: F64) -> F64:
+    """F, (g_u, g_τ), H at every sample of a free run, each by columns; shape (n, nx² + 2 nx + c nx)."""
+    return _tangent_loop(plant, channels).run(np.array(x0, dtype=np.float64), q, rows)
+
+
+@cache
+def _filter_loop(n: int, c: int, k: int) -> SampleLoop:
+    """Measurement update channel by channel, then prediction, for k columns of data."""
+    n_tri, n_model = n * (n + 1) // 2, n * n + SOURCES * n + c * n
+    state, variance = ca.SX.sym("state", n_tri + n * k), ca.SX.sym("variance", SOURCES + c)
+    sample = ca.SX.sym("sample", n_model + c + c * k)
+    edges = np.cumsum([0, n * n, SOURCES * n, c * n, c, c * k])
+    F, g, H, weight, data = (sample[a:b] for a, b in pairwise(edges.tolist()))
+    F, g, H, data = ca.reshape(F, n, n), ca.reshape(g, n, SOURCES), ca.reshape(H, c, n), ca.reshape(data, k, c)
+    P, xi = ca.tril2symm(ca.tril(_square(state[:n_tri], n))), ca.reshape(state[n_tri:], n, k)
+    whitened, logs = [], []
+    for m in range(c):
+        valid = weight[m] > 0
+        PHt = P @ H[m, :].T
+        s = H[m, :] @ PHt + variance[SOURCES + m] / ca.if_else(valid, weight[m], 1.0)
+        innovation = data[:, m].T - H[m, :] @ xi
+        xi = xi + valid / s * (PHt @ innovation)
+        P = P - valid / s * (PHt @ PHt.T)
+        whitened.append(valid / ca.sqrt(s) * innovation.T)
+        logs.append(valid * ca.log(s))
+    noise = g @ ca.diag(variance[:SOURCES]) @ g.T
+    P = F @ P @ F.T + noise
+    lower = ca.vertcat(*[P[row, column] for column in range(n) for row in range(column, n)])
+    next_state = ca.vertcat(lower, ca.vec(F @ xi))
+    return SampleLoop(
+        ca.Function("step", [state, variance, sample], ca.cse([next_state, ca.vertcat(*whitened, *logs)]))
+    )
+
+
+def _square(tri: ca.SX, n: int) -> ca.SX:
+    P, at = ca.SX.zeros(n, n), 0
+    for column in range(n):
+        for row in range(column, n):
+            P[row, column] = tri[at]
+            at += 1
+    return P
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """Samples as the filter takes them, to be run with several variances.
+
+    Attributes:
+        samples: shape (n, nx² + 2 nx + c nx + c + c k), k columns of data at the end.
+        states, channels, columns: nx, c, k.
+    """
+
+    samples: F64
+    states: int
+    channels: int
+    columns: int
+
+    def run(self, variance: F64) -> Whitened:
+        """Through the filter, with variances as for `whiten`."""
+        n, c, k = self.states, self.channels, self.columns
+        out = _filter_loop(n, c, k).run(np.zeros(n * (n + 1) // 2 + n * k), variance, self.samples)
+        return Whitened(out[:, : c * k].reshape(-1, c, k), out[:, c * k :])
+
+
+def prepare(model: F64, weights: F64, data: F64) -> Prepared:
+    """For one or up to eight columns; arguments as for `whiten`."""
+    rows, c, width = data.shape
+    k, m = (1 if width == 1 else _BATCH), model.shape[1]
+    samples = np.zeros((rows, m + c + c * k))
+    samples[:, :m], samples[:, m : m + c] = model, weights
+    samples[:, m + c :].reshape(rows, c, k)[:, :, :width] = data
+    return Prepared(samples, _states(m, c), c, k)
+
+
+def whiten(model: F64, weights: F64, data: F64, variance: F64) -> Whitened:
+    """Run the filter over k columns.
+
+    Args:
+        model: shape (n, …), see `tangent`.
+        weights: shape (n, c); a channel's variance is divided by it, 0: not valid.
+        data: shape (n, c, k).
+        variance: shape (2 + c,): of w_u and w_τ, held over a step, then of each channel's noise.
+    """
+    k = data.shape[2]
+    parts = [prepare(model, weights, data[:, :, b : b + _BATCH]).run(variance) for b in range(0, k, _BATCH)]
+    return Whitened(np.concatenate([p.values for p in parts], axis=2)[:, :, :k], parts[0].log_variance)
+
+
+def _states(width: int, c: int) -> int:
+    """nx from nx² + 2 nx + c nx."""
+    return round((math.sqrt((SOURCES + c) ** 2 + 4 * width) - SOURCES - c) / 2)
+
+
+def tangents(problem: Problem, unknowns: F64) -> tuple[F64, ...]:
+    """`tangent` of every segment at these unknowns."""
+    return tuple(
+        tangent(
+            problem.plant,
+            problem.channels,
+            problem.coordinates(unknowns, segment.recording),
+            problem.initial_state(unknowns, k),
+            segment.rows,
+        )
+        for k, segment in enumerate(problem.segments)
+    )
+
+
+def channel_weights(problem: Problem, weights: Sequence[F64]) -> tuple[F64, ...]:
+    """The samples' weights, 0 where not valid."""
+    return tuple(w * s.valid for w, s in zip(weights, problem.segments, strict=True))
+
+
+def moving(problem: Problem) -> tuple[NDArray[np.bool_], ...]:
+    """Valid samples of channels that do not stand on one value, per segment, shape (n, c): an encoder at rest repeats
+    one rounding error and is no sample of a noise."""
+    out = []
+    for segment in problem.segments:
+        mask = segment.valid.copy()
+        for c in range(mask.shape[1]):
+            lengths = np.diff(np.flatnonzero(np.diff(segment.measured[:, c], prepend=np.nan, append=np.nan) != 0))
+            mask[:, c] &= np.repeat(lengths <= _LONGEST_REPEAT, lengths)
+        out.append(mask)
+    return tuple(out)

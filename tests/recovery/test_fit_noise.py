@@ -1,0 +1,94 @@
+"""Whether a fit says how well it knows: captures of the independent generator with voltage noise they do not show.
+
+z = (estimate − truth)/reported std in logarithms, over captures with fixed seeds. Searches begin near the truth: what
+is tested is the estimate and its standard deviation, not the way to it. The whole table is
+benchmarks/identification_montecarlo.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from servo_daemon.estimators.output_error.outcome import NoiseOption, Outcome, conclude
+from servo_daemon.estimators.output_error.setup import Recording, make_problem
+from servo_daemon.estimators.output_error.solver import solve
+from servo_daemon.samples import make_block
+from tests.recovery.generator import GEAR_MOTOR, PAPER, RE40, Motor, Scenario, Sensors, generate
+
+pytestmark = pytest.mark.usefixtures("generator_built")
+NAMES = ("R", "L", "K", "J", "B")
+
+
+def outcome(motor: Motor, scenario: Scenario, noise_model: NoiseOption = "auto") -> Outcome:
+    """One capture, fitted."""
+    made = generate(motor, scenario)
+    block = make_block(made.time_s, voltage_V=made.voltage_V, current_A=made.current_A, position_rad=made.position_rad)
+    problem = make_problem([Recording("capture", block)], (), {})
+    plain = solve(problem, problem.start({name: np.log(1.02 * getattr(motor, name)) for name in NAMES}))
+    assert plain is not None
+    return conclude(problem, plain, np.ones(len(NAMES)), noise_model, motor.working_torque_Nm)
+
+
+def z_of(found: Outcome, motor: Motor) -> np.ndarray:
+    truth = np.log([getattr(motor, name) for name in NAMES])
+    std = np.sqrt(np.diag(found.information.covariance))
+    return np.asarray((found.solution.point.unknowns[: len(NAMES)] - truth) / std)
+
+
+@pytest.mark.parametrize(
+    ("motor", "motion", "runs"),
+    [(PAPER, "multisine", 90), (RE40, "multisine", 40), (GEAR_MOTOR, "pick_and_place", 60)],
+    ids=["open-loop", "fast-winding", "closed-loop"],
+)
+def test_reported_std_is_the_real_spread(motor: Motor, motion: str, runs: int) -> None:
+    found = [outcome(motor, Scenario(motion, seconds=2.0, seed=7000 + seed)) for seed in range(runs)]
+    z = np.array([z_of(each, motor) for each in found])
+    # 3.5 standard deviations of what is estimated from so many captures
+    spread, offset = 3.5 / np.sqrt(2 * runs), 3.5 / np.sqrt(runs)
+    assert z.std(axis=0, ddof=1) == pytest.approx(1.0, abs=spread)
+    assert z.mean(axis=0) == pytest.approx(0.0, abs=offset)
+    inside = np.mean(np.abs(z) < 1.96)
+    assert 0.92 < inside < 0.98
+    sensors = Sensors.laboratory(motor)
+    used = [each.noise for each in found if each.noise is not None]
+    assert len(used) >= 0.95 * runs
+    assert np.median([noise.input_std for noise in used]) == pytest.approx(sensors.hidden_V, rel=0.05)
+    assert np.median([noise.sensor_std["current_A"] for noise in used]) == pytest.approx(
+        sensors.current_noise_A, rel=0.1
+    )
+
+
+def test_plain_output_error_does_not_know_what_it_does_not_see() -> None:
+    """That the test above can fail: the same captures, noise of the sensors alone assumed."""
+    z = np.array([z_of(outcome(RE40, Scenario("multisine", 2.0, seed=7000 + s), "none"), RE40) for s in range(25)])
+    assert z.std(axis=0, ddof=1).max() > 2.0
+
+
+@pytest.mark.parametrize("noise", ["none", "of the sensors"])
+def test_noise_of_the_sensors_alone_needs_no_model(noise: str) -> None:
+    sensors = Sensors() if noise == "none" else Sensors(current_noise_A=0.003 * PAPER.rated_current_A)
+    made = [outcome(PAPER, Scenario("multisine", 2.0, seed=s, sensors=sensors)) for s in range(4)]
+    assert all(each.noise is None for each in made)
+
+
+@pytest.mark.parametrize(("motor", "share"), [(PAPER, 0.005), (GEAR_MOTOR, 0.005), (RE40, 0.01)], ids=str)
+@pytest.mark.parametrize("motion", ["multisine", "steps"])
+def test_dry_friction_is_not_passed_off_as_noise(motor: Motor, share: float, motion: str) -> None:
+    """Half a percent of the working torque: a white torque noise would explain it to the last correlation."""
+    friction = {"coulomb_friction": {"Tc": share * motor.working_torque_Nm}}
+    scenario = Scenario(motion, seconds=2.0, seed=3, effects=friction)
+    found = outcome(motor, scenario)
+    assert found.noise is None
+    plain = outcome(motor, scenario, "none")
+    assert np.array_equal(found.solution.point.unknowns, plain.solution.point.unknowns)
+    assert np.all(np.diag(found.information.covariance) >= np.diag(plain.information.covariance) * (1 - 1e-9))
+
+
+def test_a_current_sensor_without_noise_is_no_trouble() -> None:
+    sensors = replace(Sensors.laboratory(GEAR_MOTOR), current_noise_A=0.0, current_lsb_A=0.0)
+    found = outcome(GEAR_MOTOR, Scenario("multisine", seconds=2.0, seed=1, sensors=sensors))
+    assert np.isfinite(np.diag(found.information.covariance)).all()
+    assert np.all(np.abs(z_of(found, GEAR_MOTOR)) < 5.0)
