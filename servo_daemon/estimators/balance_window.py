@@ -1,21 +1,49 @@
-"""The balances over the last seconds: what they determine, and whether they close."""
+"""The balances over the last seconds: what they determine, whether they close, what they say of the filter."""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from servo_daemon.estimators import closure
 from servo_daemon.estimators.balances import (
+    BLIND_STD,
     GramWindow,
+    Sums,
     armature_slopes,
+    column_noise,
     information,
-    mismatch_std,
     noise_gram,
     shaft_slopes,
 )
+from servo_daemon.estimators.closure import Confronted, Verdict
 from servo_daemon.estimators.excitation import WINDOW_S
 from servo_daemon.samples import F64
+
+#: Lengths of the windows, s: the armature reacts within L/R (a millisecond or so), the shaft within J/B and J R/K²
+#: (tens of them); and the fewest samples in one: below, the trapezoidal rule is no good.
+SPAN_S = {"armature": 0.02, "shaft": 0.1}
+FEWEST_SAMPLES = 12
+#: Noise levels are known to this factor (in squares).
+_NOISE_KNOWN = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Sampling:
+    """What the sampling does to integrals.
+
+    Attributes:
+        noise_var: of the measured channels.
+        current_step_square: mean square of the current's change from one sample to the next, A².
+        period_s: usual distance of two samples.
+    """
+
+    noise_var: Mapping[str, float]
+    current_step_square: float
+    period_s: float
 
 
 class BalanceWindow:
@@ -29,27 +57,41 @@ class BalanceWindow:
     def __init__(
         self, armature_columns: tuple[str, ...], shaft_columns: tuple[str, ...], *, judges_mismatch: bool
     ) -> None:
-        self._armature_columns, self._shaft_columns = armature_columns, shaft_columns
+        self._columns = {"armature": (*armature_columns, "y"), "shaft": (*shaft_columns, "y")}
         self._judges_mismatch = judges_mismatch
-        self._grams = {"armature": GramWindow(WINDOW_S), "shaft": GramWindow(WINDOW_S)}
+        self._grams = {which: GramWindow(WINDOW_S) for which in self._columns}
+        self._new: list[tuple[str, float, Sums]] = []
+        self._confronted: dict[str, deque[tuple[float, Confronted]]] = {which: deque() for which in self._columns}
         self._end_s = 0.0
 
     def clear(self) -> None:
         """What is in here is of another motor: a parameter has jumped, or all begins anew."""
-        for window in self._grams.values():
+        for which, window in self._grams.items():
             window.clear()
+            self._confronted[which].clear()
+        self._new = []
 
     def advance(self, time_s: float) -> None:
         """The present, s: rows older than `WINDOW_S` drop out, also where no new ones come."""
         self._end_s = time_s
+        for parts in self._confronted.values():
+            while parts and time_s - parts[0][0] > WINDOW_S:
+                parts.popleft()
 
-    def add_armature(self, time_s: float, Phi: F64, y: F64, weight_squares: F64) -> None:
-        """As for `GramWindow.add`."""
-        self._grams["armature"].add(time_s, Phi, y, weight_squares)
+    def add(self, which: str, time_s: float, Phi: F64, y: F64, weight_squares: F64) -> None:
+        """Rows that end at about `time_s`, as for `Sums.of`.
 
-    def add_shaft(self, time_s: float, Phi: F64, y: F64, weight_squares: F64) -> None:
-        """As for `GramWindow.add`."""
-        self._grams["shaft"].add(time_s, Phi, y, weight_squares)
+        Args:
+            which: "armature" or "shaft".
+        """
+        part = Sums.of(Phi, y, weight_squares)
+        self._grams[which].add(time_s, part)
+        self._new.append((which, time_s, part))
+
+    @property
+    def _per_current(self) -> bool:
+        """The shaft's rows are those of ∫φ i, with K from the armature."""
+        return self._grams["armature"].total(self._end_s) is not None
 
     def determined(self, names: Sequence[str], value: Mapping[str, float], noise_var: Mapping[str, float]) -> F64:
         """Information on the coordinates of `names` that the last `WINDOW_S` hold if the balances are only nearly right
@@ -60,55 +102,133 @@ class BalanceWindow:
             noise_var: of the measured channels.
         """
         out = np.zeros((len(names), len(names)))
-        total = self._grams["armature"].total(self._end_s)
-        if total is not None:
-            columns = (*self._armature_columns, "y")
-            noise = noise_gram(columns, total[1], noise_var, None)
-            out += information(total[0], noise, armature_slopes(columns, value), names, 1.0)
-        total = self._grams["shaft"].total(self._end_s)
-        if total is not None:
-            per_current = self._grams["armature"].total(self._end_s) is not None
-            columns = (*self._shaft_columns, "y")
-            noise = noise_gram(columns, total[1], noise_var, "current_A" if per_current else None)
-            slopes = shaft_slopes(columns, value, per_current)
-            out += information(total[0], noise, slopes, names, value["K"] if per_current else 1.0)
+        for which, columns in self._columns.items():
+            total = self._grams[which].total(self._end_s)
+            if total is None:
+                continue
+            noise = noise_gram(columns, total.weight_squares, noise_var, self._y_channel(which))
+            out += information(total.gram, noise, self._slopes(which, value), names, self._size(which, value))
         return out
 
-    def mismatch(
-        self, value: Mapping[str, float], noise_var: Mapping[str, float], sample_period_s: float
-    ) -> dict[str, float]:
+    def mismatch(self, value: Mapping[str, float], sampling: Sampling) -> dict[str, float]:
         """1 σ of the coordinates by which they may be off because the balances do not close over the last `WINDOW_S`.
 
         Args:
             value: of all parameters, natural units.
-            noise_var: of the measured channels, what the current does between two samples included.
-            sample_period_s: a winding much faster than this cannot be judged by integrals over samples.
         """
         out: dict[str, float] = {}
         if not self._judges_mismatch:
             return out
-        total = self._grams["armature"].total(self._end_s)
-        if total is not None and value["L"] > 2.0 * sample_period_s * value["R"]:
-            columns = (*self._armature_columns, "y")
-            slopes = armature_slopes(columns, value)
-            noise = np.diag(noise_gram(columns, total[1], noise_var, None))
-            out |= mismatch_std(total[0], _explained(noise, slopes, 1.0), slopes)
-        total = self._grams["shaft"].total(self._end_s)
-        if total is not None:
-            per_current = self._grams["armature"].total(self._end_s) is not None
-            columns = (*self._shaft_columns, "y")
-            slopes = shaft_slopes(columns, value, per_current)
-            noise = np.diag(noise_gram(columns, total[1], noise_var, "current_A" if per_current else None))
-            size = value["K"] if per_current else 1.0
-            found = mismatch_std(total[0], _explained(noise, slopes, size), {n: s / size for n, s in slopes.items()})
+        for which in self._columns:
+            total = self._grams[which].total(self._end_s)
+            if total is None:
+                continue
+            size = self._size(which, value)
+            slopes = {name: slope / size for name, slope in self._slopes(which, value).items()}
+            found = closure.mismatch_std(total.gram, self._noise(which, total, value, sampling), slopes)
             out |= {name: std for name, std in found.items() if name not in out}
         return out
 
+    def unexplained_torque(self, value: Mapping[str, float], sampling: Sampling) -> float:
+        """Intensity, (N·m)²·s, of a white torque that would leave of the shaft's balance what its best fit does."""
+        total = self._grams["shaft"].total(self._end_s)
+        if total is None or not self._judges_mismatch:
+            return 0.0
+        left = closure.structure(total.gram, self._noise("shaft", total, value, sampling))
+        # White noise of intensity S adds S ∫φ² to the square of ∫φ τ; Σ (φ h)² = h ∫φ².
+        of_one = float(total.weight_squares[0]) / sampling.period_s
+        return left * self._size("shaft", value) ** 2 / max(of_one, 1e-300)
 
-def _explained(noise: F64, slopes: Mapping[str, F64], size_per_y: float) -> float:
-    """The sum of squares that noise, shape (m + 1,), leaves of a fit with these slopes."""
-    coefficients = np.zeros(len(noise))
-    for slope in slopes.values():
-        coefficients = np.maximum(coefficients, np.abs(slope) / size_per_y)
-    coefficients[-1] = 1.0
-    return float(np.square(coefficients) @ noise)
+    def input_noise(self, value: Mapping[str, float], sampling: Sampling) -> float | None:
+        """Variance of what the winding gets beside the recorded voltage, V²: as white noise of each held piece, after
+        what the armature's balance leaves that is not noise of the other channels. None without that balance."""
+        total = self._grams["armature"].total(self._end_s)
+        if total is None:
+            return None
+        noise = self._noise("armature", total, value, sampling) / _NOISE_KNOWN
+        left = closure.residual_square(total.gram) - noise
+        return max(left, 0.0) / max(float(total.weight_squares[0]), 1e-300)
+
+    def confront(self, value: Mapping[str, float], noise_var: Mapping[str, float]) -> None:
+        """Rows that came since the last call, beside the filter's values."""
+        for which, time_s, part in self._new:
+            columns = self._columns[which]
+            noise = np.diag(column_noise(columns, part.weight_squares, noise_var))[:-1]
+            theta = _coefficients(columns[:-1], value, self._size(which, value))
+            self._confronted[which].append((time_s, Confronted.of(part, theta, noise)))
+        self._new = []
+
+    def pass_over(self) -> None:
+        """Rows that came since are not held against the filter: something is being looked into."""
+        self._new = []
+
+    def verdicts(self, value: Mapping[str, float], period_s: float) -> dict[str, tuple[float, float]]:
+        """(error, variance) of the logarithms that the filter has, by the word of the balances over the last
+        `WINDOW_S`.
+
+        Args:
+            value: of all parameters, natural units.
+            period_s: usual distance of two samples.
+        """
+        out: dict[str, tuple[float, float]] = {}
+        if not self._judges_mismatch:
+            return out
+        periods = period_s * value.get("R", 0.0) / value.get("L", 1.0)
+        K = (0.0, 0.0)
+        for which, columns in self._columns.items():
+            found: Verdict | None = closure.verdict([part for _, part in self._confronted[which]])
+            if found is None:
+                if which == "armature" and self._per_current:
+                    return {}  # without K the shaft's coefficients are quotients only
+                continue
+            theta = _coefficients(columns[:-1], value, self._size(which, value))
+            for k, name in enumerate(columns[:-1]):
+                if name in ("R", "L", "K", "J", "B", "Tc"):
+                    scale = 1.0 / theta[k]
+                    blind = BLIND_STD.get(name, 0.0) * periods / (1.0 + periods) * _coarse(which, period_s) ** 0.5
+                    own = (scale * float(found.error[k]), scale**2 * float(found.covariance[k, k]) + blind**2)
+                    out[name] = own if which == "armature" else (own[0] + K[0], own[1] + K[1])
+            K = out.get("K", K)
+        return out
+
+    def _y_channel(self, which: str) -> str | None:
+        return "current_A" if which == "shaft" and self._per_current else None
+
+    def _size(self, which: str, value: Mapping[str, float]) -> float:
+        """The balance's size per unit of its last column."""
+        return value["K"] if which == "shaft" and self._per_current else 1.0
+
+    def _slopes(self, which: str, value: Mapping[str, float]) -> dict[str, F64]:
+        if which == "armature":
+            return armature_slopes(self._columns[which], value)
+        return shaft_slopes(self._columns[which], value, self._per_current)
+
+    def _noise(self, which: str, total: Sums, value: Mapping[str, float], sampling: Sampling) -> float:
+        """The sum of squares that noise and sampling leave of the best fit."""
+        columns, noise_var = self._columns[which], dict(sampling.noise_var)
+        if "current_A" in noise_var:
+            noise_var["current_A"] += 0.25 * sampling.current_step_square * _coarse(which, sampling.period_s)
+        noise = np.diag(column_noise(columns, total.weight_squares, noise_var, self._y_channel(which)))
+        theta = _coefficients(columns[:-1], value, self._size(which, value))
+        return _NOISE_KNOWN * float(np.square(np.append(theta, 1.0)) @ noise)
+
+
+def _coarse(which: str, period_s: float) -> float:
+    """0 .. 1: what the current does between two samples is lost on the trapezoidal rule, as far as φ changes meanwhile:
+    in amplitude with the square of the share of a sample in the window, all of it in the shortest one."""
+    return min(1.0, (FEWEST_SAMPLES * period_s / SPAN_S[which]) ** 4)
+
+
+def _coefficients(columns: Sequence[str], value: Mapping[str, float], size: float) -> F64:
+    """Of Φ's columns with these values, shape (n,).
+
+    Args:
+        size: of the balance per unit of y.
+    """
+    Tg, phi = value.get("Tg", 0.0), value.get("phi_g", 0.0)
+    armature = "R" in columns
+    one = -value["R"] * value.get("i0", 0.0) if armature else 0.0
+    if not armature:
+        one = value.get("TL", 0.0) / size + value.get("i0", 0.0)
+    extra = {"one": one, "sin": Tg * np.cos(phi) / size, "cos": Tg * np.sin(phi) / size}
+    return np.array([extra[name] if name in extra else value[name] / (1.0 if armature else size) for name in columns])

@@ -27,42 +27,71 @@ from servo_daemon.samples import F64
 #: voltage goes with the voltage and the current; with the current's derivative it goes only as far as it comes at a
 #: wrong time, and that `skew_s` of the configuration answers for.
 ALIGNED = {"L": 1.0 / 12.0}
+#: What a regression over samples may be off by where the winding is much faster than the sampling, 1 σ.
+BLIND_STD = {"R": 0.2, "L": 0.5, "K": 0.1, "J": 0.2, "B": 0.5}
+
+
+@dataclass(frozen=True, slots=True)
+class Sums:
+    """Over rows of regressors [Φ | y].
+
+    Attributes:
+        gram: their Gram matrix, shape (n + 1, n + 1).
+        weight_squares: sums of the squares of the windows' weights for ∫φ, ∫φ', ∫φ'', shape (3,): what white noise of
+            variance 1 adds to the squares of an integral.
+        rows: how many.
+    """
+
+    gram: F64
+    weight_squares: F64
+    rows: int
+
+    @classmethod
+    def of(cls, Phi: F64, y: F64, weight_squares: F64) -> Sums:
+        """Phi shape (m, n), y shape (m,)."""
+        rows = np.column_stack([Phi, y])
+        return cls(rows.T @ rows, weight_squares, len(rows))
+
+    @classmethod
+    def total(cls, parts: Sequence[Sums]) -> Sums | None:
+        """None if there are none."""
+        if not parts:
+            return None
+        return cls(
+            np.sum([p.gram for p in parts], axis=0),
+            np.sum([p.weight_squares for p in parts], axis=0),
+            sum(p.rows for p in parts),
+        )
 
 
 @dataclass(slots=True)
 class GramWindow:
-    """Gram matrices of the last seconds' regressors [Φ | y], summed.
+    """Sums over the last seconds' rows.
 
     Attributes:
         span_s: how far back.
     """
 
     span_s: float
-    _parts: deque[tuple[float, F64, F64]] = field(default_factory=deque)
+    _parts: deque[tuple[float, Sums]] = field(default_factory=deque)
 
     def clear(self) -> None:
         self._parts.clear()
 
-    def add(self, time_s: float, Phi: F64, y: F64, weight_squares: F64) -> None:
-        """Rows that end at about `time_s`: Phi shape (m, n), y shape (m,), and the sums of the squares of the windows'
-        weights for ∫φ, ∫φ', ∫φ'', shape (3,): what white noise of variance 1 adds to the squares of an integral."""
-        rows = np.column_stack([Phi, y])
-        self._parts.append((time_s, rows.T @ rows, weight_squares))
+    def add(self, time_s: float, part: Sums) -> None:
+        """Rows that end at about `time_s`."""
+        self._parts.append((time_s, part))
 
-    def total(self, time_s: float) -> tuple[F64, F64] | None:
-        """Sums over what is younger than `span_s` at `time_s`, shapes (n + 1, n + 1) and (3,); None if nothing is."""
+    def total(self, time_s: float) -> Sums | None:
+        """Over what is younger than `span_s` at `time_s`; None if nothing is."""
         while self._parts and time_s - self._parts[0][0] > self.span_s:
             self._parts.popleft()
-        if not self._parts:
-            return None
-        return np.sum([g for _, g, _ in self._parts], axis=0), np.sum([w for _, _, w in self._parts], axis=0)
+        return Sums.total([part for _, part in self._parts])
 
 
 #: A regressor is motion only as far as it is larger than this many times its noise (in squares). An encoder's steps at
 #: constant speed are no white noise, their sum over a window can be far larger than white noise of the same variance.
 _NOISE_MARGIN = {"current_A": 4.0, "position_rad": 25.0}
-#: A balance that closes to this share (rms) closes: integrals over samples are no more exact than that.
-_CLOSES = 0.01
 #: Which channel's noise, and in which integral, is in each column.
 _NOISE_IN = {
     "R": ("current_A", 0),
@@ -144,30 +173,6 @@ def column_noise(
         channel, derivative = (y_channel or "", 0) if name == "y" else _NOISE_IN.get(name, ("", 0))
         out[k] = noise_var.get(channel, 0.0) * weight_squares[derivative]
     return np.diag(out)
-
-
-def mismatch_std(gram: F64, expected: float, slopes: Mapping[str, F64]) -> dict[str, float]:
-    """By how much each coordinate may be off because the balance does not close: 1 σ, if all that its best fit leaves,
-    beyond the noise, were an error along that parameter's own term.
-
-    Args:
-        gram: of [Φ | y], shape (m + 1, m + 1).
-        expected: how much of the fit's sum of squares noise explains.
-        slopes: d residual / d coordinate, as weights on the columns.
-    """
-    scale = np.sqrt(np.maximum(np.diag(gram)[:-1], 1e-300))
-    A = gram[:-1, :-1] / np.outer(scale, scale) + 1e-9 * np.eye(len(scale))
-    inverse = np.linalg.inv(A)
-    b = gram[:-1, -1] / scale
-    total = float(gram[-1, -1])
-    structure = max(0.0, total - float(b @ inverse @ b) - expected - _CLOSES**2 * total)
-    out = {}
-    for name, slope in slopes.items():
-        k = int(np.argmax(np.abs(slope[:-1])))
-        size = float(np.abs(slope[k]))
-        if size > 0.0:
-            out[name] = float(np.sqrt(structure * inverse[k, k])) / scale[k] / size
-    return out
 
 
 def _unit(columns: Sequence[str], name: str, weight: float) -> F64:

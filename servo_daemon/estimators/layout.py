@@ -66,13 +66,13 @@ def gaps(block: SampleBlock, last_s: float | None, period_s: float | None) -> di
     gap is a short one.
 
     Args:
-        last_s: time of the sample before the block.
+        last_s: time of the sample before the block; None: there is none.
         period_s: usual distance of two samples; None: not known yet.
     """
     missing = (block.quality & Quality.GAP_BEFORE) != 0
-    if period_s is None or last_s is None:
+    if period_s is None:
         return dict.fromkeys(np.flatnonzero(missing).tolist(), False)
-    distance = distances(block.time_s, last_s)
+    distance = distances(block.time_s, float(block.time_s[0]) if last_s is None else last_s)
     if not missing.any() and float(distance.max()) <= _GAP_PERIODS * period_s:
         return {}  # the usual case
     missing |= distance > _GAP_PERIODS * period_s
@@ -214,14 +214,19 @@ class Stretches:
 
     def of(self, block: SampleBlock, origin_s: float, last_s: float | None, period_s: float | None) -> Stretch:
         """The block for the regressions. Samples after a long gap, with an invalid channel or a frozen one are not
-        usable. (What the voltage did in a short gap is noise to a regression, and no bias.)
+        usable. (In a short gap current and motion are nearly straight; what the voltage did nobody knows.)
 
         Args:
             origin_s: time is counted from here.
             last_s, period_s: as for `gaps`.
         """
         usable = (block.quality & Quality.TIME_RESTART) == 0
-        usable[[k for k, short in gaps(block, last_s, period_s).items() if not short]] = False
+        holes = gaps(block, last_s, period_s)
+        usable[[k for k, short in holes.items() if not short]] = False
+        gap = None
+        if holes:
+            gap = np.zeros(len(block), dtype=bool)
+            gap[list(holes)] = True
         signals: dict[str, F64 | None] = {}
         complete = True
         for name in ("voltage_V", "current_A", "torque_Nm", "position_rad", "velocity_rad_s"):
@@ -245,4 +250,5 @@ class Stretches:
             signals["position_rad"],
             signals["velocity_rad_s"],
             complete,
+            gap,
         )

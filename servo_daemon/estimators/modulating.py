@@ -50,6 +50,10 @@ class Windows:
         of ∫φ x, ∫φ' x and ∫φ'' x, summed over the windows."""
         return np.asarray(np.einsum("kwm,kwm->k", self.weights, self.weights))
 
+    def only(self, which: NDArray[np.bool_]) -> Windows:
+        """Some of the windows; which: shape (w,)."""
+        return Windows(self.index[which], self.held_weight[which], self.weights[:, which])
+
     def held(self, signal: F64) -> F64:
         """∫φ signal for a signal held between samples, shape (w,)."""
         return np.asarray(np.einsum("wm,wm->w", self.held_weight, signal[self.index]))

@@ -10,20 +10,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from servo_daemon.estimators.balance_window import BalanceWindow
+from servo_daemon.estimators.balance_window import FEWEST_SAMPLES, SPAN_S, BalanceWindow
 from servo_daemon.estimators.balances import column_noise
 from servo_daemon.estimators.modulating import Windows, make_windows
+from servo_daemon.estimators.plausible import Plausible
 from servo_daemon.estimators.rls import DirectionalRls, LinearEstimate
 from servo_daemon.estimators.stretch import Stretch, between_samples, joined, last, median, motion, speed_sign
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.samples import F64
 
-#: Windows, s: the armature reacts within L/R (a millisecond or so), the shaft within J/B and J R/K² (tens of them).
-_ARMATURE_WINDOW_S, _SHAFT_WINDOW_S = 0.02, 0.1
-#: Fewest samples in a window: below, the trapezoidal rule is no good.
-_FEWEST_SAMPLES = 12
 #: Excited directions forget with this time constant, s.
 _MEMORY_S = 20.0
 #: After the first updates (a tick each) so many are worked off together: fewer calls on longer arrays.
@@ -74,6 +72,8 @@ class MotorRls:
         self._noise_var: dict[str, float] = {}
         self._estimate: RegressionEstimate | None = None
         self._updates = 0
+        self._sag = 0.0
+        self._plausible = {which: Plausible() for which in SPAN_S}
         self._next = {"armature": 0.0, "shaft": 0.0}
 
     @property
@@ -97,13 +97,14 @@ class MotorRls:
             return False
         stretch = recorded = joined(self._pending)
         self.window.advance(float(stretch.time_s[-1]))
-        if len(stretch.time_s) >= _FEWEST_SAMPLES:
+        if len(stretch.time_s) >= FEWEST_SAMPLES:
             period = median(stretch.time_s[1:] - stretch.time_s[:-1])
-            stretch = between_samples(stretch, self._rest_of_lag(period))
+            rest, self._sag = self._between_samples(period)
+            stretch = between_samples(stretch, rest)
             if stretch.voltage is not None and stretch.current is not None:
                 self._armature_rows(stretch, period)
             self._shaft_rows(stretch, period)
-            keep = max(_FEWEST_SAMPLES, round(_SHAFT_WINDOW_S / period)) + 2
+            keep = max(FEWEST_SAMPLES, round(SPAN_S["shaft"] / period)) + 2
             recorded = last(recorded, keep)
         self._pending = [recorded]
         self._estimate = self._compute()
@@ -113,18 +114,25 @@ class MotorRls:
         """What white noise of the sensors adds to ΦᵀΦ, shape (n, n)."""
         return column_noise(columns, w.weight_squares, self._noise_var)
 
-    def _rest_of_lag(self, period_s: float) -> float:
-        """0 .. ½: by how much more than half of the current's change from one sample to the next has happened in the
-        mean between them. It approaches the end of each held voltage with the time constant L/R: with x = h R/L the
-        mean is i_k + a (i_{k+1} − i_k), a = 1/(1 − exp(−x)) − 1/x."""
+    def _between_samples(self, period_s: float) -> tuple[float, float]:
+        """The current's mean between two samples is
+
+            i_k + a (i_{k+1} − i_k) + (a − ½) h (K/R) dω/dt,   a = 1/(1 − exp(−x)) − 1/x,   x = h R/L,
+
+        as it approaches the end of each held voltage with the time constant L/R while the speed goes on changing.
+
+        Returns:
+            a − ½ (0 .. ½), and (a − ½) h K/R in A·s²/rad; zeros while R, L and K are not known.
+        """
         names = self._estimate.names if self._estimate is not None else ()
-        if self._estimate is None or "R" not in names or "L" not in names:
-            return 0.0
-        R, L = (float(self._estimate.value[names.index(n)]) for n in ("R", "L"))
+        if self._estimate is None or any(n not in names for n in _ARMATURE):
+            return 0.0, 0.0
+        R, L, K = (float(self._estimate.value[names.index(n)]) for n in _ARMATURE)
         if R <= 0.0 or L <= 0.0:
-            return 0.0
+            return 0.0, 0.0
         x = min(max(period_s * R / L, 1e-3), 1e3)
-        return float(1.0 / -np.expm1(-x) - 1.0 / x) - 0.5
+        rest = float(1.0 / -np.expm1(-x) - 1.0 / x) - 0.5
+        return rest, rest * period_s * K / R
 
     @property
     def in_regression(self) -> tuple[str, ...]:
@@ -132,53 +140,71 @@ class MotorRls:
         offset = ("i0",) if "one" in self._armature_columns else ()
         return (*self.names, *offset) if "R" in self.names else self.names
 
-    def _windows(self, s: Stretch, span_s: float, period: float, which: str) -> Windows | None:
-        """Windows that have not been used yet, half overlapping, none across unusable samples."""
-        length = max(_FEWEST_SAMPLES, round(span_s / period)) + 1
+    def _windows(self, s: Stretch, period: float, which: str) -> Windows | None:
+        """Windows that have not been used yet, half overlapping, none across unusable samples; of the armature, whose
+        voltage is not known in a gap, none across a gap either."""
+        length = max(FEWEST_SAMPLES, round(SPAN_S[which] / period)) + 1
+        bad = ~s.usable
+        broken = which == "armature" and s.gap is not None and bool(s.gap.any())
+        if broken:
+            assert s.gap is not None
+            bad = bad | s.gap
         hop = max(1, length // 2)
         begin = int(np.searchsorted(s.time_s, self._next[which] - 0.25 * period))
-        first = np.arange(begin, len(s.time_s) - length + 1, hop, dtype=np.intp)
+        first = np.arange(begin, len(s.time_s) - length + 1, 1 if broken else hop, dtype=np.intp)
         if len(first) == 0:
             return None
-        self._next[which] = float(s.time_s[first[-1] + hop])
-        bad = np.concatenate([[0], np.cumsum(~s.usable)])
+        self._next[which] = float(s.time_s[first[-1] + (1 if broken else hop)])
+        before = np.concatenate([[0], np.cumsum(bad)])
         # A gap before a window's first sample does no harm, one inside does.
-        first = first[bad[first + length] - bad[first + 1] == 0]
+        first = first[before[first + length] - before[first + 1] == 0]
+        if broken:
+            first = _apart(first, hop)
         return make_windows(s.time_s, first, length) if len(first) else None
 
     def _armature_rows(self, s: Stretch, period: float) -> None:
-        w = self._windows(s, _ARMATURE_WINDOW_S, period, "armature")
+        w = self._windows(s, period, "armature")
         if w is None or s.voltage is None or s.current is None:
             return
         if self._armature is None:
-            rows_per_s = 2.0 / max(_ARMATURE_WINDOW_S, _FEWEST_SAMPLES * period)
+            rows_per_s = 2.0 / max(SPAN_S["armature"], FEWEST_SAMPLES * period)
             self._armature = DirectionalRls(len(self._armature_columns), _MEMORY_S * rows_per_s)
-        speed, _ = motion(w, s)
-        columns = [w.integral(s.current), -w.integral(s.current, 1), speed]
+        speed, acceleration = motion(w, s)
+        columns = [w.integral(s.current) + self._sag * acceleration, -w.integral(s.current, 1), speed]
         if "one" in self._armature_columns:
             columns.append(w.integral(np.ones_like(s.time_s)))
         Phi, y = np.column_stack(columns), w.held(s.voltage)
-        self._armature.update(Phi, y, self._regressor_noise(self._armature_columns, w))
-        self.window.add_armature(float(s.time_s[-1]), Phi, y, w.weight_squares)
+        self._take("armature", self._armature, float(s.time_s[-1]), Phi, y, w)
 
     def _shaft_rows(self, s: Stretch, period: float) -> None:
         if "coulomb_friction" in self._plant.effects:  # at rest it holds with any torque up to its level
             s = replace(s, usable=s.usable & (speed_sign(s) != 0.0))
-        w = self._windows(s, _SHAFT_WINDOW_S, period, "shaft")
+        w = self._windows(s, period, "shaft")
         if w is None:
             return
         if self._shaft is None:
-            rows_per_s = 2.0 / max(_SHAFT_WINDOW_S, _FEWEST_SAMPLES * period)
+            rows_per_s = 2.0 / max(SPAN_S["shaft"], FEWEST_SAMPLES * period)
             self._shaft = DirectionalRls(len(self._shaft_columns), _MEMORY_S * rows_per_s)
         speed, acceleration = motion(w, s)
         columns = [acceleration, speed]
         for effect in self._plant.effects:
             columns += self._effect_columns(effect, w, s)
-        y = self._driving_torque(w, s, speed)
+        y = self._driving_torque(w, s, speed, acceleration)
         if y is not None:
             Phi = np.column_stack(columns)
-            self._shaft.update(Phi, y, self._regressor_noise(self._shaft_columns, w))
-            self.window.add_shaft(float(s.time_s[-1]), Phi, y, w.weight_squares)
+            self._take("shaft", self._shaft, float(s.time_s[-1]), Phi, y, w)
+
+    def _take(self, which: str, rls: DirectionalRls, time_s: float, Phi: F64, y: F64, w: Windows) -> None:
+        """Rows for a regression and for the window, without those that wrong samples have spoilt."""
+        if rls.rows > 2 * Phi.shape[1]:
+            good = self._plausible[which].rows(y - Phi @ rls.value, y)
+            if not good.all():
+                Phi, y, w = Phi[good], y[good], w.only(good)
+        if len(y) == 0:
+            return
+        columns = self._armature_columns if which == "armature" else self._shaft_columns
+        rls.update(Phi, y, self._regressor_noise(columns, w))
+        self.window.add(which, time_s, Phi, y, w.weight_squares)
 
     def _effect_columns(self, effect: str, w: Windows, s: Stretch) -> list[F64]:
         if effect == "coulomb_friction":
@@ -190,13 +216,13 @@ class MotorRls:
             return [w.integral(np.sin(angle)), w.integral(np.cos(angle))]
         return []
 
-    def _driving_torque(self, w: Windows, s: Stretch, speed: F64) -> F64 | None:
+    def _driving_torque(self, w: Windows, s: Stretch, speed: F64, acceleration: F64) -> F64 | None:
         """∫φ of motor torque, divided by K where K is to come from the armature; None if it cannot be had."""
         if s.torque is not None:
             return w.integral(s.torque)
         if s.current is not None:
             factor = 1.0 if s.voltage is not None else self._known.get("K")
-            return None if factor is None else factor * w.integral(s.current)
+            return None if factor is None else factor * (w.integral(s.current) + self._sag * acceleration)
         if s.voltage is not None and "R" in self._known and "K" in self._known:
             K, R = self._known["K"], self._known["R"]
             return (w.held(s.voltage) - K * speed) * (K / R)
@@ -223,6 +249,15 @@ class MotorRls:
         if "sin" in names:
             value, covariance = _amplitude_and_phase(value, covariance, names.index("sin"))
         return RegressionEstimate(tuple(_GIVES.get(n, n) for n in names), value, covariance)
+
+
+def _apart(first: NDArray[np.intp], hop: int) -> NDArray[np.intp]:
+    """Of increasing indices those that are at least `hop` after the last one taken."""
+    taken: list[int] = []
+    for k in first.tolist():
+        if not taken or k - taken[-1] >= hop:
+            taken.append(k)
+    return np.array(taken, dtype=np.intp)
 
 
 def _first(e: LinearEstimate | None, n: int) -> LinearEstimate | None:

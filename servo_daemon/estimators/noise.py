@@ -26,9 +26,9 @@ _INPUT_SHARE = 1e-3
 _TORQUE_SHARE = 2e-3
 #: Process noise rises per tick above these, and falls below half the correlation.
 _NIS_HIGH, _CORRELATED = 1.3, 0.15
-_RISE, _FALL, _FACTOR_MOST = 1.6, 0.97, 1e8
+_RISE, _FALL, FACTOR_MOST = 1.6, 0.97, 1e8
 #: Innovations smaller than this say that the noise is too large already: then it recedes per tick by this.
-_NIS_LOW, _RECEDE = 0.7, 0.05
+NIS_LOW, _RECEDE = 0.7, 0.05
 #: Steering per tick: by how much per unit of correlation, and what it keeps where nothing is to be seen.
 _STEER, _LEAK = 0.15, 0.998
 
@@ -111,21 +111,26 @@ class ProcessNoise:
 
     factor: float = 1.0
 
-    def after(self, correlation: float, nis: float, follow: float | None = None) -> ProcessNoise:
+    def after(
+        self, correlation: float, nis: float, follow: float | None = None, too_much: bool = False
+    ) -> ProcessNoise:
         """With a tick's lag-1 correlation and normalised innovation squared.
 
         Args:
             follow: a correlation to be steered to zero at any size of the innovations. The channel's own noise is
                 adapted beside it, so a wrong share between the two shows in correlations only.
+            too_much: innovations of another channel that this noise moves are smaller than they should be.
         """
+        if too_much:
+            return ProcessNoise(max(self.factor * math.exp(-_RECEDE), 1.0))
         if nis > _NIS_HIGH and correlation > _CORRELATED:
-            return ProcessNoise(min(self.factor * _RISE, _FACTOR_MOST))
+            return ProcessNoise(min(self.factor * _RISE, FACTOR_MOST))
         if follow is not None:
             steer = _STEER * min(max(follow, -0.5), 0.5)
-            if nis < _NIS_LOW:  # more noise than there is: whatever the correlation says, it is not missing here
+            if nis < NIS_LOW:  # more noise than there is: whatever the correlation says, it is not missing here
                 steer = min(steer, 0.0) - _RECEDE
             steered = _LEAK * math.log(self.factor) + steer
-            return ProcessNoise(math.exp(min(max(steered, 0.0), math.log(_FACTOR_MOST))))
+            return ProcessNoise(math.exp(min(max(steered, 0.0), math.log(FACTOR_MOST))))
         if correlation < 0.5 * _CORRELATED or nis < 1.0:
             return ProcessNoise(max(self.factor * _FALL, 1.0))
         return self

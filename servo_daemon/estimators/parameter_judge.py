@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from servo_daemon.estimators import balances
+from servo_daemon.estimators import balances, closure, coarse_input
+from servo_daemon.estimators.balance_window import Sampling
 from servo_daemon.estimators.ekf import Ekf
 from servo_daemon.estimators.excitation import Excitation
 from servo_daemon.estimators.fusion import QUALIFIED, Qualification, confirms
@@ -18,6 +20,8 @@ from servo_daemon.samples import F64
 
 #: An unexcited parameter's covariance grows with its drift up to this 1 σ.
 _IDLE_STD = 0.3
+#: Parameters that are known worse than this would lead the instrument astray.
+_LED_ASTRAY_STD = 0.25
 #: Nothing qualifies in the first ticks: noise levels are still guesses.
 _TICKS_TO_QUALIFY = 8
 
@@ -28,20 +32,17 @@ class Tick:
 
     Attributes:
         number: of the running filter's.
-        open, looked_into: a jump is being looked for, something unexplained is being looked into.
+        open: a jump is being looked for.
         explained: ticks that the noise does not explain are the exception.
-        noise_var: of the measured channels.
-        current_step_square: mean square of the current's change from one sample to the next, A².
-        sample_period_s: usual distance of two samples.
+        inductance_std: 1 σ of ln L that the steps of the recorded voltage leave open.
+        sampling: noise and what else integrals over samples are off by.
     """
 
     number: int
     open: bool
-    looked_into: bool
     explained: bool
-    noise_var: Mapping[str, float]
-    current_step_square: float
-    sample_period_s: float
+    inductance_std: float
+    sampling: Sampling
 
 
 class ParameterJudge:
@@ -50,6 +51,7 @@ class ParameterJudge:
     Attributes:
         excitation, qualification: per parameter.
         confirmed: parameters for which the regression speaks, or which it cannot judge, shape (n,).
+        begins_to_follow: the filter uses its instrument for the first time.
         mismatch_std: 1 σ of the coordinates by which they may be off because the balances do not close, shape (n,).
     """
 
@@ -58,7 +60,7 @@ class ParameterJudge:
         n = len(roster.parameters)
         self.excitation, self.qualification = Excitation(n), Qualification(n)
         self.mismatch_std: F64 = np.zeros(n)
-        self._trusted = False
+        self._trusted = self._follows = self._followed = self.begins_to_follow = False
         self.confirmed: Mask = ~roster.covered
 
     def begin(self, trusted: bool) -> None:
@@ -68,6 +70,7 @@ class ParameterJudge:
             trusted: from a saved state, which was qualified when it was saved.
         """
         self._trusted = trusted
+        self._follows = self._followed = self.begins_to_follow = False
         self.confirmed = np.ones_like(self._roster.covered) if trusted else ~self._roster.covered
 
     def reset(self) -> None:
@@ -87,13 +90,15 @@ class ParameterJudge:
         roster, values = self._roster, self._roster.values(self._ekf.coordinates) if fresh else {}
         if fresh:
             self.excitation.determine(
-                self._rls.window.determined(self._roster.names, values, tick.noise_var), self._roster.covered
+                self._rls.window.determined(self._roster.names, values, tick.sampling.noise_var), self._roster.covered
             )
         self.excitation.update(self._ekf.take_information(), duration_s)
         excited, std = self.excitation.excited, self._ekf.coordinate_std / self.excitation.scales
         if fresh:
             self.confirmed = self._confirmed_by_regression(values, tick)
-            if not tick.looked_into:
+            if tick.open:
+                self._rls.window.pass_over()
+            else:
                 self._measure_mismatch(values, tick)
         if fresh and not tick.explained:
             # The model lacks something: what the filter makes of it is worth nothing without a second opinion.
@@ -106,18 +111,40 @@ class ParameterJudge:
         idle = np.where(roster.nuisance, NUISANCE_SHARE, _IDLE_STD)
         walking = roster.free & ((excited & ~roster.nuisance) | (std < idle))
         self._ekf.set_active((roster.free & ~held).astype(np.float64), self.walk(walking))
-        self._ekf.use_instrument(bool((std[roster.published & excited] < QUALIFIED).all()))
+        limit = _LED_ASTRAY_STD if self._follows else QUALIFIED
+        follows = bool((std[roster.published & excited] < limit).all())
+        self.begins_to_follow = follows and not self._follows and not self._followed
+        self._followed |= follows
+        self._follows = follows
+        self._ekf.use_instrument(follows)
 
     def _measure_mismatch(self, values: Mapping[str, float], tick: Tick) -> None:
-        """How far the parameters may be off because the balances do not close; kept while a parameter is not
-        excited."""
-        noise = dict(tick.noise_var)
-        if "current_A" in noise:
-            noise["current_A"] += 0.25 * tick.current_step_square
-        found = self._rls.window.mismatch(values, noise, tick.sample_period_s)
+        """How far the parameters may be off because the balances do not close, or by the balances' word; kept while a
+        parameter is not excited."""
+        window, std = self._rls.window, self._ekf.coordinate_std
+        window.confront(values, tick.sampling.noise_var)
+        found, said = window.mismatch(values, tick.sampling), window.verdicts(values, tick.sampling.period_s)
+        coarse = self._left_by_steps(tick)
         for k, name in enumerate(self._roster.names):
-            if self.excitation.excited[k] and self._roster.logarithmic[k]:
-                self.mismatch_std[k] = found.get(name, 0.0)
+            if not self.excitation.excited[k] or not self._roster.logarithmic[k]:
+                continue
+            error, var = said.get(name, (0.0, 0.0))
+            if self._is_blind(name, values, tick):
+                error = 0.0
+            doubt = closure.doubt_var(error, var + float(std[k]) ** 2)
+            self.mismatch_std[k] = math.sqrt(found.get(name, 0.0) ** 2 + doubt + float(coarse[k]) ** 2)
+
+    def _left_by_steps(self, tick: Tick) -> F64:
+        """What the voltage's steps leave open of each coordinate, 1 σ, shape (n,)."""
+        if tick.inductance_std == 0.0 or "L" not in self._roster.names:
+            return np.zeros(len(self._roster.parameters))
+        covariance = self._ekf.estimate().covariance
+        return coarse_input.along(covariance, self._roster.names.index("L"), tick.inductance_std)
+
+    @staticmethod
+    def _is_blind(name: str, values: Mapping[str, float], tick: Tick) -> bool:
+        """Between two samples the current has settled: integrals over samples cannot show what it did meanwhile."""
+        return name == "L" and values["L"] < tick.sampling.period_s * values["R"]
 
     def _confirmed_by_regression(self, values: Mapping[str, float], tick: Tick) -> Mask:
         """Parameters whose value the regression confirms, or cannot judge at all because it is in none."""
@@ -129,9 +156,7 @@ class ParameterJudge:
             return out
         for name, value, std in zip(found.names, found.value.tolist(), found.std.tolist(), strict=True):
             k = self._roster.names.index(name)
-            # Between two samples the current has settled: integrals over samples cannot show what it did meanwhile.
-            blind = name == "L" and values["L"] < tick.sample_period_s * values["R"]
-            if self._roster.logarithmic[k] and not blind:
+            if self._roster.logarithmic[k] and not self._is_blind(name, values, tick):
                 out[k] = confirms(value, std * balances.ALIGNED.get(name, 1.0), values[name])
             else:
                 out[k] = True

@@ -62,6 +62,11 @@ class DirectionalRls:
         self._weight = 0.0
         self.rows = 0
 
+    @property
+    def value(self) -> F64:
+        """The coefficients so far, shape (n,); without the compensation of noise in the regressors."""
+        return self._value
+
     def update(self, Phi: F64, y: F64, noise: F64 | None = None) -> None:
         """Take rows: Phi shape (m, n), y shape (m,). Rows that are not finite must not be passed.
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from servo_daemon.estimators.balances import BLIND_STD
 from servo_daemon.estimators.base import Gaussian, to_coordinate
 from servo_daemon.estimators.motor_rls import RegressionEstimate
 from servo_daemon.plant.parameters import LINEAR, Parameter
@@ -16,10 +17,8 @@ _INFLATION = 3.0
 GOOD_STD = 0.15
 #: Beyond this relative std a logarithm of the regression's value means little.
 _USABLE_STD = 0.5
-#: What a regression over samples may be off by in any case (trapezoids, jitter), and where the winding is much faster
-#: than the sampling, 1 σ.
+#: What a regression over samples may be off by in any case (trapezoids, jitter), 1 σ.
 _FLOOR_STD = 0.01
-_BLIND_STD = {"R": 0.2, "L": 0.5, "K": 0.1, "J": 0.2, "B": 0.5}
 #: A nominal value is a datasheet's, or a motor that has aged: 1 σ of its logarithm.
 _NOMINAL_STD = 0.7
 #: A guess from the regression's error alone, or an effect's start value: 1 σ.
@@ -84,7 +83,7 @@ def _put_regression(
     mean[target] = [to_coordinate(p, float(v)) for p, v in zip(taken, value, strict=True)]
     part = found.covariance[np.ix_(source, source)] * np.outer(slope, slope) * _INFLATION**2
     blind = _between_samples(found, sample_period_s)
-    floor = [(_FLOOR_STD + _BLIND_STD.get(p.name, 0.0) * blind) ** 2 if p.transform == "log" else 0.0 for p in taken]
+    floor = [(_FLOOR_STD + BLIND_STD.get(p.name, 0.0) * blind) ** 2 if p.transform == "log" else 0.0 for p in taken]
     cov[np.ix_(target, target)] = (part + part.T) / 2 + np.diag(floor)
 
 

@@ -15,7 +15,8 @@ from servo_daemon.samples import F64
 @dataclass(frozen=True, slots=True)
 class Stretch:
     """Time since some start (s), which samples may be used, and the signals there are (0 where they are no
-    measurement); shapes (n,). `complete`: all of them are measurements."""
+    measurement); shapes (n,). `complete`: all of them are measurements. `gap`: before which samples others are missing;
+    None: none are."""
 
     time_s: F64
     usable: NDArray[np.bool_]
@@ -25,6 +26,7 @@ class Stretch:
     position: F64 | None
     velocity: F64 | None
     complete: bool = True
+    gap: NDArray[np.bool_] | None = None
 
 
 def median(values: F64) -> float:
@@ -51,7 +53,14 @@ def joined(parts: Sequence[Stretch]) -> Stretch:
         both("position"),
         both("velocity"),
         all(p.complete for p in parts),
+        _joined_gaps(parts),
     )
+
+
+def _joined_gaps(parts: Sequence[Stretch]) -> NDArray[np.bool_] | None:
+    if all(p.gap is None for p in parts):
+        return None
+    return np.concatenate([np.zeros(len(p.time_s), dtype=bool) if p.gap is None else p.gap for p in parts])
 
 
 def last(s: Stretch, n: int) -> Stretch:
@@ -61,7 +70,7 @@ def last(s: Stretch, n: int) -> Stretch:
         return None if x is None else x[-n:]
 
     signals = (cut(s.voltage), cut(s.current), cut(s.torque), cut(s.position), cut(s.velocity))
-    return Stretch(s.time_s[-n:], s.usable[-n:], *signals, s.complete)
+    return Stretch(s.time_s[-n:], s.usable[-n:], *signals, s.complete, None if s.gap is None else s.gap[-n:])
 
 
 def motion(w: Windows, s: Stretch) -> tuple[F64, F64]:

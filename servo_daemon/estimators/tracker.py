@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from servo_daemon.estimators import jumps
+from servo_daemon.estimators.balance_window import Sampling
 from servo_daemon.estimators.base import Gaussian
 from servo_daemon.estimators.ekf import Ekf
 from servo_daemon.estimators.excitation import Excitation
@@ -20,6 +21,7 @@ from servo_daemon.estimators.jump_actions import JumpActions
 from servo_daemon.estimators.layout import Stretches
 from servo_daemon.estimators.levels import Levels
 from servo_daemon.estimators.motor_rls import MotorRls
+from servo_daemon.estimators.noise_setting import NoiseSetting
 from servo_daemon.estimators.parameter_judge import ParameterJudge, Tick
 from servo_daemon.estimators.roster import make_roster
 from servo_daemon.estimators.settings import Message, Resolutions, TrackerSettings
@@ -37,12 +39,13 @@ from servo_daemon.samples import SampleBlock
 _SAVED_STD = 0.03
 #: Diverged: innovations this many times larger than they should be, for as many ticks, while the regression is well.
 _DIVERGED_NIS, _DIVERGED_TICKS = 6.0, 20
-#: The noise levels need so many ticks before they can tell what is unusual; a Cholesky factor is tried this often.
-_TICKS_TO_LEARN_NOISE, _SOUNDNESS_EVERY = 30, 20
+#: After so many ticks, no sooner than anything can be published, jumps are looked for; a Cholesky factor is tried this
+#: often.
+_TICKS_TO_WATCH, _SOUNDNESS_EVERY = 8, 20
 #: A filter that started from little has this long to find out for itself, ticks.
 _TICKS_TO_BEGIN_BETTER = 50
-#: In this tick, before anything can have qualified, the covariance is widened once, 1 σ over the scales.
-_SECOND_START_TICK, _SECOND_START_STD = 7, 0.04
+#: When the filter begins to use its instrument, the covariance is widened once, 1 σ over the scales.
+_SECOND_START_STD = 0.1
 
 
 class Tracker:
@@ -86,10 +89,10 @@ class Tracker:
         self._stretches = Stretches()
         self._starter = Starter(self.plan, self.nominal, self.rls.names)
         self._levels = Levels(plant)
+        self._noise = NoiseSetting(self._roster, self.ekf, self.rls, self.watch, self._levels)
         self._filtering = Filtering(self.ekf, self._levels)
         self._tick_end_s: float | None = None
         self._suspicious_ticks = self._ticks = 0
-        self._input_lsb = self._torque_Nm = 0.0
 
     @property
     def excitation(self) -> Excitation:
@@ -148,12 +151,13 @@ class Tracker:
         if not self.ekf.started:
             self.rls.update(stretch, self._noise_var())
             return self._try_start(tick)
+        self._noise.take(stretch, self.sample_period_s or 0.0)
         return self._watch(stretch, duration)
 
     def _noise_var(self) -> dict[str, float]:
         """Of the measured channels: as the filter has found it, or what the resolutions alone make of it."""
         if self.ekf is not None and self.ekf.started:
-            return self.watch.noise_var
+            return self.watch.least_noise_var
         steps = {name: self.resolutions.of(name) for name in self.plan.measured}
         return {name: step**2 / 12.0 for name, step in steps.items() if step is not None}
 
@@ -172,28 +176,15 @@ class Tracker:
     def _begin(self, start: Start) -> None:
         assert self.ekf is not None
         self.watch.start(start.noise)
-        self._input_lsb = start.input_lsb
         self._filtering.layout.expect_steps(start.position_lsb, start.input_lsb)
         self.ekf.start(start.parameters, held_input=self._filtering.layout.last_input)
         self._jumps.reset()
         self._judge.begin(trusted=self._prior is not None)
         self._ticks, self._filtering.outliers = 0, []
-        self._rescale()
-        self._set_noise()
+        self.excitation.scales = self._noise.begin(start, self._sampling())
         free = self._roster.free
         self.ekf.set_active(free.astype(np.float64), self._judge.walk(free))
         self.ekf.forget_state(self._filtering.first_state(start.last))
-
-    def _rescale(self) -> None:
-        """The scales follow the levels of the signals."""
-        assert self.ekf is not None
-        values = self._roster.values(self.ekf.coordinates)
-        self.excitation.scales = np.array(self._levels.scales(values))
-        self._torque_Nm = self._levels.torque_Nm(values)
-
-    def _set_noise(self) -> None:
-        assert self.ekf is not None
-        self.ekf.set_noise(self.watch.levels(self._levels.input_square**0.5, self._input_lsb, self._torque_Nm))
 
     def _watch(self, stretch: Stretch, duration_s: float) -> list[Message]:
         """Noise, whiteness, jumps, excitation, soundness: after each tick of the running filter."""
@@ -206,20 +197,23 @@ class Tracker:
         verdict = self.watch.judge(statistics)
         self._jumps.watch.observe(verdict.unexplained)
         action: jumps.Action = "learn"
-        if self._ticks > _TICKS_TO_LEARN_NOISE and stretch.complete:
+        if self._ticks > _TICKS_TO_WATCH and stretch.complete:
             action = self._jumps.watch.judge(verdict.unexplained, verdict.settled)
         messages = self._jumps.act(action, self._tick_end_s or 0.0)
-        # What the filter does not believe, the regressions are not told either.
-        believed = stretch.usable & ~self._filtering.take_outliers() & (action != "undo")
+        # What the filter does not believe, the regressions are not told either. Where that is the rule it is the model
+        # that is not to be believed, and a balance without those samples would close.
+        outliers = self._filtering.take_outliers() & self._jumps.watch.calm
+        believed = stretch.usable & ~outliers & (action != "undo")
         fresh = self.rls.update(replace(stretch, usable=believed), self._noise_var())
         if action == "learn" and stretch.complete:
             self.watch.learn(statistics, duration_s)
         if fresh:
-            self._rescale()
-        self._set_noise()
+            self.excitation.scales = self._noise.rescale(self._sampling())
+        self._noise.set()
         self._judge.update(duration_s, fresh, self._tick())
-        if self._ticks == _SECOND_START_TICK:
-            # What was learned with noise levels that were only guessed, and from a start that was, is taken for less.
+        if self._judge.begins_to_follow and self._prior is None:
+            # What was learned without the instrument (from a start that was guessed, partly from the colour of the
+            # noise) is taken for less.
             self.ekf.widen_parameters(
                 np.where(self._roster.published, np.square(_SECOND_START_STD * self.excitation.scales), 0)
             )
@@ -232,12 +226,13 @@ class Tracker:
         return Tick(
             number=self._ticks,
             open=self._jumps.watch.is_open,
-            looked_into=not self._jumps.watch.quiet,
             explained=self._jumps.watch.calm,
-            noise_var=self.watch.noise_var,
-            current_step_square=self._levels.current_step_square,
-            sample_period_s=self.sample_period_s or 0.0,
+            inductance_std=self._noise.inductance_std(self.sample_period_s or 0.0),
+            sampling=self._sampling(),
         )
+
+    def _sampling(self) -> Sampling:
+        return Sampling(self._noise_var(), self._levels.current_step_square, self.sample_period_s or 0.0)
 
     def _judge_divergence(self, verdict: TickVerdict) -> list[Message]:
         assert self.ekf is not None and self.rls is not None

@@ -18,8 +18,9 @@ _NOTHING = ChannelStatistics(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _CROSS_MEMORY_S, _CROSS_WEIGHT = 10.0, 4.0
 #: Whiteness: leaves at the second value, returns at the first.
 _WHITE_IN, _WHITE_OUT = 0.15, 0.25
-#: White, but only because process noise was raised by this factor: not white.
-_UNEXPLAINED = 10.0
+#: White, but only because process noise was raised by this factor: not white. Of the torque; of the held input, whose
+#: noise is a drive's own (dead time, ripple) up to 1.4 % of its rms.
+_UNEXPLAINED = (10.0, 200.0)
 #: A tick is unexplained above so many standard deviations of its mean square, or with so many outliers; settled below.
 _UNEXPLAINED_NIS, _SETTLED_NIS = 7.0, 4.0
 _FEWEST_GATED, _GATED_SHARE = 3, 0.03
@@ -56,10 +57,12 @@ class InnovationWatch:
     def __init__(self, measured: tuple[str, ...]) -> None:
         self._measured = measured
         self._channel: dict[str, ChannelNoise] = {}
+        self._first_var: dict[str, float] = {}
         self._process: dict[str, ProcessNoise] = {}
         self._pool: dict[str, tuple[ChannelStatistics, float]] = {}
         self._updates: dict[str, int] = {}
         self._crossed = 0.0
+        self._too_much = False
         self.whiteness: dict[str, Whiteness] = {}
         self.white = True
         self.gated = 0
@@ -67,13 +70,21 @@ class InnovationWatch:
     def start(self, channels: Mapping[str, ChannelNoise]) -> None:
         """Begin with these levels; what was found about the model before is forgotten."""
         self._channel = dict(channels)
+        self._first_var = {name: c.var for name, c in channels.items()}
         self._process = {}
         self._pool, self._updates, self._crossed = {}, {}, 0.0
+        self._too_much = False
 
     @property
     def noise_var(self) -> dict[str, float]:
         """Of the measured channels, in their units squared."""
         return {name: c.var for name, c in self._channel.items()}
+
+    @property
+    def least_noise_var(self) -> dict[str, float]:
+        """The same, but no more than what the first samples showed by themselves: a model that lacks something is no
+        noise."""
+        return {name: min(c.var, self._first_var[name]) for name, c in self._channel.items()}
 
     def levels(self, input_rms: float, input_lsb: float | None, torque_Nm: float) -> NoiseLevels:
         """What the filter is to work with.
@@ -88,6 +99,28 @@ class InnovationWatch:
             noise.torque_intensity(torque_Nm) * of_torque.factor,
             tuple(self._channel[c].var for c in self._measured),
         )
+
+    def expect_torque(self, psd: float, torque_Nm: float) -> None:
+        """The shaft's balance leaves a torque that the model does not explain: it is at least as large.
+
+        Args:
+            psd: as a white torque, (N·m)²·s.
+            torque_Nm: typical motor torque.
+        """
+        name = self._measured[-1]
+        factor = psd / noise.torque_intensity(torque_Nm)
+        if factor > self._of(name).factor and not self._too_much:
+            self._process[name] = ProcessNoise(min(factor, noise.FACTOR_MOST))
+
+    def expect_input(self, var: float, input_rms: float, input_lsb: float | None) -> None:
+        """Begin with a held input that is known no better than to this variance, in its unit squared.
+
+        Args:
+            input_rms, input_lsb: of the held input, in its unit.
+        """
+        factor = var / noise.input_variance(input_rms, input_lsb)
+        if factor > self._of("current_A").factor:
+            self._process["current_A"] = ProcessNoise(min(factor, noise.FACTOR_MOST))
 
     def judge(self, statistics: Mapping[str, ChannelStatistics]) -> TickVerdict:
         """Look at the innovations of a tick; nothing is learned yet."""
@@ -119,13 +152,24 @@ class InnovationWatch:
                 # What moves the current really moves the shaft a sample later; where the winding is faster than the
                 # sampling this alone tells voltage noise from sensor noise.
                 follow = s.correlation + _CROSS_WEIGHT * self._crossed
-            self._process[name] = self._of(name).after(s.correlation, s.nis, follow)
+            self._process[name] = self._noise_after(name, s, follow)
             self.whiteness[name] = self.whiteness.get(name, Whiteness()).after(s.correlation, s.nis, span_s)
             if name == self._measured[-1]:
                 self._crossed += (1.0 - math.exp(-span_s / _CROSS_MEMORY_S)) * (s.crossed - self._crossed)
             self._updates[name] = self._updates.get(name, 0) + 1
             self._channel[name] = noise.adapted(self._channel[name], s.excess, span_s, self._updates[name])
         self._judge()
+
+    def _noise_after(self, name: str, s: ChannelStatistics, follow: float | None) -> ProcessNoise:
+        """A torque moves the current too. Innovations of the current that are too small beside a torque that was
+        raised say that the torque is too large, not the input."""
+        motion = self._measured[-1]
+        raised = name != motion and self._of(motion).factor > _UNEXPLAINED[False]
+        if name == "current_A":
+            self._too_much = raised and s.nis < noise.NIS_LOW
+            if self._too_much:
+                return self._of(name)
+        return self._of(name).after(s.correlation, s.nis, follow, too_much=name == motion and self._too_much)
 
     def _of(self, name: str) -> ProcessNoise:
         return self._process.get(name, ProcessNoise())
@@ -134,6 +178,6 @@ class InnovationWatch:
         if not self.whiteness:
             return
         correlation = max(abs(w.correlation) for w in self.whiteness.values())
-        unexplained = max((n.factor for n in self._process.values()), default=1.0)
-        out, limit = (_WHITE_OUT, 2 * _UNEXPLAINED) if self.white else (_WHITE_IN, _UNEXPLAINED)
+        unexplained = max((n.factor / _UNEXPLAINED[c == "current_A"] for c, n in self._process.items()), default=0.0)
+        out, limit = (_WHITE_OUT, 2.0) if self.white else (_WHITE_IN, 1.0)
         self.white = bool(correlation < out and unexplained < limit)

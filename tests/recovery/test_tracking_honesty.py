@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks.tracking import faults
-from benchmarks.tracking.cases import quiet
+from benchmarks.tracking.cases import coarse_voltage, quiet
 from benchmarks.tracking.faults import Where
 from benchmarks.tracking.follow import NAMES, Flags, Track, nominal_of, sampled, tracked
 from servo_daemon.samples import F64
@@ -57,8 +57,8 @@ def failing(why: dict[tuple[str | int, ...], str], *cases: tuple[str | int, ...]
     ("motor", "seed"),
     failing(
         {
-            ("gear", 1): "L 4.7 std off while tracking, 10.8 .. 12.9 s",
-            ("gear", 2): "L 5.2 std off while tracking, from 3.9 s to the end",
+            ("gear", 1): "L 4.8 std (13 %) off while tracking, 8.3 .. 12.4 s",
+            ("gear", 2): "L 6.4 std (12 %) off while tracking, from 3.9 s to the end",
         },
         *((motor, seed) for motor in MOTORS for seed in (1, 2)),
     ),
@@ -136,11 +136,7 @@ def test_five_percent_of_current_offset_bends_nothing(motor: str, motion: str) -
     ("motor", "motion", "seed"),
     failing(
         {
-            ("paper", "pick_and_place", 2): "all 4.3 .. 4.5 std off between 4.5 and 5.5 s (4 of seeds 1 .. 12 are)",
-            ("large", "pick_and_place", 9): "L 7.6, K 4.1 std off between 4.0 and 6.0 s",
-            ("re40", "pick_and_place", 4): "L 5.1 std (35 %) off between 10.5 and 18.1 s (6 of seeds 1 .. 12 are)",
-            ("paper", "reversals", 1): "R 5.3 std off between 11.0 and 12.9 s",
-            ("re40", "reversals", 1): "J 6.7, B 5.9 std off between 5.6 and 6.0 s",
+            ("paper", "reversals", 1): "R 8.2 std (7 %) off between 11.0 and 12.9 s, the first in which it is excited",
         },
         *((motor, motion, 1) for motor in MOTORS for motion in ("pick_and_place", "reversals")),
         ("paper", "pick_and_place", 2),
@@ -169,13 +165,7 @@ def with_friction(motor: str, motion: str) -> tuple[Track, Recording]:
 
 @pytest.mark.parametrize(
     ("motor", "motion"),
-    failing(
-        {
-            ("re40", "multisine"): "B 90, J 8 std off while tracking, not white",
-            ("paper", "multisine"): "B 4.9 std off once while tracking, not white",
-        },
-        *((motor, motion) for motor in MOTORS for motion in ("pick_and_place", "multisine")),
-    ),
+    [(motor, motion) for motor in MOTORS for motion in ("pick_and_place", "multisine")],
 )
 def test_the_shaft_is_not_claimed_where_its_balance_does_not_close(motor: str, motion: str) -> None:
     """J or B is 9 to 160 std off here by the filter alone; what the balance leaves open keeps them from tracking."""
@@ -185,19 +175,43 @@ def test_the_shaft_is_not_claimed_where_its_balance_does_not_close(motor: str, m
     assert not track.white.all()
 
 
-@pytest.mark.parametrize(
-    "motor",
-    failing(
-        {
-            ("paper",): "R 98, K 21 std off while tracking",
-            ("re40",): "R 24, K 10 std off while tracking",
-            ("gear",): "R 12, K 12 std off while tracking",
-            ("large",): "R 12, K 35 std off while tracking",
-        },
-        *((motor,) for motor in MOTORS),
-    ),
-)
-def test_the_winding_is_right_where_the_shaft_s_balance_does_not_close(motor: str) -> None:
-    track, recording = with_friction(motor, "pick_and_place")
+@pytest.mark.parametrize("motion", ["pick_and_place", "multisine"])
+@pytest.mark.parametrize("motor", list(MOTORS))
+def test_the_winding_is_right_where_the_shaft_s_balance_does_not_close(motor: str, motion: str) -> None:
+    """The torque that the shaft's balance leaves is in the filter's noise from the start: R and K are claimed, and
+    right to 2 % (both were up to 20 % off)."""
+    track, recording = with_friction(motor, motion)
     found = worst(track, recording)
     assert max(found["R"], found["K"]) < STDS, found
+    late = after(track, 10.0)
+    for parameter in ("R", "K"):
+        k = NAMES.index(parameter)
+        assert track.tracking[late, k].mean() > 0.9
+        assert np.abs(track.value[late, k] / getattr(MOTORS[motor], parameter) - 1).max() < 0.02
+
+
+# -- instruments ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("motor", list(MOTORS))
+def test_a_voltage_in_steps_of_a_tenth_of_a_volt_leaves_L_open(motor: str) -> None:
+    """What is rounding in the changes of the voltage is no response of the winding: L of the RE 40 came out twice as
+    large, with 2 % of spread."""
+    recording = coarse_voltage(MOTORS[motor], 40.0, SEED).recording
+    track = run(recording, motor)
+    found = worst(track, recording)
+    assert max(found.values()) < STDS, found
+    for parameter in ("R", "K", "J"):
+        assert track.tracking[after(track, 10.0), NAMES.index(parameter)].all()
+
+
+@pytest.mark.parametrize("motor", list(MOTORS))
+def test_spikes_of_the_voltage_bend_nothing(motor: str) -> None:
+    """Single samples at the supply's limit, every 2 s on average."""
+    clean = generate(MOTORS[motor], Scenario("pick_and_place", seconds=40.0, seed=SEED))
+    recording = faults.spikes("voltage_V")(clean, Where(MOTORS[motor], 0, SEED))
+    track = run(recording, motor)
+    found = worst(track, recording)
+    assert max(found.values()) < STDS, found
+    for parameter in ("R", "K", "J"):
+        assert track.tracking[after(track, 10.0), NAMES.index(parameter)].all()

@@ -94,15 +94,13 @@ def test_values_are_right_again_after_five_seconds(name: str, motor: str) -> Non
     assert track.tracking[late][:, seen].all()
 
 
-UNSEEN_L = "L/R = 0.29 ms at 1 kHz in slow moves: L is {} off after 5 s"
-
-
 @each(
     *STEPS,
     failing={
-        ("R +30 %, pick and place", "re40"): UNSEEN_L.format("12 %"),
-        ("J +30 %, pick and place", "re40"): UNSEEN_L.format("9 %"),
-        ("load step in the model, pick and place", "re40"): UNSEEN_L.format("14 %"),
+        (
+            "load step in the model, pick and place",
+            "re40",
+        ): "L is 5.9 % off, 1.2 of its std: 5.1 %, of which a sampling skew of 10 µs is 3.4 %",
     },
 )
 def test_inductance_is_right_again_after_five_seconds(name: str, motor: str) -> None:
@@ -142,18 +140,8 @@ def test_a_clean_run_reports_no_jump(motor: str, motion: str) -> None:
     assert not jumps(clean(motion, motor))
 
 
-FALSE_MISMATCH = "not white at 36.3 s of 60 for 6 s, and with seed 4 of 1 .. 4 at 37.0 s"
-
-
-@pytest.mark.parametrize(
-    ("motor", "motion"),
-    [
-        pytest.param(motor, motion, marks=[pytest.mark.xfail(strict=True, reason=why)] if why else [])
-        for motor in MOTORS
-        for motion in ("multisine", "pick_and_place")
-        for why in [FALSE_MISMATCH if (motor, motion) == ("large", "pick_and_place") else ""]
-    ],
-)
+@pytest.mark.parametrize("motion", ["multisine", "pick_and_place"])
+@pytest.mark.parametrize("motor", list(MOTORS))
 def test_a_clean_run_reports_no_mismatch(motor: str, motion: str) -> None:
     track = clean(motion, motor)
     assert not [t for t in track.told if t.kind == "model_mismatch"]

@@ -13,13 +13,14 @@ import pytest
 from servo_daemon.estimators.balances import (
     ALIGNED,
     GramWindow,
+    Sums,
     armature_slopes,
     column_noise,
     information,
-    mismatch_std,
     noise_gram,
     shaft_slopes,
 )
+from servo_daemon.estimators.closure import mismatch_std
 from servo_daemon.estimators.excitation import SYSTEMATIC_ENTER, SYSTEMATIC_LEAVE
 from servo_daemon.estimators.modulating import Windows, make_windows
 from servo_daemon.estimators.rls import SYSTEMATIC
@@ -221,14 +222,14 @@ def test_the_window_holds_the_last_seconds() -> None:
     rng = np.random.default_rng(3)
     parts = [(rng.normal(size=(7, 2)), rng.normal(size=7)) for _ in range(10)]
     for k, (Phi, y) in enumerate(parts):
-        window.add(float(k), Phi, y, np.full(3, 1.0 + k))
+        window.add(float(k), Sums.of(Phi, y, np.full(3, 1.0 + k)))
     total = window.total(9.0)
     assert total is not None
     rows = np.vstack([np.column_stack(p) for p in parts[4:]])  # 4 s .. 9 s: none is older than 5 s
-    np.testing.assert_allclose(total[0], rows.T @ rows, rtol=1e-12)
-    np.testing.assert_allclose(total[1], np.full(3, sum(range(5, 11))))
+    np.testing.assert_allclose(total.gram, rows.T @ rows, rtol=1e-12)
+    np.testing.assert_allclose(total.weight_squares, np.full(3, sum(range(5, 11))))
     assert window.total(14.5) is None, "all of it is too old by now"
-    window.add(15.0, *parts[0], np.ones(3))
+    window.add(15.0, Sums.of(*parts[0], np.ones(3)))
     window.clear()
     assert window.total(15.0) is None
 

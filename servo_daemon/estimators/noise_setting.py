@@ -1,0 +1,60 @@
+"""Tells the filter how large its noise is: the watch's factors, the signals' levels, and what the balances leave."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from servo_daemon.estimators.balance_window import Sampling
+from servo_daemon.estimators.coarse_input import CoarseInput
+from servo_daemon.estimators.ekf import Ekf
+from servo_daemon.estimators.levels import Levels
+from servo_daemon.estimators.motor_rls import MotorRls
+from servo_daemon.estimators.roster import Roster
+from servo_daemon.estimators.starter import Start
+from servo_daemon.estimators.stretch import Stretch
+from servo_daemon.estimators.watch import InnovationWatch
+from servo_daemon.samples import F64
+
+
+class NoiseSetting:
+    """One drive's. A filter whose noise is set too low learns the wrong thing for certain, and what it learned stays:
+    torque and voltage noise begin with what the regressions' balances leave unexplained before it starts."""
+
+    def __init__(self, roster: Roster, ekf: Ekf, rls: MotorRls, watch: InnovationWatch, levels: Levels) -> None:
+        self._roster, self._ekf, self._rls, self._watch, self._levels = roster, ekf, rls, watch, levels
+        self._coarse = CoarseInput()
+        self._input_lsb = self._torque_Nm = 0.0
+        self._value: dict[str, float] = {}
+
+    def begin(self, start: Start, sampling: Sampling) -> F64:
+        """A filter has started. Returns one unit of each coordinate, shape (n,)."""
+        self._input_lsb = start.input_lsb
+        self._coarse.lsb_V = start.input_lsb if self._ekf.plant.drive == "voltage" else 0.0
+        scales = self.rescale(sampling)
+        var = self._rls.window.input_noise(self._value, sampling)
+        if var is not None:
+            self._watch.expect_input(var, self._levels.input_square**0.5, self._input_lsb)
+        self.set()
+        return scales
+
+    def take(self, tick: Stretch, period_s: float) -> None:
+        """A tick's samples while the filter runs."""
+        if tick.voltage is not None and len(tick.voltage) and "L" in self._roster.names:
+            self._coarse.take(tick.voltage, period_s, self._value)
+
+    def rescale(self, sampling: Sampling) -> F64:
+        """The levels of the signals, and the torque that the shaft's balance leaves, have changed. Returns one unit of
+        each coordinate, shape (n,)."""
+        self._value = self._roster.values(self._ekf.coordinates)
+        self._torque_Nm = self._levels.torque_Nm(self._value)
+        self._watch.expect_torque(self._rls.window.unexplained_torque(self._value, sampling), self._torque_Nm)
+        return np.array(self._levels.scales(self._value))
+
+    def set(self) -> None:
+        """Noise as it is known by now."""
+        input_rms = self._levels.input_square**0.5
+        self._ekf.set_noise(self._watch.levels(input_rms, self._input_lsb, self._torque_Nm))
+
+    def inductance_std(self, period_s: float) -> float:
+        """1 σ of ln L that the steps of the recorded voltage leave open."""
+        return self._coarse.inductance_std(period_s, self._value) if "L" in self._value else 0.0

@@ -1,0 +1,127 @@
+"""What a balance says of the filter's values, what coarse steps leave of L, and which rows are spoilt: closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from servo_daemon.estimators.balances import Sums
+from servo_daemon.estimators.closure import Confronted, doubt_var, structure, verdict
+from servo_daemon.estimators.coarse_input import CoarseInput, along
+from servo_daemon.estimators.noise import ProcessNoise
+from servo_daemon.estimators.plausible import Plausible
+from servo_daemon.estimators.rls import SYSTEMATIC
+from servo_daemon.samples import F64
+
+N = 2000
+TRUE = np.array([2.0, -0.5])
+NOISELESS = np.zeros(2)
+
+
+def rows(seed: int, noise: float = 0.0) -> tuple[F64, F64]:
+    rng = np.random.default_rng(seed)
+    Phi = rng.normal(size=(N, 2))
+    return Phi, Phi @ TRUE + noise * rng.normal(size=N)
+
+
+def sums(Phi: F64, y: F64) -> Sums:
+    return Sums.of(Phi, y, np.ones(3))
+
+
+def test_right_values_have_no_error() -> None:
+    found = verdict([Confronted.of(sums(*rows(1)), TRUE, NOISELESS)])
+    assert found is not None
+    np.testing.assert_allclose(found.error, 0.0, atol=1e-9)
+    # Without noise the share SYSTEMATIC of y is left, along each of two regressors of variance 1.
+    share = SYSTEMATIC * np.sqrt(N * np.sum(TRUE**2))
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), share / np.sqrt(N), rtol=0.1)
+
+
+def test_wrong_values_are_found_wrong_by_what_they_are() -> None:
+    found = verdict([Confronted.of(sums(*rows(1)), TRUE * [1.2, 1.0], NOISELESS)])
+    assert found is not None
+    np.testing.assert_allclose(found.error, [-0.4, 0.0], atol=1e-9)
+
+
+def test_values_that_follow_what_ages_have_no_error() -> None:
+    """Each part beside the values of its time; one fit over both parts would find neither."""
+    Phi, y = rows(1)
+    older, newer = sums(Phi, y), sums(Phi, Phi @ (1.3 * TRUE))
+    parts = [Confronted.of(older, TRUE, NOISELESS), Confronted.of(newer, 1.3 * TRUE, NOISELESS)]
+    found = verdict(parts)
+    assert found is not None
+    np.testing.assert_allclose(found.error, 0.0, atol=1e-9)
+    assert structure(older.gram + newer.gram, 0.0) > 0.01 * (older.gram + newer.gram)[-1, -1]
+
+
+def test_noise_of_the_regressors_is_no_error_of_the_values() -> None:
+    """Seen with noise of variance 0.2 the regressors draw a fit to TRUE / 1.2."""
+    Phi, y = rows(1)
+    seen = Phi + np.sqrt(0.2) * np.random.default_rng(2).normal(size=Phi.shape)
+    blind = verdict([Confronted.of(sums(seen, y), TRUE, NOISELESS)])
+    aware = verdict([Confronted.of(sums(seen, y), TRUE, np.full(2, 0.2 * N))])
+    assert blind is not None and aware is not None
+    np.testing.assert_allclose(blind.error, -TRUE / 6, atol=0.1)
+    assert (np.abs(aware.error) < 3 * np.sqrt(np.diag(aware.covariance))).all()
+
+
+def test_nothing_is_said_of_what_the_rows_do_not_determine() -> None:
+    Phi = np.outer(np.arange(N, dtype=float), [1.0, 2.0])
+    assert verdict([Confronted.of(sums(Phi, Phi @ TRUE), TRUE, NOISELESS)]) is None
+    assert verdict([]) is None
+
+
+@pytest.mark.parametrize(("error", "std", "added"), [(0.015, 0.0, 0.0), (0.06, 0.03, 0.0), (0.2, 0.01, 0.198)])
+def test_a_difference_is_doubt_only_beyond_chance(error: float, std: float, added: float) -> None:
+    """Two standard deviations, of the difference and of 1 % that integrals over samples may be off, are chance."""
+    assert doubt_var(error, std**2) ** 0.5 == pytest.approx(added, abs=0.001)
+
+
+# -- a voltage in coarse steps -----------------------------------------------------------------------------------------
+
+
+def coarse(lsb: float, change_rms: float, R: float, L: float, period_s: float = 1e-3) -> float:
+    found, rng = CoarseInput(), np.random.default_rng(5)
+    found.lsb_V = lsb
+    value = {"R": R, "L": L}
+    for _ in range(500):
+        found.take(rng.normal(size=100) * change_rms / math.sqrt(2.0), period_s, value)
+    return found.inductance_std(period_s, value)
+
+
+def test_steps_leave_of_L_what_rounding_is_of_the_changes() -> None:
+    """A winding that is slow against the sampling: the share itself; a fast one: (exp x − 1)/x times as much."""
+    share = 0.1**2 / 6 / 0.2**2
+    assert coarse(0.1, 0.2, 1.0, 0.01) == pytest.approx(share * (math.exp(0.1) - 1) / 0.1, rel=0.1)
+    assert coarse(0.1, 0.2, 1.0, 5e-4) == pytest.approx(share * (math.exp(2.0) - 1) / 2.0, rel=0.1)
+    assert coarse(0.1, 0.01, 1.0, 0.01) == pytest.approx((math.exp(0.1) - 1) / 0.1), "all of it is rounding"
+    assert coarse(0.0, 0.2, 1.0, 5e-4) == 0.0, "no steps"
+
+
+def test_what_goes_with_L_is_off_with_it() -> None:
+    covariance = np.array([[4.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 1.0]])
+    np.testing.assert_allclose(along(covariance, 0, 0.2), [0.2, 0.05, 0.0])
+
+
+# -- spoilt rows, too much noise --------------------------------------------------------------------------------------
+
+
+def test_a_few_rows_far_off_are_left_out_and_many_are_not() -> None:
+    rng = np.random.default_rng(6)
+    plausible, y = Plausible(), np.ones(50)
+    residual = 1e-3 * rng.normal(size=50)
+    assert plausible.rows(residual, y).all()
+    residual[7] = 5.0
+    assert np.flatnonzero(~plausible.rows(residual, y)).tolist() == [7]
+    for _ in range(4):  # now it is the model
+        kept = plausible.rows(np.where(np.arange(50) % 4 == 0, 5.0, residual), y)
+    assert kept.all()
+
+
+def test_noise_that_makes_another_channel_too_quiet_recedes() -> None:
+    large = ProcessNoise(1e4)
+    assert large.after(0.5, 2.0).factor > 1e4
+    assert large.after(0.5, 2.0, too_much=True).factor < 1e4
+    assert ProcessNoise(1.0).after(0.5, 2.0, too_much=True).factor == 1.0
