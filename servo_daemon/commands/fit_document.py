@@ -92,6 +92,7 @@ def residual_row(fit: OutputErrorFit, *, linear: bool) -> dict[str, Any]:
     return {
         "rmse": {name: t.rmse for name, t in tests.items()},
         "white": bool(fit.white),
+        "noise_model": _noise_row(fit, linear=linear),
         "channels": {
             name: {
                 "white": bool(t.white),
@@ -100,6 +101,19 @@ def residual_row(fit: OutputErrorFit, *, linear: bool) -> dict[str, Any]:
                 "outliers": t.outliers,
             }
             for name, t in tests.items()
+        },
+    }
+
+
+def _noise_row(fit: OutputErrorFit, *, linear: bool) -> dict[str, Any] | None:
+    """Noise that enters the motor, where the estimate is the likelihood's under it: `white` then judges innovations."""
+    if fit.noise is None or fit.innovation is None:
+        return None
+    return {
+        "voltage_noise_V": fit.noise.input_std,
+        "sensor_noise": {shown_column(n, linear=linear): v for n, v in fit.noise.sensor_std.items()},
+        "innovation_autocorrelation": {
+            shown_column(n, linear=linear): t.autocorrelation for n, t in fit.innovation.items()
         },
     }
 

@@ -58,6 +58,12 @@ def _verdict(document: Mapping[str, Any]) -> Verdict:
     if open_ones:
         lines = tuple(d["text"] for d in document["null_directions"])
         return Verdict("warn", f"These data do not determine {', '.join(open_ones)}", lines)
+    noise = document["residual"]["noise_model"]
+    if document["residual"]["white"] and noise is not None:
+        lines = (
+            f"Noise of {noise['voltage_noise_V']:.2g} V on the voltage is not in the capture, and enters the motor.",
+        )
+        return Verdict("good", "The model and the noise of its voltage explain these data", lines)
     if document["residual"]["white"]:
         return Verdict("good", "The model explains these data to their noise")
     return Verdict(

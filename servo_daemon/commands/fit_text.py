@@ -60,6 +60,9 @@ def _residual_lines(document: Mapping[str, Any]) -> list[str]:
         if residual["white"]
         else ("not white: the model lacks something, or the noise is coloured (`servo-daemon diagnose` says which)")
     )
+    noise = residual.get("noise_model")
+    if noise is not None:
+        what = f"explained by noise of {noise['voltage_noise_V']:.2g} V on the voltage that the capture does not show"
     sizes = ", ".join(f"{name} {value:.4g}" for name, value in residual["rmse"].items())
     return [f"residual rms: {sizes}; {what}"]
 
