@@ -7,10 +7,43 @@ equal in SI units. Effects bring parameters of their own in the same form (see `
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from typing import Literal
 
 Transform = Literal["log", "identity"]
+#: Which estimators leave a parameter as it is given: none, the live ones, all.
+Held = Literal["no", "live", "always"]
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """The size of a parameter on a motor of any size: the product of the motor's own sizes to these powers.
+
+    Attributes:
+        share: a search starts at this share of the product; 0: at the parameter's nominal value.
+        torque, voltage, current, speed: what the motor works with, N·m, V, A, rad/s.
+        travel: half of the way it moves, rad.
+        seconds: length of the recording, s.
+        R, J, B: the motor's.
+    """
+
+    share: float
+    torque: int = 0
+    voltage: int = 0
+    current: int = 0
+    speed: int = 0
+    travel: int = 0
+    seconds: int = 0
+    R: int = 0
+    J: int = 0
+    B: int = 0
+
+    def product(self, sizes: Mapping[str, float]) -> float:
+        """From "torque", "voltage", … to the parameter's unit; a size that is missing counts as 1."""
+        powers = ((f.name, getattr(self, f.name)) for f in fields(self) if f.name != "share")
+        return math.prod(float(sizes.get(name, 1.0) ** power) for name, power in powers if power)
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +59,10 @@ class Parameter:
         transform: "log" for positive parameters (estimated as logarithms), "identity" for signed ones.
         description: what it is, in words.
         source: where the nominal value or the bounds come from.
+        scale: its size on a motor of any size; None: the nominal value serves everywhere.
+        held: "live": a filter that runs along cannot find it (the instant of a step, an order, a frequency: the data
+            hold many wrong values that look right), a fit from a good start can; "always": it is a choice, no number.
+        choices: what the values 0, 1, … of a choice stand for.
     """
 
     name: str
@@ -37,6 +74,14 @@ class Parameter:
     transform: Transform
     description: str
     source: str
+    scale: Scale | None = None
+    held: Held = "no"
+    choices: tuple[str, ...] = ()
+
+    @property
+    def searched(self) -> bool:
+        """Whether a search must try starts: no slope leads there from far away."""
+        return self.held != "no"
 
     def __post_init__(self) -> None:
         if not self.lower < self.upper:

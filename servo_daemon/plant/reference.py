@@ -1,20 +1,27 @@
-"""The NumPy twin: the same step as `build.py`, from other building blocks, for tests to compare with.
+"""The NumPy twin: the same step as `step.py`, from other building blocks, for tests to compare with.
 
-The linear core is SciPy's `expm` of the augmented matrix instead of the closed form, the splitting is written out in
-NumPy, and only the effects' own terms are shared (evaluated on numbers): an effect's formula exists once.
+The linear core and the spring of a second inertia are SciPy's `expm` instead of the closed form, flanks part where a
+root finder says so, the splitting is written out in NumPy, and only the effects' own terms are shared (evaluated on
+numbers): an effect's formula exists once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 from scipy.linalg import expm
+from scipy.optimize import brentq
 
 from servo_daemon.plant.build import PlantModel
-from servo_daemon.plant.effects import Signals, effects_by_name
+from servo_daemon.plant.effects import Signals, State, effects_by_name
+from servo_daemon.plant.effects.base import LAGGED, LATE, TWIST
 from servo_daemon.samples import F64
+
+_FACTORS = ("factor_R", "factor_K", "factor_B", "factor_dry")
+_SUMS = ("load_torque", "voltage_drop", "dry_drop", "viscous")
 
 
 def linear_step(p: Mapping[str, float | F64], h: float) -> tuple[F64, F64]:
@@ -32,49 +39,205 @@ def linear_step(p: Mapping[str, float | F64], h: float) -> tuple[F64, F64]:
     return step[..., :3, :3], step[..., :3, 3:]
 
 
-def _terms(model: PlantModel, x: F64, u: float, p: Mapping[str, float], t: float) -> dict[str, float]:
-    """Sums (factors: products) of all effects' terms, and the rates of their states, as numbers."""
-    own = dict(zip(model.state_names[3:], map(ca.DM, x[3:]), strict=True))
-    time, voltage, current, speed, angle = map(ca.DM, (t, u, x[0], x[1], x[2]))
-    signals = Signals(time, voltage, current, speed, angle, states=own, p={k: ca.DM(v) for k, v in p.items()})
-    total = {"load_torque": 0.0, "voltage_drop": 0.0, "factor_R": 1.0, "factor_K": 1.0, "factor_B": 1.0}
-    levels, rates = np.zeros(2), dict[str, float]()
-    for name in model.effects:
-        term = effects_by_name()[name].terms(signals)
-        for key, before in total.items():
-            value = float(getattr(term, key))
-            total[key] = before * value if key.startswith("factor") else before + value
-        levels += [float(level) for level in term.dry_levels]
-        rates |= {state: float(rate) for state, rate in term.rates.items()}
-    return total | rates | {"dry_forward": float(levels[0]), "dry_backward": float(levels[1])}
+def _driven_step(p: Mapping[str, float], h: float) -> tuple[F64, F64]:
+    """One motor's, with a third input: the rise of the voltage about its mean."""
+    R, L, K, J, B = (p[name] for name in ("R", "L", "K", "J", "B"))
+    augmented = np.zeros((7, 7))
+    augmented[:3, :3] = np.array([[-R / L, -K / L, 0.0], [K / J, -B / J, 0.0], [0.0, 1.0, 0.0]])
+    augmented[0, 3], augmented[1, 4], augmented[0, 5], augmented[5, 6] = 1 / L, -1 / J, 1 / L, 1 / h
+    step = expm(augmented * h)
+    rise = step[:3, 6] - step[:3, 5] / 2
+    rise[2] = 0.0  # of third order in h, left out as in `core.py`
+    return step[:3, :3], np.column_stack([step[:3, 3:5], rise])
+
+
+@dataclass(frozen=True)
+class _Twin:
+    model: PlantModel
+    u: float
+    p: Mapping[str, float]
+
+    def places(self, states: Sequence[State]) -> list[int]:
+        return [self.model.states.index(s) for s in states if s in self.model.states]
+
+    def terms(self, x: F64, t: float, h: float) -> dict[str, float]:
+        """Sums (factors: products) of all effects' terms, and the rates of their states, as numbers."""
+        own = dict(zip(self.model.state_names[3:], map(ca.DM, x[3:]), strict=True))
+        time, voltage, torque, length = map(ca.DM, (t, self.u, self.p["K"] * x[0], h))
+        current, speed, angle = map(ca.DM, x[:3])
+        p = {k: ca.DM(v) for k, v in self.p.items()}
+        signals = Signals(time, voltage, current, speed, angle, torque, length, states=own, p=p)
+        total = dict.fromkeys(_SUMS, 0.0) | dict.fromkeys(_FACTORS, 1.0)
+        levels, rates, extra = np.zeros(2), dict[str, float](), dict[str, float]()
+        for name in self.model.effects:
+            term = effects_by_name()[name].terms(signals)
+            total |= {key: total[key] + float(getattr(term, key)) for key in _SUMS}
+            total |= {key: total[key] * float(getattr(term, key)) for key in _FACTORS}
+            levels += [float(level) for level in term.dry_levels]
+            rates |= {state: float(rate) for state, rate in term.rates.items()}
+            if term.shaft is not None:
+                extra |= {"J_l": float(term.shaft.J_l), "k_s": float(term.shaft.k_s), "c_s": float(term.shaft.c_s)}
+                extra["edge"] = 0.0 if term.shaft.gap is None else float(term.shaft.gap) / 2
+            extra |= {} if term.lag_s is None else {"lag_s": float(term.lag_s)}
+            if term.delay is not None:
+                extra |= {"t_d": float(term.delay.seconds), "channel": float(term.delay.channel)}
+        forward, backward = levels * total["factor_dry"]
+        return total | rates | extra | {"dry_forward": forward, "dry_backward": backward}
+
+    def core(self, x: F64, terms: Mapping[str, float], acting: tuple[float, float], h: float) -> tuple[F64, F64]:
+        """(i, ω, θ) after h without dry friction and drop, and the change per V, N·m and V of rise, shape (3, 3)."""
+        scaled = {**self.p, "R": self.p["R"] * terms["factor_R"], "K": self.p["K"] * terms["factor_K"]}
+        scaled["B"] = self.p["B"] * terms["factor_B"] + terms["viscous"]
+        Ad, Bd = _driven_step(scaled, h)
+        return Ad @ x[:3] + Bd @ [acting[0] - terms["voltage_drop"], terms["load_torque"], acting[1]], Bd
+
+    def own_state(self, k: int, x: F64, t: float, h: float) -> float:
+        """Exponential step of one state of an effect; the slope of its rate by a central difference."""
+        name, d = self.model.state_names[k], 1e-4 * (1.0 + abs(x[k]))
+        shift = d * np.eye(len(x))[k]
+        rate, above, below = (self.terms(at, t, h).get(name, 0.0) for at in (x, x + shift, x - shift))
+        z = (above - below) / (2 * d) * h
+        return float(x[k] + h * rate * (np.expm1(z) / z if z else 1.0))
+
+    def lagged(self, x: F64, terms: Mapping[str, float], h: float) -> tuple[float, float, float]:
+        """Mean, rise and end of the voltage over the step, by quadrature."""
+        place = self.places((LAGGED,))
+        if not place:
+            return self.u, 0.0, self.u
+        behind = float(x[place[0]]) - self.u
+        nodes, weights = np.polynomial.legendre.leggauss(60)
+        z, w = (nodes + 1) / 2, weights / 2
+        v = self.u + behind * np.exp(-z * h / terms["lag_s"])
+        end = self.u + behind * np.exp(-h / terms["lag_s"])
+        return float(w @ v), float(12 * w @ (v * (z - 0.5))), float(end)
+
+    def substep(self, x: F64, t: float, h: float) -> F64:
+        declared = self.terms(x, t, h)
+        mean, rise, end = self.lagged(x, declared, h)
+        twist = self.places(TWIST)
+        begin, angle = x[:3].copy(), x[2] + h / 2 * x[1]
+        z = np.zeros(2)
+        if twist:
+            begin, z = self.half(x[:3], x[twist], declared, h / 2)
+            angle = begin[2]
+        own_middle = [self.own_state(k, x, t, h / 2) for k in range(3, len(x))]
+        ahead = self.terms(np.r_[begin[:2], angle, own_middle], t + h / 2, h)
+        guess, gains = self.core(begin, ahead, (mean, rise), h)
+        if self.follows():
+            guess = self.solved(guess, gains, ahead)
+        middle_x = (begin + guess) / 2
+        middle_x[2] = angle if twist else middle_x[2]
+        middle = self.terms(np.r_[middle_x, own_middle], t + h / 2, h)
+        core, gains = self.core(begin, middle, (mean, rise), h)
+        own = [self.own_state(k, np.r_[middle_x, x[3:]], t + h / 2, h) for k in range(3, len(x))]
+        if not twist:
+            core = self.solved(core, gains, middle)
+        else:
+            core[2], gains[2] = begin[2], 0.0
+            core, z = self.second_half(core, gains, z + np.array([core[1] - begin[1], 0.0]), middle, h / 2)
+        out = np.concatenate((core, own))
+        if twist:
+            out[twist] = z
+        out[self.places((LAGGED,))] = end
+        return out
+
+    def follows(self) -> bool:
+        """Whether the guess is made with dry friction: by what the effects here are known to depend on."""
+        needing = ("stribeck", "load_dep", "quadratic", "cogging")
+        return any(name.startswith(needing) for name in self.model.effects)
+
+    @staticmethod
+    def solved(x: F64, gains: F64, terms: Mapping[str, float]) -> F64:
+        """Blocked current and dry friction."""
+        drop = friction = 0.0
+        for _ in range(3):
+            stopping = (x[0] + gains[0, 1] * friction) / gains[0, 0]
+            drop = np.clip(stopping, -terms["dry_drop"], terms["dry_drop"])
+            stopping = -(x[1] - gains[1, 0] * drop) / gains[1, 1]
+            friction = np.clip(stopping, -terms["dry_backward"], terms["dry_forward"])
+        return np.asarray(x - gains[:, 0] * drop + gains[:, 1] * friction)
+
+    def second_half(self, core: F64, gains: F64, z: F64, terms: Mapping[str, float], half: float) -> tuple[F64, F64]:
+        """The shaft's second half step, friction such that the motor stands at its end."""
+        predicted = self.solved(core, gains, terms)
+        at = self.meeting(z + np.array([predicted[1] - core[1], 0.0]), terms, half)
+        after, z_after = self.half(core, z, terms, half, at)
+        moved, moved_z = self.half(core + gains[:, 1], z + np.array([gains[1, 1], 0.0]), terms, half, at)
+        driven, driven_z = self.half(core + gains[:, 0], z + np.array([gains[1, 0], 0.0]), terms, half, at)
+        per = np.column_stack([np.r_[driven - after, driven_z - z_after], np.r_[moved - after, moved_z - z_after]])
+        out = self.solved(np.r_[after, z_after], per, terms)
+        return out[:3], out[3:]
+
+    def spring(self, z: F64, flank: float, terms: Mapping[str, float], seconds: float) -> F64:
+        mu = 1 / (1 / self.p["J"] + 1 / terms["J_l"])
+        A = np.array([[-terms["c_s"] / mu, -terms["k_s"] / mu], [1, 0]])
+        return np.asarray(expm(A * seconds) @ (z - [0, flank]) + [0, flank])
+
+    def meeting(self, z: F64, terms: Mapping[str, float], half: float) -> tuple[float, float, float, float]:
+        """Seconds free, in contact, free again, and the flank."""
+        edge = terms["edge"]
+        if edge == 0.0:
+            return 0.0, half, 0.0, 0.0
+
+        def force(state: F64, side: float) -> float:
+            return float(side * (terms["k_s"] * (state[1] - side * edge) + terms["c_s"] * state[0]))
+
+        side = float(np.sign(z[1]))
+        before = 0.0
+        if abs(z[1]) <= edge or force(z, side) <= 0:
+            side = float(np.sign(z[0]))
+            before = float(np.clip((edge - side * z[1]) / abs(z[0]), 0, half))
+        met, left = z + np.array([0, before * z[0]]), half - before
+        times = np.linspace(0.0, left, 2000)[1:] if left > 0 else np.empty(0)
+        touching = left
+        for a, b in zip([left * 1e-9, *times], times, strict=False):
+            if force(self.spring(met, side * edge, terms, b), side) < 0:
+                touching = float(
+                    brentq(lambda s: force(self.spring(met, side * edge, terms, s), side), a, b, xtol=1e-16)
+                )
+                break
+        parted = self.spring(met, side * edge, terms, touching)
+        across = (side * parted[1] + edge) / max(-side * parted[0], 1e-30)
+        return before, touching, float(np.clip(across, 0, left - touching)), side * edge
+
+    def half(
+        self,
+        x: F64,
+        z: F64,
+        terms: Mapping[str, float],
+        half: float,
+        at: tuple[float, float, float, float] | None = None,
+    ) -> tuple[F64, F64]:
+        """(i, ω, θ) and (δ', δ) after the two inertias have moved freely for half a step."""
+        before, touching, after, flank = self.meeting(z, terms, half) if at is None else at
+        end = self.spring(z + np.array([0, before * z[0]]), flank, terms, touching)
+        end = end + np.array([0, after * end[0]])
+        share = terms["J_l"] / (self.p["J"] + terms["J_l"])
+        common = x[1] - share * z[0]
+        return np.array([x[0], common + share * end[0], x[2] + half * common + share * (end[1] - z[1])]), end
+
+    def late(self, path: list[F64], t: float, h: float, terms: Mapping[str, float]) -> F64:
+        """The states of a late sensor after the step."""
+        places = self.places(LATE)
+        whole = int(np.floor(min(terms["t_d"] / h, 7 - 0.06) + 0.03))
+        until = h - (min(terms["t_d"] / h, 7 - 0.06) - whole) * h
+        part = h / (len(path) - 1)
+        k = min(int(until / part), len(path) - 2)
+        found = self.substep(path[k], t + k * part, max(until - k * part, 1e-9))
+        row = (0, 2, 1)[round(terms["channel"])]
+        values = np.r_[found[row], path[0][places[1:-1]] + path[0][row]]
+        return np.asarray(np.r_[values[whole], values] - path[-1][row])
 
 
 def reference_step(model: PlantModel, x: F64, u: float, p: F64, t: float, h: float) -> F64:
     """x(t + h) with the voltage u held. Shapes as in `PlantModel.step`; voltage-driven models only."""
-    named = dict(zip(model.parameter_names, map(float, p), strict=True))
-    own_middle = [_own_state(model, k, x, u, named, t, h / 2) for k in range(3, len(x))]
-    ahead = _terms(model, np.r_[x[:2], x[2] + h / 2 * x[1], own_middle], u, named, t + h / 2)
-    guess, _ = _core_step(x, u, ahead, named, h)
-    middle_x = (x[:3] + guess) / 2
-    middle = _terms(model, np.r_[middle_x, own_middle], u, named, t + h / 2)
-    core, per_load = _core_step(x, u, middle, named, h)
-    core += per_load * np.clip(-core[1] / per_load[1], -middle["dry_backward"], middle["dry_forward"])
-    own = [_own_state(model, k, np.r_[middle_x, x[3:]], u, named, t + h / 2, h) for k in range(3, len(x))]
-    return np.concatenate((core, own))
-
-
-def _core_step(x: F64, u: float, terms: Mapping[str, float], p: Mapping[str, float], h: float) -> tuple[F64, F64]:
-    """(i, ω, θ) after h under these terms without dry friction, and the change per N·m of load torque."""
-    scaled = {**p, "R": p["R"] * terms["factor_R"], "K": p["K"] * terms["factor_K"]}
-    scaled["B"] = p["B"] * terms["factor_B"]
-    Ad, Bd = linear_step(scaled, h)
-    return Ad @ x[:3] + Bd @ [u - terms["voltage_drop"], terms["load_torque"]], Bd[:, 1]
-
-
-def _own_state(model: PlantModel, k: int, x: F64, u: float, p: Mapping[str, float], t: float, h: float) -> float:
-    """Exponential step of one state of an effect; the slope of its rate by a central difference."""
-    name, d = model.state_names[k], 1e-4 * (1.0 + abs(x[k]))
-    shift = d * np.eye(len(x))[k]
-    rate, above, below = (_terms(model, at, u, p, t)[name] for at in (x, x + shift, x - shift))
-    z = (above - below) / (2 * d) * h
-    return float(x[k] + h * rate * (np.expm1(z) / z if z else 1.0))
+    twin = _Twin(model, u, dict(zip(model.parameter_names, map(float, p), strict=True)))
+    parts = max((effects_by_name()[name].substeps for name in model.effects), default=1)
+    path = [np.asarray(x, dtype=np.float64)]
+    for k in range(parts):
+        path.append(twin.substep(path[-1], t + k * h / parts, h / parts))
+    if "measurement_delay" in model.effects:
+        path[-1] = path[-1].copy()
+        late = twin.late(path, t, h, twin.terms(path[0], t, h))
+        path[-1][twin.places(LATE)] = late
+    return path[-1]

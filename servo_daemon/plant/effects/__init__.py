@@ -2,30 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import import_module
 
+from servo_daemon.errors import ConfigError
 from servo_daemon.plant.effects.base import Effect, Signals, State, Terms
 from servo_daemon.plant.parameters import J_M, LINEAR, Parameter
 
-__all__ = ["NAMES", "Effect", "Signals", "State", "Terms", "effects_by_name", "parameter_table"]
+__all__ = ["NAMES", "Effect", "Signals", "State", "Terms", "check_effects", "effects_by_name", "parameter_table"]
 
 #: Order of the ladder: simpler causes first.
 NAMES = (
     "coulomb_friction",
     "asymmetric_friction",
+    "stribeck_friction",
+    "load_dependent_friction",
+    "position_dependent_friction",
+    "quadratic_drag",
     "constant_load_torque",
     "gravity_load",
-    "winding_heating",
+    "load_torque_step",
+    "periodic_disturbance",
+    "cogging_torque",
+    "torque_ripple",
     "current_sensor_offset",
+    "current_sensor_gain",
+    "voltage_sensor_offset",
+    "encoder_eccentricity",
+    "brush_voltage_drop",
+    "resistance_step",
+    "magnetic_saturation",
+    "winding_heating",
+    "drive_lag",
+    "measurement_delay",
+    "shaft_compliance",
+    "backlash",
 )
+#: Effects that are a dry friction of their own.
+DRY = ("coulomb_friction", "asymmetric_friction", "stribeck_friction", "load_dependent_friction")
 
 
 @cache
 def effects_by_name() -> Mapping[str, Effect]:
     """Every effect there is, by name, in the order of the ladder."""
-    return {name: import_module(f"{__name__}.{name}").EFFECT for name in NAMES}
+    modules = [import_module(f"{__name__}.{name}") for name in NAMES]
+    each = [getattr(module, "EFFECTS", None) or (module.EFFECT,) for module in modules]
+    return {effect.name: effect for effects in each for effect in effects}
 
 
 @cache
@@ -35,3 +58,27 @@ def parameter_table() -> Mapping[str, Parameter]:
     for effect in effects_by_name().values():
         table.update({p.name: p for p in effect.parameters})
     return table
+
+
+def check_effects(names: Sequence[str]) -> None:
+    """That a model can have these effects together.
+
+    Raises:
+        ConfigError: one does not exist or is named twice, two of them bring the same parameters, or one is nothing
+            without another that is missing.
+    """
+    known = effects_by_name()
+    for name in names:
+        if name not in known:
+            raise ConfigError(f"unknown effect '{name}': known are {', '.join(known)}")
+    if len(set(names)) != len(names):
+        raise ConfigError(f"an effect is named twice: {', '.join(names)}")
+    for parameter, what in (("Tc", "the same dry friction Tc"), ("J_l", "the same second inertia J_l")):
+        sharing = [name for name in names if any(p.name == parameter for p in known[name].parameters)]
+        if len(sharing) > 1:
+            raise ConfigError(f"{' and '.join(sharing)} are {what}: a model has one of them")
+    for name in names:
+        if known[name].scales_friction and not set(names) & set(DRY):
+            raise ConfigError(f"{name} varies a dry friction: the model needs one of {', '.join(DRY)}")
+        if known[name].further and known[name].further not in names:
+            raise ConfigError(f"{name} is a further harmonic of {known[name].further}: name that, too")

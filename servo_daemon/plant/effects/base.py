@@ -9,6 +9,9 @@ import casadi as ca
 
 from servo_daemon.plant.parameters import Parameter
 
+#: Half angles below this: sin x/x by its series, whose next term is x⁴/120.
+_SMALL_ANGLE = 1e-3
+
 
 @dataclass(frozen=True, slots=True)
 class State:
@@ -23,15 +26,45 @@ class State:
 @dataclass(frozen=True, slots=True)
 class Signals:
     """What an effect may depend on, as CasADi expressions: time t (s), voltage v (V), current i (A), speed omega
-    (rad/s), angle theta (rad), the effects' states and all parameters by name."""
+    (rad/s), angle theta (rad), the motor's torque (N·m), the effects' states and all parameters by name. Terms are held
+    over h (s) about t; h is 0 where a sensor is asked."""
 
     t: ca.SX
     v: ca.SX
     i: ca.SX
     omega: ca.SX
     theta: ca.SX
+    torque: ca.SX
+    h: ca.SX
     states: Mapping[str, ca.SX]
     p: Mapping[str, ca.SX]
+
+
+@dataclass(frozen=True, slots=True)
+class Shaft:
+    """A second inertia J_l (kg·m²) behind spring k_s (N·m/rad), damper c_s (N·m·s/rad) and gap (rad; None: none). Its
+    states are `TWIST`."""
+
+    J_l: ca.SX
+    k_s: ca.SX
+    c_s: ca.SX
+    gap: ca.SX | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Delay:
+    """A sensor shows what was `seconds` before; `channel`: which, as a number (index into `Parameter.choices`)."""
+
+    seconds: ca.SX
+    channel: ca.SX
+
+
+#: States of `Shaft`: rate of the twist (motor minus load), and the twist.
+TWIST = (State("twist_rate_rad_s", "rad/s", 0.0, 1.0), State("twist_rad", "rad", 0.0, 0.1))
+#: States of `Terms.lag_s`: the input as it has followed.
+LAGGED = State("lagged_input", "", 0.0, 10.0)
+#: States of `Delay`: what the late channel showed this many samples before, less what it shows now.
+LATE = tuple(State(f"late_{k}", "", 0.0, 1.0) for k in range(8))
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,21 +75,33 @@ class Terms:
         load_torque: smooth torque added to τ_load, N·m.
         dry_friction: level of dry friction, N·m: the torque that opposes sliding and holds at rest up to that level.
         dry_friction_neg: that level against negative motion, N·m; None: the same.
+        factor_dry: multiplies the model's whole dry friction.
         voltage_drop: subtracted from the applied voltage, V.
+        dry_drop: level of a voltage that opposes the current and blocks it up to that level, V.
         factor_R, factor_K, factor_B: multiply R, K and B.
-        rates: d/dt of the effect's states.
-        sensed: added to what a sensor shows: "current_A", "position_rad", "voltage_V".
+        viscous: added to B, N·m·s/rad.
+        rates: d/dt of the effect's states, those aside that shaft, lag and delay bring.
+        sensed: added to what a sensor shows: "current_A", "position_rad".
+        shaft: a second inertia.
+        lag_s: voltage or torque as applied follow what is reported by a first-order lag, s.
+        delay: a late sensor.
     """
 
     load_torque: ca.SX | float = 0.0
     dry_friction: ca.SX | float = 0.0
     dry_friction_neg: ca.SX | float | None = None
+    factor_dry: ca.SX | float = 1.0
     voltage_drop: ca.SX | float = 0.0
+    dry_drop: ca.SX | float = 0.0
     factor_R: ca.SX | float = 1.0
     factor_K: ca.SX | float = 1.0
     factor_B: ca.SX | float = 1.0
+    viscous: ca.SX | float = 0.0
     rates: Mapping[str, ca.SX] = field(default_factory=dict)
     sensed: Mapping[str, ca.SX] = field(default_factory=dict)
+    shaft: Shaft | None = None
+    lag_s: ca.SX | None = None
+    delay: Delay | None = None
 
     @property
     def dry_levels(self) -> tuple[ca.SX | float, ca.SX | float]:
@@ -72,9 +117,12 @@ class Effect:
         name: as in configuration and JSON.
         cause: the physical cause, one sentence.
         equation: the added term, LaTeX.
-        parameters: its own; names are unique over all effects, except the one shared `Tc`.
+        parameters: its own; names are unique over all effects, except the one shared `Tc`, and k_s, c_s, J_l.
         terms: the added terms as a function of the signals.
         states: states it brings along.
+        substeps: a step is split into so many: where the term changes much within a sample at ordinary rates.
+        scales_friction: it is nothing without a dry friction in the model.
+        further: the effect of which this is a further harmonic; "" if none.
     """
 
     name: str
@@ -83,3 +131,20 @@ class Effect:
     parameters: tuple[Parameter, ...]
     terms: Callable[[Signals], Terms]
     states: tuple[State, ...] = ()
+    substeps: int = 1
+    scales_friction: bool = False
+    further: str = ""
+
+
+def mean_sine(phase: ca.SX, change: ca.SX) -> ca.SX:
+    """Mean of the sine of a phase that rises evenly by `change` (rad), `phase` being its middle. However many periods
+    pass in a step, none of them is mistaken for a slower one."""
+    half = change / 2
+    small = ca.fabs(half) < _SMALL_ANGLE
+    safe = ca.if_else(small, 1.0, half)
+    return ca.sin(phase) * ca.if_else(small, 1 - half * half / 6, ca.sin(safe) / safe)
+
+
+def share_after(t: ca.SX, h: ca.SX, event: ca.SX) -> ca.SX:
+    """Share of the time from t − h/2 to t + h/2 that lies after the event, 0 … 1: a step with a derivative."""
+    return ca.fmin(ca.fmax((t - event) / h + 0.5, 0.0), 1.0)

@@ -1,0 +1,33 @@
+"""Brush voltage drop: a voltage that opposes the current, whatever its size."""
+
+from __future__ import annotations
+
+from servo_daemon.plant.effects.base import Effect, Signals, Terms
+from servo_daemon.plant.parameters import Parameter, Scale
+
+VB = Parameter(
+    "Vb",
+    "V_b",
+    "V",
+    0.5,
+    1e-06,
+    1000.0,
+    "log",
+    "voltage lost against the direction of the current",
+    "start value",
+    scale=Scale(0.03, voltage=1),
+)
+
+
+def _terms(s: Signals) -> Terms:
+    return Terms(dry_drop=s.p["Vb"])
+
+
+EFFECT = Effect(
+    name="brush_voltage_drop",
+    cause="The contact of carbon brushes takes about a constant voltage against the current's direction; an inverter's "
+    "dead time leaves the same trace.",
+    equation=r"V_b\operatorname{sgn} i",
+    parameters=(VB,),
+    terms=_terms,
+)

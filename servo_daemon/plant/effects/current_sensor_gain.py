@@ -1,0 +1,22 @@
+"""Gain of the current sensor: it shows a multiple of the current."""
+
+from __future__ import annotations
+
+from servo_daemon.plant.effects.base import Effect, Signals, Terms
+from servo_daemon.plant.parameters import Parameter
+
+G_I = Parameter("g_i", "g_i", "1", 1.0, 0.05, 20.0, "log", "shown current over true current", "start value")
+
+
+def _terms(s: Signals) -> Terms:
+    return Terms(sensed={"current_A": (s.p["g_i"] - 1) * s.i})
+
+
+EFFECT = Effect(
+    name="current_sensor_gain",
+    cause="The shunt or its amplifier has another gain than assumed; a torque constant that differs from the back-EMF "
+    "constant (K_t ≠ K_e) leaves the same trace.",
+    equation=r"i_{\mathrm{shown}} = g_i\,i",
+    parameters=(G_I,),
+    terms=_terms,
+)

@@ -1,0 +1,25 @@
+"""Drive lag: what acts on the motor follows what is reported."""
+
+from __future__ import annotations
+
+from servo_daemon.plant.effects.base import LAGGED, Effect, Signals, Terms
+from servo_daemon.plant.parameters import Parameter, Scale
+
+T_LAG = Parameter(
+    "t_lag", "t_{lag}", "s", 0.001, 1e-07, 10.0, "log", "time constant of the lag", "start value", scale=Scale(0.001)
+)
+
+
+def _terms(s: Signals) -> Terms:
+    return Terms(lag_s=s.p["t_lag"])
+
+
+EFFECT = Effect(
+    name="drive_lag",
+    cause="The output stage filters: the voltage or force at the motor follows the reported one by a first-order lag, "
+    "the bandwidth of an inner loop.",
+    equation=r"t_{lag}\,\dot v = v_{\mathrm{shown}} - v",
+    parameters=(T_LAG,),
+    terms=_terms,
+    states=(LAGGED,),
+)

@@ -1,0 +1,44 @@
+"""Periodic disturbance: a torque that follows time, not angle."""
+
+from __future__ import annotations
+
+import math
+
+from servo_daemon.plant.effects.base import Effect, Signals, Terms, mean_sine
+from servo_daemon.plant.parameters import Parameter, Scale
+
+TPER = Parameter(
+    "Tper",
+    "T_{per}",
+    "N·m",
+    0.02,
+    1e-09,
+    10000.0,
+    "log",
+    "amplitude of the periodic torque",
+    "start value",
+    scale=Scale(0.05, torque=1),
+)
+F_PER = Parameter("f_per", "f_{per}", "Hz", 10.0, 0.001, 100000.0, "log", "its frequency", "start value", held="live")
+PHI_PER = Parameter(
+    "phi_per", r"\varphi_{per}", "rad", 0.0, -6.5, 6.5, "identity", "its phase at the first sample", "start value"
+)
+
+
+def _terms(s: Signals) -> Terms:
+    rate = 2 * math.pi * s.p["f_per"]
+    phase = rate * s.t + s.p["phi_per"]
+    return Terms(load_torque=s.p["Tper"] * mean_sine(phase, rate * s.h))
+
+
+EFFECT = Effect(
+    name="periodic_disturbance",
+    cause="A neighbouring machine, a pump or a process shakes the load at a frequency of its own.",
+    equation=r"T_{per}\sin(2\pi f_{per} t + \varphi_{per})",
+    parameters=(
+        TPER,
+        F_PER,
+        PHI_PER,
+    ),
+    terms=_terms,
+)

@@ -1,0 +1,53 @@
+"""Stribeck friction: dry friction that is higher at creeping speed than when sliding."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from servo_daemon.plant.effects.base import Effect, Signals, Terms
+from servo_daemon.plant.effects.coulomb_friction import TC
+from servo_daemon.plant.parameters import Parameter, Scale
+
+TS = Parameter(
+    "Ts",
+    "T_s",
+    "N·m",
+    0.03,
+    1e-09,
+    10000.0,
+    "log",
+    "friction torque at rest, at which it breaks away",
+    "start value",
+    scale=Scale(0.08, torque=1),
+)
+WS = Parameter(
+    "ws",
+    r"\omega_s",
+    "rad/s",
+    0.4,
+    1e-06,
+    10000.0,
+    "log",
+    "Stribeck speed: where the excess has fallen to 37 %",
+    "start value",
+    scale=Scale(0.03, speed=1),
+)
+
+
+def _terms(s: Signals) -> Terms:
+    level = s.p["Tc"] + (s.p["Ts"] - s.p["Tc"]) * ca.exp(-((s.omega / s.p["ws"]) ** 2))
+    return Terms(dry_friction=level)
+
+
+EFFECT = Effect(
+    name="stribeck_friction",
+    cause="A boundary-lubricated bearing, screw or gear holds harder at rest than it rubs once grease carries it.",
+    equation=r"\left(T_c + (T_s - T_c)\,e^{-(\omega/\omega_s)^2}\right)\operatorname{sgn}\omega",
+    parameters=(
+        TC,
+        TS,
+        WS,
+    ),
+    terms=_terms,
+    substeps=4,
+)

@@ -1,0 +1,53 @@
+"""Torque ripple: the torque constant varies with the angle."""
+
+from __future__ import annotations
+
+from servo_daemon.plant.effects.base import Effect, Signals, Terms, mean_sine
+from servo_daemon.plant.parameters import Parameter, Scale
+
+K_RIP = Parameter(
+    "k_rip",
+    "k_{rip}",
+    "1",
+    0.03,
+    1e-06,
+    0.9,
+    "log",
+    "relative amplitude of the torque constant's ripple",
+    "start value",
+    scale=Scale(0.05),
+)
+N_RIP = Parameter(
+    "n_rip",
+    "n_{rip}",
+    "1",
+    10.0,
+    0.05,
+    100000.0,
+    "log",
+    "periods of the ripple a turn (an integer on the motor's own shaft)",
+    "start value",
+    held="live",
+)
+PHI_RIP = Parameter(
+    "phi_rip", r"\varphi_{rip}", "rad", 0.0, -6.5, 6.5, "identity", "phase of the ripple at angle zero", "start value"
+)
+
+
+def _terms(s: Signals) -> Terms:
+    phase = s.p["n_rip"] * s.theta + s.p["phi_rip"]
+    return Terms(factor_K=1 + s.p["k_rip"] * mean_sine(phase, s.p["n_rip"] * s.omega * s.h))
+
+
+EFFECT = Effect(
+    name="torque_ripple",
+    cause="Few commutator bars, or windings and magnets that are not alike: the torque constant varies with the angle.",
+    equation=r"K\,(1 + k_{rip}\sin(n_{rip}\theta + \varphi_{rip}))",
+    parameters=(
+        K_RIP,
+        N_RIP,
+        PHI_RIP,
+    ),
+    terms=_terms,
+    substeps=8,
+)

@@ -1,0 +1,312 @@
+"""One step over h (any h, jitter included) with the input held, put together from the core and the effects' terms.
+
+1. The linear core, with R, K and B as the effects scale them at the predicted midpoint, by its exact exponential
+   (twice where they depend on the motion, whose midpoint is only known after a first guess).
+2. Smooth effect torques and voltage drops as constants over the step, evaluated at the midpoint of the first guess
+   (second order, as Strang splitting, but with one exponential).
+3. Dry friction last, as the constant torque that would bring the speed to zero at the end of the step, limited to its
+   level (Moreau's time stepping; Acary & Brogliato, *Numerical Methods for Nonsmooth Dynamical Systems*, 2008, ch. 10).
+   It sticks exactly, slides exactly, needs no substeps however small h is, and its derivatives are those of the
+   regime it is in. `docs/decisions.md` says why this replaced the smooth tanh. The brushes' drop is the same for the
+   current.
+4. The effects' own states, each by an exponential Rosenbrock step at the midpoint; a second inertia by `shaft.py`, a
+   late sensor by `delay.py`, a lagging input by its own exponential.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import casadi as ca
+
+from servo_daemon.plant import flow
+from servo_daemon.plant.core import Core, Drive, linear_core
+from servo_daemon.plant.delay import SHORTEST_S, next_late, rest_of_step
+from servo_daemon.plant.effects import Effect, Signals, State, Terms
+from servo_daemon.plant.effects.base import LAGGED, LATE, TWIST, Delay
+from servo_daemon.plant.shaft import TwoInertias, after_second_half, standing
+
+#: Passes over blocked current and sticking shaft, where both may be: each moves the other by K² h²/(4 J L) at most.
+_PASSES = 3
+
+
+@dataclass(frozen=True)
+class _Held:
+    """What acts during a step: mean input and its rise across the step, and the sums of the terms."""
+
+    u: ca.SX
+    rise: ca.SX
+    terms: Sequence[Terms]
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """States after the step, and the constant drop (V) and friction torque (N·m) that made them so."""
+
+    x: ca.SX
+    drop: ca.SX
+    friction: ca.SX
+
+
+@dataclass(frozen=True)
+class StepBuilder:
+    """Holds the symbols while the step is put together.
+
+    Attributes:
+        core_states: how many of the states are the core's.
+        p: every parameter by name.
+    """
+
+    drive: Drive
+    effects: tuple[Effect, ...]
+    states: tuple[State, ...]
+    core_states: int
+    p: Mapping[str, ca.SX]
+
+    def terms(self, x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX) -> list[Terms]:
+        n = self.core_states
+        voltage = self.drive == "voltage"
+        i = x[0] if voltage else (u if self.drive == "current" else ca.SX(0))
+        signals = Signals(
+            t=t,
+            v=u if voltage else ca.SX(0),
+            i=i,
+            omega=x[n - 2],
+            theta=x[n - 1],
+            torque=u if self.drive == "torque" else self.p["K"] * i,
+            h=h,
+            states={s.name: x[n + k] for k, s in enumerate(self.states[n:])},
+            p=self.p,
+        )
+        return [effect.terms(signals) for effect in self.effects]
+
+    def step(self, x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """x after the step, and its derivatives by input and load torque, shape (n, 2)."""
+        parts = max((effect.substeps for effect in self.effects), default=1)
+        if parts == 1 and not self._places(LATE):
+            return self._substep(x, u, t, h)
+        path, gains, length = [x], [], h / parts
+        substep = self._substep_function()
+        for k in range(parts):
+            after, gain = substep(path[-1], u, t + k * length, length, self._parameters())
+            path.append(after)
+            gains.append(gain)
+        late = self._late(path, u, t, h, substep)
+        after = ca.vertcat(*[late.get(k, value) for k, value in enumerate(ca.vertsplit(path[-1]))])
+        # What an input does over the whole step, but for the motion that the first parts' share makes in the later ones
+        # (of a torque: the angle), which counts as if it were the middle's.
+        return after, sum(gains[1:], start=gains[0])
+
+    def _parameters(self) -> ca.SX:
+        return ca.vertcat(*self.p.values())
+
+    def _substep_function(self) -> ca.Function:
+        """`_substep` as a function (x, u, t, h, p) -> (x_next, gain)."""
+        x, p = ca.SX.sym("x", len(self.states)), ca.SX.sym("p", len(self.p))
+        u, t, h = ca.SX.sym("u"), ca.SX.sym("t"), ca.SX.sym("h")
+        own = replace(self, p=dict(zip(self.p, ca.vertsplit(p), strict=True)))
+        return ca.Function("substep", [x, u, t, h, p], list(own._substep(x, u, t, h)))
+
+    def _substep(self, x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX) -> tuple[ca.SX, ca.SX]:
+        n = self.core_states
+        declared = self.terms(x, u, t, h)
+        mean, rise, lagged = self._input(declared, x, u, h)
+        own_middle = self._own_states(x, u, t, h / 2)
+        begin, z, two = self._first_half(declared, x, h)
+        # After half a step through the shaft the angle is the middle's.
+        angle = begin[n - 1] if two is not None else begin[n - 1] + h / 2 * begin[n - 2]
+        ahead = self.terms(ca.vertcat(begin[: n - 1], angle, own_middle), u, t + h / 2, h)
+        core = self._core(begin, ahead, h)
+        guess = self._solved(core, _Held(mean, rise, ahead), dry=self._guess_needs_friction()).x
+        middle_x = ca.vertcat((begin + guess) / 2, own_middle)
+        if two is not None:
+            middle_x[n - 1] = angle
+        middle = self.terms(middle_x, u, t + h / 2, h)
+        if self._factors_follow_motion():
+            core = self._core(begin, middle, h)
+        held = _Held(mean, rise, middle)
+        whole = core
+        if two is not None:
+            moved = standing(core, begin, z)
+            whole = after_second_half(two, moved, self._solved(moved, held).x)
+        solved = self._solved(whole, held)
+        own = self._own_states(ca.vertcat(middle_x[:n], x[n:]), u, t + h / 2, h)
+        rows = dict.fromkeys(self._places((LAGGED,)), lagged)
+        rows |= {place: solved.x[n + k] for k, place in enumerate(self._places(TWIST))}
+        own = ca.vertcat(*[rows.get(n + k, own[k]) for k in range(own.numel())]) if rows else own
+        return ca.vertcat(solved.x[:n], own), self._gain(whole, mean, u)
+
+    def _places(self, states: Sequence[State]) -> list[int]:
+        return [self.states.index(s) for s in states if s in self.states]
+
+    def _gain(self, core: Core, mean: ca.SX, u: ca.SX) -> ca.SX:
+        gain = ca.horzcat(core.per_input, core.per_load)
+        if mean is not u:
+            gain[:, 0] *= ca.jacobian(mean, u)
+        n, out = self.core_states, ca.SX.zeros(len(self.states), 2)
+        for row, place in enumerate([*range(n), *self._places(TWIST)]):
+            out[place, :] = gain[row, :]
+        return out
+
+    def _input(self, declared: Sequence[Terms], x: ca.SX, u: ca.SX, h: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Mean of what acts over the step, its rise across it (least squares), and the lagged input at its end."""
+        lag = next((term.lag_s for term in declared if term.lag_s is not None), None)
+        if lag is None:
+            return u, ca.SX(0), u
+        behind = x[self._places((LAGGED,))[0]] - u
+        if self.drive == "current":  # it is measured, not commanded
+            return u, ca.SX(0), u
+        exp, phi1, phi2 = flow.phi_scalar(-h / lag)
+        return u + behind * phi1, 12 * behind * (phi1 / 2 - phi2), u + behind * exp
+
+    def _first_half(self, declared: Sequence[Terms], x: ca.SX, h: ca.SX) -> tuple[ca.SX, ca.SX, TwoInertias | None]:
+        """Core states and twist after half a step through the shaft, where there is a second inertia."""
+        shaft = next((term.shaft for term in declared if term.shaft is not None), None)
+        begin = x[: self.core_states]
+        if shaft is None:
+            return begin, ca.SX(0, 1), None
+        two = TwoInertias(shaft, self.p["J"], h / 2)
+        z = x[self._places(TWIST)]
+        return *two.over_half(begin, z, two.meeting(z), inhomogeneous=True), two
+
+    def _core(self, x: ca.SX, terms: Sequence[Terms], h: ca.SX) -> Core:
+        p = dict(self.p)
+        for term in terms:
+            if "R" in p:
+                p["R"] = p["R"] * term.factor_R
+            if "K" in p:
+                p["K"] = p["K"] * term.factor_K
+            p["B"] = p["B"] * term.factor_B
+        for term in terms:
+            p["B"] = p["B"] + term.viscous
+        return linear_core(self.drive, x, p, h)
+
+    def _solved(self, core: Core, held: _Held, *, dry: bool = True) -> _Solved:
+        """The core under what acts; blocked current and dry friction such that they stop and never drive."""
+        n, terms = self.core_states, held.terms
+        x = core.free + core.per_input * (held.u - self._drop(terms)) + core.per_load * _load(terms)
+        x = x + core.per_slope * held.rise
+        forward, backward = _dry_levels(terms)
+        rubs = dry and not (forward.is_zero() and backward.is_zero())
+        blocks = self._dry_drop(terms) if dry else ca.SX(0)
+        drop, friction = ca.SX(0), ca.SX(0)
+        if blocks.is_zero():
+            if rubs:
+                stopping = -x[n - 2] / core.per_load[n - 2]
+                friction = ca.fmax(ca.fmin(stopping, forward), -backward)
+            return _Solved(x + core.per_load * friction, drop, friction)
+        for _ in range(_PASSES):
+            stopping = (x[0] + core.per_load[0] * friction) / core.per_input[0]
+            drop = ca.fmax(ca.fmin(stopping, blocks), -blocks)
+            if rubs:
+                stopping = -(x[n - 2] - core.per_input[n - 2] * drop) / core.per_load[n - 2]
+                friction = ca.fmax(ca.fmin(stopping, forward), -backward)
+        return _Solved(x - core.per_input * drop + core.per_load * friction, drop, friction)
+
+    def _drop(self, terms: Sequence[Terms]) -> ca.SX:
+        """Without a voltage there is nothing that a drop could be taken from."""
+        voltage = self.drive == "voltage"
+        return sum((ca.SX(term.voltage_drop) for term in terms if voltage), start=ca.SX(0))
+
+    def _dry_drop(self, terms: Sequence[Terms]) -> ca.SX:
+        return sum((ca.SX(term.dry_drop) for term in terms if self.drive == "voltage"), start=ca.SX(0))
+
+    def _probe(self) -> tuple[ca.SX, list[Terms]]:
+        x = ca.SX.sym("x", len(self.states))
+        return x, self.terms(x, ca.SX(0), ca.SX(0), ca.SX.sym("h"))
+
+    def _factors_follow_motion(self) -> bool:
+        """Whether R, K or B as scaled depends on current, speed or angle, whose midpoint needs a guess."""
+        x, terms = self._probe()
+        names = ("factor_R", "factor_K", "factor_B", "viscous")
+        factors = ca.vertcat(*[ca.SX(getattr(term, name)) for term in terms for name in names])
+        return bool(terms) and bool(ca.depends_on(factors, x[: self.core_states]))
+
+    def _guess_needs_friction(self) -> bool:
+        """Whether what acts at the midpoint depends on current or speed there, which dry friction changes to first
+        order within a step (the angle only to second)."""
+        x, terms = self._probe()
+        if not terms:
+            return False
+        names = ("load_torque", "voltage_drop", "factor_dry", "viscous", "dry_drop")
+        acting = [ca.SX(getattr(term, name)) for term in terms for name in names] + list(_dry_levels(terms))
+        return bool(ca.depends_on(ca.vertcat(*acting), x[: self.core_states - 1]))
+
+    def _own_states(self, x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX) -> ca.SX:
+        """The effects' states after h, from those in x, with the motion in x taken as constant over h."""
+        # Symbols of their own, so that the slope is the partial one: a midpoint current depends on these states too.
+        at = ca.SX.sym("at", x.numel())
+        rates = {name: rate for term in self.terms(at, u, t, h) for name, rate in term.rates.items()}
+        updates = []
+        for k, state in enumerate(self.states[self.core_states :], start=self.core_states):
+            if state.name not in rates:
+                updates.append(at[k])
+                continue
+            _, phi1, _ = flow.phi_scalar(ca.jacobian(rates[state.name], at[k]) * h)
+            updates.append(at[k] + h * phi1 * rates[state.name])
+        return ca.substitute(ca.vertcat(*updates), at, x) if updates else ca.SX(0, 1)
+
+    def _late(self, path: Sequence[ca.SX], u: ca.SX, t: ca.SX, h: ca.SX, substep: ca.Function) -> dict[int, ca.SX]:
+        """The states of a late sensor, by their places.
+
+        Args:
+            path: states at the beginning of the step and after each of its parts.
+        """
+        places = self._places(LATE)
+        delay = _delay(self.terms(path[0], u, t, h))
+        if delay is None:
+            return {}
+        whole, rest = rest_of_step(delay, h, len(places) - 1)
+        length = h / (len(path) - 1)
+        begin, since = path[0], ca.SX(0)
+        for k in range(1, len(path) - 1):
+            later = h - rest >= k * length
+            begin, since = ca.if_else(later, path[k], begin), ca.if_else(later, k * length, since)
+        between = ca.fmax(h - rest - since, SHORTEST_S)
+        found, _ = substep(begin, u, t + since, between, self._parameters())
+        values = next_late(path[0][places], whole, *(self._channel(delay, x) for x in (path[0], path[-1], found)))
+        return dict(zip(places, ca.vertsplit(values), strict=True))
+
+    def _channel(self, delay: Delay, x: ca.SX) -> ca.SX:
+        """The late channel's value: 0 current, 1 angle, 2 speed."""
+        n = self.core_states
+        current = x[0] if self.drive == "voltage" else ca.SX(0)
+        return ca.if_else(delay.channel < 0.5, current, ca.if_else(delay.channel < 1.5, x[n - 1], x[n - 2]))
+
+    def sensed(self, x: ca.SX, t: ca.SX) -> ca.SX:
+        """(current_A, velocity_rad_s, position_rad) as the sensors show them."""
+        n = self.core_states
+        none = ca.SX(0)
+        delay = _delay(self.terms(x, none, t, none))
+        if delay is not None:
+            behind = x[self._places(LATE)[0]]
+            chosen = [delay.channel < 0.5, delay.channel > 1.5, ca.fabs(delay.channel - 1) <= 0.5][3 - n :]
+            x = ca.vertcat(x[:n] + ca.vertcat(*[ca.if_else(c, behind, 0) for c in chosen]), x[n:])
+        shown = {
+            "current_A": x[0] if self.drive == "voltage" else ca.SX(0),
+            "velocity_rad_s": x[n - 2],
+            "position_rad": x[n - 1],
+        }
+        for term in self.terms(x, none, t, none):
+            for name, error in term.sensed.items():
+                if name in shown:
+                    shown[name] = shown[name] + error
+        return ca.vertcat(*shown.values())
+
+
+def _delay(terms: Sequence[Terms]) -> Delay | None:
+    return next((term.delay for term in terms if term.delay is not None), None)
+
+
+def _load(terms: Sequence[Terms]) -> ca.SX:
+    return sum((ca.SX(term.load_torque) for term in terms), start=ca.SX(0))
+
+
+def _dry_levels(terms: Sequence[Terms]) -> tuple[ca.SX, ca.SX]:
+    """The dry friction against positive and against negative motion: the sum of the levels, scaled."""
+    levels = [term.dry_levels for term in terms]
+    forward, backward = (sum((ca.SX(level[k]) for level in levels), start=ca.SX(0)) for k in range(2))
+    for term in terms:
+        forward, backward = forward * term.factor_dry, backward * term.factor_dry
+    return forward, backward
