@@ -1,0 +1,147 @@
+"""What a missing torque or voltage follows, where no effect has a name for it.
+
+Each quantity is a set of columns without a physical formula: hats over speed, travel, current or time, harmonics of the
+turn, a step, a spectral line, the heat of the winding. A quantity counts by the share of the series that it explains on
+time blocks held out, beyond the plant's free parameters and beyond the quantities chosen before it. The series' own
+variance is in the denominator: where it is no larger than its standard deviation nothing is explained.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from servo_daemon.diagnosis.basis import Context
+from servo_daemon.diagnosis.missing import Missing
+from servo_daemon.diagnosis.regression import Regression, of_parameters
+from servo_daemon.diagnosis.response import Trace
+from servo_daemon.diagnosis.screen import context_of
+from servo_daemon.diagnosis.signals import motion_of
+from servo_daemon.diagnosis.torque_families import best_harmonics, spectral_lines, step_instants
+from servo_daemon.estimators.output_error import OutputErrorFit
+from servo_daemon.samples import F64
+
+#: A share below this is none. Of clean captures of the independent generator fewer than 1 in 100 show a larger one
+#: (tests/recovery/test_dependence.py).
+LEAST_SHARE = 0.08
+#: Hats over a quantity's range, and the longest list.
+_HATS, _LONGEST = 9, 4
+#: Of a heat that comes and goes, in shares of the capture.
+_THERMAL = (0.1, 0.4)
+
+
+@dataclass(frozen=True, slots=True)
+class Dependence:
+    """Attributes:
+    series: "torque" or "voltage".
+    on: "speed", "direction", "angle", "travel", "current", "load", "time", "step", "temperature" or "frequency".
+    share: of the series' mean square, on blocks held out, beyond those listed before.
+    size: RMS of what it explains, N·m or V.
+    detail: "harmonic" of the turn, "frequency_hz", "time_s".
+    """
+
+    series: str
+    on: str
+    share: float
+    size: float
+    detail: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Quantity:
+    on: str
+    columns: tuple[F64, ...]
+    detail: Mapping[str, float]
+
+
+def dependences(fit: OutputErrorFit, missing: Missing, least_share: float = LEAST_SHARE) -> tuple[Dependence, ...]:
+    """What the series follow, the strongest first; empty where nothing is missing or it follows nothing.
+
+    Args:
+        fit: whose free parameters explain first.
+        missing: of `missing_inputs`.
+    """
+    motion = motion_of(missing)
+    nuisance, stiff = of_parameters(motion, fit, missing)
+    context = context_of(missing, motion, nuisance)
+    out: list[Dependence] = []
+    for name in missing.series:
+        quantities = list(_quantities(context, name))
+        traces = [*nuisance, *(_trace(name, column) for q in quantities for column in q.columns)]
+        regression = Regression.of(missing, motion, traces, stiff)
+        unit = float(np.median(missing.std[name]))
+        out += _forward(name, regression, len(nuisance), quantities, unit, int((~motion.rest).sum()), least_share)
+    return tuple(sorted(out, key=lambda d: -d.share))
+
+
+def _trace(series: str, values: F64) -> Trace:
+    return Trace(torque=values) if series == "torque" else Trace(voltage=values)
+
+
+def _forward(
+    name: str, regression: Regression, own: int, quantities: list[_Quantity], unit: float, n: int, least: float
+) -> list[Dependence]:
+    """Chosen one after the other, each by what it adds; at most one of a kind."""
+    ends = own + np.cumsum([len(q.columns) for q in quantities])
+    where = [range(int(end) - len(q.columns), int(end)) for end, q in zip(ends, quantities, strict=True)]
+    columns = list(range(own))
+    first = regression.errors(columns)[1]
+    before, left, out = first, list(range(len(quantities))), []
+    while left and len(out) < _LONGEST:
+        errors = {k: regression.errors([*columns, *where[k]])[1] for k in left}
+        # A column more must pay for itself: of two that explain alike the simpler one is named.
+        best = min(left, key=lambda k: np.log(errors[k] + regression.unknown) + 0.01 * len(quantities[k].columns))
+        share = (before - errors[best]) / (first + regression.unknown)
+        if share < least:
+            break
+        size = unit * float(np.sqrt(max(before - errors[best], 0.0) / max(n, 1)))
+        out.append(Dependence(name, quantities[best].on, float(share), size, quantities[best].detail))
+        columns, before = [*columns, *where[best]], errors[best]
+        left = [k for k in left if quantities[k].on != quantities[best].on or quantities[k].on in ("angle", "frequency")]
+        left = [k for k in left if k != best]
+    return out
+
+
+def _quantities(c: Context, series: str) -> Iterator[_Quantity]:
+    m = c.motion
+    torque = series == "torque"
+    yield _Quantity("direction", (c.rest_friction if torque else np.sign(m.i),), {})
+    yield _Quantity("speed", _hats(m.omega), {})
+    if np.any(m.i):  # beyond what is linear in it, which the balance itself is
+        size = np.abs(m.i) / np.percentile(np.abs(m.i), 95.0)
+        yield _Quantity("current", (np.sign(m.i), size, size**2, size * m.i, size**2 * m.i)[torque:], {})
+    if torque and np.any(m.i):
+        yield _Quantity("load", (np.abs(m.i) * c.rest_friction,), {})
+    yield _Quantity("travel", (*_hats(m.theta), *(hat * c.rest_friction for hat in _hats(m.theta))), {})
+    carrier = np.ones(len(m.t)) if torque else m.i
+    yield _Quantity("time", _hats(m.t) if torque else (*_hats(m.t), *(hat * m.i for hat in _hats(m.t))), {})
+    for k in step_instants(c.residual[series], np.where(m.rest, 0.0, carrier)):
+        yield _Quantity("step", (np.where(m.t >= m.t[k], carrier, 0.0),), {"time_s": float(m.t[k])})
+    for share in _THERMAL if np.any(m.i) and not torque else ():
+        yield _Quantity("temperature", (_heat(m.i, m.h, share * float(m.t[-1] - m.t[0])) * m.i,), {})
+    for n in _harmonics(c, series):
+        yield _Quantity("angle", (np.sin(n * m.theta), np.cos(n * m.theta)), {"harmonic": float(n)})
+    for f in spectral_lines(m.t, c.residual[series], 2):
+        wave = 2 * np.pi * f * m.t
+        yield _Quantity("frequency", (np.sin(wave), np.cos(wave)), {"frequency_hz": f})
+
+
+def _harmonics(c: Context, series: str) -> list[int]:
+    whole = 1 if np.ptp(c.motion.theta) > 2 * np.pi else None
+    return [*([whole] if whole else []), *best_harmonics(c, np.ones(len(c.motion.t)), series)]
+
+
+def _hats(x: F64) -> tuple[F64, ...]:
+    """Linear interpolation between knots at even shares of the samples, shapes (n,); they sum to one."""
+    knots = np.unique(np.quantile(x, np.linspace(0.0, 1.0, _HATS)))
+    if len(knots) < 3:
+        return (x - x.mean(),)
+    return tuple(np.interp(x, knots, row) for row in np.eye(len(knots)))
+
+
+def _heat(i: F64, h: F64, tau: float) -> F64:
+    from scipy.signal import lfilter
+
+    return np.asarray(lfilter([0.0, 1.0], [1.0, -float(np.exp(-np.median(h) / tau))], i**2 * h))
