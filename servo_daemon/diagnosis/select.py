@@ -139,7 +139,7 @@ def _round(
     """The most promising effects, each fitted together with the motor; best first."""
     screened, _ = _screened(recordings, current, fixed)
     known = effects_by_name()
-    fitted = []
+    fitted = list[Candidate]()
     for s in screened:
         effects = (*current.effects, s.effect)
         if s.effect not in known or not model_exists(effects) or len(fitted) >= _FITTED:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.estimators.stretch import Stretch
-from servo_daemon.plant.build import Drive
+from servo_daemon.plant.core import Drive
 from servo_daemon.samples import F64, Quality, SampleBlock
 
 #: A gap longer than this leaves the plant's states unknown; a shorter one is predicted through.

@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from servo_daemon.plant.build import Drive, PlantModel, build_plant
+from servo_daemon.plant.build import PlantModel, build_plant
+from servo_daemon.plant.core import Drive
 from servo_daemon.plant.parameters import LINEAR
 
 

@@ -15,7 +15,8 @@ from servo_daemon.estimators.layout import INPUT
 from servo_daemon.estimators.output_error.problem import Problem, Segment
 from servo_daemon.estimators.output_error.rollout import INPUT as INPUT_COLUMN
 from servo_daemon.estimators.output_error.rollout import STEP, TIME
-from servo_daemon.plant.build import Drive, PlantModel, build_plant
+from servo_daemon.plant.build import PlantModel, build_plant
+from servo_daemon.plant.core import Drive
 from servo_daemon.samples import F64, SampleBlock
 
 #: Constant offsets of sensors and load: every recording has its own.
