@@ -117,7 +117,13 @@ def with_ipopt(block: SampleBlock, sigma: F64) -> tuple[dict[str, float], float]
         ["x", "p", "lam_f", "lam_g"],
         ["hess_gamma_x_x"],
     )
-    options = {"hess_lag": lagrangian, "ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes"}
+    options = {
+        "show_eval_warnings": False,
+        "hess_lag": lagrangian,
+        "ipopt.print_level": 0,
+        "print_time": False,
+        "ipopt.sb": "yes",
+    }
     began = time.perf_counter()
     solver = ca.nlpsol("solver", "ipopt", {"x": w, "f": 0.5 * ca.dot(error, error)}, options)
     start = ca.vertcat(ca.DM.ones(5), ca.DM([block.current_A[0], 0.0, block.position_rad[0]]))

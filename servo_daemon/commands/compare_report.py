@@ -52,13 +52,13 @@ def compare_report(
 
 
 def _capture_sections(document: Mapping[str, Any], c: Comparison) -> list[Section]:
-    columns = (Column("method", text=True), *(Column(n, _UNITS[n]) for n in _NAMES), Column("time", "s", digits=3))
+    columns = (Column("method", text=True), *(Column(n, _UNITS[n]) for n in _NAMES))
     rows: list[tuple[Cell, ...]] = []
     for m in c.methods:
         cells = (_cell(m.parameters.get(n)) for n in _NAMES)
-        rows.append((m.title, *cells, m.seconds if m.parameters else None))
+        rows.append((m.title, *cells))
     if c.truth:
-        rows.append(("truth", *(c.truth.get(n) for n in _NAMES), None))
+        rows.append(("truth", *(c.truth.get(n) for n in _NAMES)))
     notes = [f"{m.title}: {text}" for m in c.methods for text in ((m.reason,) if m.reason else m.notes)]
     blocks: tuple[Block, ...] = (
         Table("Parameters", columns, tuple(rows), note=f"Method 1 assumes R = {c.assumed_R:g} Ω."),
@@ -84,9 +84,11 @@ def _position_blocks(c: Comparison) -> tuple[Block, ...]:
         Column("after 5 s", "°", decimals=2),
         Column("overshoot", "%", decimals=1),
         Column("distance of the curve", "°", digits=3),
+        Column("time taken", "s", digits=2),
     )
     tests = [(m.title, m.position) for m in c.methods if m.position is not None]
-    rows = tuple((title, t.final_deg, 100 * t.overshoot, t.distance_deg) for title, t in tests)
+    seconds = {m.title: m.seconds for m in c.methods}
+    rows = tuple((title, t.final_deg, 100 * t.overshoot, t.distance_deg, seconds[title]) for title, t in tests)
     if not tests:
         return (Items(("no method has all five parameters",)),)
     note = f"k_io·k_s = {c.product_V_rad:.4g} V/rad: {c.product_source}. Distances to: {c.reference}."

@@ -69,7 +69,7 @@ def _verdict(document: Mapping[str, Any]) -> Verdict:
     return Verdict(
         "warn",
         "Determined, but what the model leaves is not white",
-        ("The noise is coloured or the model lacks something: `servo-daemon diagnose` says which.",),
+        ("The noise is coloured or the model lacks something: try it with --effect.",),
     )
 
 

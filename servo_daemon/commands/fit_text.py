@@ -58,7 +58,7 @@ def _residual_lines(document: Mapping[str, Any]) -> list[str]:
     what = (
         "white: the model explains these data to their noise"
         if residual["white"]
-        else ("not white: the model lacks something, or the noise is coloured (`servo-daemon diagnose` says which)")
+        else ("not white: the model lacks something, or the noise is coloured; try `--effect`")
     )
     noise = residual.get("noise_model")
     if noise is not None:

@@ -99,7 +99,9 @@ def _forward(
         size = unit * float(np.sqrt(max(before - errors[best], 0.0) / max(n, 1)))
         out.append(Dependence(name, quantities[best].on, float(share), size, quantities[best].detail))
         columns, before = [*columns, *where[best]], errors[best]
-        left = [k for k in left if quantities[k].on != quantities[best].on or quantities[k].on in ("angle", "frequency")]
+        left = [
+            k for k in left if quantities[k].on != quantities[best].on or quantities[k].on in ("angle", "frequency")
+        ]
         left = [k for k in left if k != best]
     return out
 

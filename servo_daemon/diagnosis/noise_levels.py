@@ -92,7 +92,9 @@ def fit_levels(a: Augmented, q: F64, stretches: Sequence[Stretch], start: NoiseL
 
     pieces = _pieces(a, stretches)
     n_d = len(a.disturbances)
-    typical = np.log([*(start.walk[d] for d in a.disturbances), start.input_var, *(start.channel_var[c] for c in a.channels)])
+    typical = np.log(
+        [*(start.walk[d] for d in a.disturbances), start.input_var, *(start.channel_var[c] for c in a.channels)]
+    )
     low = np.concatenate([typical[: n_d + 1] - 16.0, np.log(floor)])
     high = np.concatenate([typical[: n_d + 1] + 14.0, np.maximum(typical[n_d + 1 :], low[n_d + 1 :]) + 9.0])
 
@@ -116,7 +118,11 @@ def fit_levels(a: Augmented, q: F64, stretches: Sequence[Stretch], start: NoiseL
             if (other := cost(x)) < value:
                 best, value = x, other
     found = minimize(
-        cost, best, method="L-BFGS-B", bounds=list(zip(low, high, strict=True)), options={"maxiter": 25, "eps": 1e-3, "ftol": 1e-7}
+        cost,
+        best,
+        method="L-BFGS-B",
+        bounds=list(zip(low, high, strict=True)),
+        options={"maxiter": 25, "eps": 1e-3, "ftol": 1e-7},
     )
     x = np.exp(found.x if found.fun < value else best)
     walk = dict(zip(a.disturbances, x[:n_d].tolist(), strict=True))

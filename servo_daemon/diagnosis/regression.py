@@ -36,9 +36,7 @@ class Regression:
     stiffness: F64
 
     @classmethod
-    def of(
-        cls, missing: Missing, motion: Motion, traces: Sequence[Trace], stiff: Sequence[float]
-    ) -> Regression:
+    def of(cls, missing: Missing, motion: Motion, traces: Sequence[Trace], stiff: Sequence[float]) -> Regression:
         """Series over traces; `stiff`: the stiffness of the first of them, as `of_parameters` has it."""
         columns = smoothed(missing, traces)
         block = np.minimum((np.arange(len(motion.t)) * BLOCKS) // len(motion.t), BLOCKS - 1)

@@ -44,7 +44,9 @@ def _backlash(c: Context) -> Iterator[Basis]:
     strength = float(np.std(m.omega_rate))
     gaps = strength * _CROSSING_S**2
     theta, omega = m.at_sample["position_rad"], m.at_sample["velocity_rad_s"]
-    rows = np.ascontiguousarray(np.stack([np.append(theta[1:], theta[-1]), np.append(omega[1:], omega[-1]), m.h], axis=1))
+    rows = np.ascontiguousarray(
+        np.stack([np.append(theta[1:], theta[-1]), np.append(omega[1:], omega[-1]), m.h], axis=1)
+    )
     begin = np.concatenate([np.full(len(gaps), theta[0]), np.full(len(gaps), omega[0])])
     load = _gap_loop(len(gaps)).run(begin, gaps, rows)
     for k, gap in enumerate(gaps.tolist()):
@@ -69,7 +71,7 @@ def _compliance(c: Context) -> Iterator[Basis]:
 
     m = c.motion
     period = float(np.median(m.h))
-    for f in _FREQUENCIES_HZ[_FREQUENCIES_HZ < 0.15 / period].tolist():
+    for f in _FREQUENCIES_HZ[0.15 / period > _FREQUENCIES_HZ].tolist():
         for zeta in _DAMPING:
             w, c2 = 2 * np.pi * f, 2 / period
             # (2ζws + w²)/(s² + 2ζws + w²) − 1 = −s²/(…) by Tustin's rule

@@ -89,10 +89,10 @@ def compare_methods(
     cut = round((1.0 - HELD_OUT) * len(block))
     first, rest = block.slice(0, cut), block.slice(cut, len(block))
     rows = [
-        _timed("method1_paper", "1, as the paper has it", lambda: _as_printed(first, assumed_R)),
-        _timed("method1", "1, divided by D R + K²", lambda: _corrected(first, assumed_R)),
-        _timed("method2", "2, output error", lambda: _output_error(first, effects, options)),
-        MethodResult("method3", "3, RF + GRNN", {}, reason="not trained: `servo-daemon train` is still to come"),
+        _timed("method1_paper", "1 as printed", lambda: _as_printed(first, assumed_R)),
+        _timed("method1", "1 corrected", lambda: _corrected(first, assumed_R)),
+        _timed("method2", "2 output error", lambda: _output_error(first, effects, options)),
+        MethodResult("method3", "3 RF + GRNN", {}, reason="not trained: `servo-daemon train` is still to come"),
     ]
     truth = _truth(capture)
     rows = [_scored(row, rest, effects) for row in rows]

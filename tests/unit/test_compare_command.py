@@ -120,7 +120,7 @@ def test_the_text_and_the_report(capture: Path, tmp_path: Path) -> None:
     result = run_command("compare", capture, "--assumed-R", "0.5", "--paper", "--out", tmp_path / "out")
     assert result.code == 0
     assert "12.27e-3" in result.out
-    assert "2, output error" in result.out
+    assert "2 output error" in result.out
     html = (tmp_path / "out" / "report.html").read_text()
     assert "Figure 6" in html
     assert json.loads((tmp_path / "out" / "compare.json").read_text())["method1_paper"]
