@@ -129,7 +129,9 @@ def _with_offsets(
     effects: tuple[str, ...], drive: Drive, offsets: tuple[str, ...]
 ) -> tuple[PlantModel, tuple[str, ...]]:
     """The plant with the offsets that are not in it already, and their parameters."""
-    added = tuple(e for e in offsets if e not in effects)
+    # Levels of dry friction that differ by direction are a constant load beside equal ones: never both.
+    there = (*effects, *(("constant_load_torque",) if "asymmetric_friction" in effects else ()))
+    added = tuple(e for e in offsets if e not in there)
     return build_plant((*effects, *added), drive), tuple(_NUISANCE[e] for e in added)
 
 
