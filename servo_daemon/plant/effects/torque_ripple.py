@@ -49,5 +49,5 @@ EFFECT = Effect(
         PHI_RIP,
     ),
     terms=_terms,
-    substeps=8,
+    substeps=4,
 )
