@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from servo_daemon.errors import ConfigError
-from servo_daemon.plant.effects import parameter_table
+from servo_daemon.plant.effects import check_effects, parameter_table
 
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 FiniteFloat = Annotated[float, Field(allow_inf_nan=False)]
@@ -142,17 +142,20 @@ class DriveConfig(_Section):
     @field_validator("model")
     @classmethod
     def _effects_exist(cls, model: tuple[str, ...]) -> tuple[str, ...]:
-        from servo_daemon.plant.effects import (
-            effects_by_name,
-        )  # late: config must not cost CasADi's import twice
-
-        known = effects_by_name()
-        for name in model:
-            if name not in known:
-                raise ValueError(f"unknown effect '{name}': known are {', '.join(sorted(known))}")
-        if len(set(model)) != len(model):
-            raise ValueError("an effect is named twice")
+        try:
+            check_effects(model)
+        except ConfigError as error:
+            raise ValueError(str(error)) from None
         return model
+
+    @field_validator("nominal", mode="before")
+    @classmethod
+    def _choices_by_name(cls, nominal: Any) -> Any:
+        """A choice may be given by its name: `channel = "current_A"`."""
+        if not isinstance(nominal, dict):
+            return nominal
+        choices = {p.name: p.choices for p in parameter_table().values() if p.choices}
+        return {k: choices[k].index(v) if k in choices and v in choices[k] else v for k, v in nominal.items()}
 
     @field_validator("nominal")
     @classmethod

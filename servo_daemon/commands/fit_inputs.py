@@ -13,7 +13,7 @@ from servo_daemon.commands import common
 from servo_daemon.config import DriveConfig
 from servo_daemon.errors import BadInputError
 from servo_daemon.plant.effects import effects_by_name, parameter_table
-from servo_daemon.simulate.settings import parse_effect
+from servo_daemon.simulate.settings import parse_effect, with_harmonics
 
 #: m/s², standard acceleration of gravity (CGPM 1901).
 GRAVITY = 9.80665
@@ -72,8 +72,7 @@ def model_effects(drive: DriveConfig, texts: Sequence[str]) -> tuple[tuple[str, 
     names, starts = list(drive.model), dict[str, float]()
     for text in texts:
         name, values = parse_effect(text)
-        if name not in names:
-            names.append(name)
+        names += [n for n in with_harmonics(name, values) if n not in names]
         starts |= values
     return tuple(names), starts
 

@@ -13,6 +13,10 @@ _LINEAR_UNITS = {
     "A·s/rad": "A·s/m",
     "rad/(s·V)": "m/(s·V)",
     "N·m/V": "N/V",
+    "N·m/rad": "N/m",
+    "N·m·s²/rad²": "N·s²/m²",
+    "1/rad": "1/m",
+    "1/rad²": "1/m²",
 }
 _LINEAR_COLUMNS = {"position_rad": "position_m", "velocity_rad_s": "velocity_m_s", "torque_Nm": "force_N"}
 

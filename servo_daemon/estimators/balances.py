@@ -99,6 +99,7 @@ _NOISE_IN = {
     "K": ("position_rad", 1),
     "J": ("position_rad", 2),
     "B": ("position_rad", 1),
+    "B_neg": ("position_rad", 1),
 }
 
 
@@ -130,7 +131,10 @@ def shaft_slopes(columns: Sequence[str], value: Mapping[str, float], per_current
     Args:
         per_current: y is ∫φ i and K a parameter of this balance; else y is a torque.
     """
-    slopes = {name: _unit(columns, name, -value[name]) for name in ("J", "B", "Tc") if name in columns}
+    own = ("J", "B", "Tc", "Tc_neg", "B_neg", "c2")
+    slopes = {name: _unit(columns, name, -value[name]) for name in own if name in columns}
+    if "mu" in columns:
+        slopes["mu"] = _unit(columns, "mu", -value["mu"] * (value["K"] if per_current else 1.0))
     if "one" in columns:
         slopes["TL"] = _unit(columns, "one", -1.0)
         if per_current and "i0" in value:

@@ -6,7 +6,7 @@ and B from the shaft with that K); with less, what is missing must be given (`kn
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from servo_daemon.estimators.modulating import Windows, make_windows
 from servo_daemon.estimators.plausible import Plausible
 from servo_daemon.estimators.rls import DirectionalRls, LinearEstimate
 from servo_daemon.estimators.stretch import Stretch, between_samples, joined, last, median, motion, speed_sign
+from servo_daemon.estimators.stretch import speed as speed_of
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.samples import F64
 
@@ -33,9 +34,14 @@ _ARMATURE = ("R", "L", "K")
 #: Effects whose torque is linear in what they add to the shaft's regression: its columns, and what they give.
 _SHAFT_COLUMNS: Mapping[str, tuple[str, ...]] = {
     "coulomb_friction": ("Tc",),
+    "asymmetric_friction": ("Tc", "Tc_neg", "B_neg"),
+    "load_dependent_friction": ("mu",),
+    "quadratic_drag": ("c2",),
     "constant_load_torque": ("one",),
     "gravity_load": ("sin", "cos"),
 }
+#: Effects that hold at rest with any torque up to their level.
+_DRY = frozenset({"coulomb_friction", "asymmetric_friction", "stribeck_friction", "load_dependent_friction"})
 _GIVES = {"one": "TL", "sin": "Tg", "cos": "phi_g"}
 
 
@@ -177,7 +183,7 @@ class MotorRls:
         self._take("armature", self._armature, float(s.time_s[-1]), Phi, y, w)
 
     def _shaft_rows(self, s: Stretch, period: float) -> None:
-        if "coulomb_friction" in self._plant.effects:  # at rest it holds with any torque up to its level
+        if _DRY.intersection(self._plant.effects):
             s = replace(s, usable=s.usable & (speed_sign(s) != 0.0))
         w = self._windows(s, period, "shaft")
         if w is None:
@@ -187,6 +193,8 @@ class MotorRls:
             self._shaft = DirectionalRls(len(self._shaft_columns), _MEMORY_S * rows_per_s)
         speed, acceleration = motion(w, s)
         columns = [acceleration, speed]
+        if "asymmetric_friction" in self._plant.effects:  # B is that of positive motion alone
+            columns[1] = speed - w.integral(np.minimum(speed_of(s), 0.0))
         for effect in self._plant.effects:
             columns += self._effect_columns(effect, w, s)
         y = self._driving_torque(w, s, speed, acceleration)
@@ -207,14 +215,9 @@ class MotorRls:
         self.window.add(which, time_s, Phi, y, w.weight_squares)
 
     def _effect_columns(self, effect: str, w: Windows, s: Stretch) -> list[F64]:
-        if effect == "coulomb_friction":
-            return [w.integral(speed_sign(s))]
-        if effect == "constant_load_torque":
-            return [w.integral(np.ones_like(s.time_s))]
-        if effect == "gravity_load":
-            angle = s.position if s.position is not None else np.zeros_like(s.time_s)
-            return [w.integral(np.sin(angle)), w.integral(np.cos(angle))]
-        return []
+        if effect not in _SHAFT_COLUMNS:
+            return []
+        return [w.integral(signal) for signal in _EFFECT_SIGNALS[effect](s)]
 
     def _driving_torque(self, w: Windows, s: Stretch, speed: F64, acceleration: F64) -> F64 | None:
         """∫φ of motor torque, divided by K where K is to come from the armature; None if it cannot be had."""
@@ -243,7 +246,7 @@ class MotorRls:
         covariance = block_diag(*[e.covariance for e in blocks]) * _OVERLAP_INFLATION
         names = [*(_ARMATURE if armature is not None else []), *(self._shaft_columns if shaft is not None else [])]
         if armature is not None and shaft is not None:
-            value, covariance = _times_torque_constant(value, covariance)
+            value, covariance = _times_torque_constant(value, covariance, names)
         elif self._plant.drive == "voltage" and self._known:
             value, covariance = _without_lag(value, covariance, self._known["L"] / self._known["R"])
         if "sin" in names:
@@ -260,18 +263,45 @@ def _apart(first: NDArray[np.intp], hop: int) -> NDArray[np.intp]:
     return np.array(taken, dtype=np.intp)
 
 
+def _asymmetric(s: Stretch) -> list[F64]:
+    sign = speed_sign(s)
+    return [np.maximum(sign, 0.0), np.minimum(sign, 0.0), np.minimum(speed_of(s), 0.0)]
+
+
+def _carried(s: Stretch) -> list[F64]:
+    torque = s.current if s.torque is None else s.torque
+    return [np.zeros_like(s.time_s) if torque is None else speed_sign(s) * np.abs(torque)]
+
+
+def _angle_waves(s: Stretch) -> list[F64]:
+    angle = s.position if s.position is not None else np.zeros_like(s.time_s)
+    return [np.sin(angle), np.cos(angle)]
+
+
+#: What the columns of `_SHAFT_COLUMNS` are the modulated integrals of.
+_EFFECT_SIGNALS: Mapping[str, Callable[[Stretch], list[F64]]] = {
+    "coulomb_friction": lambda s: [speed_sign(s)],
+    "asymmetric_friction": _asymmetric,
+    "load_dependent_friction": _carried,
+    "quadratic_drag": lambda s: [speed_of(s) * np.abs(speed_of(s))],
+    "constant_load_torque": lambda s: [np.ones_like(s.time_s)],
+    "gravity_load": _angle_waves,
+}
+
+
 def _first(e: LinearEstimate | None, n: int) -> LinearEstimate | None:
     """The first n coefficients: an offset's is of no use to anybody."""
     return None if e is None else LinearEstimate(e.value[:n], e.covariance[:n, :n], e.residual_var)
 
 
-def _times_torque_constant(value: F64, covariance: F64) -> tuple[F64, F64]:
-    """Shaft coefficients were found per unit of K (the third value): multiply, errors included to first order."""
+def _times_torque_constant(value: F64, covariance: F64, names: Sequence[str]) -> tuple[F64, F64]:
+    """Shaft coefficients were found per unit of K (the third value): multiply, errors included to first order. A share
+    of the torque (mu) is one of the current as well."""
     K = value[2]
-    by = np.eye(len(value))
-    by[3:, 3:] *= K
-    by[3:, 2] = value[3:]
-    return np.concatenate([value[:3], K * value[3:]]), by @ covariance @ by.T
+    per_K = np.array([k >= 3 and name != "mu" for k, name in enumerate(names)])
+    by = np.diag(np.where(per_K, K, 1.0))
+    by[per_K, 2] = value[per_K]
+    return np.where(per_K, K * value, value), by @ covariance @ by.T
 
 
 def _without_lag(value: F64, covariance: F64, lag_s: float) -> tuple[F64, F64]:

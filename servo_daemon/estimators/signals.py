@@ -8,7 +8,7 @@ nominal value or, without one, not published at all.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from servo_daemon.plant.build import PlantModel, build_plant
 from servo_daemon.plant.core import Drive
@@ -36,6 +36,12 @@ class SignalPlan:
     reasons: Mapping[str, str]
     nuisance: tuple[str, ...] = ()
 
+    @property
+    def known(self) -> Mapping[str, float]:
+        """The motor's own parameters among the held ones: what stands for a missing signal."""
+        own = {p.name for p in LINEAR}
+        return {name: value for name, value in self.held.items() if name in own}
+
 
 #: Offsets that are always in the filter's model: of the torque (a hanging cable, a tilted axis) and, where a voltage
 #: lets it be told apart, of the current sensor (one of the voltage leaves the same trace).
@@ -43,6 +49,21 @@ _NUISANCE: Mapping[str, str] = {"constant_load_torque": "TL", "current_sensor_of
 #: Which effect a nuisance parameter stands for.
 EFFECT_OF: Mapping[str, str] = {parameter: effect for effect, parameter in _NUISANCE.items()}
 _HIDDEN_BY: dict[Drive, tuple[str, ...]] = {"voltage": (), "current": ("R", "L"), "torque": ("R", "L", "K")}
+#: Heating is driven by R i², which nothing shows without a voltage; effects on the armature have no say then. Where the
+#: torque is the input, none on the torque constant has.
+_ARMATURE_ONLY = (
+    "winding_heating",
+    "resistance_step",
+    "brush_voltage_drop",
+    "current_sensor_offset",
+    "current_sensor_gain",
+    "voltage_sensor_offset",
+)
+_SILENT: dict[Drive, tuple[str, ...]] = {
+    "voltage": (),
+    "current": (*_ARMATURE_ONLY, "drive_lag"),
+    "torque": (*_ARMATURE_ONLY, "torque_ripple", "magnetic_saturation"),
+}
 #: Without a current sensor the armature's share must be given: R and K close the two null directions of ω/v, and L/R is
 #: far too short to show in the motion.
 _NEEDED_WITHOUT_CURRENT = ("R", "L", "K")
@@ -55,6 +76,23 @@ def plan_signals(channels: tuple[str, ...], effects: tuple[str, ...], nominal: M
         channels: what the drive delivers (`samples.CHANNELS`).
         nominal: given values, natural units.
     """
+    plan = _by_signals(channels, effects, nominal)
+    if plan.plant is None:
+        return plan
+    given = {p.name: nominal.get(p.name, p.nominal) for p in plan.plant.parameters if p.held != "no"}
+    given = {name: value for name, value in given.items() if name in plan.free}
+    return replace(
+        plan,
+        held={**plan.held, **given},
+        free=tuple(n for n in plan.free if n not in given),
+        reasons={
+            **plan.reasons,
+            **dict.fromkeys(given, "held as given: a filter that runs along cannot search for it"),
+        },
+    )
+
+
+def _by_signals(channels: tuple[str, ...], effects: tuple[str, ...], nominal: Mapping[str, float]) -> SignalPlan:
     motion = tuple(c for c in ("position_rad", "velocity_rad_s") if c in channels)[:1]
     if "voltage_V" in channels and (motion or "current_A" in channels):
         return _with_voltage(channels, motion, effects, nominal)
@@ -92,7 +130,9 @@ def _with_offsets(
     effects: tuple[str, ...], drive: Drive, offsets: tuple[str, ...]
 ) -> tuple[PlantModel, tuple[str, ...]]:
     """The plant with the offsets that are not in it already, and their parameters."""
-    added = tuple(e for e in offsets if e not in effects)
+    # Levels of dry friction that differ by direction are a constant load beside equal ones: never both.
+    there = (*effects, *(("constant_load_torque",) if "asymmetric_friction" in effects else ()))
+    added = tuple(e for e in offsets if e not in there)
     return build_plant((*effects, *added), drive), tuple(_NUISANCE[e] for e in added)
 
 
@@ -103,8 +143,7 @@ def _own(plant: PlantModel, nuisance: tuple[str, ...]) -> tuple[str, ...]:
 def _without_voltage(
     drive: Drive, motion: tuple[str, ...], effects: tuple[str, ...], nominal: Mapping[str, float]
 ) -> SignalPlan:
-    # Heating is driven by R i², which nothing here can show; effects on the armature have no say without a voltage.
-    shown = tuple(e for e in effects if e not in ("winding_heating", "brush_voltage_drop", "current_sensor_offset"))
+    shown = tuple(e for e in effects if e not in _SILENT[drive])
     plant, nuisance = _with_offsets(shown, drive, ("constant_load_torque",))
     missing_signal = "voltage" if drive == "current" else "voltage and current"
     reasons = {name: f"no {missing_signal} measured: {name} not visible" for name in _HIDDEN_BY[drive]}

@@ -87,10 +87,24 @@ def speed_sign(s: Stretch) -> F64:
     if s.velocity is not None:
         return np.asarray(np.sign(s.velocity))
     assert s.position is not None
-    reach = min(5, len(s.position) // 2)
-    ahead = np.concatenate([s.position[reach:], np.full(reach, s.position[-1])])
-    behind = np.concatenate([np.full(reach, s.position[0]), s.position[:-reach]])
-    return np.asarray(np.sign(ahead - behind))
+    return np.asarray(np.sign(_across(s.position)))
+
+
+def speed(s: Stretch) -> F64:
+    """rad/s per sample, from a difference across ten samples where only the angle is measured: for terms that follow
+    the speed in no way that integration by parts could take from the angle."""
+    if s.velocity is not None:
+        return s.velocity
+    assert s.position is not None
+    return _across(s.position) / np.maximum(_across(s.time_s), 1e-12)
+
+
+def _across(values: F64) -> F64:
+    """From five samples before to five after each."""
+    reach = min(5, len(values) // 2)
+    ahead = np.concatenate([values[reach:], np.full(reach, values[-1])])
+    behind = np.concatenate([np.full(reach, values[0]), values[:-reach]])
+    return np.asarray(ahead - behind)
 
 
 def between_samples(s: Stretch, rest: float) -> Stretch:

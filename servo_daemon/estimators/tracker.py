@@ -81,7 +81,7 @@ class Tracker:
 
             loop = FilterpyLoop(plant, self.plan.measured)
         self.ekf = Ekf(plant, self.plan.measured, loop)
-        self.rls = MotorRls(plant, self.plan.held)
+        self.rls = MotorRls(plant, self.plan.known)
         self._roster = make_roster(self.plan, self.settings, self.rls.in_regression)
         self._judge = ParameterJudge(self._roster, self.ekf, self.rls)
         self._jumps = JumpActions(self._roster, self.ekf, self.rls, self._judge)

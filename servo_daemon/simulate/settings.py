@@ -13,10 +13,11 @@ import numpy as np
 from servo_daemon.errors import BadInputError
 from servo_daemon.plant.ageing import Ageing, ageing_texts, parse_ageing
 from servo_daemon.plant.build import PlantModel, build_plant
-from servo_daemon.plant.effects import effects_by_name
+from servo_daemon.plant.effects import effects_by_name, further_harmonics
 from servo_daemon.plant.parameters import J_M, LINEAR, Parameter
 from servo_daemon.plant.servo_loop import ServoGains, suitable_gains
 from servo_daemon.simulate.motion import Motion, MotionName
+from servo_daemon.simulate.visible import VISIBLE
 
 #: The paper's motor (its section 2, method 2).
 PAPER_MOTOR: Mapping[str, float] = {p.name: p.nominal for p in LINEAR}
@@ -41,17 +42,6 @@ DEFAULT_AGEING: Mapping[str, Sequence[str]] = {
     "B": ("+30%/25min", "0.3%/sqrt(min):walk"),  # grease stiffens
     "L": ("-8%/40min",),
     "J_d": ("+0.001/30min", "+0.0008@10min"),  # the load grows, then something is clamped on
-}
-
-#: Values that show on the paper's motor (4 N·m and 13 A at 8 rad/s), where an effect's start value is meant for a fit.
-VISIBLE: Mapping[str, float] = {
-    "Tc": 0.3,
-    "TL": 0.4,
-    "Tg": 0.5,
-    "phi_g": 0.3,
-    "R_th": 2.0,
-    "C_th": 15.0,
-    "i0": 0.3,
 }
 
 
@@ -129,6 +119,9 @@ class Settings:
 def parse_effect(text: str) -> tuple[str, dict[str, float]]:
     """'coulomb_friction:Tc=0.3' as ('coulomb_friction', {'Tc': 0.3}).
 
+    An effect takes the parameters of its further harmonics, too (`cogging_torque:Tcog=0.3,Tcog_2=0.1`); those that are
+    given are then part of the model, see `with_harmonics`.
+
     Raises:
         BadInputError: unknown effect or parameter, not a number, or out of bounds; the text names it.
     """
@@ -137,7 +130,8 @@ def parse_effect(text: str) -> tuple[str, dict[str, float]]:
     effects = effects_by_name()
     if name not in effects:
         raise BadInputError(f"unknown effect '{name}': known are {', '.join(effects)}")
-    own = {p.name: p for p in effects[name].parameters}
+    family = (name, *further_harmonics(name))
+    own = {p.name: p for member in family for p in effects[member].parameters}
     values: dict[str, float] = {}
     for part in (piece for piece in rest.split(",") if piece.strip()):
         key, separator, number = (s.strip() for s in part.partition("="))
@@ -149,7 +143,16 @@ def parse_effect(text: str) -> tuple[str, dict[str, float]]:
     return name, values
 
 
+def with_harmonics(name: str, values: Mapping[str, float]) -> tuple[str, ...]:
+    """The effect and those of its further harmonics that have a value."""
+    known = effects_by_name()
+    further = further_harmonics(name)
+    return (name, *(f for f in further if any(p.name in values for p in known[f].parameters)))
+
+
 def _checked(parameter: Parameter, value: Any, where: str) -> float:
+    if value in parameter.choices:
+        return float(parameter.choices.index(value))
     try:
         number = float(value)
     except (TypeError, ValueError):
@@ -183,12 +186,13 @@ def parse_effects(effects: Iterable[str] | Mapping[str, Any]) -> tuple[tuple[str
         if not isinstance(text, str):
             raise BadInputError(f"effect {text!r} is not a text such as 'coulomb_friction:Tc=0.3'")
         name, own = parse_effect(text)
-        if name in names:
-            raise BadInputError(f"effect {name} is named twice")
+        added = with_harmonics(name, own)
+        for twice in (n for n in added if n in names):
+            raise BadInputError(f"effect {twice} is named twice")
         for key, value in own.items():
             if values.setdefault(key, value) != value:
                 raise BadInputError(f"effect {name}: {key} = {value:g}, but another effect says {values[key]:g}")
-        names.append(name)
+        names += added
     return tuple(names), values
 
 

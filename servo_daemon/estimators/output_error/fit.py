@@ -19,7 +19,8 @@ from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.output_error.residual import ResidualTest, residual_tests
 from servo_daemon.estimators.output_error.setup import OFFSETS, Recording, current_size, make_problem
 from servo_daemon.estimators.output_error.solver import Iteration, Point, Solution, solve
-from servo_daemon.estimators.output_error.starts import Start, coordinates, starting_points, torque_size
+from servo_daemon.estimators.output_error.starts import Start, coordinates, sizes, starting_points, torque_size
+from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.plant.parameters import Parameter
 from servo_daemon.samples import F64
 
@@ -142,6 +143,8 @@ def fit_output_error(
     """
     options = options or FitOptions()
     began = time.perf_counter()
+    choices = {p.name: options.nominal.get(p.name, p.nominal) for p in _choices(effects)}
+    options = replace(options, fixed={**choices, **options.fixed})
     problem = make_problem(recordings, effects, options.fixed, segment_s=options.segment_s)
     starts = starting_points(recordings, problem, {**options.nominal, **options.fixed})
     scale = _coordinate_scale(problem, recordings, starts[0])
@@ -169,6 +172,12 @@ def fit_output_error(
         start=start.source,
         seconds=time.perf_counter() - began,
     )
+
+
+def _choices(effects: Sequence[str]) -> list[Parameter]:
+    """Parameters of these effects that are no numbers."""
+    known = effects_by_name()
+    return [p for name in effects if name in known for p in known[name].parameters if p.held == "always"]
 
 
 def _search(problem: Problem, starts: Sequence[Start], robust: bool) -> tuple[Solution, Start]:
@@ -233,14 +242,18 @@ def _coordinate_scale(problem: Problem, recordings: Sequence[Recording], start: 
     block = max((r.block for r in recordings), key=len)
     table = {p.name: p for p in problem.plant.parameters}
     voltage = float(np.max(np.abs(block.voltage_V))) if block.voltage_V is not None else 1.0
-    sizes = {
+    scales = sizes(start.values, block, problem.plant)
+    units = {
         "N·m": torque_size(start.values, block, problem.plant.drive),
         "A": current_size(block),
         "V": voltage,
     }
 
     def unit(p: Parameter) -> float:
-        return 1.0 if p.transform == "log" else max(sizes.get(p.unit, 1.0), 1e-12)
+        if p.transform == "log":
+            return 1.0
+        size = units.get(p.unit, 1.0) if p.scale is None else p.scale.product(scales)
+        return max(size, 1e-12)
 
     return np.array([unit(table[name]) for name in problem.parameter_of_column])
 

@@ -101,17 +101,35 @@ def torque_size(values: Mapping[str, float], block: SampleBlock, drive: str) -> 
     return values["K"] * current_size(block)
 
 
+def sizes(values: Mapping[str, float], block: SampleBlock, plant: PlantModel) -> dict[str, float]:
+    """What a parameter's `Scale` multiplies, from signals and the motor's values."""
+    voltage = float(np.percentile(np.abs(block.voltage_V), 95.0)) if block.voltage_V is not None else 1.0
+    travel = float(np.ptp(block.position_rad)) / 2 if block.position_rad is not None else 1.0
+    seconds = float(block.time_s[-1] - block.time_s[0])
+    measured = {
+        "torque": torque_size(values, block, plant.drive),
+        "voltage": voltage,
+        "current": current_size(block),
+        "speed": speed_size(block),
+        "travel": travel,
+        "seconds": seconds,
+    }
+    return {**{n: values[n] for n in ("R", "J", "B") if n in values}, **{n: v or 1.0 for n, v in measured.items()}}
+
+
 def _with_effects(values: dict[str, float], block: SampleBlock, plant: PlantModel) -> dict[str, float]:
-    torque = torque_size(values, block, plant.drive)
+    size = sizes(values, block, plant)
     for p in plant.parameters:
         if p.name not in values:
-            values[p.name] = _effect_start(p, torque)
+            values[p.name] = _effect_start(p, size)
     return values
 
 
-def _effect_start(p: Parameter, torque: float) -> float:
+def _effect_start(p: Parameter, size: Mapping[str, float]) -> float:
+    if p.scale is not None and p.scale.share:
+        return float(np.clip(p.scale.share * p.scale.product(size), p.lower, p.upper))
     if p.unit == "N·m" and p.transform == "log":
-        return _EFFECT_SHARE * torque
+        return _EFFECT_SHARE * size["torque"]
     return p.nominal
 
 

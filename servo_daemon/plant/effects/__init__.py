@@ -10,7 +10,17 @@ from servo_daemon.errors import ConfigError
 from servo_daemon.plant.effects.base import Effect, Signals, State, Terms
 from servo_daemon.plant.parameters import J_M, LINEAR, Parameter
 
-__all__ = ["NAMES", "Effect", "Signals", "State", "Terms", "check_effects", "effects_by_name", "parameter_table"]
+__all__ = [
+    "NAMES",
+    "Effect",
+    "Signals",
+    "State",
+    "Terms",
+    "check_effects",
+    "effects_by_name",
+    "further_harmonics",
+    "parameter_table",
+]
 
 #: Order of the ladder: simpler causes first.
 NAMES = (
@@ -49,6 +59,11 @@ def effects_by_name() -> Mapping[str, Effect]:
     modules = [import_module(f"{__name__}.{name}") for name in NAMES]
     each = [getattr(module, "EFFECTS", None) or (module.EFFECT,) for module in modules]
     return {effect.name: effect for effects in each for effect in effects}
+
+
+def further_harmonics(name: str) -> tuple[str, ...]:
+    """Effects that are further harmonics of this one: `cogging_torque_2`, …"""
+    return tuple(n for n, effect in effects_by_name().items() if effect.further == name)
 
 
 @cache

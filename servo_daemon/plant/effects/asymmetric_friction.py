@@ -6,7 +6,7 @@ import casadi as ca
 
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
 from servo_daemon.plant.effects.coulomb_friction import TC
-from servo_daemon.plant.parameters import Parameter
+from servo_daemon.plant.parameters import Parameter, Scale
 
 TC_NEG = Parameter(
     "Tc_neg",
@@ -29,6 +29,7 @@ B_NEG = Parameter(
     "log",
     "viscous friction in negative direction",
     "start value: the paper's motor's B",
+    scale=Scale(1.0, B=1),
 )
 
 

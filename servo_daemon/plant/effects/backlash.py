@@ -28,5 +28,5 @@ EFFECT = Effect(
     ),
     terms=_terms,
     states=TWIST,
-    substeps=4,
+    substeps=2,
 )

@@ -45,7 +45,7 @@ def _harmonic(ending: str) -> Effect:
                 "log",
                 "periods a turn (an integer on the motor's own shaft)",
                 "start value",
-                held="live",
+                held="always",
             ),
             Parameter(
                 phi_cog,

@@ -31,5 +31,5 @@ EFFECT = Effect(
     equation=r"\mu\,|K i|\operatorname{sgn}\omega",
     parameters=(MU,),
     terms=_terms,
-    substeps=4,
+    substeps=2,
 )

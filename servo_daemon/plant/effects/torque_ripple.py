@@ -27,7 +27,7 @@ N_RIP = Parameter(
     "log",
     "periods of the ripple a turn (an integer on the motor's own shaft)",
     "start value",
-    held="live",
+    held="always",
 )
 PHI_RIP = Parameter(
     "phi_rip", r"\varphi_{rip}", "rad", 0.0, -6.5, 6.5, "identity", "phase of the ripple at angle zero", "start value"
@@ -49,5 +49,5 @@ EFFECT = Effect(
         PHI_RIP,
     ),
     terms=_terms,
-    substeps=8,
+    substeps=4,
 )

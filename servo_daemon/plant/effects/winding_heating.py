@@ -3,15 +3,35 @@
 from __future__ import annotations
 
 from servo_daemon.plant.effects.base import Effect, Signals, State, Terms
-from servo_daemon.plant.parameters import Parameter
+from servo_daemon.plant.parameters import Parameter, Scale
 
 #: Temperature coefficient of copper at 20 °C, 1/K (IEC 60028).
 ALPHA_COPPER_1_K = 0.0039
 
 R_TH = Parameter(
-    "R_th", "R_{th}", "K/W", 5.0, 1e-4, 1e4, "log", "thermal resistance, winding to ambient", "start value"
+    "R_th",
+    "R_{th}",
+    "K/W",
+    5.0,
+    1e-4,
+    1e4,
+    "log",
+    "thermal resistance, winding to ambient",
+    "start value",
+    scale=Scale(25.0, current=-2, R=-1),
 )
-C_TH = Parameter("C_th", "C_{th}", "J/K", 20.0, 1e-4, 1e6, "log", "thermal capacity of the winding", "start value")
+C_TH = Parameter(
+    "C_th",
+    "C_{th}",
+    "J/K",
+    20.0,
+    1e-4,
+    1e6,
+    "log",
+    "thermal capacity of the winding",
+    "start value",
+    scale=Scale(1 / 75, seconds=1, current=2, R=1),
+)
 WARMING = State("winding_rise_K", "K", 0.0, 20.0)
 
 
