@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,15 +37,16 @@ class Regression:
 
     @classmethod
     def of(
-        cls, missing: Missing, motion: Motion, traces: Sequence[Trace], stiff: Sequence[float]
+        cls, missing: Missing, motion: Motion, traces: Sequence[Trace], stiff: Sequence[float], units: Mapping[str, float] | None = None
     ) -> Regression:
-        """Series over traces; `stiff`: the stiffness of the first of them, as `of_parameters` has it."""
+        """Series over traces; `stiff`: the stiffness of the first of them, as `of_parameters` has it;
+        `units`: of the series; None: their standard deviations."""
         columns = smoothed(missing, traces)
         block = np.minimum((np.arange(len(motion.t)) * BLOCKS) // len(motion.t), BLOCKS - 1)
         XX, Xy, yy = np.zeros((BLOCKS, len(traces), len(traces))), np.zeros((BLOCKS, len(traces))), np.zeros(BLOCKS)
         unknown = 0.0
         for name, series in missing.series.items():
-            unit = float(np.median(missing.std[name]))
+            unit = float(np.median(missing.std[name])) if units is None else units[name]
             X, y = columns[name] / unit, series / unit
             unknown += float(np.sum((missing.std[name][~motion.rest] / unit) ** 2))
             for b in range(BLOCKS):
