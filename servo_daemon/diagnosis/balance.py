@@ -18,31 +18,42 @@ from servo_daemon.diagnosis.signals import motion_of
 from servo_daemon.estimators.output_error import OutputErrorFit
 from servo_daemon.samples import F64, SampleBlock
 
-#: Parameters are changed if one of them would move by more than this share, at most so often.
-_BENT, _ROUNDS = 0.1, 4
+#: Parameters are changed where more than this share of the voltage (ten times as much of the torque) is missing, at
+#: most so often, and as long as that helps.
+_MUCH, _ROUNDS = 0.03, 4
 #: Factors by which a parameter moves at most in a round.
 _LEAP = (1e-3, 1e3)
 _LINEAR = ("R", "L", "K", "J", "B")
 
 
 def balanced_missing_inputs(fit: OutputErrorFit, block: SampleBlock, *, recording: int = 0) -> Missing:
-    """As `missing_inputs`, with the free parameters of the linear motor moved to where the balances want them, if the
-    fit has bent R, L, K or J by more than 10 %. The parameters used are in `Missing.coordinates`.
+    """As `missing_inputs`, with the free parameters of the linear motor moved to where the balances want them, where
+    much is missing. The parameters used are in `Missing.coordinates`.
 
     Raises:
         BadInputError, NumericalError: as `missing_inputs`.
     """
-    missing = missing_inputs(fit, block, recording=recording)
+    first = best = missing = missing_inputs(fit, block, recording=recording)
     for _ in range(_ROUNDS):
-        changes = _changes(fit, missing)
-        if max((abs(c) for name, c in changes.items() if name != "B"), default=0.0) < _BENT:
+        if _share(best) < _MUCH:
             break
         names = missing.augmented.plant.parameter_names
         q = missing.coordinates.copy()
-        for name, change in changes.items():
+        for name, change in _changes(fit, missing).items():
             q[names.index(name)] += float(np.log(np.clip(1 + change, *_LEAP)))
-        missing = missing_inputs(fit, block, recording=recording, coordinates=q)
-    return missing
+        missing = missing_inputs(fit, block, recording=recording, coordinates=q, levels=missing.levels)
+        if _share(missing) >= 0.9 * _share(best):
+            break
+        best = missing
+    if best.coordinates is first.coordinates:
+        return first
+    return missing_inputs(fit, block, recording=recording, coordinates=best.coordinates)
+
+
+def _share(missing: Missing) -> float:
+    """RMS of what is missing over the working size, of the voltage where there is one."""
+    name = "voltage" if "voltage" in missing.series else "torque"
+    return float(np.sqrt(np.mean(missing.series[name] ** 2))) / missing.size[name] * (1.0 if name == "voltage" else 0.1)
 
 
 def _changes(fit: OutputErrorFit, missing: Missing) -> dict[str, float]:

@@ -116,7 +116,9 @@ def missing_inputs(
         q = coordinates
     size = _sizes(plant, q, problem.segments)
     stretches = [_stretch(a, s, size) for s in problem.segments]
-    steps = {c: resolution(np.concatenate([s.measured[:, k] for s in problem.segments])) for k, c in enumerate(a.channels)}
+    steps = {
+        c: resolution(np.concatenate([s.measured[:, k] for s in problem.segments])) for k, c in enumerate(a.channels)
+    }
     if levels is None:
         start, floor = _start(a, problem.segments, size, steps)
         levels = fit_levels(a, q, stretches, start, floor)

@@ -1,4 +1,4 @@
-"""How noisy sensors and input are and how fast the unknown inputs walk: maximum likelihood over the filter's innovations.
+"""How noisy sensors and input are and how fast the unknown inputs walk: by maximum likelihood over innovations.
 
     −2 log L = Σ (log s + ν²/s)          (Schweppe, *IEEE Trans. Inf. Theory* 11, 1965)
 
@@ -92,7 +92,9 @@ def fit_levels(a: Augmented, q: F64, stretches: Sequence[Stretch], start: NoiseL
 
     pieces = _pieces(a, stretches)
     n_d = len(a.disturbances)
-    typical = np.log([*(start.walk[d] for d in a.disturbances), start.input_var, *(start.channel_var[c] for c in a.channels)])
+    typical = np.log(
+        [*(start.walk[d] for d in a.disturbances), start.input_var, *(start.channel_var[c] for c in a.channels)]
+    )
     low = np.concatenate([typical[: n_d + 1] - 16.0, np.log(floor)])
     high = np.concatenate([typical[: n_d + 1] + 14.0, np.maximum(typical[n_d + 1 :], low[n_d + 1 :]) + 9.0])
 
@@ -116,7 +118,11 @@ def fit_levels(a: Augmented, q: F64, stretches: Sequence[Stretch], start: NoiseL
             if (other := cost(x)) < value:
                 best, value = x, other
     found = minimize(
-        cost, best, method="L-BFGS-B", bounds=list(zip(low, high, strict=True)), options={"maxiter": 25, "eps": 1e-3, "ftol": 1e-7}
+        cost,
+        best,
+        method="L-BFGS-B",
+        bounds=list(zip(low, high, strict=True)),
+        options={"maxiter": 25, "eps": 1e-3, "ftol": 1e-7},
     )
     x = np.exp(found.x if found.fun < value else best)
     walk = dict(zip(a.disturbances, x[:n_d].tolist(), strict=True))

@@ -69,7 +69,11 @@ def screen(fit: OutputErrorFit, missing: Missing) -> tuple[ScreenedCandidate, ..
     motion = motion_of(missing)
     nuisance, stiff = of_parameters(motion, fit, missing)
     context = context_of(missing, motion, nuisance)
-    bases = [b for family in families(fit.problem.plant, (*fit.problem.free, *fit.problem.local)).values() for b in family(context)]
+    bases = [
+        b
+        for family in families(fit.problem.plant, (*fit.problem.free, *fit.problem.local)).values()
+        for b in family(context)
+    ]
     keys = list(context.traces)
     equations = Regression.of(missing, motion, [*nuisance, *context.traces.values()], stiff)
     before = equations.errors(range(len(nuisance)))

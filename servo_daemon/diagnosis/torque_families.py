@@ -189,7 +189,12 @@ def _periodic(c: Context) -> Iterator[Basis]:
             return {"Tper": size, "f_per": f, "phi_per": angle}
 
         wave = 2 * np.pi * f * (t + c.motion.h / 2)
-        yield Basis("periodic_disturbance", (c.torque(f"sin f {f}", np.sin(wave)), c.torque(f"cos f {f}", np.cos(wave))), start, 3)
+        yield Basis(
+            "periodic_disturbance",
+            (c.torque(f"sin f {f}", np.sin(wave)), c.torque(f"cos f {f}", np.cos(wave))),
+            start,
+            3,
+        )
 
 
 FAMILIES: dict[str, Family] = {

@@ -1,4 +1,4 @@
-"""Candidates with a second inertia: it is driven by the measured motion of the first, and what it pulls back is missing.
+"""Candidates with a second inertia, driven by the measured motion of the first: what it pulls back is missing.
 
 With a rigid load the fit has J = J_m + J_l; behind a gap or a spring the load's own acceleration α_l differs from the
 motor's, and d_T = J_l (α_l − dω/dt). J_l is the coefficient, gap and spring are scanned.
@@ -67,7 +67,7 @@ def _compliance(c: Context) -> Iterator[Basis]:
 
     m = c.motion
     period = float(np.median(m.h))
-    for f in _FREQUENCIES_HZ[_FREQUENCIES_HZ < 0.15 / period].tolist():
+    for f in [f for f in _FREQUENCIES_HZ.tolist() if f < 0.15 / period]:
         for zeta in _DAMPING:
             w, c2 = 2 * np.pi * f, 2 / period
             # (2ζws + w²)/(s² + 2ζws + w²) − 1 = −s²/(…) by Tustin's rule

@@ -138,7 +138,9 @@ def _voltage_offset(c: Context) -> Iterator[Basis]:
 
 def _delay(c: Context) -> Iterator[Basis]:
     m = c.motion
-    late = {"position_rad": Trace(shown={"position_rad": -m.at_sample["velocity_rad_s"], "velocity_rad_s": -m.omega_rate})}
+    late = {
+        "position_rad": Trace(shown={"position_rad": -m.at_sample["velocity_rad_s"], "velocity_rad_s": -m.omega_rate})
+    }
     if "L" in m.p:
         late["current_A"] = Trace(shown={"current_A": -m.at_sample["current_A_rate"]})
     for channel, trace in late.items():
