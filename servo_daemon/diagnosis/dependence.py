@@ -23,9 +23,10 @@ from servo_daemon.diagnosis.torque_families import best_harmonics, spectral_line
 from servo_daemon.estimators.output_error import OutputErrorFit
 from servo_daemon.samples import F64
 
-#: A share below this is none. Of clean captures of the independent generator fewer than 1 in 100 show a larger one
-#: (tests/recovery/test_dependence.py).
-LEAST_SHARE = 0.08
+#: A share below this is none, nor is anything below this share of the working torque or voltage. The second is what
+#: keeps clean captures empty: steps of encoder, converter and voltage leave real traces, of up to 0.05 % of the working
+#: voltage, that follow angle and time; what a user looks for begins at some percent.
+LEAST_SHARE, LEAST_SIZE = 0.08, 2e-3
 #: Hats over a quantity's range, and the longest list.
 _HATS, _LONGEST = 9, 4
 #: Of a heat that comes and goes, in shares of the capture.
@@ -39,6 +40,7 @@ class Dependence:
     on: "speed", "direction", "angle", "travel", "current", "load", "time", "step", "temperature" or "frequency".
     share: of the series' mean square, on blocks held out, beyond those listed before.
     size: RMS of what it explains, N·m or V.
+    relative: that over the working torque or voltage.
     detail: "harmonic" of the turn, "frequency_hz", "time_s".
     """
 
@@ -46,6 +48,7 @@ class Dependence:
     on: str
     share: float
     size: float
+    relative: float
     detail: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -56,7 +59,7 @@ class _Quantity:
     detail: Mapping[str, float]
 
 
-def dependences(fit: OutputErrorFit, missing: Missing, least_share: float = LEAST_SHARE) -> tuple[Dependence, ...]:
+def dependences(fit: OutputErrorFit, missing: Missing) -> tuple[Dependence, ...]:
     """What the series follow, the strongest first; empty where nothing is missing or it follows nothing.
 
     Args:
@@ -72,7 +75,10 @@ def dependences(fit: OutputErrorFit, missing: Missing, least_share: float = LEAS
         traces = [*nuisance, *(_trace(name, column) for q in quantities for column in q.columns)]
         regression = Regression.of(missing, motion, traces, stiff)
         unit = float(np.median(missing.std[name]))
-        out += _forward(name, regression, len(nuisance), quantities, unit, int((~motion.rest).sum()), least_share)
+        found = _forward(
+            name, regression, len(nuisance), quantities, (unit, missing.size[name]), int((~motion.rest).sum())
+        )
+        out += found
     return tuple(sorted(out, key=lambda d: -d.share))
 
 
@@ -81,23 +87,24 @@ def _trace(series: str, values: F64) -> Trace:
 
 
 def _forward(
-    name: str, regression: Regression, own: int, quantities: list[_Quantity], unit: float, n: int, least: float
+    name: str, regression: Regression, own: int, quantities: list[_Quantity], units: tuple[float, float], n: int
 ) -> list[Dependence]:
     """Chosen one after the other, each by what it adds; at most one of a kind."""
     ends = own + np.cumsum([len(q.columns) for q in quantities])
     where = [range(int(end) - len(q.columns), int(end)) for end, q in zip(ends, quantities, strict=True)]
     columns = list(range(own))
     first = regression.errors(columns)[1]
-    before, left, out = first, list(range(len(quantities))), []
+    before, left = first, list(range(len(quantities)))
+    out: list[Dependence] = []
     while left and len(out) < _LONGEST:
         errors = {k: regression.errors([*columns, *where[k]])[1] for k in left}
         # A column more must pay for itself: of two that explain alike the simpler one is named.
         best = min(left, key=lambda k: np.log(errors[k] + regression.unknown) + 0.01 * len(quantities[k].columns))
         share = (before - errors[best]) / (first + regression.unknown)
-        if share < least:
+        size = units[0] * float(np.sqrt(max(before - errors[best], 0.0) / max(n, 1)))
+        if share < LEAST_SHARE or size < LEAST_SIZE * units[1]:
             break
-        size = unit * float(np.sqrt(max(before - errors[best], 0.0) / max(n, 1)))
-        out.append(Dependence(name, quantities[best].on, float(share), size, quantities[best].detail))
+        out.append(Dependence(name, quantities[best].on, float(share), size, size / units[1], quantities[best].detail))
         columns, before = [*columns, *where[best]], errors[best]
         left = [
             k for k in left if quantities[k].on != quantities[best].on or quantities[k].on in ("angle", "frequency")

@@ -87,6 +87,7 @@ def missing_inputs(
     block: SampleBlock,
     *,
     recording: int = 0,
+    coordinates: F64 | None = None,
     levels: NoiseLevels | None = None,
     least_walk: Mapping[str, float] | None = None,
 ) -> Missing:
@@ -96,6 +97,7 @@ def missing_inputs(
         fit: the plant and its parameters.
         block: a capture with the signals that were fitted.
         recording: whose offsets hold, where several were fitted.
+        coordinates: parameters to use instead, as in `Missing.coordinates`.
         levels: intensities; None: by maximum likelihood from this capture.
         least_walk: the walks are not slower than this, unit²/s.
 
@@ -107,8 +109,11 @@ def missing_inputs(
     plant = _with_load(fit.problem.plant)
     disturbances, visible = _unknown(plant, problem.channels)
     a = Augmented(plant, problem.channels, disturbances)
-    q = np.zeros(len(plant.parameters))
-    q[: len(fit.problem.plant.parameters)] = fit.coordinates(recording)
+    if coordinates is None:
+        q = np.zeros(len(plant.parameters))
+        q[: len(fit.problem.plant.parameters)] = fit.coordinates(recording)
+    else:
+        q = coordinates
     size = _sizes(plant, q, problem.segments)
     stretches = [_stretch(a, s, size) for s in problem.segments]
     steps = {

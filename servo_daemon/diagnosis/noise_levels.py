@@ -1,4 +1,4 @@
-"""How noisy sensors and input are and how fast the unknown inputs walk: maximum likelihood over the filter's innovations.
+"""How noisy sensors and input are and how fast the unknown inputs walk: by maximum likelihood over innovations.
 
     −2 log L = Σ (log s + ν²/s)          (Schweppe, *IEEE Trans. Inf. Theory* 11, 1965)
 

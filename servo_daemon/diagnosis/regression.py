@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,10 +22,14 @@ MOST_CHANGE = 0.3
 
 @dataclass(frozen=True)
 class Regression:
-    """Normal equations by time block: XᵀX (blocks, m, m), Xᵀy (blocks, m), yᵀy (blocks,); the series' variances summed; shape (m,)
-    1/(largest relative change)² of those columns that are a parameter of the plant, else 0.
+    """Normal equations by time block.
 
-    That bound matters: the missing torque is K i − J dω/dt − B ω, so a current together with parameters near zero
+    Attributes:
+        XX, Xy, yy: shapes (blocks, m, m), (blocks, m), (blocks,); series in units of their standard deviations.
+        unknown: the series' variances summed, in the same units.
+        stiffness: shape (m,), 1/(largest relative change)² of the inertia's column, 0 of the others.
+
+    The stiffness matters: the missing torque is K i − J dω/dt − B ω, so a current together with parameters near zero
     "explains" any of it. A change of J by `MOST_CHANGE` therefore costs as much as the whole series.
     """
 
@@ -36,14 +40,22 @@ class Regression:
     stiffness: F64
 
     @classmethod
-    def of(cls, missing: Missing, motion: Motion, traces: Sequence[Trace], stiff: Sequence[float]) -> Regression:
-        """Series over traces; `stiff`: the stiffness of the first of them, as `of_parameters` has it."""
+    def of(
+        cls,
+        missing: Missing,
+        motion: Motion,
+        traces: Sequence[Trace],
+        stiff: Sequence[float],
+        units: Mapping[str, float] | None = None,
+    ) -> Regression:
+        """Series over traces; `stiff`: the stiffness of the first of them, as `of_parameters` has it;
+        `units`: of the series; None: their standard deviations."""
         columns = smoothed(missing, traces)
         block = np.minimum((np.arange(len(motion.t)) * BLOCKS) // len(motion.t), BLOCKS - 1)
         XX, Xy, yy = np.zeros((BLOCKS, len(traces), len(traces))), np.zeros((BLOCKS, len(traces))), np.zeros(BLOCKS)
         unknown = 0.0
         for name, series in missing.series.items():
-            unit = float(np.median(missing.std[name]))
+            unit = float(np.median(missing.std[name])) if units is None else units[name]
             X, y = columns[name] / unit, series / unit
             unknown += float(np.sum((missing.std[name][~motion.rest] / unit) ** 2))
             for b in range(BLOCKS):

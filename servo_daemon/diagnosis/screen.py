@@ -9,7 +9,7 @@ verdict it is not.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,13 +46,15 @@ class ScreenedCandidate:
     heldout_share: float
 
 
-def families(plant: PlantModel) -> dict[str, Family]:
-    """The effects that this plant's input can show, by name, less those it has."""
+def families(plant: PlantModel, free: Collection[str]) -> dict[str, Family]:
+    """The effects that this plant's input can show, by name, less those it has and those that free parameters hide."""
     known = dict(FAMILIES)
     if plant.drive == "voltage":
         known |= WINDING
     if plant.drive != "torque":
         known |= CURRENT
+    if {"J", "B"} <= set(free) and ({"R", "L"} <= set(free) or plant.drive != "voltage"):
+        known.pop("current_sensor_gain", None)  # the same as all of these scaled
     known |= SENSORS | TWO_MASS
     return {name: family for name, family in known.items() if name not in plant.effects}
 
@@ -67,7 +69,11 @@ def screen(fit: OutputErrorFit, missing: Missing) -> tuple[ScreenedCandidate, ..
     motion = motion_of(missing)
     nuisance, stiff = of_parameters(motion, fit, missing)
     context = context_of(missing, motion, nuisance)
-    bases = [b for family in families(fit.problem.plant).values() for b in family(context)]
+    bases = [
+        b
+        for family in families(fit.problem.plant, (*fit.problem.free, *fit.problem.local)).values()
+        for b in family(context)
+    ]
     keys = list(context.traces)
     equations = Regression.of(missing, motion, [*nuisance, *context.traces.values()], stiff)
     before = equations.errors(range(len(nuisance)))

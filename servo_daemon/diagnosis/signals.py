@@ -1,4 +1,4 @@
-"""The smoothed signals as the formulas of screening and dependence take them: means over the steps, with derivatives."""
+"""The smoothed signals as the formulas take them: means over the steps, with derivatives."""
 
 from __future__ import annotations
 

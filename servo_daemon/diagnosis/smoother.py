@@ -132,7 +132,10 @@ class _Pass:
 
     def _measured(self, z: ca.SX, P: ca.SX, q: ca.SX) -> tuple[ca.SX, ...]:
         a, c = self.a, len(self.a.channels)
-        innovations, precisions, gains, rows = [], [], [], []
+        innovations: list[ca.SX] = []
+        precisions: list[ca.SX] = []
+        gains: list[ca.SX] = []
+        rows: list[ca.SX] = []
         for k, channel in enumerate(a.channels):
             x = ca.SX.sym("x", a.n_x)
             shown = a.plant.sensed(x, natural(a.plant, q), self.row[0])[MEASURABLE.index(channel)]
@@ -224,7 +227,8 @@ def backward(a: Augmented) -> SampleLoop:
 @cache
 def response_forward(a: Augmented) -> SampleLoop:
     """How true state, prediction and innovations move with disturbances (torque, voltage) and sensor errors; `BATCH`
-    cases at once. Sample: forward row | per case torque, voltage, error per channel. Output: per case z | innovations."""
+    cases at once. Sample: forward row | per case torque, voltage, error per channel. Output: per case z,
+    innovations."""
     n_x, n, c = a.n_x, a.n_z, len(a.channels)
     state, const = ca.SX.sym("state", BATCH * (n_x + n)), ca.SX.sym("const", 1)
     width = a.columns["H"].stop
@@ -235,7 +239,8 @@ def response_forward(a: Augmented) -> SampleLoop:
         own = state[case * (n_x + n) : (case + 1) * (n_x + n)]
         x, z = own[:n_x], own[n_x:]
         given = row[width + case * (2 + c) : width + (case + 1) * (2 + c)]
-        innovations, predicted = [], z
+        innovations: list[ca.SX] = []
+        predicted = z
         for k in range(c):
             gain, H, precision = _channel(a, row, k)
             seen = ca.if_else(precision > 0, H[:n_x].T @ (x - z[:n_x]) + given[2 + k], 0.0)

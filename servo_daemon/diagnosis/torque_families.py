@@ -16,6 +16,10 @@ from servo_daemon.samples import F64
 HARMONICS, _TRIED = 64, 3
 #: Stribeck speeds as shares of the usual speed.
 _STRIBECK = np.geomspace(0.005, 0.6, 9)
+#: No gear loses more; without a bound the torque itself would explain what is missing of it.
+_MOST_MU = 0.6
+#: A harmonic is looked for where a sample passes no more of it than this, rad.
+_RESOLVED = 1.5
 
 
 def _coulomb(c: Context) -> Iterator[Basis]:
@@ -71,7 +75,7 @@ def _by_load(c: Context) -> Iterator[Basis]:
         return
 
     def start(b: F64) -> dict[str, float] | None:
-        return {"mu": b[0]} if positive(b[0]) and b[0] < 1 else None
+        return {"mu": b[0]} if positive(b[0]) and b[0] < _MOST_MU else None
 
     load = np.abs(c.motion.p["K"] * c.motion.i) * c.rest_friction
     yield Basis("load_dependent_friction", (c.torque("load sgn", load),), start, 1)
@@ -98,10 +102,13 @@ def best_harmonics(c: Context, weight: F64, series: str = "torque") -> list[int]
     theta, moving = c.motion.theta, ~c.motion.rest
     least = int(np.ceil(2 * np.pi / max(float(np.ptp(theta)), 1e-9)))  # one whole period must have been passed
     turn, r = np.exp(1j * theta[moving]), (c.residual[series] * weight)[moving]
+    passed = np.abs(c.motion.omega * c.motion.h)[moving]
     power, wave = np.zeros(HARMONICS + 1), turn.copy()
     for n in range(2, HARMONICS + 1):
         wave = wave * turn
-        power[n] = abs(r @ wave) ** 2 if n >= least else 0.0
+        if n >= least:
+            resolved = np.where(passed * n < _RESOLVED, r, 0.0)
+            power[n] = abs(resolved @ wave) ** 2 / max(int(np.count_nonzero(resolved)), 1)
     ranked = np.argsort(power)[::-1][:_TRIED]
     return [int(n) for n in ranked if power[n] > 0]
 

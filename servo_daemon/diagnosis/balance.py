@@ -1,0 +1,89 @@
+"""Parameters under which little is missing, where a fit that lacks an effect has bent them.
+
+A simulation that sticks where the motor moves, or moves where it sticks, can be fitted best by absurd parameters, and
+then nearly all of torque and voltage is "missing". The balances are linear in R, L, K, J and B: the change of the free
+ones that leaves least of both series is a better place to look from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_daemon.diagnosis.missing import Missing, missing_inputs
+from servo_daemon.diagnosis.response import Trace, smoothed
+from servo_daemon.diagnosis.signals import motion_of
+from servo_daemon.estimators.output_error import OutputErrorFit
+from servo_daemon.samples import F64, SampleBlock
+
+#: Parameters are changed where more than this share of the voltage (ten times as much of the torque) is missing, at
+#: most so often, and as long as that helps.
+_MUCH, _ROUNDS = 0.03, 4
+#: Factors by which a parameter moves at most in a round.
+_LEAP = (1e-3, 1e3)
+_LINEAR = ("R", "L", "K", "J", "B")
+
+
+def balanced_missing_inputs(fit: OutputErrorFit, block: SampleBlock, *, recording: int = 0) -> Missing:
+    """As `missing_inputs`, with the free parameters of the linear motor moved to where the balances want them, where
+    much is missing. The parameters used are in `Missing.coordinates`.
+
+    Raises:
+        BadInputError, NumericalError: as `missing_inputs`.
+    """
+    first = best = missing = missing_inputs(fit, block, recording=recording)
+    for _ in range(_ROUNDS):
+        if _share(best) < _MUCH:
+            break
+        names = missing.augmented.plant.parameter_names
+        q = missing.coordinates.copy()
+        for name, change in _changes(fit, missing).items():
+            q[names.index(name)] += float(np.log(np.clip(1 + change, *_LEAP)))
+        missing = missing_inputs(fit, block, recording=recording, coordinates=q, levels=missing.levels)
+        if _share(missing) >= 0.9 * _share(best):
+            break
+        best = missing
+    if best.coordinates is first.coordinates:
+        return first
+    return missing_inputs(fit, block, recording=recording, coordinates=best.coordinates)
+
+
+def _share(missing: Missing) -> float:
+    """RMS of what is missing over the working size, of the voltage where there is one."""
+    name = "voltage" if "voltage" in missing.series else "torque"
+    return float(np.sqrt(np.mean(missing.series[name] ** 2))) / missing.size[name] * (1.0 if name == "voltage" else 0.1)
+
+
+def _changes(fit: OutputErrorFit, missing: Missing) -> dict[str, float]:
+    """Relative change of each free parameter of the linear motor: R, L and K from the winding's balance, which no load
+    bends, then J and B from the shaft's."""
+    m = motion_of(missing)
+    free = {name for name in fit.problem.free if name in _LINEAR}
+    out: dict[str, float] = {}
+    if "voltage" in missing.series and "torque" in missing.series:
+        winding = {"R": m.p["R"] * m.i, "L": m.p["L"] * m.i_rate, "K": m.p["K"] * m.omega}
+        traces = {name: Trace(voltage=values) for name, values in winding.items() if name in free}
+        out = _least_squares(missing, "voltage", traces, missing.series["voltage"], np.ones(len(m.t), dtype=bool))
+    if "torque" in missing.series and not m.rest.all():
+        shaft = {"J": m.p["J"] * m.omega_rate, "B": m.p["B"] * m.omega}
+        traces = {name: Trace(torque=values) for name, values in shaft.items() if name in free}
+        traces["dry"] = Trace(torque=np.where(m.rest, 0.0, m.direction))
+        torque = missing.series["torque"]
+        if "K" in out:
+            torque = torque + out["K"] * m.p["K"] * m.i
+        out |= _least_squares(missing, "torque", traces, torque, ~m.rest)
+        out.pop("dry", None)
+    return out
+
+
+def _least_squares(
+    missing: Missing, name: str, traces: Mapping[str, Trace], series: F64, where: NDArray[np.bool_]
+) -> dict[str, float]:
+    if not traces:
+        return {}
+    columns = smoothed(missing, list(traces.values()))[name][where]
+    scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    found, *_ = np.linalg.lstsq(columns / scale, series[where], rcond=1e-9)
+    return dict(zip(traces, (found / scale).tolist(), strict=True))

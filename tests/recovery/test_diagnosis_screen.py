@@ -1,0 +1,94 @@
+"""Missing torque, screening and dependence on captures of the independent generator, which knows no plant of ours."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from servo_daemon.diagnosis.balance import balanced_missing_inputs
+from servo_daemon.diagnosis.dependence import dependences
+from servo_daemon.diagnosis.missing import Missing, missing_inputs
+from servo_daemon.diagnosis.screen import screen
+from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, fit_output_error
+from servo_daemon.estimators.output_error import Recording as Capture
+from servo_daemon.samples import SampleBlock, make_block
+from tests.recovery.generator import GEAR_MOTOR, LARGE_SERVO, PAPER, RE40, Motor, Recording, Scenario, generate, typical
+
+pytestmark = pytest.mark.usefixtures("generator_built")
+
+
+def _captured(motor: Motor, scenario: Scenario) -> tuple[Recording, SampleBlock]:
+    r = generate(motor, scenario)
+    return r, make_block(r.time_s, voltage_V=r.voltage_V, current_A=r.current_A, position_rad=r.position_rad)
+
+
+def _fit(motor: Motor, block: SampleBlock, fixed: Mapping[str, float] | None = None) -> OutputErrorFit:
+    nominal = {name: float(getattr(motor, name)) for name in ("R", "L", "K", "J", "B")}
+    return fit_output_error([Capture("test", block)], (), FitOptions(nominal=nominal, fixed=fixed or {}))
+
+
+def _diagnosed(motor: Motor, motion: str, name: str | None, share: float) -> tuple[OutputErrorFit, Missing]:
+    effects = typical(name, motor, share, seconds=8.0) if name else {}
+    _, block = _captured(motor, Scenario(motion, seconds=8.0, effects=effects, seed=11))
+    fit = _fit(motor, block)
+    return fit, balanced_missing_inputs(fit, block)
+
+
+def test_the_hidden_load_torque_lies_within_its_band() -> None:
+    """A load torque that walks at random, hidden from the capture: 95 % of it within 1.96 standard deviations."""
+    n, rate = 8000, 1000.0
+    walk = 0.02 * PAPER.working_torque_Nm * np.cumsum(np.random.default_rng(4).normal(size=n)) / np.sqrt(rate) * 3
+    recording, block = _captured(PAPER, Scenario("multisine", seconds=8.0, ageing={"TL": walk}, seed=2))
+    fixed = {name: float(getattr(PAPER, name)) for name in ("R", "L", "K", "J")}
+    fit = _fit(PAPER, block, fixed)
+    names = fit.problem.plant.parameter_names
+    truth = np.array([*(np.log(getattr(PAPER, name)) for name in names), 0.0])
+    m = missing_inputs(fit, block, coordinates=truth)
+    error = m.series["torque"] - recording.truth.parameters["TL"]
+    assert np.corrcoef(m.series["torque"], walk)[0, 1] > 0.98
+    assert 0.90 < np.mean(np.abs(error) < 1.96 * m.std["torque"]) < 0.99
+    # what the drive added unseen is white noise of the input, and is found as such
+    assert np.sqrt(m.levels.input_var) == pytest.approx(0.001 * PAPER.supply_V, rel=0.25)
+
+
+@pytest.mark.parametrize(
+    ("motor", "motion", "name", "share", "parameter"),
+    [
+        (RE40, "reversals", "coulomb_friction", 0.04, "Tc"),
+        (PAPER, "multisine", "cogging_torque", 0.04, "Tcog"),
+        (LARGE_SERVO, "pick_and_place", "gravity_load", 0.04, "Tg"),
+        (PAPER, "reversals", "brush_voltage_drop", 0.04, "Vb"),
+        (GEAR_MOTOR, "pick_and_place", "encoder_eccentricity", 0.2, "e_enc"),
+    ],
+)
+def test_screening_puts_the_cause_first(motor: Motor, motion: str, name: str, share: float, parameter: str) -> None:
+    fit, missing = _diagnosed(motor, motion, name, share)
+    best = screen(fit, missing)[0]
+    truth = typical(name, motor, share, seconds=8.0)[name]
+    assert best.effect == name
+    assert best.heldout_share > 0.5
+    assert best.start[parameter] == pytest.approx(truth[parameter], rel=0.1)
+    if "n_cog" in truth:
+        assert best.start["n_cog"] == truth["n_cog"]
+
+
+def test_parameters_bent_by_stiction_are_moved_before_looking() -> None:
+    """Output error without friction makes the paper's motor another motor here: more than half the voltage missing."""
+    fit, missing = _diagnosed(PAPER, "steps", "coulomb_friction", 0.2)
+    best = screen(fit, missing)[0]
+    assert best.effect == "coulomb_friction"
+    assert best.start["Tc"] == pytest.approx(0.2 * PAPER.working_torque_Nm, rel=0.05)
+
+
+def test_a_cause_without_a_name_is_followed() -> None:
+    fit, missing = _diagnosed(LARGE_SERVO, "multisine", "eddy_brake", 0.2)
+    first = dependences(fit, missing)[0]
+    assert (first.series, first.on) == ("torque", "speed")
+    assert first.share > 0.5
+
+
+@pytest.mark.parametrize(("motor", "motion"), [(PAPER, "multisine"), (RE40, "reversals"), (GEAR_MOTOR, "steps")])
+def test_nothing_is_followed_on_a_clean_capture(motor: Motor, motion: str) -> None:
+    assert dependences(*_diagnosed(motor, motion, None, 0.0)) == ()
