@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -46,23 +47,21 @@ class Regression:
         motion: Motion,
         traces: Sequence[Trace],
         stiff: Sequence[float],
-        units: Mapping[str, float] | None = None,
     ) -> Regression:
-        """Series over traces; `stiff`: the stiffness of the first of them, as `of_parameters` has it;
-        `units`: of the series; None: their standard deviations."""
+        """Series over traces; `stiff`: the stiffness of the first of them, as `of_parameters` has it."""
         columns = smoothed(missing, traces)
-        block = np.minimum((np.arange(len(motion.t)) * BLOCKS) // len(motion.t), BLOCKS - 1)
+        edges = np.linspace(0, len(motion.t), BLOCKS + 1).astype(int)
         XX, Xy, yy = np.zeros((BLOCKS, len(traces), len(traces))), np.zeros((BLOCKS, len(traces))), np.zeros(BLOCKS)
-        unknown = 0.0
+        unknown, moving = 0.0, ~motion.rest
         for name, series in missing.series.items():
-            unit = float(np.median(missing.std[name])) if units is None else units[name]
-            X, y = columns[name] / unit, series / unit
-            unknown += float(np.sum((missing.std[name][~motion.rest] / unit) ** 2))
-            for b in range(BLOCKS):
-                here = (block == b) & ~motion.rest
-                XX[b] += X[here].T @ X[here]
-                Xy[b] += X[here].T @ y[here]
-                yy[b] += y[here] @ y[here]
+            unit = float(np.median(missing.std[name]))
+            unknown += float(np.sum((missing.std[name][moving] / unit) ** 2))
+            for b, (begin, end) in enumerate(pairwise(edges)):
+                here = moving[begin:end] / unit
+                X, y = columns[name][begin:end] * here[:, None], series[begin:end] * here
+                XX[b] += X.T @ X
+                Xy[b] += X.T @ y
+                yy[b] += y @ y
         stiffness = np.zeros(len(traces))
         stiffness[: len(stiff)] = stiff
         return cls(XX, Xy, yy, unknown, stiffness)

@@ -98,7 +98,8 @@ def _scored(
     # standard deviation there is little to explain.
     share = (before[0] - inside) / (before[0] + equations.unknown)
     heldout_share = (before[1] - heldout) / (before[1] + equations.unknown)
-    rank = float(np.log(max(1 - heldout_share, 1e-12))) + _WORTH * basis.parameters
+    # The lesser of both: what the parameters alone leave held out may be large by chance, and then all shares are.
+    rank = float(np.log(max(1 - min(share, heldout_share), 1e-12))) + _WORTH * basis.parameters
     plain = {name: value if isinstance(value, str) else float(value) for name, value in start.items()}
     return rank, ScreenedCandidate(basis.effect, float(share), plain, float(heldout_share))
 

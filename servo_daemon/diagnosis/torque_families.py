@@ -19,7 +19,7 @@ _STRIBECK = np.geomspace(0.005, 0.6, 9)
 #: No gear loses more; without a bound the torque itself would explain what is missing of it.
 _MOST_MU = 0.6
 #: A harmonic is looked for where a sample passes no more of it than this, rad.
-_RESOLVED = 1.5
+_RESOLVED, _SECTORS = 1.5, 4096
 
 
 def _coulomb(c: Context) -> Iterator[Basis]:
@@ -99,16 +99,17 @@ def _gravity(c: Context) -> Iterator[Basis]:
 
 def best_harmonics(c: Context, weight: F64, series: str = "torque") -> list[int]:
     """The harmonics of the turn, from 2 on, that a raw series shows most, modulated by a weight of shape (n,)."""
-    theta, moving = c.motion.theta, ~c.motion.rest
+    theta, r = c.motion.theta, np.where(c.motion.rest, 0.0, c.residual[series] * weight)
     least = int(np.ceil(2 * np.pi / max(float(np.ptp(theta)), 1e-9)))  # one whole period must have been passed
-    turn, r = np.exp(1j * theta[moving]), (c.residual[series] * weight)[moving]
-    passed = np.abs(c.motion.omega * c.motion.h)[moving]
-    power, wave = np.zeros(HARMONICS + 1), turn.copy()
-    for n in range(2, HARMONICS + 1):
-        wave = wave * turn
-        if n >= least:
-            resolved = np.where(passed * n < _RESOLVED, r, 0.0)
-            power[n] = abs(resolved @ wave) ** 2 / max(int(np.count_nonzero(resolved)), 1)
+    sector = np.mod(theta * (_SECTORS / (2 * np.pi)), _SECTORS).astype(int) % _SECTORS
+    passed, power = np.abs(c.motion.omega * c.motion.h), np.zeros(HARMONICS + 1)
+    low = max(2, least)
+    while low <= HARMONICS:  # octave by octave: sums by sector, then all harmonics at once
+        high = min(2 * low - 1, HARMONICS)
+        resolved = passed * high < _RESOLVED
+        sums = np.bincount(sector[resolved], r[resolved], _SECTORS)
+        power[low : high + 1] = np.abs(np.fft.rfft(sums)[low : high + 1]) ** 2 / max(int(resolved.sum()), 1)
+        low = high + 1
     ranked = np.argsort(power)[::-1][:_TRIED]
     return [int(n) for n in ranked if power[n] > 0]
 
