@@ -86,7 +86,7 @@ def test_the_plant_moves_like_the_generators_motor(name: str, motor: Motor) -> N
 
 def fitted(name: str, motor: Motor) -> tuple[OutputErrorFit, dict[str, float]]:
     effects = typical(name, motor, SHARE, seconds=6, rng=np.random.default_rng(2))
-    motion = {"position_dependent_friction": "steps", "stribeck_friction": "reversals"}.get(name, "multisine")
+    motion = "steps" if name == "position_dependent_friction" else "multisine"
     capture = generate(motor, Scenario(motion, seconds=6, effects=effects, seed=4))
     true = true_values(motor, capture)
     table = parameter_table()
