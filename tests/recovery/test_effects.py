@@ -20,8 +20,7 @@ from tests.recovery.generator import Recording as Generated
 
 CHANNELS = ("current_A", "position_rad")
 #: Largest share of the effect that may be left, where it is not 1.5 %. RE 40 turns its 13th harmonic by 3 rad a sample
-#: and has L/R = 0.3 samples (gear: 0.6): what is within a sample shows. Teeth that rattle part within a second, whatever
-#: integrates them.
+#: and has L/R = 0.3 samples (gear: 0.6): what is within a sample shows. Teeth that rattle part within a second.
 LEFT = {
     ("magnetic_saturation", "re40"): 0.08,
     ("magnetic_saturation", "gear"): 0.02,
