@@ -20,8 +20,7 @@ from tests.recovery.generator import Recording as Generated
 
 CHANNELS = ("current_A", "position_rad")
 #: Largest share of the effect that may be left, where it is not 1.5 %. RE 40 turns its 13th harmonic by 3 rad a sample
-#: and has L/R = 0.3 samples (gear: 0.6): what is within a sample shows. Teeth that rattle part within a second, whatever
-#: integrates them.
+#: and has L/R = 0.3 samples (gear: 0.6): what is within a sample shows. Teeth that rattle part within a second.
 LEFT = {
     ("magnetic_saturation", "re40"): 0.08,
     ("magnetic_saturation", "gear"): 0.02,
@@ -86,7 +85,7 @@ def test_the_plant_moves_like_the_generators_motor(name: str, motor: Motor) -> N
 
 def fitted(name: str, motor: Motor) -> tuple[OutputErrorFit, dict[str, float]]:
     effects = typical(name, motor, SHARE, seconds=6, rng=np.random.default_rng(2))
-    motion = {"position_dependent_friction": "steps", "stribeck_friction": "reversals"}.get(name, "multisine")
+    motion = "steps" if name == "position_dependent_friction" else "multisine"
     capture = generate(motor, Scenario(motion, seconds=6, effects=effects, seed=4))
     true = true_values(motor, capture)
     table = parameter_table()

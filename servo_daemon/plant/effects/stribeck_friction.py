@@ -49,5 +49,5 @@ EFFECT = Effect(
         WS,
     ),
     terms=_terms,
-    substeps=2,
+    substeps=4,
 )
