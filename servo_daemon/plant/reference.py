@@ -124,14 +124,14 @@ class _Twin:
         ahead = self.terms(np.r_[begin[:2], angle, own_middle], t + h / 2, h)
         guess, gains = self.core(begin, ahead, (mean, rise), h)
         if self.follows():
-            guess = self.solved(guess, gains, ahead)
+            guess = self.solved(guess, gains, ahead, None if twist else x[1])
         middle_x = (begin + guess) / 2
         middle_x[2] = angle if twist else middle_x[2]
         middle = self.terms(np.r_[middle_x, own_middle], t + h / 2, h)
         core, gains = self.core(begin, middle, (mean, rise), h)
         own = [self.own_state(k, np.r_[middle_x, x[3:]], t + h / 2, h) for k in range(3, len(x))]
         if not twist:
-            core = self.solved(core, gains, middle)
+            core = self.solved(core, gains, middle, x[1])
         else:
             core[2], gains[2] = begin[2], 0.0
             core, z = self.second_half(core, gains, z + np.array([core[1] - begin[1], 0.0]), middle, h / 2)
@@ -147,14 +147,14 @@ class _Twin:
         return any(name.startswith(needing) for name in self.model.effects)
 
     @staticmethod
-    def solved(x: F64, gains: F64, terms: Mapping[str, float]) -> F64:
-        """Blocked current and dry friction."""
+    def solved(x: F64, gains: F64, terms: Mapping[str, float], speed: float | None = None) -> F64:
+        """Blocked current and dry friction; with the speed at the beginning a reversal is found within the step."""
         drop = friction = 0.0
         for _ in range(3):
             stopping = (x[0] + gains[0, 1] * friction) / gains[0, 0]
             drop = np.clip(stopping, -terms["dry_drop"], terms["dry_drop"])
-            stopping = -(x[1] - gains[1, 0] * drop) / gains[1, 1]
-            friction = np.clip(stopping, -terms["dry_backward"], terms["dry_forward"])
+            levels = (-terms["dry_backward"], terms["dry_forward"])
+            friction = _friction(speed, x[1] - gains[1, 0] * drop, gains[1, 1], levels)
         return np.asarray(x - gains[:, 0] * drop + gains[:, 1] * friction)
 
     def second_half(self, core: F64, gains: F64, z: F64, terms: Mapping[str, float], half: float) -> tuple[F64, F64]:
@@ -241,3 +241,13 @@ def reference_step(model: PlantModel, x: F64, u: float, p: F64, t: float, h: flo
         late = twin.late(path, t, h, twin.terms(path[0], t, h))
         path[-1][twin.places(LATE)] = late
     return path[-1]
+
+
+def _friction(speed: float | None, free: float, per_load: float, levels: tuple[float, float]) -> float:
+    """Mean of the level until the speed is zero and of what keeps it zero from there on."""
+    if speed is None:
+        return float(np.clip(-free / per_load, *levels))
+    sliding = levels[1] if speed > 0 else levels[0]
+    end = free + per_load * sliding
+    share = abs(speed) / (abs(speed) + abs(end)) if speed * end <= 0 and speed else float(speed * end > 0)
+    return float(share * sliding + (1 - share) * np.clip((speed - free) / per_load, *levels))

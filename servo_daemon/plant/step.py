@@ -23,6 +23,7 @@ import casadi as ca
 from servo_daemon.plant import flow
 from servo_daemon.plant.core import Core, Drive, linear_core
 from servo_daemon.plant.delay import SHORTEST_S, next_late, rest_of_step
+from servo_daemon.plant.dry import dry_levels, friction_over_step
 from servo_daemon.plant.effects import Effect, Signals, State, Terms
 from servo_daemon.plant.effects.base import LAGGED, LATE, TWIST, Delay
 from servo_daemon.plant.shaft import TwoInertias, after_second_half, standing
@@ -118,7 +119,8 @@ class StepBuilder:
         angle = begin[n - 1] if two is not None else begin[n - 1] + h / 2 * begin[n - 2]
         ahead = self.terms(ca.vertcat(begin[: n - 1], angle, own_middle), u, t + h / 2, h)
         core = self._core(begin, ahead, h)
-        guess = self._solved(core, _Held(mean, rise, ahead), dry=self._guess_needs_friction()).x
+        speed = None if two is not None else begin[n - 2]
+        guess = self._solved(core, _Held(mean, rise, ahead), speed, dry=self._guess_needs_friction()).x
         middle_x = ca.vertcat((begin + guess) / 2, own_middle)
         if two is not None:
             middle_x[n - 1] = angle
@@ -129,8 +131,8 @@ class StepBuilder:
         whole = core
         if two is not None:
             moved = standing(core, begin, z)
-            whole = after_second_half(two, moved, self._solved(moved, held).x)
-        solved = self._solved(whole, held)
+            whole = after_second_half(two, moved, self._solved(moved, held, None).x)
+        solved = self._solved(whole, held, speed)
         own = self._own_states(ca.vertcat(middle_x[:n], x[n:]), u, t + h / 2, h)
         rows = dict.fromkeys(self._places((LAGGED,)), lagged)
         rows |= {place: solved.x[n + k] for k, place in enumerate(self._places(TWIST))}
@@ -182,26 +184,29 @@ class StepBuilder:
             p["B"] = p["B"] + term.viscous
         return linear_core(self.drive, x, p, h)
 
-    def _solved(self, core: Core, held: _Held, *, dry: bool = True) -> _Solved:
-        """The core under what acts; blocked current and dry friction such that they stop and never drive."""
+    def _solved(self, core: Core, held: _Held, speed: ca.SX | None, *, dry: bool = True) -> _Solved:
+        """The core under what acts; blocked current and dry friction such that they stop and never drive.
+
+        Args:
+            speed: at the beginning, for a reversal within the step; None: friction is that at its end.
+        """
         n, terms = self.core_states, held.terms
         x = core.free + core.per_input * (held.u - self._drop(terms)) + core.per_load * _load(terms)
         x = x + core.per_slope * held.rise
-        forward, backward = _dry_levels(terms)
+        forward, backward = dry_levels(terms)
         rubs = dry and not (forward.is_zero() and backward.is_zero())
         blocks = self._dry_drop(terms) if dry else ca.SX(0)
         drop, friction = ca.SX(0), ca.SX(0)
         if blocks.is_zero():
             if rubs:
-                stopping = -x[n - 2] / core.per_load[n - 2]
-                friction = ca.fmax(ca.fmin(stopping, forward), -backward)
+                friction = friction_over_step(speed, x[n - 2], core.per_load[n - 2], forward, backward)
             return _Solved(x + core.per_load * friction, drop, friction)
         for _ in range(_PASSES):
             stopping = (x[0] + core.per_load[0] * friction) / core.per_input[0]
             drop = ca.fmax(ca.fmin(stopping, blocks), -blocks)
             if rubs:
-                stopping = -(x[n - 2] - core.per_input[n - 2] * drop) / core.per_load[n - 2]
-                friction = ca.fmax(ca.fmin(stopping, forward), -backward)
+                free = x[n - 2] - core.per_input[n - 2] * drop
+                friction = friction_over_step(speed, free, core.per_load[n - 2], forward, backward)
         return _Solved(x - core.per_input * drop + core.per_load * friction, drop, friction)
 
     def _drop(self, terms: Sequence[Terms]) -> ca.SX:
@@ -230,7 +235,7 @@ class StepBuilder:
         if not terms:
             return False
         names = ("load_torque", "voltage_drop", "factor_dry", "viscous", "dry_drop")
-        acting = [ca.SX(getattr(term, name)) for term in terms for name in names] + list(_dry_levels(terms))
+        acting = [ca.SX(getattr(term, name)) for term in terms for name in names] + list(dry_levels(terms))
         return bool(ca.depends_on(ca.vertcat(*acting), x[: self.core_states - 1]))
 
     def _own_states(self, x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX) -> ca.SX:
@@ -301,12 +306,3 @@ def _delay(terms: Sequence[Terms]) -> Delay | None:
 
 def _load(terms: Sequence[Terms]) -> ca.SX:
     return sum((ca.SX(term.load_torque) for term in terms), start=ca.SX(0))
-
-
-def _dry_levels(terms: Sequence[Terms]) -> tuple[ca.SX, ca.SX]:
-    """The dry friction against positive and against negative motion: the sum of the levels, scaled."""
-    levels = [term.dry_levels for term in terms]
-    forward, backward = (sum((ca.SX(level[k]) for level in levels), start=ca.SX(0)) for k in range(2))
-    for term in terms:
-        forward, backward = forward * term.factor_dry, backward * term.factor_dry
-    return forward, backward
