@@ -4,11 +4,9 @@
    (twice where they depend on the motion, whose midpoint is only known after a first guess).
 2. Smooth effect torques and voltage drops as constants over the step, evaluated at the midpoint of the first guess
    (second order, as Strang splitting, but with one exponential).
-3. Dry friction last, as the constant torque that would bring the speed to zero at the end of the step, limited to its
-   level (Moreau's time stepping; Acary & Brogliato, *Numerical Methods for Nonsmooth Dynamical Systems*, 2008, ch. 10).
-   It sticks exactly, slides exactly, needs no substeps however small h is, and its derivatives are those of the
-   regime it is in. `docs/decisions.md` says why this replaced the smooth tanh. The brushes' drop is the same for the
-   current.
+3. Dry friction last (`dry.py`): it sticks exactly, slides exactly, reverses within the step, needs no substeps however
+   small h is, and its derivatives are those of the regime it is in. `docs/decisions.md` says why this replaced the
+   smooth tanh. The brushes' drop does the same to the current.
 4. The effects' own states, each by an exponential Rosenbrock step at the midpoint; a second inertia by `shaft.py`, a
    late sensor by `delay.py`, a lagging input by its own exponential.
 """

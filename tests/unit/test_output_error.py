@@ -299,3 +299,10 @@ def test_the_measured_speed_is_the_slope_of_the_angle() -> None:
     speed = measured_speed(block)
     assert speed is not None
     assert np.allclose(speed[20:-20], 5 * np.cos(5 * t)[20:-20], atol=2e-3)
+
+
+def test_with_every_parameter_given_only_states_are_fitted() -> None:
+    fit = fit_output_error([Recording("a", block_of(linear_recording(), *FULL))], (), FitOptions(fixed=MOTOR))
+    assert all(p.status == "fixed" and p.std is None for p in fit.parameters.values())
+    assert fit.white
+    assert fit.null_directions == ()

@@ -65,6 +65,9 @@ def information(problem: Problem, point: Point, scale: F64) -> Information:
         scale: shape (k,), size of one unit of each coordinate: 1 for a logarithm.
     """
     names = problem.parameter_of_column
+    if not names:  # every parameter is given
+        none = np.zeros((0, 0))
+        return Information(names, none, np.zeros(0, dtype=bool), (), none)
     _, s, directions = np.linalg.svd(_reduced(problem, point)[:, : len(names)] * scale)
     exact = s < _RANK * max(float(s[0]), 1e-300)
     with np.errstate(divide="ignore"):
