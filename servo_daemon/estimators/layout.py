@@ -20,11 +20,11 @@ _GAP_PERIODS = 1.6
 _SHORT_GAP_PERIODS = 3.5
 
 _INVALID_BIT = {
-    "voltage_V": Quality.VOLTAGE_INVALID,
-    "current_A": Quality.CURRENT_INVALID,
-    "position_rad": Quality.POSITION_INVALID,
-    "velocity_rad_s": Quality.POSITION_INVALID,
-    "torque_Nm": Quality.CURRENT_INVALID,
+    "voltage_V": int(Quality.VOLTAGE_INVALID),
+    "current_A": int(Quality.CURRENT_INVALID),
+    "position_rad": int(Quality.POSITION_INVALID),
+    "velocity_rad_s": int(Quality.POSITION_INVALID),
+    "torque_Nm": int(Quality.CURRENT_INVALID),
 }
 #: So many samples of a current alike, or of a speed, are no accident of its noise.
 _FEWEST_ALIKE = 8
@@ -41,6 +41,13 @@ _IMPOSSIBLE = {
     "torque_Nm": 1e7,
 }
 INPUT: dict[Drive, str] = {"voltage": "voltage_V", "current": "current_A", "torque": "torque_Nm"}
+#: Plain numbers: members of an enumeration are slow to reach.
+_RESTART, _GAP = int(Quality.TIME_RESTART), int(Quality.GAP_BEFORE)
+
+
+def _all_good(block: SampleBlock) -> bool:
+    """Whether no sample has any flag: the usual case, asked for often."""
+    return np.count_nonzero(block.quality) == 0
 
 
 def distances(time_s: F64, last_s: float) -> F64:
@@ -54,10 +61,10 @@ def distances(time_s: F64, last_s: float) -> F64:
 def breaks(block: SampleBlock, last_s: float | None) -> list[int]:
     """Indices of samples before which the plant's state is lost: restarts and long gaps."""
     first = last_s is None or float(block.time_s[0]) - last_s <= LONG_GAP_S
-    if first and float(block.time_s[-1] - block.time_s[0]) <= LONG_GAP_S and not block.quality.any():
+    if first and float(block.time_s[-1] - block.time_s[0]) <= LONG_GAP_S and _all_good(block):
         return []  # the usual case, without looking closer
     previous = np.concatenate([[block.time_s[0] if last_s is None else last_s], block.time_s[:-1]])
-    lost = (block.time_s - previous > LONG_GAP_S) | ((block.quality & Quality.TIME_RESTART) != 0)
+    lost = (block.time_s - previous > LONG_GAP_S) | ((block.quality & _RESTART) != 0)
     return [int(k) for k in np.flatnonzero(lost)]
 
 
@@ -69,13 +76,12 @@ def gaps(block: SampleBlock, last_s: float | None, period_s: float | None) -> di
         last_s: time of the sample before the block; None: there is none.
         period_s: usual distance of two samples; None: not known yet.
     """
-    missing = (block.quality & Quality.GAP_BEFORE) != 0
     if period_s is None:
-        return dict.fromkeys(np.flatnonzero(missing).tolist(), False)
+        return dict.fromkeys(np.flatnonzero(block.quality & _GAP).tolist(), False)
     distance = distances(block.time_s, float(block.time_s[0]) if last_s is None else last_s)
-    if not missing.any() and float(distance.max()) <= _GAP_PERIODS * period_s:
+    if _all_good(block) and float(np.maximum.reduce(distance)) <= _GAP_PERIODS * period_s:
         return {}  # the usual case
-    missing |= distance > _GAP_PERIODS * period_s
+    missing = ((block.quality & _GAP) != 0) | (distance > _GAP_PERIODS * period_s)
     return {k: bool(distance[k] <= _SHORT_GAP_PERIODS * period_s) for k in np.flatnonzero(missing).tolist()}
 
 
@@ -83,8 +89,8 @@ def channel(block: SampleBlock, name: str) -> tuple[F64, NDArray[np.bool_] | Non
     """Values (0 where they are no measurement) and validity of a channel; None where all are valid."""
     values: F64 = getattr(block, name)
     limit = _IMPOSSIBLE[name]
-    if not block.quality.any() and values.max() <= limit and values.min() >= -limit:  # which a NaN is not
-        return values, None
+    if _all_good(block) and np.maximum.reduce(values) <= limit and np.minimum.reduce(values) >= -limit:
+        return values, None  # the usual case; a NaN compares to nothing
     valid = np.abs(values) <= limit
     valid &= (block.quality & _INVALID_BIT[name]) == 0
     return np.where(valid, values, 0.0), valid
@@ -123,19 +129,22 @@ class Repetition:
         throughout."""
         n = len(values)
         moved = np.empty(n, dtype=bool)
-        moved[0] = not abs(values[0] - self._last) <= 0.5 * self.step
-        np.greater(np.abs(values[1:] - values[:-1]), 0.5 * self.step, out=moved[1:])
+        moved[0] = not abs(float(values[0]) - self._last) <= 0.5 * self.step
+        if self.step == 0.0:
+            np.not_equal(values[1:], values[:-1], out=moved[1:])
+        else:
+            np.greater(np.abs(values[1:] - values[:-1]), 0.5 * self.step, out=moved[1:])
         self._last = float(values[-1])
         alike = n - int(np.count_nonzero(moved))
         before = self._same
         if alike == 0 or alike + max(before, 1) < self.least:
-            self._same = 1 + (before + n - 1 if alike == n else int(np.argmax(moved[::-1])))
+            self._same = 1 + (before + n - 1 if alike == n else int(moved[::-1].argmax()))
             return None
-        index = np.arange(n)
-        begin = np.maximum.accumulate(np.where(moved, index, -1))
-        same = np.where(begin >= 0, index - begin + 1, before + 1 + index)
+        index = np.arange(1.0, n + 1.0)
+        # Up to each sample's last move, or to where the run that goes on began in an earlier block.
+        same: F64 = index - np.maximum.accumulate(np.where(moved, index - 1.0, -float(before)))
         self._same = int(same[-1])
-        return np.asarray(same, dtype=np.float64)
+        return same
 
 
 @dataclass(slots=True)
@@ -220,11 +229,11 @@ class Stretches:
             origin_s: time is counted from here.
             last_s, period_s: as for `gaps`.
         """
-        usable = (block.quality & Quality.TIME_RESTART) == 0
+        usable = (block.quality & _RESTART) == 0
         holes = gaps(block, last_s, period_s)
-        usable[[k for k, short in holes.items() if not short]] = False
         gap = None
         if holes:
+            usable[[k for k, short in holes.items() if not short]] = False
             gap = np.zeros(len(block), dtype=bool)
             gap[list(holes)] = True
         signals: dict[str, F64 | None] = {}

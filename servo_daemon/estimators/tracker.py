@@ -180,7 +180,8 @@ class Tracker:
         self.ekf.start(start.parameters, held_input=self._filtering.layout.last_input)
         self._jumps.reset()
         self._judge.begin(trusted=self._prior is not None)
-        self._ticks, self._filtering.outliers = 0, []
+        self._ticks = 0
+        self._filtering.forget_outliers()
         self.excitation.scales = self._noise.begin(start, self._sampling())
         free = self._roster.free
         self.ekf.set_active(free.astype(np.float64), self._judge.walk(free))
