@@ -66,11 +66,12 @@ class Filtering:
                 x[k] = values[0] if valid is None or valid[0] else self._ekf.x[k]
         return x
 
-    def take_outliers(self) -> NDArray[np.bool_]:
-        """Which of the samples since the last call were gated in some channel."""
-        gated = self._gated[0] if len(self._gated) == 1 else np.concatenate(self._gated)
-        self.forget_outliers()
-        return np.asarray(np.logical_or.reduce(gated, axis=1))
+    def take_outliers(self) -> NDArray[np.bool_] | None:
+        """Which of the samples since the last call were gated in some channel; None: none was."""
+        taken, self._gated = self._gated, []
+        if not any(np.count_nonzero(gated) for gated in taken):
+            return None
+        return np.asarray(np.logical_or.reduce(np.concatenate(taken), axis=1))
 
     def forget_outliers(self) -> None:
         """A filter begins: what was gated before is no longer asked for."""

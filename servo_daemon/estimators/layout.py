@@ -47,7 +47,7 @@ _RESTART, _GAP = int(Quality.TIME_RESTART), int(Quality.GAP_BEFORE)
 
 def _all_good(block: SampleBlock) -> bool:
     """Whether no sample has any flag: the usual case, asked for often."""
-    return np.count_nonzero(block.quality) == 0
+    return bool(np.count_nonzero(block.quality) == 0)
 
 
 def distances(time_s: F64, last_s: float) -> F64:
