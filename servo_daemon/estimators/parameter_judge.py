@@ -110,7 +110,7 @@ class ParameterJudge:
         shown = roster.published & excited
         self._ekf.set_active(self._moving(tick), self.walk(shown | (roster.free & (std < self._idle_std))))
         limit = _LED_ASTRAY_STD if self._follows else QUALIFIED
-        follows = not np.count_nonzero(shown & (std >= limit))
+        follows = not np.count_nonzero(shown & ~(std < limit))
         self.begins_to_follow = follows and not self._follows and not self._followed
         self._followed |= follows
         self._follows = follows
