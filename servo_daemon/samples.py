@@ -22,6 +22,7 @@ CHANNELS = (
     "temperature_C",
     "torque_Nm",
 )
+_BESIDE_TIME = ("sequence", "quality", *CHANNELS)
 
 
 class Quality(IntFlag):
@@ -67,14 +68,14 @@ class SampleBlock:
 
     def __post_init__(self) -> None:
         n = self.time_s.shape[0]
-        for name in ("sequence", "quality", *CHANNELS):
+        self.time_s.setflags(write=False)
+        for name in _BESIDE_TIME:
             array = getattr(self, name)
-            if array is not None and array.shape != (n,):
+            if array is None:
+                continue
+            if array.shape != (n,):
                 raise ValueError(f"{name} has shape {array.shape}, time_s has ({n},)")
-        for name in ("time_s", "sequence", "quality", *CHANNELS):
-            array = getattr(self, name)
-            if array is not None:
-                array.setflags(write=False)
+            array.setflags(write=False)
 
     def __len__(self) -> int:
         return int(self.time_s.shape[0])

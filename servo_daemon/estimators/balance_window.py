@@ -14,9 +14,9 @@ from servo_daemon.estimators.balances import (
     GramWindow,
     Sums,
     armature_slopes,
-    column_noise,
     information,
     noise_gram,
+    noise_squares,
     shaft_slopes,
 )
 from servo_daemon.estimators.closure import Confronted, Verdict
@@ -153,7 +153,7 @@ class BalanceWindow:
         """Rows that came since the last call, beside the filter's values."""
         for which, time_s, part in self._new:
             columns = self._columns[which]
-            noise = np.diag(column_noise(columns, part.weight_squares, noise_var))[:-1]
+            noise = noise_squares(columns[:-1], part.weight_squares, noise_var)
             theta = _coefficients(columns[:-1], value, self._size(which, value))
             self._confronted[which].append((time_s, Confronted.of(part, theta, noise)))
         self._new = []
@@ -208,7 +208,7 @@ class BalanceWindow:
         columns, noise_var = self._columns[which], dict(sampling.noise_var)
         if "current_A" in noise_var:
             noise_var["current_A"] += 0.25 * sampling.current_step_square * _coarse(which, sampling.period_s)
-        noise = np.diag(column_noise(columns, total.weight_squares, noise_var, self._y_channel(which)))
+        noise = noise_squares(columns, total.weight_squares, noise_var, self._y_channel(which))
         theta = _coefficients(columns[:-1], value, self._size(which, value))
         return _NOISE_KNOWN * float(np.square(np.append(theta, 1.0)) @ noise)
 

@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import reduce
 
 import numpy as np
 
@@ -29,6 +30,11 @@ from servo_daemon.samples import F64
 ALIGNED = {"L": 1.0 / 12.0}
 #: What a regression over samples may be off by where the winding is much faster than the sampling, 1 σ.
 BLIND_STD = {"R": 0.2, "L": 0.5, "K": 0.1, "J": 0.2, "B": 0.5}
+
+
+def added(arrays: Sequence[F64]) -> F64:
+    """The sum of some small arrays of one shape, without first making one large array of them."""
+    return reduce(np.add, arrays)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,11 +63,7 @@ class Sums:
         """None if there are none."""
         if not parts:
             return None
-        return cls(
-            np.sum([p.gram for p in parts], axis=0),
-            np.sum([p.weight_squares for p in parts], axis=0),
-            sum(p.rows for p in parts),
-        )
+        return cls(added([p.gram for p in parts]), added([p.weight_squares for p in parts]), sum(p.rows for p in parts))
 
 
 @dataclass(slots=True)
@@ -74,19 +76,25 @@ class GramWindow:
 
     span_s: float
     _parts: deque[tuple[float, Sums]] = field(default_factory=deque)
+    _total: Sums | None = None  # over `_parts`, once it has been asked for
 
     def clear(self) -> None:
         self._parts.clear()
+        self._total = None
 
     def add(self, time_s: float, part: Sums) -> None:
         """Rows that end at about `time_s`."""
         self._parts.append((time_s, part))
+        self._total = None
 
     def total(self, time_s: float) -> Sums | None:
         """Over what is younger than `span_s` at `time_s`; None if nothing is."""
         while self._parts and time_s - self._parts[0][0] > self.span_s:
             self._parts.popleft()
-        return Sums.total([part for _, part in self._parts])
+            self._total = None
+        if self._total is None:
+            self._total = Sums.total([part for _, part in self._parts])
+        return self._total
 
 
 #: A regressor is motion only as far as it is larger than this many times its noise (in squares). An encoder's steps at
@@ -172,14 +180,19 @@ def column_noise(
         columns: of Φ, and "y" if it is one of them.
         y_channel: the channel that y is ∫φ of, if it is a noisy one.
     """
-    out = np.zeros(len(columns))
-    for k, name in enumerate(columns):
-        channel, derivative = (y_channel or "", 0) if name == "y" else _NOISE_IN.get(name, ("", 0))
-        out[k] = noise_var.get(channel, 0.0) * weight_squares[derivative]
-    return np.diag(out)
+    return np.diag(noise_squares(columns, weight_squares, noise_var, y_channel))
+
+
+def noise_squares(
+    columns: Sequence[str], weight_squares: F64, noise_var: Mapping[str, float], y_channel: str | None = None
+) -> F64:
+    """Its diagonal, shape (n,)."""
+    sums = weight_squares.tolist()
+    where = [(y_channel or "", 0) if name == "y" else _NOISE_IN.get(name, ("", 0)) for name in columns]
+    return np.array([noise_var.get(channel, 0.0) * sums[derivative] for channel, derivative in where])
 
 
 def _unit(columns: Sequence[str], name: str, weight: float) -> F64:
     out = np.zeros(len(columns))
-    out[list(columns).index(name)] = weight
+    out[columns.index(name)] = weight
     return out

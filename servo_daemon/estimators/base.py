@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from servo_daemon.plant.parameters import Parameter
 from servo_daemon.samples import F64
+
+#: Beyond this e^x is no number.
+_LARGEST_EXPONENT = 709.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +31,7 @@ class Gaussian:
     @property
     def std(self) -> F64:
         """shape (n,), in the estimated coordinate (relative, for a log parameter)."""
-        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return np.asarray(np.sqrt(np.maximum(self.covariance.diagonal(), 0.0)))
 
 
 def to_coordinate(parameter: Parameter, value: float) -> float:
@@ -38,6 +42,6 @@ def to_coordinate(parameter: Parameter, value: float) -> float:
 def from_coordinate(parameter: Parameter, coordinate: float, std: float) -> tuple[float, float]:
     """Value and 1 σ in the parameter's unit (first order for a logarithm: σ_P = P σ_log P)."""
     if parameter.transform == "log":
-        value = float(np.exp(coordinate))
+        value = math.exp(coordinate) if not coordinate > _LARGEST_EXPONENT else math.inf
         return value, value * std
     return float(coordinate), float(std)

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from servo_daemon.estimators.balances import Sums
+from servo_daemon.estimators.balances import Sums, added
 from servo_daemon.estimators.rls import SYSTEMATIC
 from servo_daemon.samples import F64
 
@@ -43,8 +43,12 @@ _CHANCE = 4.0
 def residual_square(gram: F64) -> float:
     """Σ of squares that the best fit leaves of y. `gram`: of [Φ | y], shape (n + 1, n + 1)."""
     scale = _scale(gram)
+    return _residual_square(gram, scale, _inverse(gram, scale))
+
+
+def _residual_square(gram: F64, scale: F64, inverse: F64) -> float:
     b = gram[:-1, -1] / scale
-    return max(0.0, float(gram[-1, -1] - b @ _inverse(gram, scale) @ b))
+    return max(0.0, float(gram[-1, -1] - b @ inverse @ b))
 
 
 def structure(gram: F64, expected: float) -> float:
@@ -53,7 +57,11 @@ def structure(gram: F64, expected: float) -> float:
     Args:
         expected: how much of the fit's sum of squares noise explains.
     """
-    return max(0.0, residual_square(gram) - expected - _CLOSES**2 * float(gram[-1, -1]))
+    return _structure(gram, residual_square(gram), expected)
+
+
+def _structure(gram: F64, left: float, expected: float) -> float:
+    return max(0.0, left - expected - _CLOSES**2 * float(gram[-1, -1]))
 
 
 def mismatch_std(gram: F64, expected: float, slopes: Mapping[str, F64]) -> dict[str, float]:
@@ -67,14 +75,12 @@ def mismatch_std(gram: F64, expected: float, slopes: Mapping[str, F64]) -> dict[
     """
     scale = _scale(gram)
     inverse = _inverse(gram, scale)
-    left = structure(gram, expected)
-    out = {}
-    for name, slope in slopes.items():
-        k = int(np.argmax(np.abs(slope[:-1])))
-        size = float(np.abs(slope[k]))
-        if size > 0.0:
-            out[name] = float(np.sqrt(left * inverse[k, k])) / scale[k] / size
-    return out
+    left = _structure(gram, _residual_square(gram, scale, inverse), expected)
+    weights = np.abs(np.array(list(slopes.values()))[:, :-1])
+    own = weights.argmax(axis=1)
+    std = (np.sqrt(left * inverse.diagonal()) / scale)[own].tolist()
+    sizes = weights.max(axis=1).tolist()
+    return {name: s / size for name, s, size in zip(slopes, std, sizes, strict=True) if size > 0.0}
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,13 +121,13 @@ def verdict(parts: list[Confronted]) -> Verdict | None:
     if sums is None:
         return None
     n = len(sums.gram) - 1
-    scale = np.sqrt(np.maximum(np.diag(sums.gram)[:-1], 1e-300))
-    noise = np.sum([p.noise for p in parts], axis=0)
-    signal = (sums.gram[:-1, :-1] - np.diag(noise)) / np.outer(scale, scale)
+    scale = _scale(sums.gram)
+    square = scale[:, None] * scale
+    signal = (sums.gram[:-1, :-1] - np.diag(added([p.noise for p in parts]))) / square
     if sums.rows <= 2 * n or np.linalg.eigvalsh(signal)[0] < 1e-8:
         return None
-    inverse = np.linalg.inv(signal) / np.outer(scale, scale)
-    score = np.sum([p.score for p in parts], axis=0)
+    inverse = np.linalg.inv(signal) / square
+    score = added([p.score for p in parts])
     error = inverse @ score
     left = max(0.0, sum(p.square for p in parts) - float(error @ score))
     spread = _OVERLAP * left / (sums.rows - n) + SYSTEMATIC**2 * float(sums.gram[-1, -1])
@@ -139,9 +145,11 @@ def doubt_var(error: float, var: float) -> float:
 
 
 def _scale(gram: F64) -> F64:
-    return np.asarray(np.sqrt(np.maximum(np.diag(gram)[:-1], 1e-300)))
+    return np.asarray(np.sqrt(np.maximum(gram.diagonal()[:-1], 1e-300)))
 
 
 def _inverse(gram: F64, scale: F64) -> F64:
     """Of ΦᵀΦ over its scale, slightly ridged."""
-    return np.asarray(np.linalg.inv(gram[:-1, :-1] / np.outer(scale, scale) + 1e-9 * np.eye(len(scale))))
+    scaled = gram[:-1, :-1] / (scale[:, None] * scale)
+    scaled.flat[:: len(scale) + 1] += 1e-9
+    return np.asarray(np.linalg.inv(scaled))

@@ -20,6 +20,7 @@ _UNKNOWN_STATE_STD = {"current_A": 100.0, "velocity_rad_s": 1000.0, "position_ra
 
 #: Variance of a parameter the filter must not move.
 _HELD_VARIANCE = 1e-18
+_LAST = STATISTICS.index("last")
 
 
 class Loop(Protocol):
@@ -48,8 +49,13 @@ class Ekf:
         rows, columns = np.tril_indices(layout.n_z)
         order = np.lexsort((rows, columns))  # by columns, as the step packs it
         self._rows, self._columns = rows[order], columns[order]
-        diagonal = layout.n_z + np.flatnonzero(self._rows == self._columns)
-        self._variances, self._parameter_variances = diagonal, diagonal[layout.n_x :]
+        # Where each element of P is in the state, shape (n_z, n_z), and of the parameters' part alone.
+        self._elements = np.empty((layout.n_z, layout.n_z), dtype=np.intp)
+        self._elements[self._rows, self._columns] = np.arange(layout.tri.start, layout.tri.stop)
+        self._elements[self._columns, self._rows] = self._elements[self._rows, self._columns]
+        self._parameter_elements = self._elements[layout.q, layout.q].copy()
+        self._variances = self._elements.diagonal().copy()
+        self._parameter_variances = self._variances[layout.q].copy()
         self.started = False
 
     @property
@@ -135,7 +141,9 @@ class Ekf:
         """Sums over the innovations of each channel since the last call."""
         sums = self._state[self._lay.statistics].reshape(len(self.channels), len(STATISTICS))
         taken = {name: ChannelStatistics.of(row) for name, row in zip(self.channels, sums.tolist(), strict=True)}
-        sums[:, [k for k, name in enumerate(STATISTICS) if name != "last"]] = 0.0
+        last = sums[:, _LAST].copy()
+        sums[:] = 0.0
+        sums[:, _LAST] = last  # goes on from sample to sample
         return taken
 
     @property
@@ -144,12 +152,7 @@ class Ekf:
 
     @property
     def covariance(self) -> F64:
-        return self._unpacked(self._state)
-
-    def _unpacked(self, state: F64) -> F64:
-        P = np.empty((self._lay.n_z, self._lay.n_z))
-        P[self._rows, self._columns] = P[self._columns, self._rows] = state[self._lay.tri]
-        return P
+        return self._state[self._elements]
 
     @property
     def x(self) -> F64:
@@ -158,7 +161,7 @@ class Ekf:
 
     def estimate(self) -> Gaussian:
         lay = self._lay
-        return Gaussian(self.plant.parameter_names, self._state[lay.q].copy(), self.covariance[lay.q, lay.q])
+        return Gaussian(self.plant.parameter_names, self._state[lay.q].copy(), self._state[self._parameter_elements])
 
     @property
     def coordinates(self) -> F64:
@@ -176,8 +179,7 @@ class Ekf:
 
     def parameters_of(self, snapshot: F64) -> tuple[F64, F64]:
         """The parameters' coordinates (n_q,) and their covariance (n_q, n_q) in a snapshot."""
-        lay = self._lay
-        return snapshot[lay.q].copy(), self._unpacked(snapshot)[lay.q, lay.q]
+        return snapshot[self._lay.q].copy(), snapshot[self._parameter_elements]
 
     def put_parameters(self, mean: F64, covariance: F64) -> None:
         """Replace what is known of the parameters; the plant's states stay and are no longer correlated with them.
@@ -220,7 +222,9 @@ class Ekf:
 
     def is_plausible(self) -> bool:
         """Everything finite and every variance positive; cheap."""
-        return bool(np.isfinite(self._state).all() and (self._state[self._variances] > 0).all())
+        return bool(
+            np.logical_and.reduce(np.isfinite(self._state)) and np.minimum.reduce(self._state[self._variances]) > 0.0
+        )
 
     def is_sound(self) -> bool:
         """Plausible, and the covariance has a Cholesky factor."""

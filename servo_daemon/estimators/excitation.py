@@ -60,14 +60,14 @@ class Excitation:
         self._sum_s = 0.0
         self._updates = 0
         self._systematic_std: F64 = np.zeros(n)
-        self._null: F64 = np.zeros((n, 0))
+        self._alone: NDArray[np.bool_] = np.ones(n, dtype=bool)  # in no direction that several share
         self.excited: NDArray[np.bool_] = np.zeros(n, dtype=bool)
 
     def reset(self) -> None:
         n = len(self.scales)
         self._window.clear()
         self._sum, self._sum_s = np.zeros(n), 0.0
-        self._systematic_std, self._null = np.zeros(n), np.zeros((n, 0))
+        self._systematic_std, self._alone = np.zeros(n), np.ones(n, dtype=bool)
         self.excited = np.zeros(n, dtype=bool)
 
     def determine(self, information: F64, covered: NDArray[np.bool_]) -> None:
@@ -84,8 +84,9 @@ class Excitation:
         self._systematic_std = np.zeros(len(self.scales))
         self._systematic_std[index] = np.sqrt(np.sum(vectors**2 / eigenvalues, axis=1))
         undetermined = eigenvalues < SYSTEMATIC_LEAVE**-2
-        self._null = np.zeros((len(self.scales), int(np.sum(undetermined))))
-        self._null[index] = vectors[:, undetermined]
+        share = np.sum(vectors[:, undetermined] ** 2, axis=1)
+        self._alone = np.ones(len(self.scales), dtype=bool)
+        self._alone[index] = (share > _INSIDE) | (share < 1.0 - _INSIDE)
 
     def update(self, information: F64, duration_s: float) -> None:
         """Take what the filter gained in a tick of `duration_s`, shape (n,)."""
@@ -95,7 +96,7 @@ class Excitation:
         while self._sum_s - self._window[0][0] >= WINDOW_S:
             old_s, old = self._window.popleft()
             self._sum_s -= old_s
-            self._sum = self._sum - old
+            self._sum -= old
         self._updates += 1
         if self._updates % _SUM_ANEW == 0:  # rounding must not gather
             self._sum = np.sum([gained for _, gained in self._window], axis=0)
@@ -112,9 +113,7 @@ class Excitation:
         Args:
             known: parameters that there is something to hold of.
         """
-        share = np.sum(self._null**2, axis=1)
-        alone = (share > _INSIDE) | (share < 1.0 - _INSIDE)
-        held: NDArray[np.bool_] = known & ~self.excited & alone
+        held: NDArray[np.bool_] = known & ~self.excited & self._alone
         return held
 
 

@@ -16,13 +16,12 @@ class Filtering:
 
     Attributes:
         layout: how samples are laid out.
-        outliers: of each run of samples since they were last taken, which were gated in some channel.
     """
 
     def __init__(self, ekf: Ekf, levels: Levels) -> None:
         self._ekf, self._levels = ekf, levels
         self.layout = Layout(ekf.plant.drive, ekf.channels)
-        self.outliers: list[NDArray[np.bool_]] = []
+        self._gated: list[F64] = []  # of each run of samples since they were last asked for; (n, channels)
 
     def take(self, block: SampleBlock, last_s: float | None, period_s: float | None) -> None:
         """Samples in order.
@@ -54,7 +53,7 @@ class Filtering:
 
     def _update(self, part: SampleBlock) -> None:
         innovations = self._ekf.update(self.layout.rows(part, self._levels.input_square))
-        self.outliers.append(np.asarray(np.any(innovations.gated, axis=1)))
+        self._gated.append(innovations.gated)
 
     def first_state(self, block: SampleBlock) -> F64:
         """Plant states at the first sample of a block: what is measured; the last known where that is no measurement
@@ -67,8 +66,13 @@ class Filtering:
                 x[k] = values[0] if valid is None or valid[0] else self._ekf.x[k]
         return x
 
-    def take_outliers(self) -> NDArray[np.bool_]:
-        """Which of the samples since the last call were outliers."""
-        taken = np.concatenate(self.outliers)
-        self.outliers = []
-        return taken
+    def take_outliers(self) -> NDArray[np.bool_] | None:
+        """Which of the samples since the last call were gated in some channel; None: none was."""
+        taken, self._gated = self._gated, []
+        if not any(np.count_nonzero(gated) for gated in taken):
+            return None
+        return np.asarray(np.logical_or.reduce(np.concatenate(taken), axis=1))
+
+    def forget_outliers(self) -> None:
+        """A filter begins: what was gated before is no longer asked for."""
+        self._gated = []

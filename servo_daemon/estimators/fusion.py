@@ -6,6 +6,7 @@ estimate; the RLS starts it, watches it and replaces it when it diverges (`servi
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -71,8 +72,8 @@ def fuse(
         floor_std: 1 σ in the parameter's unit that no amount of data removes (sampling skew for L).
     """
     value, std = from_coordinate(parameter, coordinate, coordinate_std)
-    std = float(np.hypot(std, floor_std))
-    if not np.isfinite(value) or not np.isfinite(std):
+    std = math.hypot(std, floor_std)
+    if not math.isfinite(value) or not math.isfinite(std):
         return Fused(nominal, None, "invalid", "the filter's estimate is not a number: it is being restarted")
     if not qualified:
         if excited:

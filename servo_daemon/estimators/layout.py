@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_daemon.estimators.layout_step import NEVER, NO_VALUE, LayoutStep, build_layout_step
 from servo_daemon.estimators.stretch import Stretch
+from servo_daemon.plant.compiled import SampleLoop
 from servo_daemon.plant.core import Drive
 from servo_daemon.samples import F64, Quality, SampleBlock
 
@@ -20,18 +22,14 @@ _GAP_PERIODS = 1.6
 _SHORT_GAP_PERIODS = 3.5
 
 _INVALID_BIT = {
-    "voltage_V": Quality.VOLTAGE_INVALID,
-    "current_A": Quality.CURRENT_INVALID,
-    "position_rad": Quality.POSITION_INVALID,
-    "velocity_rad_s": Quality.POSITION_INVALID,
-    "torque_Nm": Quality.CURRENT_INVALID,
+    "voltage_V": int(Quality.VOLTAGE_INVALID),
+    "current_A": int(Quality.CURRENT_INVALID),
+    "position_rad": int(Quality.POSITION_INVALID),
+    "velocity_rad_s": int(Quality.POSITION_INVALID),
+    "torque_Nm": int(Quality.CURRENT_INVALID),
 }
 #: So many samples of a current alike, or of a speed, are no accident of its noise.
 _FEWEST_ALIKE = 8
-#: So many samples on one step of the input's converter are counted as one error.
-_MOST_ALIKE = 100.0
-#: Most by which a standing encoder's variance is raised: 5000 samples on one count.
-_MOST_DOUBT = 5e7
 #: Beyond this a value is no measurement of a servo drive, whatever the drive says; and no square of it overflows.
 _IMPOSSIBLE = {
     "voltage_V": 1e5,
@@ -41,6 +39,13 @@ _IMPOSSIBLE = {
     "torque_Nm": 1e7,
 }
 INPUT: dict[Drive, str] = {"voltage": "voltage_V", "current": "current_A", "torque": "torque_Nm"}
+#: Plain numbers: members of an enumeration are slow to reach.
+_RESTART, _GAP = int(Quality.TIME_RESTART), int(Quality.GAP_BEFORE)
+
+
+def _all_good(block: SampleBlock) -> bool:
+    """Whether no sample has any flag: the usual case, asked for often."""
+    return bool(np.count_nonzero(block.quality) == 0)
 
 
 def distances(time_s: F64, last_s: float) -> F64:
@@ -54,10 +59,10 @@ def distances(time_s: F64, last_s: float) -> F64:
 def breaks(block: SampleBlock, last_s: float | None) -> list[int]:
     """Indices of samples before which the plant's state is lost: restarts and long gaps."""
     first = last_s is None or float(block.time_s[0]) - last_s <= LONG_GAP_S
-    if first and float(block.time_s[-1] - block.time_s[0]) <= LONG_GAP_S and not block.quality.any():
+    if first and float(block.time_s[-1] - block.time_s[0]) <= LONG_GAP_S and _all_good(block):
         return []  # the usual case, without looking closer
     previous = np.concatenate([[block.time_s[0] if last_s is None else last_s], block.time_s[:-1]])
-    lost = (block.time_s - previous > LONG_GAP_S) | ((block.quality & Quality.TIME_RESTART) != 0)
+    lost = (block.time_s - previous > LONG_GAP_S) | ((block.quality & _RESTART) != 0)
     return [int(k) for k in np.flatnonzero(lost)]
 
 
@@ -69,13 +74,12 @@ def gaps(block: SampleBlock, last_s: float | None, period_s: float | None) -> di
         last_s: time of the sample before the block; None: there is none.
         period_s: usual distance of two samples; None: not known yet.
     """
-    missing = (block.quality & Quality.GAP_BEFORE) != 0
     if period_s is None:
-        return dict.fromkeys(np.flatnonzero(missing).tolist(), False)
+        return dict.fromkeys(np.flatnonzero(block.quality & _GAP).tolist(), False)
     distance = distances(block.time_s, float(block.time_s[0]) if last_s is None else last_s)
-    if not missing.any() and float(distance.max()) <= _GAP_PERIODS * period_s:
+    if _all_good(block) and float(np.maximum.reduce(distance)) <= _GAP_PERIODS * period_s:
         return {}  # the usual case
-    missing |= distance > _GAP_PERIODS * period_s
+    missing = ((block.quality & _GAP) != 0) | (distance > _GAP_PERIODS * period_s)
     return {k: bool(distance[k] <= _SHORT_GAP_PERIODS * period_s) for k in np.flatnonzero(missing).tolist()}
 
 
@@ -83,8 +87,8 @@ def channel(block: SampleBlock, name: str) -> tuple[F64, NDArray[np.bool_] | Non
     """Values (0 where they are no measurement) and validity of a channel; None where all are valid."""
     values: F64 = getattr(block, name)
     limit = _IMPOSSIBLE[name]
-    if not block.quality.any() and values.max() <= limit and values.min() >= -limit:  # which a NaN is not
-        return values, None
+    if _all_good(block) and np.maximum.reduce(values) <= limit and np.minimum.reduce(values) >= -limit:
+        return values, None  # the usual case; a NaN compares to nothing
     valid = np.abs(values) <= limit
     valid &= (block.quality & _INVALID_BIT[name]) == 0
     return np.where(valid, values, 0.0), valid
@@ -92,16 +96,13 @@ def channel(block: SampleBlock, name: str) -> tuple[F64, NDArray[np.bool_] | Non
 
 @dataclass(slots=True)
 class Repetition:
-    """How often a channel has shown one value. A count that stands still repeats one error, it does not average it; a
-    current that no longer flickers is not measured any more.
+    """How often a channel has shown one value: a current that no longer flickers is not measured any more.
 
     Attributes:
-        least: from how many samples alike on they are doubted.
-        step: two values nearer than half of this are alike.
+        least: from how many samples alike on it is so.
     """
 
     least: int
-    step: float = 0.0
     _last: float = math.nan
     _same: int = 0
 
@@ -110,46 +111,52 @@ class Repetition:
         """How many values alike there have been last; 0 below `least`."""
         return self._same if self._same >= self.least else 0
 
-    def doubt(self, values: F64) -> F64 | None:
-        """Factor on the channel's variance, shape (n,); None where it is 1 throughout. The k-th sample alike weighs
-        1/(2 k (k − 1)), so that however long it stands all of them together say little more than the first."""
-        same = self.lengths(values)
-        if same is None:
-            return None
-        return np.where(same >= self.least, np.minimum(2.0 * same * (same - 1.0), _MOST_DOUBT), 1.0)
-
     def lengths(self, values: F64) -> F64 | None:
         """How many samples alike there have been up to each one, shape (n,); None where it is below `least`
         throughout."""
         n = len(values)
         moved = np.empty(n, dtype=bool)
-        moved[0] = not abs(values[0] - self._last) <= 0.5 * self.step
-        np.greater(np.abs(values[1:] - values[:-1]), 0.5 * self.step, out=moved[1:])
+        moved[0] = float(values[0]) != self._last
+        np.not_equal(values[1:], values[:-1], out=moved[1:])
         self._last = float(values[-1])
         alike = n - int(np.count_nonzero(moved))
         before = self._same
         if alike == 0 or alike + max(before, 1) < self.least:
-            self._same = 1 + (before + n - 1 if alike == n else int(np.argmax(moved[::-1])))
+            self._same = 1 + (before + n - 1 if alike == n else int(moved[::-1].argmax()))
             return None
-        index = np.arange(n)
-        begin = np.maximum.accumulate(np.where(moved, index, -1))
-        same = np.where(begin >= 0, index - begin + 1, before + 1 + index)
+        index = np.arange(1.0, n + 1.0)
+        # Up to each sample's last move, or to where the run that goes on began in an earlier block.
+        same: F64 = index - np.maximum.accumulate(np.where(moved, index - 1.0, -float(before)))
         self._same = int(same[-1])
-        return np.asarray(same, dtype=np.float64)
+        return same
 
 
-@dataclass(slots=True)
 class Layout:
-    """Lays blocks out as the filter's sample rows; remembers what the next row needs of the last."""
+    """Lays blocks out as the filter's sample rows; remembers what the next row needs of the last.
 
-    drive: Drive
-    measured: tuple[str, ...]
-    last_s: float | None = None
-    last_input: float = 0.0
-    origin_s: float = 0.0
-    repetition: dict[str, Repetition] = field(default_factory=dict)
-    _input_repetition: Repetition | None = None
-    _input_step_var: float = 0.0
+    Args:
+        drive: what the input is.
+        measured: the filter's channels.
+
+    Attributes:
+        last_s: time of the last sample; None before the first.
+        origin_s: the filter's time is counted from here.
+    """
+
+    def __init__(self, drive: Drive, measured: tuple[str, ...]) -> None:
+        self._names = (INPUT[drive], *measured)
+        self._lay = LayoutStep(len(measured))
+        self._loop = SampleLoop(build_layout_step(len(measured)))
+        self._state, self._constants = np.zeros(self._lay.n_state), np.zeros(self._lay.n_constants)
+        self._constants[3::3] = [_IMPOSSIBLE[name] for name in self._names]
+        self.last_s: float | None = None
+        self.origin_s = 0.0
+        self._doubt((NEVER,) * len(self._names), 0.0, 0.0)
+
+    @property
+    def last_input(self) -> float:
+        """The last input that was known."""
+        return float(self._state[1])
 
     def expect_steps(self, position_lsb: float, input_lsb: float) -> None:
         """From now on repeated values are doubted.
@@ -158,11 +165,16 @@ class Layout:
             position_lsb: the encoder's step; 0: it has none, and may well stand still.
             input_lsb: step of the recorded input; 0: it has none.
         """
-        self._input_step_var = input_lsb**2 / 12.0
-        self._input_repetition = Repetition(2) if input_lsb > 0 else None
-        self.repetition = {name: Repetition(_FEWEST_ALIKE) for name in self.measured if name != "position_rad"}
-        if position_lsb > 0:
-            self.repetition["position_rad"] = Repetition(2, position_lsb)
+        standing = 2 if position_lsb > 0 else NEVER
+        least = tuple(standing if name == "position_rad" else _FEWEST_ALIKE for name in self._names[1:])
+        self._doubt((NEVER, *least), position_lsb, input_lsb**2 / 12.0)
+
+    def _doubt(self, least: tuple[float, ...], position_lsb: float, input_step_var: float) -> None:
+        """From how many values alike on each channel is doubted; no value has been seen yet."""
+        self._constants[1] = input_step_var
+        self._constants[4::3] = [0.5 * position_lsb if name == "position_rad" else 0.0 for name in self._names]
+        self._constants[5::3] = least
+        self._state[2::2], self._state[3::2] = NO_VALUE, 0.0
 
     def rows(self, block: SampleBlock, unknown_input_var: float) -> F64:
         """shape (n, 4 + 3 channels): t, h, input, extra variance, (y, valid, doubt)…
@@ -170,36 +182,18 @@ class Layout:
         Args:
             unknown_input_var: added variance where the input is not known and the last one is held.
         """
-        n = len(block)
-        out = np.ones((n, 4 + 3 * len(self.measured)))
-        t = block.time_s - self.origin_s
-        out[:, 0] = t
-        out[:, 1] = distances(block.time_s, float(block.time_s[0]) if self.last_s is None else self.last_s)
-        self._put_input(out, *channel(block, INPUT[self.drive]), unknown_input_var)
-        for k, name in enumerate(self.measured):
-            values, valid = channel(block, name)
-            out[:, 4 + 3 * k] = values
-            if valid is not None:
-                out[:, 5 + 3 * k] = valid
-            repetition = self.repetition.get(name)
-            if repetition is not None and (doubt := repetition.doubt(values)) is not None:
-                out[:, 6 + 3 * k] = doubt
-        self.last_s, self.last_input = float(block.time_s[-1]), float(out[-1, 2])
+        samples = np.ones((len(block), self._lay.n_sample))
+        samples[:, 0] = block.time_s
+        for k, name in enumerate(self._names):
+            samples[:, 1 + 2 * k] = getattr(block, name)
+        if not _all_good(block):
+            for k, name in enumerate(self._names):
+                samples[:, 2 + 2 * k] = (block.quality & _INVALID_BIT[name]) == 0
+        self._state[0] = block.time_s[0] if self.last_s is None else self.last_s
+        self._constants[0], self._constants[2] = self.origin_s, unknown_input_var
+        out = self._loop.run(self._state, self._constants, samples)
+        self.last_s = float(block.time_s[-1])
         return out
-
-    def _put_input(self, out: F64, u: F64, valid: NDArray[np.bool_] | None, unknown_var: float) -> None:
-        """Input and its extra variance: the last known one is held where there is none."""
-        out[:, 3] = 0.0
-        if self._input_repetition is not None and (same := self._input_repetition.lengths(u)) is not None:
-            # A step of a converter that is held for long is one error, not many: its effect adds up.
-            out[:, 3] = self._input_step_var * np.minimum(same - 1.0, _MOST_ALIKE)
-        if valid is None:
-            out[:, 2] = u
-            return
-        known = np.concatenate([[self.last_input], u])
-        source = np.maximum.accumulate(np.where(valid, np.arange(1, len(u) + 1), 0))
-        out[:, 2] = known[source]
-        out[~valid, 3] = unknown_var
 
 
 class Stretches:
@@ -220,11 +214,11 @@ class Stretches:
             origin_s: time is counted from here.
             last_s, period_s: as for `gaps`.
         """
-        usable = (block.quality & Quality.TIME_RESTART) == 0
+        usable = (block.quality & _RESTART) == 0
         holes = gaps(block, last_s, period_s)
-        usable[[k for k, short in holes.items() if not short]] = False
         gap = None
         if holes:
+            usable[[k for k, short in holes.items() if not short]] = False
             gap = np.zeros(len(block), dtype=bool)
             gap[list(holes)] = True
         signals: dict[str, F64 | None] = {}

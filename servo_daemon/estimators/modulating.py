@@ -24,10 +24,9 @@ from servo_daemon.samples import F64
 #: integrate by parts, two more so that the trapezoidal rule is exact to h⁴ for the second derivative of φ too
 #: (Euler–Maclaurin; with s³ an angle far from zero leaves an error at the ends that made B 40 % wrong where it is a
 #: small part of the torque).
-_PHI = 1024.0 * poly.polymul(poly.polypow([0.0, 1.0], 5), poly.polypow([1.0, -1.0], 5))
-_PHI_1 = poly.polyder(_PHI)
-_PHI_2 = poly.polyder(_PHI, 2)
-_PHI_INTEGRAL = poly.polyint(_PHI)
+_HEIGHT = 1024.0
+#: ∫φ = s⁶ times this polynomial.
+_INTEGRAL_OVER_S6 = poly.polyint(_HEIGHT * poly.polypow([0.0, 1.0, -1.0], 5))[6:]
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +59,17 @@ class Windows:
 
     def integral(self, signal: F64, derivative: int = 0) -> F64:
         """∫φ^(derivative) signal for a continuous signal, shape (w,)."""
-        return np.asarray(np.einsum("wm,wm->w", self.weights[derivative], signal[self.index]))
+        return self.integrals(signal, derivative)[0]
+
+    def integrals(self, signal: F64, *derivatives: int) -> list[F64]:
+        """The same for several derivatives, with one look at the signal."""
+        samples = signal[self.index]
+        return [np.asarray(np.einsum("wm,wm->w", self.weights[k], samples)) for k in derivatives]
+
+    @property
+    def of_one(self) -> F64:
+        """∫φ, shape (w,)."""
+        return np.asarray(self.weights[0].sum(axis=1))
 
 
 def make_windows(time_s: F64, first: NDArray[np.intp], length: int) -> Windows:
@@ -78,6 +87,24 @@ def make_windows(time_s: F64, first: NDArray[np.intp], length: int) -> Windows:
     trapezoid[:, 1:-1] = (t[:, 2:] - t[:, :-2]) / 2
     trapezoid[:, 0], trapezoid[:, -1] = (t[:, 1] - t[:, 0]) / 2, (t[:, -1] - t[:, -2]) / 2
     held = np.zeros_like(t)
-    held[:, :-1] = np.diff(poly.polyval(s, _PHI_INTEGRAL), axis=1) * span
-    weights = np.stack([poly.polyval(s, c) / span**k * trapezoid for k, c in enumerate((_PHI, _PHI_1, _PHI_2))])
+    total = _phi_integral(s)
+    np.multiply(total[:, 1:] - total[:, :-1], span, out=held[:, :-1])
+    weights = np.empty((3, *t.shape))
+    for weight, phi, unit in zip(weights, _phi_and_derivatives(s), (1.0, span, span**2), strict=True):
+        np.multiply(phi, trapezoid / unit, out=weight)
     return Windows(index, held, weights)
+
+
+def _phi_and_derivatives(s: F64) -> tuple[F64, F64, F64]:
+    """φ, dφ/ds, d²φ/ds² in the shape of s: with p = s (1 − s) they are p⁵, 5 p⁴ (1 − 2 s) and p³ (20 − 90 p) times
+    the height."""
+    p = s * (1.0 - s)
+    cube = p * p * (_HEIGHT * p)
+    fourth = cube * p
+    return fourth * p, fourth * (5.0 - 10.0 * s), cube * (20.0 - 90.0 * p)
+
+
+def _phi_integral(s: F64) -> F64:
+    """∫φ from 0 to s."""
+    square = s * s
+    return np.asarray(poly.polyval(s, _INTEGRAL_OVER_S6) * (square * square * square))

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from servo_daemon.estimators.balance_window import FEWEST_SAMPLES, SPAN_S, BalanceWindow
 from servo_daemon.estimators.balances import column_noise
@@ -116,10 +115,6 @@ class MotorRls:
         self._estimate = self._compute()
         return True
 
-    def _regressor_noise(self, columns: tuple[str, ...], w: Windows) -> F64:
-        """What white noise of the sensors adds to ΦᵀΦ, shape (n, n)."""
-        return column_noise(columns, w.weight_squares, self._noise_var)
-
     def _between_samples(self, period_s: float) -> tuple[float, float]:
         """The current's mean between two samples is
 
@@ -176,9 +171,10 @@ class MotorRls:
             rows_per_s = 2.0 / max(SPAN_S["armature"], FEWEST_SAMPLES * period)
             self._armature = DirectionalRls(len(self._armature_columns), _MEMORY_S * rows_per_s)
         speed, acceleration = motion(w, s)
-        columns = [w.integral(s.current) + self._sag * acceleration, -w.integral(s.current, 1), speed]
+        current, current_rate = w.integrals(s.current, 0, 1)
+        columns = [current + self._sag * acceleration, -current_rate, speed]
         if "one" in self._armature_columns:
-            columns.append(w.integral(np.ones_like(s.time_s)))
+            columns.append(w.of_one)
         Phi, y = np.column_stack(columns), w.held(s.voltage)
         self._take("armature", self._armature, float(s.time_s[-1]), Phi, y, w)
 
@@ -211,8 +207,9 @@ class MotorRls:
         if len(y) == 0:
             return
         columns = self._armature_columns if which == "armature" else self._shaft_columns
-        rls.update(Phi, y, self._regressor_noise(columns, w))
-        self.window.add(which, time_s, Phi, y, w.weight_squares)
+        weight_squares = w.weight_squares
+        rls.update(Phi, y, column_noise(columns, weight_squares, self._noise_var))
+        self.window.add(which, time_s, Phi, y, weight_squares)
 
     def _effect_columns(self, effect: str, w: Windows, s: Stretch) -> list[F64]:
         if effect not in _SHAFT_COLUMNS:
@@ -243,7 +240,7 @@ class MotorRls:
             return None  # without K the shaft's coefficients are quotients only
         blocks = [e for e in (armature, shaft) if e is not None]
         value = np.concatenate([e.value for e in blocks])
-        covariance = block_diag(*[e.covariance for e in blocks]) * _OVERLAP_INFLATION
+        covariance = _side_by_side([e.covariance for e in blocks]) * _OVERLAP_INFLATION
         names = [*(_ARMATURE if armature is not None else []), *(self._shaft_columns if shaft is not None else [])]
         if armature is not None and shaft is not None:
             value, covariance = _times_torque_constant(value, covariance, names)
@@ -292,6 +289,15 @@ _EFFECT_SIGNALS: Mapping[str, Callable[[Stretch], list[F64]]] = {
 def _first(e: LinearEstimate | None, n: int) -> LinearEstimate | None:
     """The first n coefficients: an offset's is of no use to anybody."""
     return None if e is None else LinearEstimate(e.value[:n], e.covariance[:n, :n], e.residual_var)
+
+
+def _side_by_side(covariances: list[F64]) -> F64:
+    """Of estimates that are independent of each other: a block diagonal matrix."""
+    ends = np.cumsum([len(c) for c in covariances]).tolist()
+    out = np.zeros((ends[-1], ends[-1]))
+    for end, c in zip(ends, covariances, strict=True):
+        out[end - len(c) : end, end - len(c) : end] = c
+    return out
 
 
 def _times_torque_constant(value: F64, covariance: F64, names: Sequence[str]) -> tuple[F64, F64]:

@@ -60,6 +60,7 @@ class ParameterJudge:
         n = len(roster.parameters)
         self.excitation, self.qualification = Excitation(n), Qualification(n)
         self.mismatch_std: F64 = np.zeros(n)
+        self._idle_std: F64 = np.where(roster.nuisance, NUISANCE_SHARE, _IDLE_STD)
         self._trusted = self._follows = self._followed = self.begins_to_follow = False
         self.confirmed: Mask = ~roster.covered
 
@@ -103,20 +104,26 @@ class ParameterJudge:
         if fresh and not tick.explained:
             # The model lacks something: what the filter makes of it is worth nothing without a second opinion.
             self.qualification.qualified &= self.confirmed
-        settled = self.confirmed & (tick.number >= _TICKS_TO_QUALIFY or self._trusted)
-        self.qualification.update(np.hypot(std, self.mismatch_std), excited, settled)
-        # What no regression can judge is free until it has been seen once: there is nothing to hold yet.
-        known = self.qualification.qualified | roster.covered
-        held = self.excitation.held(known) & (not tick.open)
-        idle = np.where(roster.nuisance, NUISANCE_SHARE, _IDLE_STD)
-        walking = roster.free & ((excited & ~roster.nuisance) | (std < idle))
-        self._ekf.set_active((roster.free & ~held).astype(np.float64), self.walk(walking))
+        settled = tick.number >= _TICKS_TO_QUALIFY or self._trusted
+        confirmed = self.confirmed if settled else np.zeros_like(self.confirmed)
+        self.qualification.update(np.hypot(std, self.mismatch_std), excited, confirmed)
+        shown = roster.published & excited
+        self._ekf.set_active(self._moving(tick), self.walk(shown | (roster.free & (std < self._idle_std))))
         limit = _LED_ASTRAY_STD if self._follows else QUALIFIED
-        follows = bool((std[roster.published & excited] < limit).all())
+        follows = not np.count_nonzero(shown & ~(std < limit))
         self.begins_to_follow = follows and not self._follows and not self._followed
         self._followed |= follows
         self._follows = follows
         self._ekf.use_instrument(follows)
+
+    def _moving(self, tick: Tick) -> Mask:
+        """Which parameters are not held."""
+        if tick.open:
+            return self._roster.free
+        # What no regression can judge is free until it has been seen once: there is nothing to hold yet.
+        known = self.qualification.qualified | self._roster.covered
+        moving: Mask = self._roster.free & ~self.excitation.held(known)
+        return moving
 
     def _measure_mismatch(self, values: Mapping[str, float], tick: Tick) -> None:
         """How far the parameters may be off because the balances do not close, or by the balances' word; kept while a

@@ -5,7 +5,6 @@ Where many rows are far off it is not the samples that are wrong, and a balance 
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,8 +24,8 @@ _MOST_SPOILT = 0.1
 class Plausible:
     """One regression's."""
 
-    _residuals: deque[float] = field(default_factory=lambda: deque(maxlen=_ROWS))
-    _squares: deque[float] = field(default_factory=lambda: deque(maxlen=_ROWS))
+    _residuals: F64 = field(default_factory=lambda: np.empty(0))
+    _squares: F64 = field(default_factory=lambda: np.empty(0))
 
     def rows(self, residual: F64, y: F64) -> NDArray[np.bool_]:
         """Which rows may be used, shape (m,).
@@ -35,10 +34,18 @@ class Plausible:
             residual, y: of the regression with its coefficients so far, shape (m,).
         """
         size = np.abs(residual)
-        self._residuals.extend(size.tolist())
-        self._squares.extend(np.square(y).tolist())
-        recent = np.array(self._residuals)
-        limit = _MEDIANS * float(np.median(recent)) + _SHARE * float(np.mean(self._squares)) ** 0.5
-        if len(recent) < _FEWEST or float(np.mean(recent > limit)) > _MOST_SPOILT:
+        recent = self._residuals = np.concatenate([self._residuals, size])[-_ROWS:]
+        self._squares = np.concatenate([self._squares, np.square(y)])[-_ROWS:]
+        if len(recent) < _FEWEST:
+            return np.ones(len(size), dtype=bool)
+        limit = _MEDIANS * _median(recent) + _SHARE * (float(self._squares.sum()) / len(recent)) ** 0.5
+        if np.count_nonzero(recent > limit) > _MOST_SPOILT * len(recent):
             return np.ones(len(size), dtype=bool)
         return np.asarray(size <= limit)
+
+
+def _median(values: F64) -> float:
+    """Without NumPy's overhead."""
+    middle = len(values) // 2
+    ordered = np.partition(values, (middle - 1, middle))
+    return float(ordered[middle] if len(values) % 2 else (ordered[middle - 1] + ordered[middle]) / 2)

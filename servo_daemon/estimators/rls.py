@@ -11,6 +11,7 @@ Schwartz, *Automatica* 36, 2000, in the symmetric form). The matrix can never be
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,8 @@ SYSTEMATIC = 1e-3
 _MOST_NOISE = 0.3
 #: A column this much smaller than the largest is zero: no units of motors differ by as much.
 _INVISIBLE = 1e-12
+#: Beyond this condition number, each column over its own size, the rows do not determine the coefficients.
+_WORST_CONDITION = 1e10
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,8 +82,8 @@ class DirectionalRls:
             return
         gained = Phi.T @ Phi
         if self.rows == 0:
-            self._A = np.diag(np.maximum(np.diag(gained), 1e-300)) * _START_INFORMATION
-        keep = np.exp(-m / self._memory)
+            self._A = np.diag(np.maximum(gained.diagonal(), 1e-300)) * _START_INFORMATION
+        keep = math.exp(-m / self._memory)
         residual = y - Phi @ self._value
         kept, slowest = self._forget(gained, keep)
         A = kept + gained
@@ -97,35 +100,39 @@ class DirectionalRls:
 
     def _forget(self, gained: F64, keep: float) -> tuple[F64, float]:
         """What is left of the old information when `gained` arrives, and of the direction that forgets least."""
-        scale = np.sqrt(np.diag(self._A) + np.diag(gained) + 1e-300)
-        A, G = self._A / np.outer(scale, scale), gained / np.outer(scale, scale)
-        L = np.linalg.cholesky(A + 1e-13 * np.eye(self._n))
+        scale = np.sqrt(self._A.diagonal() + gained.diagonal() + 1e-300)
+        square = scale[:, None] * scale
+        A, G = self._A / square, gained / square
+        A.flat[:: self._n + 1] += 1e-13
+        L = np.linalg.cholesky(A)
         half = np.linalg.solve(L, G)
         g, V = np.linalg.eigh(np.linalg.solve(L, half.T))
         factor = np.maximum(keep, 1.0 - np.maximum(g, 0.0))
         LV = L @ V
-        return np.asarray((LV * factor) @ LV.T * np.outer(scale, scale)), min(float(factor.max()), 1.0)
+        return np.asarray((LV * factor) @ LV.T * square), min(float(factor.max()), 1.0)
 
     def estimate(self) -> LinearEstimate | None:
         """None until there are more rows than coefficients and every direction has been seen."""
         if self.rows <= 2 * self._n or self._weight <= self._n:
             return None
-        scale = np.sqrt(np.diag(self._A))
+        scale = np.sqrt(self._A.diagonal())
         if scale.min() < _INVISIBLE * max(scale.max(), 1e-100):  # a regressor that is (all but) zero
             return None
-        normalised = self._A / np.outer(scale, scale)
-        if np.linalg.cond(normalised) > 1e10:
+        square = scale[:, None] * scale
+        eigenvalues, vectors = np.linalg.eigh(self._A / square)
+        if eigenvalues[-1] > _WORST_CONDITION * eigenvalues[0]:
             return None
         variance = self._residual_sum / (self._weight - self._n)
-        inverse = np.linalg.inv(normalised) / np.outer(scale, scale)
+        inverse = (vectors / eigenvalues) @ vectors.T / square
         covariance = inverse * (variance + SYSTEMATIC**2 * self._energy)
         return LinearEstimate(self._compensated(), covariance, variance)
 
     def _compensated(self) -> F64:
         """The coefficients without the bias that noise in the regressors makes: (A − N) θ = A θ_LS."""
-        part = np.diag(self._noise) / np.maximum(np.diag(self._A), 1e-300)
-        scale = np.sqrt(np.diag(self._A))
-        signal = (self._A - self._noise) / np.outer(scale, scale)
+        squares = self._A.diagonal()
+        part = self._noise.diagonal() / np.maximum(squares, 1e-300)
+        scale = np.sqrt(squares)
+        signal = (self._A - self._noise) / (scale[:, None] * scale)
         if part.max() > _MOST_NOISE or np.linalg.eigvalsh(signal)[0] <= 1e-8:
             return self._value.copy()
         return np.asarray(np.linalg.solve(signal, self._A @ self._value / scale) / scale)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from servo_daemon.samples import F64
 Mask = NDArray[np.bool_]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Roster:
     """Shapes (n,).
 
@@ -36,15 +37,20 @@ class Roster:
     logarithmic: Mask
     drift: F64
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         return tuple(p.name for p in self.parameters)
 
-    @property
+    @cached_property
     def free(self) -> Mask:
         """What the filter estimates."""
         mask: Mask = self.published | self.nuisance
         return mask
+
+    @cached_property
+    def offsets(self) -> list[int]:
+        """Indices of the nuisance parameters."""
+        return [int(k) for k in np.flatnonzero(self.nuisance)]
 
     def values(self, coordinates: F64) -> dict[str, float]:
         """Natural units."""

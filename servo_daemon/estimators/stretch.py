@@ -76,10 +76,11 @@ def last(s: Stretch, n: int) -> Stretch:
 def motion(w: Windows, s: Stretch) -> tuple[F64, F64]:
     """∫φ ω and ∫φ dω/dt, from the position if there is one."""
     if s.position is not None:
-        centred = s.position - s.position[0]
-        return -w.integral(centred, 1), w.integral(centred, 2)
+        speed, acceleration = w.integrals(s.position - s.position[0], 1, 2)
+        return -speed, acceleration
     assert s.velocity is not None
-    return w.integral(s.velocity), -w.integral(s.velocity, 1)
+    speed, acceleration = w.integrals(s.velocity, 0, 1)
+    return speed, -acceleration
 
 
 def speed_sign(s: Stretch) -> F64:

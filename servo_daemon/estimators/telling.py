@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servo_daemon.estimators.ekf import Ekf
 from servo_daemon.estimators.roster import Roster
@@ -37,14 +36,14 @@ class Telling:
 
     def whether_white(self) -> list[Message]:
         """After each tick. Says it once when the model no longer explains the data, and once when it does again."""
-        explained = self._watch.white and not bool(self._large_offsets().any())
+        explained = self._watch.white and not self._large_offsets()
         if explained == self.explained:
             return []
         self.explained = explained
         if explained:
             return [("model_fits", "innovations are white again: the model explains the data", {})]
         if self._watch.white:
-            names = " and ".join(EFFECT_OF[self._roster.names[k]] for k in np.flatnonzero(self._large_offsets()))
+            names = " and ".join(EFFECT_OF[self._roster.names[k]] for k in self._large_offsets())
             return [("model_mismatch", f"the data hold an offset that the model does not: add {names}", {})]
         return [("model_mismatch", "innovations are not white: the data hold what the model does not", {})]
 
@@ -54,17 +53,16 @@ class Telling:
         Args:
             alike_s: for how long it has shown one value; 0 while it flickers.
         """
-        moves = stretch.voltage is not None and float(np.ptp(stretch.voltage)) > 0.0
         if self._said_frozen and alike_s == 0.0:
             self._said_frozen = False
             return [("channel_alive", "current_A moves again", {})]
-        if self._said_frozen or alike_s < _FROZEN_S or not moves:
+        if self._said_frozen or alike_s < _FROZEN_S or stretch.voltage is None or float(np.ptp(stretch.voltage)) == 0.0:
             return []
         self._said_frozen = True
         return [("channel_frozen", "current_A shows one value although the voltage moves: it is not believed", {})]
 
-    def _large_offsets(self) -> NDArray[np.bool_]:
-        """Nuisance parameters too large to be one."""
-        limit = (_OFFSET_OUT if self.explained else _OFFSET_IN) * self._scales()
-        large = np.abs(self._ekf.coordinates) > limit + 3.0 * self._ekf.coordinate_std
-        return np.asarray(self._roster.nuisance & large)
+    def _large_offsets(self) -> list[int]:
+        """Indices of the nuisance parameters too large to be one."""
+        value, std, scales = self._ekf.coordinates, self._ekf.coordinate_std, self._scales()
+        share = _OFFSET_OUT if self.explained else _OFFSET_IN
+        return [k for k in self._roster.offsets if abs(value[k]) > share * scales[k] + 3.0 * std[k]]

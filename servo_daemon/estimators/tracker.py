@@ -180,7 +180,8 @@ class Tracker:
         self.ekf.start(start.parameters, held_input=self._filtering.layout.last_input)
         self._jumps.reset()
         self._judge.begin(trusted=self._prior is not None)
-        self._ticks, self._filtering.outliers = 0, []
+        self._ticks = 0
+        self._filtering.forget_outliers()
         self.excitation.scales = self._noise.begin(start, self._sampling())
         free = self._roster.free
         self.ekf.set_active(free.astype(np.float64), self._judge.walk(free))
@@ -200,11 +201,7 @@ class Tracker:
         if self._ticks > _TICKS_TO_WATCH and stretch.complete:
             action = self._jumps.watch.judge(verdict.unexplained, verdict.settled)
         messages = self._jumps.act(action, self._tick_end_s or 0.0)
-        # What the filter does not believe, the regressions are not told either. Where that is the rule it is the model
-        # that is not to be believed, and a balance without those samples would close.
-        outliers = self._filtering.take_outliers() & self._jumps.watch.calm
-        believed = stretch.usable & ~outliers & (action != "undo")
-        fresh = self.rls.update(replace(stretch, usable=believed), self._noise_var())
+        fresh = self.rls.update(self._believed(stretch, action), self._noise_var())
         if action == "learn" and stretch.complete:
             self.watch.learn(statistics, duration_s)
         if fresh:
@@ -221,6 +218,16 @@ class Tracker:
         alike_s = self._stretches.alike("current_A") * (self.sample_period_s or 0.0)
         messages += self._telling.whether_white() + self._telling.whether_frozen(stretch, alike_s)
         return messages + (self._judge_divergence(verdict) or self._begin_better(fresh))
+
+    def _believed(self, stretch: Stretch, action: jumps.Action) -> Stretch:
+        """What the filter does not believe, the regressions are not told either. Where that is the rule it is the model
+        that is not to be believed, and a balance without those samples would close."""
+        outliers = self._filtering.take_outliers()
+        if action == "undo":
+            return replace(stretch, usable=np.zeros_like(stretch.usable))
+        if outliers is None or not self._jumps.watch.calm:
+            return stretch
+        return replace(stretch, usable=stretch.usable & ~outliers)
 
     def _tick(self) -> Tick:
         return Tick(

@@ -12,7 +12,6 @@ from servo_daemon.estimators.noise import ChannelNoise, ProcessNoise, Whiteness
 
 #: Fewest innovations from which noise and correlation are learned.
 _FEWEST_TO_LEARN = 50
-_NOTHING = ChannelStatistics(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 #: The correlation of the current's innovations with the motion's a sample later is small: averaged over so long, s, and
 #: weighted up.
 _CROSS_MEMORY_S, _CROSS_WEIGHT = 10.0, 4.0
@@ -141,8 +140,8 @@ class InnovationWatch:
     def learn(self, statistics: Mapping[str, ChannelStatistics], duration_s: float) -> None:
         """Let a tick's innovations move noise levels and whiteness."""
         for name, tick in statistics.items():
-            s, span_s = self._pool.get(name, (_NOTHING, 0.0))
-            s, span_s = s.joined(tick), span_s + duration_s
+            pooled = self._pool.get(name)
+            s, span_s = (tick, duration_s) if pooled is None else (pooled[0].joined(tick), pooled[1] + duration_s)
             if s.count < _FEWEST_TO_LEARN:  # a slow drive: a tick is too small a sample
                 self._pool[name] = s, span_s
                 continue

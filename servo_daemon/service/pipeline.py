@@ -16,7 +16,7 @@ from servo_daemon.config import DriveConfig
 from servo_daemon.estimators.tracker import Tracker
 from servo_daemon.samples import SampleBlock, concatenate
 from servo_daemon.service import publish
-from servo_daemon.service.publish import SavedState
+from servo_daemon.service.publish import Publisher, SavedState
 from servo_daemon.service.snapshot import Estimate
 from servo_daemon.service.stream import TickCutter
 
@@ -38,6 +38,7 @@ class Pipeline:
         self._channels: tuple[str, ...] = ()
         self._cutter = TickCutter()
         self._tick: list[SampleBlock] = []
+        self._publisher = Publisher(config)
         self._published: Estimate | None = None
         self._samples = 0
         self.samples_repeated = 0  # those without a time of their own
@@ -134,7 +135,7 @@ class Pipeline:
     def _publish(self) -> Estimate:
         assert self._tracker is not None
         if self._published is None:
-            self._published = publish.estimate(self._config, self._tracker, self._samples)
+            self._published = self._publisher.estimate(self._tracker, self._samples)
         elif self._published.time_s != self._tracker.last_s:
             self._published = publish.moved_on(self._published, self._tracker, self._samples)
         return self._published

@@ -19,6 +19,9 @@ from servo_daemon.plant.effects import effects_by_name, parameter_table
 from servo_daemon.plant.parameters import J_D, LINEAR, Parameter
 from servo_daemon.service.snapshot import Covariance, Estimate, EstimatorView, ParameterEstimate, finite_or_none
 
+#: Parameter -> (value, std), natural units.
+Values = Mapping[str, tuple[float | None, float | None]]
+
 
 @dataclass(frozen=True, slots=True)
 class SavedState:
@@ -66,23 +69,120 @@ def published_names(config: DriveConfig) -> tuple[str, ...]:
     return (*(p.name for p in published_parameters(config)), *((J_D.name,) if "J_m" in config.nominal else ()))
 
 
-def estimate(config: DriveConfig, tracker: Tracker, samples: int) -> Estimate:
-    """The published record of this moment."""
-    gaussian = tracker.published()
-    parameters = _parameters(config, tracker, gaussian)
-    assert tracker.last_s is not None
-    period = tracker.sample_period_s
-    return Estimate(
-        time_s=tracker.last_s,
-        samples=samples,
-        sample_rate_hz=None if not period else finite_or_none(1.0 / period),
-        model=config.model,
-        parameters=parameters,
-        state=_state(tracker),
-        estimators=_views(tracker),
-        health=_health(tracker),
-        covariance=None if gaussian is None else _covariance(config, gaussian, parameters),
-    )
+class Publisher:
+    """Makes one drive's records. What the configuration alone decides is looked up once.
+
+    Args:
+        config: the drive's.
+    """
+
+    def __init__(self, config: DriveConfig) -> None:
+        self._config = config
+        self._parameters = published_parameters(config)
+        self._table = parameter_table()
+        self._regression: tuple[RegressionEstimate, EstimatorView] | None = None  # the last one, as published
+
+    def estimate(self, tracker: Tracker, samples: int) -> Estimate:
+        """The published record of this moment."""
+        gaussian = tracker.published()
+        parameters = self._parameter_estimates(tracker, gaussian)
+        assert tracker.last_s is not None
+        period = tracker.sample_period_s
+        return Estimate(
+            time_s=tracker.last_s,
+            samples=samples,
+            sample_rate_hz=None if not period else finite_or_none(1.0 / period),
+            model=self._config.model,
+            parameters=parameters,
+            state=_state(tracker),
+            estimators=self._views(tracker),
+            health=_health(tracker),
+            covariance=None if gaussian is None else self._covariance(gaussian, parameters),
+        )
+
+    def _parameter_estimates(self, tracker: Tracker, g: Gaussian | None) -> tuple[ParameterEstimate, ...]:
+        nominal = self._config.nominal
+        fused = self._fused(tracker, g)
+        out = [
+            ParameterEstimate(
+                p.name, finite_or_none(f.value), finite_or_none(f.std), p.unit, nominal.get(p.name), f.status, f.reason
+            )
+            for p, f in zip(self._parameters, fused, strict=True)
+        ]
+        if "J_m" in nominal:
+            out.append(_load_inertia(self._config, next(p for p in out if p.name == "J")))
+        return tuple(out)
+
+    def _fused(self, tracker: Tracker, g: Gaussian | None) -> list[Fused]:
+        """Of each of `_parameters`."""
+        known = {} if g is None else {n: k for k, n in enumerate(g.names)}
+        mean, std = ([], []) if g is None else (g.mean.tolist(), g.std.tolist())
+        excited = qualified = ()
+        if g is not None:
+            excited, qualified = tracker.excitation.excited.tolist(), tracker.qualification.qualified.tolist()
+        out = []
+        for p in self._parameters:
+            nominal = self._config.nominal.get(p.name)
+            if p.name not in tracker.plan.free:
+                why = tracker.plan.reasons.get(p.name, f"{p.name} is not visible in these signals")
+                out.append(Fused(nominal, None, "fixed" if nominal is not None else "estimating", why))
+            elif g is None:
+                out.append(Fused(nominal, None, "estimating", "collecting the first samples"))
+            else:
+                k = known[p.name]
+                floor = self._skew_floor(g) if p.name == "L" else 0.0
+                out.append(fuse(p, mean[k], std[k], excited[k], qualified[k], nominal, floor))
+        return out
+
+    def _covariance(self, g: Gaussian, parameters: tuple[ParameterEstimate, ...]) -> Covariance | None:
+        """Of what is known, as published: with what unknown skew leaves open of L."""
+        known = tuple(p.name for p in parameters if p.status in ("tracking", "unexcited") and p.name in g.names)
+        rows = [g.names.index(name) for name in known]
+        values = g.covariance[rows][:, rows]
+        if "L" in known:
+            k = known.index("L")
+            values[k, k] += (self._skew_floor(g) / self._value("L", g)) ** 2
+        if not known or not np.isfinite(values).all():
+            return None
+        return Covariance(known, tuple(map(tuple, values.tolist())))
+
+    def _skew_floor(self, g: Gaussian) -> float:
+        """What unknown skew of current and voltage sampling means for L: a delay δ looks like an inductance δ·R."""
+        return self._config.estimation.skew_s * self._value("R", g)
+
+    def _value(self, name: str, g: Gaussian) -> float:
+        return from_coordinate(self._table[name], float(g.mean[g.names.index(name)]), 0.0)[0]
+
+    def _views(self, tracker: Tracker) -> dict[str, EstimatorView]:
+        """What each estimator says by itself."""
+        views = {}
+        hidden = tracker.plan.nuisance
+        if tracker.ekf is not None and tracker.ekf.started:
+            views["ekf"] = EstimatorView(self._natural(tracker.ekf.estimate(), hidden), {"restarts": tracker.restarts})
+        rls = tracker.rls.estimate() if tracker.rls is not None else None
+        if rls is None:
+            views["rls"] = EstimatorView({})
+        else:
+            if self._regression is None or self._regression[0] is not rls:  # it changes once a second or so
+                self._regression = rls, EstimatorView(self._possible(rls, hidden))
+            views["rls"] = self._regression[1]
+        return views
+
+    def _possible(self, e: RegressionEstimate, hidden: tuple[str, ...]) -> Values:
+        """Possible values only: a negative resistance says that the regression does not know yet."""
+        return {
+            name: (finite_or_none(value), finite_or_none(std))
+            for name, value, std in zip(e.names, e.value.tolist(), e.std.tolist(), strict=True)
+            if name not in hidden and self._table[name].lower <= value <= self._table[name].upper
+        }
+
+    def _natural(self, g: Gaussian, hidden: tuple[str, ...]) -> Values:
+        pairs = (
+            (name, from_coordinate(self._table[name], m, s))
+            for name, m, s in zip(g.names, g.mean.tolist(), g.std.tolist(), strict=True)
+            if name not in hidden
+        )
+        return {name: (finite_or_none(value), finite_or_none(std)) for name, (value, std) in pairs}
 
 
 def moved_on(last: Estimate, tracker: Tracker, samples: int) -> Estimate:
@@ -91,68 +191,10 @@ def moved_on(last: Estimate, tracker: Tracker, samples: int) -> Estimate:
     return replace(last, time_s=tracker.last_s, samples=samples, state=_state(tracker))
 
 
-def _parameters(config: DriveConfig, tracker: Tracker, g: Gaussian | None) -> tuple[ParameterEstimate, ...]:
-    fused = _fused(config, tracker, g)
-    out = []
-    for p in published_parameters(config):
-        f = fused[p.name]
-        nominal = config.nominal.get(p.name)
-        out.append(
-            ParameterEstimate(
-                p.name, finite_or_none(f.value), finite_or_none(f.std), p.unit, nominal, f.status, f.reason
-            )
-        )
-    if "J_m" in config.nominal:
-        out.append(_load_inertia(config, fused["J"]))
-    return tuple(out)
-
-
-def _fused(config: DriveConfig, tracker: Tracker, gaussian: Gaussian | None) -> dict[str, Fused]:
-    out: dict[str, Fused] = {}
-    std = np.empty(0) if gaussian is None else gaussian.std
-    for p in published_parameters(config):
-        nominal = config.nominal.get(p.name)
-        if p.name not in tracker.plan.free:
-            why = tracker.plan.reasons.get(p.name, f"{p.name} is not visible in these signals")
-            out[p.name] = Fused(nominal, None, "fixed" if nominal is not None else "estimating", why)
-        elif gaussian is None:
-            out[p.name] = Fused(nominal, None, "estimating", "collecting the first samples")
-        else:
-            k = gaussian.names.index(p.name)
-            floor = _skew_floor(config, gaussian) if p.name == "L" else 0.0
-            out[p.name] = fuse(
-                p,
-                float(gaussian.mean[k]),
-                float(std[k]),
-                bool(tracker.excitation.excited[k]),
-                bool(tracker.qualification.qualified[k]),
-                nominal,
-                floor,
-            )
-    return out
-
-
-def _covariance(config: DriveConfig, g: Gaussian, parameters: tuple[ParameterEstimate, ...]) -> Covariance | None:
-    """Of what is known, as published: with what unknown skew leaves open of L."""
-    known = tuple(p.name for p in parameters if p.status in ("tracking", "unexcited") and p.name in g.names)
-    rows = [g.names.index(name) for name in known]
-    values = g.covariance[np.ix_(rows, rows)].copy()
-    if "L" in known:
-        k = known.index("L")
-        values[k, k] += (_skew_floor(config, g) / float(np.exp(g.mean[rows[k]]))) ** 2
-    if not known or not np.isfinite(values).all():
-        return None
-    return Covariance(known, tuple(map(tuple, values.tolist())))
-
-
-def _skew_floor(config: DriveConfig, g: Gaussian) -> float:
-    """What unknown skew between current and voltage sampling means for L: a delay δ looks like an inductance δ·R."""
-    return config.estimation.skew_s * float(np.exp(g.mean[g.names.index("R")]))
-
-
-def _load_inertia(config: DriveConfig, J: Fused) -> ParameterEstimate:
+def _load_inertia(config: DriveConfig, J: ParameterEstimate) -> ParameterEstimate:
+    """J_d = J − J_m."""
     J_m = config.nominal["J_m"]
-    nominal = config.nominal["J"] - J_m if "J" in config.nominal else None
+    nominal = None if J.nominal is None else J.nominal - J_m
     value = None if J.value is None else J.value - J_m
     return ParameterEstimate(J_D.name, value, J.std, J_D.unit, nominal, J.status, J.reason)
 
@@ -164,37 +206,6 @@ def _state(tracker: Tracker) -> dict[str, float | None]:
         for s, value in zip(tracker.ekf.plant.states, tracker.ekf.x, strict=True):
             state[s.name] = finite_or_none(float(value))
     return state
-
-
-def _views(tracker: Tracker) -> dict[str, EstimatorView]:
-    views = {}
-    if tracker.ekf is not None and tracker.ekf.started:
-        views["ekf"] = EstimatorView(
-            _natural(tracker.ekf.estimate(), tracker.plan.nuisance), {"restarts": tracker.restarts}
-        )
-    rls = tracker.rls.estimate() if tracker.rls is not None else None
-    views["rls"] = EstimatorView({} if rls is None else _regression(rls, tracker.plan.nuisance))
-    return views
-
-
-def _regression(e: RegressionEstimate, hidden: tuple[str, ...]) -> Mapping[str, tuple[float | None, float | None]]:
-    """Possible values only: a negative resistance says that the regression does not know yet."""
-    table = parameter_table()
-    return {
-        name: (finite_or_none(float(value)), finite_or_none(float(std)))
-        for name, value, std in zip(e.names, e.value, e.std, strict=True)
-        if name not in hidden and table[name].lower <= value <= table[name].upper
-    }
-
-
-def _natural(g: Gaussian, hidden: tuple[str, ...]) -> Mapping[str, tuple[float | None, float | None]]:
-    table = parameter_table()
-    pairs = (
-        (name, from_coordinate(table[name], float(m), float(s)))
-        for name, m, s in zip(g.names, g.mean, g.std, strict=True)
-        if name not in hidden
-    )
-    return {name: (finite_or_none(value), finite_or_none(std)) for name, (value, std) in pairs}
 
 
 def _health(tracker: Tracker) -> dict[str, float | int | bool | str | None]:

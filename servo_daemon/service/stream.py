@@ -6,6 +6,7 @@ the samples of that tick. So the result does not depend on how the samples were 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -51,11 +52,12 @@ class TickCutter:
 
     def _cut(self, block: SampleBlock) -> Iterator[Segment]:
         """A block whose time goes on from the last one's."""
-        self.restarts += int(np.count_nonzero(block.quality & Quality.TIME_RESTART))
+        if np.count_nonzero(block.quality):
+            self.restarts += int(np.count_nonzero(block.quality & Quality.TIME_RESTART))
         if self.start_s is None:
             self.start_s = float(block.time_s[0])
-        ticks = np.floor((block.time_s - self.start_s) / TICK_S + 1e-6).astype(np.int64)
-        edges = np.flatnonzero(np.diff(ticks)) + 1
+        ticks = np.floor((block.time_s - self.start_s) / TICK_S + 1e-6)
+        edges = np.flatnonzero(ticks[1:] != ticks[:-1]) + 1
         bounds = [0, *edges.tolist(), len(block)]
         for a, b in pairwise(bounds):
             tick = int(ticks[a])
@@ -63,7 +65,7 @@ class TickCutter:
             self._tick = tick
         # Of the stream's last two samples, whether or not they came in one block.
         before = float(block.time_s[-2]) if len(block) > 1 else self._last_s
-        if np.isfinite(before):
+        if math.isfinite(before):
             self._period_s = float(block.time_s[-1]) - before
         self._last_s = float(block.time_s[-1])
 
@@ -73,10 +75,12 @@ class TickCutter:
         time_s = block.time_s
         if len(block) == 0:
             return
-        before = np.concatenate([[self._raw_last_s], time_s[:-1]])
-        if bool((time_s > before).all()) and np.isfinite(time_s[-1]):
+        first, last = float(time_s[0]), float(time_s[-1])
+        increasing = first > self._raw_last_s and bool(np.logical_and.reduce(time_s[1:] > time_s[:-1]))
+        if increasing and math.isfinite(last):
             yield block
         else:
+            before = np.concatenate([[self._raw_last_s], time_s[:-1]])
             keep = np.isfinite(time_s) & (time_s != before)
             self.repeated += len(block) - int(np.count_nonzero(keep))
             block = block.select(keep)

@@ -1,0 +1,75 @@
+"""What the filter is given of each sample, as one compiled step: the sample in the filter's layout, values that are no
+measurement left out, repeated ones doubted.
+
+A count that stands still repeats one error, it does not average it: the k-th sample alike weighs 1/(2 k (k − 1)), so
+that however long it stands all of them together say little more than the first. A step of the input's converter that is
+held for long is one error as well, and its effect adds up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import casadi as ca
+
+#: So many samples on one step of the input's converter are counted as one error.
+_MOST_ALIKE = 100.0
+#: Most by which a standing encoder's variance is raised: 5000 samples on one count.
+_MOST_DOUBT = 5e7
+#: A channel whose repetitions nobody doubts, and a value that none is alike.
+NEVER, NO_VALUE = 1e300, 1e300
+
+
+@dataclass(frozen=True, slots=True)
+class LayoutStep:
+    """Where everything is in the flat vectors; c measured channels, the input before them.
+
+    state:     time of the last sample | input held | (last value, how many alike) per channel
+    constants: start of time | variance of the input's step | variance where the input is unknown |
+               (largest possible value, half its step, from how many alike on it is doubted) per channel
+    sample:    time | (value, whether the drive calls it valid) per channel
+    output:    a sample as `ekf_layout.EkfLayout` has it
+    """
+
+    channels: int
+
+    @property
+    def n_state(self) -> int:
+        return 2 + 2 * (1 + self.channels)
+
+    @property
+    def n_constants(self) -> int:
+        return 3 + 3 * (1 + self.channels)
+
+    @property
+    def n_sample(self) -> int:
+        return 1 + 2 * (1 + self.channels)
+
+
+@cache
+def build_layout_step(channels: int) -> ca.Function:
+    """For `SampleLoop`.
+
+    Args:
+        channels: how many are measured.
+    """
+    lay = LayoutStep(channels)
+    state, const = ca.SX.sym("state", lay.n_state), ca.SX.sym("const", lay.n_constants)
+    sample = ca.SX.sym("sample", lay.n_sample)
+    kept, shown = [], []
+    for k in range(1 + channels):
+        limit, half_step, least = ca.vertsplit(const[3 + 3 * k : 6 + 3 * k])
+        valid = ca.logic_and(sample[2 + 2 * k] > 0, ca.fabs(sample[1 + 2 * k]) <= limit)  # which a NaN is not
+        value = ca.if_else(valid, sample[1 + 2 * k], 0.0)
+        last, before = state[2 + 2 * k], state[3 + 2 * k]
+        alike = ca.if_else(ca.fabs(value - last) <= half_step, before + 1.0, 1.0)
+        kept += [value, alike]
+        doubt = ca.if_else(alike >= least, ca.fmin(2.0 * alike * (alike - 1.0), _MOST_DOUBT), 1.0)
+        shown.append((value, valid, doubt, alike))
+    value, valid, _, alike = shown[0]
+    held = ca.if_else(valid, value, state[1])
+    extra = ca.if_else(valid, const[1] * ca.fmin(alike - 1.0, _MOST_ALIKE), const[2])
+    measured = [x for value, valid, doubt, _ in shown[1:] for x in (value, valid, doubt)]
+    row = ca.vertcat(sample[0] - const[0], sample[0] - state[0], held, extra, *measured)
+    return ca.Function("step", [state, const, sample], [ca.vertcat(sample[0], held, *kept), row])
