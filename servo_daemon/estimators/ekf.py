@@ -112,7 +112,7 @@ class Ekf:
         self._constants[0], self._constants[1] = noise.input_var, noise.torque_psd
         self._constants[self._lay.r] = noise.channel_var
 
-    def set_active(self, active: F64, walk_var_per_s: F64) -> None:
+    def set_active(self, active: NDArray[np.bool_] | F64, walk_var_per_s: F64) -> None:
         """How the parameters may move.
 
         Args:
