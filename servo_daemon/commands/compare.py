@@ -5,10 +5,14 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from servo_daemon.commands import common
 from servo_daemon.commands.fit import add_model
+
+if TYPE_CHECKING:
+    from servo_daemon.identification.compare import Comparison
+    from servo_daemon.identification.paper import PaperRedone
 
 HELP = "the paper's three methods side by side, on a capture or on the paper's own numbers"
 EXAMPLE = """  servo-daemon compare capture.csv --assumed-R 0.5
@@ -20,7 +24,7 @@ PAPER_R = 1.5
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("captures", type=Path, nargs="?", metavar="CAPTURE", help=common.CAPTURE_HELP)
+    parser.add_argument("capture", type=Path, nargs="?", metavar="CAPTURE", help=common.CAPTURE_HELP)
     parser.add_argument("--paper", action="store_true", help="the paper's own numbers redone; needs no capture")
     parser.add_argument(
         "--assumed-R",
@@ -41,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
     from servo_daemon.errors import BadInputError
     from servo_daemon.identification.paper import redo
 
-    if arguments.captures is None and not arguments.paper:
+    if arguments.capture is None and not arguments.paper:
         raise BadInputError("a CAPTURE is needed, or --paper for the paper's own numbers")
     if arguments.assumed_R is not None and not arguments.assumed_R > 0.0:
         raise BadInputError(f"--assumed-R must be greater than zero, not {arguments.assumed_R:g}")
@@ -49,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     paper = redo() if arguments.paper else None
     if paper is not None:
         document |= paper_document(paper)
-    comparison = None if arguments.captures is None else _compare(arguments)
+    comparison = None if arguments.capture is None else _compare(arguments)
     if comparison is not None:
         document |= capture_document(comparison)
     if arguments.out is not None:
@@ -61,15 +65,14 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _compare(arguments: argparse.Namespace) -> Any:
+def _compare(arguments: argparse.Namespace) -> Comparison:
     from servo_daemon.commands.fit_inputs import gather
     from servo_daemon.estimators.coefficients import redo_paper
     from servo_daemon.estimators.output_error import FitOptions
     from servo_daemon.identification.compare import compare_methods
     from servo_daemon.identification.position_test import product_for
 
-    arguments.captures = [arguments.captures]
-    inputs = gather(arguments)
+    inputs = gather(arguments, [arguments.capture])
     for text in inputs.notes:
         common.note(text)
     R = arguments.assumed_R or inputs.fixed.get("R") or inputs.nominal.get("R") or PAPER_R
@@ -84,7 +87,12 @@ def _compare(arguments: argparse.Namespace) -> Any:
     )
 
 
-def _write(arguments: argparse.Namespace, document: dict[str, Any], comparison: Any, paper: Any) -> None:
+def _write(
+    arguments: argparse.Namespace,
+    document: dict[str, Any],
+    comparison: Comparison | None,
+    paper: PaperRedone | None,
+) -> None:
     """`compare.json` and `report.html` in the folder, which is made."""
     from servo_daemon.commands.compare_report import compare_report
     from servo_daemon.commands.output_folder import OutputFolder

@@ -75,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise BadInputError(f"--adapt must lie between 0 and 1, not {arguments.adapt:g}")
     if arguments.segment is not None and not arguments.segment > 0.0:
         raise BadInputError(f"--segment must be greater than zero, not {arguments.segment:g}")
-    inputs = gather(arguments)
+    inputs = gather(arguments, arguments.captures, arguments.validate)
     if lost := unused_fixed(inputs.fixed, inputs.effects):
         raise BadInputError(f"--fix: the model has no parameter {', '.join(lost)}")
     for text in inputs.notes:

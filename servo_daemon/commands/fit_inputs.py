@@ -6,6 +6,7 @@ import argparse
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from servo_daemon.captures import Capture
 from servo_daemon.captures.plausible import check_time_unit, plausibility_notes
@@ -44,19 +45,22 @@ class Inputs:
     notes: tuple[str, ...]
 
 
-def gather(arguments: argparse.Namespace) -> Inputs:
+def gather(arguments: argparse.Namespace, paths: Sequence[Path], validation_paths: Sequence[Path] = ()) -> Inputs:
     """Read and check everything the command line names.
+
+    Args:
+        paths, validation_paths: captures to be fitted, and only to be scored.
 
     Raises:
         BadInputError: a file, the config or a flag is wrong; one line naming it.
     """
     drive = common.offline_drive(arguments)
-    captures = common.read_captures(arguments.captures, arguments)
-    validation = common.read_captures(getattr(arguments, "validate", []), arguments)
+    captures = common.read_captures(paths, arguments)
+    validation = common.read_captures(validation_paths, arguments)
     for capture in (*captures, *validation):
         check_time_unit(capture)
     _same_axis((*captures, *validation))
-    effects, starts = model_effects(drive, getattr(arguments, "effect", []))
+    effects, starts = model_effects(drive, arguments.effect)
     fixed = fixed_values(arguments.fix)
     notes = [f"{c.path}: {text}" for c in (*captures, *validation) for text in plausibility_notes(c)]
     weight = known_weight(drive, captures[0])
