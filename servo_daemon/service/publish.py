@@ -137,14 +137,16 @@ class Publisher:
     def _covariance(self, g: Gaussian, parameters: tuple[ParameterEstimate, ...]) -> Covariance | None:
         """Of what is known, as published: with what unknown skew leaves open of L."""
         known = tuple(p.name for p in parameters if p.status in ("tracking", "unexcited") and p.name in g.names)
-        rows = [g.names.index(name) for name in known]
-        values = g.covariance[rows][:, rows]
+        if not known:
+            return None
+        rows, covariance = [g.names.index(name) for name in known], g.covariance.tolist()
+        values = [[covariance[a][b] for b in rows] for a in rows]
         if "L" in known:
             k = known.index("L")
-            values[k, k] += (self._skew_floor(g) / self._value("L", g)) ** 2
-        if not known or not np.isfinite(values).all():
+            values[k][k] += (self._skew_floor(g) / self._value("L", g)) ** 2
+        if not all(math.isfinite(value) for row in values for value in row):
             return None
-        return Covariance(known, tuple(map(tuple, values.tolist())))
+        return Covariance(known, tuple(map(tuple, values)))
 
     def _skew_floor(self, g: Gaussian) -> float:
         """What unknown skew of current and voltage sampling means for L: a delay δ looks like an inductance δ·R."""
@@ -203,8 +205,8 @@ def _state(tracker: Tracker) -> dict[str, float | None]:
     state: dict[str, float | None] = dict.fromkeys(("current_A", "velocity_rad_s", "position_rad"))
     state.update({name: finite_or_none(value) for name, value in tracker.measured_state.items()})
     if tracker.ekf is not None and tracker.ekf.started:
-        for s, value in zip(tracker.ekf.plant.states, tracker.ekf.x, strict=True):
-            state[s.name] = finite_or_none(float(value))
+        for name, value in zip(tracker.ekf.plant.state_names, tracker.ekf.x.tolist(), strict=True):
+            state[name] = finite_or_none(value)
     return state
 
 

@@ -7,13 +7,14 @@ the samples of that tick. So the result does not depend on how the samples were 
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
-from servo_daemon.samples import Quality, SampleBlock
+from servo_daemon.samples import F64, Quality, SampleBlock
 
 #: Period of everything that is slower than a sample, and of the rows of EST.csv, s.
 TICK_S = 0.1
@@ -56,11 +57,8 @@ class TickCutter:
             self.restarts += int(np.count_nonzero(block.quality & Quality.TIME_RESTART))
         if self.start_s is None:
             self.start_s = float(block.time_s[0])
-        ticks = np.floor((block.time_s - self.start_s) / TICK_S + 1e-6)
-        edges = np.flatnonzero(ticks[1:] != ticks[:-1]) + 1
-        bounds = [0, *edges.tolist(), len(block)]
-        for a, b in pairwise(bounds):
-            tick = int(ticks[a])
+        for a, b in pairwise(self._bounds(block.time_s)):
+            tick = self._tick_of(float(block.time_s[a]))
             yield Segment(block.slice(a, b), closes_tick=tick > self._tick)
             self._tick = tick
         # Of the stream's last two samples, whether or not they came in one block.
@@ -68,6 +66,21 @@ class TickCutter:
         if math.isfinite(before):
             self._period_s = float(block.time_s[-1]) - before
         self._last_s = float(block.time_s[-1])
+
+    def _tick_of(self, time_s: float) -> int:
+        assert self.start_s is not None
+        return math.floor((time_s - self.start_s) / TICK_S + 1e-6)
+
+    def _bounds(self, time_s: F64) -> list[int]:
+        """Where ticks begin among increasing times; 0 first and the number of samples last."""
+        n = len(time_s)
+        first, last = self._tick_of(float(time_s[0])), self._tick_of(float(time_s[-1]))
+        if last - first > 1:
+            ticks = np.floor((time_s - self.start_s) / TICK_S + 1e-6)
+            return [0, *(np.flatnonzero(ticks[1:] != ticks[:-1]) + 1).tolist(), n]
+        if last > first:  # the usual cases: a block of about a tick, or of less
+            return [0, bisect_left(time_s, last, key=self._tick_of), n]
+        return [0, n]
 
     def _increasing(self, block: SampleBlock) -> Iterator[SampleBlock]:
         """The block in parts of strictly increasing time, as it should be in one. A sample with the time of the one
