@@ -214,7 +214,7 @@ class Stretches:
             origin_s: time is counted from here.
             last_s, period_s: as for `gaps`.
         """
-        usable = (block.quality & _RESTART) == 0
+        usable = np.ones(len(block), dtype=bool) if _all_good(block) else (block.quality & _RESTART) == 0
         holes = gaps(block, last_s, period_s)
         gap = None
         if holes:

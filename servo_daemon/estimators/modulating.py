@@ -90,8 +90,9 @@ def make_windows(time_s: F64, first: NDArray[np.intp], length: int) -> Windows:
     total = _phi_integral(s)
     np.multiply(total[:, 1:] - total[:, :-1], span, out=held[:, :-1])
     weights = np.empty((3, *t.shape))
-    for weight, phi, unit in zip(weights, _phi_and_derivatives(s), (1.0, span, span**2), strict=True):
-        np.multiply(phi, trapezoid / unit, out=weight)
+    for weight, phi in zip(weights, _phi_and_derivatives(s), strict=True):
+        np.multiply(phi, trapezoid, out=weight)
+        trapezoid /= span  # d/dt = d/ds / span
     return Windows(index, held, weights)
 
 

@@ -80,7 +80,7 @@ class ParameterJudge:
 
     def walk(self, walking: Mask) -> F64:
         """Process noise per coordinate, 1/s."""
-        return np.asarray(np.where(walking, np.square(self._roster.drift * self.excitation.scales), 0.0))
+        return np.asarray(walking * self._roster.drift_square * np.square(self.excitation.scales))
 
     def update(self, duration_s: float, fresh: bool, tick: Tick) -> None:
         """After each tick: which parameters may move, which are known.

@@ -15,6 +15,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf, dsyevd, dsygst  # a tick's matrices are too small for NumPy's own wrappers
 
 from servo_daemon.samples import F64
 
@@ -104,9 +105,11 @@ class DirectionalRls:
         square = scale[:, None] * scale
         A, G = self._A / square, gained / square
         A.flat[:: self._n + 1] += 1e-13
-        L = np.linalg.cholesky(A)
-        half = np.linalg.solve(L, G)
-        g, V = np.linalg.eigh(np.linalg.solve(L, half.T))
+        L, failed = dpotrf(A, lower=1, clean=1)
+        if failed:
+            raise np.linalg.LinAlgError("the information matrix is not positive definite")
+        between, _ = dsygst(G, L, lower=1)  # L⁻¹ ΔA L⁻ᵀ, its lower triangle
+        g, V, _ = dsyevd(between, lower=1)
         factor = np.maximum(keep, 1.0 - np.maximum(g, 0.0))
         LV = L @ V
         return np.asarray((LV * factor) @ LV.T * square), min(float(factor.max()), 1.0)

@@ -48,6 +48,11 @@ class Roster:
         return mask
 
     @cached_property
+    def drift_square(self) -> F64:
+        """Variance of the coordinate's random walk over its scale squared, 1/s."""
+        return np.square(self.drift)
+
+    @cached_property
     def offsets(self) -> list[int]:
         """Indices of the nuisance parameters."""
         return [int(k) for k in np.flatnonzero(self.nuisance)]

@@ -184,7 +184,7 @@ class Tracker:
         self._filtering.forget_outliers()
         self.excitation.scales = self._noise.begin(start, self._sampling())
         free = self._roster.free
-        self.ekf.set_active(free.astype(np.float64), self._judge.walk(free))
+        self.ekf.set_active(free, self._judge.walk(free))
         self.ekf.forget_state(self._filtering.first_state(start.last))
 
     def _watch(self, stretch: Stretch, duration_s: float) -> list[Message]:

@@ -76,6 +76,7 @@ class TickCutter:
         n = len(time_s)
         first, last = self._tick_of(float(time_s[0])), self._tick_of(float(time_s[-1]))
         if last - first > 1:
+            assert self.start_s is not None
             ticks = np.floor((time_s - self.start_s) / TICK_S + 1e-6)
             return [0, *(np.flatnonzero(ticks[1:] != ticks[:-1]) + 1).tolist(), n]
         if last > first:  # the usual cases: a block of about a tick, or of less
