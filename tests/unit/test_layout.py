@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from servo_daemon.estimators.layout import Layout
-from servo_daemon.samples import make_block
+from servo_daemon.samples import Quality, make_block
 
 LSB = 1e-3
 
@@ -49,3 +49,55 @@ def test_without_a_known_step_nothing_is_doubted() -> None:
     n = np.zeros(20)
     rows = layout.rows(make_block(np.arange(20) * 1e-3, voltage_V=n, current_A=n, position_rad=n), 0.0)
     np.testing.assert_array_equal(rows[:, 9], np.ones(20))
+
+
+def test_an_input_that_is_no_measurement_is_held_and_uncertain() -> None:
+    """By the drive's word, as NaN, or beyond what any servo has; also across blocks."""
+    layout = Layout("voltage", ("current_A", "position_rad"))
+    u = np.array([3.0, 4.0, np.nan, 5.0, 1e9, 6.0])
+    quality = np.array([0, 0, 0, Quality.VOLTAGE_INVALID, 0, 0], dtype=np.uint8)
+    zero = np.zeros(6)
+    block = make_block(np.arange(6) * 1e-3, quality=quality, voltage_V=u, current_A=zero, position_rad=zero)
+    rows = np.concatenate([layout.rows(block.slice(a, b), 0.25) for a, b in ((0, 3), (3, 6))])
+    np.testing.assert_array_equal(rows[:, 2], [3.0, 4.0, 4.0, 4.0, 4.0, 6.0])
+    np.testing.assert_array_equal(rows[:, 3], [0.0, 0.0, 0.25, 0.25, 0.25, 0.0])
+    assert layout.last_input == 6.0
+
+
+def test_a_measurement_that_is_none_is_marked() -> None:
+    layout = Layout("voltage", ("current_A", "position_rad"))
+    i, zero = np.array([1.0, np.inf, -2e5, 2.0]), np.zeros(4)
+    quality = np.array([0, 0, 0, Quality.CURRENT_INVALID], dtype=np.uint8)
+    rows = layout.rows(
+        make_block(np.arange(4) * 1e-3, quality=quality, voltage_V=zero, current_A=i, position_rad=zero), 0.0
+    )
+    np.testing.assert_array_equal(rows[:, 4:6], [[1.0, 1.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]])
+    np.testing.assert_array_equal(rows[:, 8], np.ones(4))
+
+
+def test_a_step_of_the_input_that_is_held_adds_up() -> None:
+    layout = Layout("voltage", ("current_A", "position_rad"))
+    layout.expect_steps(0.0, 0.6)
+    u = np.concatenate([[1.0, 1.0, 1.0, 2.0], np.full(150, 3.0)])
+    zero = np.zeros(len(u))
+    rows = layout.rows(make_block(np.arange(len(u)) * 1e-3, voltage_V=u, current_A=zero, position_rad=zero), 0.0)
+    np.testing.assert_allclose(rows[:6, 3], 0.03 * np.array([0, 1, 2, 0, 0, 1]), rtol=1e-12)
+    assert rows[:, 3].max() == pytest.approx(3.0)  # no more than a hundred of them
+
+
+def test_time_is_counted_from_the_origin_and_goes_on_between_blocks() -> None:
+    layout = Layout("voltage", ("current_A", "position_rad"))
+    layout.origin_s = 10.0
+    zero = np.zeros(2)
+    parts = [
+        layout.rows(make_block(np.array(t), voltage_V=zero, current_A=zero, position_rad=zero), 0.0)
+        for t in ([10.0, 10.5], [10.75, 11.75])
+    ]
+    np.testing.assert_array_equal(np.concatenate(parts)[:, :2], [[0.0, 0.0], [0.5, 0.5], [0.75, 0.25], [1.75, 1.0]])
+
+
+def test_without_a_compiler_the_rows_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    counts = [0, 0, 0, 1, 1, 2, 2, 2]
+    compiled = doubts(counts)
+    monkeypatch.setenv("SERVO_DAEMON_CC", "")
+    np.testing.assert_array_equal(doubts(counts), compiled)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.polynomial import Polynomial
 from scipy.integrate import quad
 
-from servo_daemon.estimators.modulating import make_windows
+from servo_daemon.estimators.modulating import _phi_and_derivatives, _phi_integral, make_windows
 
 
 def phi(s: float) -> float:
@@ -49,3 +50,11 @@ def test_an_offset_of_the_position_drops_out(jittered_time_s: np.ndarray) -> Non
     w = make_windows(t, np.array([0, 100]), 250)
     position = np.sin(9 * t)
     np.testing.assert_allclose(w.integral(position + 5.0, 1), w.integral(position, 1), atol=5e-5)
+
+
+def test_the_modulating_functions_closed_forms_are_the_polynomials() -> None:
+    s = np.linspace(0.0, 1.0, 101)
+    phi = 1024.0 * Polynomial([0.0, 1.0, -1.0]) ** 5
+    for ours, theirs in zip(_phi_and_derivatives(s), (phi, phi.deriv(), phi.deriv(2)), strict=True):
+        np.testing.assert_allclose(ours, theirs(s), atol=1e-10)
+    np.testing.assert_allclose(_phi_integral(s), phi.integ()(s), atol=1e-12)
