@@ -32,10 +32,12 @@ def friction_over_step(speed: ca.SX | None, free: ca.SX, per_load: ca.SX, forwar
     """
     if speed is None:
         return ca.fmax(ca.fmin(-free / per_load, forward), -backward)
-    sliding = ca.if_else(speed > 0, forward, -backward)
+    # Not fabs, whose slope at rest is neither side's: a shaft that stands must not seem to keep a speed.
+    size = ca.if_else(speed >= 0, speed, -speed)
+    sliding = ca.if_else(speed >= 0, forward, -backward)
     end = free + per_load * sliding
     reverses = speed * end <= 0
-    before = ca.if_else(reverses, ca.fabs(speed) / ca.fmax(ca.fabs(speed) + ca.fabs(end), _NO_SPEED), 1.0)
+    before = ca.if_else(reverses, size / ca.fmax(size + ca.fabs(end), _NO_SPEED), 1.0)
     afterwards = ca.fmax(ca.fmin((speed - free) / per_load, forward), -backward)
     return before * sliding + (1 - before) * afterwards
 

@@ -247,7 +247,7 @@ def _friction(speed: float | None, free: float, per_load: float, levels: tuple[f
     """Mean of the level until the speed is zero and of what keeps it zero from there on."""
     if speed is None:
         return float(np.clip(-free / per_load, *levels))
-    sliding = levels[1] if speed > 0 else levels[0]
+    sliding = levels[1] if speed >= 0 else levels[0]
     end = free + per_load * sliding
     share = abs(speed) / (abs(speed) + abs(end)) if speed * end <= 0 and speed else float(speed * end > 0)
     return float(share * sliding + (1 - share) * np.clip((speed - free) / per_load, *levels))
