@@ -11,6 +11,10 @@ from servo_daemon.samples import F64
 
 #: Sampling periods of a servo drive, s: slower shows no motor's dynamics, faster is no drive's log.
 _SLOWEST_S, _FASTEST_S = 0.25, 1e-6
+#: Means over this time, s, and at least so many samples: the winding has settled within them.
+_MEAN_S, _MEAN_SAMPLES = 0.02, 8
+#: A coefficient this many standard deviations below zero has the wrong sign.
+_SIGMA = 5.0
 #: Below this share of its largest value a channel does not move.
 _STILL = 1e-9
 
@@ -65,7 +69,7 @@ def plausibility_notes(capture: Capture) -> tuple[str, ...]:
         fast = float(np.percentile(np.abs(speed), 90.0))
         if fast > _FASTEST_SHAFT:
             notes.append(f"column position_rad moves at {fast:,.0f} rad/s: is it in degrees or counts?")
-    notes += _still(capture)
+    notes += [*_still(capture), *_turned(capture)]
     return tuple(notes)
 
 
@@ -84,3 +88,32 @@ def _still(capture: Capture) -> list[str]:
         if name != "temperature_C" and float(np.ptp(values)) <= _STILL * float(np.max(np.abs(values), initial=0.0)):
             notes.append(f"column {name} never changes: it tells nothing about the dynamics")
     return notes
+
+
+def _turned(capture: Capture) -> list[str]:
+    """Signs that do not fit together: v = R i + K ω has positive coefficients."""
+    v, i, x = capture.voltage_V, capture.current_A, capture.position_rad
+    if v is None or i is None or (x is None and capture.velocity_rad_s is None):
+        return []
+    m = max(_MEAN_SAMPLES, round(_MEAN_S / capture.sample_period_s))
+    n = (len(capture) - 1) // m
+    if n < 10:
+        return []
+    mean_v, mean_i = (a[: n * m].reshape(n, m).mean(axis=1) for a in (v, i))
+    if x is not None:
+        speed = np.diff(x[: n * m + 1 : m]) / np.diff(capture.time_s[: n * m + 1 : m])
+    else:
+        assert capture.velocity_rad_s is not None
+        speed = capture.velocity_rad_s[: n * m].reshape(n, m).mean(axis=1)
+    A = np.column_stack([mean_i, speed])
+    if np.linalg.matrix_rank(A) < 2:
+        return []
+    found, *_ = np.linalg.lstsq(A, mean_v, rcond=None)
+    left = float(np.mean((mean_v - A @ found) ** 2))
+    std = np.sqrt(left * np.diag(np.linalg.inv(A.T @ A)))
+    names = ("current_A", "position_rad" if x is not None else "velocity_rad_s")
+    return [
+        f"column {name} counts against voltage_V (v = R i + K ω has {symbol} = {value:.3g}): is its sign turned?"
+        for name, symbol, value, s in zip(names, ("R", "K"), found, std, strict=True)
+        if value < -_SIGMA * s
+    ]

@@ -42,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     from servo_daemon.commands.compare_document import capture_document, paper_document
     from servo_daemon.commands.compare_text import print_compare
+    from servo_daemon.commands.output_folder import OutputFolder
     from servo_daemon.errors import BadInputError
     from servo_daemon.identification.paper import redo
 
@@ -49,6 +50,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise BadInputError("a CAPTURE is needed, or --paper for the paper's own numbers")
     if arguments.assumed_R is not None and not arguments.assumed_R > 0.0:
         raise BadInputError(f"--assumed-R must be greater than zero, not {arguments.assumed_R:g}")
+    if arguments.out is not None:
+        OutputFolder(arguments.out)  # what cannot be written should not be computed first
     document: dict[str, Any] = {}
     paper = redo() if arguments.paper else None
     if paper is not None:

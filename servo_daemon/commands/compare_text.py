@@ -31,11 +31,11 @@ def _table(rows: Sequence[Sequence[str]]) -> list[str]:
 
 def capture_lines(document: Mapping[str, Any]) -> list[str]:
     """The table of methods, then what each has to say."""
-    rows = [["method", *_NAMES, "50° after 5 s", "overshoot", "distance", "held-out ω rms", "time"]]
+    rows = [["method", *_NAMES, "50° after 5 s", "overshoot", "distance", "held-out current", "speed", "time"]]
     rows += [[m["title"], *_parameter_cells(m), *_result_cells(m)] for m in document["methods"].values()]
     if document["truth"]:
         truth = (f"{document['truth'][n]:.5g}" if n in document["truth"] else "" for n in _NAMES)
-        rows.append(["truth", *truth, *[""] * 5])
+        rows.append(["truth", *truth, *[""] * 6])
     test = document["position_test"]
     lines = [f"{document['capture']}: method 1 assumes R = {document['assumed_R']:g} Ω", "", *_table(rows), ""]
     for m in document["methods"].values():
@@ -68,8 +68,10 @@ def _result_cells(m: Mapping[str, Any]) -> list[str]:
         cells = [f"{test['final_deg']:.2f}°", f"{100 * test['overshoot']:.1f} %", distance]
         if not test["stable"]:
             cells[0] = "unstable"
-    speed = None if heldout is None else heldout["rmse"].get("velocity_rad_s")
-    return [*cells, "—" if speed is None else f"{speed:.4g} rad/s", f"{m['seconds']:.2f} s" if m["available"] else "—"]
+    rmse = {} if heldout is None else heldout["rmse"]
+    for name, unit in (("current_A", "A"), ("velocity_rad_s", "rad/s")):
+        cells.append(f"{rmse[name]:.4g} {unit}" if name in rmse else "—")
+    return [*cells, f"{m['seconds']:.2f} s" if m["available"] else "—"]
 
 
 def paper_lines(document: Mapping[str, Any]) -> list[str]:

@@ -60,21 +60,33 @@ def add_model(parser: argparse.ArgumentParser) -> None:
         metavar="NAME[:k=v,…]",
         help="an effect beside the config's model, with start values; repeatable",
     )
-    parser.add_argument("--fix", default="", metavar="P=v,…", help="parameters held at a value, e.g. R=3.57,K=0.046")
+    parser.add_argument(
+        "--fix",
+        action="append",
+        default=[],
+        metavar="P=v,…",
+        help="parameters held at a value, e.g. R=3.57,K=0.046; repeatable",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
     from servo_daemon.commands.fit_document import fit_document
     from servo_daemon.commands.fit_inputs import gather, unused_fixed
+    from servo_daemon.commands.fit_notes import result_notes
     from servo_daemon.commands.fit_text import print_fit
+    from servo_daemon.commands.output_folder import OutputFolder
     from servo_daemon.errors import BadInputError
     from servo_daemon.estimators.output_error import FitOptions
     from servo_daemon.identification import IdentifyOptions, identify
 
     if arguments.adapt is not None and not 0.0 < arguments.adapt < 1.0:
         raise BadInputError(f"--adapt must lie between 0 and 1, not {arguments.adapt:g}")
+    if arguments.adapt is not None and not arguments.validate:
+        raise BadInputError("--adapt needs a --validate capture to adapt to")
     if arguments.segment is not None and not arguments.segment > 0.0:
         raise BadInputError(f"--segment must be greater than zero, not {arguments.segment:g}")
+    if arguments.out is not None:
+        OutputFolder(arguments.out)  # what cannot be written should not be computed first
     inputs = gather(arguments, arguments.captures, arguments.validate)
     if lost := unused_fixed(inputs.fixed, inputs.effects):
         raise BadInputError(f"--fix: the model has no parameter {', '.join(lost)}")
@@ -88,7 +100,10 @@ def run(arguments: argparse.Namespace) -> int:
     result = identify(
         inputs.captures, inputs.validation, IdentifyOptions(inputs.effects, inputs.baseline, options, arguments.adapt)
     )
-    document = fit_document(result)
+    notes = [*inputs.notes, *result_notes(result.fit, inputs.nominal)]
+    for text in notes[len(inputs.notes) :]:
+        common.note(text)
+    document = {**fit_document(result), "notes": notes}
     if arguments.out is not None:
         _write(arguments, result, document)
     if arguments.json:
@@ -107,7 +122,7 @@ def _idim(arguments: argparse.Namespace, inputs: Inputs) -> int:
     if arguments.adapt is not None or arguments.segment is not None:
         raise BadInputError("--adapt and --segment belong to --method output-error")
     document = idim_document(inputs)
-    for text in document["notes"]:
+    for text in document["notes"][len(inputs.notes) :]:
         common.note(text)
     if arguments.out is not None:
         OutputFolder(arguments.out).write_json("fit.json", document)

@@ -63,8 +63,10 @@ def null_row(direction: NullDirection) -> dict[str, Any]:
 
 def null_text(direction: NullDirection) -> str:
     """'R × s^1, K × s^-0.6: …' in words."""
-    moves = ", ".join(f"{name} × s^{share:.2g}" for name, share in direction.components.items())
     why = "leaves no trace in these data" if direction.exact else "leaves a trace too faint to settle it"
+    if len(direction.components) == 1:
+        return f"{next(iter(direction.components))}: changing it {why}"
+    moves = ", ".join(f"{name} × s^{share:.2g}" for name, share in direction.components.items())
     return f"{moves}: changing them together so {why}"
 
 

@@ -51,7 +51,7 @@ def idim_document(inputs: Inputs) -> dict[str, Any]:
             "relative_error": {name: r.relative_error for name, r in residuals.items()},
         },
         "validation": [_validation(c, rows, inputs.effects) for c in inputs.validation],
-        "notes": list(result.notes),
+        "notes": [*inputs.notes, *result.notes],
         "seconds": seconds,
     }
 

@@ -13,6 +13,7 @@ from servo_daemon.captures.plausible import check_time_unit, plausibility_notes
 from servo_daemon.commands import common
 from servo_daemon.config import DriveConfig
 from servo_daemon.errors import BadInputError
+from servo_daemon.estimators.output_error.setup import choose_signals
 from servo_daemon.plant.effects import effects_by_name, parameter_table
 from servo_daemon.simulate.settings import parse_effect, with_harmonics
 
@@ -60,9 +61,11 @@ def gather(arguments: argparse.Namespace, paths: Sequence[Path], validation_path
     for capture in (*captures, *validation):
         check_time_unit(capture)
     _same_axis((*captures, *validation))
+    lost = _unused_channels(captures)
     effects, starts = model_effects(drive, arguments.effect)
-    fixed = fixed_values(arguments.fix)
+    fixed = fixed_values(",".join(arguments.fix))
     notes = [f"{c.path}: {text}" for c in (*captures, *validation) for text in plausibility_notes(c)]
+    notes += lost
     weight = known_weight(drive, captures[0])
     if "gravity_load" in effects and weight is not None and "Tg" not in fixed:
         fixed["Tg"] = weight
@@ -90,9 +93,12 @@ def fixed_values(text: str) -> dict[str, float]:
     table, out = parameter_table(), {}
     for part in filter(None, (p.strip() for p in text.split(","))):
         name, equals, number = (s.strip() for s in part.partition("="))
-        if not equals or name not in table or name == "J_m":
-            known = ", ".join(n for n in table if n != "J_m")
-            raise BadInputError(f"--fix: {part!r} is not of the form R=3.57; parameters are {known}")
+        if not equals:
+            raise BadInputError(f"--fix: {part!r} is not of the form R=3.57")
+        if name not in table or name == "J_m":
+            raise BadInputError(f"--fix: no parameter {name!r}: R, L, K, J, B, or one of an effect of the model")
+        if name in out:
+            raise BadInputError(f"--fix: {name} is given twice")
         try:
             value = float(number)
         except ValueError:
@@ -122,3 +128,27 @@ def _same_axis(captures: Sequence[Capture]) -> None:
     if len(axes) > 1:
         names = ", ".join(f"{c.path} is {c.axis}" for c in captures)
         raise BadInputError(f"captures of a rotary and of a linear axis cannot be fitted together: {names}")
+
+
+def _unused_channels(captures: Sequence[Capture]) -> list[str]:
+    """Captures are fitted together by the signals that all of them have; what that leaves out is said.
+
+    Raises:
+        BadInputError: together they have no pair of an input and a response.
+    """
+    common_ones = [c for c in captures[0].channels if all(c in other.channels for other in captures)]
+    try:
+        choose_signals(common_ones)
+    except BadInputError as error:
+        if len(captures) == 1:
+            raise
+        have = "; ".join(f"{c.path}: {', '.join(c.channels)}" for c in captures)
+        raise BadInputError(f"these captures have no input and response in common ({have}): fit them apart") from error
+    notes = []
+    for c in captures:
+        lost = [n for n in c.channels if n not in common_ones and n != "temperature_C"]
+        if lost:
+            notes.append(
+                f"{c.path}: {', '.join(lost)} is not used: not all of these captures have it; fitted alone it is"
+            )
+    return notes

@@ -39,7 +39,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     asked = parser.add_mutually_exclusive_group()
     asked.add_argument("--bandwidth-hz", type=float, metavar="F", help="-3 dB bandwidth that each loop is to have")
     asked.add_argument("--settling-s", type=float, metavar="T", help="time until a small step stays within 2 %%")
-    parser.add_argument("--fix", default="", metavar="P=v,…", help="values that are known, e.g. R=3.57,K=0.046 (SI)")
+    parser.add_argument(
+        "--fix", action="append", default=[], metavar="P=v,…", help="values that are known, e.g. R=3.57,K=0.046 (SI)"
+    )
     parser.add_argument(
         "--tolerance",
         default="",
@@ -62,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
     from servo_daemon.tuning.report import tune
 
     drive = common.offline_drive(arguments)
-    fixed, tolerance = parse_fix(arguments.fix), parse_tolerance(arguments.tolerance)
+    fixed, tolerance = parse_fix(",".join(arguments.fix)), parse_tolerance(arguments.tolerance)
     drive = drive.model_copy(update={"nominal": {**drive.nominal, **fixed}})
     capture = None
     if arguments.capture is not None:
@@ -204,11 +206,13 @@ def parse_fix(text: str) -> dict[str, float]:
         BadInputError: not of that form, an unknown parameter, an impossible value.
     """
     table = parameter_table()
-    values = {}
+    values: dict[str, float] = {}
     for part in filter(None, (p.strip() for p in text.split(","))):
         name, _, number = (piece.strip() for piece in part.partition("="))
         if name not in table:
             raise BadInputError(f"--fix: unknown parameter in {part!r}: known are {', '.join(table)}")
+        if name in values:
+            raise BadInputError(f"--fix: {name} is given twice")
         try:
             value = float(number)
         except ValueError:

@@ -149,9 +149,10 @@ def _output_error(block: SampleBlock, effects: tuple[str, ...], options: FitOpti
     found = {
         name: Estimate(simulated[name], float("nan") if p.std is None else p.std, p.unit)
         for name, p in fit.parameters.items()
-        if p.value is not None
+        if p.status != "undetermined"
     }
-    notes = tuple(f"not determined by these data: {name}" for name, p in fit.parameters.items() if p.value is None)
+    lost = ", ".join(name for name, p in fit.parameters.items() if p.status == "undetermined")
+    notes = (f"not determined by these data: {lost}",) if lost else ()
     return found, notes
 
 

@@ -193,7 +193,8 @@ def test_nan_is_placed(capture: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--fix", "Q=3"), "'Q=3' is not of the form"),
+        (("--fix", "Q=3"), "no parameter 'Q'"),
+        (("--fix", "R"), "'R' is not of the form"),
         (("--fix", "R=abc"), "'abc' is not a number"),
         (("--fix", "R=-3"), "is outside"),
         (("--fix", "Tc=0.1"), "the model has no parameter Tc"),
@@ -236,3 +237,72 @@ def test_rotary_and_linear_do_not_mix(capture: Path, tmp_path: Path) -> None:
     result = run_command("fit", capture, other)
     assert result.code == 2
     assert "cannot be fitted together" in result.err
+
+
+def test_repeated_fix_adds_up_and_twice_the_same_is_refused(capture: Path) -> None:
+    document = run_command("fit", capture, "--fix", "R=0.5", "--fix", "K=0.3", "--json").document
+    assert [document["parameters"][n]["status"] for n in ("R", "K")] == ["fixed", "fixed"]
+    result = run_command("fit", capture, "--fix", "R=0.5", "--fix", "R=0.6")
+    assert result.code == 2
+    assert "R is given twice" in result.err
+
+
+def test_signals_that_not_all_captures_have_are_named(capture: Path, tmp_path: Path) -> None:
+    bare = rewritten(capture, tmp_path / "bare.csv", lambda c: c.pop("current_A"))
+    result = run_command("fit", capture, bare, "--json")
+    assert "current_A is not used" in result.err
+    assert any("current_A is not used" in note for note in result.document["notes"])
+
+
+def _turned_current(c: dict[str, Any]) -> None:
+    c["current_A"] *= -1
+
+
+def _turned_position(c: dict[str, Any]) -> None:
+    c["position_rad"] *= -1
+
+
+@pytest.mark.parametrize("change", [_turned_current, _turned_position])
+def test_a_turned_sign_is_suspected(capture: Path, tmp_path: Path, change: Any) -> None:
+    document = run_command("fit", rewritten(capture, tmp_path / "turned.csv", change), "--json").document
+    assert any("sign" in note and "turned" in note for note in document["notes"])
+    assert document["residual"]["white"] is False
+
+
+def test_far_from_nominal_is_remarked_upon(capture: Path, tmp_path: Path) -> None:
+    def degrees(c: dict[str, Any]) -> None:
+        c["position_rad"] *= 57.29578
+
+    config = tmp_path / "c.toml"
+    config.write_text("[[drive]]\n[drive.nominal]\nR = 0.5\nL = 2.3e-3\nK = 0.3\nJ = 0.0098\nB = 0.5\n")
+    path = rewritten(capture, tmp_path / "deg.csv", degrees)
+    notes = run_command("fit", path, "--config", config, "--json").document["notes"]
+    assert any(note.startswith("K = ") and "another unit" in note for note in notes)
+
+
+def test_what_is_not_determined_is_held_at_its_nominal_value(capture: Path, tmp_path: Path) -> None:
+    config = tmp_path / "c.toml"
+    config.write_text("[[drive]]\n[drive.nominal]\nR = 100\nL = 5\nK = 20\nJ = 1e-7\nB = 1e-9\n")
+    bare = rewritten(capture, tmp_path / "bare.csv", lambda c: c.pop("current_A"))
+    document = run_command("fit", bare, "--config", config, "--json").document
+    assert {n: p["value"] for n, p in document["parameters"].items()} == {
+        "R": 100,
+        "L": 5,
+        "K": 20,
+        "J": 1e-7,
+        "B": 1e-9,
+    }
+    assert all(p["std"] is None for p in document["parameters"].values())
+    assert all(c["expression"] not in ("L/R", "K/R") for c in document["combinations"])
+
+
+def test_an_effect_that_may_as_well_be_nothing_has_no_frequency(capture: Path) -> None:
+    p = run_command("fit", capture, "--effect", "periodic_disturbance", "--json").document["parameters"]
+    assert p["Tper"]["std"] is None
+    assert p["f_per"]["std"] is None
+
+
+def test_adapt_needs_something_to_adapt_to(capture: Path) -> None:
+    result = run_command("fit", capture, "--adapt", "0.3")
+    assert result.code == 2
+    assert "--validate" in result.err

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import numpy as np
 
@@ -15,6 +14,12 @@ from servo_daemon.estimators.output_error.combinations import Combination, deter
 from servo_daemon.estimators.output_error.information import Information, NullDirection, information
 from servo_daemon.estimators.output_error.noise import NoiseModel
 from servo_daemon.estimators.output_error.outcome import NoiseOption, conclude
+from servo_daemon.estimators.output_error.parameters import (
+    FittedParameter,
+    correlation_of,
+    fitted_parameters,
+    seen_with_friction,
+)
 from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.output_error.residual import ResidualTest, residual_tests
 from servo_daemon.estimators.output_error.setup import OFFSETS, Recording, current_size, make_problem
@@ -24,14 +29,14 @@ from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.plant.parameters import Parameter
 from servo_daemon.samples import F64
 
-Status = Literal["estimated", "undetermined", "fixed"]
-
 #: Guessed starts that are searched from, besides nominal values and regression.
 _SEARCHED = 2
 #: Another start must lower V (2 log-likelihood) by more than this to win.
 _BETTER = 1.0
 #: Two ends whose V differ by less are one.
 _SAME = 0.2
+#: A channel that varies by no more (A, rad, rad/s) does not move.
+_STILL = 1e-9
 #: Iterations of the first search, and of those that follow only to see whether there is a better minimum.
 _FIRST_SEARCH, _OTHER_SEARCHES = 60, 25
 
@@ -54,24 +59,6 @@ class FitOptions:
     robust: bool = True
     segment_s: float | None = None
     noise_model: NoiseOption = "auto"
-
-
-@dataclass(frozen=True, slots=True)
-class FittedParameter:
-    """One parameter of the fit.
-
-    Attributes:
-        value: natural units; None where neither data nor a nominal value give one.
-        std: 1 σ in the same unit; None where it is not estimated.
-        status: "undetermined": the data leave it open, the value is a start value that took part in the fit.
-        at_bound: it ended at a physical bound.
-    """
-
-    value: float | None
-    std: float | None
-    unit: str
-    status: Status
-    at_bound: bool
 
 
 @dataclass(frozen=True)
@@ -153,13 +140,17 @@ def fit_output_error(
     assert first is not None  # it was searched from
     outcome = conclude(problem, solution, scale, options.noise_model, _torque_size(problem, recordings, solution))
     plain, solution, after = solution, outcome.solution, outcome.information
-    parameters, offsets = _parameters(problem, solution, after, options)
+    with_friction = seen_with_friction(problem, solution.point, scale)
+    if with_friction is not None:
+        lost = after.undetermined | with_friction.undetermined
+        after = replace(after, undetermined=lost, exact=with_friction.exact)
+    parameters, offsets = fitted_parameters(problem, solution, after, options.nominal)
     return OutputErrorFit(
         problem=problem,
         solution=solution,
         parameters=parameters,
         offsets=offsets,
-        correlation=_correlation(after, problem.n_shared),
+        correlation=correlation_of(after, problem.n_shared),
         before=information(problem, first.point, scale),
         after=after,
         combinations=determined_combinations(
@@ -188,13 +179,14 @@ def _search(problem: Problem, starts: Sequence[Start], robust: bool) -> tuple[So
     guesses = [s for s in starts if "signal sizes" in s.source]
     chosen = [s for s in starts if "signal sizes" not in s.source] + _most_promising(problem, guesses)
     best: tuple[Solution, Start] | None = None
+    idle = bool((problem.spread <= _STILL).all())  # nothing moves: nothing to search for
     for start in chosen:
         been = None if best is None else best[0].point
         found = solve(
             problem,
             problem.start(coordinates(start, problem)),
             robust=robust,
-            max_iterations=_FIRST_SEARCH if been is None else _OTHER_SEARCHES,
+            max_iterations=0 if idle else _FIRST_SEARCH if been is None else _OTHER_SEARCHES,
             give_up=None if been is None else _same_place(been),
         )
         if found is None:
@@ -203,11 +195,15 @@ def _search(problem: Problem, starts: Sequence[Start], robust: bool) -> tuple[So
             break
         if best is None or found.point.value < best[0].point.value - _BETTER:
             best = found, start
-            if all(test.white for test in residual_tests(problem, found.point).values()):
+            if idle or all(test.white for test in residual_tests(problem, found.point).values()):
                 break
     if best is None:
         raise NumericalError("the motor cannot be simulated over these data from any start: values out of range?")
-    if not best[0].converged and (further := solve(problem, best[0].point.unknowns, robust=robust)) is not None:
+    if (
+        not idle
+        and not best[0].converged
+        and (further := solve(problem, best[0].point.unknowns, robust=robust)) is not None
+    ):
         best = _in_a_row(best[0], further), best[1]
     return best
 
@@ -264,53 +260,6 @@ def _torque_size(problem: Problem, recordings: Sequence[Recording], solution: So
     table = {p.name: p for p in problem.plant.parameters}
     values = {n: from_coordinate(table[n], float(c), 0.0)[0] for n, c in zip(names, q, strict=True)}
     return torque_size(values, max((r.block for r in recordings), key=len), problem.plant.drive)
-
-
-def _parameters(
-    problem: Problem, solution: Solution, info: Information, options: FitOptions
-) -> tuple[dict[str, FittedParameter], tuple[Mapping[str, FittedParameter], ...]]:
-    table = {p.name: p for p in problem.plant.parameters}
-    std = np.sqrt(np.maximum(np.diag(info.covariance), 0.0))
-
-    def fitted(column: int) -> FittedParameter:
-        p = table[info.names[column]]
-        value, sigma = from_coordinate(p, float(solution.point.unknowns[column]), float(std[column]))
-        bound = column in solution.at_bound
-        if info.undetermined[column]:
-            shown = value if p.name in options.nominal else None
-            return FittedParameter(shown, None, p.unit, "undetermined", bound)
-        return FittedParameter(value, None if bound else sigma, p.unit, "estimated", bound)
-
-    out: dict[str, FittedParameter] = {}
-    offsets: list[dict[str, FittedParameter]] = [{} for _ in range(problem.recordings if problem.local else 0)]
-    for column, name in enumerate(info.names):
-        if column < problem.n_shared:
-            out[name] = fitted(column)
-        else:
-            offsets[(column - problem.n_shared) // len(problem.local)][name] = fitted(column)
-    for name, coordinate in problem.given.items():
-        value, _ = from_coordinate(table[name], coordinate, 0.0)
-        out[name] = FittedParameter(value, None, table[name].unit, "fixed", False)
-    for name in problem.local:
-        out[name] = _mean([o[name] for o in offsets])
-    return {n: out[n] for n in problem.plant.parameter_names}, tuple(offsets)
-
-
-def _mean(each: Sequence[FittedParameter]) -> FittedParameter:
-    """One figure for an offset that every recording has for itself: weighted mean and its std."""
-    known = [(e.value, e.std) for e in each if e.value is not None and e.std]
-    if not known:
-        return replace(each[0], std=None)
-    weight = np.array([1.0 / s**2 for _, s in known if s])
-    values = np.array([v for v, _ in known])
-    return replace(each[0], value=float(weight @ values / weight.sum()), std=float(1.0 / np.sqrt(weight.sum())))
-
-
-def _correlation(info: Information, n_shared: int) -> dict[str, dict[str, float]]:
-    known = [k for k in range(n_shared) if not info.undetermined[k]]
-    std = np.sqrt(np.maximum(np.diag(info.covariance), 1e-300))
-    C = info.covariance / np.outer(std, std)
-    return {info.names[a]: {info.names[b]: float(np.clip(C[a, b], -1, 1)) for b in known} for a in known}
 
 
 __all__ = ["OFFSETS", "FitOptions", "FittedParameter", "OutputErrorFit", "Recording", "fit_output_error"]
