@@ -6,7 +6,7 @@ and B from the shaft with that K); with less, what is missing must be given (`kn
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from servo_daemon.estimators.balances import column_noise
 from servo_daemon.estimators.modulating import Windows, make_windows
 from servo_daemon.estimators.plausible import Plausible
 from servo_daemon.estimators.rls import DirectionalRls, LinearEstimate
+from servo_daemon.estimators.shaft_columns import DRY, EFFECT_SIGNALS, GIVES, SHAFT_COLUMNS
 from servo_daemon.estimators.stretch import Stretch, between_samples, joined, last, median, motion, speed_sign
 from servo_daemon.estimators.stretch import speed as speed_of
 from servo_daemon.plant.build import PlantModel
@@ -30,18 +31,6 @@ _EAGER_UPDATES, _BATCH = 50, 10
 _OVERLAP_INFLATION = 2.0
 
 _ARMATURE = ("R", "L", "K")
-#: Effects whose torque is linear in what they add to the shaft's regression: its columns, and what they give.
-_SHAFT_COLUMNS: Mapping[str, tuple[str, ...]] = {
-    "coulomb_friction": ("Tc",),
-    "asymmetric_friction": ("Tc", "Tc_neg", "B_neg"),
-    "load_dependent_friction": ("mu",),
-    "quadratic_drag": ("c2",),
-    "constant_load_torque": ("one",),
-    "gravity_load": ("sin", "cos"),
-}
-#: Effects that hold at rest with any torque up to their level.
-_DRY = frozenset({"coulomb_friction", "asymmetric_friction", "stribeck_friction", "load_dependent_friction"})
-_GIVES = {"one": "TL", "sin": "Tg", "cos": "phi_g"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +56,7 @@ class MotorRls:
 
     def __init__(self, plant: PlantModel, known: Mapping[str, float]) -> None:
         self._plant, self._known = plant, dict(known)
-        self._shaft_columns = ("J", "B", *(c for e in plant.effects for c in _SHAFT_COLUMNS.get(e, ())))
+        self._shaft_columns = ("J", "B", *(c for e in plant.effects for c in SHAFT_COLUMNS.get(e, ())))
         self._armature_columns = (*_ARMATURE, *(("one",) if "current_sensor_offset" in plant.effects else ()))
         given_torque = plant.drive == "voltage" and bool(known)
         self.window = BalanceWindow(self._armature_columns, self._shaft_columns, judges_mismatch=not given_torque)
@@ -85,7 +74,7 @@ class MotorRls:
     def names(self) -> tuple[str, ...]:
         """Parameters these regressions can give, if the motion shows them."""
         both = self._plant.drive == "voltage" and not self._known
-        return (*(_ARMATURE if both else ()), *(_GIVES.get(c, c) for c in self._shaft_columns))
+        return (*(_ARMATURE if both else ()), *(GIVES.get(c, c) for c in self._shaft_columns))
 
     def update(self, new: Stretch, noise_var: Mapping[str, float]) -> bool:
         """Take the samples of one tick; windows reach back into earlier ones. Returns whether they were worked off.
@@ -179,7 +168,7 @@ class MotorRls:
         self._take("armature", self._armature, float(s.time_s[-1]), Phi, y, w)
 
     def _shaft_rows(self, s: Stretch, period: float) -> None:
-        if _DRY.intersection(self._plant.effects):
+        if DRY.intersection(self._plant.effects):
             s = replace(s, usable=s.usable & (speed_sign(s) != 0.0))
         w = self._windows(s, period, "shaft")
         if w is None:
@@ -212,9 +201,9 @@ class MotorRls:
         self.window.add(which, time_s, Phi, y, weight_squares)
 
     def _effect_columns(self, effect: str, w: Windows, s: Stretch) -> list[F64]:
-        if effect not in _SHAFT_COLUMNS:
+        if effect not in SHAFT_COLUMNS:
             return []
-        return [w.integral(signal) for signal in _EFFECT_SIGNALS[effect](s)]
+        return [w.integral(signal) for signal in EFFECT_SIGNALS[effect](s)]
 
     def _driving_torque(self, w: Windows, s: Stretch, speed: F64, acceleration: F64) -> F64 | None:
         """∫φ of motor torque, divided by K where K is to come from the armature; None if it cannot be had."""
@@ -248,7 +237,7 @@ class MotorRls:
             value, covariance = _without_lag(value, covariance, self._known["L"] / self._known["R"])
         if "sin" in names:
             value, covariance = _amplitude_and_phase(value, covariance, names.index("sin"))
-        return RegressionEstimate(tuple(_GIVES.get(n, n) for n in names), value, covariance)
+        return RegressionEstimate(tuple(GIVES.get(n, n) for n in names), value, covariance)
 
 
 def _apart(first: NDArray[np.intp], hop: int) -> NDArray[np.intp]:
@@ -258,32 +247,6 @@ def _apart(first: NDArray[np.intp], hop: int) -> NDArray[np.intp]:
         if not taken or k - taken[-1] >= hop:
             taken.append(k)
     return np.array(taken, dtype=np.intp)
-
-
-def _asymmetric(s: Stretch) -> list[F64]:
-    sign = speed_sign(s)
-    return [np.maximum(sign, 0.0), np.minimum(sign, 0.0), np.minimum(speed_of(s), 0.0)]
-
-
-def _carried(s: Stretch) -> list[F64]:
-    torque = s.current if s.torque is None else s.torque
-    return [np.zeros_like(s.time_s) if torque is None else speed_sign(s) * np.abs(torque)]
-
-
-def _angle_waves(s: Stretch) -> list[F64]:
-    angle = s.position if s.position is not None else np.zeros_like(s.time_s)
-    return [np.sin(angle), np.cos(angle)]
-
-
-#: What the columns of `_SHAFT_COLUMNS` are the modulated integrals of.
-_EFFECT_SIGNALS: Mapping[str, Callable[[Stretch], list[F64]]] = {
-    "coulomb_friction": lambda s: [speed_sign(s)],
-    "asymmetric_friction": _asymmetric,
-    "load_dependent_friction": _carried,
-    "quadratic_drag": lambda s: [speed_of(s) * np.abs(speed_of(s))],
-    "constant_load_torque": lambda s: [np.ones_like(s.time_s)],
-    "gravity_load": _angle_waves,
-}
 
 
 def _first(e: LinearEstimate | None, n: int) -> LinearEstimate | None:
