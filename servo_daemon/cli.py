@@ -108,6 +108,8 @@ def _set_up_logging(level: str) -> None:
     else:
         handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     logging.basicConfig(level=level.upper(), handlers=[handler], force=True)
+    # Comes along with pandas, where that is installed for MDF files, and tells everybody how many threads it has.
+    logging.getLogger("numexpr").setLevel(logging.WARNING)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -27,6 +27,8 @@ from servo_daemon.samples import F64
 #: (tens of them); and the fewest samples in one: below, the trapezoidal rule is no good.
 SPAN_S = {"armature": 0.02, "shaft": 0.1}
 FEWEST_SAMPLES = 12
+#: Share of the window's rows that must have been held against the filter.
+_CONFRONTED = 0.8
 #: Noise levels are known to this factor (in squares).
 _NOISE_KNOWN = 2.0
 
@@ -125,9 +127,18 @@ class BalanceWindow:
                 continue
             size = self._size(which, value)
             slopes = {name: slope / size for name, slope in self._slopes(which, value).items()}
-            found = closure.mismatch_std(total.gram, self._noise(which, total, value, sampling), slopes)
+            noise = self._noise(which, total, value, sampling)
+            found = closure.mismatch_std(total.gram, noise, slopes, self._followed(which, total))
             out |= {name: std for name, std in found.items() if name not in out}
         return out
+
+    def _followed(self, which: str, total: Sums) -> float:
+        """What the filter's values of the time leave of the window's rows; infinite where too few were confronted."""
+        parts = [part for _, part in self._confronted[which]]
+        rows = sum(part.sums.rows for part in parts)
+        if rows < _CONFRONTED * total.rows:
+            return np.inf
+        return sum(part.square for part in parts) * total.rows / rows
 
     def unexplained_torque(self, value: Mapping[str, float], sampling: Sampling) -> float:
         """Intensity, (N·m)²·s, of a white torque that would leave of the shaft's balance what its best fit does."""

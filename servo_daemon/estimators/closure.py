@@ -64,7 +64,7 @@ def _structure(gram: F64, left: float, expected: float) -> float:
     return max(0.0, left - expected - _CLOSES**2 * float(gram[-1, -1]))
 
 
-def mismatch_std(gram: F64, expected: float, slopes: Mapping[str, F64]) -> dict[str, float]:
+def mismatch_std(gram: F64, expected: float, slopes: Mapping[str, F64], followed: float = np.inf) -> dict[str, float]:
     """By how much each coordinate may be off because the balance does not close: 1 σ, if all that its best fit leaves,
     beyond the noise, were an error along that parameter's own term.
 
@@ -72,10 +72,12 @@ def mismatch_std(gram: F64, expected: float, slopes: Mapping[str, F64]) -> dict[
         gram: of [Φ | y], shape (m + 1, m + 1).
         expected: how much of the fit's sum of squares noise explains.
         slopes: d residual / d coordinate, as weights on the columns.
+        followed: what the filter's values leave that it had when the rows came: a motor that ages within the window
+            closes its balance with those, and with no constant ones.
     """
     scale = _scale(gram)
     inverse = _inverse(gram, scale)
-    left = _structure(gram, _residual_square(gram, scale, inverse), expected)
+    left = _structure(gram, min(_residual_square(gram, scale, inverse), followed), expected)
     weights = np.abs(np.array(list(slopes.values()))[:, :-1])
     own = weights.argmax(axis=1)
     std = (np.sqrt(left * inverse.diagonal()) / scale)[own].tolist()

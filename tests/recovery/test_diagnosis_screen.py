@@ -16,7 +16,7 @@ from servo_daemon.estimators.output_error import Recording as Capture
 from servo_daemon.samples import SampleBlock, make_block
 from tests.recovery.generator import GEAR_MOTOR, LARGE_SERVO, PAPER, RE40, Motor, Recording, Scenario, generate, typical
 
-pytestmark = pytest.mark.usefixtures("generator_built")
+pytestmark = [pytest.mark.usefixtures("generator_built"), pytest.mark.slow]
 
 
 def _captured(motor: Motor, scenario: Scenario) -> tuple[Recording, SampleBlock]:

@@ -104,6 +104,7 @@ def fitted(name: str, motor: Motor) -> tuple[OutputErrorFit, dict[str, float]]:
     return fit_output_error([Recording(name, block)], model_of(capture), FitOptions(nominal=start)), true
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [n for n in LISTED if n not in NOT_FROM_THIS])
 def test_a_fit_recovers_it(name: str) -> None:
     """Noise, quantisation, hidden voltage and jitter; from values 20 % off. Within 4 σ or a few per cent."""
