@@ -49,7 +49,7 @@ def ours(block: SampleBlock) -> tuple[OutputErrorFit, float]:
     return fit, time.perf_counter() - began
 
 
-def with_scipy(block: SampleBlock, sigma: F64) -> tuple[dict[str, float], float, int]:
+def with_scipy(block: SampleBlock, sigma: F64, near_by: dict[str, float]) -> tuple[dict[str, float], float, int]:
     """`least_squares` around `solve_ivp`, the voltage looked up by index, derivatives by differences."""
     from scipy.integrate import solve_ivp
     from scipy.optimize import least_squares
@@ -70,10 +70,12 @@ def with_scipy(block: SampleBlock, sigma: F64) -> tuple[dict[str, float], float,
         y = solve_ivp(rates, (0.0, t[-1]), x[5:], t_eval=t, max_step=1e-3, rtol=1e-7, atol=1e-10).y
         return np.concatenate([(y[0] - i) / sigma[0], (y[2] - theta) / sigma[1]])
 
-    x0 = np.concatenate([np.log([START[n] for n in NAMES]), [i[0], 0.0, theta[0]]])
+    # In its favour: a start 2 % from the optimum. From START it takes more than a quarter of an hour.
+    near = np.log([near_by[n] for n in NAMES]) + 0.02 * np.array([1, -1, 1, -1, 1])
+    x0 = np.concatenate([near, [i[0], 0.0, theta[0]]])
     began = time.perf_counter()
     # Differences must be larger than the integrator's own noise: with the default step this ends 34 % off.
-    found = least_squares(residuals, x0, x_scale="jac", diff_step=1e-4)
+    found = least_squares(residuals, x0, x_scale="jac", diff_step=1e-4, ftol=1e-7, xtol=1e-7)
     return dict(zip(NAMES, np.exp(found.x[:5]), strict=True)), time.perf_counter() - began, calls
 
 
@@ -161,7 +163,7 @@ def main() -> None:
         f"{difference(mine, values):.1e}"
     )
     if not arguments.quick:
-        values, theirs, calls = with_scipy(block, sigma)
+        values, theirs, calls = with_scipy(block, sigma, mine)
         print(
             f"  SciPy          {theirs:8.2f} s   {theirs / seconds:6.0f} x   optimum differs by "
             f"{difference(mine, values):.1e}   ({calls} simulations)"
