@@ -18,7 +18,7 @@ from servo_daemon.estimators.output_error.solver import solve
 from servo_daemon.samples import make_block
 from tests.recovery.generator import GEAR_MOTOR, PAPER, RE40, Motor, Scenario, Sensors, generate
 
-pytestmark = pytest.mark.usefixtures("generator_built")
+pytestmark = [pytest.mark.usefixtures("generator_built"), pytest.mark.slow]
 NAMES = ("R", "L", "K", "J", "B")
 
 
