@@ -1,6 +1,6 @@
 """Output-error fits: ours, what a user would write with SciPy, and CasADi with IPOPT as its examples do it.
 
-    python benchmarks/identification.py             # all of it, about three minutes
+    python benchmarks/identification.py             # all of it: a quarter of an hour or more, all of it SciPy
     python benchmarks/identification.py --quick     # without the slow rival
 
 The capture is from the independent generator of the tests: the paper's motor, multisine, laboratory sensors without
@@ -149,7 +149,7 @@ def timed(function: Callable[[], OutputErrorFit]) -> tuple[OutputErrorFit, float
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="without solve_ivp, which takes minutes")
+    parser.add_argument("--quick", action="store_true", help="without solve_ivp, which takes a quarter of an hour")
     arguments = parser.parse_args()
     block = recording(10.0)
     fit, seconds = ours(block)
