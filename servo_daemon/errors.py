@@ -27,6 +27,31 @@ class TuningError(BadInputError):
     """Gains cannot be found: something they need is not known, or what was asked for is out of reach."""
 
 
+class ModelError(BadInputError):
+    """A drive cannot have the model that was asked for.
+
+    Attributes:
+        where: what is wrong: `effects`, `effects.1`, `parameters.Tc`.
+        known: names that would be right, if that is what is wrong.
+    """
+
+    def __init__(self, where: str, text: str, known: tuple[str, ...] = ()) -> None:
+        super().__init__(text)
+        self.where, self.known = where, known
+
+
+class DiagnosisError(ServoDaemonError):
+    """A diagnosis of a running drive came to nothing; the text says why."""
+
+
+class BusyError(ServoDaemonError):
+    """What was asked for cannot be begun now; the text says why, and a later attempt may succeed."""
+
+
+class RefusedError(ServoDaemonError):
+    """What was asked for is switched off by the configuration."""
+
+
 class DriverError(ServoDaemonError):
     """Base of everything a driver raises."""
 

@@ -18,6 +18,7 @@ import shutil
 import subprocess
 import tempfile
 import threading
+from collections import defaultdict
 from functools import cache
 from pathlib import Path
 
@@ -49,7 +50,8 @@ int servo_daemon_loop(long long n, double* state, const double* constants, const
   return 0;
 }
 """
-_build_lock = threading.Lock()
+#: One for each function: threads that need the same code wait for it, others compile beside them.
+_build_locks: defaultdict[Path, threading.Lock] = defaultdict(threading.Lock)
 
 
 def find_compiler() -> str | None:
@@ -114,7 +116,7 @@ def _compile(function: ca.Function, compiler: str) -> ctypes.CDLL:
     flags = (*_FLAGS, *(_LONG_FLAGS if len(source) > _LONG_SOURCE else ()))
     key = "\n".join((source, compiler, _compiler_version(compiler), " ".join(flags), platform.machine()))
     path = cache_directory() / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
-    with _build_lock:
+    with _build_locks[path]:
         if path.exists():
             try:
                 return ctypes.CDLL(str(path))
@@ -127,6 +129,14 @@ def _compile(function: ca.Function, compiler: str) -> ctypes.CDLL:
             subprocess.run(command, check=True, capture_output=True, text=True, timeout=120)
             so_file.replace(path)
         return ctypes.CDLL(str(path))
+
+
+def _dense(function: ca.Function) -> ca.Function:
+    """The same with every element of its results stored: the buffers have a place for all of them."""
+    if all(function.nnz_out(k) == function.numel_out(k) for k in range(function.n_out())):
+        return function
+    arguments = [ca.SX.sym(f"a{k}", function.numel_in(k)) for k in range(function.n_in())]
+    return ca.Function("step", arguments, [ca.densify(result) for result in function(*arguments)])
 
 
 class SampleLoop:
@@ -146,6 +156,7 @@ class SampleLoop:
     def __init__(self, function: ca.Function, *, compiled: bool = True) -> None:
         if function.name() != "step":  # the loop in C calls it by this name
             raise ValueError(f'the function must be named "step", not {function.name()!r}')
+        function = _dense(function)
         self._function = function
         self._n_state, self._n_constants = function.numel_in(0), function.numel_in(1)
         self._n_sample, self._n_output = function.numel_in(2), function.numel_out(1)

@@ -38,15 +38,26 @@ def linear_core(drive: Drive, x: ca.SX, p: Mapping[str, ca.SX], h: ca.SX) -> Cor
     return _mechanical_core(x, p, h, p["K"] if drive == "current" else ca.SX(1))
 
 
-def _voltage_core(x: ca.SX, p: Mapping[str, ca.SX], h: ca.SX) -> Core:
-    """(i, ω, θ) by the 2 × 2 exponential; A and b are derivatives of the balances, not written again."""
+def homogeneous(drive: Drive, p: Mapping[str, ca.SX]) -> ca.SX:
+    """A of (i, ω)' = A (i, ω) + …, shape (2, 2), 1/s; without a voltage the current is no state: its row is 0."""
+    A, _ = _electromechanical(p)
+    return A if drive == "voltage" else ca.diag(ca.vertcat(0, A[1, 1]))
+
+
+def _electromechanical(p: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
+    """A and B of (i, ω)' = A (i, ω) + B (v, τ): derivatives of the balances, not written again."""
     i, omega, v, tau = (ca.SX.sym(n) for n in ("i", "omega", "v", "tau"))
     rates = ca.vertcat(
         equations.current_rate(v, i, omega, p["R"], p["L"], p["K"]),
         equations.speed_rate(i, omega, tau, p["K"], p["J"], p["B"]),
     )
-    Z = ca.jacobian(rates, ca.vertcat(i, omega)) * h
-    b = ca.jacobian(rates, ca.vertcat(v, tau)) * h
+    return ca.jacobian(rates, ca.vertcat(i, omega)), ca.jacobian(rates, ca.vertcat(v, tau))
+
+
+def _voltage_core(x: ca.SX, p: Mapping[str, ca.SX], h: ca.SX) -> Core:
+    """(i, ω, θ) by the 2 × 2 exponential."""
+    A, B = _electromechanical(p)
+    Z, b = A * h, B * h
     exp, phi1, phi2 = flow.phi_matrix(Z)
     electromechanical = x[:2]
     free = ca.vertcat(flow.apply(exp, Z, electromechanical), x[2] + h * flow.apply(phi1, Z, electromechanical)[1])

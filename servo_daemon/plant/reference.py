@@ -79,8 +79,6 @@ class _Twin:
                 extra |= {"J_l": float(term.shaft.J_l), "k_s": float(term.shaft.k_s), "c_s": float(term.shaft.c_s)}
                 extra["edge"] = 0.0 if term.shaft.gap is None else float(term.shaft.gap) / 2
             extra |= {} if term.lag_s is None else {"lag_s": float(term.lag_s)}
-            if term.delay is not None:
-                extra |= {"t_d": float(term.delay.seconds), "channel": float(term.delay.channel)}
         forward, backward = levels * total["factor_dry"]
         return total | rates | extra | {"dry_forward": forward, "dry_backward": backward}
 
@@ -216,17 +214,14 @@ class _Twin:
         common = x[1] - share * z[0]
         return np.array([x[0], common + share * end[0], x[2] + half * common + share * (end[1] - z[1])]), end
 
-    def late(self, path: list[F64], t: float, h: float, terms: Mapping[str, float]) -> F64:
-        """The states of a late sensor after the step."""
-        places = self.places(LATE)
-        whole = int(np.floor(min(terms["t_d"] / h, 7 - 0.06) + 0.03))
-        until = h - (min(terms["t_d"] / h, 7 - 0.06) - whole) * h
-        part = h / (len(path) - 1)
-        k = min(int(until / part), len(path) - 2)
-        found = self.substep(path[k], t + k * part, max(until - k * part, 1e-9))
-        row = (0, 2, 1)[round(terms["channel"])]
-        values = np.r_[found[row], path[0][places[1:-1]] + path[0][row]]
-        return np.asarray(np.r_[values[whole], values] - path[-1][row])
+    def late(self, x: F64, after: F64, h: float) -> F64:
+        """The states of a late sensor after the step: changes, other changes and lengths of the last ones, the newest
+        first."""
+        channel = round(self.p["channel"])
+        moved = after - x
+        before = x[self.places(LATE)].reshape(3, -1)
+        newest = np.array([moved[[0, 2, 1][channel]], moved[[1, 1, 0][channel]], h])
+        return np.column_stack([newest, before[:, :-1]]).ravel()
 
 
 def reference_step(model: PlantModel, x: F64, u: float, p: F64, t: float, h: float) -> F64:
@@ -238,8 +233,7 @@ def reference_step(model: PlantModel, x: F64, u: float, p: F64, t: float, h: flo
         path.append(twin.substep(path[-1], t + k * h / parts, h / parts))
     if "measurement_delay" in model.effects:
         path[-1] = path[-1].copy()
-        late = twin.late(path, t, h, twin.terms(path[0], t, h))
-        path[-1][twin.places(LATE)] = late
+        path[-1][twin.places(LATE)] = twin.late(path[0], path[-1], h)
     return path[-1]
 
 

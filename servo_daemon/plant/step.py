@@ -19,11 +19,11 @@ from dataclasses import dataclass, replace
 import casadi as ca
 
 from servo_daemon.plant import flow
-from servo_daemon.plant.core import Core, Drive, linear_core
-from servo_daemon.plant.delay import SHORTEST_S, next_late, rest_of_step
+from servo_daemon.plant.core import Core, Drive, homogeneous, linear_core
+from servo_daemon.plant.delay import Step, behind, kept, with_newest
 from servo_daemon.plant.dry import dry_levels, friction_over_step
 from servo_daemon.plant.effects import Effect, Signals, State, Terms
-from servo_daemon.plant.effects.base import LAGGED, LATE, TWIST, Delay
+from servo_daemon.plant.effects.base import LAGGED, LATE, LATE_STEPS, TWIST, Delay
 from servo_daemon.plant.shaft import TwoInertias, after_second_half, standing
 
 #: Passes over blocked current and sticking shaft, where both may be: each moves the other by K² h²/(4 J L) at most.
@@ -82,17 +82,19 @@ class StepBuilder:
 
     def step(self, x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX) -> tuple[ca.SX, ca.SX]:
         """x after the step, and its derivatives by input and load torque, shape (n, 2)."""
+        after, gain = self._parts(x, u, t, h)
+        delay = _delay(self.terms(x, u, t, h))
+        return (after, gain) if delay is None else self._keep_step(x, after, gain, delay, h)
+
+    def _parts(self, x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX) -> tuple[ca.SX, ca.SX]:
         parts = max((effect.substeps for effect in self.effects), default=1)
-        if parts == 1 and not self._places(LATE):
+        if parts == 1:
             return self._substep(x, u, t, h)
-        path, gains, length = [x], [], h / parts
+        after, gains, length = x, [], h / parts
         substep = self._substep_function()
         for k in range(parts):
-            after, gain = substep(path[-1], u, t + k * length, length, self._parameters())
-            path.append(after)
+            after, gain = substep(after, u, t + k * length, length, self._parameters())
             gains.append(gain)
-        late = self._late(path, u, t, h, substep)
-        after = ca.vertcat(*[late.get(k, value) for k, value in enumerate(ca.vertsplit(path[-1]))])
         # What an input does over the whole step, but for the motion that the first parts' share makes in the later ones
         # (of a torque: the angle), which counts as if it were the middle's.
         return after, sum(gains[1:], start=gains[0])
@@ -250,32 +252,17 @@ class StepBuilder:
             updates.append(at[k] + h * phi1 * rates[state.name])
         return ca.substitute(ca.vertcat(*updates), at, x) if updates else ca.SX(0, 1)
 
-    def _late(self, path: Sequence[ca.SX], u: ca.SX, t: ca.SX, h: ca.SX, substep: ca.Function) -> dict[int, ca.SX]:
-        """The states of a late sensor, by their places.
-
-        Args:
-            path: states at the beginning of the step and after each of its parts.
-        """
-        places = self._places(LATE)
-        delay = _delay(self.terms(path[0], u, t, h))
-        if delay is None:
-            return {}
-        whole, rest = rest_of_step(delay, h, len(places) - 1)
-        length = h / (len(path) - 1)
-        begin, since = path[0], ca.SX(0)
-        for k in range(1, len(path) - 1):
-            later = h - rest >= k * length
-            begin, since = ca.if_else(later, path[k], begin), ca.if_else(later, k * length, since)
-        between = ca.fmax(h - rest - since, SHORTEST_S)
-        found, _ = substep(begin, u, t + since, between, self._parameters())
-        values = next_late(path[0][places], whole, *(self._channel(delay, x) for x in (path[0], path[-1], found)))
-        return dict(zip(places, ca.vertsplit(values), strict=True))
-
-    def _channel(self, delay: Delay, x: ca.SX) -> ca.SX:
-        """The late channel's value: 0 current, 1 angle, 2 speed."""
-        n = self.core_states
-        current = x[0] if self.drive == "voltage" else ca.SX(0)
-        return ca.if_else(delay.channel < 0.5, current, ca.if_else(delay.channel < 1.5, x[n - 1], x[n - 2]))
+    def _keep_step(self, x: ca.SX, after: ca.SX, gain: ca.SX, delay: Delay, h: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """States after the step with what a late channel did in it, and what input and load do to all of them."""
+        n, places = self.core_states, self._places(LATE)
+        after, gain = ca.SX(after), ca.SX(gain)
+        moved = ca.horzcat(after[:n] - x[:n], gain[:n, :])
+        current = moved[0, :] if self.drive == "voltage" else ca.SX.zeros(1, 3)
+        speed, angle = moved[n - 2, :], moved[n - 1, :]
+        change, other = _of_channel(delay, current, angle, speed), _of_channel(delay, speed, speed, current)
+        after[places] = with_newest(x[places], Step(change[0], other[0], h))
+        gain[places[0], :], gain[places[LATE_STEPS], :] = change[1:], other[1:]
+        return after, gain
 
     def sensed(self, x: ca.SX, t: ca.SX) -> ca.SX:
         """(current_A, velocity_rad_s, position_rad) as the sensors show them."""
@@ -283,9 +270,12 @@ class StepBuilder:
         none = ca.SX(0)
         delay = _delay(self.terms(x, none, t, none))
         if delay is not None:
-            behind = x[self._places(LATE)[0]]
-            chosen = [delay.channel < 0.5, delay.channel > 1.5, ca.fabs(delay.channel - 1) <= 0.5][3 - n :]
-            x = ca.vertcat(x[:n] + ca.vertcat(*[ca.if_else(c, behind, 0) for c in chosen]), x[n:])
+            late = behind(kept(x[self._places(LATE)]), delay.seconds, x[n - 2], homogeneous(self.drive, self.p))
+            only = [
+                _of_channel(delay, *(value if k == which else none for k, value in enumerate(late)))
+                for which in range(3)
+            ]
+            x = ca.vertcat(x[:n] + ca.vertcat(only[0], only[2], only[1])[3 - n :], x[n:])
         shown = {
             "current_A": x[0] if self.drive == "voltage" else ca.SX(0),
             "velocity_rad_s": x[n - 2],
@@ -296,6 +286,11 @@ class StepBuilder:
                 if name in shown:
                     shown[name] = shown[name] + error
         return ca.vertcat(*shown.values())
+
+
+def _of_channel(delay: Delay, current: ca.SX, angle: ca.SX, speed: ca.SX) -> ca.SX:
+    """That of the late channel: 0 current, 1 angle, 2 speed."""
+    return ca.if_else(delay.channel < 0.5, current, ca.if_else(delay.channel < 1.5, angle, speed))
 
 
 def _delay(terms: Sequence[Terms]) -> Delay | None:

@@ -63,8 +63,15 @@ class Delay:
 TWIST = (State("twist_rate_rad_s", "rad/s", 0.0, 1.0), State("twist_rad", "rad", 0.0, 0.1))
 #: States of `Terms.lag_s`: the input as it has followed.
 LAGGED = State("lagged_input", "", 0.0, 10.0)
-#: States of `Delay`: what the late channel showed this many samples before, less what it shows now.
-LATE = tuple(State(f"late_{k}", "", 0.0, 1.0) for k in range(8))
+#: How many steps back a late sensor goes.
+LATE_STEPS = 7
+#: States of `Delay`, of each of the last steps, the newest first: how much the late channel changed, how much another
+#: one did, and the step's length (0: not known yet). Lengths are no estimates: at that scale no filter moves them.
+LATE = (
+    *(State(f"late_change_{k}", "", 0.0, 1.0) for k in range(LATE_STEPS)),
+    *(State(f"late_other_{k}", "", 0.0, 1.0) for k in range(LATE_STEPS)),
+    *(State(f"late_length_{k}", "s", 0.0, 1e-12) for k in range(LATE_STEPS)),
+)
 
 
 @dataclass(frozen=True, slots=True)
