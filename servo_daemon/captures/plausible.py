@@ -1,4 +1,8 @@
-"""What a capture's numbers say about its units: a motor of 4,000 A is more often one of 4 A in milliamperes."""
+"""What a capture's numbers say about its units: a motor of 4,000 A is more often one of 4 A in milliamperes.
+
+Downwards less can be told. In kiloamperes a motor is one of a thousandth of its size in every respect that a capture
+shows (R, L, 1/J and 1/B all a thousandfold), and there are such motors: only what none can be is remarked upon.
+"""
 
 from __future__ import annotations
 
@@ -21,19 +25,23 @@ _STILL = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class _Range:
-    """Of the 99th percentile of the modulus; beyond it the hint is given."""
+    """Of the 99th percentile of the modulus; beyond `largest`, or below `smallest`, the hint is given."""
 
-    channel: str
     column: str
     largest: float
     hint: str
+    smallest: float = 0.0
+    hint_small: str = ""
 
 
+#: The smallest motors (3 mm, 1.5 V) run without load at 0.1 V and, wound for 24 V, at a milliampere.
 _RANGES = (
-    _Range("voltage_V", "voltage_V", 1500.0, "is it in millivolts?"),
-    _Range("current_A", "current_A", 1000.0, "is it in milliamperes?"),
-    _Range("velocity_rad_s", "velocity_rad_s", 12000.0, "is it in rpm, degrees or counts a second?"),
+    _Range("voltage_V", 1500.0, "is it in millivolts?", 0.05, "is it in kilovolts, or a duty cycle?"),
+    _Range("current_A", 1000.0, "is it in milliamperes?", 3e-4, "is it in kiloamperes?"),
+    _Range("velocity_rad_s", 12000.0, "is it in rpm, degrees or counts a second?"),
 )
+#: Resistances that windings have, Ω, with a factor of three to spare: starter motors 3 mΩ, millimetre motors 1 kΩ.
+_LEAST_R, _MOST_R = 1e-3, 3e3
 #: Fastest a shaft turns, rad/s (115,000 rpm): an angle that runs faster is in degrees or counts.
 _FASTEST_SHAFT = 12000.0
 
@@ -63,21 +71,25 @@ def check_time_unit(capture: Capture) -> None:
 
 def plausibility_notes(capture: Capture) -> tuple[str, ...]:
     """What should be checked before the result is believed, one sentence each; empty where nothing is odd."""
-    notes = [n for r in _RANGES if (n := _too_large(r, getattr(capture, r.channel))) is not None]
+    notes = [n for r in _RANGES if (n := _out_of_range(r, getattr(capture, r.column))) is not None]
     if capture.position_rad is not None and capture.axis == "rotary":
         speed = np.diff(capture.position_rad) / np.diff(capture.time_s)
         fast = float(np.percentile(np.abs(speed), 90.0))
         if fast > _FASTEST_SHAFT:
             notes.append(f"column position_rad moves at {fast:,.0f} rad/s: is it in degrees or counts?")
-    notes += [*_still(capture), *_turned(capture)]
+    notes += [*_still(capture), *_balance(capture)]
     return tuple(notes)
 
 
-def _too_large(limits: _Range, values: F64 | None) -> str | None:
+def _out_of_range(limits: _Range, values: F64 | None) -> str | None:
     if values is None:
         return None
     size = float(np.percentile(np.abs(values), 99.0))
-    return f"column {limits.column} reaches {size:,.0f}: {limits.hint}" if size > limits.largest else None
+    if size > limits.largest:
+        return f"column {limits.column} reaches {size:,.0f}: {limits.hint}"
+    if 0.0 < size < limits.smallest:
+        return f"column {limits.column} reaches no more than {size:.2g}: {limits.hint_small}"
+    return None
 
 
 def _still(capture: Capture) -> list[str]:
@@ -90,8 +102,8 @@ def _still(capture: Capture) -> list[str]:
     return notes
 
 
-def _turned(capture: Capture) -> list[str]:
-    """Signs that do not fit together: v = R i + K ω has positive coefficients."""
+def _balance(capture: Capture) -> list[str]:
+    """Signs and sizes that do not fit together: v = R i + K ω has positive coefficients, and R is that of a winding."""
     v, i, x = capture.voltage_V, capture.current_A, capture.position_rad
     if v is None or i is None or (x is None and capture.velocity_rad_s is None):
         return []
@@ -112,8 +124,14 @@ def _turned(capture: Capture) -> list[str]:
     left = float(np.mean((mean_v - A @ found) ** 2))
     std = np.sqrt(left * np.diag(np.linalg.inv(A.T @ A)))
     names = ("current_A", "position_rad" if x is not None else "velocity_rad_s")
-    return [
+    notes = [
         f"column {name} counts against voltage_V (v = R i + K ω has {symbol} = {value:.3g}): is its sign turned?"
         for name, symbol, value, s in zip(names, ("R", "K"), found, std, strict=True)
         if value < -_SIGMA * s
     ]
+    R, spread = float(found[0]), float(std[0])
+    if R - _SIGMA * spread > _MOST_R:
+        notes.append(f"voltage_V over current_A is {R:,.0f} Ω: is a current in kA, or a voltage in mV?")
+    elif 0.0 < R + _SIGMA * spread < _LEAST_R:
+        notes.append(f"voltage_V over current_A is {R:.1g} Ω: is a current in mA, or a voltage in kV?")
+    return notes

@@ -16,9 +16,11 @@ from typing import TYPE_CHECKING, Any
 from tqdm import tqdm
 
 from servo_daemon.config import DriveConfig, load_config
+from servo_daemon.errors import BadInputError
 from servo_daemon.service.snapshot import ParameterEstimate
 
 if TYPE_CHECKING:
+    from drivers.base import DriveInfo
     from servo_daemon.captures import Capture
 
 
@@ -30,6 +32,40 @@ def add_config(parser: argparse.ArgumentParser, *, required: bool = False, drive
     parser.add_argument("--config", type=Path, required=required, metavar="FILE", help="TOML configuration")
     if drive:
         parser.add_argument("--drive", metavar="NAME", help="which drive of the config (default: the first)")
+
+
+def add_fix(parser: argparse.ArgumentParser, meaning: str) -> None:
+    """`--fix`, whose texts go to `parse_fix` joined by commas."""
+    parser.add_argument("--fix", action="append", default=[], metavar="P=v,…", help=meaning)
+
+
+def parse_fix(text: str) -> dict[str, float]:
+    """'R=3.57,K=0.046' as numbers within the parameters' bounds.
+
+    Raises:
+        BadInputError: not of that form, unknown parameter, given twice, impossible value.
+    """
+    from servo_daemon.plant.effects import parameter_table
+
+    table, values = parameter_table(), dict[str, float]()
+    for part in filter(None, (p.strip() for p in text.split(","))):
+        name, equals, number = (s.strip() for s in part.partition("="))
+        if not equals:
+            raise BadInputError(f"--fix: {part!r} is not of the form R=3.57")
+        if name not in table:
+            what = "R, L, K, J, B and the effects' parameters are known"
+            raise BadInputError(f"--fix: unknown parameter in {part!r}: there is no parameter {name!r}; {what}")
+        if name in values:
+            raise BadInputError(f"--fix: {name} is given twice")
+        try:
+            value = float(number)
+        except ValueError:
+            raise BadInputError(f"--fix: {part!r}: {number!r} is not a number") from None
+        p = table[name]
+        if not p.lower <= value <= p.upper:  # which a NaN is not
+            raise BadInputError(f"--fix: {name} = {number} {p.unit} is outside {p.lower:g} .. {p.upper:g}")
+        values[name] = value
+    return values
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
@@ -59,6 +95,18 @@ def read_captures(paths: Sequence[Path], arguments: argparse.Namespace) -> tuple
         for text in capture.notes:
             note(f"{capture.path}: {text}")
     return captures
+
+
+def capture_info(capture: Capture) -> DriveInfo:
+    """A capture as the pipeline knows a drive."""
+    from drivers.base import DriveInfo
+
+    return DriveInfo(
+        identity="capture",
+        sample_period_s=capture.sample_period_s,
+        counts_per_rev=capture.counts_per_rev if capture.axis == "rotary" else None,
+        channels=capture.channels,
+    )
 
 
 def offline_drive(arguments: argparse.Namespace) -> DriveConfig:

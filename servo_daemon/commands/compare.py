@@ -9,10 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 from servo_daemon.commands import common
 from servo_daemon.commands.fit import add_model
+from servo_daemon.learning import QUICK_MOTORS
 
 if TYPE_CHECKING:
+    from servo_daemon.config import DriveConfig
     from servo_daemon.identification.compare import Comparison
+    from servo_daemon.identification.learned import ModelFor
     from servo_daemon.identification.paper import PaperRedone
+    from servo_daemon.learning.drawing import TrainingSpec
+    from servo_daemon.learning.model import LearnedModel
 
 HELP = "the paper's three methods side by side, on a capture or on the paper's own numbers"
 EXAMPLE = """  servo-daemon compare capture.csv --assumed-R 0.5
@@ -31,6 +36,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         metavar="OHM",
         help=f"R for method 1, which cannot find it (the config's nominal R, else the paper's {PAPER_R})",
+    )
+    parser.add_argument(
+        "--motors",
+        type=int,
+        default=QUICK_MOTORS,
+        metavar="N",
+        help="simulated motors that method 3 is trained on, unless a model of as many is kept from before "
+        f"({QUICK_MOTORS}: some seconds; 0: leave method 3 out)",
     )
     add_model(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="write compare.json and report.html there")
@@ -51,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.assumed_R is not None and not arguments.assumed_R > 0.0:
         raise BadInputError(f"--assumed-R must be greater than zero, not {arguments.assumed_R:g}")
     if arguments.out is not None:
-        OutputFolder(arguments.out)  # what cannot be written should not be computed first
+        OutputFolder(arguments.out).check_writable()  # what cannot be written should not be computed first
     document: dict[str, Any] = {}
     paper = redo() if arguments.paper else None
     if paper is not None:
@@ -70,24 +83,49 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _compare(arguments: argparse.Namespace) -> Comparison:
     from servo_daemon.commands.fit_inputs import gather
-    from servo_daemon.estimators.coefficients import redo_paper
+    from servo_daemon.errors import BadInputError
     from servo_daemon.estimators.output_error import FitOptions
     from servo_daemon.identification.compare import compare_methods
-    from servo_daemon.identification.position_test import product_for
 
+    if arguments.motors < 0:
+        raise BadInputError(f"--motors must not be negative, not {arguments.motors}")
     inputs = gather(arguments, [arguments.capture])
     for text in inputs.notes:
         common.note(text)
     R = arguments.assumed_R or inputs.fixed.get("R") or inputs.nominal.get("R") or PAPER_R
-    first = redo_paper().values
-    product = product_for({"R": first["R"], "L": first["L"], "K": first["K"], "J": first["J"], "B": first["D"]})
     return compare_methods(
         inputs.captures[0],
         assumed_R=R,
         effects=inputs.effects,
         options=FitOptions(nominal=inputs.nominal, fixed=inputs.fixed),
-        product_V_rad=product,
+        model_for=_model_for(arguments.motors, _own_spec(arguments, inputs.drive)) if arguments.motors else None,
     )
+
+
+def _own_spec(arguments: argparse.Namespace, drive: DriveConfig) -> TrainingSpec | None:
+    """What `servo-daemon train` would train for the drive of the config; None without a config or a whole datasheet."""
+    from servo_daemon.commands.train import drive_spec
+    from servo_daemon.errors import ConfigError
+
+    try:
+        return None if arguments.config is None else drive_spec(drive)
+    except ConfigError:
+        return None
+
+
+def _model_for(motors: int, own: TrainingSpec | None) -> ModelFor:
+    """A kept model, or one trained now, with a progress bar."""
+    from servo_daemon.commands.train import train_with_bar
+    from servo_daemon.learning.cache import obtain_model
+    from servo_daemon.learning.run import Job
+
+    def find(spec: TrainingSpec) -> tuple[LearnedModel, str]:
+        model, trained = obtain_model(spec, motors, lambda: train_with_bar(spec, Job(motors)), own)
+        took = model.facts["simulation_s"] + model.facts["seconds"]
+        now = f"trained now, in {took:.0f} s, and kept" if trained else "trained before"
+        return model, f"{now}: {model.facts['motors_drawn']} simulated motors, {len(model.kept)} features"
+
+    return find
 
 
 def _write(

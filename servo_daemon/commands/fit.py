@@ -23,21 +23,7 @@ EXAMPLE = """  servo-daemon fit capture.csv
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("captures", type=Path, nargs="+", metavar="CAPTURE", help=common.CAPTURE_HELP)
     add_model(parser)
-    parser.add_argument(
-        "--validate",
-        type=Path,
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="C",
-        help="captures that are only scored",
-    )
-    parser.add_argument(
-        "--adapt",
-        type=float,
-        metavar="SHARE",
-        help="let friction and offsets settle on this first share of each validation capture, score the rest (0.3)",
-    )
+    add_validation(parser)
     parser.add_argument(
         "--method", choices=("output-error", "idim"), default="output-error", help="default: output-error"
     )
@@ -60,36 +46,44 @@ def add_model(parser: argparse.ArgumentParser) -> None:
         metavar="NAME[:k=v,…]",
         help="an effect beside the config's model, with start values; repeatable",
     )
+    common.add_fix(parser, "parameters held at a value, e.g. R=3.57,K=0.046; repeatable")
+
+
+def add_validation(parser: argparse.ArgumentParser) -> None:
+    """`--validate` and `--adapt`."""
     parser.add_argument(
-        "--fix",
-        action="append",
+        "--validate",
+        type=Path,
+        nargs="+",
+        action="extend",
         default=[],
-        metavar="P=v,…",
-        help="parameters held at a value, e.g. R=3.57,K=0.046; repeatable",
+        metavar="C",
+        help="captures that are only scored",
+    )
+    parser.add_argument(
+        "--adapt",
+        type=float,
+        metavar="SHARE",
+        help="let friction and offsets settle on this first share of each validation capture, score the rest (0.3)",
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
     from servo_daemon.commands.fit_document import fit_document
-    from servo_daemon.commands.fit_inputs import gather, unused_fixed
-    from servo_daemon.commands.fit_notes import result_notes
+    from servo_daemon.commands.fit_inputs import check_validation, gather
+    from servo_daemon.commands.fit_notes import drift_note, result_notes
     from servo_daemon.commands.fit_text import print_fit
     from servo_daemon.commands.output_folder import OutputFolder
     from servo_daemon.errors import BadInputError
     from servo_daemon.estimators.output_error import FitOptions
     from servo_daemon.identification import IdentifyOptions, identify
 
-    if arguments.adapt is not None and not 0.0 < arguments.adapt < 1.0:
-        raise BadInputError(f"--adapt must lie between 0 and 1, not {arguments.adapt:g}")
-    if arguments.adapt is not None and not arguments.validate:
-        raise BadInputError("--adapt needs a --validate capture to adapt to")
     if arguments.segment is not None and not arguments.segment > 0.0:
         raise BadInputError(f"--segment must be greater than zero, not {arguments.segment:g}")
     if arguments.out is not None:
-        OutputFolder(arguments.out)  # what cannot be written should not be computed first
+        OutputFolder(arguments.out).check_writable()  # what cannot be written should not be computed first
     inputs = gather(arguments, arguments.captures, arguments.validate)
-    if lost := unused_fixed(inputs.fixed, inputs.effects):
-        raise BadInputError(f"--fix: the model has no parameter {', '.join(lost)}")
+    check_validation(inputs, arguments.adapt)
     for text in inputs.notes:
         common.note(text)
     if arguments.method == "idim":
@@ -100,10 +94,12 @@ def run(arguments: argparse.Namespace) -> int:
     result = identify(
         inputs.captures, inputs.validation, IdentifyOptions(inputs.effects, inputs.baseline, options, arguments.adapt)
     )
-    notes = [*inputs.notes, *result_notes(result.fit, inputs.nominal)]
-    for text in notes[len(inputs.notes) :]:
+    found = result_notes(result.fit, {**inputs.nominal, **inputs.fixed})
+    if result.drift is not None:
+        found.append(drift_note(result.drift, result.fit, linear=result.captures[0].axis == "linear"))
+    for text in found:
         common.note(text)
-    document = {**fit_document(result), "notes": notes}
+    document = {**fit_document(result), "notes": [*inputs.notes, *found]}
     if arguments.out is not None:
         _write(arguments, result, document)
     if arguments.json:

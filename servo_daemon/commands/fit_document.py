@@ -9,6 +9,7 @@ import numpy as np
 
 from servo_daemon.commands.units import shown_column, shown_unit
 from servo_daemon.estimators.output_error import FittedParameter, OutputErrorFit
+from servo_daemon.estimators.output_error.combinations import Combination
 from servo_daemon.estimators.output_error.information import NullDirection
 from servo_daemon.estimators.output_error.score import Score
 from servo_daemon.identification import Identification, Validation
@@ -27,10 +28,7 @@ def fit_document(result: Identification) -> dict[str, Any]:
         "offsets": [{name: parameter_row(p, linear=linear) for name, p in o.items()} for o in fit.offsets],
         "correlation": {name: dict(row) for name, row in fit.correlation.items()},
         "null_directions": [null_row(d) for d in fit.null_directions],
-        "combinations": [
-            {"expression": c.expression, "value": c.value, "std": c.std, "unit": shown_unit(c.unit, linear=linear)}
-            for c in fit.combinations
-        ],
+        "combinations": [combination_row(c, linear=linear) for c in fit.combinations],
         "before": {"null_directions": [null_row(d) for d in fit.before.null]},
         "iterations": iteration_rows(fit),
         "converged": fit.solution.converged,
@@ -50,6 +48,11 @@ def parameter_row(p: FittedParameter, *, linear: bool) -> dict[str, Any]:
         "at_bound": p.at_bound,
         "status": p.status,
     }
+
+
+def combination_row(c: Combination, *, linear: bool) -> dict[str, Any]:
+    """What is determined of parameters that are not."""
+    return {"expression": c.expression, "value": c.value, "std": c.std, "unit": shown_unit(c.unit, linear=linear)}
 
 
 def null_row(direction: NullDirection) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import numpy as np
 from servo_daemon.captures import Capture
 from servo_daemon.commands.fit_document import score_row
 from servo_daemon.commands.fit_inputs import Inputs
+from servo_daemon.estimators.base import to_coordinate
 from servo_daemon.estimators.estimate import Estimate
 from servo_daemon.estimators.inverse_dynamics import InverseDynamics, identify_inverse_dynamics
 from servo_daemon.estimators.output_error.score import score
@@ -102,6 +103,6 @@ def _validation(capture: Capture, rows: Mapping[str, Mapping[str, Any]], effects
     out: dict[str, Any] = {"capture": str(capture.path), "baseline": None, "extended": None, "adapted": None}
     if any(values.get(p.name) is None for p in plant.parameters):
         return out
-    q = np.array([np.log(values[p.name]) if p.transform == "log" else values[p.name] for p in plant.parameters])
+    q = np.array([to_coordinate(p, values[p.name]) for p in plant.parameters])
     scores = score_row(score(capture.block(), plant, q), linear=capture.axis == "linear")
     return out | {"extended" if effects else "baseline": scores}

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from servo_daemon.captures import Capture
+from servo_daemon.captures.model import capture_error
 from servo_daemon.captures.plausible import check_time_unit, plausibility_notes
 from servo_daemon.commands import common
 from servo_daemon.config import DriveConfig
 from servo_daemon.errors import BadInputError
-from servo_daemon.estimators.output_error.setup import choose_signals
-from servo_daemon.plant.effects import effects_by_name, parameter_table
+from servo_daemon.estimators.output_error.setup import FEWEST_SAMPLES, choose_signals
+from servo_daemon.identification.validate import check_input, check_share
+from servo_daemon.plant.effects import effects_by_name
+from servo_daemon.plant.parameters import LINEAR
 from servo_daemon.simulate.settings import parse_effect, with_harmonics
 
 #: m/s², standard acceleration of gravity (CGPM 1901).
@@ -46,11 +48,18 @@ class Inputs:
     notes: tuple[str, ...]
 
 
-def gather(arguments: argparse.Namespace, paths: Sequence[Path], validation_paths: Sequence[Path] = ()) -> Inputs:
+def gather(
+    arguments: argparse.Namespace,
+    paths: Sequence[Path],
+    validation_paths: Sequence[Path] = (),
+    *,
+    searches: bool = False,
+) -> Inputs:
     """Read and check everything the command line names.
 
     Args:
         paths, validation_paths: captures to be fitted, and only to be scored.
+        searches: effects are looked for: what is known of one that the model lacks holds if it is found.
 
     Raises:
         BadInputError: a file, the config or a flag is wrong; one line naming it.
@@ -59,19 +68,53 @@ def gather(arguments: argparse.Namespace, paths: Sequence[Path], validation_path
     captures = common.read_captures(paths, arguments)
     validation = common.read_captures(validation_paths, arguments)
     for capture in (*captures, *validation):
+        check_length(capture)
         check_time_unit(capture)
+    for capture in captures:
+        if len(capture) < FEWEST_SAMPLES:
+            text = f"{len(capture)} samples are too few: at least {FEWEST_SAMPLES} without a long gap are needed"
+            raise BadInputError(f"{capture.path}: {text}")
     _same_axis((*captures, *validation))
     lost = _unused_channels(captures)
     effects, starts = model_effects(drive, arguments.effect)
-    fixed = fixed_values(",".join(arguments.fix))
+    fixed = common.parse_fix(",".join(arguments.fix))
+    _check_fixed(fixed, effects)
     notes = [f"{c.path}: {text}" for c in (*captures, *validation) for text in plausibility_notes(c)]
     notes += lost
     weight = known_weight(drive, captures[0])
-    if "gravity_load" in effects and weight is not None and "Tg" not in fixed:
+    if (searches or "gravity_load" in effects) and weight is not None and "Tg" not in fixed:
         fixed["Tg"] = weight
         notes.append(f"gravity_load: Tg = {weight:.6g} N·m is held, from the known mass and arm length")
     nominal = {k: v for k, v in drive.nominal.items() if k != "J_m"} | starts
     return Inputs(drive, captures, validation, effects, drive.model, nominal, fixed, tuple(notes))
+
+
+def check_length(capture: Capture) -> None:
+    """A capture is long enough to learn something from, or to score a model on.
+
+    Raises:
+        CaptureError: it is not.
+    """
+    if len(capture) < FEWEST_SAMPLES:
+        what = f"{len(capture)} samples are too few to learn from or to score a model on: {FEWEST_SAMPLES} at the least"
+        raise capture_error(capture.path, what)
+
+
+def check_validation(inputs: Inputs, adapt: float | None) -> None:
+    """That every validation capture can be scored, and `--adapt` used on it: asked before anything is computed.
+
+    Raises:
+        BadInputError: one cannot, or `--adapt` makes no sense.
+    """
+    if adapt is not None and not 0.0 < adapt < 1.0:
+        raise BadInputError(f"--adapt must lie between 0 and 1, not {adapt:g}")
+    if adapt is not None and not inputs.validation:
+        raise BadInputError("--adapt needs a --validate capture to adapt to")
+    drive, _ = choose_signals([c for c in inputs.captures[0].channels if all(c in x.channels for x in inputs.captures)])
+    for capture in inputs.validation:
+        check_input(capture, drive)
+        if adapt is not None:
+            check_share(capture, adapt)
 
 
 def model_effects(drive: DriveConfig, texts: Sequence[str]) -> tuple[tuple[str, ...], dict[str, float]]:
@@ -84,32 +127,6 @@ def model_effects(drive: DriveConfig, texts: Sequence[str]) -> tuple[tuple[str, 
     return tuple(names), starts
 
 
-def fixed_values(text: str) -> dict[str, float]:
-    """'R=3.57,K=0.046' as numbers within the parameters' bounds.
-
-    Raises:
-        BadInputError: not of that form, unknown parameter, impossible value.
-    """
-    table, out = parameter_table(), {}
-    for part in filter(None, (p.strip() for p in text.split(","))):
-        name, equals, number = (s.strip() for s in part.partition("="))
-        if not equals:
-            raise BadInputError(f"--fix: {part!r} is not of the form R=3.57")
-        if name not in table or name == "J_m":
-            raise BadInputError(f"--fix: no parameter {name!r}: R, L, K, J, B, or one of an effect of the model")
-        if name in out:
-            raise BadInputError(f"--fix: {name} is given twice")
-        try:
-            value = float(number)
-        except ValueError:
-            raise BadInputError(f"--fix: {number!r} is not a number") from None
-        p = table[name]
-        if not (math.isfinite(value) and p.lower <= value <= p.upper):
-            raise BadInputError(f"--fix: {name} = {number} {p.unit} is outside {p.lower:g} .. {p.upper:g}")
-        out[name] = value
-    return out
-
-
 def known_weight(drive: DriveConfig, capture: Capture) -> float | None:
     """m g l of a pendulum told by the config or the capture's metadata, N·m; None where it is not."""
     mass = drive.load.mass_kg if drive.load.mass_kg is not None else capture.mass_kg
@@ -117,10 +134,15 @@ def known_weight(drive: DriveConfig, capture: Capture) -> float | None:
     return None if mass is None or arm is None else mass * GRAVITY * arm
 
 
-def unused_fixed(fixed: Mapping[str, float], effects: Sequence[str]) -> list[str]:
-    """Fixed parameters that belong to no effect of the model."""
-    own = {p.name for name in effects for p in effects_by_name()[name].parameters}
-    return [name for name in fixed if name not in own and name not in ("R", "L", "K", "J", "B")]
+def _check_fixed(fixed: Mapping[str, float], effects: Sequence[str]) -> None:
+    """Every fixed parameter must be one of the model's.
+
+    Raises:
+        BadInputError: it is not.
+    """
+    own = {p.name for name in effects for p in effects_by_name()[name].parameters} | {p.name for p in LINEAR}
+    if lost := [name for name in fixed if name not in own]:
+        raise BadInputError(f"--fix: the model has no parameter {', '.join(lost)}")
 
 
 def _same_axis(captures: Sequence[Capture]) -> None:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from servo_daemon.commands.units import shown_column, shown_unit
 from servo_daemon.estimators.output_error import OutputErrorFit
+from servo_daemon.estimators.output_error.input_error import sample_period_s
+from servo_daemon.identification.drift import SEGMENT_S, Drift
 
 #: An estimate further from its nominal value than this factor is no ageing: a unit, a sign, another motor.
 _FAR = 10.0
@@ -13,7 +16,11 @@ _NOTHING = 0.7
 
 
 def result_notes(fit: OutputErrorFit, nominal: Mapping[str, float]) -> list[str]:
-    """Remarks on estimates far from their nominal values, at a bound, and on how the input is taken."""
+    """Remarks on estimates far from their nominal values, at a bound, and on how the input is taken.
+
+    Args:
+        nominal: all values that are given, held ones too.
+    """
     notes = []
     for name, p in fit.parameters.items():
         given = nominal.get(name)
@@ -32,7 +39,38 @@ def result_notes(fit: OutputErrorFit, nominal: Mapping[str, float]) -> list[str]
     if fit.problem.plant.drive != "voltage":
         what = "current" if fit.problem.plant.drive == "current" else "torque"
         notes.append(
-            f"the {what} is known at the samples and taken as straight between them: what it does in between is in "
-            "none of the standard deviations"
+            f"the {what} is known at the samples and taken as straight between them; the standard deviations hold "
+            "what that may be off by (half a sample's delay at the most)"
+        )
+    if (loss := _held_voltage(fit)) is not None and "R" not in nominal:
+        notes.append(
+            f"if the drive holds its voltage for whole samples, J is too small by up to {100 * loss:.2g} % over R in "
+            "Ω, which no residual shows and no standard deviation holds; `--fix R=…` puts it there"
         )
     return notes
+
+
+def drift_note(drift: Drift, fit: OutputErrorFit, *, linear: bool) -> str:
+    """What short free runs say where a long one was bent."""
+
+    def told(name: str) -> str:
+        before, after = drift.bent[name]
+        unit = shown_unit(fit.parameters[name].unit, linear=linear)
+        return f"{name} = {after:.4g} {unit} ({'not seen' if before is None else f'{before:.4g}'} here)"
+
+    return (
+        f"{100 * drift.share:.0f} % of what the free run leaves of {shown_column(drift.channel, linear=linear)} is "
+        f"drift: something small that the model lacks adds up, and the parameters were bent to hold it. Free runs of "
+        f"{SEGMENT_S:g} s give {', '.join(told(name) for name in drift.bent)}: use `--segment {SEGMENT_S:g}`, or add "
+        "the `--effect` that is missing"
+    )
+
+
+def _held_voltage(fit: OutputErrorFit) -> float | None:
+    """h K²/(2 J), Ω: over R the largest share of J that a held voltage hides, see `input_error.py`; None: no such
+    model, or J is not known."""
+    K, J = (fit.parameters.get(name) for name in ("K", "J"))
+    if fit.problem.plant.drive != "current" or K is None or J is None or J.std is None:
+        return None
+    assert J.value is not None
+    return None if K.value is None else sample_period_s(fit.problem) * K.value**2 / (2.0 * J.value)

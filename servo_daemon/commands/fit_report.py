@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from servo_daemon.report import (
 from servo_daemon.report.document import Block
 from servo_daemon.samples import F64
 
-_LABELS = {
+LABELS = {
     "current_A": ("current", "A"),
     "position_rad": ("angle", "rad"),
     "velocity_rad_s": ("speed", "rad/s"),
@@ -44,10 +45,10 @@ def fit_report(result: Identification, document: Mapping[str, Any], provenance: 
     """
     model = " + ".join(["linear motor", *document["model"]])
     sections = (
-        Section("Result", (_verdict(document), parameter_table(document["parameters"]), *_open(document))),
+        Section("Result", (_verdict(document), parameter_table(document["parameters"]), *open_blocks(document))),
         Section("Measured and simulated", signal_figures(result)),
         Section("The way to the minimum", iteration_figures(document)),
-        *_validation(document),
+        *validation_sections(document),
         *_correlation(document),
     )
     return Report("Identification", f"{model}, output error", sections, provenance)
@@ -79,13 +80,18 @@ def parameter_table(parameters: Mapping[str, Mapping[str, Any]], caption: str = 
     rows = []
     for name, p in parameters.items():
         std = np.inf if p["status"] == "undetermined" else p["std"]
-        remark = {"fixed": "held", "undetermined": "not determined", "estimated": ""}[p["status"]]
-        remark += " at its bound" if p["at_bound"] else ""
-        rows.append((name, Measured(p["value"], std), p["unit"], remark.strip()))
+        rows.append((name, Measured(p["value"], std), p["unit"], parameter_remark(p)))
     return Table(caption, columns, tuple(rows))
 
 
-def _open(document: Mapping[str, Any]) -> tuple[Block, ...]:
+def parameter_remark(p: Mapping[str, Any]) -> str:
+    """'held', 'not determined', 'by search', 'at its bound'; a choice by its name."""
+    words = {"fixed": "held", "undetermined": "not determined", "searched": "by search", "estimated": ""}
+    return " ".join(filter(None, (p.get("choice"), words[p["status"]], "at its bound" if p["at_bound"] else "")))
+
+
+def open_blocks(document: Mapping[str, Any]) -> tuple[Block, ...]:
+    """What is determined where parameters are not."""
     if not document["combinations"]:
         return ()
     columns = (Column("combination", text=True), Column("value ± std"), Column("unit", text=True))
@@ -99,8 +105,8 @@ def signal_figures(result: Identification) -> tuple[Block, ...]:
     for k, capture in enumerate(result.captures):
         linear = capture.axis == "linear"
         for c, name in enumerate(fit.problem.channels):
-            time, measured, residual = _series(fit, k, c)
-            label, unit = _LABELS[shown_column(name, linear=linear)]
+            time, measured, residual = capture_series(fit, k, c)
+            label, unit = LABELS[shown_column(name, linear=linear)]
             gap = 5.0 * capture.sample_period_s
             lines = (Line("measured", measured), Line("simulated", measured - residual, style="dashed"))
             figures.append(
@@ -122,7 +128,7 @@ def signal_figures(result: Identification) -> tuple[Block, ...]:
     return tuple(figures)
 
 
-def _series(fit: OutputErrorFit, recording: int, channel: int) -> tuple[F64, F64, F64]:
+def capture_series(fit: OutputErrorFit, recording: int, channel: int) -> tuple[F64, F64, F64]:
     """Time since the capture began, measured and residual over all its segments, shape (n,) each."""
     time, measured, residual = [], [], []
     for segment, r in zip(fit.problem.segments, fit.solution.point.linearisation.residuals, strict=True):
@@ -156,23 +162,10 @@ def iteration_figures(document: Mapping[str, Any]) -> tuple[Block, ...]:
     )
 
 
-def _validation(document: Mapping[str, Any]) -> tuple[Section, ...]:
+def validation_sections(document: Mapping[str, Any]) -> tuple[Section, ...]:
+    """A table for each capture that was only scored."""
     if not document["validation"]:
         return ()
-    tables = []
-    for v in document["validation"]:
-        names = list(v["baseline"]["rmse"])
-        columns = (
-            Column("model", text=True),
-            *(Column(f"{n}, free run", digits=4) for n in names),
-            *(Column(f"{n}, 1 s", digits=4) for n in names),
-        )
-        rows = [
-            (kind, *(v[kind]["rmse"][n] for n in names), *(v[kind]["rmse_1s"][n] for n in names))
-            for kind in ("baseline", "extended", "adapted")
-            if v[kind] is not None
-        ]
-        tables.append(Table(f"RMS error on {v['capture']}", columns, tuple(rows)))
     text = Items(
         (
             "free run: from the state of the first samples to the end",
@@ -180,7 +173,24 @@ def _validation(document: Mapping[str, Any]) -> tuple[Section, ...]:
             "adapted: friction and offsets have settled on the first part, the rest is scored",
         )
     )
+    tables = (score_table(f"RMS error on {Path(v['capture']).name}", v) for v in document["validation"])
     return (Section("Validation", (text, *tables)),)
+
+
+def score_table(caption: str, scores: Mapping[str, Any]) -> Table:
+    """RMS errors of free runs by model: a row of `validation`."""
+    names = list(scores["baseline"]["rmse"])
+    columns = (
+        Column("model", text=True),
+        *(Column(f"{n}, free run", digits=4) for n in names),
+        *(Column(f"{n}, 1 s", digits=4) for n in names),
+    )
+    rows = [
+        (kind, *(scores[kind]["rmse"][n] for n in names), *(scores[kind]["rmse_1s"][n] for n in names))
+        for kind in ("baseline", "extended", "adapted")
+        if scores[kind] is not None
+    ]
+    return Table(caption, columns, tuple(rows))
 
 
 def _correlation(document: Mapping[str, Any]) -> tuple[Section, ...]:

@@ -16,8 +16,8 @@ def fit_lines(document: Mapping[str, Any]) -> list[str]:
     model = " + ".join(["linear motor", *document["model"]])
     lines = [f"{', '.join(document['captures'])}: {model}, {document['method']}", ""]
     lines += [parameter_line(name, p) for name, p in document["parameters"].items()]
-    lines += _open_lines(document)
-    lines += ["", *_residual_lines(document), *_validation_lines(document)]
+    lines += open_lines(document)
+    lines += ["", *_residual_lines(document), *validation_lines(document)]
     for name, share in document["residual"].get("relative_error", {}).items():
         lines.append(f"relative error of {name}: {100 * share:.3f} %")
     last = document["iterations"][-1] if document["iterations"] else None
@@ -31,7 +31,9 @@ def fit_lines(document: Mapping[str, Any]) -> list[str]:
 
 def parameter_line(name: str, p: Mapping[str, Any]) -> str:
     """'R = 0.4937 ± 0.0002 Ω'."""
-    remark = {"fixed": "  (held)", "undetermined": "  (not determined by these data)"}.get(p["status"], "")
+    remark = {"fixed": "  (held)", "searched": "  (by search)", "undetermined": "  (not determined by these data)"}.get(
+        p["status"], ""
+    )
     remark += "  (AT ITS BOUND)" if p["at_bound"] else ""
     value = "—" if p["value"] is None else f"{p['value']:.6g}"
     std = "" if p["std"] is None else f" ± {p['std']:.2g}"
@@ -40,7 +42,8 @@ def parameter_line(name: str, p: Mapping[str, Any]) -> str:
     return f"  {name:>8} = {value}{std} {p['unit']}{remark}"
 
 
-def _open_lines(document: Mapping[str, Any]) -> list[str]:
+def open_lines(document: Mapping[str, Any]) -> list[str]:
+    """What the data leave open, and what they determine instead."""
     lines = []
     if document["null_directions"]:
         lines += ["", "These data do not determine everything:"]
@@ -67,7 +70,8 @@ def _residual_lines(document: Mapping[str, Any]) -> list[str]:
     return [f"residual rms: {sizes}; {what}"]
 
 
-def _validation_lines(document: Mapping[str, Any]) -> list[str]:
+def validation_lines(document: Mapping[str, Any]) -> list[str]:
+    """RMS errors on the captures that were only scored."""
     lines = []
     for v in document["validation"]:
         lines.append(f"validation {v['capture']}:")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 from typing import Any
 
 from servo_daemon.captures.output import AtomicFile
@@ -25,6 +26,18 @@ class OutputFolder:
             path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise BadInputError(f"--out {path}: {error.strerror or error}") from error
+
+    def check_writable(self) -> None:
+        """That a file can be made there: to be asked before hours of work, not after them.
+
+        Raises:
+            BadInputError: it cannot.
+        """
+        try:
+            with NamedTemporaryFile(dir=self.path, prefix=".writable."):
+                pass
+        except OSError as error:
+            raise BadInputError(f"--out {self.path}: cannot be written to: {error.strerror or error}") from error
 
     def write_json(self, name: str, document: Mapping[str, Any]) -> None:
         """One JSON document; complete or not there."""

@@ -34,7 +34,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from drivers.base import DriveInfo
     from servo_daemon.errors import BadInputError
     from servo_daemon.estimates_csv import EstimatesWriter
     from servo_daemon.service.pipeline import Pipeline
@@ -44,13 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise BadInputError(f"--block must be at least 1, not {arguments.block}")
     drive = common.offline_drive(arguments)
     (capture,) = common.read_captures([arguments.capture], arguments)
-    info = DriveInfo(
-        identity="capture",
-        sample_period_s=capture.sample_period_s,
-        counts_per_rev=capture.counts_per_rev if capture.axis == "rotary" else None,
-        channels=capture.channels,
-    )
-    pipeline = Pipeline(drive, info)
+    pipeline = Pipeline(drive, common.capture_info(capture))
     names = published_names(drive)
     last = None
     rows = 0
@@ -86,15 +79,12 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-#: On a linear axis J is a mass and torques are forces.
-_LINEAR_UNITS = {"kg·m²": "kg", "N·m·s/rad": "N·s/m", "N·m": "N", "N·m/A": "N/A", "rad": "m"}
-
-
 def _rows(parameters: tuple[ParameterEstimate, ...], *, linear: bool) -> dict[str, dict[str, Any]]:
+    from servo_daemon.commands.units import shown_unit
+
     rows = common.parameter_rows(parameters)
-    if linear:
-        for row in rows.values():
-            row["unit"] = _LINEAR_UNITS.get(row["unit"], row["unit"])
+    for row in rows.values():
+        row["unit"] = shown_unit(row["unit"], linear=linear)
     return rows
 
 

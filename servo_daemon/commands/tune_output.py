@@ -28,9 +28,17 @@ def text(tuning: Tuning) -> str:
     lines = ["motor"]
     for name in NEEDED:
         p = tuning.motor.parameters[name]
+        if name in tuning.motor.open:
+            continue
         std = "" if p.std is None else f" ± {p.std:.2g}"
         why = "" if p.why is None else f" ({p.why})"
         lines.append(f"  {name} = {p.value:.5g}{std} {UNITS[name]}  {p.source}{why}")
+    lines += [f"  {c.expression} = {c.value:.5g} ± {c.std:.2g} {c.unit}" for c in tuning.motor.answer]
+    if tuning.motor.answer:
+        lines.append(
+            "  R, L, K, J, B are not all known by themselves: these gains rest on how the speed answers the voltage, "
+            "which is all that loops without a current see (for the LQR give --fix R=…,K=…)"
+        )
     voltage = "" if setup.voltage_V is None else f", ±{setup.voltage_V:g} V"
     delay = f"voltage {setup.delay_samples:g} samples after the encoder"
     lines.append(f"loop: {setup.rate_hz:g} Hz ({setup.rate_source}), {delay}{voltage}")

@@ -10,13 +10,18 @@ import numpy as np
 
 from servo_daemon.captures import Capture
 from servo_daemon.errors import ServoDaemonError
+from servo_daemon.estimators.base import to_coordinate
 from servo_daemon.estimators.coefficients import compare_coefficients, quadratic_roots
 from servo_daemon.estimators.estimate import Estimate
 from servo_daemon.estimators.output_error import FitOptions, Recording, fit_output_error
 from servo_daemon.estimators.output_error.score import Score, score
 from servo_daemon.estimators.process_model import fit_process_model
-from servo_daemon.identification.position_test import PositionTest, loop_gains, position_test
+from servo_daemon.identification.learned import ModelFor, learned_method
+from servo_daemon.identification.paper import paper_product
+from servo_daemon.identification.position_test import PositionTest, position_test
 from servo_daemon.identification.validate import natural_values
+from servo_daemon.learning.drawing import TrainingSpec
+from servo_daemon.learning.model import LearnedModel
 from servo_daemon.plant.build import build_plant
 from servo_daemon.plant.parameters import LINEAR
 from servo_daemon.plant.servo_loop import suitable_gains
@@ -78,12 +83,19 @@ class Comparison:
 
 
 def compare_methods(
-    capture: Capture, *, assumed_R: float, effects: tuple[str, ...], options: FitOptions, product_V_rad: float
+    capture: Capture,
+    *,
+    assumed_R: float,
+    effects: tuple[str, ...],
+    options: FitOptions,
+    model_for: ModelFor | None = None,
 ) -> Comparison:
     """Run every method on the first part of the capture, score on the rest.
 
+    The 50° test has the paper's k_io·k_s, lowered where the reference motor is not stable with it.
+
     Args:
-        product_V_rad: k_io·k_s of the 50° test; lowered where the reference motor is not stable with it.
+        model_for: trains or finds the model of method 3; None: the row says that it was left out.
     """
     block = capture.block()
     cut = round((1.0 - HELD_OUT) * len(block))
@@ -92,14 +104,14 @@ def compare_methods(
         _timed("method1_paper", "1 as printed", lambda: _as_printed(first, assumed_R)),
         _timed("method1", "1 corrected", lambda: _corrected(first, assumed_R)),
         _timed("method2", "2 output error", lambda: _output_error(first, effects, options)),
-        MethodResult("method3", "3 RF + GRNN", {}, reason="not trained: `servo-daemon train` is still to come"),
+        _learned(capture, first, effects, options.nominal, model_for),
     ]
     truth = _truth(capture)
     rows = [_scored(row, rest, effects) for row in rows]
     reference, values = _reference(truth, rows)
-    test, product, source = None, product_V_rad, "the paper's 45° with method 1"
+    test, product, source = None, paper_product(), "the paper's 45° with method 1"
     if values is not None:
-        product, source = _usable_product(values, product_V_rad, capture)
+        product, source = _usable_product(values, product, capture)
         test = position_test(values, product)
         rows = [_positioned(row, product, test) for row in rows]
     rows = [replace(row, errors=_errors(row, truth)) for row in rows]
@@ -107,6 +119,36 @@ def compare_methods(
 
 
 _Found = tuple[dict[str, Estimate], tuple[str, ...]]
+
+
+def _learned(
+    capture: Capture,
+    block: SampleBlock,
+    effects: tuple[str, ...],
+    nominal: Mapping[str, float],
+    model_for: ModelFor | None,
+) -> MethodResult:
+    key, title = "method3", "3 RF + GRNN"
+    if model_for is None:
+        return MethodResult(key, title, {}, reason="left out (--motors 0)")
+    trained_s = 0.0
+
+    def timed_model_for(spec: TrainingSpec) -> tuple[LearnedModel, str]:
+        nonlocal trained_s
+        began = time.perf_counter()
+        found = model_for(spec)
+        trained_s = time.perf_counter() - began
+        return found
+
+    counts = capture.metadata_number("counts_per_rev")
+    row = _timed(
+        key,
+        title,
+        lambda: learned_method(
+            block, effects=effects, nominal=nominal, counts_per_rev=counts, model_for=timed_model_for
+        ),
+    )
+    return replace(row, seconds=row.seconds - trained_s)  # the remark tells what the training took
 
 
 def _timed(key: str, title: str, method: Callable[[], _Found]) -> MethodResult:
@@ -171,7 +213,7 @@ def _scored(row: MethodResult, rest: SampleBlock, effects: tuple[str, ...]) -> M
     own = effects if all(n in row.parameters for n in build_plant(effects).parameter_names) else ()
     plant = build_plant(own)
     values |= {n: row.parameters[n].value for n in plant.parameter_names if n in row.parameters}
-    q = np.array([np.log(values[p.name]) if p.transform == "log" else values[p.name] for p in plant.parameters])
+    q = np.array([to_coordinate(p, values[p.name]) for p in plant.parameters])
     return replace(row, heldout=score(rest, plant, q))
 
 
@@ -205,7 +247,6 @@ def _usable_product(values: Mapping[str, float], product: float, capture: Captur
     usable = min(gains.k_io * gains.k_s, product)
     while not position_test(values, usable).stable:
         usable /= 2.0
-    assert loop_gains(usable).k_g == 0.0
     return usable, f"lowered: with the paper's {product:.4g} V/rad this motor is not stable"
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from servo_daemon.captures import Capture
 from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, Recording, fit_output_error
+from servo_daemon.identification.drift import Drift, drift_of
 from servo_daemon.identification.validate import Validation, validated
 
 
@@ -36,12 +37,14 @@ class Identification:
         fit: the model asked for.
         baseline: the model without the added effects; None where none were added or nothing is validated.
         validation: one for each validation capture.
+        drift: where the fit's free run was bent by what adds up over time; None where it was not.
     """
 
     captures: tuple[Capture, ...]
     fit: OutputErrorFit
     baseline: OutputErrorFit | None
     validation: tuple[Validation, ...]
+    drift: Drift | None = None
 
 
 def identify(captures: Sequence[Capture], validation: Sequence[Capture], options: IdentifyOptions) -> Identification:
@@ -57,4 +60,4 @@ def identify(captures: Sequence[Capture], validation: Sequence[Capture], options
     if validation and set(options.effects) != set(options.baseline):
         baseline = fit_output_error(recordings, options.baseline, options.fit)
     scores = [validated(c, baseline or fit, None if baseline is None else fit, options.adapt) for c in validation]
-    return Identification(tuple(captures), fit, baseline, tuple(scores))
+    return Identification(tuple(captures), fit, baseline, tuple(scores), drift_of(fit, recordings, options.fit))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from types import MappingProxyType
 
 import numpy as np
@@ -62,11 +63,21 @@ def noise_floor(fit: OutputErrorFit) -> dict[str, float]:
     return {name: float(np.sqrt(np.mean(left[:, k] ** 2))) for k, name in enumerate(problem.channels)}
 
 
+def method1_motor(found: PaperCoefficients) -> dict[str, float]:
+    """R, L, K, J, B of the paper's method 1 (its D is our B)."""
+    return {name: found.values["D" if name == "B" else name] for name in ("R", "L", "K", "J", "B")}
+
+
+@cache
+def paper_product() -> float:
+    """k_io·k_s, V/rad, with which method 1's motor stands at the reported angle."""
+    return product_for(method1_motor(redo_paper()))
+
+
 def redo(seed: int = _SEED) -> PaperRedone:
     """Run it; deterministic for a seed."""
     method1 = redo_paper()
-    first = {name: method1.values["D" if name == "B" else name] for name in ("R", "L", "K", "J", "B")}
-    product = product_for(first)
+    first, product = method1_motor(method1), paper_product()
     true = position_test(RESULT, product)
     tests = {"method1": position_test(first, product, true), "method2": position_test(RESULT, product, true)}
     block, _ = simulate_capture(seconds=_SECONDS, rate_hz=_RATE_HZ, seed=seed, motion="steps", motor=dict(RESULT))

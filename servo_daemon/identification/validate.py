@@ -9,12 +9,23 @@ import numpy as np
 
 from servo_daemon.captures import Capture
 from servo_daemon.errors import BadInputError
-from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, Recording, fit_output_error
+from servo_daemon.estimators.base import natural_values as values_of
+from servo_daemon.estimators.output_error import (
+    FitOptions,
+    FittedParameter,
+    OutputErrorFit,
+    Recording,
+    fit_output_error,
+)
 from servo_daemon.estimators.output_error.score import Score, score
 from servo_daemon.estimators.output_error.setup import FEWEST_SAMPLES, OFFSETS, choose_signals
-from servo_daemon.plant.parameters import Parameter
+from servo_daemon.plant.core import Drive
 from servo_daemon.samples import F64
 
+#: A parameter settles if a capture's first part shows it to this share of itself.
+_WELL_SEEN = 0.1
+#: A dry friction that is not there any more leaves no trace by which it could be seen: then it has gone.
+_MAY_VANISH, _VANISHED = ("Tc", "Tc_neg", "Ts", "mu", "c2"), 0.3
 #: What changes from day to day: friction by temperature and grease, offsets of sensors and load.
 SETTLING = ("B", "B_neg", "Tc", "Tc_neg", "Ts", "mu", "c2", *OFFSETS)
 
@@ -34,13 +45,7 @@ class Validation:
 def natural_values(fit: OutputErrorFit) -> dict[str, float]:
     """The values that the fit's simulation runs with, also of what the data leave open; natural units. Offsets that
     every recording has for itself: their mean."""
-    per_recording = np.array([fit.coordinates(k) for k in range(fit.problem.recordings)])
-    mean = per_recording.mean(axis=0)
-    return {p.name: _natural(p, float(c)) for p, c in zip(fit.problem.plant.parameters, mean, strict=True)}
-
-
-def _natural(p: Parameter, coordinate: float) -> float:
-    return float(np.exp(coordinate)) if p.transform == "log" else coordinate
+    return values_of(fit.problem.plant.parameters, _mean_coordinates(fit))
 
 
 def _mean_coordinates(fit: OutputErrorFit) -> F64:
@@ -53,7 +58,7 @@ def scored(capture: Capture, fit: OutputErrorFit) -> Score:
     Raises:
         BadInputError: the capture lacks the model's input or response.
     """
-    _same_input(capture, fit)
+    check_input(capture, fit.problem.plant.drive)
     return score(capture.block(), fit.problem.plant, _mean_coordinates(fit))
 
 
@@ -86,28 +91,54 @@ def adapted_share(capture: Capture, fit: OutputErrorFit, share: float) -> tuple[
     Raises:
         BadInputError: either part has too few samples.
     """
-    _same_input(capture, fit)
+    check_input(capture, fit.problem.plant.drive)
+    check_share(capture, share)
     block, cut = capture.block(), round(share * len(capture))
-    if min(cut, len(block) - cut) < FEWEST_SAMPLES:
-        raise BadInputError(f"{capture.path}: {len(block)} samples are too few to adapt on {share:g} of them")
     values = natural_values(fit)
-    held = {name: v for name, v in values.items() if name not in SETTLING}
+    plant = fit.problem.plant
     free = [name for name in values if name in SETTLING]
-    if not free:
-        return score(block.slice(cut, len(block)), fit.problem.plant, _mean_coordinates(fit)), {}
-    found = fit_output_error(
-        [Recording(str(capture.path), block.slice(0, cut))],
-        fit.problem.plant.effects,
-        FitOptions(nominal=values, fixed=held),
-    )
-    settled = natural_values(found)
-    rest = score(block.slice(cut, len(block)), found.problem.plant, _mean_coordinates(found))
-    return rest, {name: settled[name] for name in free}
+    part = [Recording(str(capture.path), block.slice(0, cut))]
+    while free:
+        held = {name: v for name, v in values.items() if name not in free}
+        found = fit_output_error(part, plant.effects, FitOptions(nominal=values, fixed=held))
+        settled = natural_values(found)
+        gone = [name for name in free if name in _MAY_VANISH and settled[name] < _VANISHED * values[name]]
+        vague = {name: 0.0 if name in gone else _relative_std(found.parameters[name], values[name]) for name in free}
+        worst = max(free, key=vague.__getitem__)
+        if vague[worst] < _WELL_SEEN:
+            rest = score(block.slice(cut, len(block)), found.problem.plant, _mean_coordinates(found))
+            return rest, {name: settled[name] for name in free}
+        free.remove(worst)  # what the first part cannot tell stays as it was
+    return score(block.slice(cut, len(block)), plant, _mean_coordinates(fit)), {}
 
 
-def _same_input(capture: Capture, fit: OutputErrorFit) -> None:
+def _relative_std(p: FittedParameter, before: float) -> float:
+    """Of the value, or of the one before if that is larger; infinite where it is not seen, 0 at its bound: a friction
+    that is not there."""
+    size = max(abs(before), abs(p.value or 0.0))
+    if p.at_bound:
+        return 0.0
+    return float("inf") if p.value is None or p.std is None or size == 0.0 else p.std / size
+
+
+def check_input(capture: Capture, wanted: Drive) -> None:
+    """That a capture drives a model by the same signal as those that it was fitted to.
+
+    Raises:
+        BadInputError: it does not.
+    """
     drive, _ = choose_signals(capture.channels)
-    wanted = fit.problem.plant.drive
     if drive != wanted:
         have = ", ".join(capture.channels)
         raise BadInputError(f"{capture.path}: the fitted model is driven by {wanted}; this capture has {have}")
+
+
+def check_share(capture: Capture, share: float) -> None:
+    """That both parts of a capture have samples enough, the one that adapts and the rest that is scored.
+
+    Raises:
+        BadInputError: one has not.
+    """
+    n = len(capture)
+    if min(cut := round(share * n), n - cut) < FEWEST_SAMPLES:
+        raise BadInputError(f"{capture.path}: {n} samples are too few to adapt on {share:g} of them")

@@ -146,17 +146,19 @@ def _angle_per_volt(motor: SampledMotor, omega: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Family:
-    """One kind of controller: its key in documents, what it is, and its gains for a motor and a design frequency."""
+    """One kind of controller: its key in documents, what it is, its gains for a motor and a design frequency, and
+    whether it needs the current, whose answer to the voltage no encoder shows."""
 
     key: str
     title: str
     make: Callable[[Mapping[str, float], LoopSetup, float], Gains]
+    measures_current: bool = False
 
 
 FAMILIES: tuple[Family, ...] = (
     Family("speed_pi", "PI speed loop", speed_gains),
     Family("position_pid", "PID position loop: P around the PI speed loop", position_gains),
-    Family("lqr", "LQR with integral action on angle, speed and current", lqr_gains),
+    Family("lqr", "LQR with integral action on angle, speed and current", lqr_gains, measures_current=True),
 )
 
 

@@ -26,8 +26,9 @@ _ANTI_WINDUP = (
 
 
 def document(tuning: Tuning) -> Document:
-    """JSON-ready: plain types, no NaN, no infinity."""
+    """JSON-ready: plain types, no NaN, no infinity. `answer` is there only where it is all that is known."""
     setup = tuning.setup
+    told = tuple(n for n in NEEDED if n not in tuning.motor.open)
     return {
         "rate_hz": setup.rate_hz,
         "rate_source": setup.rate_source,
@@ -37,7 +38,7 @@ def document(tuning: Tuning) -> Document:
         "asked": asdict(tuning.ask),
         "parameters": {
             name: {
-                "value": known.value,
+                "value": None if name in tuning.motor.open else known.value,
                 "std": known.std,
                 "unit": UNITS[name],
                 "source": known.source,
@@ -45,36 +46,37 @@ def document(tuning: Tuning) -> Document:
             }
             for name, known in ((n, tuning.motor.parameters[n]) for n in NEEDED)
         },
+        **({"answer": [asdict(c) for c in tuning.motor.answer]} if tuning.motor.answer else {}),
         "region": tuning.region,
         "not_in_region": list(tuning.not_covered),
         "limits": asdict(setup.limits),
         "speed_filter": laws.SPEED_FILTER,
         "anti_windup": _ANTI_WINDUP,
-        "designs": {d.family.key: _design(d, advice) for d, advice in tuning.designs},
-        "in_use": None if tuning.in_use is None else _in_use(tuning.in_use),
+        "designs": {d.family.key: _design(d, advice, told) for d, advice in tuning.designs},
+        "in_use": None if tuning.in_use is None else _in_use(tuning.in_use, told),
     }
 
 
-def _design(d: Design, advice: Advice) -> Document:
+def _design(d: Design, advice: Advice, told: tuple[str, ...]) -> Document:
     return {
         "title": d.family.title,
         **_gains(d.gains),
         "capped": d.capped,
         "reason": d.reason,
         "margins": _margins(d.margins),
-        "worst": None if d.worst is None else _worst(d.worst),
+        "worst": None if d.worst is None else _worst(d.worst, told),
         "response": _response(d.response, d.gains),
         **_advice(advice),
     }
 
 
-def _in_use(u: InUse) -> Document:
+def _in_use(u: InUse, told: tuple[str, ...]) -> Document:
     return {
         "title": "the gains in use ([drive.controller])",
         **_gains(u.gains),
         "margins": _margins(u.margins),
         "nominal": None if u.nominal is None else _margins(u.nominal),
-        "worst": None if u.worst is None else _worst(u.worst),
+        "worst": None if u.worst is None else _worst(u.worst, told),
         "response": None if u.response is None else _response(u.response, u.gains),
         "weak": bool(u.weak),
         "warnings": [w.text for w in u.weak],
@@ -123,10 +125,10 @@ def _margins(m: Margins) -> Document:
     return {**asdict(m), "smaller_gain_margin_dB": smaller_gain_margin_dB(m)}
 
 
-def _worst(w: Worst) -> Document:
+def _worst(w: Worst, told: tuple[str, ...]) -> Document:
     margins = _margins(w.margins)
     del margins["crossover_hz"]
-    return {**margins, "at": {measure: dict(values) for measure, values in w.at.items()}}
+    return {**margins, "at": {m: {n: x for n, x in motor.items() if n in told} for m, motor in w.at.items()}}
 
 
 def _response(r: Response, gains: Gains) -> Document:

@@ -22,6 +22,13 @@ Source = Literal["estimate", "nominal", "capture", "fixed"]
 #: Probability content of the region over which margins are the worst.
 PROBABILITY = 0.95
 
+#: A coefficient with a larger relative 1 σ has no lower limit; the region's radius for three coefficients (√χ²₀.₉₅(3)).
+_SEEN, _RADIUS = 0.3, 2.795
+#: No linear model knows a motor better than this (relative 1 σ of each coefficient), whatever its fit says.
+_MODEL = 0.005
+#: Share of viscous friction in the braking of a motor of which only the answer is known.
+_NO_FRICTION = 1e-9
+
 
 @dataclass(frozen=True, slots=True)
 class Known:
@@ -31,6 +38,16 @@ class Known:
     source: Source
     std: float | None = None
     why: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Coefficient:
+    """A coefficient of the speed's answer to the voltage, with 1 σ, SI units."""
+
+    expression: str
+    value: float
+    std: float
+    unit: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,6 +60,8 @@ class MotorKnowledge:
         covariance: of their logarithms, shape (n, n), symmetric positive semi-definite.
         effects: names of the effects in the drive's model.
         extras: values of the effects' own parameters that are known, by name, SI units.
+        answer: without a current sensor, all that is known: gain and lags of speed per voltage. Parameters and extras
+            are then those of one motor with this answer, see `motor_with_answer`.
     """
 
     parameters: Mapping[str, Known]
@@ -50,6 +69,12 @@ class MotorKnowledge:
     covariance: F64 = field(default_factory=lambda: np.zeros((0, 0)))
     effects: tuple[str, ...] = ()
     extras: Mapping[str, float] = field(default_factory=dict)
+    answer: tuple[Coefficient, ...] = ()
+
+    @property
+    def open(self) -> tuple[str, ...]:
+        """Parameters of one motor of many: their values are no knowledge, and not to be published."""
+        return NEEDED if self.answer else ()
 
     @property
     def log_values(self) -> F64:
@@ -122,6 +147,47 @@ class LoopSetup:
     @property
     def period_s(self) -> float:
         return 1.0 / self.rate_hz
+
+
+def motor_with_answer(
+    coefficients: tuple[Coefficient, ...], covariance: F64, effects: tuple[str, ...], load_V: Mapping[str, float]
+) -> MotorKnowledge:
+    """One motor of all those whose speed answers the voltage with g/(1 + s p + s² q): the one with 1 Ω and practically
+    no viscous friction, K = 1/g, J = p/g², L = q/p. Loops that measure the angle alone are the same with all of them,
+    and as the logarithms of K, J and L are linear in those of g, p and q, so is a region around them.
+
+    Args:
+        coefficients: g, p, q.
+        covariance: of their relative deviations, shape (3, 3).
+        load_V: torques of the effects as voltages at the standing motor, R τ/K, by parameter.
+    """
+    (g, p, q), covariance = _bounded([c.value for c in coefficients], covariance + _MODEL**2 * np.eye(3))
+    values = {"R": 1.0, "L": q / p, "K": 1.0 / g, "J": p / g**2, "B": _NO_FRICTION / g**2}
+    logs = np.array([[0.0, -1.0, 1.0], [-1.0, 0.0, 0.0], [-2.0, 1.0, 0.0]])  # of L, K, J by those of g, p, q
+    return MotorKnowledge(
+        parameters={name: Known(value, "capture", why="not known by itself") for name, value in values.items()},
+        uncertain=("L", "K", "J"),
+        covariance=logs @ covariance @ logs.T,
+        effects=effects,
+        extras={name: volts * values["K"] for name, volts in load_V.items()},
+        answer=coefficients,
+    )
+
+
+def _bounded(coefficients: list[float], covariance: F64) -> tuple[list[float], F64]:
+    """Of a winding that is too fast to be seen only an upper limit of q is known, two standard deviations up; it is
+    then taken at half of that, and the region reaches up to all of it, which is what makes a loop late."""
+    if covariance[2, 2] < _SEEN**2:
+        return coefficients, covariance
+    middle = 0.5 * (1.0 + 2.0 * float(np.sqrt(covariance[2, 2])))  # over the estimate
+    follow = covariance[:2, 2] / covariance[2, 2]  # of g and p with q
+    center = [coefficients[0], coefficients[1], coefficients[2] * middle]
+    for k in range(2):
+        center[k] *= 1.0 + float(follow[k]) * (middle - 1.0)
+    along = np.array([*(follow * middle), 1.0])
+    rest = np.zeros((3, 3))
+    rest[:2, :2] = covariance[:2, :2] - np.outer(follow, follow) * covariance[2, 2]
+    return center, rest + np.outer(along, along) * (np.log(2.0) / _RADIUS) ** 2
 
 
 def named(log_values: F64) -> dict[str, float]:

@@ -69,14 +69,15 @@ def tune(
     """
     check_ask(ask, setup.rate_hz)
     region = region_of(motor, tolerance)
-    designs = tuple(find(family, motor, setup, ask, region) for family in FAMILIES)
+    families = [f for f in FAMILIES if not (motor.answer and f.measures_current)]
+    designs = tuple(find(family, motor, setup, ask, region) for family in families)
     covered = () if region is None else region.names
     return Tuning(
         motor=motor,
         setup=setup,
         ask=ask,
         region=None if region is None else region.described,
-        not_covered=tuple(name for name in NEEDED if name not in covered),
+        not_covered=tuple(name for name in NEEDED if name not in covered and name not in motor.open),
         designs=tuple((d, advise(d.gains, d.response, motor, setup)) for d in designs),
         in_use=None if setup.in_use is None else _in_use(setup.in_use, motor, setup, nominal, region),
     )

@@ -61,7 +61,7 @@ def check_ask(ask: Ask, rate_hz: float) -> None:
     """Refuse what no controller at this rate can do.
 
     Raises:
-        TuningError: not positive, both, or too fast for the rate.
+        TuningError: not positive, both, too fast for the rate, or so slow that one sample changes next to nothing.
     """
     if ask.bandwidth_hz is not None and ask.settling_s is not None:
         raise TuningError("bandwidth and settling time are both asked for: give one of them")
@@ -75,6 +75,13 @@ def check_ask(ask: Ask, rate_hz: float) -> None:
     if ask.settling_s is not None and ask.settling_s < 1.0 / fastest:
         text = f"settling within {ask.settling_s:g} s is too fast for {rate_hz:g} samples a second"
         raise TuningError(f"{text}: ask for at least {1.0 / fastest:g} s")
+    slowest = _SLOWEST * rate_hz
+    if ask.bandwidth_hz is not None and ask.bandwidth_hz < slowest:
+        text = f"a bandwidth of {ask.bandwidth_hz:g} Hz is too slow for {rate_hz:g} samples a second"
+        raise TuningError(f"{text}: ask for at least {slowest:g} Hz, or sample more slowly")
+    if ask.settling_s is not None and ask.settling_s > 1.0 / slowest:
+        text = f"settling within {ask.settling_s:g} s is too slow for {rate_hz:g} samples a second"
+        raise TuningError(f"{text}: ask for at most {1.0 / slowest:g} s, or sample more slowly")
 
 
 def find(family: Family, motor: MotorKnowledge, setup: LoopSetup, ask: Ask, region: Region | None) -> Design:

@@ -59,6 +59,7 @@ class Ellipsoid:
     names: tuple[str, ...]
     center: F64
     matrix: F64  # shape (5, n)
+    of: str  # what is uncertain, in words
 
     def motors(self, u: F64) -> F64:
         return np.asarray(self.center + u @ self.matrix.T)
@@ -78,7 +79,7 @@ class Ellipsoid:
     @property
     def described(self) -> str:
         n = len(self.names)
-        return f"{PROBABILITY:.0%} ellipsoid of the logarithms of {', '.join(self.names)} (chi-square, {n} d.o.f.)"
+        return f"{PROBABILITY:.0%} ellipsoid of the logarithms of {self.of} (chi-square, {n} d.o.f.)"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,7 +126,8 @@ def region_of(knowledge: MotorKnowledge, tolerance: Mapping[str, float] | None =
         root = vectors * np.sqrt(np.maximum(values, 0.0))  # not Cholesky: the matrix may be singular
         matrix = np.zeros((len(NEEDED), len(knowledge.uncertain)))
         matrix[[NEEDED.index(name) for name in knowledge.uncertain]] = radius * root
-        return Ellipsoid(knowledge.uncertain, center, matrix)
+        of = "gain and lags of speed per voltage" if knowledge.answer else ", ".join(knowledge.uncertain)
+        return Ellipsoid(knowledge.uncertain, center, matrix, of)
     if tolerance:
         names = tuple(name for name in NEEDED if name in tolerance)
         return Box(names, center, np.array([tolerance[name] for name in names]))

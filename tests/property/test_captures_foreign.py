@@ -76,7 +76,11 @@ def outcome(content: bytes, signal_map: SignalMap | None = None) -> int:
     return len(capture)
 
 
-@pytest.mark.parametrize("kind", MAGIC)
+#: asammdf takes a tenth of a second to give up.
+_SLOW = [pytest.param(kind, marks=pytest.mark.slow) if kind.startswith("mdf") else kind for kind in MAGIC]
+
+
+@pytest.mark.parametrize("kind", _SLOW)
 @QUICK
 @given(noise=st.binary(max_size=600))
 def test_garbage_after_a_magic_number(kind: str, noise: bytes) -> None:

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from servo_daemon.api import tuning_schemas
-from servo_daemon.commands.tune import parse_fix, parse_tolerance
+from servo_daemon.commands.common import parse_fix
+from servo_daemon.commands.tune import parse_tolerance
 from servo_daemon.config import load_config
 from servo_daemon.errors import BadInputError
 from servo_daemon.simulate import PAPER_MOTOR
@@ -127,6 +128,8 @@ def test_what_is_out_of_reach_is_capped_and_says_why(run: Run) -> None:  # noqa:
         (("--config", "none.toml"), "none.toml"),
         (("--fix", FIX, "--bandwidth-hz", "400"), "too fast for 1000 samples a second: ask for at most 100 Hz"),
         (("--fix", FIX, "--settling-s", "1e-4"), "ask for at least 0.01 s"),
+        (("--fix", FIX, "--bandwidth-hz", "1e-9"), "too slow for 1000 samples a second: ask for at least 0.01 Hz"),
+        (("--fix", FIX, "--settling-s", "1e9"), "too slow for 1000 samples a second: ask for at most 100 s"),
         (("--fix", FIX, "--bandwidth-hz", "-3"), "positive"),
         (("--fix", FIX, "--bandwidth-hz", "nan"), "positive"),
         (("--fix", FIX, "--bandwidth-hz", "3", "--settling-s", "1"), "not allowed with"),
@@ -146,17 +149,56 @@ def test_bad_input_is_one_line(run: Run, words: tuple[str, ...], says: str) -> N
     assert says in result.document["error"] and "\n" not in result.document["error"]
 
 
-def test_a_capture_without_a_current_sensor_needs_more(run: Run, capture: Path, tmp_path: Path) -> None:  # noqa: F811
+def without(capture: Path, column: str, path: Path) -> Path:  # noqa: F811
+    """The same capture less a column."""
     lines = [x for x in capture.read_text(encoding="utf-8").splitlines() if not x.startswith("#")]
     rows = [line.split(",") for line in lines]
-    keep = [k for k, name in enumerate(rows[0]) if name != "current_A"]
-    blind = tmp_path / "blind.csv"
-    blind.write_text("\n".join(",".join(row[k] for k in keep) for row in rows), encoding="utf-8")
-    result = run("tune", blind, "--json")
-    assert result.code == 2 and "blind.csv" in result.document["error"] and "--fix" in result.document["error"]
+    keep = [k for k, name in enumerate(rows[0]) if name != column]
+    path.write_text("\n".join(",".join(row[k] for k in keep) for row in rows), encoding="utf-8")
+    return path
+
+
+def test_without_a_current_sensor_gains_follow_from_what_is_determined(
+    run: Run,  # noqa: F811
+    capture: Path,  # noqa: F811
+    tmp_path: Path,
+) -> None:
+    blind = without(capture, "current_A", tmp_path / "blind.csv")
+    document = run("tune", blind, "--bandwidth-hz", "2.5", "--json").document
+    assert all(p["value"] is None and p["std"] is None for p in document["parameters"].values())
+    assert document["designs"].keys() == {"speed_pi", "position_pid"}  # an LQR would need a measured current
+    known = run("tune", "--fix", FIX, "--rate-hz", "1000", "--bandwidth-hz", "2.5", "--json").document
+    for key, design in document["designs"].items():
+        for name, gain in design["gains"].items():
+            assert gain == pytest.approx(known["designs"][key]["gains"][name], rel=0.03)
+        assert design["worst"]["phase_margin_deg"] < design["margins"]["phase_margin_deg"]
+        assert design["worst"]["phase_margin_deg"] > design["margins"]["phase_margin_deg"] - 5.0
+        assert all(motor == {} for motor in design["worst"]["at"].values())
+    gain, slow, fast = document["answer"]
+    assert abs(gain["value"] - 0.30628 / (0.4937 * 0.51141 + 0.30628**2)) < 4 * gain["std"]
+    assert {c["unit"] for c in (gain, slow, fast)} == {"rad/(s·V)", "s", "s²"}
+    text = run("tune", blind).out
+    assert "K/(B R + K²) =" in text and " R = " not in text
+
+
+def test_without_a_current_sensor_given_values_complete_the_motor(run: Run, capture: Path, tmp_path: Path) -> None:  # noqa: F811
+    blind = without(capture, "current_A", tmp_path / "blind.csv")
     result = run("tune", blind, "--fix", "R=0.4937,L=2.2769e-3,K=0.30628", "--json")
     assert result.code == 0
     assert result.document["parameters"]["R"]["source"] == "fixed" and "R" in result.document["not_in_region"]
+    assert result.document["designs"].keys() == set(DESIGNS)
+
+
+def test_what_must_be_given_is_said(run: Run, capture: Path, tmp_path: Path) -> None:  # noqa: F811
+    """Ratios to K without a voltage; K²/J and J/B without a motion."""
+    no_voltage = without(capture, "voltage_V", tmp_path / "no_voltage.csv")
+    result = run("tune", no_voltage, "--json")
+    assert result.code == 2 and "no_voltage.csv" in result.document["error"]
+    assert "--fix R=…,L=…,K=… " in result.document["error"]
+    assert run("tune", no_voltage, "--fix", "R=0.4937,L=2.2769e-3,K=0.30628", "--json").code == 0
+    still = without(without(capture, "position_rad", tmp_path / "a.csv"), "velocity_rad_s", tmp_path / "still.csv")
+    result = run("tune", still, "--json")
+    assert result.code == 2 and "--fix K=… " in result.document["error"]
 
 
 def test_the_files(run: Run, config: Path, tmp_path: Path) -> None:  # noqa: F811

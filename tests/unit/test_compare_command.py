@@ -31,9 +31,11 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def compared(capture: Path) -> Any:
-    """The document of `compare` with the R of a datasheet that is nearly right."""
-    return run_command("compare", capture, "--assumed-R", "0.5", "--json").document
+def compared(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """The document of `compare` with the R of a datasheet that is nearly right; method 3 is trained on the spot."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("servo_daemon.learning.cache.cache_directory", lambda: tmp_path_factory.mktemp("cache"))
+        return run_command("compare", capture, "--assumed-R", "0.5", "--motors", "250", "--json").document
 
 
 def test_method_1_of_the_paper_to_the_digit(paper: Any) -> None:
@@ -79,10 +81,15 @@ def test_from_current_and_angle_all_five_come_out(paper: Any) -> None:
 def test_the_methods_on_one_capture(compared: Any) -> None:
     methods = compared["methods"]
     assert list(methods) == ["method1_paper", "method1", "method2", "method3"]
-    assert methods["method3"]["available"] is False
-    assert "train" in methods["method3"]["reason"]
     worst = {key: max(abs(e) for e in m["errors"].values()) for key, m in methods.items() if m["available"]}
     assert worst["method2"] < 0.01 < worst["method1"] < worst["method1_paper"]
+    assert set(methods["method3"]["errors"]) == {"R", "L", "K", "J", "B"}
+    assert worst["method3"] < 0.05
+    assert "250 simulated motors" in methods["method3"]["notes"][0]
+    inside = [
+        abs(p["value"] - compared["truth"][n]) < 3 * p["std"] for n, p in methods["method3"]["parameters"].items()
+    ]
+    assert all(inside)
     assert worst["method1"] < 0.2
     assert methods["method2"]["heldout"]["rmse"]["current_A"] < methods["method1"]["heldout"]["rmse"]["current_A"]
     distance = {key: m["position_test"]["distance_deg"] for key, m in methods.items() if m["available"]}
@@ -92,7 +99,7 @@ def test_the_methods_on_one_capture(compared: Any) -> None:
 
 
 def test_a_wrong_R_is_told(capture: Path) -> None:
-    methods = run_command("compare", capture, "--json").document["methods"]
+    methods = run_command("compare", capture, "--motors", "0", "--json").document["methods"]
     assert methods["method1"]["available"] is False
     assert "the assumed R is too large" in methods["method1"]["reason"]
 
@@ -100,7 +107,7 @@ def test_a_wrong_R_is_told(capture: Path) -> None:
 def test_without_the_truth_the_reference_is_named(capture: Path, tmp_path: Path) -> None:
     bare = tmp_path / "bare.csv"
     write_capture(bare, read_capture(capture).block())
-    document = run_command("compare", bare, "--assumed-R", "0.5", "--json").document
+    document = run_command("compare", bare, "--assumed-R", "0.5", "--motors", "0", "--json").document
     assert document["truth"] is None
     assert document["position_test"]["reference"] == "method2"
     assert document["methods"]["method2"]["errors"] == {}
@@ -112,18 +119,29 @@ def test_without_a_current_the_rows_say_why(capture: Path, tmp_path: Path) -> No
     path = tmp_path / "no_current.csv"
     np.savetxt(path, table, delimiter=",", header="time_s,voltage_V,position_rad", comments="", fmt="%.9g")
     methods = run_command("compare", path, "--json").document["methods"]
+    assert "current_A" in methods["method3"]["reason"]
     assert "current_A" in methods["method1"]["reason"]
     assert any("not determined" in note for note in methods["method2"]["notes"]) or methods["method2"]["reason"]
 
 
 def test_the_text_and_the_report(capture: Path, tmp_path: Path) -> None:
-    result = run_command("compare", capture, "--assumed-R", "0.5", "--paper", "--out", tmp_path / "out")
+    result = run_command(
+        "compare", capture, "--assumed-R", "0.5", "--motors", "0", "--paper", "--out", tmp_path / "out"
+    )
     assert result.code == 0
     assert "12.27e-3" in result.out
     assert "2 output error" in result.out
     html = (tmp_path / "out" / "report.html").read_text()
     assert "Figure 6" in html
     assert json.loads((tmp_path / "out" / "compare.json").read_text())["method1_paper"]
+
+
+def test_method_3_can_be_left_out(capture: Path) -> None:
+    row = run_command("compare", capture, "--assumed-R", "0.5", "--motors", "0", "--json").document["methods"][
+        "method3"
+    ]
+    assert not row["available"]
+    assert "--motors 0" in row["reason"]
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from servo_daemon.captures import read_capture, write_capture
+from servo_daemon.captures.plausible import plausibility_notes
 from tests.unit.commands import Result, run_command
 
 Run = Callable[..., Result]
@@ -135,6 +136,14 @@ def _millivolts(c: dict[str, Any]) -> None:
     c["voltage_V"] *= 1e3
 
 
+def _kilovolts(c: dict[str, Any]) -> None:
+    c["voltage_V"] /= 1e3
+
+
+def _small_motor_in_kiloamperes(c: dict[str, Any]) -> None:
+    c["current_A"] /= 20.0 * 1e3
+
+
 def _still(c: dict[str, Any]) -> None:
     for name in ("voltage_V", "current_A", "position_rad"):
         c[name][:] = 0.0
@@ -154,12 +163,44 @@ def test_time_in_milliseconds_is_refused_by_name(capture: Path, tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    ("change", "word"), [(_milliamperes, "milliamperes"), (_millivolts, "millivolts"), (_still, "never changes")]
+    ("change", "word"),
+    [
+        (_milliamperes, "milliamperes"),
+        (_millivolts, "millivolts"),
+        (_kilovolts, "kilovolts"),
+        (_small_motor_in_kiloamperes, "kA"),
+        (_still, "never changes"),
+    ],
 )
 def test_odd_numbers_are_remarked_upon(capture: Path, tmp_path: Path, change: Any, word: str) -> None:
     result = run_command("fit", rewritten(capture, tmp_path / "odd.csv", change))
     assert result.code == 0
     assert word in result.err
+
+
+@pytest.mark.parametrize(("volts", "ohms"), [(1.5, 20.0), (24.0, 700.0), (0.15, 5.0), (400.0, 0.4), (12.0, 0.01)])
+def test_motors_of_all_sizes_are_nothing_odd(capture: Path, tmp_path: Path, volts: float, ohms: float) -> None:
+    """From millimetres to tens of kilowatts: the paper's motor with voltages and currents of another winding."""
+    voltage, current = volts / 24.0, volts / ohms * 0.4937 / 24.0
+
+    def scale(c: dict[str, Any]) -> None:
+        c["voltage_V"] *= voltage
+        c["current_A"] *= current
+
+    scaled = rewritten(capture, tmp_path / "scaled.csv", scale)
+    assert plausibility_notes(read_capture(scaled)) == ()
+
+
+def test_what_a_held_voltage_hides_of_j_is_said_or_in_its_deviation(capture: Path, tmp_path: Path) -> None:
+    bare = rewritten(capture, tmp_path / "bare.csv", lambda c: c.pop("voltage_V"))
+    without = run_command("fit", bare, "--fix", "K=0.30628", "--json").document
+    (note,) = (n for n in without["notes"] if "holds its voltage" in n)
+    J = without["parameters"]["J"]
+    assert f"{100 * 1e-3 * 0.30628**2 / (2 * J['value']):.2g} % over R" in note
+    given = run_command("fit", bare, "--fix", "K=0.30628,R=0.4937", "--json").document
+    assert not any("holds its voltage" in n for n in given["notes"])
+    hidden = 1e-3 * 0.30628**2 / (2 * 0.4937)
+    assert given["parameters"]["J"]["std"] == pytest.approx(np.hypot(J["std"], hidden), rel=0.02)
 
 
 def test_no_excitation_claims_nothing(capture: Path, tmp_path: Path) -> None:
@@ -182,6 +223,18 @@ def test_bad_files_get_one_line(tmp_path: Path, content: str, words: str) -> Non
     assert result.code == 2
     assert words in result.err
     assert len(result.err.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "words", [("fit", "few"), ("fit", "capture", "--validate", "few"), ("compare", "few"), ("tune", "few")]
+)
+def test_three_samples_are_no_capture(capture: Path, tmp_path: Path, words: tuple[str, ...]) -> None:
+    few = tmp_path / "few.csv"
+    few.write_text("time_s,voltage_V,current_A,position_rad\n0,1,0,0\n0.001,1,0.1,0\n0.002,1,0.2,0.001\n")
+    result = run_command(*({"few": few, "capture": capture}.get(w, w) for w in words))
+    assert result.code == 2
+    assert f"{few}: 3 samples are too few" in result.err
+    assert "10 at the least" in result.err
 
 
 def test_nan_is_placed(capture: Path, tmp_path: Path) -> None:

@@ -54,6 +54,17 @@ def test_emps_fitted_to_free_runs_of_a_second(servo_data: Path) -> None:
     assert 0.3e-3 < scores["extended"]["rmse_1s"]["position_m"] < 0.5e-3
 
 
+def test_emps_with_coulomb_friction_alone_says_that_its_200_kg_are_drift(servo_data: Path) -> None:
+    """One free run of 25 s under a friction that differs by direction: the motor that drifts least is none."""
+    document = fitted(servo_data / "emps_train.csv.gz", "--effect", "coulomb_friction")
+    assert document["parameters"]["J"]["value"] > 150.0
+    (note,) = (n for n in document["notes"] if "drift" in n)
+    assert "position_m" in note
+    assert "J = 99" in note
+    assert "kg" in note
+    assert "--segment 1" in note
+
+
 def test_levels_by_direction_and_a_constant_load_are_the_same_thing(servo_data: Path) -> None:
     document = fitted(servo_data / "emps_train.csv.gz", *ASYMMETRIC)
     assert any({"Tc", "Tc_neg", "TL"} <= d["components"].keys() for d in document["null_directions"])

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
 
 from servo_daemon.errors import BadInputError
-from servo_daemon.estimators.output_error import FitOptions, Recording, fit_output_error
+from servo_daemon.estimators.output_error import FitOptions, Recording, fit_output_error, lazy
 from servo_daemon.estimators.output_error.robust import sample_weights
 from servo_daemon.estimators.output_error.rollout import free_run, simulate
 from servo_daemon.estimators.output_error.score import measured_speed, score
 from servo_daemon.estimators.output_error.setup import make_problem
+from servo_daemon.estimators.output_error.solver import solve
 from servo_daemon.plant.build import build_plant
 from servo_daemon.plant.reference import linear_step
 from servo_daemon.samples import F64, SampleBlock, make_block
@@ -105,6 +107,24 @@ def test_far_starts_end_at_the_same_place(scale: float) -> None:
     assert fit.start == "nominal values"
     for name, p in fit.parameters.items():
         assert p.value == pytest.approx(there.parameters[name].value, rel=1e-3)
+
+
+def test_derivatives_are_computed_only_where_a_search_goes_on_from(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a model with sensitivities ten times as dear as its simulation that is most of a fit's time."""
+    calls = []
+
+    def counted(*arguments: Any) -> Any:
+        calls.append(arguments)
+        return simulate(*arguments)
+
+    monkeypatch.setattr(lazy, "simulate", counted)
+    problem = make_problem([Recording("a", block_of(linear_recording(), *FULL))], (), {})
+    far = {n: float(np.log(v * (5.0 if k % 2 else 0.2))) for k, (n, v) in enumerate(MOTOR.items())}
+    solution = solve(problem, problem.start(far), robust=False)
+    assert solution is not None
+    assert solution.converged
+    assert len(calls) == len(solution.iterations)
+    assert solution.iterations[-1].evaluations > 1.5 * len(calls)
 
 
 def test_without_a_current_three_combinations_of_five_are_left() -> None:

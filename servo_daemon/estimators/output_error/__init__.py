@@ -9,7 +9,8 @@ segment's initial state) that leave least are found by a bounded Gauss–Newton 
 recording cannot determine is said, not guessed.
 """
 
-from servo_daemon.estimators.output_error.fit import FitOptions, OutputErrorFit, Recording, fit_output_error
-from servo_daemon.estimators.output_error.fit import FittedParameter as FittedParameter
+from servo_daemon.estimators.output_error.fit import FitOptions, OutputErrorFit, fit_output_error
+from servo_daemon.estimators.output_error.parameters import FittedParameter
+from servo_daemon.estimators.output_error.setup import Recording
 
 __all__ = ["FitOptions", "FittedParameter", "OutputErrorFit", "Recording", "fit_output_error"]

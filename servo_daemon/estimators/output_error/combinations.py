@@ -21,8 +21,12 @@ _USELESS = 0.5
 #: Part of a gradient along a null direction beyond which the combination is not determined.
 _LEAK = 1e-4
 
+#: Of `_CANDIDATES`, the first: the coefficients of ω/v = g/(1 + s p + s² q).
+_ANSWER = 3
+
 _Values = Mapping[str, float]
-_CANDIDATES: tuple[tuple[str, str, tuple[str, ...], Callable[[_Values], float]], ...] = (
+_Candidate = tuple[str, str, tuple[str, ...], Callable[[_Values], float]]
+_CANDIDATES: tuple[_Candidate, ...] = (
     ("K/(B R + K²)", "rad/(s·V)", ("R", "K", "B"), lambda p: p["K"] / (p["B"] * p["R"] + p["K"] ** 2)),
     (
         "(J R + L B)/(B R + K²)",
@@ -62,34 +66,76 @@ class Combination:
     unit: str
 
 
-def determined_combinations(plant: PlantModel, q: F64, info: Information, scale: F64) -> tuple[Combination, ...]:
+@dataclass(frozen=True, slots=True)
+class VoltageAnswer:
+    """How the speed answers the voltage, all that a recording without a current shows of the motor.
+
+    Attributes:
+        coefficients: g, p and q of ω/v = g/(1 + s p + s² q).
+        covariance: of their relative deviations, shape (3, 3); that of q may be larger than 1, where the winding is
+            fast against what is seen.
+    """
+
+    coefficients: tuple[Combination, ...]
+    covariance: F64
+
+
+def voltage_answer(plant: PlantModel, q: F64, info: Information, scale: F64) -> VoltageAnswer | None:
+    """None where the model has no voltage, or where the data leave one of the three open.
+
+    Args:
+        q, info, scale: as for `determined_combinations`.
+    """
+    if plant.drive != "voltage":
+        return None
+    useless = (_USELESS, _USELESS, np.inf)
+    found = [_combination(plant, q, info, scale, c, u) for c, u in zip(_CANDIDATES[:_ANSWER], useless, strict=True)]
+    if any(known is None for known, _ in found):
+        return None
+    coefficients = tuple(known for known, _ in found if known is not None)
+    rows = np.array([gradient / c.value for (_, gradient), c in zip(found, coefficients, strict=True)])
+    root = rows / scale @ info.root
+    return VoltageAnswer(coefficients, np.asarray(root @ root.T))
+
+
+def determined_combinations(
+    plant: PlantModel, q: F64, answer: VoltageAnswer | None, info: Information, scale: F64
+) -> tuple[Combination, ...]:
     """Those that the data determine although they leave one of its parameters open.
 
     Args:
         q: shape (np,), coordinates of the plant's parameters.
+        answer: the speed's, which does not depend on how friction and back-EMF share the braking.
         scale: as for `information`.
     """
     open_ones = {name for name, lost in zip(info.names, info.undetermined, strict=True) if lost}
+    seen = {} if answer is None else {c.expression: c for c in answer.coefficients if c.std < _USELESS * c.value}
+    out = []
+    for candidate in _CANDIDATES:
+        names = set(candidate[2])
+        if names <= set(plant.parameter_names) and names & open_ones:
+            known = seen.get(candidate[0]) or _combination(plant, q, info, scale, candidate)[0]
+            out += [] if known is None else [known]
+    return tuple(out)
+
+
+def _combination(
+    plant: PlantModel, q: F64, info: Information, scale: F64, candidate: _Candidate, useless: float = _USELESS
+) -> tuple[Combination | None, F64]:
+    """The combination, None where it is not determined; and its gradient over the scaled coordinates, shape (k,)."""
+    expression, unit, names, function = candidate
     logs = np.array([p.transform == "log" for p in plant.parameters])
 
     def natural(coordinates: F64) -> dict[str, float]:
         values: F64 = np.where(logs, np.exp(np.where(logs, coordinates, 0.0)), coordinates)
         return dict(zip(plant.parameter_names, values.tolist(), strict=True))
 
-    out = []
-    for expression, unit, names, function in _CANDIDATES:
-        if not set(names) <= set(plant.parameter_names) or not set(names) & open_ones:
-            continue
-        value = function(natural(q))
-        gradient = np.zeros(len(info.names))
-        for column, name in enumerate(info.names):
-            if name in names:
-                at = plant.parameter_names.index(name)
-                step = 1e-5 * scale[column] * np.eye(len(q))[at]
-                gradient[column] = (function(natural(q + step)) - function(natural(q - step))) / 2e-5
-        length = float(np.linalg.norm(gradient))
-        leak = float(np.max(np.abs(info.exact @ gradient), initial=0.0))
-        std = float(np.sqrt(max(float(gradient / scale @ info.covariance @ (gradient / scale)), 0.0)))
-        if leak <= _LEAK * length and 0.0 < std < _USELESS * abs(value):
-            out.append(Combination(expression, value, std, unit))
-    return tuple(out)
+    value, gradient = function(natural(q)), np.zeros(len(info.names))
+    for column, name in enumerate(info.names):
+        if name in names:
+            step = 1e-5 * scale[column] * np.eye(len(q))[plant.parameter_names.index(name)]
+            gradient[column] = (function(natural(q + step)) - function(natural(q - step))) / 2e-5
+    leak = float(np.max(np.abs(info.exact @ gradient), initial=0.0))
+    std = float(np.linalg.norm(gradient / scale @ info.root))
+    determined = leak <= _LEAK * float(np.linalg.norm(gradient)) and 0.0 < std < useless * abs(value)
+    return (Combination(expression, value, std, unit) if determined else None), gradient

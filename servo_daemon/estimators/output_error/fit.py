@@ -9,9 +9,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from servo_daemon.errors import NumericalError
-from servo_daemon.estimators.base import from_coordinate
-from servo_daemon.estimators.output_error.combinations import Combination, determined_combinations
+from servo_daemon.estimators.base import natural_values
+from servo_daemon.estimators.output_error.combinations import (
+    Combination,
+    VoltageAnswer,
+    determined_combinations,
+    voltage_answer,
+)
 from servo_daemon.estimators.output_error.information import Information, NullDirection, information
+from servo_daemon.estimators.output_error.input_error import SHIFTED, with_input_error
 from servo_daemon.estimators.output_error.noise import NoiseModel
 from servo_daemon.estimators.output_error.outcome import NoiseOption, conclude
 from servo_daemon.estimators.output_error.parameters import (
@@ -22,7 +28,7 @@ from servo_daemon.estimators.output_error.parameters import (
 )
 from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.output_error.residual import ResidualTest, residual_tests
-from servo_daemon.estimators.output_error.setup import OFFSETS, Recording, current_size, make_problem
+from servo_daemon.estimators.output_error.setup import Recording, carrying, current_size, make_problem
 from servo_daemon.estimators.output_error.solver import Iteration, Point, Solution, solve
 from servo_daemon.estimators.output_error.starts import Start, coordinates, sizes, starting_points, torque_size
 from servo_daemon.plant.effects import effects_by_name
@@ -39,6 +45,8 @@ _SAME = 0.2
 _STILL = 1e-9
 #: Iterations of the first search, and of those that follow only to see whether there is a better minimum.
 _FIRST_SEARCH, _OTHER_SEARCHES = 60, 25
+#: V per value that an iteration must win where a rough end will do: half of it is the change of the RMS.
+_ENOUGH = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +60,8 @@ class FitOptions:
         segment_s: cut recordings into pieces of about this length.
         noise_model: "auto": noise that enters the motor is looked for and, if it explains the residuals, weighed;
             "none": plain output error.
+        thorough: False: only the first start is searched from, and only as far as the simulation gets visibly better:
+            for starts that are known to be near the best end.
     """
 
     nominal: Mapping[str, float] = field(default_factory=dict)
@@ -59,6 +69,7 @@ class FitOptions:
     robust: bool = True
     segment_s: float | None = None
     noise_model: NoiseOption = "auto"
+    thorough: bool = True
 
 
 @dataclass(frozen=True)
@@ -72,6 +83,7 @@ class OutputErrorFit:
         correlation: of the determined shared parameters, by name.
         before, after: what the recordings determine, at the start and at the end.
         combinations: what is determined of parameters that are not.
+        answer: of the speed to the voltage, with its covariance; None where the data leave it open.
         residual: of the free run, by channel.
         innovation: of the noise model's filter, by channel, where that model is used.
         noise: noise that enters the motor, where it explains what the free run leaves: `solution` is then the estimate
@@ -89,6 +101,7 @@ class OutputErrorFit:
     before: Information
     after: Information
     combinations: tuple[Combination, ...]
+    answer: VoltageAnswer | None
     residual: Mapping[str, ResidualTest]
     innovation: Mapping[str, ResidualTest] | None
     noise: NoiseModel | None
@@ -133,13 +146,22 @@ def fit_output_error(
     choices = {p.name: options.nominal.get(p.name, p.nominal) for p in _choices(effects)}
     options = replace(options, fixed={**choices, **options.fixed})
     problem = make_problem(recordings, effects, options.fixed, segment_s=options.segment_s)
+    if not options.thorough:
+        problem = carrying(problem, recordings)
     starts = starting_points(recordings, problem, {**options.nominal, **options.fixed})
+    starts = starts if options.thorough else starts[:1]
     scale = _coordinate_scale(problem, recordings, starts[0])
-    solution, start = _search(problem, starts, options.robust)
+    solution, start = _search(problem, starts, options)
     first = solve(problem, problem.start(coordinates(start, problem)), robust=False, max_iterations=0)
     assert first is not None  # it was searched from
     outcome = conclude(problem, solution, scale, options.noise_model, _torque_size(problem, recordings, solution))
     plain, solution, after = solution, outcome.solution, outcome.information
+    if problem.plant.drive != "voltage":
+        shifted = make_problem(recordings, effects, options.fixed, segment_s=options.segment_s, input_share=SHIFTED)
+        shifted = shifted if options.thorough else carrying(shifted, recordings)
+        after = with_input_error(after, problem, shifted, solution.point, {**options.nominal, **options.fixed})
+    at_end = problem.coordinates(solution.point.unknowns, 0)
+    answer = voltage_answer(problem.plant, at_end, after, scale)
     with_friction = seen_with_friction(problem, solution.point, scale)
     if with_friction is not None:
         lost = after.undetermined | with_friction.undetermined
@@ -153,9 +175,8 @@ def fit_output_error(
         correlation=correlation_of(after, problem.n_shared),
         before=information(problem, first.point, scale),
         after=after,
-        combinations=determined_combinations(
-            problem.plant, problem.coordinates(solution.point.unknowns, 0), after, scale
-        ),
+        combinations=determined_combinations(problem.plant, at_end, answer, after, scale),
+        answer=answer,
         residual=outcome.residual,
         innovation=outcome.innovation,
         noise=outcome.noise,
@@ -171,7 +192,7 @@ def _choices(effects: Sequence[str]) -> list[Parameter]:
     return [p for name in effects if name in known for p in known[name].parameters if p.held == "always"]
 
 
-def _search(problem: Problem, starts: Sequence[Start], robust: bool) -> tuple[Solution, Start]:
+def _search(problem: Problem, starts: Sequence[Start], options: FitOptions) -> tuple[Solution, Start]:
     """The best end of the searches: all but the guesses from sizes are tried, and of these the most promising.
 
     It is over when an end explains the data to their noise, or when another search comes to the same place.
@@ -179,15 +200,18 @@ def _search(problem: Problem, starts: Sequence[Start], robust: bool) -> tuple[So
     guesses = [s for s in starts if "signal sizes" in s.source]
     chosen = [s for s in starts if "signal sizes" not in s.source] + _most_promising(problem, guesses)
     best: tuple[Solution, Start] | None = None
+    enough = 0.0 if options.thorough else _ENOUGH * float(problem.counts.sum())
     idle = bool((problem.spread <= _STILL).all())  # nothing moves: nothing to search for
     for start in chosen:
         been = None if best is None else best[0].point
         found = solve(
             problem,
             problem.start(coordinates(start, problem)),
-            robust=robust,
+            robust=options.robust,
             max_iterations=0 if idle else _FIRST_SEARCH if been is None else _OTHER_SEARCHES,
             give_up=None if been is None else _same_place(been),
+            enough=enough,
+            curved=options.thorough,
         )
         if found is None:
             continue
@@ -202,7 +226,8 @@ def _search(problem: Problem, starts: Sequence[Start], robust: bool) -> tuple[So
     if (
         not idle
         and not best[0].converged
-        and (further := solve(problem, best[0].point.unknowns, robust=robust)) is not None
+        and options.thorough
+        and (further := solve(problem, best[0].point.unknowns, robust=options.robust)) is not None
     ):
         best = _in_a_row(best[0], further), best[1]
     return best
@@ -256,10 +281,5 @@ def _coordinate_scale(problem: Problem, recordings: Sequence[Recording], start: 
 
 def _torque_size(problem: Problem, recordings: Sequence[Recording], solution: Solution) -> float:
     """N·m, what the motor exerts in its longest recording, as fitted."""
-    names, q = problem.plant.parameter_names, problem.coordinates(solution.point.unknowns, 0)
-    table = {p.name: p for p in problem.plant.parameters}
-    values = {n: from_coordinate(table[n], float(c), 0.0)[0] for n, c in zip(names, q, strict=True)}
+    values = natural_values(problem.plant.parameters, problem.coordinates(solution.point.unknowns, 0))
     return torque_size(values, max((r.block for r in recordings), key=len), problem.plant.drive)
-
-
-__all__ = ["OFFSETS", "FitOptions", "FittedParameter", "OutputErrorFit", "Recording", "fit_output_error"]

@@ -45,17 +45,23 @@ class Information:
 
     Attributes:
         names: of the columns.
-        covariance: shape (k, k), coordinates; along exact null directions nothing is added.
+        root: shape (k, ·), of the covariance of the coordinates: root rootᵀ, with nothing along exact null directions.
+            Kept apart because a direction may be ten million times as uncertain as another, which its square drowns.
         undetermined: shape (k,), whether a null direction moves it or its own 1 σ exceeds a factor of e.
         null: the null directions.
         exact: shape (·, k), the exact ones as unit vectors in scaled coordinates.
     """
 
     names: tuple[str, ...]
-    covariance: F64
+    root: F64
     undetermined: NDArray[np.bool_]
     null: tuple[NullDirection, ...]
     exact: F64
+
+    @property
+    def covariance(self) -> F64:
+        """Shape (k, k)."""
+        return np.asarray(self.root @ self.root.T)
 
 
 def information(problem: Problem, point: Point, scale: F64) -> Information:
@@ -72,15 +78,15 @@ def information(problem: Problem, point: Point, scale: F64) -> Information:
     exact = s < _RANK * max(float(s[0]), 1e-300)
     with np.errstate(divide="ignore"):
         spread = np.where(exact, 0.0, 1.0 / np.where(exact, 1.0, s))
-    covariance = (directions.T * spread**2) @ directions * np.outer(scale, scale)
-    std = np.sqrt(np.diag(covariance)) / scale
+    root = (directions.T * spread)[:, ~exact]
+    std = np.linalg.norm(root, axis=1)
     lost = (np.abs(directions[exact]) > _COMPONENT).any(axis=0) if exact.any() else np.zeros(len(names), dtype=bool)
     null = [
         NullDirection(_components(names, v), bool(e))
         for v, e, d in zip(directions, exact, spread, strict=True)
         if e or d > _UNKNOWN
     ]
-    return Information(names, covariance, lost | (std > _UNKNOWN), tuple(null), directions[exact])
+    return Information(names, scale[:, None] * root, lost | (std > _UNKNOWN), tuple(null), directions[exact])
 
 
 def _components(names: tuple[str, ...], direction: F64) -> dict[str, float]:
@@ -89,15 +95,14 @@ def _components(names: tuple[str, ...], direction: F64) -> dict[str, float]:
     out: dict[str, float] = {}
     for name, share in zip(names, shares, strict=True):
         if abs(share) >= 0.01:
-            out[name] = out.get(name, 0.0) or float(share)
+            out.setdefault(name, float(share))
     return out
 
 
 def _reduced(problem: Problem, point: Point) -> F64:
     """R over (parameters), initial states eliminated; shape (at least k, k)."""
     n_x, n_q = len(problem.plant.states), len(problem.parameter_of_column)
-    mean, prior = problem.state_prior()
-    del mean
+    _, prior = problem.state_prior
     parts = []
     for k, (J, w) in enumerate(zip(point.linearisation.jacobian, point.weights, strict=True)):
         where = problem.columns(k)
@@ -119,19 +124,31 @@ def _triangle(A: F64) -> F64:
 
 
 def sandwich(problem: Problem, point: Point, info: Information) -> F64:
-    """Covariance for residuals that are not white: H⁻¹ M H⁻¹ with M the long-run covariance of the scores.
+    """Root of the covariance for residuals that are not white, H⁻¹ M H⁻¹ with M the long-run covariance of the scores.
 
     M = (1/n) Σ_ω J(ω)ᴴ W S(ω) W J(ω), S the residuals' spectral matrix over all channels, smoothed (Daniell) over √n
     frequencies: correlation in time and between channels is in it, whatever made it (voltage noise, quantisation,
-    what the model lacks).
+    what the model lacks). Formed along the root of H⁻¹, where white residuals give the unit matrix.
     """
-    H_inverse = info.covariance
-    n_q = len(info.names)
-    M = np.zeros((n_q, n_q))
+    M = np.zeros((info.root.shape[1], info.root.shape[1]))
     for k, scores in enumerate(_reduced_sensitivities(problem, point)):
         r = point.linearisation.residuals[k] * np.sqrt(point.weights[k]) / point.sigma
-        M += _long_run(scores, r)
-    return np.asarray(H_inverse @ M @ H_inverse)
+        M += _long_run(scores @ info.root, r)
+    values, vectors = np.linalg.eigh(M)
+    return np.asarray(info.root @ (vectors * np.sqrt(np.maximum(values, 0.0))))
+
+
+def largest(root: F64, other: F64) -> F64:
+    """Root of the smallest covariance along these axes that is in every direction as large as both; shape as `root`.
+
+    Args:
+        root, other: of covariances over the same directions.
+    """
+    if not root.size:
+        return root
+    relative, *_ = np.linalg.lstsq(root, other, rcond=None)
+    values, vectors = np.linalg.eigh(relative @ relative.T)
+    return np.asarray(root @ (vectors * np.sqrt(np.maximum(values, 1.0))))
 
 
 def _reduced_sensitivities(problem: Problem, point: Point) -> list[F64]:

@@ -16,13 +16,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Literal
 
-import numpy as np
-
-from servo_daemon.estimators.output_error.information import Information, information, sandwich
+from servo_daemon.estimators.output_error.information import Information, information, largest, sandwich
 from servo_daemon.estimators.output_error.noise import WORTH, NoiseModel, resolution
-from servo_daemon.estimators.output_error.polish import Polished, polish
+from servo_daemon.estimators.output_error.polish import Polished, polish, whiten_point
 from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.output_error.residual import ResidualTest, innovation_tests, residual_tests
 from servo_daemon.estimators.output_error.solver import Solution
@@ -74,21 +73,15 @@ def conclude(problem: Problem, plain: Solution, scale: F64, option: NoiseOption,
 
 def _plain(problem: Problem, plain: Solution, scale: F64, rejected: Polished | None) -> Outcome:
     """The standard deviations are the largest of those that can be defended: of white residuals, of coloured ones by
-    their spectrum, and of the noise model, whose innovations count as many times as they correlate."""
+    their spectrum, and of the noise model, whose innovations count as many times as they correlate. All at the same
+    point, where they share what is not seen at all."""
     known = information(problem, plain.point, scale)
     residual = residual_tests(problem, plain.point)
     if rejected is not None or not all(test.white for test in residual.values()):
-        covariances = [sandwich(problem, plain.point, known)]
+        others = [sandwich(problem, plain.point, known)]
         if rejected is not None:
-            filtered = information(problem, rejected.whitened, scale)
-            covariances += [filtered.covariance, sandwich(problem, rejected.whitened, filtered)]
-        known = replace(known, covariance=_widened(covariances))
+            whitened, _ = whiten_point(problem, plain.point, rejected.log_variance)
+            filtered = information(problem, whitened, scale)
+            others += [filtered.root, sandwich(problem, whitened, filtered)]
+        known = replace(known, root=reduce(largest, others, known.root))
     return Outcome(plain, known, residual, None, None)
-
-
-def _widened(covariances: list[F64]) -> F64:
-    """The first with the largest of all variances."""
-    variance = np.diag(covariances[0])
-    largest = np.max([np.diag(c) for c in covariances], axis=0)
-    factor = np.sqrt(np.where(variance > 0, largest / np.where(variance > 0, variance, 1.0), 1.0))
-    return np.asarray(covariances[0] * np.outer(factor, factor))

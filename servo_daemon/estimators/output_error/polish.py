@@ -57,6 +57,7 @@ class Polished:
         point: of the free run there.
         whitened: the same with innovations for residuals, in units of their σ.
         noise: the noise model.
+        log_variance: of the noises, as the filter takes them.
         torque_gain: by how much a white load torque beside it would lower −2 log p.
         innovation_rms: shape (c,), in the channels' units.
         at_bound: columns of parameters that ended at a bound.
@@ -65,6 +66,7 @@ class Polished:
     point: Point
     whitened: Point
     noise: NoiseModel
+    log_variance: F64
     torque_gain: float
     innovation_rms: F64
     at_bound: frozenset[int]
@@ -88,7 +90,7 @@ def polish(problem: Problem, point: Point, torque_size: float) -> Polished | Non
     gain = plain - _likelihood(problem, point, limits).value(a)
     whitened, rms = whiten_point(problem, point, a)
     torque = _torque_gain(problem, point, a, limits)
-    return Polished(point, whitened, noise_model(problem, a, gain), torque, rms, _at_bound(problem, whitened))
+    return Polished(point, whitened, noise_model(problem, a, gain), a, torque, rms, _at_bound(problem, whitened))
 
 
 def _torque_gain(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64]) -> float:
@@ -179,7 +181,7 @@ def whiten_point(problem: Problem, point: Point, log_variance: F64) -> tuple[Poi
     ones = tuple(np.ones_like(r) for r in residuals)
     sse = np.sum([(r * r).sum(axis=0) for r in residuals], axis=0)
     linear = Linearisation(tuple(residuals), tuple(jacobians), True)
-    mean, prior = problem.state_prior()
+    mean, prior = problem.state_prior
     value = logs + float(sse.sum() + prior @ (point.unknowns - mean) ** 2)
     whitened = Point(point.unknowns, linear, ones, sse, np.ones(len(problem.channels)), value)
     return whitened, np.sqrt(squares / problem.counts)

@@ -12,17 +12,23 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_daemon.estimators.output_error.rollout import simulate
+from servo_daemon.estimators.output_error.lazy import Differenced, Lazy
+from servo_daemon.estimators.output_error.rollout import free_run
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.samples import F64
 
 #: A state that the data do not show (the angle where only a speed is measured, the current of a fast winding) is kept
 #: near its start by a prior this many times as wide as the signal is large: it decides nothing where data do.
 _STATE_PRIOR = 100.0
+
+
+#: States of the motor itself; the others are effects'.
+MOTOR_STATES = ("current_A", "velocity_rad_s", "position_rad")
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +42,7 @@ class Segment:
         valid: shape (n, c).
         x0: shape (nx,), initial state to start from.
         x0_scale: shape (nx,), size of that state over the recording.
+        begin: index of its first sample in the recording.
     """
 
     recording: int
@@ -44,6 +51,23 @@ class Segment:
     valid: NDArray[np.bool_]
     x0: F64
     x0_scale: F64
+    begin: int = 0
+
+
+class Linearised(Protocol):
+    """Residuals and derivatives at one point; see `Linearisation`."""
+
+    @property
+    def residuals(self) -> tuple[F64, ...]:
+        """Per segment, shape (n, c)."""
+
+    @property
+    def jacobian(self) -> tuple[F64, ...]:
+        """Per segment, shape (n, c, k)."""
+
+    @property
+    def finite(self) -> bool:
+        """Whether the simulation stayed in range."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +97,10 @@ class Problem:
         local: names of the free parameters that every recording has for itself.
         given: coordinate of every parameter that is not free.
         recordings: how many there are.
+        exact: derivatives from compiled sensitivities; False: by differences.
+        own_states: states that a segment begins with freely, where derivatives are differences.
+        whole: per recording (x0, rows) of a run over all of it, from which segments take their other states; empty:
+            they begin as their `x0` says.
     """
 
     plant: PlantModel
@@ -82,6 +110,9 @@ class Problem:
     local: tuple[str, ...]
     given: Mapping[str, float]
     recordings: int
+    exact: bool = True
+    own_states: tuple[str, ...] = MOTOR_STATES
+    whole: tuple[tuple[F64, F64], ...] = ()
 
     @cached_property
     def n_shared(self) -> int:
@@ -117,6 +148,13 @@ class Problem:
 
     def columns(self, index: int) -> NDArray[np.intp]:
         """Which unknowns act on a segment: shared, its recording's own, its initial state; shape (k,)."""
+        return self._columns[index]
+
+    @cached_property
+    def _columns(self) -> tuple[NDArray[np.intp], ...]:
+        return tuple(self._columns_of(k) for k in range(len(self.segments)))
+
+    def _columns_of(self, index: int) -> NDArray[np.intp]:
         recording = self.segments[index].recording
         n_local, n_x = len(self.local), len(self.plant.states)
         own = self.n_shared + n_local * recording
@@ -146,23 +184,38 @@ class Problem:
         """Shape (nx,)."""
         return unknowns[self.columns(index)[-len(self.plant.states) :]]
 
-    def linearise(self, unknowns: F64) -> Linearisation:
-        """Simulate every segment and differentiate."""
-        names = self.plant.parameter_names
-        chosen = [names.index(n) for n in (*self.free, *self.local)]
-        residuals, jacobians, finite = [], [], True
-        for k, segment in enumerate(self.segments):
-            q = self.coordinates(unknowns, segment.recording)
-            run = simulate(self.plant, self.channels, q, self.initial_state(unknowns, k), segment.rows)
-            finite = finite and bool(np.isfinite(run.last).all() and np.isfinite(run.shown[-1]).all())
-            residuals.append(np.where(segment.valid, segment.measured - run.shown, 0.0))
-            jacobian = np.concatenate([run.by_parameter[:, :, chosen], run.by_state], axis=2)
-            if not segment.valid.all():
-                jacobian = jacobian * segment.valid[:, :, None]
-            jacobians.append(jacobian)
-        finite = finite and all(bool(np.isfinite(r).all()) for r in residuals)
-        return Linearisation(tuple(residuals), tuple(jacobians), finite)
+    def carried(self, unknowns: F64) -> list[F64 | None]:
+        """Per segment the states as a run over the whole recording has them at its first sample, shape (nx,)."""
+        if not self.whole or set(self.plant.state_names) <= set(self.own_states):
+            return [None] * len(self.segments)
+        paths = []
+        for recording, (x0, rows) in enumerate(self.whole):
+            paths.append(free_run(self.plant, self.channels, self.coordinates(unknowns, recording), x0, rows)[1])
+        return [paths[s.recording][s.begin] for s in self.segments]
 
+    def start_of(self, unknowns: F64, index: int, carried: F64 | None) -> F64:
+        """A segment's initial state, shape (nx,): its own, and what is carried."""
+        x0 = self.initial_state(unknowns, index)
+        if carried is None:
+            return x0
+        own = np.array([name in self.own_states for name in self.plant.state_names])
+        return np.where(own, x0, carried)
+
+    def residual(self, unknowns: F64, index: int, carried: F64 | None) -> F64:
+        """Measured minus simulated of a segment, shape (n, c); 0 where not valid."""
+        segment = self.segments[index]
+        q, x0 = self.coordinates(unknowns, segment.recording), self.start_of(unknowns, index, carried)
+        shown, _ = free_run(self.plant, self.channels, q, x0, segment.rows)
+        return np.where(segment.valid, segment.measured - shown, 0.0)
+
+    def linearise(self, unknowns: F64) -> Linearised:
+        """Simulate every segment and differentiate."""
+        carried = self.carried(unknowns)
+        residuals = tuple(self.residual(unknowns, k, carried[k]) for k in range(len(self.segments)))
+        finite = all(bool(np.isfinite(r).all()) for r in residuals)
+        return (Lazy if self.exact else Differenced)(self, unknowns, residuals, finite)
+
+    @cached_property
     def state_prior(self) -> tuple[F64, F64]:
         """Mean and inverse variance of the unknowns' prior: zero weight but for initial states."""
         mean, weight = np.zeros(self.n_unknowns), np.zeros(self.n_unknowns)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import isfinite
 
@@ -26,6 +26,8 @@ OFFSETS = ("TL", "i0", "v0")
 _LONG_GAP_PERIODS, _LONG_GAP_S = 10.0, 0.1
 #: Fewest samples in a segment: each brings three unknown initial values along.
 FEWEST_SAMPLES = 10
+#: Where the mean of a signal that runs straight between two samples lies.
+STRAIGHT = 0.5
 #: Samples over which the speed at the beginning of a segment is guessed.
 _SLOPE_SAMPLES = 15
 
@@ -65,12 +67,14 @@ def make_problem(
     fixed: Mapping[str, float],
     *,
     segment_s: float | None = None,
+    input_share: float = STRAIGHT,
 ) -> Problem:
     """The fit of a motor with these effects to these recordings.
 
     Args:
         fixed: parameters held at a value, natural units.
         segment_s: cut recordings into pieces of about this length, each with an initial state of its own.
+        input_share: where between two samples of a current or torque its mean over the step lies, see `input_error.py`.
 
     Raises:
         BadInputError: no usable signals, too few samples, or a fixed parameter that the model does not have.
@@ -81,7 +85,9 @@ def make_problem(
     for name, value in fixed.items():
         if name in table and not (isfinite(value) and table[name].lower <= value <= table[name].upper):
             raise BadInputError(f"{name} = {value:g} is outside {table[name].lower:g} .. {table[name].upper:g}")
-    segments = [s for k, r in enumerate(recordings) for s in _segments(k, r.block, plant, measured, segment_s)]
+    segments = [
+        s for k, r in enumerate(recordings) for s in _segments(k, r.block, plant, measured, (segment_s, input_share))
+    ]
     if not segments:
         raise BadInputError(f"too few samples: a stretch of at least {FEWEST_SAMPLES} without a long gap is needed")
     names = [n for n in plant.parameter_names if n not in fixed]
@@ -91,19 +97,36 @@ def make_problem(
     return Problem(plant, measured, tuple(segments), free, local, given, len(recordings))
 
 
+def carrying(problem: Problem, recordings: Sequence[Recording]) -> Problem:
+    """The same with derivatives by differences, and with effects' own states (a winding's heat, a shaft's twist) going
+    on from segment to segment: a state that each of them could choose would follow any noise, and hides the parameters
+    of what is slow."""
+    firsts = [next((s for s in problem.segments if s.recording == k), None) for k in range(len(recordings))]
+    whole = tuple(
+        (np.array([s.initial for s in problem.plant.states]) if first is None else first.x0, rows)
+        for first, rows in zip(firsts, (input_rows(r.block, problem.plant.drive) for r in recordings), strict=True)
+    )
+    return replace(problem, exact=False, whole=whole)
+
+
 def _segments(
-    recording: int, block: SampleBlock, plant: PlantModel, measured: tuple[str, ...], segment_s: float | None
+    recording: int,
+    block: SampleBlock,
+    plant: PlantModel,
+    measured: tuple[str, ...],
+    cutting: tuple[float | None, float],
 ) -> list[Segment]:
+    segment_s, share = cutting
     time = block.time_s - block.time_s[0]
     values = np.stack([_channel(block, name) for name in measured], axis=1)
     scale = state_scale(block, plant)
-    rows = input_rows(block, plant.drive)
+    rows = input_rows(block, plant.drive, share)
     out = []
     for begin, end in _cuts(time, segment_s):
         if end - begin >= FEWEST_SAMPLES:
             x0 = _initial_state(block, plant, begin, end)
             part = values[begin:end]
-            out.append(Segment(recording, rows[begin:end].copy(), part, np.isfinite(part), x0, scale))
+            out.append(Segment(recording, rows[begin:end].copy(), part, np.isfinite(part), x0, scale, begin))
     return out
 
 
@@ -112,9 +135,9 @@ def _channel(block: SampleBlock, name: str) -> F64:
     return values
 
 
-def input_rows(block: SampleBlock, drive: Drive) -> F64:
+def input_rows(block: SampleBlock, drive: Drive, share: float = STRAIGHT) -> F64:
     """Shape (n, 3): time, step, input. A voltage is held from its sample on (the capture contract); a measured current
-    or torque is a sample of a continuous signal, whose mean over the step is that of its ends."""
+    or torque is a sample of a continuous signal, whose mean over the step lies at `share` of the way between them."""
     time = block.time_s - block.time_s[0]
     rows = np.empty((len(time), 3))
     rows[:, TIME] = time
@@ -123,7 +146,7 @@ def input_rows(block: SampleBlock, drive: Drive) -> F64:
     u = _channel(block, INPUT[drive])
     rows[:, INPUT_COLUMN] = u
     if drive != "voltage":
-        rows[:-1, INPUT_COLUMN] = (u[:-1] + u[1:]) / 2
+        rows[:-1, INPUT_COLUMN] = (1.0 - share) * u[:-1] + share * u[1:]
     return rows
 
 

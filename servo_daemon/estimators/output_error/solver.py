@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_daemon.estimators.output_error.problem import Linearisation, Problem
+from servo_daemon.estimators.output_error.problem import Linearised, Problem
 from servo_daemon.estimators.output_error.robust import sample_weights
 from servo_daemon.samples import F64
 
@@ -66,7 +66,7 @@ class Point:
     """
 
     unknowns: F64
-    linearisation: Linearisation
+    linearisation: Linearised
     weights: tuple[F64, ...]
     sse: F64
     sigma: F64
@@ -90,6 +90,8 @@ def solve(
     robust: bool = True,
     max_iterations: int = 60,
     give_up: Callable[[Point], bool] | None = None,
+    enough: float = 0.0,
+    curved: bool = True,
 ) -> Solution | None:
     """Minimise from one start; None if the model cannot even be simulated there.
 
@@ -97,6 +99,8 @@ def solve(
         start: shape (unknowns,).
         robust: whether isolated wrong samples lose weight.
         give_up: asked after every iteration: whether this way leads where another has been already.
+        enough: the search is over when an iteration lowers V by less.
+        curved: whether steps follow the bend of narrow valleys, at the price of one more simulation each.
     """
     low, high = problem.bounds
     point = _evaluate(problem, np.clip(start, low, high), None)
@@ -112,13 +116,15 @@ def solve(
         if converged or _decrement(H, g, free, problem.logarithmic) < _DECREMENT:
             converged = True
             break
-        better, damping, tried = _search(problem, point, (H, g, free), damping)
+        better, damping, tried = _search(problem, point, (H, g, free), damping, curved)
         evaluations += tried
         if better is None:  # no step helps at any damping: the bottom, as far as a cost with kinks has one
             converged = True
             break
         gains = [*gains[1 - _IN_A_ROW :], point.value - better.value]
-        converged = gains[-1] < _RELATIVE * abs(point.value) or (len(gains) == _IN_A_ROW and max(gains) < _LITTLE)
+        converged = gains[-1] < max(_RELATIVE * abs(point.value), enough) or (
+            len(gains) == _IN_A_ROW and max(gains) < _LITTLE
+        )
         point = _reweigh(problem, better) if robust else better
         iterations.append(Iteration(len(iterations), evaluations, point.sse, point.unknowns))
         if give_up is not None and give_up(point):
@@ -128,7 +134,7 @@ def solve(
 
 
 def _search(
-    problem: Problem, point: Point, equations: tuple[F64, F64, NDArray[np.bool_]], damping: float
+    problem: Problem, point: Point, equations: tuple[F64, F64, NDArray[np.bool_]], damping: float, curved: bool
 ) -> tuple[Point | None, float, int]:
     """The best point along the Levenberg–Marquardt curve, near the last damping.
 
@@ -145,7 +151,7 @@ def _search(
     while damping < _MOST_DAMPING:
         step = _step(H, g, free, damping, problem.logarithmic)
         promised = float(2 * g @ step - step @ H @ step)
-        if promised > _STRAIGHT:
+        if curved and promised > _STRAIGHT:
             step_bent = step + _acceleration(problem, point, (H, free), step, damping)
             tried += 1
         else:
@@ -181,11 +187,11 @@ def _reweigh(problem: Problem, point: Point) -> Point:
     return point_of(problem, point.unknowns, point.linearisation, sample_weights(point.linearisation.residuals))
 
 
-def point_of(problem: Problem, unknowns: F64, linearisation: Linearisation, weights: tuple[F64, ...]) -> Point:
+def point_of(problem: Problem, unknowns: F64, linearisation: Linearised, weights: tuple[F64, ...]) -> Point:
     sse = np.sum([(w * r * r).sum(axis=0) for w, r in zip(weights, linearisation.residuals, strict=True)], axis=0)
     floor = (_FINEST * problem.spread) ** 2
     variance = sse / problem.counts + floor
-    mean, prior = problem.state_prior()
+    mean, prior = problem.state_prior
     value = float(problem.counts @ np.log(variance) + prior @ (unknowns - mean) ** 2)
     return Point(unknowns, linearisation, weights, sse, np.sqrt(variance), value)
 
@@ -193,7 +199,7 @@ def point_of(problem: Problem, unknowns: F64, linearisation: Linearisation, weig
 def normal_equations(problem: Problem, point: Point) -> tuple[F64, F64]:
     """H = Jᵀ W J and g = Jᵀ W r over all unknowns, in units of the residuals' σ; the priors of states included."""
     n = problem.n_unknowns
-    mean, prior = problem.state_prior()
+    mean, prior = problem.state_prior
     H, g = np.diag(prior), prior * (mean - point.unknowns)
     for k, (r, J, w) in enumerate(
         zip(point.linearisation.residuals, point.linearisation.jacobian, point.weights, strict=True)

@@ -45,7 +45,7 @@ def starting_points(recordings: Sequence[Recording], problem: Problem, nominal: 
     """
     block = max((r.block for r in recordings), key=len)
     guesses = [Start("signal sizes", values) for values in _from_sizes(block, problem.plant, nominal)]
-    regression = _from_regression(block, problem.plant)
+    regression = regression_values(block, problem.plant)
     starts = []
     needed = {p.name for p in LINEAR} & {*problem.free, *problem.local}
     if nominal and needed <= nominal.keys():
@@ -133,8 +133,8 @@ def _effect_start(p: Parameter, size: Mapping[str, float]) -> float:
     return p.nominal
 
 
-def _from_regression(block: SampleBlock, plant: PlantModel) -> dict[str, float]:
-    """What the daemon's own regression finds, where it can be used at all; empty otherwise."""
+def regression_values(block: SampleBlock, plant: PlantModel) -> dict[str, float]:
+    """What the daemon's own regression finds of R, L, K, J and B, where it can be used at all; empty otherwise."""
     if plant.drive != "voltage" or block.current_A is None:
         return {}
     if block.position_rad is None and block.velocity_rad_s is None:

@@ -38,6 +38,8 @@ SOURCES = 2
 _BATCH = 8
 #: More equal samples in a row are a channel that stands.
 _LONGEST_REPEAT = 3
+#: With more states (a late sensor brings many, most of which only move on) the filter is written without F's zeros.
+_FEW_STATES = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,14 +79,19 @@ def tangent(plant: PlantModel, channels: tuple[str, ...], q: F64, x0: F64, rows:
 
 
 @cache
-def _filter_loop(n: int, c: int, k: int) -> SampleLoop:
-    """Measurement update channel by channel, then prediction, for k columns of data."""
+def _filter_loop(n: int, c: int, k: int, used: tuple[int, ...]) -> SampleLoop:
+    """Measurement update channel by channel, then prediction, for k columns of data.
+
+    Args:
+        used: which of F's elements, by columns, are not zero.
+    """
     n_tri, n_model = n * (n + 1) // 2, n * n + SOURCES * n + c * n
     state, variance = ca.SX.sym("state", n_tri + n * k), ca.SX.sym("variance", SOURCES + c)
     sample = ca.SX.sym("sample", n_model + c + c * k)
     edges = np.cumsum([0, n * n, SOURCES * n, c * n, c, c * k])
     F, g, H, weight, data = (sample[a:b] for a, b in pairwise(edges.tolist()))
-    F, g, H, data = ca.reshape(F, n, n), ca.reshape(g, n, SOURCES), ca.reshape(H, c, n), ca.reshape(data, k, c)
+    F = ca.SX(ca.Sparsity.triplet(n, n, [e % n for e in used], [e // n for e in used]), F[list(used)])
+    g, H, data = ca.reshape(g, n, SOURCES), ca.reshape(H, c, n), ca.reshape(data, k, c)
     P, xi = ca.tril2symm(ca.tril(_square(state[:n_tri], n))), ca.reshape(state[n_tri:], n, k)
     whitened, logs = [], []
     for m in range(c):
@@ -131,7 +138,10 @@ class Prepared:
     def run(self, variance: F64) -> Whitened:
         """Through the filter, with variances as for `whiten`."""
         n, c, k = self.states, self.channels, self.columns
-        out = _filter_loop(n, c, k).run(np.zeros(n * (n + 1) // 2 + n * k), variance, self.samples)
+        moves = np.arange(n * n) if n <= _FEW_STATES else np.flatnonzero(self.samples[:, : n * n].any(axis=0))
+        out = _filter_loop(n, c, k, tuple(moves.tolist())).run(
+            np.zeros(n * (n + 1) // 2 + n * k), variance, self.samples
+        )
         return Whitened(out[:, : c * k].reshape(-1, c, k), out[:, c * k :])
 
 

@@ -1,0 +1,47 @@
+"""What a capture without a current sensor determines, and how well that is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from servo_daemon.estimators.output_error import OutputErrorFit, Recording, fit_output_error
+from servo_daemon.samples import make_block
+from tests.recovery.generator import GEAR_MOTOR, PAPER, RE40, Motor, Scenario, generate
+
+
+def fitted(motor: Motor, seed: int) -> OutputErrorFit:
+    """5 s of multisine with voltage noise that the capture does not show, so that the residual is not white."""
+    r = generate(motor, Scenario("multisine", seconds=5.0, seed=seed))
+    return fit_output_error(
+        [Recording("capture", make_block(r.time_s, voltage_V=r.voltage_V, position_rad=r.position_rad))]
+    )
+
+
+@pytest.mark.parametrize(
+    ("motor", "seed"),
+    [
+        (GEAR_MOTOR, 0),
+        (RE40, 0),
+        *[pytest.param(m, s, marks=pytest.mark.slow) for m in (GEAR_MOTOR, RE40, PAPER) for s in range(1, 6)],
+    ],
+    ids=lambda x: getattr(x, "name", str(x)),
+)
+def test_the_answer_to_the_voltage_is_known_and_the_parameters_are_not(motor: Motor, seed: int) -> None:
+    """Its standard deviations survive beside directions that are ten million times as uncertain."""
+    fit = fitted(motor, seed)
+    assert all(p.std is None for p in fit.parameters.values())
+    braking = motor.B * motor.R + motor.K**2
+    truth = {
+        "K/(B R + K²)": motor.K / braking,
+        "(J R + L B)/(B R + K²)": (motor.J * motor.R + motor.L * motor.B) / braking,
+        "J L/(B R + K²)": motor.J * motor.L / braking,
+    }
+    found = {c.expression: c for c in fit.combinations}
+    assert found.keys() >= truth.keys()
+    for (name, value), largest in zip(truth.items(), (3e-4, 2e-3, 0.5), strict=True):
+        assert found[name].std < largest * value
+        assert abs(found[name].value - value) < 4 * found[name].std + 2e-3 * value
+    assert fit.answer is not None
+    std = np.sqrt(np.diag(fit.answer.covariance))
+    assert std == pytest.approx([c.std / c.value for c in fit.answer.coefficients])

@@ -1,0 +1,61 @@
+"""J from current and angle alone, where nobody says what the current did between its samples."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, Recording, fit_output_error
+from servo_daemon.samples import make_block
+from tests.recovery.generator import GEAR_MOTOR, LARGE_SERVO, PAPER, RE40, Motor, Scenario, generate
+
+MOTIONS = ("multisine", "steps", "pick_and_place")
+
+
+def fitted(motor: Motor, motion: str, seed: int, *, winding: bool) -> OutputErrorFit:
+    """5 s of a drive that holds its voltage from sample to sample.
+
+    Args:
+        winding: whether R and L are given beside K.
+    """
+    r = generate(motor, Scenario(motion, seconds=5.0, seed=seed))
+    block = make_block(r.time_s, current_A=r.current_A, position_rad=r.position_rad)
+    nominal = {"R": motor.R, "L": motor.L} if winding else {}
+    return fit_output_error([Recording("capture", block)], (), FitOptions(nominal=nominal, fixed={"K": motor.K}))
+
+
+def deviations(fit: OutputErrorFit, motor: Motor) -> tuple[float, float]:
+    """Of J from the truth, and the reported standard deviation, both relative."""
+    J = fit.parameters["J"]
+    assert J.value is not None
+    assert J.std is not None
+    return J.value / motor.J - 1.0, J.std / J.value
+
+
+def test_a_held_voltage_hides_inertia_and_the_deviation_holds_it() -> None:
+    """2 % of an RE 40, in no residual; without R it cannot be said, and is not."""
+    error, std = deviations(fitted(RE40, "multisine", 1, winding=True), RE40)
+    assert error == pytest.approx(-0.0196, abs=0.001)
+    assert std == pytest.approx(0.0196, abs=0.002)
+    _, unaware = deviations(fitted(RE40, "multisine", 1, winding=False), RE40)
+    assert unaware < 0.2 * std
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_intervals_of_j_hold_the_truth(motion: str) -> None:
+    found = [
+        deviations(fitted(motor, motion, seed, winding=True), motor)
+        for motor in (PAPER, RE40, GEAR_MOTOR)
+        for seed in range(4)
+    ]
+    inside = [abs(error) < 1.96 * std for error, std in found]
+    assert np.mean(inside) > 0.9
+
+
+@pytest.mark.slow
+def test_a_large_motor_is_within_a_part_in_a_thousand() -> None:
+    """Its mechanical time constant is long against a sample."""
+    for seed in range(4):
+        error, _ = deviations(fitted(LARGE_SERVO, "multisine", seed, winding=True), LARGE_SERVO)
+        assert abs(error) < 2e-3
