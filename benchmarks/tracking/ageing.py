@@ -11,6 +11,7 @@ from servo_daemon.samples import F64
 from tests.recovery.generator import MOTORS, Motor, Recording, Scenario, generate
 
 from .follow import BURN_IN_S, MOTIONS, NAMES, nominal_of, sampled, tracked
+from .ramp_bound import ramp_bounds
 from .score import mean, score
 
 AGEING_LIMIT = {"R": 0.004, "L": 0.03, "K": 0.0012, "J": 0.002, "B": 0.008}
@@ -37,12 +38,22 @@ def ageing_run(arguments: tuple[str, str, float, int]) -> tuple[F64, F64, F64, F
     return found.rms, found.inside, found.width, found.share
 
 
+def ageing_bounds(arguments: tuple[str, str, float, int]) -> tuple[F64, F64]:
+    """Of the same run: RMS errors that nobody beats, and that no random walk beats; (5,) each (`ramp_bound`)."""
+    name, motion, seconds, seed = arguments
+    return ramp_bounds(MOTORS[name], ageing_recording(MOTORS[name], motion, seconds, seed))
+
+
 def report_ageing(runs: int, seconds: float) -> None:
     """Prints the table; a run is five minutes at most."""
     seconds = min(seconds, AGEING_S)
     print(f"\nLinear ageing (R +40 %, K −15 %, B +80 %, J +30 % in 300 s), laboratory sensors, {runs} runs each,")
     print(f"{seconds:.0f} s; what counts is the time after {BURN_IN_S:.0f} s while tracking")
-    print("RMS error in %, share of truths inside 95 %, std over RMS error, share of the time tracking")
+    print("RMS error in %, share of truths inside 95 %, std over RMS error, share of the time tracking; below, of the")
+    print(
+        "first of these runs: who knows the noise, and that the parameters move linearly, but not how fast, is expected"
+    )
+    print("to come as near as `trend`, nobody nearer; who takes them for random walks as near as `walk`")
     print(f"{'motor  motion':23}" + "".join(f"{n:>26}" for n in NAMES))
     with ProcessPoolExecutor(2) as pool:
         for name in MOTORS:
@@ -56,5 +67,8 @@ def report_ageing(runs: int, seconds: float) -> None:
                     for k, n in enumerate(NAMES)
                 )
                 print(f"{name:6} {motion:15} {cells}", flush=True)
+                trend, walk = pool.submit(ageing_bounds, jobs[0]).result()
+                cells = "".join(f"{100 * t:8.3f} trend{100 * w:6.3f} walk " for t, w in zip(trend, walk, strict=True))
+                print(f"{'':23}{cells}", flush=True)
     limits = ", ".join(f"{n} {100 * limit:g} %" for n, limit in AGEING_LIMIT.items())
     print(f"limits of the RMS error (!: beyond): {limits}")

@@ -42,6 +42,22 @@ def _riccati() -> SampleLoop:
     return SampleLoop(ca.Function("step", [P, const, sample], [ca.vec(C), ca.diag(C)[3:]]))
 
 
+def log_parameters(recording: Recording) -> F64:
+    """The true ones, shape (n, 5)."""
+    return np.asarray(np.log(np.column_stack([recording.truth.parameters[name] for name in NAMES])))
+
+
+def true_samples(recording: Recording, q: F64) -> F64:
+    """State, log parameters and voltage from the sample before on, time and step; shape (n, 11)."""
+    truth = recording.truth
+    x = np.column_stack([truth.current_A, truth.speed_rad_s, truth.position_rad])
+    out = np.zeros((len(q), 11))
+    out[1:, :3], out[1:, 3:8], out[1:, 8] = x[:-1], q[:-1], recording.voltage_V[:-1]
+    out[0, :3], out[0, 3:8] = x[0], q[0]
+    out[:, 9], out[:, 10] = recording.time_s, np.diff(recording.time_s, prepend=recording.time_s[0])
+    return out
+
+
 def bound_std(recording: Recording, variances: tuple[float, float, float], drift_var_per_s: F64) -> F64:
     """1 σ of each log parameter that no estimator beats, shape (n, 5).
 
@@ -49,12 +65,6 @@ def bound_std(recording: Recording, variances: tuple[float, float, float], drift
         variances: of the applied voltage from sample to sample (V²), of current (A²) and position (rad²) as measured.
         drift_var_per_s: random walk of each logarithm, 1/s, shape (5,).
     """
-    truth = recording.truth
-    q = np.log(np.column_stack([truth.parameters[name] for name in NAMES]))
-    x = np.column_stack([truth.current_A, truth.speed_rad_s, truth.position_rad])
-    sample = np.zeros((len(q), 11))
-    sample[1:, :3], sample[1:, 3:8], sample[1:, 8] = x[:-1], q[:-1], recording.voltage_V[:-1]
-    sample[0, :3], sample[0, 3:8] = x[0], q[0]
-    sample[:, 9], sample[:, 10] = recording.time_s, np.diff(recording.time_s, prepend=recording.time_s[0])
+    sample = true_samples(recording, log_parameters(recording))
     P = np.diag([1.0, 1.0, 1.0] + [START_STD**2] * 5).T.reshape(-1).copy()
     return np.sqrt(_riccati().run(P, np.concatenate([variances, drift_var_per_s]), sample))

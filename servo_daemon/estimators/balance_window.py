@@ -29,6 +29,10 @@ SPAN_S = {"armature": 0.02, "shaft": 0.1}
 FEWEST_SAMPLES = 12
 #: Share of the window's rows that must have been held against the filter.
 _CONFRONTED = 0.8
+#: The first rows, s, are less exact: what the current does between two samples was not known yet.
+_RECENT_S = 1.5
+#: Rows for each column from which on what a fit leaves says how large the noise is.
+_ROWS_PER_COLUMN = 6
 #: Noise levels are known to this factor (in squares).
 _NOISE_KNOWN = 2.0
 
@@ -160,6 +164,21 @@ class BalanceWindow:
         left = closure.residual_square(total.gram) - noise
         return max(left, 0.0) / max(float(total.weight_squares[0]), 1e-300)
 
+    def current_noise(self) -> float | None:
+        """Variance of the current's sensor, A²: what the best fit of the shaft's balance leaves, as far as the angle's
+        noise does not explain it. A current that really flows moves the shaft, noise of its sensor does not; anything
+        that the model lacks makes this too large. None without that balance, or where there are too few rows.
+
+        Args:
+            value: of all parameters, natural units.
+            noise_var: of the measured channels.
+        """
+        total, columns = self._grams["shaft"].since(self._end_s - _RECENT_S), self._columns["shaft"]
+        if total is None or not self._per_current or total.rows < _ROWS_PER_COLUMN * len(columns):
+            return None
+        free = 1.0 - (len(columns) - 1) / total.rows
+        return closure.residual_square(total.gram) / free / max(float(total.weight_squares[0]), 1e-300)
+
     def confront(self, value: Mapping[str, float], noise_var: Mapping[str, float]) -> None:
         """Rows that came since the last call, beside the filter's values."""
         for which, time_s, part in self._new:
@@ -172,6 +191,11 @@ class BalanceWindow:
     def pass_over(self) -> None:
         """Rows that came since are not held against the filter: something is being looked into."""
         self._new = []
+
+    def forget_values(self) -> None:
+        """What the rows were held against is no longer what the filter thinks of that time."""
+        for parts in self._confronted.values():
+            parts.clear()
 
     def verdicts(self, value: Mapping[str, float], period_s: float) -> dict[str, tuple[float, float]]:
         """(error, variance) of the logarithms that the filter has, by the word of the balances over the last

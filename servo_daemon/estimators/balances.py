@@ -87,6 +87,10 @@ class GramWindow:
         self._parts.append((time_s, part))
         self._total = None
 
+    def since(self, time_s: float) -> Sums | None:
+        """Over the rows that ended after that; None if there are none."""
+        return Sums.total([part for end_s, part in self._parts if end_s > time_s])
+
     def total(self, time_s: float) -> Sums | None:
         """Over what is younger than `span_s` at `time_s`; None if nothing is."""
         while self._parts and time_s - self._parts[0][0] > self.span_s:

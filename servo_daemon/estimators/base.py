@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,3 +46,8 @@ def from_coordinate(parameter: Parameter, coordinate: float, std: float) -> tupl
         value = math.exp(coordinate) if not coordinate > _LARGEST_EXPONENT else math.inf
         return value, value * std
     return float(coordinate), float(std)
+
+
+def natural_values(parameters: Iterable[Parameter], coordinates: F64) -> dict[str, float]:
+    """Values in natural units by name; coordinates: shape (n,), in the parameters' order."""
+    return {p.name: from_coordinate(p, c, 0.0)[0] for p, c in zip(parameters, coordinates.tolist(), strict=True)}

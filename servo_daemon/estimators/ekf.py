@@ -13,6 +13,7 @@ from servo_daemon.estimators.ekf_model import INSTRUMENT_S, NO_INSTRUMENT_S, bui
 from servo_daemon.estimators.ekf_records import ChannelStatistics, Innovations, NoiseLevels
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.plant.compiled import SampleLoop
+from servo_daemon.plant.effects.base import LATE
 from servo_daemon.samples import F64
 
 #: Standard deviations of the plant's states when nothing is known of them: current A, speed rad/s, angle rad.
@@ -84,13 +85,13 @@ class Ekf:
         self._forget(list(range(self._lay.n_x)), initial)
 
     def forget_motion(self, x: F64) -> None:
-        """After missing samples: current, speed and angle are unknown again; what changes slowly (a temperature) is
-        known as before.
+        """After missing samples: current, speed and angle are unknown again, and what a late sensor kept of them; what
+        changes slowly (a temperature) is known as before.
 
         Args:
             x: where the plant's states are to start, shape (n_x,); those that are not forgotten are not looked at.
         """
-        self._forget([k for k, s in enumerate(self.plant.states) if s.name in _UNKNOWN_STATE_STD], x)
+        self._forget([k for k, s in enumerate(self.plant.states) if s.name in _UNKNOWN_STATE_STD or s in LATE], x)
 
     def _forget(self, which: list[int], x: F64) -> None:
         z, P = self.mean, self.covariance
@@ -103,6 +104,16 @@ class Ekf:
         self._put(z, P)
         self._state[self._lay.instrument] = z[self._lay.x]
         self._state[-1] = 0.0
+
+    def know_state(self, name: str, mean: float, var: float) -> None:
+        """What is known of a state of the plant from elsewhere; it is correlated with nothing."""
+        z, P, k = self.mean, self.covariance, self.plant.state_names.index(name)
+        z[k] = mean
+        P[k, :] = 0.0
+        P[:, k] = 0.0
+        P[k, k] = var
+        self._put(z, P)
+        self._state[self._lay.instrument] = z[self._lay.x]
 
     def doubt_input(self, var: float) -> None:
         """Samples are missing before the next one: what was applied meanwhile is known only to this variance more."""
@@ -159,6 +170,11 @@ class Ekf:
         """The plant's states, shape (n_x,)."""
         return self._state[self._lay.x].copy()
 
+    @property
+    def state_var(self) -> F64:
+        """Variances of the plant's states, shape (n_x,)."""
+        return self._state[self._variances[self._lay.x]]
+
     def estimate(self) -> Gaussian:
         lay = self._lay
         return Gaussian(self.plant.parameter_names, self._state[lay.q].copy(), self._state[self._parameter_elements])
@@ -176,6 +192,10 @@ class Ekf:
     def snapshot(self) -> F64:
         """A copy of everything the filter carries, for `parameters_of`; cheap."""
         return self._state.copy()
+
+    def restore(self, snapshot: F64) -> None:
+        """Everything as it was then."""
+        self._state[:] = snapshot
 
     def parameters_of(self, snapshot: F64) -> tuple[F64, F64]:
         """The parameters' coordinates (n_q,) and their covariance (n_q, n_q) in a snapshot."""

@@ -59,13 +59,14 @@ def natural(plant: PlantModel, q: ca.SX) -> ca.SX:
     return ca.vertcat(*parts)
 
 
-def _pack(P: ca.SX) -> ca.SX:
+def pack(P: ca.SX) -> ca.SX:
     """Lower triangle, column by column."""
     n = P.size1()
     return ca.vertcat(*[P[row, column] for column in range(n) for row in range(column, n)])
 
 
-def _unpack(tri: ca.SX, n: int) -> ca.SX:
+def unpack(tri: ca.SX, n: int) -> ca.SX:
+    """The symmetric matrix of a lower triangle."""
     P, k = ca.SX.zeros(n, n), 0
     for column in range(n):
         for row in range(column, n):
@@ -142,7 +143,7 @@ def build_ekf_step(plant: PlantModel, channels: tuple[str, ...]) -> tuple[EkfLay
     instrument = instrument_after(plant, modelled, z[lay.x], slowly)
     outlier = sum((output[3 * k + 2] for k in range(len(channels))), start=ca.SX(0)) > 0
     age = ca.if_else(outlier, 0.0, state[-1] + sample[1])
-    next_state = ca.vertcat(z, _pack(P), held, sums, instrument, age)
+    next_state = ca.vertcat(z, pack(P), held, sums, instrument, age)
     return lay, ca.Function("step", [state, const, sample], ca.cse([next_state, output]))
 
 
@@ -164,7 +165,7 @@ def instrument_after(plant: PlantModel, modelled: ca.SX, x: ca.SX, slowly: ca.SX
 
 def _time_update(lay: EkfLayout, state: ca.SX, const: ca.SX, sample: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     n_x = lay.n_x
-    x, q, P = state[lay.x], state[lay.q], _unpack(state[lay.tri], lay.n_z)
+    x, q, P = state[lay.x], state[lay.q], unpack(state[lay.tri], lay.n_z)
     h = ca.fmax(sample[1], _SHORTEST_STEP_S)
     u, var_u = state[lay.held_input], state[lay.held_variance]
     if lay.plant.drive != "voltage":  # a measured current or torque is a sample of a continuous signal: trapezoid

@@ -10,10 +10,20 @@ Axis = Literal["rotary", "linear"]
 
 #: On a linear axis force stands for torque and metres for radians.
 _LINEAR_UNITS: Mapping[str, str] = {
-    "N·m/A": "N/A",
     "kg·m²": "kg",
     "N·m·s/rad": "N·s/m",
     "N·m": "N",
+    "N·m/A": "N/A",
+    "rad": "m",
+    "rad/s": "m/s",
+    "A·s²/rad": "A·s²/m",
+    "A·s/rad": "A·s/m",
+    "rad/(s·V)": "m/(s·V)",
+    "N·m/V": "N/V",
+    "N·m/rad": "N/m",
+    "N·m·s²/rad²": "N·s²/m²",
+    "1/rad": "1/m",
+    "1/rad²": "1/m²",
 }
 
 

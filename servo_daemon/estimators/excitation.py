@@ -70,6 +70,11 @@ class Excitation:
         self._systematic_std, self._alone = np.zeros(n), np.ones(n, dtype=bool)
         self.excited = np.zeros(n, dtype=bool)
 
+    def forget(self) -> None:
+        """What was gained so far is counted anew, all at once, with the next tick."""
+        self._window.clear()
+        self._sum, self._sum_s = np.zeros(len(self.scales)), 0.0
+
     def determine(self, information: F64, covered: NDArray[np.bool_]) -> None:
         """Take the systematic measure.
 

@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_daemon.estimators.base import Gaussian
 from servo_daemon.estimators.ekf import Ekf
-from servo_daemon.estimators.layout import Layout, breaks, channel, gaps
+from servo_daemon.estimators.ekf_model import GATE
+from servo_daemon.estimators.layout import Layout, Marked, breaks, channel, gaps
 from servo_daemon.estimators.levels import Levels
 from servo_daemon.samples import F64, SampleBlock
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """How badly samples fit: minus twice the logarithm of the innovations' likelihood, those of outliers as at the
+    gate; and how many outliers there are."""
+
+    cost: float
+    outliers: int
 
 
 class Filtering:
@@ -16,11 +29,16 @@ class Filtering:
 
     Attributes:
         layout: how samples are laid out.
+        complete: of the samples that are kept none are missing.
     """
 
     def __init__(self, ekf: Ekf, levels: Levels) -> None:
         self._ekf, self._levels = ekf, levels
         self.layout = Layout(ekf.plant.drive, ekf.channels)
+        self._kept: list[tuple[SampleBlock, float | None, float | None]] | None = None
+        self._kept_from: tuple[SampleBlock, Marked] | None = None
+        self.complete = True
+        self._cost: float | None = None  # of the samples that are gone over
         self._gated: list[F64] = []  # of each run of samples since they were last asked for; (n, channels)
 
     def take(self, block: SampleBlock, last_s: float | None, period_s: float | None) -> None:
@@ -33,11 +51,14 @@ class Filtering:
         if not self._ekf.started:
             self.layout.rows(block, 0.0)
             return
+        if self._kept is not None:
+            self._kept.append((block, last_s, period_s))
         cuts = breaks(block, last_s)
         holes = gaps(block, last_s, period_s)
         if not cuts and not holes:
             self._update(block)
             return
+        self.complete = False
         edges = sorted({*cuts, *holes})
         for a, b in zip([0, *edges], [*edges, len(block)], strict=True):
             if b <= a:
@@ -51,9 +72,38 @@ class Filtering:
                 self._ekf.doubt_input(self._levels.input_step_square)
             self._update(part)
 
+    def keep(self, last: SampleBlock | None) -> None:
+        """A filter starts: from now on samples are kept, so that they can be gone over `again`.
+
+        Args:
+            last: the last sample before them; None: no samples are kept, nor those that were.
+        """
+        self._kept = None if last is None else []
+        self._kept_from = None if last is None else (last, self.layout.mark())
+        self.complete = True
+
+    def again(self, parameters: Gaussian) -> Fit:
+        """Start the filter from these parameters and give it the samples that were kept."""
+        assert self._kept is not None and self._kept_from is not None
+        kept, (last, marked) = self._kept, self._kept_from
+        self.layout.back_to(marked)
+        self._ekf.start(parameters, held_input=self.layout.last_input)
+        self._ekf.forget_state(self.first_state(last))
+        self._kept, self._cost = None, 0.0
+        for samples in kept:
+            self.take(*samples)
+        fit = Fit(self._cost, int(sum(np.count_nonzero(gated) for gated in self._gated)))
+        self._kept, self._cost = kept, None
+        self.forget_outliers()
+        return fit
+
     def _update(self, part: SampleBlock) -> None:
         innovations = self._ekf.update(self.layout.rows(part, self._levels.input_square))
         self._gated.append(innovations.gated)
+        if self._cost is not None:
+            variance = innovations.variance
+            square = np.minimum(np.square(innovations.innovation) / variance, GATE**2)
+            self._cost += float(np.sum(square + np.log(variance)))
 
     def first_state(self, block: SampleBlock) -> F64:
         """Plant states at the first sample of a block: what is measured; the last known where that is no measurement

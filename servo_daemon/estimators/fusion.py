@@ -36,6 +36,14 @@ class Fused:
     reason: str | None
 
 
+@dataclass(frozen=True, slots=True)
+class Trusted:
+    """A parameter when it was last known: its coordinate, and the 1 σ that its drift has made of it by now."""
+
+    coordinate: float
+    std: float
+
+
 class Qualification:
     """Which parameters have ever been, and still are, known well enough; flags with hysteresis."""
 
@@ -84,6 +92,22 @@ def fuse(
     if not excited:
         return Fused(value, std, "unexcited", excitation.reason(parameter.name))
     return Fused(value, std, "tracking", None)
+
+
+def as_last_known(
+    parameter: Parameter, trusted: Trusted, why: str, present_std: float = 0.0, floor_std: float = 0.0
+) -> Fused:
+    """A parameter that was known and is so no longer. It does not go back to a datasheet that it has once refuted: it
+    is held at what it was, as uncertain as the present estimate.
+
+    Args:
+        why: in words.
+        present_std: 1 σ of the coordinate in the present estimate: it is no more certain than that.
+        floor_std: as for `fuse`.
+    """
+    spread = max(trusted.std, present_std if math.isfinite(present_std) else 0.0)
+    value, std = from_coordinate(parameter, trusted.coordinate, spread)
+    return Fused(value, math.hypot(std, floor_std), "unexcited", f"held as last known: {why}")
 
 
 def _percent(parameter: Parameter, value: float, std: float) -> str:

@@ -131,6 +131,14 @@ class Repetition:
         return same
 
 
+@dataclass(frozen=True, slots=True)
+class Marked:
+    """Where a `Layout` was."""
+
+    state: F64
+    last_s: float | None
+
+
 class Layout:
     """Lays blocks out as the filter's sample rows; remembers what the next row needs of the last.
 
@@ -168,6 +176,14 @@ class Layout:
         standing = 2 if position_lsb > 0 else NEVER
         least = tuple(standing if name == "position_rad" else _FEWEST_ALIKE for name in self._names[1:])
         self._doubt((NEVER, *least), position_lsb, input_lsb**2 / 12.0)
+
+    def mark(self) -> Marked:
+        """Where it is now, to come `back_to`."""
+        return Marked(self._state.copy(), self.last_s)
+
+    def back_to(self, marked: Marked) -> None:
+        """The next samples are those that came after it was there."""
+        self._state[:], self.last_s = marked.state, marked.last_s
 
     def _doubt(self, least: tuple[float, ...], position_lsb: float, input_step_var: float) -> None:
         """From how many values alike on each channel is doubted; no value has been seen yet."""

@@ -2,8 +2,12 @@
 measurement left out, repeated ones doubted.
 
 A count that stands still repeats one error, it does not average it: the k-th sample alike weighs 1/(2 k (k − 1)), so
-that however long it stands all of them together say little more than the first. A step of the input's converter that is
-held for long is one error as well, and its effect adds up.
+that however long it stands all of them together say little more than the first. That first one, after m samples on
+the count before it, is nowhere in the middle of its count: the shaft has just come over the edge, at some q/m a
+sample (q: the count). Taken for the middle it would be ahead of the shaft by up to half a count, always the way the
+shaft moves. It is taken for q/(2 m) beyond the edge, (q/2)(1 − 1/m) behind the middle. (All samples of a count alike
+have no such error: one is as far ahead as another is behind. It is the weights that bring it.) A step of the input's
+converter that is held for long is one error as well, and its effect adds up.
 """
 
 from __future__ import annotations
@@ -65,6 +69,7 @@ def build_layout_step(channels: int) -> ca.Function:
         last, before = state[2 + 2 * k], state[3 + 2 * k]
         alike = ca.if_else(ca.fabs(value - last) <= half_step, before + 1.0, 1.0)
         kept += [value, alike]
+        value -= _ahead(value - last, before, half_step) * (alike <= 1.0)
         doubt = ca.if_else(alike >= least, ca.fmin(2.0 * alike * (alike - 1.0), _MOST_DOUBT), 1.0)
         shown.append((value, valid, doubt, alike))
     value, valid, _, alike = shown[0]
@@ -73,3 +78,14 @@ def build_layout_step(channels: int) -> ca.Function:
     measured = [x for value, valid, doubt, _ in shown[1:] for x in (value, valid, doubt)]
     row = ca.vertcat(sample[0] - const[0], sample[0] - state[0], held, extra, *measured)
     return ca.Function("step", [state, const, sample], [ca.vertcat(sample[0], held, *kept), row])
+
+
+def _ahead(moved: ca.SX, before: ca.SX, half_step: ca.SX) -> ca.SX:
+    """By how much a count's middle is ahead of a shaft that has just come to it.
+
+    Args:
+        moved: by how much the count has changed; beyond one step it says nothing of where in the count the shaft is.
+        before: samples on the count before.
+    """
+    from_middle = half_step * (1.0 - 1.0 / ca.fmax(before, 1.0))
+    return ca.if_else(ca.fabs(moved) <= 3.0 * half_step, ca.sign(moved) * from_middle, 0.0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from servo_daemon.estimators.balance_window import Sampling
@@ -31,6 +33,10 @@ class NoiseSetting:
         self._input_lsb = start.input_lsb
         self._coarse.lsb_V = start.input_lsb if self._ekf.plant.drive == "voltage" else 0.0
         scales = self.rescale(sampling)
+        found = self._rls.window.current_noise()
+        if found is not None and "current_A" in sampling.noise_var:
+            self._watch.expect_sensor("current_A", found)
+            sampling = replace(sampling, noise_var=self._watch.least_noise_var)
         var = self._rls.window.input_noise(self._value, sampling)
         if var is not None:
             self._watch.expect_input(var, self._levels.input_square**0.5, self._input_lsb)

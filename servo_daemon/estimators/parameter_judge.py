@@ -12,7 +12,7 @@ from servo_daemon.estimators import balances, closure, coarse_input
 from servo_daemon.estimators.balance_window import Sampling
 from servo_daemon.estimators.ekf import Ekf
 from servo_daemon.estimators.excitation import Excitation
-from servo_daemon.estimators.fusion import QUALIFIED, Qualification, confirms
+from servo_daemon.estimators.fusion import QUALIFIED, Qualification, Trusted, confirms
 from servo_daemon.estimators.motor_rls import MotorRls
 from servo_daemon.estimators.roster import Mask, Roster
 from servo_daemon.estimators.starter import NUISANCE_SHARE
@@ -22,8 +22,6 @@ from servo_daemon.samples import F64
 _IDLE_STD = 0.3
 #: Parameters that are known worse than this would lead the instrument astray.
 _LED_ASTRAY_STD = 0.25
-#: Nothing qualifies in the first ticks: noise levels are still guesses.
-_TICKS_TO_QUALIFY = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,14 +29,15 @@ class Tick:
     """What else there is to know after a tick.
 
     Attributes:
-        number: of the running filter's.
+        settled: the filter has run for long enough for its noise levels to be no guesses, and its first samples have
+            been gone over where it started from little.
         open: a jump is being looked for.
         explained: ticks that the noise does not explain are the exception.
         inductance_std: 1 σ of ln L that the steps of the recorded voltage leave open.
         sampling: noise and what else integrals over samples are off by.
     """
 
-    number: int
+    settled: bool
     open: bool
     explained: bool
     inductance_std: float
@@ -60,19 +59,36 @@ class ParameterJudge:
         n = len(roster.parameters)
         self.excitation, self.qualification = Excitation(n), Qualification(n)
         self.mismatch_std: F64 = np.zeros(n)
+        self._unjudged = False  # by the balances, since the first samples were gone over
         self._idle_std: F64 = np.where(roster.nuisance, NUISANCE_SHARE, _IDLE_STD)
-        self._trusted = self._follows = self._followed = self.begins_to_follow = False
+        self._last: tuple[F64, F64] = np.zeros(n), np.full(n, np.nan)
+        self._trusted: Mask = np.zeros(n, dtype=bool)
+        self._follows = self._followed = self.begins_to_follow = False
         self.confirmed: Mask = ~roster.covered
 
-    def begin(self, trusted: bool) -> None:
+    def begin(self, trusted: Mask) -> None:
         """A filter starts.
 
         Args:
-            trusted: from a saved state, which was qualified when it was saved.
+            trusted: parameters from a saved state, or from another model's filter, where they were qualified; (n,).
         """
+        self._unjudged = False
         self._trusted = trusted
         self._follows = self._followed = self.begins_to_follow = False
-        self.confirmed = np.ones_like(self._roster.covered) if trusted else ~self._roster.covered
+        self.confirmed = trusted | ~self._roster.covered
+
+    def begin_anew(self, follows: bool) -> None:
+        """The first samples have been gone over again: what was seen with the values of then is forgotten.
+
+        Args:
+            follows: along the instrument.
+        """
+        self._follows = self._followed = follows
+        self._rls.window.pass_over()
+        self._rls.window.forget_values()
+        self._unjudged = True
+        self.excitation.forget()
+        self._ekf.use_instrument(follows)
 
     def reset(self) -> None:
         self.qualification.qualified[:] = False
@@ -101,20 +117,41 @@ class ParameterJudge:
                 self._rls.window.pass_over()
             else:
                 self._measure_mismatch(values, tick)
+                self._unjudged = False
         if fresh and not tick.explained:
             # The model lacks something: what the filter makes of it is worth nothing without a second opinion.
             self.qualification.qualified &= self.confirmed
-        settled = tick.number >= _TICKS_TO_QUALIFY or self._trusted
-        confirmed = self.confirmed if settled else np.zeros_like(self.confirmed)
+        settled = tick.settled or bool(self._trusted.all())
+        confirmed = self.confirmed if settled and not self._unjudged else np.zeros_like(self.confirmed)
         self.qualification.update(np.hypot(std, self.mismatch_std), excited, confirmed)
+        self._remember(np.hypot(std, self.mismatch_std), duration_s, tick)
         shown = roster.published & excited
         self._ekf.set_active(self._moving(tick), self.walk(shown | (roster.free & (std < self._idle_std))))
         limit = _LED_ASTRAY_STD if self._follows else QUALIFIED
-        follows = not np.count_nonzero(shown & ~(std < limit))
+        follows = settled and not np.count_nonzero(shown & ~(std < limit))
         self.begins_to_follow = follows and not self._follows and not self._followed
         self._followed |= follows
         self._follows = follows
         self._ekf.use_instrument(follows)
+
+    def last_known(self, k: int) -> Trusted | None:
+        """Parameter k as it was when it was last known; None: it never was."""
+        coordinate, var = float(self._last[0][k]), float(self._last[1][k])
+        return None if math.isnan(var) else Trusted(coordinate, math.sqrt(var))
+
+    def _remember(self, relative_std: F64, duration_s: float, tick: Tick) -> None:
+        """What is known well enough to qualify is kept; what was is of a motor that may have drifted since.
+
+        Args:
+            relative_std: over the scales, shape (n,).
+        """
+        well = self.qualification.qualified & (relative_std < QUALIFIED) & (not tick.open)
+        coordinate, var = self._last
+        drifted = var + self.walk(self._roster.free) * duration_s
+        self._last = (
+            np.where(well, self._ekf.coordinates, coordinate),
+            np.where(well, np.square(relative_std * self.excitation.scales), drifted),
+        )
 
     def _moving(self, tick: Tick) -> Mask:
         """Which parameters are not held."""
@@ -155,14 +192,14 @@ class ParameterJudge:
 
     def _confirmed_by_regression(self, values: Mapping[str, float], tick: Tick) -> Mask:
         """Parameters whose value the regression confirms, or cannot judge at all because it is in none."""
-        if self._trusted:
-            return np.ones_like(self._roster.covered)
-        out: Mask = ~self._roster.covered
+        out: Mask = self._trusted | ~self._roster.covered
         found = self._rls.estimate()
         if found is None:
             return out
         for name, value, std in zip(found.names, found.value.tolist(), found.std.tolist(), strict=True):
             k = self._roster.names.index(name)
+            if self._trusted[k]:
+                continue
             if self._roster.logarithmic[k] and not self._is_blind(name, values, tick):
                 out[k] = confirms(value, std * balances.ALIGNED.get(name, 1.0), values[name])
             else:

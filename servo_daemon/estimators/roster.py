@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_daemon.estimators.base import from_coordinate
+from servo_daemon.estimators.base import natural_values
 from servo_daemon.estimators.settings import TrackerSettings
 from servo_daemon.estimators.signals import SignalPlan
 from servo_daemon.plant.parameters import Parameter
@@ -59,9 +59,7 @@ class Roster:
 
     def values(self, coordinates: F64) -> dict[str, float]:
         """Natural units."""
-        return {
-            p.name: from_coordinate(p, c, 0.0)[0] for p, c in zip(self.parameters, coordinates.tolist(), strict=True)
-        }
+        return natural_values(self.parameters, coordinates)
 
 
 def make_roster(plan: SignalPlan, settings: TrackerSettings, in_regression: tuple[str, ...]) -> Roster:

@@ -76,7 +76,7 @@ class Starter:
         """A tick's samples, and what is known by now; None while there is still something to wait for.
 
         Args:
-            prior: a saved state.
+            prior: a saved state, or what another model's filter knew: possibly not of all parameters.
             found: the regression's estimate.
             scales: typical sizes of the nuisance parameters.
         """
@@ -87,7 +87,7 @@ class Starter:
         recording = concatenate(self._early)
         period_s = float(np.median(np.diff(recording.time_s)))
         measured = {name: _valid(recording, name) for name in self._plan.measured}
-        known = prior if prior is not None else self._known(elapsed_s, found, period_s)
+        known = self._known(elapsed_s, found, period_s, prior)
         parameters = None if known is None else self._with_offsets(known, scales)
         if parameters is None or any(len(values) < _FEWEST for values in measured.values()):
             while len(self._early) > _TICKS_KEPT and len(recording) > 8 * _FEWEST:
@@ -105,21 +105,28 @@ class Starter:
             recording.slice(len(recording) - 1, len(recording)),
         )
 
-    def _known(self, elapsed_s: float, found: RegressionEstimate | None, period_s: float) -> Gaussian | None:
+    def _known(
+        self, elapsed_s: float, found: RegressionEstimate | None, period_s: float, prior: Gaussian | None
+    ) -> Gaussian | None:
         """The published and the held parameters; None while there is still something to wait for."""
-        plan = self._plan
+        plan, given = self._plan, () if prior is None else prior.names
         assert plan.plant is not None
-        free = [p for p in plan.plant.parameters if p.name in plan.free]
+        free = [p for p in plan.plant.parameters if p.name in plan.free and p.name not in given]
+        held = [p for p in plan.plant.parameters if p.name in plan.held and p.name not in given]
+        if prior is not None and not free and not held:
+            return prior
         core = [p.name for p in free if p.transform == "log" and p.name in self._regressed]
-        if elapsed_s < _LATEST_S and not well_known(found, core):
+        if core and elapsed_s < _LATEST_S and not well_known(found, core):
             return None
         start = starting_point(free, found, self._nominal, period_s)
         if start is None:
             return None
-        held = [p for p in plan.plant.parameters if p.name in plan.held]
-        mean = np.concatenate([start.mean, [to_coordinate(p, plan.held[p.name]) for p in held]])
-        covariance = block_diag(start.covariance, np.zeros((len(held), len(held))))
-        return Gaussian((*start.names, *(p.name for p in held)), mean, covariance)
+        mean = [start.mean, np.array([to_coordinate(p, plan.held[p.name]) for p in held])]
+        covariance = [start.covariance, np.zeros((len(held), len(held)))]
+        names = (*start.names, *(p.name for p in held))
+        if prior is not None:
+            mean, covariance = [prior.mean, *mean], [prior.covariance, *covariance]
+        return Gaussian((*given, *names), np.concatenate(mean), block_diag(*covariance))
 
     def _with_offsets(self, known: Gaussian, scales: Mapping[str, float]) -> Gaussian:
         """With the nuisance parameters, small and centred on zero."""

@@ -16,7 +16,8 @@ from servo_daemon.estimators.base import Gaussian
 from servo_daemon.estimators.ekf import Ekf
 from servo_daemon.estimators.excitation import Excitation
 from servo_daemon.estimators.filtering import Filtering
-from servo_daemon.estimators.fusion import QUALIFIED, Qualification
+from servo_daemon.estimators.fusion import QUALIFIED, Qualification, Trusted
+from servo_daemon.estimators.heritage import Heritage, trusted_mask
 from servo_daemon.estimators.jump_actions import JumpActions
 from servo_daemon.estimators.layout import Stretches
 from servo_daemon.estimators.levels import Levels
@@ -24,6 +25,7 @@ from servo_daemon.estimators.motor_rls import MotorRls
 from servo_daemon.estimators.noise_setting import NoiseSetting
 from servo_daemon.estimators.parameter_judge import ParameterJudge, Tick
 from servo_daemon.estimators.roster import make_roster
+from servo_daemon.estimators.second_look import SecondLook
 from servo_daemon.estimators.settings import Message, Resolutions, TrackerSettings
 from servo_daemon.estimators.signals import SignalPlan, plan_signals
 from servo_daemon.estimators.start import well_known
@@ -42,6 +44,8 @@ _DIVERGED_NIS, _DIVERGED_TICKS = 6.0, 20
 #: After so many ticks, no sooner than anything can be published, jumps are looked for; a Cholesky factor is tried this
 #: often.
 _TICKS_TO_WATCH, _SOUNDNESS_EVERY = 8, 20
+#: From then on a filter that took over from another may speak for the drive.
+_TICKS_TO_SETTLE = 10
 #: A filter that started from little has this long to find out for itself, ticks.
 _TICKS_TO_BEGIN_BETTER = 50
 #: When the filter begins to use its instrument, the covariance is widened once, 1 σ over the scales.
@@ -58,13 +62,15 @@ class Tracker:
         resolutions: Resolutions,
         prior: Gaussian | None = None,
     ) -> None:
-        self.settings, self.resolutions = settings, resolutions
+        self.channels, self.settings, self.resolutions = channels, settings, resolutions
         self.nominal = dict(settings.nominal or {})
         self.plan: SignalPlan = plan_signals(channels, settings.effects, self.nominal)
         wanted = {*self.plan.free, *self.plan.held}
         self._prior = prior if prior is not None and set(prior.names) == wanted else None
+        self._heritage: Heritage | None = None
         self.last_s: float | None = None
-        self.first_s: float | None = None
+        self.first_s: float | None = None  # from where time counts
+        self._seen_s: float | None = None  # the first sample
         self.measured_state: dict[str, float | None] = {}
         self.sample_period_s: float | None = None
         self.restarts = 0
@@ -91,8 +97,19 @@ class Tracker:
         self._levels = Levels(plant)
         self._noise = NoiseSetting(self._roster, self.ekf, self.rls, self.watch, self._levels)
         self._filtering = Filtering(self.ekf, self._levels)
+        self._second_look = SecondLook(self._roster, self.ekf, self._filtering, self._judge)
         self._tick_end_s: float | None = None
         self._suspicious_ticks = self._ticks = 0
+
+    def inherit(self, heritage: Heritage) -> None:
+        """Begin with what another model's tracker knew; before the first samples."""
+        self._prior, self._heritage = heritage.known if heritage.known.names else None, heritage
+        self.first_s = heritage.origin_s
+
+    @property
+    def settled(self) -> bool:
+        """Whether the filter has run long enough for its parameters to qualify; at once where none can run."""
+        return self.plan.plant is None or (self.ekf is not None and self.ekf.started and self._ticks > _TICKS_TO_SETTLE)
 
     @property
     def excitation(self) -> Excitation:
@@ -113,6 +130,10 @@ class Tracker:
         """What is to be published of all parameters; see `JumpActions`. None before the filter runs."""
         return None if self.plan.plant is None else self._jumps.published()
 
+    def last_known(self, name: str) -> Trusted | None:
+        """A parameter of the plant as it was when it was last known; None: it never was."""
+        return None if self.plan.plant is None else self._judge.last_known(self._roster.names.index(name))
+
     @property
     def free(self) -> tuple[Parameter, ...]:
         """The parameters that are estimated and published, in the plant's order."""
@@ -124,8 +145,9 @@ class Tracker:
 
     def take(self, block: SampleBlock) -> None:
         """Samples of one tick or a part of it, in order."""
-        if self.first_s is None:
-            self.first_s = float(block.time_s[0])
+        if self._seen_s is None:
+            self._seen_s = float(block.time_s[0])
+            self.first_s = self._seen_s if self.first_s is None else self.first_s
             if self.plan.plant is not None:
                 self._filtering.layout.origin_s = self.first_s
         if self.plan.plant is not None:
@@ -162,8 +184,8 @@ class Tracker:
         return {name: step**2 / 12.0 for name, step in steps.items() if step is not None}
 
     def _try_start(self, tick: SampleBlock) -> list[Message]:
-        assert self.first_s is not None and self.rls is not None and self.plan.plant is not None
-        elapsed = float(tick.time_s[-1]) - self.first_s
+        assert self._seen_s is not None and self.rls is not None and self.plan.plant is not None
+        elapsed = float(tick.time_s[-1]) - self._seen_s
         found = self.rls.estimate()
         scales = dict(zip(self.plan.plant.parameter_names, self._levels.scales(self.nominal), strict=True))
         start = self._starter.take(tick, elapsed, self._prior, found, self.resolutions, scales)
@@ -171,6 +193,8 @@ class Tracker:
             return []
         self._begin(start)
         source = "the saved state" if self._prior is not None else "regression and nominal values"
+        if self._heritage is not None:
+            source = "what the filter with another model knew"
         return [("filter_started", f"filter started from {source}", {})]
 
     def _begin(self, start: Start) -> None:
@@ -179,13 +203,18 @@ class Tracker:
         self._filtering.layout.expect_steps(start.position_lsb, start.input_lsb)
         self.ekf.start(start.parameters, held_input=self._filtering.layout.last_input)
         self._jumps.reset()
-        self._judge.begin(trusted=self._prior is not None)
+        trusted = trusted_mask(self._roster.names, self._heritage, saved=self._prior is not None)
+        self._judge.begin(trusted)
         self._ticks = 0
         self._filtering.forget_outliers()
         self.excitation.scales = self._noise.begin(start, self._sampling())
         free = self._roster.free
         self.ekf.set_active(free, self._judge.walk(free))
         self.ekf.forget_state(self._filtering.first_state(start.last))
+        if self._heritage is not None:
+            self.qualification.qualified |= trusted
+            self._heritage.hand_states_to(self.ekf)
+        self._second_look.begin(start, trusted=self._prior is not None or self._heritage is not None)
 
     def _watch(self, stretch: Stretch, duration_s: float) -> list[Message]:
         """Noise, whiteness, jumps, excitation, soundness: after each tick of the running filter."""
@@ -208,7 +237,7 @@ class Tracker:
             self.excitation.scales = self._noise.rescale(self._sampling())
         self._noise.set()
         self._judge.update(duration_s, fresh, self._tick())
-        if self._judge.begins_to_follow and self._prior is None:
+        if self._judge.begins_to_follow and (self._prior is None or not {*self.plan.free} <= {*self._prior.names}):
             # What was learned without the instrument (from a start that was guessed, partly from the colour of the
             # noise) is taken for less.
             self.ekf.widen_parameters(
@@ -216,6 +245,8 @@ class Tracker:
             )
         self._jumps.remember(self._tick_end_s or 0.0)
         alike_s = self._stretches.alike("current_A") * (self.sample_period_s or 0.0)
+        if self._second_look.look(self._ticks, self.watch.white):
+            self._jumps.reset()
         messages += self._telling.whether_white() + self._telling.whether_frozen(stretch, alike_s)
         return messages + (self._judge_divergence(verdict) or self._begin_better(fresh))
 
@@ -231,7 +262,7 @@ class Tracker:
 
     def _tick(self) -> Tick:
         return Tick(
-            number=self._ticks,
+            settled=self._ticks >= _TICKS_TO_WATCH and not self._second_look.pending,
             open=self._jumps.watch.is_open,
             explained=self._jumps.watch.calm,
             inductance_std=self._noise.inductance_std(self.sample_period_s or 0.0),
@@ -276,7 +307,7 @@ class Tracker:
         assert self.ekf is not None
         self.ekf.reset()
         self._starter.reset()
-        self._prior = None
+        self._prior = self._heritage = None
         self._suspicious_ticks = 0
         self._judge.reset()
 

@@ -15,6 +15,9 @@ _FEWEST_TO_LEARN = 50
 #: The correlation of the current's innovations with the motion's a sample later is small: averaged over so long, s, and
 #: weighted up.
 _CROSS_MEMORY_S, _CROSS_WEIGHT = 10.0, 4.0
+#: Of a sensor's noise that is known from elsewhere at least this much stays, however small the innovations are beside
+#: what a filter that has just started expects of them.
+_LEAST_SHARE = 0.5
 #: Whiteness: leaves at the second value, returns at the first.
 _WHITE_IN, _WHITE_OUT = 0.15, 0.25
 #: White, but only because process noise was raised by this factor: not white. Of the torque; of the held input, whose
@@ -73,6 +76,15 @@ class InnovationWatch:
         self._process = {}
         self._pool, self._updates, self._crossed = {}, {}, 0.0
         self._too_much = False
+
+    def expect_sensor(self, name: str, var: float) -> None:
+        """Of the noise that the channel showed in its first samples its sensor makes at most this, in its unit squared.
+        The rest is what it measures."""
+        first = self._channel[name]
+        if var < first.var:
+            floor = max(first.floor, _LEAST_SHARE * var)
+            self._channel[name] = ChannelNoise(max(var, floor), floor)
+            self._first_var[name] = self._channel[name].var
 
     @property
     def noise_var(self) -> dict[str, float]:

@@ -54,14 +54,7 @@ def failing(why: dict[tuple[str | int, ...], str], *cases: tuple[str | int, ...]
 
 
 @pytest.mark.parametrize(
-    ("motor", "seed"),
-    failing(
-        {
-            ("gear", 1): "L 4.8 std (13 %) off while tracking, 8.3 .. 12.4 s",
-            ("gear", 2): "L 6.4 std (12 %) off while tracking, from 3.9 s to the end",
-        },
-        *((motor, seed) for motor in MOTORS for seed in (1, 2)),
-    ),
+    ("motor", "seed"), [pytest.param(motor, seed, id=f"{motor}-{seed}") for motor in MOTORS for seed in (1, 2)]
 )
 def test_constant_speed_from_the_start(motor: str, seed: int) -> None:
     """Nothing but one speed, and the approach to it in the first moment. Whatever is tracking is right."""
@@ -137,6 +130,7 @@ def test_five_percent_of_current_offset_bends_nothing(motor: str, motion: str) -
     failing(
         {
             ("paper", "reversals", 1): "R 8.2 std (7 %) off between 11.0 and 12.9 s, the first in which it is excited",
+            ("large", "reversals", 1): "L 4.4 std (11 %) off at 8.9 s, from a nominal value 40 % off",
         },
         *((motor, motion, 1) for motor in MOTORS for motion in ("pick_and_place", "reversals")),
         ("paper", "pick_and_place", 2),
@@ -215,3 +209,22 @@ def test_spikes_of_the_voltage_bend_nothing(motor: str) -> None:
     assert max(found.values()) < STDS, found
     for parameter in ("R", "K", "J"):
         assert track.tracking[after(track, 10.0), NAMES.index(parameter)].all()
+
+
+# -- what was known and is so no longer -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("motor", ["paper", "gear", "large"])
+def test_what_was_known_is_held_and_not_the_datasheet(motor: str) -> None:
+    """From 12 s on every fifth sample is missing, and for a time the balances close no more. What was known stays what
+    it was, with a standard deviation that says how much that is still worth; the datasheet is 40 % wrong."""
+    recording = generate(MOTORS[motor], Scenario("pick_and_place", seconds=24.0, seed=SEED))
+    track = run(faults.missing(0.2, 1)(recording, Where(MOTORS[motor], 12000, SEED)), motor)
+    known = np.maximum.accumulate(track.tracking, axis=0)
+    assert known[-1].all()
+    assert (known & ~track.tracking).any(), "nothing was lost: this says nothing"
+    assert not (known & (track.status == "estimating")).any()
+    truth = sampled(recording.truth.parameters, recording.truth.time_s, track.names, track.time_s)
+    error = np.where(known, np.abs(track.value - truth), 0.0)
+    assert (error < 0.05 * truth).all()
+    assert (error < STDS * np.where(known, track.std, np.inf))[~track.tracking].all()

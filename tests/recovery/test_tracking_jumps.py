@@ -94,15 +94,7 @@ def test_values_are_right_again_after_five_seconds(name: str, motor: str) -> Non
     assert track.tracking[late][:, seen].all()
 
 
-@each(
-    *STEPS,
-    failing={
-        (
-            "load step in the model, pick and place",
-            "re40",
-        ): "L is 5.9 % off, 1.2 of its std: 5.1 %, of which a sampling skew of 10 µs is 3.4 %",
-    },
-)
+@each(*STEPS)
 def test_inductance_is_right_again_after_five_seconds(name: str, motor: str) -> None:
     case, track = followed(name, motor)
     late = track.time_s >= CHANGE_S + FOLLOWED_S

@@ -155,6 +155,7 @@ def test_stays_sound_through_gaps_and_bursts() -> None:
         assert ekf.is_sound()
 
 
+@pytest.mark.slow
 def test_ten_million_steps_keep_the_covariance_definite() -> None:
     """A long life in short: the same minute over and over, tiny drift, far more exact than a sensor could be."""
     ekf = started(drift=1e-12)

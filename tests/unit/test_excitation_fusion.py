@@ -7,7 +7,7 @@ import pytest
 
 from servo_daemon.estimators import excitation
 from servo_daemon.estimators.excitation import Excitation
-from servo_daemon.estimators.fusion import Qualification, confirms, fuse
+from servo_daemon.estimators.fusion import Qualification, Trusted, as_last_known, confirms, fuse
 from servo_daemon.plant.parameters import J, L
 
 
@@ -101,6 +101,16 @@ def test_status_and_reason() -> None:
     status, value, reason = published(qualified=False)
     assert status == "estimating" and value == 0.02 and reason is not None
     assert published(qualified=False, nominal=None)[1] is None
+
+
+def test_what_was_known_is_held_as_uncertain_as_it_is_by_now() -> None:
+    last = Trusted(float(np.log(0.01)), 0.03)
+    kept, doubted = as_last_known(J, last, "why"), as_last_known(J, last, "why", present_std=0.5)
+    assert kept.value == doubted.value == pytest.approx(0.01)
+    assert kept.std == pytest.approx(3e-4) and doubted.std == pytest.approx(5e-3)
+    assert kept.status == "unexcited" and kept.reason == "held as last known: why"
+    assert as_last_known(J, last, "why", present_std=np.nan).std == pytest.approx(3e-4)
+    assert as_last_known(L, last, "why", floor_std=4e-4).std == pytest.approx(5e-4)
 
 
 def test_not_a_number_is_never_published() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
@@ -11,15 +13,20 @@ from servo_daemon.samples import Quality, make_block
 LSB = 1e-3
 
 
-def doubts(counts: list[int], cuts: tuple[int, ...] = ()) -> np.ndarray:
-    """Factors on the encoder's variance for these counts, delivered in blocks cut there."""
+def rows_of(counts: Sequence[int] | np.ndarray, cuts: tuple[int, ...] = ()) -> np.ndarray:
+    """The filter's rows for these counts, delivered in blocks cut there."""
     layout = Layout("voltage", ("current_A", "position_rad"))
     layout.expect_steps(LSB, 0.0)
     n = len(counts)
     t, zero = np.arange(n) * 1e-3, np.zeros(n)
     block = make_block(t, voltage_V=zero, current_A=zero, position_rad=LSB * np.array(counts))
     parts = [block.slice(a, b) for a, b in zip([0, *cuts], [*cuts, n], strict=True)]
-    return np.concatenate([layout.rows(part, 0.0)[:, 9] for part in parts])
+    return np.concatenate([layout.rows(part, 0.0) for part in parts])
+
+
+def doubts(counts: list[int], cuts: tuple[int, ...] = ()) -> np.ndarray:
+    """Factors on the encoder's variance."""
+    return np.asarray(rows_of(counts, cuts)[:, 9])
 
 
 def test_a_moving_encoder_is_believed() -> None:
@@ -41,7 +48,26 @@ def test_a_new_count_counts_again() -> None:
 @pytest.mark.parametrize("cuts", [(1,), (2, 3), (1, 2, 3, 4, 5, 6, 7)])
 def test_blocks_make_no_difference(cuts: tuple[int, ...]) -> None:
     counts = [4, 4, 4, 5, 5, 4, 4, 4, 4]
-    np.testing.assert_array_equal(doubts(counts, cuts), doubts(counts))
+    np.testing.assert_array_equal(rows_of(counts, cuts), rows_of(counts))
+
+
+@pytest.mark.parametrize("samples_per_count", [3.1, 7.7, 40.3])
+def test_a_slow_shaft_is_shown_hardly_ahead(samples_per_count: float) -> None:
+    """With their weights the samples of a shaft at constant speed would be ahead of it by 0.24 to 0.46 counts. (The
+    counter rounds down: its middle is half a count further.)"""
+    for direction in (1, -1):
+        true = direction * (np.arange(4000) / samples_per_count) + 0.37
+        counts = np.floor(true)
+        rows = rows_of(counts)[200:]
+        ahead = direction * (np.column_stack([rows[:, 7] / LSB, counts[200:]]) + 0.5 - true[200:, None])
+        shown, unshifted = np.average(ahead, axis=0, weights=1.0 / rows[:, 9])
+        assert unshifted > 0.2
+        assert abs(shown) < 0.5 * unshifted
+
+
+def test_a_shaft_that_leaps_or_just_moves_is_where_the_encoder_says() -> None:
+    counts = [0, 1, 2, 3, 2, 2, 2, 2, 9, 9, 4]
+    np.testing.assert_allclose(rows_of(counts)[:, 7], LSB * np.array(counts), rtol=0, atol=1e-18)
 
 
 def test_without_a_known_step_nothing_is_doubted() -> None:
