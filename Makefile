@@ -35,6 +35,10 @@ run: venv ## the daemon (ARGS: what follows `servo-daemon run`)
 test: venv ## the fast tests (ARGS for pytest)
 	$(BIN)/python -m pytest -m "not slow" $(ARGS)
 
+.PHONY: matrix
+matrix: venv ## hides every effect in hundreds of captures and prints what was found (an hour or two, can be resumed)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.recovery.matrix $(ARGS)
+
 .PHONY: lint
 lint: venv ## ruff, its formatter, mypy --strict, the import contracts
 	$(BIN)/ruff check

@@ -12,10 +12,12 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_daemon.diagnosis.missing import Missing, missing_inputs
+from servo_daemon.diagnosis.missing import Fitted, Missing, coordinates_with_load, missing_inputs
+from servo_daemon.diagnosis.noise_levels import NoiseLevels
 from servo_daemon.diagnosis.response import Trace, smoothed
 from servo_daemon.diagnosis.signals import motion_of
-from servo_daemon.estimators.output_error import OutputErrorFit
+from servo_daemon.errors import NumericalError
+from servo_daemon.estimators.output_error.starts import regression_values
 from servo_daemon.samples import F64, SampleBlock
 
 #: Parameters are changed where more than this share of the voltage (ten times as much of the torque) is missing, at
@@ -26,37 +28,75 @@ _LEAP = (1e-3, 1e3)
 _LINEAR = ("R", "L", "K", "J", "B")
 
 
-def balanced_missing_inputs(fit: OutputErrorFit, block: SampleBlock, *, recording: int = 0) -> Missing:
+def balanced_missing_inputs(fit: Fitted, block: SampleBlock, *, recording: int = 0) -> Missing:
     """As `missing_inputs`, with the free parameters of the linear motor moved to where the balances want them, where
     much is missing. The parameters used are in `Missing.coordinates`.
 
     Raises:
         BadInputError, NumericalError: as `missing_inputs`.
     """
-    first = best = missing = missing_inputs(fit, block, recording=recording)
+    first = best = _first(fit, block, recording)
     for _ in range(_ROUNDS):
         if _share(best) < _MUCH:
             break
-        names = missing.augmented.plant.parameter_names
-        q = missing.coordinates.copy()
-        for name, change in _changes(fit, missing).items():
+        names = best.augmented.plant.parameter_names
+        q = best.coordinates.copy()
+        for name, change in _changes(fit, best).items():
             q[names.index(name)] += float(np.log(np.clip(1 + change, *_LEAP)))
-        missing = missing_inputs(fit, block, recording=recording, coordinates=q, levels=missing.levels)
-        if _share(missing) >= 0.9 * _share(best):
+        missing = _if_possible(fit, block, recording, q, best.levels)
+        if missing is None or _share(missing) >= 0.9 * _share(best):
             break
         best = missing
     if best.coordinates is first.coordinates:
         return first
-    return missing_inputs(fit, block, recording=recording, coordinates=best.coordinates)
+    return _if_possible(fit, block, recording, best.coordinates) or first
+
+
+def _first(fit: Fitted, block: SampleBlock, recording: int) -> Missing:
+    """With the fitted parameters, or with those of the regression where these leave less or can alone be used.
+
+    Raises:
+        NumericalError: neither can be.
+    """
+    fitted = _if_possible(fit, block, recording)
+    if fitted is not None and _share(fitted) < _MUCH:
+        return fitted
+    q = _regressed(fit, block)
+    known = None if q is None else _if_possible(fit, block, recording, q)
+    if fitted is None and known is None:
+        raise NumericalError("missing torque and voltage: the smoother left the range of numbers")
+    if fitted is None or (known is not None and _share(known) < 0.9 * _share(fitted)):
+        assert known is not None
+        return known
+    return fitted
+
+
+def _if_possible(
+    fit: Fitted, block: SampleBlock, recording: int, q: F64 | None = None, levels: NoiseLevels | None = None
+) -> Missing | None:
+    try:
+        return missing_inputs(fit, block, recording=recording, coordinates=q, levels=levels)
+    except NumericalError:
+        return None
 
 
 def _share(missing: Missing) -> float:
-    """RMS of what is missing over the working size, of the voltage where there is one."""
-    name = "voltage" if "voltage" in missing.series else "torque"
-    return float(np.sqrt(np.mean(missing.series[name] ** 2))) / missing.size[name] * (1.0 if name == "voltage" else 0.1)
+    """RMS of what is missing over the working size, a tenth of it for the torque: the larger of both."""
+    rms = {name: float(np.sqrt(np.mean(series**2))) / missing.size[name] for name, series in missing.series.items()}
+    return max(share if name == "voltage" else 0.1 * share for name, share in rms.items())
 
 
-def _changes(fit: OutputErrorFit, missing: Missing) -> dict[str, float]:
+def _regressed(fit: Fitted, block: SampleBlock) -> F64 | None:
+    """The daemon's regression of both balances in the place of the fitted R, L, K, J and B: the winding's, which no
+    load torque bends, tells K from a fit that followed a torque by another inertia."""
+    found = regression_values(block, fit.problem.plant)
+    names, q = coordinates_with_load(fit)
+    for name in (n for n in found if n in names and n in fit.problem.free):
+        q[names.index(name)] = np.log(found[name])
+    return q if found else None
+
+
+def _changes(fit: Fitted, missing: Missing) -> dict[str, float]:
     """Relative change of each free parameter of the linear motor: R, L and K from the winding's balance, which no load
     bends, then J and B from the shaft's."""
     m = motion_of(missing)

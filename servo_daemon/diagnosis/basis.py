@@ -42,12 +42,14 @@ class Context:
             scans over many values.
         rest_friction: shape (n,): share of the dry friction that the shaft holds at rest, -1 .. 1; the direction
             of motion elsewhere.
+        channels: what is measured.
         traces: columns so far, by key.
     """
 
     motion: Motion
     residual: Mapping[str, F64]
     rest_friction: F64
+    channels: tuple[str, ...]
     traces: dict[str, Trace] = field(default_factory=dict)
 
     def torque(self, key: str, values: F64) -> str:

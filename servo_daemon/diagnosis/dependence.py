@@ -14,13 +14,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from servo_daemon.diagnosis.basis import Context
-from servo_daemon.diagnosis.missing import Missing
+from servo_daemon.diagnosis.missing import Fitted, Missing
 from servo_daemon.diagnosis.regression import Regression, of_parameters
 from servo_daemon.diagnosis.response import Trace
 from servo_daemon.diagnosis.screen import context_of
 from servo_daemon.diagnosis.signals import motion_of
 from servo_daemon.diagnosis.torque_families import best_harmonics, spectral_lines, step_instants
-from servo_daemon.estimators.output_error import OutputErrorFit
 from servo_daemon.samples import F64
 
 #: A share below this is none, nor is anything below this share of the working torque or voltage. The second is what
@@ -59,7 +58,7 @@ class _Quantity:
     detail: Mapping[str, float]
 
 
-def dependences(fit: OutputErrorFit, missing: Missing) -> tuple[Dependence, ...]:
+def dependences(fit: Fitted, missing: Missing) -> tuple[Dependence, ...]:
     """What the series follow, the strongest first; empty where nothing is missing or it follows nothing.
 
     Args:

@@ -11,15 +11,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servo_daemon.diagnosis.noise_levels import NoiseLevels, Stretch, alive, fit_levels, resolution
 from servo_daemon.diagnosis.smoother import Augmented, backward, forward
 from servo_daemon.errors import NumericalError
-from servo_daemon.estimators.output_error import OutputErrorFit, Recording
-from servo_daemon.estimators.output_error.problem import Segment
+from servo_daemon.estimators.output_error import Recording
+from servo_daemon.estimators.output_error.problem import Problem, Segment
 from servo_daemon.estimators.output_error.rollout import INPUT, STEP, TIME
 from servo_daemon.estimators.output_error.setup import make_problem
 from servo_daemon.plant.build import PlantModel, build_plant
@@ -28,6 +29,18 @@ from servo_daemon.samples import F64, SampleBlock
 #: What the signals tell apart. Without a current (or without motion) only the sum of the two is visible, referred to
 #: the shaft or to the terminals.
 Visible = Literal["torque and voltage", "sum as torque", "sum as voltage", "torque"]
+
+
+class Fitted(Protocol):
+    """A fitted model: an `OutputErrorFit`, or a trial of the search."""
+
+    @property
+    def problem(self) -> Problem:
+        """Plant and which parameters are free."""
+
+    def coordinates(self, recording: int = 0) -> F64:
+        """Parameters of a recording, shape (np,)."""
+
 
 #: The unknown inputs' spread before the first sample, in shares of the working torque and voltage.
 _PRIOR = 3.0
@@ -66,6 +79,7 @@ class Missing:
         augmented, coordinates: model and parameters of the passes.
         stretches: what the linear response needs.
         resolution: step of each measured channel, 0: none.
+        unseen: shape (n,): samples that the screening must not look at, because a choice is scored on them.
     """
 
     visible: Visible
@@ -80,10 +94,11 @@ class Missing:
     coordinates: F64
     stretches: tuple[SmoothedStretch, ...]
     resolution: Mapping[str, float]
+    unseen: NDArray[np.bool_]
 
 
 def missing_inputs(
-    fit: OutputErrorFit,
+    fit: Fitted,
     block: SampleBlock,
     *,
     recording: int = 0,
@@ -109,11 +124,7 @@ def missing_inputs(
     plant = _with_load(fit.problem.plant)
     disturbances, visible = _unknown(plant, problem.channels)
     a = Augmented(plant, problem.channels, disturbances)
-    if coordinates is None:
-        q = np.zeros(len(plant.parameters))
-        q[: len(fit.problem.plant.parameters)] = fit.coordinates(recording)
-    else:
-        q = coordinates
+    q = coordinates_with_load(fit, recording)[1] if coordinates is None else coordinates
     size = _sizes(plant, q, problem.segments)
     stretches = [_stretch(a, s, size) for s in problem.segments]
     steps = {
@@ -140,7 +151,16 @@ def missing_inputs(
         coordinates=q,
         stretches=smoothed,
         resolution=steps,
+        unseen=np.zeros(len(time), dtype=bool),
     )
+
+
+def coordinates_with_load(fit: Fitted, recording: int = 0) -> tuple[tuple[str, ...], F64]:
+    """Names and coordinates of the plant in which the missing torque has a place, as fitted."""
+    plant = _with_load(fit.problem.plant)
+    q = np.zeros(len(plant.parameters))
+    q[: len(fit.problem.plant.parameters)] = fit.coordinates(recording)
+    return plant.parameter_names, q
 
 
 def _with_load(plant: PlantModel) -> PlantModel:

@@ -8,10 +8,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from servo_daemon.diagnosis.missing import Missing
+from servo_daemon.diagnosis.missing import Fitted, Missing
 from servo_daemon.diagnosis.response import Trace, smoothed
 from servo_daemon.diagnosis.signals import Motion
-from servo_daemon.estimators.output_error import OutputErrorFit
 from servo_daemon.samples import F64
 
 #: Time blocks, and folds of the cross-validation: fold f holds out blocks f, f + FOLDS, …, so that a step or a slow
@@ -49,10 +48,12 @@ class Regression:
         stiff: Sequence[float],
     ) -> Regression:
         """Series over traces; `stiff`: the stiffness of the first of them, as `of_parameters` has it."""
-        columns = smoothed(missing, traces)
+        # A trace that leaves the range of numbers (a spring too stiff for this sampling, a speed of zero in a
+        # denominator) explains nothing.
+        columns = {n: np.where(np.isfinite(c).all(axis=0), c, 0.0) for n, c in smoothed(missing, traces).items()}
         edges = np.linspace(0, len(motion.t), BLOCKS + 1).astype(int)
         XX, Xy, yy = np.zeros((BLOCKS, len(traces), len(traces))), np.zeros((BLOCKS, len(traces))), np.zeros(BLOCKS)
-        unknown, moving = 0.0, ~motion.rest
+        unknown, moving = 0.0, ~motion.rest & ~missing.unseen
         for name, series in missing.series.items():
             unit = float(np.median(missing.std[name]))
             unknown += float(np.sum((missing.std[name][moving] / unit) ** 2))
@@ -91,7 +92,17 @@ class Regression:
         return float(self.yy[over].sum() - 2 * beta @ self.Xy[over].sum(axis=0)[chosen] + beta @ A @ beta)
 
 
-def of_parameters(motion: Motion, fit: OutputErrorFit, missing: Missing) -> tuple[list[Trace], list[float]]:
+def bent_names(fit: Fitted, missing: Missing) -> list[str]:
+    """Free parameters whose change would leave something missing, in the order of `of_parameters`.
+
+    Where a current is the input no data tell K: it scales all torques, and a K of nothing would leave nothing missing.
+    """
+    voltage = missing.augmented.plant.drive == "voltage"
+    known = ("J", "B", "Tc", "TL", "i0", "v0", *(("R", "L", "K") if voltage else ()))
+    return [name for name in (*fit.problem.free, *fit.problem.local) if name in known]
+
+
+def of_parameters(motion: Motion, fit: Fitted, missing: Missing) -> tuple[list[Trace], list[float]]:
     """What a change of each free parameter of the plant would leave missing (R, L, K, J, B: per relative change), and
     how stiff each is: J, without which none of the trivial explanations works; R, K and B may be bent by any amount."""
     m, one = motion, np.ones(len(motion.t))
@@ -108,5 +119,5 @@ def of_parameters(motion: Motion, fit: OutputErrorFit, missing: Missing) -> tupl
     }
     if voltage:
         known |= {"R": Trace(voltage=m.p["R"] * m.i), "L": Trace(voltage=m.p["L"] * m.i_rate)}
-    names = [name for name in (*fit.problem.free, *fit.problem.local) if name in known]
+    names = bent_names(fit, missing)
     return [known[name] for name in names], [MOST_CHANGE**-2.0 if name == "J" else 0.0 for name in names]

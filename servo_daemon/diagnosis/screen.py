@@ -15,18 +15,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from servo_daemon.diagnosis.basis import Basis, Context, Family
-from servo_daemon.diagnosis.missing import Missing
-from servo_daemon.diagnosis.regression import Regression, of_parameters
+from servo_daemon.diagnosis.missing import Fitted, Missing
+from servo_daemon.diagnosis.regression import Regression, bent_names, of_parameters
 from servo_daemon.diagnosis.response import Trace, smoothed
 from servo_daemon.diagnosis.signals import Motion, motion_of
 from servo_daemon.diagnosis.torque_families import FAMILIES
 from servo_daemon.diagnosis.two_mass_families import FAMILIES as TWO_MASS
 from servo_daemon.diagnosis.winding_families import CURRENT, SENSORS, WINDING
-from servo_daemon.estimators.output_error import OutputErrorFit
 from servo_daemon.plant.build import PlantModel
 
 #: A parameter more must lower what is left by this share to come before.
 _WORTH = 0.05
+#: The motor's own parameters, and by what factors a missing effect may have bent them.
+_MOTOR, _BENT = ("R", "L", "K", "J", "B"), (0.2, 5.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,12 +39,14 @@ class ScreenedCandidate:
         share: of the missing torque and voltage that it explains beyond the plant's free parameters, 0 .. 1.
         start: start values of its parameters, SI units ("channel" of a delay: the channel's name).
         heldout_share: the same on blocks the coefficients have not seen; negative: worse than nothing.
+        motor: R, L, K, J and B, as far as they are free, with this effect beside them.
     """
 
     effect: str
     share: float
     start: Mapping[str, float | str]
     heldout_share: float
+    motor: Mapping[str, float]
 
 
 def families(plant: PlantModel, free: Collection[str]) -> dict[str, Family]:
@@ -59,7 +62,7 @@ def families(plant: PlantModel, free: Collection[str]) -> dict[str, Family]:
     return {name: family for name, family in known.items() if name not in plant.effects}
 
 
-def screen(fit: OutputErrorFit, missing: Missing) -> tuple[ScreenedCandidate, ...]:
+def screen(fit: Fitted, missing: Missing) -> tuple[ScreenedCandidate, ...]:
     """All effects that could be, the most promising first.
 
     Args:
@@ -67,30 +70,39 @@ def screen(fit: OutputErrorFit, missing: Missing) -> tuple[ScreenedCandidate, ..
         missing: of `missing_inputs`.
     """
     motion = motion_of(missing)
+    names = bent_names(fit, missing)
     nuisance, stiff = of_parameters(motion, fit, missing)
     context = context_of(missing, motion, nuisance)
-    bases = [
-        b
-        for family in families(fit.problem.plant, (*fit.problem.free, *fit.problem.local)).values()
-        for b in family(context)
-    ]
+    with np.errstate(all="ignore"):  # a speed or a current that is always 0; see `Regression.of`
+        bases = [
+            b
+            for family in families(fit.problem.plant, (*fit.problem.free, *fit.problem.local)).values()
+            for b in family(context)
+        ]
     keys = list(context.traces)
     equations = Regression.of(missing, motion, [*nuisance, *context.traces.values()], stiff)
     before = equations.errors(range(len(nuisance)))
     best: dict[str, tuple[float, ScreenedCandidate]] = {}
     for basis in bases:
         columns = [*range(len(nuisance)), *(len(nuisance) + keys.index(key) for key in basis.columns)]
-        scored = _scored(basis, equations, columns, before)
+        scored = _scored(
+            basis, equations, columns, before, dict(zip(names, (motion.p.get(n) for n in names), strict=True))
+        )
         if scored is not None and (basis.effect not in best or scored[0] < best[basis.effect][0]):
             best[basis.effect] = scored
     return tuple(candidate for _, candidate in sorted(best.values(), key=lambda pair: pair[0]))
 
 
 def _scored(
-    basis: Basis, equations: Regression, columns: Sequence[int], before: tuple[float, float]
+    basis: Basis,
+    equations: Regression,
+    columns: Sequence[int],
+    before: tuple[float, float],
+    own: Mapping[str, float | None],
 ) -> tuple[float, ScreenedCandidate] | None:
     """Rank (low is good) and candidate; None where no physical parameters give these coefficients."""
-    start = basis.start(equations.coefficients(columns)[-len(basis.columns) :])
+    found = equations.coefficients(columns)
+    start = basis.start(found[-len(basis.columns) :])
     if start is None:
         return None
     inside, heldout = equations.errors(columns)
@@ -101,12 +113,17 @@ def _scored(
     # The lesser of both: what the parameters alone leave held out may be large by chance, and then all shares are.
     rank = float(np.log(max(1 - min(share, heldout_share), 1e-12))) + _WORTH * basis.parameters
     plain = {name: value if isinstance(value, str) else float(value) for name, value in start.items()}
-    return rank, ScreenedCandidate(basis.effect, float(share), plain, float(heldout_share))
+    motor = {
+        name: value * float(np.clip(1 + change, *_BENT))
+        for (name, value), change in zip(own.items(), found.tolist(), strict=False)
+        if value is not None and name in _MOTOR
+    }
+    return rank, ScreenedCandidate(basis.effect, float(share), plain, float(heldout_share), motor)
 
 
 def context_of(missing: Missing, motion: Motion, nuisance: Sequence[Trace]) -> Context:
     """What the formulas need: raw series less what the free parameters explain, and the friction held at rest."""
-    moving = ~motion.rest
+    moving = ~motion.rest & ~missing.unseen
     residual = {name: np.where(moving, series, 0.0) for name, series in missing.series.items()}
     columns = smoothed(missing, nuisance) if nuisance else {}
     stacked = [(columns[n] / np.median(missing.std[n])) * moving[:, None] for n in columns]
@@ -118,5 +135,5 @@ def context_of(missing: Missing, motion: Motion, nuisance: Sequence[Trace]) -> C
     if "torque" in residual and moving.any():
         level = float(residual["torque"] @ motion.direction) / int(moving.sum())
         at_rest = np.clip(missing.series["torque"] / level, -1, 1) if level > 0 else np.zeros(len(held))
-        held = np.where(moving, motion.direction, at_rest)
-    return Context(motion, residual, held)
+        held = np.where(motion.rest, at_rest, motion.direction)
+    return Context(motion, residual, held, missing.augmented.channels)

@@ -23,7 +23,7 @@ import casadi as ca
 import numpy as np
 
 from servo_daemon.estimators.ekf_layout import MEASURABLE
-from servo_daemon.estimators.ekf_model import natural
+from servo_daemon.estimators.ekf_model import natural, pack, unpack
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.plant.compiled import SampleLoop
 from servo_daemon.samples import F64
@@ -75,22 +75,6 @@ class Augmented:
         }
         ends = np.cumsum(list(sizes.values()))
         return {name: slice(int(end - size), int(end)) for (name, size), end in zip(sizes.items(), ends, strict=True)}
-
-
-def pack(P: ca.SX) -> ca.SX:
-    """Lower triangle, column by column."""
-    n = P.size1()
-    return ca.vertcat(*[P[row, column] for column in range(n) for row in range(column, n)])
-
-
-def unpack(tri: ca.SX, n: int) -> ca.SX:
-    """The symmetric matrix of a lower triangle."""
-    P, k = ca.SX.zeros(n, n), 0
-    for column in range(n):
-        for row in range(column, n):
-            P[row, column] = P[column, row] = tri[k]
-            k += 1
-    return P
 
 
 def _dense(arguments: list[ca.SX], state: ca.SX, output: ca.SX) -> ca.Function:

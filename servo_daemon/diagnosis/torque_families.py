@@ -30,7 +30,7 @@ def _coulomb(c: Context) -> Iterator[Basis]:
 
 
 def _asymmetric(c: Context) -> Iterator[Basis]:
-    m = c.motion
+    m, Tc = c.motion, c.motion.p.get("Tc", 0.0)
     columns = (
         c.torque("forward", np.maximum(c.rest_friction, 0.0)),
         c.torque("backward", np.minimum(c.rest_friction, 0.0)),
@@ -39,17 +39,19 @@ def _asymmetric(c: Context) -> Iterator[Basis]:
 
     def start(b: F64) -> dict[str, float] | None:
         B_neg = m.p["B"] + b[2]
-        return {"Tc": b[0], "Tc_neg": b[1], "B_neg": max(B_neg, 1e-3 * m.p["B"])} if positive(b[0], b[1]) else None
+        if not positive(Tc + b[0], Tc + b[1]):
+            return None
+        return {"Tc": Tc + b[0], "Tc_neg": Tc + b[1], "B_neg": max(B_neg, 1e-3 * m.p["B"])}
 
     yield Basis("asymmetric_friction", columns, start, 3)
 
 
 def _stribeck(c: Context) -> Iterator[Basis]:
-    usual = float(np.percentile(np.abs(c.motion.omega), 95.0))
+    usual, Tc = float(np.percentile(np.abs(c.motion.omega), 95.0)), c.motion.p.get("Tc", 0.0)
     for ws in _STRIBECK * usual:
 
         def start(b: F64, ws: float = float(ws)) -> dict[str, float] | None:
-            return {"Tc": b[0], "Ts": b[0] + b[1], "ws": ws} if positive(b[0], b[1]) else None
+            return {"Tc": Tc + b[0], "Ts": Tc + b[0] + b[1], "ws": ws} if positive(Tc + b[0], b[1]) else None
 
         bump = c.rest_friction * np.exp(-((c.motion.omega / ws) ** 2))
         yield Basis("stribeck_friction", (c.torque("sgn", c.rest_friction), c.torque(f"bump {ws}", bump)), start, 3)

@@ -63,7 +63,10 @@ def _saturation(c: Context) -> Iterator[Basis]:
     for knee in np.array(_KNEES) * float(np.max(np.abs(m.i))):
 
         def start(b: F64, knee: float = float(knee)) -> dict[str, float] | None:
-            return {"I_sat": knee / float(np.sqrt(b[0]))} if positive(b[0]) else None
+            # A motor that loses more than half of its torque is none; without a bound any torque is "lost".
+            if not positive(b[0]) or knee / float(np.sqrt(b[0])) < float(np.max(np.abs(m.i))):
+                return None
+            return {"I_sat": knee / float(np.sqrt(b[0]))}
 
         lost = 1 - 1 / (1 + (m.i / knee) ** 2)
         trace = Trace(torque=m.p["K"] * m.i * lost, voltage=-m.p["K"] * m.omega * lost)
@@ -138,11 +141,10 @@ def _voltage_offset(c: Context) -> Iterator[Basis]:
 
 def _delay(c: Context) -> Iterator[Basis]:
     m = c.motion
-    late = {
-        "position_rad": Trace(shown={"position_rad": -m.at_sample["velocity_rad_s"], "velocity_rad_s": -m.omega_rate})
-    }
+    rates = {"position_rad": -m.at_sample["velocity_rad_s"], "velocity_rad_s": -m.omega_rate}
     if "L" in m.p:
-        late["current_A"] = Trace(shown={"current_A": -m.at_sample["current_A_rate"]})
+        rates["current_A"] = -m.at_sample["current_A_rate"]
+    late = {channel: Trace(shown={channel: rate}) for channel, rate in rates.items() if channel in c.channels}
     for channel, trace in late.items():
 
         def start(b: F64, channel: str = channel) -> dict[str, float | str] | None:

@@ -1,0 +1,133 @@
+"""What a diagnosis says in sentences; the text and the report use the same."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+#: What a missing torque or voltage follows, as a reader says it.
+_FOLLOWS = {
+    "speed": "the speed",
+    "direction": "the direction of motion",
+    "angle": "the angle",
+    "travel": "the position along the travel",
+    "current": "the current",
+    "load": "the load",
+    "time": "time",
+    "step": "a step",
+    "temperature": "the heat of the winding",
+    "frequency": "a fixed frequency",
+}
+#: Of what is left.
+_COLOURED = (
+    "What is left is not white, but it follows neither speed, angle, current nor time: steps of encoder and converters "
+    "and coloured noise do that."
+)
+
+
+def model_name(effects: Sequence[str]) -> str:
+    """'linear motor + coulomb_friction'."""
+    return " + ".join(["linear motor", *effects])
+
+
+def headline(document: Mapping[str, Any]) -> str:
+    """The verdict in one sentence."""
+    remaining, baseline = document["remaining"], "the " + model_name(document["baseline"]["model"])
+    if document["verdict"] == "found":
+        return "Found: " + ", ".join(e["name"].replace("_", " ") for e in document["effects"])
+    if document["verdict"] == "unexplained":
+        follows = ", ".join(dict.fromkeys(_FOLLOWS.get(x["on"], x["on"]) for x in remaining["dependences"]))
+        return f"Unexplained: something is missing that has no name here; it follows {follows}"
+    if not _anything_known(document):
+        return "Nothing can be said: these data do not determine even one parameter of the motor"
+    if remaining["white"]:
+        return f"Nothing is missing: {baseline} explains these data to their noise"
+    return f"Nothing is missing: no model here explains these data better than {baseline}"
+
+
+def verdict_lines(document: Mapping[str, Any]) -> list[str]:
+    """What supports the verdict."""
+    if document["verdict"] == "found":
+        return [_gain_line(document), *remaining_lines(document)]
+    if document["verdict"] == "unexplained":
+        return [
+            "No effect of the library predicts the part of the data that decides better by a margin that counts.",
+            *remaining_lines(document),
+        ]
+    return [*_unseen(document), *([] if document["remaining"]["white"] else [_COLOURED])]
+
+
+def _anything_known(document: Mapping[str, Any]) -> bool:
+    parameters = document["baseline"]["parameters"].values()
+    return bool(document["combinations"]) or any(p["status"] in ("estimated", "fixed") for p in parameters)
+
+
+def _unseen(document: Mapping[str, Any]) -> list[str]:
+    """Where the motion is too poor for an absence to mean much."""
+    open_ones = [n for n, p in document["baseline"]["parameters"].items() if p["status"] == "undetermined"]
+    if not open_ones or document["combinations"]:
+        return []
+    return [
+        f"These data do not determine {', '.join(open_ones)}: what the motion does not excite it cannot show to be "
+        "missing. Record reversals and several speeds."
+    ]
+
+
+def _gain_line(document: Mapping[str, Any]) -> str:
+    gain, baseline = document["gain"], "the " + model_name(document["baseline"]["model"])
+    if gain is None or gain["error_removed"] is None:
+        return f"The gain over {baseline} could not be measured: these data leave no part to hold out."
+    interval = ""
+    if gain["ci95"] is not None and None not in gain["ci95"]:
+        low, high = gain["ci95"]
+        interval = f" (95 %: {percent(low)} … {percent(high)})"
+    return (
+        f"On data that nothing has seen this removes {percent(gain['error_removed'])}{interval} of the error of "
+        f"{baseline} that is not noise."
+    )
+
+
+def remaining_lines(document: Mapping[str, Any]) -> list[str]:
+    """What is left, and what it follows."""
+    remaining = document["remaining"]
+    if remaining["white"]:
+        return ["What is left is noise."]
+    if not remaining["dependences"]:
+        return [_COLOURED]
+    return [dependence_line(x) for x in remaining["dependences"]]
+
+
+def dependence_line(x: Mapping[str, Any]) -> str:
+    """'Left: a torque of 0.0031 N·m rms (1.2 % of the working torque) that follows the angle, 14 times a turn.'"""
+    detail = x["detail"]
+    more = ""
+    if "harmonic" in detail:
+        more = f", {detail['harmonic']:g} times a turn"
+    elif "frequency_hz" in detail:
+        more = f", {detail['frequency_hz']:.4g} Hz"
+    elif "time_s" in detail:
+        more = f" at {detail['time_s']:.4g} s"
+    share = "" if x["relative"] is None else f" ({percent(x['relative'])} of the working {x['series']})"
+    return (
+        f"Left: a {x['series']} of {x['size']:.3g} {x['unit']} rms{share} that follows "
+        f"{_FOLLOWS.get(x['on'], x['on'])}{more}."
+    )
+
+
+def change_text(values: Sequence[float | None]) -> str:
+    """'3.9 % higher in the last than in the first'; nothing where that is no ratio."""
+    first, last = values[0], values[-1]
+    if first is None or last is None or len(values) < 2 or first * last <= 0 or first == last:
+        return ""
+    change = last / first - 1.0
+    return f"{percent(abs(change))} {'higher' if change > 0 else 'lower'} in the last than in the first"
+
+
+def percent(share: float) -> str:
+    """Two digits, and near 100 % as many as tell it from 100: '93 %', '0.42 %', '99.4 %', '99.97 %'."""
+    value = 100.0 * share
+    left = 100.0 - abs(value)
+    if 0.005 <= left < 1.0:
+        return f"{value:.{-math.floor(math.log10(left))}f} %"
+    return f"{value:.0f} %" if abs(value) >= 10.0 else f"{float(f'{value:.2g}'):g} %"

@@ -1,0 +1,121 @@
+"""Whether the names that a search came to can be believed.
+
+A search always finds something that fits a little better. A name is believed if its effect takes most of the error that
+is not noise, if all of them together do, and if what they leave is small beside what they explain: a friction that is
+not quite Coulomb's leaves a fifth of itself. All this is judged on the part that decides; the held-out part is not
+looked at.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from servo_daemon.diagnosis.dependence import Dependence, dependences
+from servo_daemon.diagnosis.evidence import working_shares
+from servo_daemon.diagnosis.missing import Missing
+from servo_daemon.diagnosis.noise_floor import noise_floor
+from servo_daemon.diagnosis.select import Selection, longest_missing, without_effect
+from servo_daemon.diagnosis.split import CHOICE
+from servo_daemon.diagnosis.trial import Data, Trial
+from servo_daemon.errors import NumericalError
+from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, fit_output_error
+
+#: Least share of the removable error that one effect takes of what the others leave, and that all take together.
+_OWN, _TOGETHER = 0.5, 0.6
+#: What is left may follow something at this share of what the effects explain, not more.
+_LEFT = 0.2
+
+
+@dataclass(frozen=True)
+class Believed:
+    """What remains of a search.
+
+    Attributes:
+        selection: with the effects that are believed; none: the model it began with.
+        extended: fitted to everything; None: no effect is believed.
+        missing: what it lacks, of the longest capture.
+        depends_on: what that follows.
+    """
+
+    selection: Selection
+    extended: OutputErrorFit | None
+    missing: Missing | None
+    depends_on: tuple[Dependence, ...]
+
+
+def believed(selection: Selection) -> Believed:
+    """Drop the names that cannot be believed, the weakest first."""
+    while selection.added:
+        extended = fit_everything(selection.data, selection.chosen)
+        floor = noise_floor(extended, selection.chosen, CHOICE).nrmse
+        weakest = _weakest(selection, floor)
+        if weakest is not None:
+            selection = weakest
+            continue
+        if removed_share(selection.base.choice.nrmse, selection.chosen.choice.nrmse, floor) < _TOGETHER:
+            break
+        missing = longest_missing(selection.data, extended)
+        depends = () if extended.white else dependences(extended, missing)
+        if depends and max(d.relative for d in depends) > _LEFT * _explained(selection, missing):
+            break
+        return Believed(selection, extended, missing, depends)
+    return Believed(replace(selection, chosen=selection.base, added=(), equivalent={}), None, None, ())
+
+
+def fit_everything(data: Data, trial: Trial, *, noise: bool = True) -> OutputErrorFit:
+    """A trial's model fitted to all parts, with standard deviations: in one run if that explains the data to their
+    noise (then noise that enters the motor is told from what the sensors add), else in the free runs of the search.
+
+    Args:
+        noise: whether noise that enters the motor is looked for; without it the fit cannot be found white.
+    """
+    options = FitOptions(nominal=trial.values, fixed={**data.fixed, **trial.held}, thorough=False)
+    if noise:
+        with suppress(NumericalError):
+            whole = fit_output_error(data.recordings, trial.effects, options)
+            if whole.white:
+                return whole
+    options = replace(options, segment_s=data.split.segment_s, noise_model="none")
+    return fit_output_error(data.recordings, trial.effects, options)
+
+
+def removed_share(before: float, after: float, floor: float) -> float:
+    """(b² − e²)/(b² − n²) of normalised errors; 0 where there is nothing to remove."""
+    room = before**2 - min(floor, after) ** 2
+    return 0.0 if room <= 0 else (before**2 - after**2) / room
+
+
+def _weakest(selection: Selection, floor: float) -> Selection | None:
+    """Without the effect that takes least of what the others leave, if that is too little; None: all take enough."""
+    if len(selection.added) < 2:
+        return None
+    own: list[tuple[float, str, Trial]] = []
+    for name in selection.added:
+        without = without_effect(selection.data, selection.chosen, name)
+        if without is not None and np.isfinite(without.choice.squares).all():
+            share = removed_share(without.choice.nrmse, selection.chosen.choice.nrmse, floor)
+            own.append((share, name, without))
+    share, name, without = min(own, key=lambda o: o[0], default=(1.0, "", selection.chosen))
+    if share >= _OWN:
+        return None
+    return replace(selection, chosen=without, added=tuple(a for a in selection.added if a != name))
+
+
+def _explained(selection: Selection, missing: Missing) -> float:
+    """The effects' torques and voltages as a share of what the motor works with; at least what is told by the missing
+    series themselves."""
+    by_size = working_shares(selection.added, selection.chosen, missing)
+    return max([*by_size.values(), _by_series(selection, missing)])
+
+
+def _by_series(selection: Selection, after: Missing) -> float:
+    before = longest_missing(selection.data, selection.base)
+    shares = [
+        np.sqrt(max(float(np.mean(before.series[n] ** 2) - np.mean(after.series[n] ** 2)), 0.0)) / before.size[n]
+        for n in before.series
+        if n in after.series
+    ]
+    return float(max(shares, default=0.0))

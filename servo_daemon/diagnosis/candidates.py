@@ -1,0 +1,89 @@
+"""From screened effects to models that are worth a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from servo_daemon.diagnosis.missing import Missing
+from servo_daemon.diagnosis.screen import ScreenedCandidate
+from servo_daemon.diagnosis.trial import Trial, model_exists
+from servo_daemon.estimators.base import natural_values
+from servo_daemon.plant.effects import effects_by_name
+from servo_daemon.plant.effects.cogging_torque import HARMONICS
+
+#: Of the screened candidates so many are fitted in each round, if they explain this share of what the best does.
+MOST_FITTED, _WORTH_A_FIT = 6, 0.2
+#: simpler → what contains it.
+NESTED: Mapping[str, tuple[str, ...]] = {
+    "coulomb_friction": ("stribeck_friction", "asymmetric_friction"),
+    "shaft_compliance": ("backlash",),
+}
+#: The same, where both can be in one model: the richer one fits as well as the simpler one by being it.
+CONTAINED: Mapping[str, tuple[str, ...]] = {**NESTED, "constant_load_torque": ("load_torque_step",)}
+#: What may stand in the place of an effect at the end of a search, simplest first.
+SIMPLER: Mapping[str, tuple[tuple[str, ...], ...]] = {
+    "asymmetric_friction": (("coulomb_friction",), ("coulomb_friction", "constant_load_torque")),
+    "stribeck_friction": (("coulomb_friction",),),
+    "backlash": (("shaft_compliance",),),
+    "load_torque_step": (("constant_load_torque",),),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """A model to try.
+
+    Attributes:
+        name: of the effect that it adds.
+        effects: of the model.
+        start: natural units, every parameter.
+    """
+
+    name: str
+    effects: tuple[str, ...]
+    start: Mapping[str, float]
+
+
+def proposals(current: Trial, screened: Sequence[ScreenedCandidate], missing: Missing) -> tuple[Proposal, ...]:
+    """The models of one round, the most promising first."""
+    known = effects_by_name()
+    values = natural_values(missing.augmented.plant.parameters, missing.coordinates)
+    best = max((s.heldout_share for s in screened), default=0.0)
+    out: list[Proposal] = []
+    for s in screened:
+        name = _free_name(s.effect, current.effects)
+        effects = extended(current.effects, name)
+        if name not in known or effects is None or s.heldout_share <= 0:
+            continue
+        simpler = any(s.effect == small and p.name in large for small, large in NESTED.items() for p in out)
+        if (s.heldout_share < _WORTH_A_FIT * best or len(out) >= MOST_FITTED) and not simpler:
+            continue
+        start = dict(current.values) | {n: v for n, v in values.items() if n in current.values}
+        start |= {n: v for n, v in s.motor.items() if n in start}
+        start |= {p.name: p.nominal for e in effects for p in known[e].parameters if p.name not in start}
+        ending = name.removeprefix(s.effect)
+        for key, value in s.start.items():
+            choice = next((p for p in known[name].parameters if p.name == key + ending), None)
+            if choice is not None:
+                start[choice.name] = float(choice.choices.index(value)) if isinstance(value, str) else float(value)
+        if "Tc" in s.start and "Tc" in start:
+            start["Tc"] = float(s.start["Tc"])
+        out.append(Proposal(name, effects, start))
+    return tuple(out)
+
+
+def _free_name(effect: str, present: Sequence[str]) -> str:
+    """The effect's first harmonic that the model does not have."""
+    if effect != "cogging_torque":
+        return effect
+    return next((effect + e for e in HARMONICS if effect + e not in present), effect)
+
+
+def extended(present: tuple[str, ...], name: str) -> tuple[str, ...] | None:
+    """The model with one effect more; what it contains is replaced. None: there is no such model."""
+    kept = tuple(e for e in present if name not in NESTED.get(e, ()))
+    if name in kept:
+        return None
+    effects = (*kept, name)
+    return effects if model_exists(effects) else None

@@ -1,0 +1,75 @@
+"""Whether one model predicts free runs that were not fitted better than another, and by how much, with an interval.
+
+The unit of resampling is a free run: within one the errors depend on each other, between them hardly (block bootstrap,
+Künsch 1989). Both models are scored on the same free runs, so what is resampled is their difference.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from servo_daemon.diagnosis.trial import Scored, Trial
+from servo_daemon.samples import F64
+
+_RESAMPLES = 500
+_SEED = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Advantage:
+    """Of the richer model over the other, on the part that decides.
+
+    Attributes:
+        gain: mean over channels of log(rms error of the other / rms error of the richer).
+        low, high: its 98 % interval.
+        delta_bic: BIC of the richer minus that of the other, on the fitted part: negative speaks for the richer.
+    """
+
+    gain: float
+    low: float
+    high: float
+    delta_bic: float
+
+
+def _resamples(n: int) -> F64:
+    """Shape (resamples, n): how often each free run is drawn."""
+    rng = np.random.default_rng(_SEED)
+    return rng.multinomial(n, np.full(n, 1.0 / n), size=_RESAMPLES).astype(np.float64)
+
+
+def advantage(simple: Trial, rich: Trial) -> Advantage:
+    """Compare two models over the same split."""
+    a, b = simple.choice, rich.choice
+
+    def gains(weights: F64) -> F64:
+        floor = 1e-12 * a.spread**2 * a.counts.sum(axis=0)
+        return np.asarray(0.5 * np.mean(np.log((weights @ a.squares + floor) / (weights @ b.squares + floor)), axis=-1))
+
+    low, high = np.quantile(gains(_resamples(len(a.squares))), [0.01, 0.99])
+    return Advantage(float(gains(np.ones(len(a.squares)))), float(low), float(high), _delta_bic(simple, rich))
+
+
+def _delta_bic(simple: Trial, rich: Trial) -> float:
+    """With the richer model's share of independent samples for both: what it leaves is nearer to noise."""
+    share = rich.independent
+    n = share * float(rich.fitted.counts.sum())
+    drop = share * (simple.solution.point.value - rich.solution.point.value)
+    return float((rich.free - simple.free) * np.log(max(n, 2.0)) - drop)
+
+
+def error_removed(base: Scored, extended: Scored, floor_nrmse: float) -> tuple[float, tuple[float, float]]:
+    """(b² − e²)/(b² − n²) and its 95 % interval.
+
+    Args:
+        floor_nrmse: n, what noise alone leaves, as `Scored.nrmse`.
+    """
+
+    def removed(weights: F64) -> F64:
+        b, e = base.mean_square(weights), extended.mean_square(weights)
+        room = np.maximum(b - np.minimum(floor_nrmse**2, e), 1e-300)
+        return np.asarray(np.clip((b - e) / room, -1.0, 1.0))
+
+    low, high = np.quantile(removed(_resamples(len(base.squares))), [0.025, 0.975])
+    return float(removed(np.ones(len(base.squares)))), (float(low), float(high))

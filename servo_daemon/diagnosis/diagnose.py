@@ -1,0 +1,169 @@
+"""The whole diagnosis of captures: baseline, search, verdict, extended model, what it gains, what is left."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from servo_daemon.captures import Capture
+from servo_daemon.diagnosis.adequacy import Believed, believed, fit_everything
+from servo_daemon.diagnosis.compare import error_removed
+from servo_daemon.diagnosis.dependence import dependences
+from servo_daemon.diagnosis.differences import differences
+from servo_daemon.diagnosis.noise_floor import noise_floor
+from servo_daemon.diagnosis.result import CandidateScore, Diagnosis, HeldOut, NamedEffect, Verdict
+from servo_daemon.diagnosis.select import Selection, longest_missing, select, without_effect
+from servo_daemon.diagnosis.split import CHOICE, TRAIN, segment_length_s
+from servo_daemon.diagnosis.trial import Data, Scored, Trial, first_trial, fit_trial
+from servo_daemon.estimators.output_error import Recording
+from servo_daemon.identification.validate import validated
+
+#: Told how far it is, 0 .. 1, and what is being done.
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnoseOptions:
+    """What is asked for.
+
+    Attributes:
+        baseline: effects of the model that is doubted.
+        nominal: start values, natural units.
+        fixed: parameters held in every model.
+        adapt: as for `validated`; None: not.
+        workers: threads that fit.
+    """
+
+    baseline: tuple[str, ...] = ()
+    nominal: Mapping[str, float] = field(default_factory=dict)
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    adapt: float | None = None
+    workers: int = 2
+
+
+def diagnose(
+    captures: Sequence[Capture],
+    validation: Sequence[Capture] = (),
+    options: DiagnoseOptions | None = None,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Find what the simulation of these captures lacks.
+
+    Raises:
+        BadInputError: captures that cannot be used, alone or together.
+        NumericalError: the baseline cannot be simulated over them.
+    """
+    options, began = options or DiagnoseOptions(), time.perf_counter()
+    progress = progress or _unheard
+    recordings = tuple(Recording(str(c.path), c.block()) for c in captures)
+    progress(0.0, "fitting the baseline")
+    segment_s = segment_length_s(recordings)
+    data = Data.of(recordings, options.fixed, options.baseline, segment_s)
+    base = first_trial(data, options.baseline, options.nominal)
+    selection = select(data, base, _within(progress, 0.1, 0.8), options.workers)
+    progress(0.8, "whether the names can be believed")
+    belief = believed(selection)
+    selection = belief.selection
+    baseline = fit_everything(data, base, noise=belief.extended is None)
+    final = belief.extended or baseline
+    progress(0.88, "scoring on what was held out")
+    outcome = _outcome(belief)
+    progress(0.92, "what is left")
+    before = longest_missing(data, baseline)
+    depends = belief.depends_on
+    if belief.extended is None and not baseline.white:
+        depends = dependences(baseline, before)
+    progress(0.95, "what differs between the captures")
+    held = {**options.fixed, **selection.chosen.held}
+    spreads, own_models = differences(recordings, final, held, selection.data.split.segment_s)
+    verdict: Verdict = "found" if outcome.effects else "unexplained" if depends else "none"
+    return Diagnosis(
+        captures=tuple(captures),
+        verdict=verdict,
+        effects=outcome.effects,
+        baseline=baseline,
+        extended=belief.extended,
+        baseline_score=outcome.baseline_score,
+        extended_score=outcome.extended_score,
+        noise_floor=outcome.floor,
+        error_removed=outcome.removed,
+        ci95=outcome.ci95,
+        candidates=_candidates(selection),
+        before=before,
+        after=belief.missing,
+        white=final.white,
+        depends_on=depends,
+        differences=spreads,
+        own_models=own_models,
+        validation=tuple(validated(c, baseline, belief.extended, options.adapt) for c in validation),
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _within(progress: Progress, begin: float, end: float) -> Progress:
+    """A part of the whole, as its own progress."""
+    return lambda share, step: progress(begin + (end - begin) * share, step)
+
+
+def _unheard(_share: float, _step: str) -> None:
+    """Nobody asked how far it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Outcome:
+    """What the search came to, on data that it has not seen; see `Diagnosis`."""
+
+    effects: tuple[NamedEffect, ...]
+    baseline_score: HeldOut
+    extended_score: HeldOut | None = None
+    floor: float | None = None
+    removed: float | None = None
+    ci95: tuple[float, float] | None = None
+
+
+def _outcome(belief: Believed) -> _Outcome:
+    """Both models fitted to all but the held-out part and scored there."""
+    selection, both = belief.selection, (TRAIN, CHOICE)
+    data, chosen = selection.data, selection.chosen
+    base = fit_trial(data, selection.base.effects, selection.base.values, parts=both) or selection.base
+    if belief.extended is None:
+        return _Outcome((), _held_out(base, base.held_out))
+    final = fit_trial(data, chosen.effects, chosen.values, parts=both) or chosen
+    floor = noise_floor(belief.extended, final)
+    removed, ci95 = error_removed(base.held_out, final.held_out, floor.nrmse)
+    effects = tuple(
+        NamedEffect(name, _gain(selection, name, (base, final), floor, removed), selection.equivalent.get(name, ()))
+        for name in selection.added
+    )
+    return _Outcome(
+        effects, _held_out(base, base.held_out), _held_out(final, final.held_out), floor.nrmse, removed, ci95
+    )
+
+
+def _gain(selection: Selection, name: str, trials: tuple[Trial, Trial], floor: Scored, removed: float) -> float:
+    """Share of the removable error that comes back without this effect."""
+    base, final = trials
+    if len(selection.added) == 1:
+        return removed
+    without = without_effect(selection.data, final, name, parts=(TRAIN, CHOICE))
+    if without is None:
+        return removed
+    room = base.held_out.nrmse**2 - min(floor.nrmse, final.held_out.nrmse) ** 2
+    return float(np.clip((without.held_out.nrmse**2 - final.held_out.nrmse**2) / max(room, 1e-300), 0.0, 1.0))
+
+
+def _held_out(trial: Trial, scored: Scored) -> HeldOut:
+    rmse = {name: float(np.sqrt(v)) for name, v in zip(trial.problem.channels, scored.mse, strict=True)}
+    return HeldOut(rmse, scored.nrmse)
+
+
+def _candidates(selection: Selection) -> tuple[CandidateScore, ...]:
+    out, beside = [], selection.base.effects
+    for candidates in selection.rounds:
+        taken = next((c for c in candidates if c.taken), None)
+        out += [CandidateScore(c.name, beside, c.trial.choice.nrmse, c.against.delta_bic, c.taken) for c in candidates]
+        beside = taken.trial.effects if taken is not None else beside
+    return tuple(out)

@@ -1,0 +1,65 @@
+"""What counts as evidence for an effect: the thresholds of the search, and the tests that use them.
+
+An effect must predict free runs that were not fitted, its parameters must be worth their place, and it must be larger
+than what encoders and converters feign.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from servo_daemon.diagnosis.compare import Advantage, advantage
+from servo_daemon.diagnosis.missing import Missing
+from servo_daemon.diagnosis.trial import Trial
+from servo_daemon.plant.effects import effects_by_name
+
+#: Least gain of a new effect: error of the free runs (log of its RMS; the 98 % interval must be above 0), and BIC.
+LEAST_GAIN, LEAST_BIC = 0.03, -20.0
+#: Least torque or voltage of an effect that has one, as a share of what the motor works with.
+LEAST_SHARE = 2e-3
+#: Candidates whose gain is within this of the best, and that resampling cannot tell from it, are equivalent.
+_TIE = 0.02
+#: A nested effect with more parameters must gain this much over the smaller one.
+NESTED_GAIN = 0.02
+#: BIC that no wrong model earns by chance or by an integrator's error, and the gain that must come with it.
+_OVERWHELMING, _CLEARLY = -2000.0, 0.1
+#: Lower end of a gain that needs no other evidence.
+_PLAINLY = 0.2
+_SERIES = {"N·m": "torque", "V": "voltage"}
+
+
+def convinces(a: Advantage) -> bool:
+    """Whether an effect's advantage is one."""
+    return overwhelming(a) or (a.gain > LEAST_GAIN and a.low > 0.0 and a.delta_bic < LEAST_BIC)
+
+
+def no_worse(trial: Trial, best: Trial) -> bool:
+    """Whether resampling cannot tell them apart and what it gains less is nothing."""
+    difference = advantage(trial, best)
+    return difference.gain < _TIE and difference.low < 0.0 and difference.delta_bic > _OVERWHELMING
+
+
+def overwhelming(a: Advantage) -> bool:
+    """Better where it decides, and far better where it was fitted, though a few free runs may be none the better for
+    it: of a motor with a gap those that begin within it. Or better by so much where it decides that the fitted part,
+    whose residuals may be one slow drift and count as a handful of samples, need not say so, too."""
+    return (a.gain > _CLEARLY and a.delta_bic < _OVERWHELMING) or a.low > _PLAINLY
+
+
+def noticeable(name: str, trial: Trial, missing: Missing) -> bool:
+    """Whether an effect's torques and voltages are a noticeable share of what the motor works with: encoders feign
+    less. Of a friction the level at speed counts, not that of the first step out of rest."""
+    shares = working_shares((name,), trial, missing)
+    shares.pop("Ts", None)
+    return not shares or max(shares.values()) > LEAST_SHARE
+
+
+def working_shares(names: Iterable[str], trial: Trial, missing: Missing) -> dict[str, float]:
+    """The effects' torques and voltages, by parameter, as shares of what the motor works with."""
+    known = effects_by_name()
+    return {
+        p.name: abs(trial.values[p.name]) / missing.size[_SERIES[p.unit]]
+        for name in names
+        for p in known[name].parameters
+        if _SERIES.get(p.unit) in missing.size
+    }

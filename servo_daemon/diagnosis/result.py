@@ -1,0 +1,128 @@
+"""What a diagnosis says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from servo_daemon.captures import Capture
+from servo_daemon.diagnosis.dependence import Dependence
+from servo_daemon.diagnosis.missing import Missing
+from servo_daemon.estimators.output_error import OutputErrorFit
+from servo_daemon.identification.validate import Validation
+
+#: "none": the baseline explains the data to their noise; "found": at least one effect was named; "unexplained": none
+#: was, yet structure remains.
+Verdict = Literal["none", "found", "unexplained"]
+
+
+@dataclass(frozen=True, slots=True)
+class NamedEffect:
+    """An effect that the data name.
+
+    Attributes:
+        name: of the effect.
+        gain: share of the removable held-out error that comes back without it.
+        equivalent: names that fitted these data as well in its place, tested.
+    """
+
+    name: str
+    gain: float
+    equivalent: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """Errors of free runs that neither fit nor choice has seen: RMS by channel, and normalised over channels."""
+
+    rmse: Mapping[str, float]
+    nrmse: float
+
+
+@dataclass(frozen=True, slots=True)
+class CandidateScore:
+    """A model that was fitted in the search.
+
+    Attributes:
+        name: of the effect added.
+        beside: effects that the model had before.
+        nrmse: normalised error of the free runs that decide.
+        delta_bic: against the model before; negative speaks for the effect.
+        taken: whether it was.
+    """
+
+    name: str
+    beside: tuple[str, ...]
+    nrmse: float
+    delta_bic: float
+    taken: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """A parameter that differs between captures: value and 1 σ for each of them, natural units."""
+
+    name: str
+    values: tuple[float, ...]
+    stds: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class OwnModel:
+    """What the differences mean for a free run over a whole capture: RMS errors by channel with the parameters that
+    all captures share, and with the capture's own."""
+
+    capture: str
+    shared_rmse: Mapping[str, float]
+    own_rmse: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The result.
+
+    Attributes:
+        captures: what was diagnosed.
+        verdict: see `Verdict`.
+        effects: what was added to the baseline, in the order of the search; empty unless found.
+        baseline: the configured model (else the linear motor), fitted to everything.
+        extended: with the effects; None unless found.
+        baseline_score, extended_score: held-out errors; the second is None unless found.
+        noise_floor: normalised error that noise alone would leave; None unless found.
+        error_removed, ci95: share of the removable held-out error that the extension removes, with its 95 % interval.
+        candidates: all models that were fitted, by round.
+        before, after: missing torque and voltage under both models, of the longest capture; the second None unless
+            found.
+        white: whether the final model and the noise explain the data.
+        depends_on: what the remaining missing torque and voltage follow.
+        differences: parameters that differ between the captures beyond chance.
+        own_models: what that means for each capture; empty where there is one capture.
+        validation: scores on captures that were not diagnosed.
+        seconds: time taken.
+    """
+
+    captures: tuple[Capture, ...]
+    verdict: Verdict
+    effects: tuple[NamedEffect, ...]
+    baseline: OutputErrorFit
+    extended: OutputErrorFit | None
+    baseline_score: HeldOut
+    extended_score: HeldOut | None
+    noise_floor: float | None
+    error_removed: float | None
+    ci95: tuple[float, float] | None
+    candidates: tuple[CandidateScore, ...]
+    before: Missing
+    after: Missing | None
+    white: bool
+    depends_on: tuple[Dependence, ...]
+    differences: tuple[Spread, ...]
+    own_models: tuple[OwnModel, ...]
+    validation: tuple[Validation, ...]
+    seconds: float
+
+    @property
+    def final(self) -> OutputErrorFit:
+        """The fit of the model that the diagnosis ends with."""
+        return self.extended or self.baseline

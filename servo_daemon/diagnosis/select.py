@@ -1,0 +1,300 @@
+"""The search for what is missing: candidates screened, fitted, chosen forward, pruned backward.
+
+An effect is taken only if everything speaks for it: it predicts free runs that were not fitted, with a margin that
+resampling them does not undo, and its parameters are worth their place (BIC, with correlated residuals counted as the
+fewer samples they are). Each alone is fooled by encoders and converters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_daemon.diagnosis.balance import balanced_missing_inputs
+from servo_daemon.diagnosis.candidates import CONTAINED, NESTED, SIMPLER, Proposal, proposals
+from servo_daemon.diagnosis.compare import Advantage, advantage
+from servo_daemon.diagnosis.evidence import LEAST_BIC, NESTED_GAIN, convinces, no_worse, noticeable, overwhelming
+from servo_daemon.diagnosis.missing import Fitted, Missing
+from servo_daemon.diagnosis.screen import screen
+from servo_daemon.diagnosis.split import HELD_OUT, TRAIN, shorter_s
+from servo_daemon.diagnosis.trial import Data, Trial, fit_trial, model_exists
+from servo_daemon.errors import NumericalError
+from servo_daemon.estimators.output_error.rollout import TIME
+from servo_daemon.plant.effects import effects_by_name
+
+#: At most so many effects are taken.
+_MOST_EFFECTS = 4
+#: What a simpler model may lose at the end of a search.
+_LITTLE_LOST = 0.01
+#: Viscous frictions that differ by less are the same.
+_ALIKE = 0.15
+#: Iterations that every candidate gets, and the share of the best one's gain that earns it the rest.
+_FIRST_ITERATIONS, _KEPT = 5, 0.3
+#: … unless it has gained less than this in V per value: a quarter of what `LEAST_GAIN` asks for.
+_HOPELESS = 0.01
+#: Screened so well, a cause must show in a fit: if none does, the free runs are too long for this motor.
+_PROMISING = 0.25
+#: V by which a model fitted again must be better to count as another.
+_BETTER_CHANCE = 2.0
+#: Told how far it is, 0 .. 1, and what is being done.
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One effect that was fitted.
+
+    Attributes:
+        name: of the effect.
+        trial: the model of that round with it.
+        against: its advantage over the model of that round.
+        taken: whether it was.
+    """
+
+    name: str
+    trial: Trial
+    against: Advantage
+    taken: bool = False
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The search's result.
+
+    Attributes:
+        data: as it was divided in the end.
+        base: the model it began with.
+        chosen: the model it ended with; `base` if nothing was taken.
+        added: names of the effects taken, in that order.
+        rounds: the candidates of each round, best first.
+        equivalent: for each added effect, names that did as well in its place.
+    """
+
+    data: Data
+    base: Trial
+    chosen: Trial
+    added: tuple[str, ...]
+    rounds: tuple[tuple[Candidate, ...], ...]
+    equivalent: Mapping[str, tuple[str, ...]]
+
+
+def select(data: Data, base: Trial, progress: Progress, workers: int = 2) -> Selection:
+    """Search from a fitted baseline.
+
+    Args:
+        progress: told what is being done.
+        workers: threads that fit.
+
+    Raises:
+        NumericalError: the baseline's missing torque cannot be computed.
+    """
+    search = _Search(data, base)
+    while len(search.added) < _MOST_EFFECTS:
+        share = 1.0 - 0.6 ** len(search.rounds)  # how many rounds there will be is not known
+        current = search.current
+        progress(share, f"what is missing beside {' + '.join(current.effects) or 'the linear motor'}")
+        try:
+            missing = _seen_missing(search.data, current)
+        except NumericalError:
+            if not search.added:
+                raise
+            break  # the model before could be looked at, this one cannot: it is the last
+        screened = screen(current, missing)
+        proposed = proposals(current, screened, missing)
+        progress(share + 0.1, "fitting " + ", ".join(p.name for p in proposed))
+        candidates = _fitted(search.data, current, proposed, workers)
+        candidates = tuple(c for c in candidates if noticeable(c.name, c.trial, missing))
+        search, candidates, best = _against_the_best_chance(search, candidates)
+        if best is None and max((s.heldout_share for s in screened), default=0.0) > _PROMISING:
+            progress(share + 0.2, "once more with shorter free runs")
+            search, candidates, best = _with_shorter_runs(search, proposed, candidates, workers)
+        search.rounds.append(tuple(replace(c, taken=c is best) for c in candidates))
+        if best is None:
+            break
+        search.equivalent[best.name] = _ties(best, candidates)
+        search.added = [*(a for a in search.added if a in best.trial.effects), best.name]
+        search.current = best.trial
+    chosen, added = _pruned(search.data, search.current, search.added)
+    return Selection(search.data, search.base, chosen, tuple(added), tuple(search.rounds), search.equivalent)
+
+
+@dataclass
+class _Search:
+    """How far it is."""
+
+    data: Data
+    base: Trial
+    current: Trial = field(init=False)
+    added: list[str] = field(default_factory=list)
+    rounds: list[tuple[Candidate, ...]] = field(default_factory=list)
+    equivalent: dict[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.current = self.base
+
+
+def _against_the_best_chance(
+    search: _Search, candidates: tuple[Candidate, ...]
+) -> tuple[_Search, tuple[Candidate, ...], Candidate | None]:
+    """The best candidate, after the model without it has been fitted again from where it has come to.
+
+    A richer model may only have found the way out of a valley in which the simpler one was left.
+    """
+    best = _best(candidates)
+    if best is None:
+        return search, candidates, None
+    current = search.current
+    again = fit_trial(search.data, current.effects, _own_values(current, best.trial), like=best.trial, careful=True)
+    if again is None or again.solution.point.value > current.solution.point.value - _BETTER_CHANCE:
+        return search, candidates, best
+    if search.base is current:
+        search.base = again
+    search.current = again
+    judged = [replace(c, against=advantage(again, c.trial)) for c in candidates]
+    candidates = tuple(sorted(judged, key=lambda c: -c.against.gain))
+    return search, candidates, _best(candidates)
+
+
+def _own_values(current: Trial, other: Trial) -> dict[str, float]:
+    return {name: other.values.get(name, value) for name, value in current.values.items()}
+
+
+def _with_shorter_runs(
+    search: _Search, proposed: Sequence[Proposal], candidates: tuple[Candidate, ...], workers: int
+) -> tuple[_Search, tuple[Candidate, ...], Candidate | None]:
+    """The same candidates over shorter free runs, where that lets one of them convince; else as it was."""
+    segment_s = shorter_s(search.data.recordings, search.data.split.segment_s)
+    if segment_s is None:
+        return search, candidates, None
+    data = search.data.cut(search.base.effects, segment_s)
+    base = fit_trial(data, search.base.effects, search.base.values)
+    current = fit_trial(data, search.current.effects, search.current.values)
+    if base is None or current is None:
+        return search, candidates, None
+    again = _fitted(data, current, proposed, workers)
+    best = _best(again)
+    if best is None:
+        return search, candidates, None
+    found = replace(search, data=data, base=base)
+    found.current = current
+    return found, again, best
+
+
+def longest_missing(data: Data, fit: Fitted) -> Missing:
+    """Missing torque and voltage of the longest recording under a fitted model."""
+    number = data.longest
+    return balanced_missing_inputs(fit, data.recordings[number].block, recording=number)
+
+
+def _seen_missing(data: Data, trial: Trial) -> Missing:
+    """The same with the held-out part marked as unseen."""
+    missing = longest_missing(data, trial)
+    return replace(missing, unseen=_unseen(data, trial, data.longest, missing))
+
+
+def _unseen(data: Data, trial: Trial, number: int, missing: Missing) -> NDArray[np.bool_]:
+    """Which samples of a recording are in the held-out part, shape (n,)."""
+    out = np.zeros(len(missing.time_s), dtype=bool)
+    time = missing.time_s - data.recordings[number].block.time_s[0]
+    for k in data.split.of(HELD_OUT):
+        segment = trial.problem.segments[int(k)]
+        if segment.recording == number:
+            out |= (time >= segment.rows[0, TIME]) & (time <= segment.rows[-1, TIME])
+    return out
+
+
+def _fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: int) -> tuple[Candidate, ...]:
+    """Fitted together with the motor, best first. All get a few iterations; those that then have some of what the best
+    one has gained go on to their end."""
+
+    def begin(p: Proposal) -> Trial | None:
+        return fit_trial(data, p.effects, p.start, like=current, max_iterations=_FIRST_ITERATIONS)
+
+    def end(pair: tuple[Proposal, Trial]) -> Candidate | None:
+        p, trial = pair
+        if gained(trial) >= max(_KEPT * most, _HOPELESS * float(trial.fitted.counts.sum())):
+            trial = fit_trial(data, p.effects, trial.values, like=trial) or trial
+            if not trial.solution.converged and gained(trial) >= _KEPT * most:
+                trial = fit_trial(data, p.effects, trial.values, like=trial, careful=True) or trial
+        if not np.isfinite(trial.choice.squares).all():
+            return None
+        return Candidate(p.name, trial, advantage(current, trial))
+
+    def gained(trial: Trial) -> float:
+        return current.solution.point.value - trial.solution.point.value
+
+    with ThreadPoolExecutor(workers) as pool:
+        begun = [(p, t) for p, t in zip(proposed, pool.map(begin, proposed), strict=True) if t is not None]
+        most = max((gained(t) for _, t in begun), default=0.0)
+        found = [c for c in pool.map(end, begun) if c is not None]
+    return tuple(sorted(found, key=lambda c: -c.against.gain))
+
+
+def _best(candidates: Sequence[Candidate]) -> Candidate | None:
+    """The candidate that gains most; a smaller one that it contains, unless it earns its parameters."""
+    convincing = [c for c in candidates if convinces(c.against)]
+    if not convincing:
+        return None
+    best = convincing[0]
+    alike = [c for c in convincing if c is best or no_worse(c.trial, best.trial)]
+    # The smallest; of several, what every machine has; then the better one, which is the first.
+    best = min(alike, key=lambda c: (c.trial.free, c.name != "coulomb_friction"))
+    for smaller in convincing:
+        if best.name in NESTED.get(smaller.name, ()):
+            more = advantage(smaller.trial, best.trial)
+            if not overwhelming(more) and (more.low < NESTED_GAIN or more.delta_bic > LEAST_BIC):
+                return smaller
+    return best
+
+
+def _ties(best: Candidate, candidates: Sequence[Candidate]) -> tuple[str, ...]:
+    """Names that do as well as the best in its place: tested, not assumed."""
+    out = []
+    for c in candidates:
+        if c.name == best.name or not convinces(c.against) or c.name in CONTAINED.get(best.name, ()):
+            continue
+        if no_worse(c.trial, best.trial):
+            out.append(c.name)
+    return tuple(out)
+
+
+def _pruned(data: Data, current: Trial, added: Sequence[str]) -> tuple[Trial, list[str]]:
+    """Effects that a later one has made needless go, and what is richer than needed becomes what it contains."""
+    kept = list(added)
+    for name in list(added):
+        for instead in ((),) * (len(added) > 1) + SIMPLER.get(name, ()):
+            if "constant_load_torque" in instead and name == "asymmetric_friction" and not _only_levels(current):
+                continue
+            without = without_effect(data, current, name, instead=instead)
+            if without is None or not np.isfinite(without.choice.squares).all():
+                continue
+            lost = advantage(without, current)
+            if not convinces(lost) and lost.gain < _LITTLE_LOST:
+                kept = [k for present in kept for k in (instead if present == name else (present,))]
+                current = without
+                break
+    return current, kept
+
+
+def _only_levels(trial: Trial) -> bool:
+    """Whether friction differs by direction in its dry level only, which is Coulomb friction and a constant load."""
+    return abs(trial.values["B_neg"] / trial.values["B"] - 1.0) < _ALIKE
+
+
+def without_effect(
+    data: Data, trial: Trial, name: str, *, instead: tuple[str, ...] = (), parts: Sequence[int] = (TRAIN,)
+) -> Trial | None:
+    """The model less one effect, or with simpler ones in its place, fitted anew; None: there is no such model."""
+    effects = tuple(e for present in trial.effects for e in (instead if present == name else (present,)))
+    if len(set(effects)) < len(effects):
+        return None
+    if not model_exists(effects):
+        return None
+    values = dict(trial.values)
+    for p in (p for e in effects for p in effects_by_name()[e].parameters):
+        values.setdefault(p.name, p.nominal)
+    return fit_trial(data, effects, values, parts=parts, like=trial)

@@ -1,0 +1,132 @@
+"""The whole matrix of hidden effects: `make matrix`, or `python -m tests.recovery.matrix [--file F] [--repeats N] …`.
+
+Every case is a line of JSON in the file; what is there is not run again, so it may be stopped and gone on with. At the
+end it prints what was named for what was hidden, with Wilson's 95 % intervals (Wilson 1927).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import sys
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict
+from math import sqrt
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from tests.recovery.generator import LISTED
+from tests.recovery.hidden import INVISIBLE, UNNAMED, Case, cases, judge
+
+_Z = 1.959964
+
+
+def wilson(right: int, of: int) -> tuple[float, float]:
+    """95 % interval of a share."""
+    if of == 0:
+        return 0.0, 1.0
+    p = right / of
+    middle, half = p + _Z**2 / (2 * of), _Z * sqrt(p * (1 - p) / of + _Z**2 / (4 * of**2))
+    return (middle - half) / (1 + _Z**2 / of), (middle + half) / (1 + _Z**2 / of)
+
+
+def kind(row: Mapping[str, Any]) -> str:
+    """To which target a case counts."""
+    cause = row["case"]["cause"]
+    if cause == "clean":
+        return "clean: nothing named"
+    if cause in UNNAMED:
+        return "not in the library: nothing named"
+    if cause in INVISIBLE:
+        return "not visible in one capture: nothing named"
+    if "+" in cause:
+        return "pair: both named right"
+    return f"{row['case']['strength']}: named right"
+
+
+def right(row: Mapping[str, Any]) -> bool:
+    """All that is hidden was named and nothing else."""
+    return set(row["found"]) == set(row["expected"])
+
+
+def table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Shares by kind, parameters, and the confusions."""
+    groups: defaultdict[str, list[Mapping[str, Any]]] = defaultdict(list)
+    for row in rows:
+        groups[kind(row)].append(row)
+    lines = []
+    for name, group in sorted(groups.items()):
+        good = sum(map(right, group))
+        low, high = wilson(good, len(group))
+        lines.append(f"{name:45s} {good:4d} of {len(group):4d}  {good / len(group):6.1%}  ({low:.1%} .. {high:.1%})")
+    named = [r for r in rows if set(r["found"]) & set(r["expected"])]
+    inside = sum(r["checked"] - len(r["outside"]) for r in named)
+    checked = sum(r["checked"] for r in named)
+    if checked:
+        low, high = wilson(inside, checked)
+        share = f"{inside / checked:6.1%}  ({low:.1%} .. {high:.1%})"
+        lines.append(f"{'parameters within 3 std':45s} {inside:4d} of {checked:4d}  {share}")
+    lines.append("")
+    lines += _confusions(rows)
+    return "\n".join(lines)
+
+
+def _confusions(rows: Iterable[Mapping[str, Any]]) -> list[str]:
+    """hidden → what was named, with counts, where that is not the same."""
+    counts: Counter[tuple[str, str]] = Counter()
+    total: Counter[str] = Counter()
+    for row in rows:
+        cause = f"{row['case']['cause']} ({row['case']['strength']})"
+        total[cause] += 1
+        if not right(row):
+            counts[cause, " + ".join(sorted(row["found"])) or row["verdict"]] += 1
+    return [f"{cause:60s} → {named}: {n} of {total[cause]}" for (cause, named), n in sorted(counts.items())]
+
+
+def run(path: Path, wanted: Sequence[Case], workers: int) -> list[dict[str, Any]]:
+    """All cases, those in the file as they are there."""
+    done: dict[str, dict[str, Any]] = {}
+    if path.exists():
+        for line in path.read_text(encoding="utf-8").splitlines():
+            row = json.loads(line)
+            done[Case(**row["case"]).key] = row
+    left = [c for c in wanted if c.key not in done]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a", encoding="utf-8") as file, ProcessPoolExecutor(workers) as pool:
+        futures = [pool.submit(judge, c) for c in left]
+        for future in tqdm(as_completed(futures), total=len(wanted), initial=len(wanted) - len(left), unit="capture"):
+            row = asdict(future.result())
+            file.write(json.dumps(row) + "\n")
+            file.flush()
+            done[Case(**row["case"]).key] = row
+    return [done[c.key] for c in wanted]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="hide every effect, diagnose, count")
+    parser.add_argument("--file", type=Path, default=Path("build/matrix.jsonl"))
+    parser.add_argument("--repeats", type=int, default=1, help="rounds over causes, strengths and motors")
+    parser.add_argument("--clean", type=int, default=400, help="captures with nothing hidden")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--table", action="store_true", help="only print what is in the file")
+    arguments = parser.parse_args()
+    if arguments.table:
+        rows = [json.loads(line) for line in arguments.file.read_text(encoding="utf-8").splitlines()]
+        sys.stdout.write(f"{len(rows)} captures\n{table(rows)}\n")
+        return 0
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    wanted = list(cases(arguments.repeats, arguments.clean))
+    random.Random(1).shuffle(wanted)  # what is there when it is stopped is then a fair sample
+    rows = run(arguments.file, wanted, arguments.workers)
+    sys.stdout.write(f"{len(LISTED)} causes, {len(rows)} captures\n{table(rows)}\n")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,81 @@
+"""Captures that hide an effect: the diagnosis sees the CSV only and must say what is in it."""
+
+from __future__ import annotations
+
+import datetime as dt
+
+import numpy as np
+import pytest
+
+from tests.recovery.hidden import INVISIBLE, UNNAMED, Case, cases, judge
+from tests.recovery.matrix import wilson
+
+pytestmark = pytest.mark.usefixtures("generator_built")
+
+#: Cases of today's sample, and how many must be right: of 14 with 90 % each, fewer happen once in 10⁴ days.
+_TODAY, _LEAST = 14, 8
+
+
+@pytest.mark.parametrize(
+    ("cause", "motor", "motion"),
+    [
+        ("gravity_load", "re40", "reversals"),
+        pytest.param("brush_voltage_drop", "large", "multisine", marks=pytest.mark.slow),
+    ],
+)
+def test_a_clear_effect_is_named_with_its_parameters(cause: str, motor: str, motion: str) -> None:
+    judgement = judge(Case(cause, "clear", motor, motion, 5), seconds=8.0)
+    assert judgement.found == (cause,)
+    assert judgement.outside == ()
+    assert judgement.removed is not None
+    assert judgement.removed > 0.9
+
+
+def test_nothing_is_named_where_nothing_is_hidden() -> None:
+    judgement = judge(Case("clean", "clear", "gear", "pick_and_place", 5), seconds=8.0)
+    assert judgement.verdict == "none"
+    assert judgement.found == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("cause", "strength", "motor", "motion"),
+    [
+        ("coulomb_friction", "clear", "large", "steps"),
+        ("stribeck_friction", "faint", "paper", "steps"),
+        ("cogging_torque", "clear", "re40", "steps"),  # between detents: unstable, short free runs
+        ("winding_heating", "clear", "re40", "multisine"),  # slow: must survive the split
+        ("position_dependent_friction", "clear", "paper", "steps"),  # the richer friction must become the simpler one
+        ("backlash", "clear", "large", "steps"),
+    ],
+)
+def test_harder_effects_are_named(cause: str, strength: str, motor: str, motion: str) -> None:
+    judgement = judge(Case(cause, strength, motor, motion, 11))
+    assert set(judgement.found) == set(judgement.expected), judgement
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cause", UNNAMED)
+def test_what_the_library_does_not_hold_gets_no_name(cause: str) -> None:
+    judgement = judge(Case(cause, "clear", "large", "reversals", 7))
+    assert judgement.found == (), judgement
+    assert judgement.verdict == "unexplained"
+
+
+@pytest.mark.slow
+def test_todays_sample(capsys: pytest.CaptureFixture[str]) -> None:
+    """Another part of the matrix every day, so that nothing is tuned to one draw."""
+    seed = dt.datetime.now(dt.UTC).date().toordinal()
+    every = [c for c in cases(repeats=3, clean=64) if c.cause not in INVISIBLE]
+    drawn = [every[int(k)] for k in np.random.default_rng(seed).choice(len(every), _TODAY, replace=False)]
+    judged = [judge(c) for c in drawn]
+    with capsys.disabled():
+        print(f"\nsample of day {seed}:", *(f"{j.case.key} → {j.found or j.verdict}" for j in judged), sep="\n  ")
+    assert sum(j.right for j in judged) >= _LEAST
+    assert not [j for j in judged if j.case.cause == "clean" and j.found]
+
+
+def test_wilsons_interval() -> None:
+    """Against the values that Newcombe (1998, Statistics in Medicine 17, table I) prints for 81 of 263 and 0 of 20."""
+    assert wilson(81, 263) == pytest.approx((0.2553, 0.3662), abs=1e-4)
+    assert wilson(0, 20) == pytest.approx((0.0, 0.1611), abs=1e-4)
