@@ -1,0 +1,192 @@
+"""`servo-daemon train`: the paper's third method for this drive, learned from simulated motors around its datasheet."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from servo_daemon.commands import common
+from servo_daemon.learning import DEFAULT_MOTORS
+
+if TYPE_CHECKING:
+    from servo_daemon.config import DriveConfig
+    from servo_daemon.learning.drawing import TrainingSpec
+    from servo_daemon.learning.model import LearnedModel
+    from servo_daemon.learning.run import Job
+    from servo_daemon.learning.training import TrainingSet
+
+HELP = "train the paper's third method (random forest, GRNN) on simulated motors around the drive's datasheet"
+EXAMPLE = """  servo-daemon train --config servo-daemon.toml
+  servo-daemon train --config servo-daemon.toml --motors 20000 --dask tcp://cluster:8786"""
+
+_RATE_HZ, _WINDOW_S = 1000.0, 5.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--motors", type=int, default=DEFAULT_MOTORS, metavar="N", help=f"how many to simulate ({DEFAULT_MOTORS})"
+    )
+    parser.add_argument("--dask", metavar="ADDRESS", help="simulate on a Dask cluster, e.g. tcp://host:8786")
+    parser.add_argument("--jobs", type=int, default=-1, metavar="N", help="processes here (default: one per core)")
+    parser.add_argument(
+        "--rate", type=float, metavar="HZ", help="the drive's sample rate (the simulated driver's own, else 1000)"
+    )
+    parser.add_argument("--window", type=float, default=_WINDOW_S, metavar="S", help="window of operation, 2–10 s (5)")
+    parser.add_argument("--spread", type=float, default=3.0, metavar="F", help="nominal/F … nominal·F is trained (3)")
+    parser.add_argument("--learner", default="grnn", help="grnn (default), boosting, forest, ridge, neighbours")
+    parser.add_argument(
+        "--measured",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="CAPTURE",
+        help="a capture of a motor whose metadata say truth_R … truth_B, learned beside the simulated ones; repeatable",
+    )
+    parser.add_argument("--seed", type=int, default=0, help="same seed, same model (default: 0)")
+    parser.add_argument("--out", type=Path, metavar="F", help="where to write the model (default: where `run` looks)")
+    common.add_signals(parser)
+    common.add_config(parser)
+    common.add_json(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from servo_daemon.errors import BadInputError
+    from servo_daemon.learning.cache import model_path
+    from servo_daemon.learning.learners import LEARNERS
+    from servo_daemon.learning.model_file import save_model
+    from servo_daemon.learning.run import Job
+
+    if arguments.learner not in LEARNERS:
+        raise BadInputError(f"--learner: {arguments.learner!r} is none of {', '.join(LEARNERS)}")
+    if arguments.motors < 1:
+        raise BadInputError(f"--motors must be at least 1, not {arguments.motors}")
+    drive = common.offline_drive(arguments)
+    spec = drive_spec(
+        drive,
+        configured=arguments.config is not None,
+        rate_hz=arguments.rate,
+        spread=arguments.spread,
+        window_s=arguments.window,
+        seed=arguments.seed,
+    )
+    measured = _measured(arguments.measured, arguments) if arguments.measured else None
+    job = Job(arguments.motors, learner=arguments.learner, jobs=arguments.jobs, dask=arguments.dask, measured=measured)
+    model = train_with_bar(spec, job)
+    path = arguments.out or model_path(spec)
+    save_model(model, path)
+    document = _document(model, path)
+    if arguments.json:
+        common.print_json(document)
+    else:
+        _print(document)
+    return 0
+
+
+def drive_spec(
+    drive: DriveConfig,
+    *,
+    configured: bool = True,
+    rate_hz: float | None = None,
+    spread: float = 3.0,
+    window_s: float = _WINDOW_S,
+    seed: int = 0,
+) -> TrainingSpec:
+    """What to simulate for a drive of the config.
+
+    Args:
+        configured: False: there is no config, the drive is the simulated one.
+        rate_hz: None: the simulated driver's own, else 1000 Hz.
+
+    Raises:
+        ConfigError: the datasheet lacks a parameter.
+    """
+    from servo_daemon.errors import ConfigError
+    from servo_daemon.learning.drawing import CORE, TrainingSpec
+    from servo_daemon.simulate import DEFAULT_NOMINAL
+
+    nominal = dict(drive.nominal) if configured else dict(DEFAULT_NOMINAL)
+    nominal.pop("J_m", None)
+    if missing := [n for n in CORE if n not in nominal]:
+        raise ConfigError(
+            f"drive {drive.name}: training needs a datasheet: nominal {', '.join(missing)} missing under "
+            "[drive.nominal] (`servo-daemon fit` finds them from a capture)"
+        )
+    rate = rate_hz or (drive.options.get("rate_hz") if drive.driver == "simulated" else None) or _RATE_HZ
+    return TrainingSpec(
+        nominal,
+        drive.model,
+        spread=spread,
+        rate_hz=float(rate),
+        window_s=window_s,
+        supply_V=drive.limits.voltage_V,
+        counts_per_rev=drive.load.counts_per_rev,
+        seed=seed,
+    )
+
+
+def train_with_bar(spec: TrainingSpec, job: Job) -> LearnedModel:
+    """Trained, with a progress bar on stderr where somebody watches."""
+    from servo_daemon.learning.run import train
+
+    with common.progress(job.motors, "motor", "simulating") as bar:
+
+        def done(motors: int) -> None:
+            bar.update(motors - bar.n)
+
+        return train(spec, job, progress=done, say=bar.set_description)
+
+
+def _measured(paths: Sequence[Path], arguments: argparse.Namespace) -> TrainingSet:
+    from servo_daemon.errors import BadInputError
+    from servo_daemon.learning.training import TARGETS, measured_training
+
+    known = []
+    for capture in common.read_captures(paths, arguments):
+        found = {
+            name: value
+            for name in TARGETS
+            for key in (f"truth_{name}", f"truth_end_{name}")
+            if (value := capture.metadata_number(key)) is not None
+        }
+        try:
+            known.append(measured_training([(capture.block(), found)], arguments.window))
+        except BadInputError as error:
+            raise BadInputError(f"{capture.path}: {str(error).partition(': ')[2]}") from error
+    first, *others = known
+    for other in others:
+        first = first.joined(other)
+    return first
+
+
+def _document(model: LearnedModel, path: Path) -> dict[str, Any]:
+    spec = model.spec
+    return {
+        "model": str(path),
+        "learner": model.learner,
+        "target": model.target,
+        "nominal": dict(spec.nominal),
+        "spread": spec.spread,
+        "effects": list(spec.effects),
+        "rate_hz": spec.rate_hz,
+        "window_s": spec.window_s,
+        **dict(model.facts),
+        "feature_names": list(model.feature_names),
+    }
+
+
+def _print(document: dict[str, Any]) -> None:
+    errors = document["median_error"]
+    parts = ", ".join(f"{n} {100 * e:.2g} %" for n, e in errors.items() if n != "Tc")
+    print(f"{document['model']}")
+    print(
+        f"  {document['motors']} of {document['motors_drawn']} simulated motors gave a usable window; "
+        f"{document['features_kept']} of {document['features']} features kept "
+        f"(costs {100 * document['screening_loss']:+.1f} % of the error)"
+    )
+    print(f"  median error on motors it has not seen: {parts}, Tc {100 * errors['Tc']:.2g} % of the torque")
+    print(
+        f"  accepts {100 * document['accepted']:.0f} % of their windows; "
+        f"simulated in {document['simulation_s']:.0f} s, trained in {document['seconds']:.0f} s"
+    )

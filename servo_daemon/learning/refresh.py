@@ -1,0 +1,267 @@
+"""The learned model beside a running filter: every few seconds an estimate of the last window, and what becomes of it.
+
+At first it is only published (shadow). It has proven itself when its estimate of one window closes the balances of the
+*next* one, which it has not seen, as well as the filter's values of the same moment do, several times in a row.
+From then on it enters the filter as a pseudo-measurement of the parameters' coordinates, with the calibrated covariance
+inflated (filter and model see the same samples: their errors are not independent), gated by the distance from the
+filter's values. Where the distance is too large for both to be right and the next window's balances say that it is the
+filter that is wrong, the filter's covariance is to be widened first. It goes back into the shadow when it loses.
+
+Pure: no I/O, no wall clock. The filter itself is not touched here: `RefreshEstimate.pseudo` says what is to be done.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from servo_daemon.errors import BadInputError
+from servo_daemon.estimators.base import Gaussian
+from servo_daemon.estimators.ekf import Ekf
+from servo_daemon.learning.balance_features import closure
+from servo_daemon.learning.drawing import CORE
+from servo_daemon.learning.features import features_of
+from servo_daemon.learning.model import LearnedModel
+from servo_daemon.learning.training import TARGETS
+from servo_daemon.learning.window import Window, prepare
+from servo_daemon.samples import F64, Quality, SampleBlock, concatenate
+
+#: Windows in a row that must be won to leave the shadow, and lost to go back.
+_TO_PROVE, _TO_LOSE = 2, 2
+#: Won: the model leaves at most this many times what the filter leaves of both balances, or at most this share of them.
+_WON, _CLOSED = 1.05, 0.02
+#: The filter is wrong where it leaves this many times as much as the model.
+_FILTER_WRONG = 2.0
+#: The calibrated std is taken for so many times as much: filter and model share the samples.
+_INFLATION = 2.0
+#: Gate: mean square of the distance in standard deviations of both together.
+_GATE = 6.0
+#: Friction that is no larger than so many of its standard deviations has no logarithm.
+_SEEN = 3.0
+
+
+@dataclass(frozen=True)
+class PseudoMeasurement:
+    """What is to enter the filter.
+
+    Attributes:
+        names: parameters.
+        mean, covariance: of their coordinates (logarithms), shapes (k,) and (k, k).
+        widen_std: added 1 σ of the coordinates before, shape (k,); zeros where the filter's covariance can stay.
+    """
+
+    names: tuple[str, ...]
+    mean: F64
+    covariance: F64
+    widen_std: F64
+
+
+@dataclass(frozen=True)
+class RefreshEstimate:
+    """One window's result.
+
+    Attributes:
+        time_s: device time of the window's last sample.
+        value, std: by name, SI units; empty where the window was declined.
+        familiarity: 0 .. 1; None where there are no features.
+        declined: why there is no estimate; "" where there is one.
+        mode: "shadow": published only; "trusted": it may enter the filter.
+        pseudo: what is to be done with it; None: nothing.
+        reason: why nothing is to be done, or why the filter is to be widened; "" else.
+        distance: RMS distance from the filter's values in standard deviations; None without a filter.
+        closure, filter_closure: what the model's estimate of the window before, and the filter's values of that time,
+            leave of this window's balances (armature, shaft); None where there was none to judge.
+    """
+
+    time_s: float
+    value: Mapping[str, float]
+    std: Mapping[str, float]
+    familiarity: float | None
+    declined: str
+    mode: str
+    pseudo: PseudoMeasurement | None = None
+    reason: str = ""
+    distance: float | None = None
+    closure: tuple[float, float] | None = None
+    filter_closure: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """What both believed at the end of a window."""
+
+    model: Mapping[str, float]
+    filter: Mapping[str, float] | None
+
+
+class Refresh:
+    """See the module.
+
+    Args:
+        model: for this drive.
+        every_s: from one window's end to the next; no less than a window, so that the next one is new data.
+    """
+
+    def __init__(self, model: LearnedModel, every_s: float = 10.0) -> None:
+        self.model = model
+        self.every_s = max(every_s, model.spec.window_s)
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin anew, in the shadow."""
+        self._blocks: deque[SampleBlock] = deque()
+        self._due_s: float | None = None
+        self._channels: tuple[str, ...] = ()
+        self._before: _Judged | None = None
+        self._won = self._lost = 0
+        self._trusted = False
+        self._filter_wrong = False
+
+    @property
+    def mode(self) -> str:
+        """ "shadow" or "trusted"."""
+        return "trusted" if self._trusted else "shadow"
+
+    def update(self, block: SampleBlock, estimate: Gaussian | None) -> RefreshEstimate | None:
+        """Take samples; an estimate when a window has become due.
+
+        Args:
+            block: the next samples.
+            estimate: the filter's parameters (`Tracker.published`) in coordinates; None: it has none yet.
+        """
+        self._keep(block)
+        last_s = float(block.time_s[-1])
+        if self._due_s is None:
+            self._due_s = float(self._blocks[0].time_s[0]) + self.model.spec.window_s
+        if last_s < self._due_s:
+            return None
+        self._due_s = last_s + self.every_s
+        return self._estimate(self._window(), last_s, estimate)
+
+    def _keep(self, block: SampleBlock) -> None:
+        """The last window's samples; none from before a restart, or with other channels."""
+        restarted = bool(np.any(block.quality & int(Quality.TIME_RESTART)))
+        backwards = bool(self._blocks) and float(block.time_s[0]) <= float(self._blocks[-1].time_s[-1])
+        if restarted or backwards or block.channels != self._channels:
+            self._blocks.clear()
+            self._due_s, self._before, self._channels = None, None, block.channels
+        self._blocks.append(block)
+        oldest_s = float(block.time_s[-1]) - self.model.spec.window_s
+        while len(self._blocks) > 1 and float(self._blocks[0].time_s[-1]) < oldest_s:
+            self._blocks.popleft()
+
+    def _window(self) -> SampleBlock:
+        whole = concatenate(list(self._blocks))
+        period = 1.0 / self.model.spec.rate_hz
+        first = float(whole.time_s[-1]) - self.model.spec.window_s + 0.5 * period
+        return whole.slice(int(np.searchsorted(whole.time_s, first)), len(whole))
+
+    def _estimate(self, block: SampleBlock, time_s: float, estimate: Gaussian | None) -> RefreshEstimate:
+        try:
+            window = prepare(block)
+        except BadInputError as error:
+            self._before = None
+            return RefreshEstimate(time_s, {}, {}, None, str(error), self.mode)
+        if not np.isclose(1.0 / window.period_s, self.model.spec.rate_hz, rtol=0.05):
+            self._before = None
+            text = f"{1.0 / window.period_s:.4g} Hz, the model is for {self.model.spec.rate_hz:g} Hz"
+            return RefreshEstimate(time_s, {}, {}, None, text, self.mode)
+        ours, theirs = self._judge(window)
+        p = self.model.predict(features_of(window)[None])
+        familiarity, declined = float(p.familiarity[0]), p.declined[0]
+        filtered = _natural(estimate)
+        if declined:
+            self._before = None
+            return RefreshEstimate(time_s, {}, {}, familiarity, declined, self.mode, None, "", None, ours, theirs)
+        value = dict(zip(TARGETS, p.value[0].tolist(), strict=True))
+        std = dict(zip(TARGETS, p.std[0].tolist(), strict=True))
+        self._before = _Judged(value, filtered)
+        pseudo, reason, distance = self._compare(value, std, p.correlation, estimate)
+        return RefreshEstimate(time_s, value, std, familiarity, "", self.mode, pseudo, reason, distance, ours, theirs)
+
+    def _judge(self, window: Window) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
+        """Both beliefs of the window before, held against this one."""
+        before = self._before
+        if before is None:
+            return None, None
+        ours = closure(window, before.model)
+        theirs = None if before.filter is None else closure(window, before.filter)
+        if ours is None or theirs is None:
+            return ours, theirs
+        # Together: with all parameters wrong by one factor the shaft's balance closes, the armature's does not.
+        left, filter_left = float(np.hypot(*ours)), float(np.hypot(*theirs))
+        won = left <= max(_WON * filter_left, _CLOSED)
+        self._won, self._lost = (self._won + 1, 0) if won else (0, self._lost + 1)
+        self._filter_wrong = won and filter_left > _FILTER_WRONG * left
+        if self._won >= _TO_PROVE:
+            self._trusted = True
+        if self._lost >= _TO_LOSE:
+            self._trusted = False
+        return ours, theirs
+
+    def _compare(
+        self, value: Mapping[str, float], std: Mapping[str, float], correlation: F64, estimate: Gaussian | None
+    ) -> tuple[PseudoMeasurement | None, str, float | None]:
+        """What is to enter the filter, why not (or why it must be widened), and the distance of the two."""
+        if estimate is None:
+            return None, "the filter has not started", None
+        names = [n for n in CORE if n in estimate.names]
+        if "Tc" in estimate.names and value["Tc"] > _SEEN * std["Tc"]:
+            names.append("Tc")
+        if not names:
+            return None, "the filter has none of these parameters", None
+        own = [TARGETS.index(n) for n in names]
+        mean = np.log([value[n] for n in names])
+        relative = _INFLATION * np.array([std[n] / value[n] for n in names])
+        covariance = correlation[np.ix_(own, own)] * np.outer(relative, relative)
+        at = [estimate.names.index(n) for n in names]
+        away = mean - estimate.mean[at]
+        total = covariance + estimate.covariance[np.ix_(at, at)]
+        distance = float(np.sqrt(away @ np.linalg.solve(total, away) / len(names)))
+        if not self._trusted:
+            return None, "shadow: not proven yet", distance
+        if distance**2 <= _GATE:
+            return PseudoMeasurement(tuple(names), mean, covariance, np.zeros(len(names))), "", distance
+        if not self._filter_wrong:
+            return None, f"gated: {distance:.1f} standard deviations from the filter's values", distance
+        reason = "the filter's values leave more of the balances: its covariance is widened"
+        return PseudoMeasurement(tuple(names), mean, covariance, np.abs(away)), reason, distance
+
+
+def _natural(estimate: Gaussian | None) -> dict[str, float] | None:
+    """R, L, K, J, B and Tc in SI units; None unless all five are there."""
+    if estimate is None or any(n not in estimate.names for n in CORE):
+        return None
+    mean = dict(zip(estimate.names, estimate.mean.tolist(), strict=True))
+    return {n: float(np.exp(mean[n])) for n in TARGETS if n in mean}
+
+
+def enter(ekf: Ekf, pseudo: PseudoMeasurement) -> None:
+    """The pseudo-measurement into a running filter, correlations with its states included."""
+    names = ekf.plant.parameter_names
+    at = [names.index(n) for n in pseudo.names]
+    which, mean, widen = np.zeros(len(names), dtype=bool), np.zeros(len(names)), np.zeros(len(names))
+    covariance = np.zeros((len(names), len(names)))
+    which[at], mean[at], widen[at] = True, pseudo.mean, np.square(pseudo.widen_std)
+    covariance[np.ix_(at, at)] = pseudo.covariance
+    if widen.any():
+        ekf.widen_parameters(widen)
+    ekf.recall(which, mean, covariance)
+
+
+def applied(prior: Gaussian, pseudo: PseudoMeasurement) -> Gaussian:
+    """The parameters after the pseudo-measurement, in Joseph's form: what `enter` does in the filter, on the parameters
+    alone."""
+    at = [prior.names.index(n) for n in pseudo.names]
+    P = prior.covariance.copy()
+    P[at, at] += np.square(pseudo.widen_std)
+    S = P[np.ix_(at, at)] + pseudo.covariance
+    gain = np.linalg.solve(S, P[at]).T
+    mean = prior.mean + gain @ (pseudo.mean - prior.mean[at])
+    left = np.eye(len(P))
+    left[:, at] -= gain
+    P = left @ P @ left.T + gain @ pseudo.covariance @ gain.T
+    return Gaussian(prior.names, mean, (P + P.T) / 2)

@@ -1,0 +1,112 @@
+"""What is learned of a window: the parameters themselves, or what the window's own regression gets wrong.
+
+Two targets. "value" is the paper's: log(P / P_nominal). "correction" is log(P / P_regression) in units of what the
+regression says of its own error: windows in which it is poor and windows in which it is good are then alike, and no few
+poor ones rule the fit. P_regression is the regression beside a voltage drop V sgn i (`arm_drop_…` of the catalogue):
+brushes and dead time bend the plain one most. Dry friction may be nothing, so it is learned as a share of the torque at
+the current's RMS, not as a logarithm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_daemon.learning import catalogue
+from servo_daemon.learning.training import TARGETS
+from servo_daemon.samples import F64
+
+Target = Literal["value", "correction"]
+TARGET_KINDS: tuple[Target, ...] = get_args(Target)
+_LOGS = len(TARGETS) - 1  # all but Tc
+#: The regression's std counts within these limits, and friction's share is known to about so much.
+_LEAST_STD, _MOST_STD, _SHARE_STD = 3e-3, 0.3, 0.02
+#: A correction beyond so many of its units says only that the regression is useless there.
+_MOST = 5.0
+#: P_regression counts as far as this factor beyond nominal · or / spread.
+_BEYOND = 3.0
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """What a window says without any learning.
+
+    Attributes:
+        centre: shape (n, m): log P_regression, and friction's share; NaN where there is no regression.
+        scale: shape (n, m): units of a correction.
+        torque: shape (n,), N·m: K of the regression times the current's RMS, of which friction is a share.
+    """
+
+    centre: F64
+    scale: F64
+    torque: F64
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Which windows have one, shape (n,)."""
+        return np.asarray(np.isfinite(self.centre).all(axis=1) & np.isfinite(self.scale).all(axis=1))
+
+
+def baseline(features: F64, nominal: Mapping[str, float], spread: float) -> Baseline:
+    """Of windows' features, shape (n, features), in their units."""
+    column = {name: features[:, k] for k, name in enumerate(catalogue.NAMES)}
+    drop_K = np.nan_to_num(column["arm_drop_K"])
+    drops = {"R": np.nan_to_num(column["arm_drop_R"]), "L": np.nan_to_num(column["arm_drop_L"])}
+    limit = np.log(spread * _BEYOND)
+    centre, scale = [], []
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for name in TARGETS[:_LOGS]:
+            value = np.where(column[f"reg_{name}"] > 0.0, np.log(column[f"reg_{name}"]), np.nan)
+            # J and B were found per unit of K
+            value = value + drops.get(name, drop_K) - np.log(nominal[name])
+            centre.append(np.log(nominal[name]) + np.clip(value, -limit, limit))
+            scale.append(np.clip(column[f"reg_{name}_std"], _LEAST_STD, _MOST_STD))
+        centre.append(column["reg_Tc_share"])
+        scale.append(np.full(len(features), _SHARE_STD))
+        torque = column["reg_K"] * column["rms_i"]
+    return Baseline(np.column_stack(centre), np.column_stack(scale), torque)
+
+
+def encode(kind: Target, truth: F64, base: Baseline, nominal: Mapping[str, float]) -> F64:
+    """Targets, shape (n, m), from the true parameters, shape (n, m)."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = truth[:, -1] / base.torque
+        wanted = np.column_stack([np.log(truth[:, :_LOGS]), share])
+    if kind == "correction":
+        return np.asarray((wanted - base.centre) / base.scale)
+    wanted[:, :_LOGS] -= _log_nominal(nominal)
+    return wanted
+
+
+def bounded(kind: Target, y: F64) -> F64:
+    """Targets as they are fitted: none so large that it would rule the others."""
+    if kind == "correction":
+        return np.asarray(np.clip(y, -_MOST, _MOST))
+    return np.column_stack([y[:, :_LOGS], np.clip(y[:, -1], -1.0, 1.0)])
+
+
+def decode(kind: Target, y: F64, base: Baseline, nominal: Mapping[str, float]) -> F64:
+    """Coordinates from targets: logarithms of the parameters, and friction's share; shape (n, m)."""
+    if kind == "correction":
+        return np.asarray(base.centre + y * base.scale)
+    out = y.copy()
+    out[:, :_LOGS] += _log_nominal(nominal)
+    return out
+
+
+def coordinate_scale(kind: Target, base: Baseline) -> F64:
+    """Of coordinates per unit of target, shape (n, m)."""
+    return base.scale if kind == "correction" else np.ones_like(base.scale)
+
+
+def natural(coordinates: F64, torque: F64) -> F64:
+    """Parameters in SI units from coordinates, shape (n, m); friction is not negative."""
+    return np.column_stack([np.exp(coordinates[:, :_LOGS]), np.maximum(coordinates[:, -1], 0.0) * torque])
+
+
+def _log_nominal(nominal: Mapping[str, float]) -> F64:
+    return np.log([nominal[name] for name in TARGETS[:_LOGS]])

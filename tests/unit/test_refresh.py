@@ -1,0 +1,126 @@
+"""The refresh beside a filter: in the shadow until proven, gated, and of use where the filter is wrong."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from servo_daemon.estimators.base import Gaussian
+from servo_daemon.learning.drawing import CORE, TrainingSpec, draw_parameters
+from servo_daemon.learning.model import LearnedModel, train_model
+from servo_daemon.learning.refresh import Refresh, RefreshEstimate, applied
+from servo_daemon.learning.training import simulate_motors
+from servo_daemon.samples import Quality, SampleBlock
+from servo_daemon.simulate import PAPER_MOTOR, SimulatedDrive, make_settings
+
+SPEC = TrainingSpec(dict(PAPER_MOTOR), window_s=2.0, rate_hz=500.0)
+
+
+@pytest.fixture(scope="module")
+def model() -> LearnedModel:
+    return train_model(SPEC, simulate_motors(SPEC, range(300), draw_parameters(SPEC, 300)), jobs=1)
+
+
+@pytest.fixture(scope="module")
+def recording() -> SampleBlock:
+    return SimulatedDrive(make_settings(rate_hz=500.0)).next_block(9000)
+
+
+def believed(factor: float, std: float) -> Gaussian:
+    """A filter that takes every parameter for `factor` times its true value."""
+    mean = np.log([factor * PAPER_MOTOR[n] for n in CORE])
+    return Gaussian(CORE, mean, np.diag(np.full(5, std**2)))
+
+
+def run(model: LearnedModel, block: SampleBlock, belief: Gaussian | None, *, piece: int = 50) -> list[RefreshEstimate]:
+    refresh, out = Refresh(model, every_s=2.0), []
+    for k in range(0, len(block), piece):
+        found = refresh.update(block.slice(k, min(k + piece, len(block))), belief)
+        if found is not None:
+            out.append(found)
+            if found.pseudo is not None and belief is not None:
+                belief = applied(belief, found.pseudo)
+    return out
+
+
+def test_a_window_every_few_seconds_and_its_estimate(model: LearnedModel, recording: SampleBlock) -> None:
+    found = run(model, recording, None)
+    assert len(found) == 8  # the tenth of a second of a piece is late each time
+    assert np.diff([e.time_s for e in found]) == pytest.approx(2.0, abs=0.11)
+    good = [e for e in found if not e.declined]
+    assert len(good) >= 6
+    for e in good:
+        assert e.mode == "shadow"
+        assert e.pseudo is None
+        for n in CORE:
+            assert abs(e.value[n] / PAPER_MOTOR[n] - 1) < max(0.15, 4 * e.std[n] / PAPER_MOTOR[n]), n
+
+
+def test_it_does_not_matter_how_samples_arrive(model: LearnedModel, recording: SampleBlock) -> None:
+    first, second = run(model, recording, None, piece=10), run(model, recording, None, piece=10)
+    assert first == second
+
+
+def test_a_filter_that_is_far_off_is_brought_back(model: LearnedModel, recording: SampleBlock) -> None:
+    """Nominal values three times wrong, and the filter sure of them: the first windows only watch, then it is moved."""
+    belief = believed(3.0, 0.05)
+    refresh = Refresh(model, every_s=2.0)
+    modes, errors = [], []
+    for k in range(0, len(recording), 50):
+        found = refresh.update(recording.slice(k, k + 50), belief)
+        if found is None:
+            continue
+        modes.append(found.mode)
+        if found.pseudo is not None:
+            belief = applied(belief, found.pseudo)
+            assert np.linalg.eigvalsh(belief.covariance).min() > 0
+        errors.append(float(np.abs(belief.mean - np.log([PAPER_MOTOR[n] for n in CORE])).max()))
+    assert modes[0] == "shadow"
+    assert modes[-1] == "trusted"
+    assert errors[0] == pytest.approx(np.log(3.0))
+    assert errors[-1] < 0.15
+
+
+def test_a_filter_that_is_right_is_left_alone(model: LearnedModel, recording: SampleBlock) -> None:
+    found = run(model, recording, believed(1.0, 1e-3))
+    for e in found:
+        if e.pseudo is not None:
+            after = applied(believed(1.0, 1e-3), e.pseudo)
+            assert np.abs(after.mean - believed(1.0, 1e-3).mean).max() < 2e-3
+            assert not e.pseudo.widen_std.any()
+
+
+def test_a_window_of_another_world_is_declined(model: LearnedModel, recording: SampleBlock) -> None:
+    """The current with the wrong sign: no estimate, a reason, nothing to apply."""
+    assert recording.current_A is not None
+    found = run(model, dataclasses.replace(recording, current_A=-recording.current_A), believed(1.0, 0.1))
+    assert found
+    assert all(e.declined and e.pseudo is None and not e.value for e in found)
+
+
+def test_standing_still_and_wrong_rates_are_declined(model: LearnedModel, recording: SampleBlock) -> None:
+    still = SimulatedDrive(make_settings(rate_hz=500.0, motion="rest")).next_block(3000)
+    assert all(e.declined for e in run(model, still, None))
+    slow = recording.select(np.arange(len(recording)) % 2 == 0)
+    assert all("Hz" in e.declined for e in run(model, slow, None))
+
+
+def test_a_restart_of_the_device_begins_a_new_window(model: LearnedModel, recording: SampleBlock) -> None:
+    refresh = Refresh(model, every_s=2.0)
+    assert refresh.update(recording.slice(0, 900), None) is None
+    quality = recording.quality[:900].copy()
+    quality[0] = int(Quality.TIME_RESTART)
+    again = dataclasses.replace(recording.slice(0, 900), quality=quality)
+    assert refresh.update(again, None) is None
+    assert refresh.update(recording.slice(900, 1100), None) is not None
+
+
+def test_only_what_the_filter_estimates_is_measured(model: LearnedModel, recording: SampleBlock) -> None:
+    whole = believed(3.0, 1.0)
+    part = Gaussian(("J", "B", "R", "L", "K", "TL"), np.append(whole.mean[[3, 4, 0, 1, 2]], 0.0), np.eye(6))
+    found = [e.pseudo for e in run(model, recording, part) if e.pseudo is not None]
+    assert found
+    assert all(set(p.names) == set(CORE) for p in found)
+    assert all(np.linalg.eigvalsh(p.covariance).min() > 0 for p in found)
