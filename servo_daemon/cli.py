@@ -30,7 +30,10 @@ COMMANDS = {
     "replay": "servo_daemon.commands.replay",
     "fit": "servo_daemon.commands.fit",
     "compare": "servo_daemon.commands.compare",
+    "diagnose": "servo_daemon.commands.diagnose",
+    "excite": "servo_daemon.commands.excite",
     "tune": "servo_daemon.commands.tune",
+    "train": "servo_daemon.commands.train",
     "check": "servo_daemon.commands.check",
 }
 

@@ -49,12 +49,22 @@ class StorageConfig(_Section):
     save_interval_s: PositiveFloat = 5.0
 
 
+class DiagnosisConfig(_Section):
+    """`[diagnosis]`: the program that looks for what a drive's model lacks, in a process of its own, one at a time."""
+
+    command: tuple[Annotated[str, Field(min_length=1)], ...] = ()  # empty: this program's own `diagnose`
+    time_limit_s: float = Field(900.0, gt=0, le=86400)
+    nice: int = Field(15, ge=0, le=19)
+
+
 class EstimationConfig(_Section):
     """`[drive.estimation]`."""
 
     engine: Literal["compiled", "filterpy"] = "compiled"
     skew_s: float = Field(1e-5, ge=0)
     refresh: bool = True
+    ring_s: float = Field(60.0, ge=0, le=600)  # 0: no samples are kept, and no diagnosis is possible
+    diagnose: Literal["on_mismatch", "on_request", "never"] = "on_mismatch"
     adopt: Literal["ask", "auto", "never"] = "ask"
 
 
@@ -191,6 +201,7 @@ class Config(_Section):
 
     api: ApiConfig = ApiConfig()
     storage: StorageConfig = StorageConfig()
+    diagnosis: DiagnosisConfig = DiagnosisConfig()
     drive: tuple[DriveConfig, ...] = (DriveConfig(),)
 
     @field_validator("drive")

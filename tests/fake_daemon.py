@@ -6,9 +6,11 @@ import math
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 
 from servo_daemon.plant.parameters import LINEAR
+from servo_daemon.service.diagnosis_state import Adoption, Diagnosis, DiagnosisView
 from servo_daemon.service.history import HistoryRing
 from servo_daemon.service.knowledge import LoopFacts
 from servo_daemon.service.snapshot import (
@@ -21,7 +23,7 @@ from servo_daemon.service.snapshot import (
     Snapshot,
     Status,
 )
-from servo_daemon.service.view import initial_parameters
+from servo_daemon.service.view import ModelChange, StartValues, initial_parameters
 
 #: A fixed moment, so that answers can be compared as text: 2026-11-21T12:00:00Z.
 T0 = 1_795_262_400.0
@@ -86,6 +88,9 @@ def make_snapshot(drive: str = "axis1", t: float = 1.0, **changes: object) -> Sn
     return replace(snapshot, **changes)  # type: ignore[arg-type]
 
 
+RUNNING = Diagnosis("running", "request", (), T0, None, 60_000, 60.0, 0.35, "round 1: fitting coulomb_friction")
+
+
 @dataclass
 class FakeDrive:
     """A `DriveView` whose snapshot the test sets."""
@@ -98,6 +103,10 @@ class FakeDrive:
     log: deque[Event] = field(default_factory=lambda: deque(maxlen=100))
     resets: int = 0
     loop: LoopFacts = field(default_factory=lambda: LoopFacts(nominal=NOMINAL))
+    diagnosis: DiagnosisView = field(default_factory=lambda: DiagnosisView(Diagnosis(), Adoption(False), True, None))
+    refusal: Exception | None = None  # of the next request
+    outcome: ModelChange | None = None  # of a change of the model; None: it takes for ever
+    asked: list[tuple[tuple[str, ...], dict[str, object]]] = field(default_factory=list)
 
     @property
     def initial_parameters(self) -> Sequence[ParameterEstimate]:
@@ -125,6 +134,21 @@ class FakeDrive:
 
     def request_reset(self) -> None:
         self.resets += 1
+
+    def request_model(self, effects: Sequence[str], start: StartValues) -> Future[ModelChange]:
+        if isinstance(self.refusal, Exception):
+            raise self.refusal
+        self.asked.append((tuple(effects), dict(start)))
+        future: Future[ModelChange] = Future()
+        if self.outcome is not None:
+            self.model = tuple(effects)
+            future.set_result(self.outcome)
+        return future
+
+    def request_diagnosis(self) -> None:
+        if isinstance(self.refusal, Exception):
+            raise self.refusal
+        self.diagnosis = replace(self.diagnosis, diagnosis=RUNNING, allowed=False, reason="one is running")
 
 
 @dataclass

@@ -8,7 +8,7 @@ from typing import Any, Final
 from fastapi import FastAPI
 from starlette.responses import JSONResponse
 
-from servo_daemon.api import assets, problems, schemas
+from servo_daemon.api import assets, diagnosis_schemas, problems, schemas
 from servo_daemon.api.guard import Guard
 from servo_daemon.api.routes import api_router, metrics_router
 from servo_daemon.service.view import DaemonView
@@ -24,7 +24,8 @@ answer ever holds NaN. Errors are RFC 9457 problem details (`application/problem
 
 
 def create_app(daemon: DaemonView, allowed_hosts: Iterable[str] = ()) -> FastAPI:
-    """The ASGI application. It only ever reads published records, and asks for a reset.
+    """The ASGI application. It only ever reads published records, and asks for a reset, a diagnosis or
+    another model.
 
     Args:
         daemon: what it shows. `daemon.stopping()` must be true before the server is told to exit, so that the open
@@ -42,7 +43,7 @@ def create_app(daemon: DaemonView, allowed_hosts: Iterable[str] = ()) -> FastAPI
         redirect_slashes=False,
     )
     problems.install(app)
-    app.include_router(api_router(daemon), prefix=PREFIX)
+    app.include_router(api_router(daemon, PREFIX), prefix=PREFIX)
     app.include_router(metrics_router(daemon))
     app.include_router(assets.make_router())
     app.add_middleware(Guard, allowed_hosts=tuple(allowed_hosts))
@@ -67,6 +68,10 @@ def _describe(app: FastAPI) -> None:
         return JSONResponse(openapi())
 
 
+#: By name; those with examples are asked for.
+_MODELS: Final[dict[str, Any]] = {**vars(schemas), **vars(diagnosis_schemas)}
+
+
 def _corrected(document: dict[str, Any]) -> dict[str, Any]:
     """What FastAPI cannot know: errors are problem documents, and nulls in the examples are meant."""
     described = document["components"]["schemas"]
@@ -75,7 +80,7 @@ def _corrected(document: dict[str, Any]) -> dict[str, Any]:
     described["ProblemDocument"] = schemas.ProblemDocument.model_json_schema()
     for name, schema in described.items():
         if "examples" in schema:
-            extra = getattr(schemas, name).model_config["json_schema_extra"]
+            extra = _MODELS[name].model_config["json_schema_extra"]
             schema["examples"] = extra["examples"]
     for operations in document["paths"].values():
         for operation in operations.values():

@@ -11,8 +11,9 @@ from fastapi import APIRouter, Path, Query
 from pydantic import BaseModel
 from starlette.responses import Response, StreamingResponse
 
-from servo_daemon.api import documents, schemas, tuning_schemas
-from servo_daemon.api.problems import MEDIA_TYPE, ProblemError, parameter_problem
+from servo_daemon.api import diagnosis, documents, schemas, tuning_schemas
+from servo_daemon.api.answers import INVALID, NO_STORE, REFUSED, UNKNOWN_DRIVE, Responses, json_response, problem_answer
+from servo_daemon.api.problems import ProblemError, parameter_problem
 from servo_daemon.api.stream import StreamSlots, estimates_stream
 from servo_daemon.api.times import ACCEPTED, parse_time
 from servo_daemon.api.tuning import TuningAnswers
@@ -24,12 +25,8 @@ from servo_daemon.tuning.knowledge import Ask
 DEFAULT_POINTS: Final = 1000
 MAX_POINTS: Final = 20_000
 
-_NO_STORE: Final = {"Cache-Control": "no-store"}
 #: nginx would otherwise hold events back until its buffer is full.
 _STREAM_HEADERS: Final = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
-
-Responses = dict[int | str, dict[str, Any]]
-_PROBLEM_REF: Final = "#/components/schemas/ProblemDocument"
 
 DriveName = Annotated[str, Path(description="The drive's name in the configuration.", examples=["axis1"])]
 TimeText = Annotated[str | None, Query(description=f"Inclusive; {ACCEPTED}.", examples=["-10min"])]
@@ -60,18 +57,9 @@ SettlingS = Annotated[
 ]
 
 
-def _json(document: documents.Document, status: int = 200) -> Response:
-    return Response(documents.encode(document), status, _NO_STORE, media_type="application/json")
-
-
-def _problem(description: str) -> dict[str, Any]:
-    return {"description": description, "content": {MEDIA_TYPE: {"schema": {"$ref": _PROBLEM_REF}}}}
-
-
-_UNKNOWN_DRIVE: Final[Responses] = {404: _problem("There is no such drive; `known` names those there are.")}
-_INVALID: Final[Responses] = {422: _problem("A parameter is missing or makes no sense; `errors` names it.")}
-_NOT_YET: Final[Responses] = {409: _problem("What the gains need is not known (yet); `detail` says what and why.")}
-_REFUSED: Final[Responses] = {403: _problem("Asked for by a page of another site.")}
+_NOT_YET: Final[Responses] = {
+    409: problem_answer("What the gains need is not known (yet); `detail` says what and why.")
+}
 
 
 class Routes:
@@ -85,7 +73,7 @@ class Routes:
         executor = ThreadPoolExecutor(1, "tuning")  # its thread starts with the first request
         self._tuning = {n: TuningAnswers(d, executor) for n, d in daemon.drives.items()}
 
-    def _drive(self, name: str) -> DriveView:
+    def find(self, name: str) -> DriveView:
         """The drive of that name.
 
         Raises:
@@ -101,28 +89,28 @@ class Routes:
     async def health(self) -> Response:
         """Whether the daemon itself works: 200, or 503 with its problems. A drive that is away is not one."""
         document = documents.health_document(self._daemon)
-        return _json(document, 503 if document["problems"] else 200)
+        return json_response(document, 503 if document["problems"] else 200)
 
     async def ready(self) -> Response:
         """200 from the first samples of any drive on; 503 before, with what each drive waits for."""
         ready, document = documents.ready_document(self._daemon)
         if ready:
-            return _json(document)
+            return json_response(document)
         waiting = "; ".join(f"{name}: {d['reason']}" for name, d in document["drives"].items())
         raise ProblemError(503, "not_ready", f"No drive has delivered samples yet: {waiting}.", **document)
 
     async def drives(self) -> Response:
         """The configured drives."""
-        return _json({"drives": [documents.drive_summary(d) for d in self._daemon.drives.values()]})
+        return json_response({"drives": [documents.drive_summary(d) for d in self._daemon.drives.values()]})
 
     async def drive(self, drive: DriveName) -> Response:
         """One drive in full; a simulated one with the true values of its motor."""
-        return _json(documents.drive_document(self._drive(drive)))
+        return json_response(documents.drive_document(self.find(drive)))
 
     async def estimates(self, drive: DriveName) -> Response:
         """The estimates now. Before the first samples: nominal values or null, status `estimating`."""
-        snapshot = self._drive(drive).snapshot()
-        return Response(self._encoders[drive](snapshot), headers=_NO_STORE, media_type="application/json")
+        snapshot = self.find(drive).snapshot()
+        return Response(self._encoders[drive](snapshot), headers=NO_STORE, media_type="application/json")
 
     async def history(
         self,
@@ -133,7 +121,7 @@ class Routes:
         points: Points = DEFAULT_POINTS,
     ) -> Response:
         """One parameter or state channel over the last minutes."""
-        view = self._drive(drive)
+        view = self.find(drive)
         now = time.time()
         limits = {"start": _limit("start", start, now), "end": _limit("end", end, now)}
         if limits["start"] is not None and limits["end"] is not None and limits["start"] > limits["end"]:
@@ -145,11 +133,11 @@ class Routes:
             names = ", ".join(known) or "none yet"
             detail = f"{parameter!r} has no history; known are {names}"
             raise parameter_problem("parameter", detail, known) from None
-        return _json(documents.history_document(view, series))
+        return json_response(documents.history_document(view, series))
 
     async def events(self, drive: DriveName) -> Response:
         """What happened to this drive lately."""
-        return _json({"events": [documents.event_document(e) for e in self._drive(drive).events()]})
+        return json_response({"events": [documents.event_document(e) for e in self.find(drive).events()]})
 
     async def tuning(
         self, drive: DriveName, bandwidth_hz: BandwidthHz = None, settling_s: SettlingS = None
@@ -159,18 +147,18 @@ class Routes:
 
         Computed from the published estimate; an answer is up to ten seconds older than it.
         """
-        self._drive(drive)
+        self.find(drive)
         if bandwidth_hz is not None and settling_s is not None:
             raise parameter_problem("settling_s", "give bandwidth_hz or settling_s, not both")
         body = await self._tuning[drive].get(Ask(bandwidth_hz, settling_s))
-        return Response(body, headers=_NO_STORE, media_type="application/json")
+        return Response(body, headers=NO_STORE, media_type="application/json")
 
     async def stream(self, drive: DriveName) -> Response:
         """The estimates document as server-sent events (`event: estimates`), each new one, at most ten a second.
 
         The event's id is the document's `time`: after a lost connection, `/history?start=<id>` has what was missed.
         """
-        view = self._drive(drive)
+        view = self.find(drive)
         if self._slots.full:
             detail = f"{self._slots.limit} streams are open already."
             raise ProblemError(503, "too_many_streams", detail, {"Retry-After": "5"})
@@ -179,8 +167,8 @@ class Routes:
 
     async def reset(self, drive: DriveName) -> Response:
         """Forget what was learned of this drive and start from the nominal values. Answers before it is done."""
-        self._drive(drive).request_reset()
-        return _json({"drive": drive, "accepted": True}, 202)
+        self.find(drive).request_reset()
+        return json_response({"drive": drive, "accepted": True}, 202)
 
 
 def _limit(name: str, text: str | None, now_s: float) -> float | None:
@@ -210,13 +198,13 @@ _METRICS_DOC: Final[Responses] = {
 }
 
 
-def api_router(daemon: DaemonView) -> APIRouter:
-    """The routes under `/api/v1`."""
+def api_router(daemon: DaemonView, prefix: str) -> APIRouter:
+    """The routes under `prefix`, which is added by the caller."""
     routes = Routes(daemon)
     router = APIRouter()
     get = ["GET"]
     failing: Responses = {503: {"model": schemas.HealthDocument, "description": "The daemon has a problem of its own."}}
-    not_ready: Responses = {503: _problem("No drive has delivered samples yet.")}
+    not_ready: Responses = {503: problem_answer("No drive has delivered samples yet.")}
     router.add_api_route(
         "/health", routes.health, methods=get, response_model=schemas.HealthDocument, responses=failing
     )
@@ -225,9 +213,9 @@ def api_router(daemon: DaemonView) -> APIRouter:
     of_a_drive: tuple[tuple[str, Callable[..., Any], type[BaseModel], Responses], ...] = (
         ("", routes.drive, schemas.DriveDocument, {}),
         ("/estimates", routes.estimates, schemas.EstimatesDocument, {}),
-        ("/history", routes.history, schemas.HistoryDocument, _INVALID),
+        ("/history", routes.history, schemas.HistoryDocument, INVALID),
         ("/events", routes.events, schemas.EventsDocument, {}),
-        ("/tuning", routes.tuning, tuning_schemas.TuningDocument, {**_INVALID, **_NOT_YET}),
+        ("/tuning", routes.tuning, tuning_schemas.TuningDocument, {**INVALID, **_NOT_YET}),
     )
     for path, handler, model, responses in of_a_drive:
         router.add_api_route(
@@ -235,21 +223,22 @@ def api_router(daemon: DaemonView) -> APIRouter:
             handler,
             methods=get,
             response_model=model,
-            responses={**_UNKNOWN_DRIVE, **responses},
+            responses={**UNKNOWN_DRIVE, **responses},
         )
+    diagnosis.add_routes(router, diagnosis.DiagnosisRoutes(routes.find, prefix, daemon.stopping))
     _add_stream_and_reset(router, routes)
     return router
 
 
 def _add_stream_and_reset(router: APIRouter, routes: Routes) -> None:
-    too_many: Responses = {503: _problem("Too many streams are open.")}
+    too_many: Responses = {503: problem_answer("Too many streams are open.")}
     router.add_api_route(
         "/drives/{drive}/stream",
         routes.stream,
         methods=["GET"],
         response_model=None,
         response_class=StreamingResponse,
-        responses={**_STREAM_DOC, **_UNKNOWN_DRIVE, **too_many},
+        responses={**_STREAM_DOC, **UNKNOWN_DRIVE, **too_many},
     )
     router.add_api_route(
         "/drives/{drive}/reset",
@@ -257,7 +246,7 @@ def _add_stream_and_reset(router: APIRouter, routes: Routes) -> None:
         methods=["POST"],
         status_code=202,
         response_model=schemas.ResetDocument,
-        responses={**_UNKNOWN_DRIVE, **_REFUSED},
+        responses={**UNKNOWN_DRIVE, **REFUSED},
     )
 
 
@@ -268,7 +257,7 @@ def metrics_router(daemon: DaemonView) -> APIRouter:
     @router.get("/metrics", response_class=Response, responses=_METRICS_DOC)
     async def metrics() -> Response:
         """Everything that is published, for Prometheus."""
-        headers = {**_NO_STORE, "Content-Type": exposition.CONTENT_TYPE}
+        headers = {**NO_STORE, "Content-Type": exposition.CONTENT_TYPE}
         return Response(render_metrics(daemon), headers=headers)
 
     return router

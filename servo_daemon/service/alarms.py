@@ -88,6 +88,15 @@ class Alarms:
                 messages.append(_message("alarm_cleared", limit, p, p.value, estimate.time_s))
         return messages
 
+    def follow(self, before: Alarms) -> list[Message]:
+        """Take the place of alarms of another model: what rings goes on ringing. Returns what there is to tell."""
+        names = {limit.name for limit in self._limits}
+        self._active = before._active & names
+        told = {data["alarm"] for _, _, data in before.impossible}
+        before._active -= names
+        ended = before.forget("the model has changed")
+        return [*ended, *(m for m in self.impossible if m[2]["alarm"] not in told)]
+
     def forget(self, why: str) -> list[Message]:
         """End all alarms: what they were about is no longer known.
 

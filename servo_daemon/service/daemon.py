@@ -15,6 +15,7 @@ from pathlib import Path
 from drivers.registry import make_driver
 from servo_daemon import __version__
 from servo_daemon.config import Config
+from servo_daemon.service.diagnosis_runner import DiagnosisRunner
 from servo_daemon.service.drive import DriveRuntime
 from servo_daemon.service.notify import Notifier
 
@@ -53,8 +54,13 @@ class Daemon:
         self._notifier = Notifier.from_environment() if notifier is None else notifier
         self._ready, self._said, self._tell_next = False, "", 0.0
         self._turned = time.monotonic()
+        d = config.diagnosis
+        home = None if state_dir is None else state_dir / "diagnosis"
+        self._diagnoses = DiagnosisRunner(d.command, d.time_limit_s, d.nice, home)
         self._runtimes = {
-            d.name: DriveRuntime(d, make_driver(d.driver, d.name, d.options), state_dir, self._wake.set)
+            d.name: DriveRuntime(
+                d, make_driver(d.driver, d.name, d.options), state_dir, self._wake.set, self._diagnoses
+            )
             for d in config.drive
         }
         self._worker = threading.Thread(target=self._work, name="pipeline", daemon=True)
@@ -88,6 +94,7 @@ class Daemon:
             self._notifier.stopping()
             self._stop.set()
             self._wake.set()
+            self._diagnoses.kill()
             for runtime in self._runtimes.values():
                 runtime.reader.request_stop()
 
@@ -100,6 +107,7 @@ class Daemon:
         for thread in (self._worker, self._saver):
             if thread.is_alive():
                 thread.join(max(0.05, deadline - time.monotonic()))
+        self._diagnoses.stop(max(0.05, deadline - time.monotonic()))
 
     # -- threads ---------------------------------------------------------------------------------------------
 

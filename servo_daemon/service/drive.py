@@ -3,40 +3,38 @@
 from __future__ import annotations
 
 import logging
-import threading
 import time
-from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from pathlib import Path
 
-from drivers.base import Driver
+from drivers.base import DriveInfo, Driver
 from servo_daemon.config import DriveConfig
-from servo_daemon.errors import NumericalError
-from servo_daemon.estimators.settings import Message
+from servo_daemon.errors import NumericalError, RefusedError
 from servo_daemon.samples import SampleBlock, concatenate
-from servo_daemon.service.alarms import Alarms
-from servo_daemon.service.controller import incomplete, loop_facts
+from servo_daemon.service.controller import loop_facts
+from servo_daemon.service.diagnosis_desk import DiagnosisDesk
+from servo_daemon.service.diagnosis_runner import DiagnosisRunner
+from servo_daemon.service.diagnosis_state import DiagnosisView
+from servo_daemon.service.drive_parts import line_counters, same_channels, stale
+from servo_daemon.service.drive_warnings import DriveWarnings
+from servo_daemon.service.event_log import EventLog
 from servo_daemon.service.history import HistoryRing
 from servo_daemon.service.knowledge import LoopFacts
-from servo_daemon.service.margin_watch import ALARM, MarginWatch
-from servo_daemon.service.persist import StateFile
+from servo_daemon.service.model_change import ModelRequest, change_message, checked_request, describe_model
+from servo_daemon.service.model_desk import ModelDesk
 from servo_daemon.service.pipeline import Pipeline, all_finite
 from servo_daemon.service.publish import SavedState, published_parameters
 from servo_daemon.service.reader import Link, Reader
+from servo_daemon.service.ring import SampleRing
 from servo_daemon.service.snapshot import Estimate, Event, ParameterEstimate, Snapshot
-from servo_daemon.service.view import initial_parameters
+from servo_daemon.service.state_keeper import StateKeeper
+from servo_daemon.service.view import ModelChange, StartValues, initial_parameters
 
 log = logging.getLogger(__name__)
 
-_EVENTS_KEPT = 1000
 #: A pipeline that fails again and again is told this often, s; every failure is counted.
 _FAILURE_SAID_EVERY_S = 60.0
-#: Line events that a user should be warned of; the others are information.
-_WARNINGS = (
-    "disconnected", "unavailable", "misconfigured", "silent", "device_restarted", "pipeline_failed", "filter_restarted",
-    "model_mismatch", "channel_frozen", "alarm", "alarm_impossible", "margin_low", "margin_impossible",
-)  # fmt: skip
 
 
 class DriveRuntime:
@@ -48,33 +46,38 @@ class DriveRuntime:
         driver: closed.
         state_dir: where its knowledge is kept over a restart; None: nowhere.
         wake: called when there is work, from the reader's thread.
+        runner: of diagnoses, one for all drives.
     """
 
-    def __init__(self, config: DriveConfig, driver: Driver, state_dir: Path | None, wake: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        config: DriveConfig,
+        driver: Driver,
+        state_dir: Path | None,
+        wake: Callable[[], None],
+        runner: DiagnosisRunner | None = None,
+    ) -> None:
         self.config = config
         self.history = HistoryRing()
-        self.reader = Reader(driver, wake, self._line_event)
-        self._file = StateFile(state_dir, config.name)
-        self._events: deque[Event] = deque(maxlen=_EVENTS_KEPT)
+        self._keeper = StateKeeper(state_dir, config)
+        self.ring = SampleRing(config.estimation.ring_s)
+        self.log = EventLog(config.name)
+        self.reader = Reader(driver, wake, self.log.add)
+        self._desk = ModelDesk(config.name, wake)
+        self.active = config  # with the model as it is now
         self._pipeline: Pipeline | None = None
         self._identity: str | None = None
-        self._info = driver.info
-        self._estimate: Estimate | None = None
+        self.info: DriveInfo = driver.info
+        self.estimate: Estimate | None = None
         self._sample_time: float | None = None
         self._failures = self._repeated = 0
         self._quiet_until = 0.0
-        self._reset_wanted = False
+        self._reset_wanted = self._changed = False
         self._was_silent = False
-        self._saving = threading.Lock()
-        self._offered: tuple[str, SavedState] | None = None
-        self._unwritable = False
         self._link: Link = self.reader.link
-        self._initial = initial_parameters(published_parameters(config), config.nominal)
-        self._alarms = Alarms(config)
-        self._margins = MarginWatch(loop_facts(config))
-        self._tell(self._alarms.impossible)
-        if (why := incomplete(config.controller)) is not None:
-            self._event("margin_impossible", f"margins cannot be watched: {why}", {})
+        self._warnings = DriveWarnings(config)
+        self._diagnoses = DiagnosisDesk(self, self.ring, self.log, runner or DiagnosisRunner())
+        self.log.tell(self._warnings.at_start)
         self._snapshot = self._make_snapshot()
 
     @property
@@ -88,12 +91,12 @@ class DriveRuntime:
     @property
     def model(self) -> tuple[str, ...]:
         """Effects on top of the linear motor, as they are now."""
-        return self.config.model
+        return self.active.model
 
     @property
     def initial_parameters(self) -> Sequence[ParameterEstimate]:
         """What is published before the first samples."""
-        return self._initial
+        return initial_parameters(published_parameters(self.active), self.active.nominal)
 
     @property
     def loop(self) -> LoopFacts:
@@ -106,11 +109,35 @@ class DriveRuntime:
 
     def events(self) -> Sequence[Event]:
         """The last events, oldest first."""
-        return tuple(self._events.copy())  # a copy is atomic; iterating while another thread appends is not
+        return self.log.all()
 
     def request_reset(self) -> None:
         """Forget what was learned; carried out by the worker before the next samples."""
         self._reset_wanted = True
+
+    def request_model(self, effects: Sequence[str], start: StartValues) -> Future[ModelChange]:
+        """Go over to another model while the drive runs; see `DriveView`."""
+        request = self._diagnoses.completed(checked_request(effects, start))
+        if self.config.estimation.adopt == "never":
+            raise RefusedError('the model of this drive is fixed: its configuration says adopt = "never"')
+        return self.change_model(request)
+
+    @property
+    def diagnosis(self) -> DiagnosisView:
+        """The last diagnosis, and what can be done now."""
+        return self._diagnoses.view()
+
+    def request_diagnosis(self) -> None:
+        """Begin one; see `DriveView`."""
+        self._diagnoses.request()
+
+    def change_model(self, request: ModelRequest) -> Future[ModelChange]:
+        """Have a checked request carried out by the worker, between two blocks. Any thread.
+
+        Raises:
+            BusyError: the last one is not done yet.
+        """
+        return self._desk.ask(request, request.configure(self.config), self._pipeline)
 
     # -- worker thread ---------------------------------------------------------------------------------------
 
@@ -119,6 +146,7 @@ class DriveRuntime:
         was_reset = self._reset_wanted
         if was_reset:
             self._reset()
+        self._begin_model_change()
         blocks = self.reader.queue.take_all()
         if blocks:
             self._sample_time = time.time()
@@ -127,6 +155,9 @@ class DriveRuntime:
             except Exception:  # one drive's trouble must not stop the others
                 self._fail()
         self._follow_link(bool(blocks) or was_reset)
+        if self._changed:  # now that the first estimate of the new model is published
+            self._changed = False
+            self._desk.done(self._sample_time)
         return bool(blocks)
 
     def offer_state(self) -> None:
@@ -134,40 +165,36 @@ class DriveRuntime:
         the pipeline is its own."""
         if self._pipeline is None or self._identity is None or self._link.connection != "connected":
             return
-        saved = self._pipeline.save()
-        if saved is not None:
-            self._offered = (self._identity, saved)
+        self._keeper.offer(self._identity, self._pipeline.save(), self.active)
 
     def save_offered(self) -> None:
         """Write what was laid out. Saver thread: a disk may be slow."""
-        with self._saving:
-            offered, self._offered = self._offered, None
-            if offered is not None:
-                self._unwritable = not self._file.save(*offered)
+        self._keeper.write()
 
     @property
     def problem(self) -> str | None:
         """What is wrong with this drive's part of the daemon (not with the drive), in words."""
-        return f"drive {self.name}: its state cannot be saved" if self._unwritable else None
+        return f"drive {self.name}: its state cannot be saved" if self._keeper.unwritable else None
 
     def _process(self, blocks: list[SampleBlock]) -> None:
         pipeline = self._pipeline_for_device()
         repeated = pipeline.samples_repeated
-        for run in _same_channels(blocks):
+        for run in same_channels(blocks):
             pipeline.process(concatenate(run), rows=False)
         self._repeated += pipeline.samples_repeated - repeated
         estimate = pipeline.current()
         if estimate is not None and not all_finite(estimate):
             raise NumericalError("an estimate is not a number")
-        self._tell(pipeline.messages)
+        self.log.tell(pipeline.messages)
         pipeline.messages.clear()
+        if pipeline.config is not self.active:
+            self._activate(pipeline.config)
+            self._changed = True
         if estimate is not None:
-            self._tell(self._alarms.update(estimate))
-            self._tell(self._margins.update(estimate))
-            ringing = [name for name in (self._alarms.active, ALARM if self._margins.low else None) if name]
-            health = {**estimate.health, **self._margins.health, "alarms": ",".join(ringing) or None}
-            estimate = replace(estimate, health=health)
-        self._estimate = estimate
+            estimate, told = self._warnings.update(estimate)
+            self.log.tell(told)
+            self._diagnoses.watch(estimate)
+        self.estimate = estimate
 
     def _pipeline_for_device(self) -> Pipeline:
         """The pipeline of the device that is attached now; a new device starts from what is known of it."""
@@ -176,17 +203,49 @@ class DriveRuntime:
         other = bool(self._identity) and bool(info.identity) and info.identity != self._identity
         if self._pipeline is None or other:
             if self._pipeline is not None:
-                self._event("device_changed", f"another device is attached: {info.identity}", {})
-                self._forget_alarms("another device is attached")
-            saved = self._file.load(info.identity, self.config.model)
+                self.log.add("device_changed", f"another device is attached: {info.identity}")
+                self.log.tell(self._warnings.forget("another device is attached"))
+                self._desk.fail("another device was attached")
+                self.ring.clear()
+                self._activate(self.config)
+            saved = self._keeper.load(info.identity)
             if saved is not None:
-                self._event("state_restored", "estimates of the last run restored", {})
-            self._pipeline = Pipeline(self.config, info, saved)
-            self._identity, self._info = info.identity, info
-        elif info != self._info:
+                self._restored(saved)
+            self._pipeline = Pipeline(self.active, info, saved, self.ring)
+            self._identity, self.info = info.identity, info
+        elif info != self.info:
             self._pipeline.learn_info(info)
-            self._identity, self._info = info.identity or self._identity, info
+            self._identity, self.info = info.identity or self._identity, info
         return self._pipeline
+
+    def _restored(self, saved: SavedState) -> None:
+        """Tell what was taken up from the last run; a model that was adopted then is the drive's again."""
+        if saved.adopted is not None and self.active is self.config:  # else somebody has asked for another one by now
+            self._activate(saved.adopted.configure(self.config, saved.model))
+            self._keeper.knows(self.active)
+            text = f"the model adopted in an earlier run: {describe_model(saved.model)}"
+            self.log.add("model_restored", text, {"model": ",".join(saved.model)})
+        if saved.names and saved.model == self.model:
+            self.log.add("state_restored", "estimates of the last run restored")
+
+    def _begin_model_change(self) -> None:
+        pending = self._desk.take()
+        if pending is None:
+            return
+        if self._pipeline is None:
+            self.log.tell([change_message(self.model, pending.config.model)])
+            self._activate(pending.config)
+            self._desk.done(None)
+        else:
+            self._pipeline.change_model(pending.request, pending.config, pending.tracker)
+
+    def _activate(self, config: DriveConfig) -> None:
+        """From now on this is the drive's configuration: the user's, with another model."""
+        if config is self.active:
+            return
+        self.active = config
+        self._diagnoses.model_changed()
+        self.log.tell(self._warnings.follow(config))
 
     def _fail(self) -> None:
         self._failures += 1
@@ -195,30 +254,31 @@ class DriveRuntime:
             self._quiet_until = now + _FAILURE_SAID_EVERY_S
             log.exception("drive %s: the pipeline failed; it starts over", self.name)
             text = "the pipeline failed and starts over; the log has the details"
-            self._event("pipeline_failed", text, {"failures": self._failures})
+            self.log.add("pipeline_failed", text, {"failures": self._failures})
         if self._pipeline is not None:
             self._pipeline.reset()
-        self._estimate = None
+        self._desk.fail("the pipeline failed and starts over")
+        self.estimate = None
 
     def _reset(self) -> None:
         self._reset_wanted = False
-        with self._saving:  # nothing older may be written after it
-            self._offered = None
-            self._file.forget()
+        self._keeper.forget()
         if self._pipeline is not None:
-            self._pipeline.reset()
-        self._estimate = None
-        self._event("reset", "estimates reset by request", {})
-        self._forget_alarms("estimates were reset")
+            self._pipeline.reset(self.config)
+        self._desk.fail("the estimates were reset")
+        self._activate(self.config)
+        self.estimate = None
+        self.log.add("reset", "estimates reset by request")
+        self.log.tell(self._warnings.forget("estimates were reset"))
 
     def _follow_link(self, changed: bool) -> None:
         """Publish when something changed; say once when the drive falls silent or speaks again."""
         link = self.reader.link
         silent = link.connection == "silent"
         if silent and not self._was_silent:
-            self._event("silent", "drive is connected but sends no samples", {})
+            self.log.add("silent", "drive is connected but sends no samples")
         elif self._was_silent and link.connection == "connected":
-            self._event("speaking", "drive sends samples again", {})
+            self.log.add("speaking", "drive sends samples again")
         self._was_silent = silent or (self._was_silent and link.connection != "connected")
         if changed or link != self._link:
             self._link = link
@@ -228,9 +288,9 @@ class DriveRuntime:
     # -- helpers ---------------------------------------------------------------------------------------------
 
     def _make_snapshot(self) -> Snapshot:
-        estimate = self._estimate
+        estimate = self.estimate
         if estimate is not None and self._link.connection != "connected":
-            estimate = _stale(estimate, self._link)
+            estimate = stale(estimate, self._link)
         return Snapshot(
             drive=self.name,
             driver=self.driver,
@@ -238,61 +298,6 @@ class DriveRuntime:
             connection=self._link.connection,
             reason=self._link.reason,
             estimate=estimate,
-            counters=self._counters(),
+            counters=line_counters(self.reader, self._repeated, self._failures),
             truth=self.reader.driver.truth(),
         )
-
-    def _counters(self) -> dict[str, int]:
-        c = self.reader.driver.counters
-        return {
-            "samples": c.samples,
-            "samples_lost": c.samples_lost + self.reader.queue.dropped,
-            "queue_dropped": self.reader.queue.dropped,
-            "queue_samples": self.reader.queue.samples,
-            "samples_repeated": c.samples_repeated + self._repeated,
-            "frames": c.frames,
-            "crc_errors": c.crc_errors,
-            "framing_errors": c.framing_errors,
-            "unknown_frames": c.unknown_frames,
-            "device_restarts": c.device_restarts,
-            "reconnects": self.reader.reconnects,
-            "pipeline_failures": self._failures,
-            **c.extra,
-        }
-
-    def _forget_alarms(self, why: str) -> None:
-        self._tell(self._alarms.forget(why))
-        self._tell(self._margins.forget(why))
-
-    def _line_event(self, kind: str, message: str) -> None:
-        self._event(kind, message, {})
-
-    def _tell(self, messages: Sequence[Message]) -> None:
-        for kind, message, data in messages:
-            self._event(kind, message, data)
-
-    def _event(self, kind: str, message: str, data: Mapping[str, float | int | str | None]) -> None:
-        level = logging.WARNING if kind in _WARNINGS else logging.INFO
-        log.log(level, "drive %s: %s", self.name, message)
-        self._events.append(Event(time.time(), kind, message, data))
-
-
-def _same_channels(blocks: list[SampleBlock]) -> list[list[SampleBlock]]:
-    """Neighbouring blocks that can be joined: the same channels, and no restart inside."""
-    runs: list[list[SampleBlock]] = []
-    for block in blocks:
-        joins = runs and runs[-1][-1].channels == block.channels and runs[-1][-1].time_s[-1] < block.time_s[0]
-        if joins:
-            runs[-1].append(block)
-        else:
-            runs.append([block])
-    return runs
-
-
-def _stale(estimate: Estimate, link: Link) -> Estimate:
-    """The last estimate of a drive that does not speak now: values stay, their status says so."""
-    why = link.reason or "the drive is not connected"
-    if link.connection == "ended":
-        return estimate
-    parameters = tuple(replace(p, status="invalid", reason=why) for p in estimate.parameters)
-    return replace(estimate, parameters=parameters)

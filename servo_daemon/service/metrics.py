@@ -6,10 +6,11 @@ import math
 import re
 from typing import Final, get_args
 
+from servo_daemon.service.diagnosis_state import DiagnosisStatus
 from servo_daemon.service.exposition import Exposition, unit_words
 from servo_daemon.service.history import split_unit
 from servo_daemon.service.snapshot import Connection, Estimate, ParameterEstimate, Snapshot, Status
-from servo_daemon.service.view import DaemonView
+from servo_daemon.service.view import DaemonView, DriveView
 
 _PREFIX: Final = "servo_daemon_"
 
@@ -59,6 +60,7 @@ def render_metrics(daemon: DaemonView) -> str:
     for drive in daemon.drives.values():
         snapshot = drive.snapshot()
         _add_drive(out, drive.name, drive.driver, snapshot)
+        _add_model(out, drive)
         if snapshot.estimate is not None:
             _add_estimate(out, drive.name, snapshot.estimate, set(snapshot.counters))
     return out.render()
@@ -98,6 +100,25 @@ def _add_drive(out: Exposition, drive: str, driver: str, snapshot: Snapshot) -> 
             drive=drive,
             parameter=name,
         )
+
+
+def _add_model(out: Exposition, drive: DriveView) -> None:
+    name, view = drive.name, drive.diagnosis
+    out.add(
+        _PREFIX + "model_info", "gauge", "Effects of the drive's model.", 1, drive=name, model=",".join(drive.model)
+    )
+    for status in get_args(DiagnosisStatus):
+        is_now = status == view.diagnosis.status
+        text = "1 for the status of the last diagnosis of what the model lacks."
+        out.add(_PREFIX + "diagnosis_status", "gauge", text, is_now, drive=name, status=status)
+    if view.diagnosis.status == "running":
+        text = "How far the running diagnosis is, 0 to 1."
+        out.add(_PREFIX + "diagnosis_progress_ratio", "gauge", text, view.diagnosis.progress, drive=name)
+    for verdict in ("none", "found", "unexplained", "failed"):
+        text = "Diagnoses by what they ended in, since the start."
+        out.add(_PREFIX + "diagnoses_total", "counter", text, view.counts.get(verdict, 0), drive=name, verdict=verdict)
+    for effect in view.diagnosis.effects:
+        out.add(_PREFIX + "diagnosis_found", "gauge", "What the last diagnosis found.", 1, drive=name, effect=effect)
 
 
 def _add_estimate(out: Exposition, drive: str, estimate: Estimate, counters: set[str]) -> None:

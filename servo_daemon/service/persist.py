@@ -1,7 +1,8 @@
 """Knowledge kept over a restart: one small JSON file a drive, replaced atomically, checked on load, never fatal.
 
-A file is used only if schema, drive identity and model are the same and every value is inside its bounds. A broken one
-is set aside (renamed to `*.bad`) and said. Power just disappears, so the file is written every few seconds.
+A file is used only if schema, drive identity and model are the same and every value is inside its bounds. The model is
+the configuration's, or one that was adopted while the configuration said what it says now. A broken file is set aside
+(renamed to `*.bad`) and said. Power just disappears, so the file is written every few seconds.
 """
 
 from __future__ import annotations
@@ -11,13 +12,17 @@ import logging
 import math
 import os
 import tempfile
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from servo_daemon.errors import ModelError
 from servo_daemon.estimators.base import to_coordinate
 from servo_daemon.plant.effects import parameter_table
-from servo_daemon.service.publish import SavedState
+from servo_daemon.service.model_change import checked_request
+from servo_daemon.service.publish import Adopted, SavedState
 
 log = logging.getLogger(__name__)
 
@@ -38,7 +43,12 @@ class StateFile:
         self._complained = False
 
     def load(self, identity: str, model: tuple[str, ...]) -> SavedState | None:
-        """What was saved for this device and model; None without a usable file."""
+        """What was saved for this device and model; None without a usable file.
+
+        Args:
+            model: as it is configured now. Where it was configured like this before, too, a model that was adopted
+                since stands in its place; where the user has changed it, the adopted one is forgotten.
+        """
         text = self._text()
         if text is None:
             return None
@@ -46,10 +56,12 @@ class StateFile:
             data = json.loads(text)
             if data["schema"] != SCHEMA_VERSION:
                 raise ValueError(f"schema {data['schema']}, this version reads {SCHEMA_VERSION}")
-            if data["identity"] != identity or tuple(data["model"]) != model:
+            adopted = "adopted" in data and tuple(data["adopted"]["configured"]) == model
+            if data["identity"] != identity or (tuple(data["model"]) != model and not adopted):
                 log.info("%s is of another device or model (%s): not used", self._path, data["identity"])
                 return None
-            return _checked(data)
+            saved = _checked(data)
+            return saved if adopted else replace(saved, adopted=None)
         except (ValueError, KeyError, TypeError, ArithmeticError, RecursionError) as error:  # whatever JSON may hold
             self._set_aside(f"{type(error).__name__}: {error}")
             return None
@@ -70,7 +82,7 @@ class StateFile:
         """Replace the file atomically. False (and one log line) if it cannot be written; True where none is kept."""
         if self._path is None:
             return True
-        document = {
+        document: dict[str, object] = {
             "schema": SCHEMA_VERSION,
             "identity": identity,
             "model": list(state.model),
@@ -78,6 +90,11 @@ class StateFile:
             "mean": list(state.mean),
             "covariance": [list(row) for row in state.covariance],
         }
+        if state.adopted is not None:
+            document["adopted"] = {
+                "configured": list(state.adopted.configured),
+                "nominal": dict(state.adopted.nominal),
+            }
         try:
             _replace(self._path, json.dumps(document, allow_nan=False, indent=1))
         except OSError as error:
@@ -106,16 +123,20 @@ class StateFile:
             log.warning("%s is unusable (%s) and cannot be set aside: %s", self._path, why, error.strerror or error)
 
 
-def _checked(data: dict[str, object]) -> SavedState:
+def _checked(data: dict[str, Any]) -> SavedState:
     """The file's content as a state.
 
     Raises:
         ValueError, KeyError, TypeError: anything in it is impossible.
     """
-    names = tuple(str(n) for n in data["names"])  # type: ignore[attr-defined]
+    names = tuple(str(n) for n in data["names"])
     mean = np.array(data["mean"], dtype=float)
     covariance = np.array(data["covariance"], dtype=float)
+    model = tuple(str(m) for m in data["model"])
+    adopted = _adopted(data, model)
     n = len(names)
+    if n == 0 and adopted is not None:  # the model alone
+        return SavedState(model, (), (), (), adopted)
     if n == 0 or len(set(names)) != n:
         raise ValueError(f"names {list(names)}")
     if mean.shape != (n,) or covariance.shape != (n, n):
@@ -131,8 +152,24 @@ def _checked(data: dict[str, object]) -> SavedState:
         raise ValueError("the covariance is not symmetric positive semi-definite")
     if float(np.sqrt(np.diag(covariance).max(initial=0.0))) > math.log(100.0):
         raise ValueError("the covariance says nothing is known")
-    model = tuple(str(m) for m in data["model"])  # type: ignore[attr-defined]
-    return SavedState(model, names, tuple(mean.tolist()), tuple(tuple(row) for row in covariance.tolist()))
+    return SavedState(model, names, tuple(mean.tolist()), tuple(tuple(row) for row in covariance.tolist()), adopted)
+
+
+def _adopted(data: dict[str, Any], model: tuple[str, ...]) -> Adopted | None:
+    """What the file says of a model that was adopted, checked like one that is asked for.
+
+    Raises:
+        ValueError, KeyError, TypeError: it is impossible.
+    """
+    if "adopted" not in data:
+        return None
+    nominal = {str(name): (float(value), None) for name, value in dict(data["adopted"]["nominal"]).items()}
+    try:
+        checked_request(model, nominal)
+    except ModelError as error:
+        raise ValueError(str(error)) from None
+    configured = tuple(str(m) for m in data["adopted"]["configured"])
+    return Adopted(configured, {name: value for name, (value, _) in nominal.items()})
 
 
 def _replace(path: Path, text: str) -> None:

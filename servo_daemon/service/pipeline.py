@@ -7,20 +7,41 @@ blocks (see `service/stream.py`).
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from drivers.base import DriveInfo
 from servo_daemon.config import DriveConfig
+from servo_daemon.estimators.heritage import inherited
+from servo_daemon.estimators.settings import Message
 from servo_daemon.estimators.tracker import Tracker
 from servo_daemon.samples import SampleBlock, concatenate
 from servo_daemon.service import publish
+from servo_daemon.service.model_change import ModelRequest, change_message
 from servo_daemon.service.publish import Publisher, SavedState
+from servo_daemon.service.ring import SampleRing
 from servo_daemon.service.snapshot import Estimate
 from servo_daemon.service.stream import TickCutter
 
 log = logging.getLogger(__name__)
+
+#: A filter with another model that has not settled by then speaks for the drive all the same, ticks.
+_TICKS_TO_TAKE_OVER = 50
+
+
+@dataclass(slots=True)
+class _Successor:
+    """A tracker with another model that sees the same samples and will take over."""
+
+    config: DriveConfig
+    tracker: Tracker
+    ticks: int = 0
+    told: list[Message] = field(default_factory=list)
+
+    @property
+    def ready(self) -> bool:
+        return self.tracker.settled or self.ticks >= _TICKS_TO_TAKE_OVER
 
 
 class Pipeline:
@@ -30,28 +51,74 @@ class Pipeline:
         config: the drive's configuration; its driver and options are not looked at.
         info: resolutions, where the driver knows them.
         saved: knowledge from an earlier run, already checked.
+        ring: where the samples of every tick are kept for a while.
     """
 
-    def __init__(self, config: DriveConfig, info: DriveInfo | None = None, saved: SavedState | None = None) -> None:
-        self._config, self._info, self._saved = config, info, saved
+    def __init__(
+        self,
+        config: DriveConfig,
+        info: DriveInfo | None = None,
+        saved: SavedState | None = None,
+        ring: SampleRing | None = None,
+    ) -> None:
+        self._config, self._info, self._saved, self._ring = config, info, saved, ring
         self._tracker: Tracker | None = None
         self._channels: tuple[str, ...] = ()
         self._cutter = TickCutter()
         self._tick: list[SampleBlock] = []
         self._publisher = Publisher(config)
         self._published: Estimate | None = None
+        self._wanted: tuple[ModelRequest, DriveConfig, Tracker | None] | None = None
+        self._successor: _Successor | None = None
         self._samples = 0
         self.samples_repeated = 0  # those without a time of their own
-        self.messages: list[tuple[str, str, Mapping[str, float | int | str | None]]] = []
+        self.messages: list[Message] = []
 
-    def reset(self) -> None:
-        """Forget everything learned, the saved state included."""
+    @property
+    def config(self) -> DriveConfig:
+        """The drive's configuration with the model as it is now."""
+        return self._config
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Of the last samples; empty before the first."""
+        return self._channels
+
+    def reset(self, config: DriveConfig | None = None) -> None:
+        """Forget everything learned, the saved state included.
+
+        Args:
+            config: with which to begin again; None: the same.
+        """
+        if config is not None:
+            self._configure(config)
         self._saved = None
+        self._wanted = self._successor = None
         self._tracker = None
         self._channels = ()
         self._published = None
         self._cutter = TickCutter()
         self._tick = []
+
+    def prepare(self, config: DriveConfig) -> Tracker | None:
+        """A tracker for `change_model`, its plant compiled; None while the channels are not known. Any thread, and this
+        one may take ten seconds."""
+        return self._tracker_for(config) if self._channels else None
+
+    def change_model(self, request: ModelRequest, config: DriveConfig, prepared: Tracker | None) -> None:
+        """Go over to another model: from the next tick on a filter with it runs beside the present one, begins with
+        what that one knows, and takes its place once it has settled (about a second). Before the first samples at once.
+
+        Args:
+            config: the drive's with that model.
+            prepared: by `prepare`; None: made here.
+        """
+        if self._tracker is None:
+            self.messages.append(change_message(self._config.model, config.model))
+            self._configure(config)
+            self._saved = None
+        else:
+            self._wanted, self._successor = (request, config, prepared), None
 
     def learn_info(self, info: DriveInfo) -> None:
         """The driver has found out more (a description frame): used from the next start of the filter on."""
@@ -72,10 +139,12 @@ class Pipeline:
         for segment in self._cutter.cut(block):
             if segment.closes_tick and self._tick:
                 self._close_tick()
-                if rows:
+                if rows and self._tracker is not None and self._tracker.last_s is not None:
                     estimates.append(self._publish())
             assert self._tracker is not None
             self._tracker.take(segment.block)
+            if self._successor is not None:
+                self._successor.tracker.take(segment.block)
             self._tick.append(segment.block)
             self._samples += len(segment.block)
         self.samples_repeated += self._cutter.repeated - repeated
@@ -105,12 +174,8 @@ class Pipeline:
         kept = self._tracker.worth_keeping()
         if kept is None:
             return None
-        return SavedState(
-            self._config.model,
-            kept.names,
-            tuple(float(v) for v in kept.mean),
-            tuple(tuple(float(c) for c in row) for row in kept.covariance),
-        )
+        covariance = tuple(tuple(float(c) for c in row) for row in kept.covariance)
+        return SavedState(self._config.model, kept.names, tuple(float(v) for v in kept.mean), covariance)
 
     def _begin(self, channels: tuple[str, ...]) -> None:
         if self._tracker is not None:
@@ -119,18 +184,63 @@ class Pipeline:
         self._published = None
         self._tick = []
         self._cutter = TickCutter()
-        self._tracker = Tracker(
-            channels,
-            publish.tracker_settings(self._config),
-            publish.resolutions(self._config, self._info),
-            publish.prior(self._config, self._saved),
+        self._tracker = self._tracker_for(self._config, self._saved)
+        if self._successor is not None or self._wanted is not None:
+            config = self._successor.config if self._successor is not None else self._wanted[1]  # type: ignore[index]
+            self._take_over(config, self._tracker_for(config))
+
+    def _tracker_for(self, config: DriveConfig, saved: SavedState | None = None) -> Tracker:
+        return Tracker(
+            self._channels,
+            publish.tracker_settings(config),
+            publish.resolutions(config, self._info),
+            publish.prior(config, saved),
         )
+
+    def _configure(self, config: DriveConfig) -> None:
+        self._config, self._publisher, self._published = config, Publisher(config), None
 
     def _close_tick(self) -> None:
         assert self._tracker is not None
-        self.messages += self._tracker.close_tick(concatenate(self._tick))
+        tick = concatenate(self._tick)
+        self.messages += self._tracker.close_tick(tick)
+        if self._ring is not None:
+            self._ring.append(tick)
         self._tick = []
         self._published = None
+        if self._successor is not None:
+            self._follow(self._successor, tick)
+        if self._wanted is not None:
+            self._begin_successor(*self._wanted)
+            self._wanted = None
+
+    def _begin_successor(self, request: ModelRequest, config: DriveConfig, prepared: Tracker | None) -> None:
+        """At the end of a tick, so that the estimates do not depend on how the samples came in blocks."""
+        assert self._tracker is not None
+        fits = prepared is not None and prepared.channels == self._channels
+        tracker = prepared if prepared is not None and fits else self._tracker_for(config)
+        heritage = inherited(self._tracker, tracker, request.start, request.origin_s)
+        if heritage is None:
+            self._take_over(config, tracker)
+        else:
+            tracker.inherit(heritage)
+            self._successor = _Successor(config, tracker)
+
+    def _follow(self, successor: _Successor, tick: SampleBlock) -> None:
+        """A tick of the filter that will take over; what it has to say is of interest once it speaks for the drive."""
+        successor.told += successor.tracker.close_tick(tick)
+        successor.ticks += 1
+        if successor.ready:
+            self._take_over(successor.config, successor.tracker)
+            self.messages += successor.told
+
+    def _take_over(self, config: DriveConfig, tracker: Tracker) -> None:
+        assert self._tracker is not None
+        tracker.watch.gated += self._tracker.watch.gated
+        tracker.restarts += self._tracker.restarts
+        before, self._tracker, self._successor, self._wanted = self._config, tracker, None, None
+        self._configure(config)
+        self.messages.append(change_message(before.model, config.model))
 
     def _publish(self) -> Estimate:
         assert self._tracker is not None

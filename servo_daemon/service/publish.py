@@ -10,8 +10,9 @@ import numpy as np
 
 from drivers.base import DriveInfo
 from servo_daemon.config import DriveConfig
+from servo_daemon.estimators import excitation
 from servo_daemon.estimators.base import Gaussian, from_coordinate
-from servo_daemon.estimators.fusion import Fused, fuse
+from servo_daemon.estimators.fusion import Fused, as_last_known, fuse
 from servo_daemon.estimators.motor_rls import RegressionEstimate
 from servo_daemon.estimators.settings import Resolutions, TrackerSettings
 from servo_daemon.estimators.tracker import Tracker
@@ -24,13 +25,39 @@ Values = Mapping[str, tuple[float | None, float | None]]
 
 
 @dataclass(frozen=True, slots=True)
+class Adopted:
+    """A model that was adopted while the daemon ran, against what the configuration says.
+
+    Attributes:
+        configured: the configuration's own model then.
+        nominal: values of the effects' parameters that came with it.
+    """
+
+    configured: tuple[str, ...]
+    nominal: Mapping[str, float]
+
+    @classmethod
+    def of(cls, config: DriveConfig, active: DriveConfig) -> Adopted | None:
+        """Of a drive whose configuration is `config`; None where it has the model that this says."""
+        if active.model == config.model and active.nominal == config.nominal:
+            return None
+        return cls(config.model, {k: v for k, v in active.nominal.items() if config.nominal.get(k) != v})
+
+    def configure(self, config: DriveConfig, model: tuple[str, ...]) -> DriveConfig:
+        """The drive's configuration with the adopted model."""
+        return config.model_copy(update={"model": model, "nominal": {**config.nominal, **self.nominal}})
+
+
+@dataclass(frozen=True, slots=True)
 class SavedState:
-    """What survives a restart of the daemon: coordinates and covariance of the qualified parameters."""
+    """What survives a restart of the daemon: coordinates and covariance of the qualified parameters, if they all are,
+    and an adopted model."""
 
     model: tuple[str, ...]
     names: tuple[str, ...]
     mean: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]
+    adopted: Adopted | None = None
 
 
 def tracker_settings(config: DriveConfig) -> TrackerSettings:
@@ -50,7 +77,7 @@ def resolutions(config: DriveConfig, info: DriveInfo | None) -> Resolutions:
 
 def prior(config: DriveConfig, saved: SavedState | None) -> Gaussian | None:
     """A saved state as the filter's start, if it is of this model."""
-    if saved is None or saved.model != config.model:
+    if saved is None or saved.model != config.model or not saved.names:
         return None
     return Gaussian(saved.names, np.array(saved.mean), np.array(saved.covariance))
 
@@ -97,7 +124,7 @@ class Publisher:
             state=_state(tracker),
             estimators=self._views(tracker),
             health=_health(tracker),
-            covariance=None if gaussian is None else self._covariance(gaussian, parameters),
+            covariance=None if gaussian is None else self._covariance(tracker, gaussian, parameters),
         )
 
     def _parameter_estimates(self, tracker: Tracker, g: Gaussian | None) -> tuple[ParameterEstimate, ...]:
@@ -117,7 +144,8 @@ class Publisher:
         """Of each of `_parameters`."""
         known = {} if g is None else {n: k for k, n in enumerate(g.names)}
         mean, std = ([], []) if g is None else (g.mean.tolist(), g.std.tolist())
-        excited = qualified = ()
+        excited: list[bool] = []
+        qualified: list[bool] = []
         if g is not None:
             excited, qualified = tracker.excitation.excited.tolist(), tracker.qualification.qualified.tolist()
         out = []
@@ -127,26 +155,41 @@ class Publisher:
                 why = tracker.plan.reasons.get(p.name, f"{p.name} is not visible in these signals")
                 out.append(Fused(nominal, None, "fixed" if nominal is not None else "estimating", why))
             elif g is None:
-                out.append(Fused(nominal, None, "estimating", "collecting the first samples"))
+                out.append(_before_the_filter(p, tracker, nominal))
             else:
                 k = known[p.name]
                 floor = self._skew_floor(g) if p.name == "L" else 0.0
-                out.append(fuse(p, mean[k], std[k], excited[k], qualified[k], nominal, floor))
+                last = None if qualified[k] else tracker.last_known(p.name)
+                if last is None:
+                    out.append(fuse(p, mean[k], std[k], excited[k], qualified[k], nominal, floor))
+                    continue
+                why = "the data no longer confirm a value" if excited[k] else excitation.reason(p.name)
+                out.append(as_last_known(p, last, why, std[k], floor))
         return out
 
-    def _covariance(self, g: Gaussian, parameters: tuple[ParameterEstimate, ...]) -> Covariance | None:
+    def _covariance(
+        self, tracker: Tracker, g: Gaussian, parameters: tuple[ParameterEstimate, ...]
+    ) -> Covariance | None:
         """Of what is known, as published: with what unknown skew leaves open of L."""
-        known = tuple(p.name for p in parameters if p.status in ("tracking", "unexcited") and p.name in g.names)
+        known = {p.name: p for p in parameters if p.status in ("tracking", "unexcited") and p.name in g.names}
         if not known:
             return None
         rows, covariance = [g.names.index(name) for name in known], g.covariance.tolist()
-        values = [[covariance[a][b] for b in rows] for a in rows]
-        if "L" in known:
-            k = known.index("L")
-            values[k][k] += (self._skew_floor(g) / self._value("L", g)) ** 2
+        qualified = tracker.qualification.qualified.tolist()
+        values = [[covariance[a][b] if a == b or (qualified[a] and qualified[b]) else 0.0 for b in rows] for a in rows]
+        for k, p in enumerate(known.values()):
+            if not qualified[rows[k]]:  # as it was last known: its error has to do with nobody's of now
+                values[k][k] = self._coordinate_var(p)
+            elif p.name == "L":
+                values[k][k] += (self._skew_floor(g) / self._value("L", g)) ** 2
         if not all(math.isfinite(value) for row in values for value in row):
             return None
-        return Covariance(known, tuple(map(tuple, values)))
+        return Covariance(tuple(known), tuple(map(tuple, values)))
+
+    def _coordinate_var(self, p: ParameterEstimate) -> float:
+        """Of a published parameter."""
+        scale = p.value if self._table[p.name].transform == "log" else 1.0
+        return ((p.std or 0.0) / (scale or 1.0)) ** 2
 
     def _skew_floor(self, g: Gaussian) -> float:
         """What unknown skew of current and voltage sampling means for L: a delay δ looks like an inductance δ·R."""
@@ -185,6 +228,14 @@ class Publisher:
             if name not in hidden
         )
         return {name: (finite_or_none(value), finite_or_none(std)) for name, (value, std) in pairs}
+
+
+def _before_the_filter(p: Parameter, tracker: Tracker, nominal: float | None) -> Fused:
+    """A free parameter while no filter runs: at the start, or while it starts again."""
+    last = None if tracker.plan.plant is None else tracker.last_known(p.name)
+    if last is None:
+        return Fused(nominal, None, "estimating", "collecting the first samples")
+    return as_last_known(p, last, "the filter is starting again")
 
 
 def moved_on(last: Estimate, tracker: Tracker, samples: int) -> Estimate:

@@ -7,12 +7,31 @@ lock for longer than a copy of a few columns, and hands out immutable records.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass
 from typing import Protocol
 
 from servo_daemon.plant.parameters import Parameter
+from servo_daemon.service.diagnosis_state import DiagnosisView
 from servo_daemon.service.history import HistoryRing
 from servo_daemon.service.knowledge import LoopFacts
 from servo_daemon.service.snapshot import Event, ParameterEstimate, Snapshot
+
+#: Value (a choice by its name) and 1 σ (None: not known) of parameters, in their units.
+StartValues = Mapping[str, tuple[float | str, float | None]]
+
+
+@dataclass(frozen=True, slots=True)
+class ModelChange:
+    """A model that a drive has now.
+
+    Attributes:
+        model: the effects.
+        time: of the first estimate with it, UTC, seconds since the epoch; None: there have been no samples yet.
+    """
+
+    model: tuple[str, ...]
+    time: float | None
 
 
 class DriveView(Protocol):
@@ -51,6 +70,34 @@ class DriveView(Protocol):
 
     def request_reset(self) -> None:
         """Ask the pipeline to forget what it learned and start from nominal; returns before it is done."""
+
+    def request_model(self, effects: Sequence[str], start: StartValues) -> Future[ModelChange]:
+        """Ask the pipeline to go over to another model while the drive runs, keeping what is known of the parameters
+        that both models have; returns before it is done.
+
+        Args:
+            start: where parameters are to begin.
+
+        Returns:
+            done when the first estimate of the new model is published; with a ServoDaemonError if it came to nothing.
+
+        Raises:
+            ModelError: no drive can have this model.
+            BusyError: another change is under way.
+            RefusedError: the configuration does not allow it.
+        """
+
+    @property
+    def diagnosis(self) -> DiagnosisView:
+        """The last diagnosis, and whether one can be begun, or what it found adopted, now."""
+
+    def request_diagnosis(self) -> None:
+        """Begin a diagnosis of the last samples, in a process of its own; returns at once.
+
+        Raises:
+            BusyError: one is running, or there are too few samples yet.
+            RefusedError: the configuration does not allow it.
+        """
 
 
 class DaemonView(Protocol):

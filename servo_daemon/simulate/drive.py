@@ -38,11 +38,12 @@ class SimulatedDrive:
     Args:
         settings: see `make_settings`.
         compiled: False forces CasADi's virtual machine (the samples are the same).
+        loop: over `servo_step` of the same model, where many motors share one; None: the drive makes its own.
     """
 
-    def __init__(self, settings: Settings, *, compiled: bool = True) -> None:
+    def __init__(self, settings: Settings, *, compiled: bool = True, loop: SampleLoop | None = None) -> None:
         self.settings = settings
-        self._loop = SampleLoop(servo_step(settings.model), compiled=compiled)
+        self._loop = SampleLoop(servo_step(settings.model), compiled=compiled) if loop is None else loop
         self._constants = servo_constants(settings.gains, settings.supply_V, settings.sensors.voltage_lsb_V)
         self._state = np.array([s.initial for s in settings.model.states])
         children = np.random.SeedSequence(settings.seed).spawn(len(_STREAMS))

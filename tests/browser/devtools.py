@@ -11,6 +11,7 @@ import fcntl
 import json
 import os
 import queue
+import shutil
 import signal
 import tempfile
 import threading
@@ -196,6 +197,11 @@ class Browser:
             os.waitpid(self.pid, 0)
         self._reader.join(5)
         os.close(self._in)
+
+
+def chromium() -> str | None:
+    """The browser's program, None where it is not installed."""
+    return shutil.which("chromium") or shutil.which("chromium-browser")
 
 
 @contextmanager

@@ -6,12 +6,11 @@ python -m tests.browser.picture http://127.0.0.1:8077/ docs/page.png [--width 12
 from __future__ import annotations
 
 import argparse
-import shutil
 import sys
 import time
 from pathlib import Path
 
-from tests.browser.devtools import Page, browsing
+from tests.browser.devtools import Page, browsing, chromium
 
 
 def main() -> int:
@@ -24,11 +23,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=5.0, help="how long the page is open before the picture")
     parser.add_argument("--window", default="60", choices=["60", "300", "1800"], help="seconds of time in the charts")
     arguments = parser.parse_args()
-    program = shutil.which("chromium") or shutil.which("chromium-browser")
-    if program is None:
-        print("chromium is not installed", file=sys.stderr)
-        return 1
-    with browsing(program) as browser:
+    with browsing(chromium() or sys.exit("chromium is not installed")) as browser:
         page = Page(browser)
         page.look(arguments.width, 900, dark=arguments.dark)
         page.open(arguments.url)

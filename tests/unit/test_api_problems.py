@@ -34,9 +34,7 @@ def client() -> Client:
     return Client(create_app(fake_daemon("axis1", "axis2")))
 
 
-@pytest.mark.parametrize(
-    "path", ["/nothing", "/api/v1", "/api/v1/", "/api/v1/drive", AXIS1 + "/", AXIS1 + "/diagnosis"]
-)
+@pytest.mark.parametrize("path", ["/nothing", "/api/v1", "/api/v1/", "/api/v1/drive", AXIS1 + "/", AXIS1 + "/diagnose"])
 def test_unknown_path(client: Client, path: str) -> None:
     document = problem(client.get(path), 404)
     assert document["code"] == "unknown_path"

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from servo_daemon.config import DriveConfig
 from servo_daemon.service.persist import SCHEMA_VERSION, StateFile
 from servo_daemon.service.pipeline import Pipeline, all_finite
-from servo_daemon.service.publish import SavedState
+from servo_daemon.service.publish import Adopted, SavedState
 from servo_daemon.simulate import DEFAULT_NOMINAL, PAPER_MOTOR, SimulatedDrive, make_settings
 
 NAMES = ("R", "L", "K", "J", "B")
@@ -254,3 +254,44 @@ def test_a_reset_forgets_the_saved_state() -> None:
     pipeline.reset()
     pipeline.process(drive.next_block(3000))
     assert [m[1] for m in pipeline.messages] == ["filter started from regression and nominal values"]
+
+
+ADOPTED = replace(STATE, model=("coulomb_friction",), adopted=Adopted((), {"Tc": 0.0125}))
+
+
+def test_an_adopted_model_is_used_while_the_configuration_is_as_it_was(file: StateFile) -> None:
+    assert file.save("motor", ADOPTED)
+    assert file.load("motor", ()) == ADOPTED
+    assert file.load("motor", ("gravity_load",)) is None, "the user has changed the model since: his counts"
+    assert file.load("motor", ("coulomb_friction",)) == replace(ADOPTED, adopted=None), "he has written it down"
+    assert file.load("another", ()) is None
+
+
+def test_an_adopted_model_is_kept_without_estimates(file: StateFile) -> None:
+    alone = SavedState(("coulomb_friction",), (), (), (), Adopted((), {"Tc": 0.0125}))
+    assert file.save("motor", alone)
+    assert file.load("motor", ()) == alone
+    config = DriveConfig(nominal=dict(DEFAULT_NOMINAL))
+    assert alone.adopted is not None
+    now = alone.adopted.configure(config, alone.model)
+    assert now.model == ("coulomb_friction",) and now.nominal == {**DEFAULT_NOMINAL, "Tc": 0.0125}
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"model": ["flux_capacitor"]},
+        {"model": ["coulomb_friction", "stribeck_friction"]},
+        {"adopted": {"configured": [], "nominal": {"Ts": 1.0}}},
+        {"adopted": {"configured": [], "nominal": {"Tc": -1.0}}},
+        {"adopted": {"configured": [], "nominal": [1]}},
+        {"adopted": {"nominal": {}}},
+        {"adopted": None},
+    ],
+)
+def test_an_adopted_model_that_cannot_be_is_set_aside(file: StateFile, tmp_path: Path, damage: dict[str, Any]) -> None:
+    file.save("motor", ADOPTED)
+    data = json.loads(path(tmp_path).read_text()) | damage
+    path(tmp_path).write_text(json.dumps(data))
+    assert file.load("motor", ()) is None
+    assert path(tmp_path).with_suffix(".bad").exists()

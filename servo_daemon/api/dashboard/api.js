@@ -5,8 +5,16 @@ const AGAIN_MS = 2000;
 const TIMEOUT_MS = 5000;
 
 /** A document; throws with the problem's own words where there is one. */
-export async function get(path, method = "GET") {
-  const response = await fetch(`${PREFIX}${path}`, { method, cache: "no-store", signal: AbortSignal.timeout(TIMEOUT_MS) });
+export const get = (path) => ask(path, { method: "GET" }, TIMEOUT_MS);
+
+/** The same for what changes something; `body` is sent as JSON. */
+export function post(path, body = undefined, timeoutMs = TIMEOUT_MS) {
+  const content = body === undefined ? {} : { body: JSON.stringify(body), headers: { "Content-Type": "application/json" } };
+  return ask(path, { method: "POST", ...content }, timeoutMs);
+}
+
+async function ask(path, options, timeoutMs) {
+  const response = await fetch(`${PREFIX}${path}`, { ...options, cache: "no-store", signal: AbortSignal.timeout(timeoutMs) });
   const document = await response.json();
   if (!response.ok) throw new Error(document.detail ?? `HTTP ${response.status}`);
   return document;

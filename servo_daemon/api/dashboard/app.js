@@ -1,6 +1,6 @@
 // The page: which drives there are, which one is shown, and whether the daemon is there at all.
 
-import { drivePath, get } from "./api.js";
+import { drivePath, get, post } from "./api.js";
 import { renderConnection } from "./facts.js";
 import { DriveView } from "./view.js";
 
@@ -72,7 +72,7 @@ byId("reset").addEventListener("click", async () => {
   const question = `Forget what was learned of ${view.name} and start from its nominal values?`;
   if (!window.confirm(question)) return;
   try {
-    await get(`${drivePath(view.name)}/reset`, "POST");
+    await post(`${drivePath(view.name)}/reset`);
   } catch (error) {
     window.alert(`The reset was refused: ${error.message}`);
   }

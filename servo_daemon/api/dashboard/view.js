@@ -2,6 +2,7 @@
 
 import { Stream, drivePath, get } from "./api.js";
 import { ParameterCard, StateCard } from "./cards.js";
+import { DiagnosisPanel } from "./diagnosis.js";
 import { renderEvents, renderFacts } from "./facts.js";
 
 const POINTS = 1500;
@@ -15,6 +16,7 @@ export class DriveView {
     this.windowS = windowS;
     this.onLink = onLink;
     this.cards = new Map();
+    this.diagnosis = new DiagnosisPanel(name);
     this.document = null;
     this.truth = {};
     this.lastEvent = null;
@@ -33,18 +35,20 @@ export class DriveView {
 
   close() {
     this.closed = true;
+    this.diagnosis.close();
     this.stream.close();
     cancelAnimationFrame(this.frame);
     this.cards.forEach((card) => card.destroy());
     this.cards.clear();
   }
 
-  /** What the stream does not carry: truth, events. */
+  /** What the stream does not carry: truth, diagnosis, events. */
   async poll() {
     const drive = await get(drivePath(this.name));
     if (this.closed) return drive;
     this.truth = drive.truth ?? {};
     document.getElementById("truth-key").hidden = drive.truth === undefined;
+    await this.diagnosis.poll(drive.last_event !== this.lastEvent);
     if (drive.last_event !== this.lastEvent) {
       const { events } = await get(`${drivePath(this.name)}/events`);
       if (!this.closed) renderEvents(events);

@@ -1,0 +1,167 @@
+// What the model lacks: the last diagnosis of the drive, its verdict, and the buttons to begin one and to adopt it.
+
+import { drivePath, get, post } from "./api.js";
+import { pair, percent, scaleFor } from "./format.js";
+
+const byId = (id) => document.getElementById(id);
+const ADOPT_TIMEOUT_MS = 40_000; // a model that this machine has not seen yet is compiled first
+const ASK_EVERY = 5;
+const BADGES = {
+  idle: "not looked at yet", running: "◔ looking…", failed: "✕ failed", none: "● nothing is missing",
+  found: "▲ found", unexplained: "◌ no name for it",
+};
+const words = (name) => name.replaceAll("_", " ");
+const named = (effects) => ["linear motor", ...effects.map(words)].join(" + ");
+
+function write(id, text) {
+  if (byId(id).textContent !== text) byId(id).textContent = text;
+  byId(id).hidden = text === "";
+}
+
+function element(tag, className, text) {
+  const made = document.createElement(tag);
+  if (className) made.className = className;
+  made.textContent = text;
+  return made;
+}
+
+/** 12.50 ± 0.40 mN·m */
+function value(name, parameter) {
+  if (typeof parameter.value !== "number") return `${name} = ${parameter.value ?? "–"}`;
+  const scale = scaleFor(parameter.unit ?? "", parameter.value);
+  const shown = pair(parameter.value, parameter.std, scale);
+  return `${name} = ${[shown.value, shown.std, scale.unit].filter(Boolean).join(" ")}`;
+}
+
+function foundItem(effect) {
+  const item = document.createElement("li");
+  const head = element("p", "found-name", "");
+  head.append(element("b", "", words(effect.name)));
+  if (typeof effect.gain === "number") head.append(element("span", "", ` removes ${percent(effect.gain).slice(1)} of the error`));
+  const numbers = Object.entries(effect.parameters).map(([name, parameter]) => value(name, parameter)).join(", ");
+  item.append(head, element("p", "found-cause", effect.cause ?? ""), element("p", "found-values", numbers));
+  const others = (effect.equivalent ?? []).map((names) => names.map(words).join(" + "));
+  if (others.length) item.append(element("p", "quiet", `These data fit ${others.join(" or ")} as well.`));
+  return item;
+}
+
+/** What a residual without a name follows; each entry a word or a record. */
+function follows(result) {
+  const on = (result.remaining?.depends_on ?? []).map((entry) => (typeof entry === "string" ? entry : entry.on));
+  return on.filter(Boolean).join(", ");
+}
+
+function sentence(d) {
+  const span = `${d.span_s < 10 ? d.span_s.toFixed(1) : Math.round(d.span_s)} s of samples`;
+  const when = d.finished ? new Date(d.finished).toLocaleString("sv-SE") : "";
+  if (d.status === "idle") return "Finds out what the simulation of this drive gets wrong, from the samples of the last minute.";
+  if (d.status === "running") return d.step ?? "";
+  if (d.status === "failed") return `${when}: ${d.reason}`;
+  const about = `${when}, ${span}, ${named(d.model)}`;
+  if (d.result.verdict === "none") return `${about}: explains the data to its noise.`;
+  if (d.result.verdict === "unexplained") {
+    const on = follows(d.result);
+    return `${about}: something is missing that has no name here${on ? `; it follows ${on}` : ""}.`;
+  }
+  const gain = d.result.gain;
+  const share = (x) => percent(x).slice(1);
+  const interval = gain?.ci95 ? ` (95 %: ${share(gain.ci95[0])} to ${share(gain.ci95[1])})` : "";
+  return `${about}: lacks what is named below${gain ? `; with it ${share(gain.error_removed)} of the error is gone${interval}` : ""}.`;
+}
+
+/** One drive's; made anew when another drive is shown. */
+export class DiagnosisPanel {
+  constructor(drive) {
+    this.drive = drive;
+    this.document = null;
+    this.waiting = null; // what the user has asked for and is not answered yet
+    this.problem = "";
+    this.closed = false;
+    this.passed = 0; // polls since the last question
+    this.diagnose = () => this.#ask("diagnosis", () => post(`${drivePath(drive)}/diagnosis`));
+    this.adopt = () => this.#adopt();
+    byId("diagnose").addEventListener("click", this.diagnose);
+    byId("adopt").addEventListener("click", this.adopt);
+    byId("diagnosis").hidden = true;
+  }
+
+  close() {
+    this.closed = true;
+    byId("diagnose").removeEventListener("click", this.diagnose);
+    byId("adopt").removeEventListener("click", this.adopt);
+  }
+
+  /**
+   * Asks when there is reason to: a result is a large document that hardly ever changes.
+   * @param {boolean} changed whether something has happened to the drive
+   */
+  async poll(changed = true) {
+    const rests = this.document !== null && this.document.status !== "running";
+    if (rests && !changed && ++this.passed < ASK_EVERY) return;
+    this.passed = 0;
+    const document = await get(`${drivePath(this.drive)}/diagnosis`);
+    if (this.closed) return;
+    this.document = document;
+    this.#render();
+  }
+
+  #adopt() {
+    const { effects } = this.document.adoption;
+    const question = `Go over to the model ${named(effects)} while ${this.drive} runs? What is known of its parameters is kept.`;
+    if (window.confirm(question)) {
+      this.#ask("adoption", () => post(`${drivePath(this.drive)}/model`, { effects }, ADOPT_TIMEOUT_MS));
+    }
+  }
+
+  async #ask(what, request) {
+    this.waiting = what;
+    this.problem = "";
+    this.#render();
+    try {
+      await request();
+    } catch (error) {
+      this.problem = error.message;
+    }
+    this.waiting = null;
+    if (!this.closed) this.poll().catch((error) => console.info(`diagnosis: ${error.message}`));
+  }
+
+  #render() {
+    const d = this.document;
+    if (d === null || this.closed) return;
+    byId("diagnosis").hidden = false;
+    const verdict = d.status === "done" ? d.result.verdict : d.status;
+    byId("verdict").dataset.verdict = verdict;
+    write("verdict", BADGES[verdict] ?? verdict);
+    write("diagnosis-text", sentence(d));
+    const running = d.status === "running";
+    byId("diagnosis-progress").hidden = !running;
+    if (running) byId("diagnosis-progress").value = d.progress ?? 0;
+    this.#renderFound(d.status === "done" ? d.result.effects : []);
+    const report = byId("report-link");
+    report.hidden = d.report === null;
+    if (d.report !== null) report.href = `api/v1${drivePath(this.drive)}/diagnosis/report`;
+    this.#renderButtons(d);
+  }
+
+  /** Only when it changes, so that a text that is being selected stays. */
+  #renderFound(effects) {
+    const key = JSON.stringify(effects);
+    if (byId("found").dataset.key === key) return;
+    byId("found").dataset.key = key;
+    byId("found").replaceChildren(...effects.map(foundItem));
+  }
+
+  #renderButtons(d) {
+    const diagnose = byId("diagnose");
+    diagnose.disabled = !d.request.allowed || this.waiting !== null;
+    const adopt = byId("adopt");
+    adopt.hidden = d.adoption.effects === null;
+    adopt.disabled = !d.adoption.allowed || this.waiting !== null;
+    adopt.textContent = this.waiting === "adoption" ? "Adopting…" : "Adopt…";
+    const why = [];
+    if (!d.request.allowed && d.status !== "running") why.push(`No diagnosis now: ${d.request.reason}.`);
+    if (!d.adoption.allowed && d.adoption.reason) why.push(`Nothing to adopt: ${d.adoption.reason}.`);
+    write("diagnosis-why", this.problem || why.join(" "));
+  }
+}

@@ -1,0 +1,137 @@
+"""What the routes of diagnosis and model take and answer: requests are held to it, answers described."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from servo_daemon.service.diagnosis_state import DiagnosisStatus, Trigger
+
+_TIME = "2026-11-21T12:45:21.103Z"
+
+
+def _example(**document: Any) -> ConfigDict:
+    return ConfigDict(extra="forbid", allow_inf_nan=False, json_schema_extra={"examples": [document]})
+
+
+class _Document(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class StartValueDocument(_Document):
+    """Where a parameter begins."""
+
+    value: float | str = Field(description="In the parameter's unit; a choice (`channel`) by its name.")
+    std: float | None = Field(None, ge=0, description="1 σ in the parameter's unit; null: not known.")
+
+
+class ModelRequestDocument(_Document):
+    """The model that a drive is to have."""
+
+    model_config = _example(effects=["coulomb_friction"], parameters={"Tc": {"value": 0.0125, "std": 0.0004}})
+
+    effects: list[str] = Field(max_length=64, description="All effects on top of the linear motor; `[]`: none.")
+    parameters: dict[str, float | str | StartValueDocument] = Field(
+        default={},
+        max_length=200,
+        description="Where parameters begin, value or value and std. The others keep what is known of them; those of "
+        "an effect that the last diagnosis found begin where it found them; new ones are found in the data.",
+    )
+
+
+class ModelDocument(_Document):
+    """The model that a drive has now, or will have."""
+
+    model_config = _example(drive="axis1", model=["coulomb_friction"], time=_TIME, done=True)
+
+    drive: str
+    model: list[str]
+    time: str | None = Field(description="Of the first estimate with it, UTC; null: there is none yet.")
+    done: bool = Field(description="False (status 202): it waits for samples; an event `model_changed` will tell.")
+
+
+class FoundParameterDocument(BaseModel):
+    """One parameter of an effect."""
+
+    model_config = ConfigDict(extra="allow")
+
+    value: float | str | None
+    std: float | None = None
+    unit: str | None = None
+
+
+class FoundEffectDocument(BaseModel):
+    """A cause that the data hold and the model lacks."""
+
+    model_config = ConfigDict(extra="allow")
+
+    name: str
+    cause: str | None = Field(None, description="The physical cause, one sentence.")
+    equation: str | None = Field(None, description="LaTeX.")
+    parameters: dict[str, FoundParameterDocument]
+    gain: float | None = Field(None, description="Share of the removable error that it removes.")
+    equivalent: list[list[str]] = Field(default=[], description="Effects that fit these data as well.")
+
+
+class ResultDocument(BaseModel):
+    """What a diagnosis says, as `servo-daemon diagnose` writes it."""
+
+    model_config = ConfigDict(extra="allow")
+
+    schema_: int = Field(alias="schema")
+    verdict: Literal["none", "found", "unexplained"]
+    effects: list[FoundEffectDocument]
+    gain: dict[str, Any] | None = Field(None, description="`error_removed` and its 95 % interval `ci95`.")
+    remaining: dict[str, Any] | None = Field(None, description="What is left, and what it follows.")
+
+
+class AllowedDocument(_Document):
+    """Whether something can be done now."""
+
+    allowed: bool
+    reason: str | None = Field(description="Why not, in words.")
+
+
+class AdoptionDocument(AllowedDocument):
+    """Whether what was found can become the model now, by `POST /drives/{d}/model`."""
+
+    effects: list[str] | None = Field(description="The model that the drive would have; null: nothing was found.")
+
+
+class DiagnosisDocument(_Document):
+    """The last diagnosis of a drive: what its model lacks."""
+
+    model_config = _example(
+        drive="axis1",
+        status="running",
+        trigger="mismatch",
+        model=[],
+        started=_TIME,
+        finished=None,
+        samples=60000,
+        span_s=59.999,
+        progress=0.35,
+        step="round 1: fitting coulomb_friction",
+        reason=None,
+        result=None,
+        report=None,
+        adoption={"allowed": False, "reason": None, "effects": None},
+        request={"allowed": False, "reason": "a diagnosis of this drive is running"},
+    )
+
+    drive: str
+    status: DiagnosisStatus
+    trigger: Trigger | None = Field(description="Who wanted it: a request, or the watch over the innovations.")
+    model: list[str] | None = Field(description="The drive's when it began: what is doubted.")
+    started: str | None
+    finished: str | None
+    samples: int = Field(description="Of the recording.")
+    span_s: float = Field(description="Of the recording, s.")
+    progress: float | None = Field(description="0 … 1.")
+    step: str | None = Field(description="What it does at the moment.")
+    reason: str | None = Field(description="Why it failed, in words.")
+    result: ResultDocument | None
+    report: str | None = Field(description="Where the report is.")
+    adoption: AdoptionDocument
+    request: AllowedDocument = Field(description="Whether `POST` would begin a diagnosis now.")
