@@ -57,12 +57,22 @@ class DiagnosisConfig(_Section):
     nice: int = Field(15, ge=0, le=19)
 
 
+class LearningConfig(_Section):
+    """`[learning]`: the models of `refresh`. A drive that has none gets one trained in a process of its own."""
+
+    train: bool = True  # false: only models that `servo-daemon train` has made
+    motors: int = Field(5000, ge=1)  # simulated, as `servo-daemon train` does
+    nice: int = Field(15, ge=0, le=19)
+
+
 class EstimationConfig(_Section):
     """`[drive.estimation]`."""
 
     engine: Literal["compiled", "filterpy"] = "compiled"
     skew_s: float = Field(1e-5, ge=0)
-    refresh: bool = True
+    refresh: bool = True  # RF+GRNN beside the filter
+    refresh_every_s: float = Field(10.0, ge=2, le=86400)
+    refresh_window_s: float = Field(5.0, ge=2, le=10)
     ring_s: float = Field(60.0, ge=0, le=600)  # 0: no samples are kept, and no diagnosis is possible
     diagnose: Literal["on_mismatch", "on_request", "never"] = "on_mismatch"
     adopt: Literal["ask", "auto", "never"] = "ask"
@@ -202,6 +212,7 @@ class Config(_Section):
     api: ApiConfig = ApiConfig()
     storage: StorageConfig = StorageConfig()
     diagnosis: DiagnosisConfig = DiagnosisConfig()
+    learning: LearningConfig = LearningConfig()
     drive: tuple[DriveConfig, ...] = (DriveConfig(),)
 
     @field_validator("drive")

@@ -112,6 +112,8 @@ class Rig:
 
 
 def configuration(*names: str, **extra: Any) -> Config:
+    # A model that somebody has trained on this machine must not take part unasked.
+    extra["estimation"] = {"refresh": False} | extra.get("estimation", {})
     drives = [{"name": n, "driver": "fed", "nominal": dict(DEFAULT_NOMINAL)} | extra for n in names or ("axis1",)]
     return parse_config({"drive": drives, "storage": {"save_interval_s": 0.05}})
 

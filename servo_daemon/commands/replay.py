@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from servo_daemon.commands import common
 from servo_daemon.service.snapshot import ParameterEstimate
+
+if TYPE_CHECKING:
+    from servo_daemon.captures import Capture
+    from servo_daemon.config import DriveConfig
+    from servo_daemon.learning.model import LearnedModel
 
 HELP = "run the daemon's own pipeline over a capture, as fast as it goes"
 EXAMPLE = """  servo-daemon replay capture.csv.gz --out estimates.csv
@@ -29,6 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="samples at once (the result is the same)",
     )
+    parser.add_argument(
+        "--learned", type=Path, metavar="F", help="refresh with this RF+GRNN model (`train --out F`): columns grnn_*"
+    )
     common.add_config(parser)
     common.add_json(parser)
 
@@ -45,10 +53,14 @@ def run(arguments: argparse.Namespace) -> int:
     (capture,) = common.read_captures([arguments.capture], arguments)
     pipeline = Pipeline(drive, common.capture_info(capture))
     names = published_names(drive)
+    estimators: tuple[str, ...] = ("ekf", "rls")
+    if arguments.learned is not None:
+        pipeline.use_learned(_learned(arguments.learned, drive, capture))
+        estimators = (*estimators, "grnn")
     last = None
     rows = 0
     with (
-        EstimatesWriter(arguments.out, names, estimators=("ekf", "rls")) as writer,
+        EstimatesWriter(arguments.out, names, estimators=estimators) as writer,
         common.progress(capture.duration_s, "s", "replay") as bar,
     ):
         for block in capture.blocks(arguments.block):
@@ -77,6 +89,18 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         _print_table(document)
     return 0
+
+
+def _learned(path: Path, drive: DriveConfig, capture: Capture) -> LearnedModel:
+    """Refused unless it was trained for a drive like this one."""
+    import numpy as np
+
+    from servo_daemon.learning.model_file import DriveIdentity, load_model
+    from servo_daemon.service.training_spec import trainable
+
+    block = capture.block()
+    rate_hz = 1.0 / float(np.median(np.diff(block.time_s)))
+    return load_model(path, DriveIdentity(drive.model, drive.nominal, trainable(block.channels), rate_hz))
 
 
 def _rows(parameters: tuple[ParameterEstimate, ...], *, linear: bool) -> dict[str, dict[str, Any]]:

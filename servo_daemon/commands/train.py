@@ -21,8 +21,6 @@ HELP = "train the paper's third method (random forest, GRNN) on simulated motors
 EXAMPLE = """  servo-daemon train --config servo-daemon.toml
   servo-daemon train --config servo-daemon.toml --motors 20000 --dask tcp://cluster:8786"""
 
-_RATE_HZ, _WINDOW_S = 1000.0, 5.0
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
@@ -33,7 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rate", type=float, metavar="HZ", help="the drive's sample rate (the simulated driver's own, else 1000)"
     )
-    parser.add_argument("--window", type=float, default=_WINDOW_S, metavar="S", help="window of operation, 2–10 s (5)")
+    parser.add_argument(
+        "--window", type=float, metavar="S", help="window of operation, 2–10 s (the config's refresh_window_s, else 5)"
+    )
     parser.add_argument("--spread", type=float, default=3.0, metavar="F", help="nominal/F … nominal·F is trained (3)")
     parser.add_argument("--learner", default="grnn", help="grnn (default), boosting, forest, ridge, neighbours")
     parser.add_argument(
@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
         window_s=arguments.window,
         seed=arguments.seed,
     )
-    measured = _measured(arguments.measured, arguments) if arguments.measured else None
+    measured = _measured(arguments.measured, arguments, spec.window_s) if arguments.measured else None
     job = Job(arguments.motors, learner=arguments.learner, jobs=arguments.jobs, dask=arguments.dask, measured=measured)
     model = train_with_bar(spec, job)
     path = arguments.out or model_path(spec)
@@ -84,46 +84,16 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def drive_spec(
-    drive: DriveConfig,
-    *,
-    configured: bool = True,
-    rate_hz: float | None = None,
-    spread: float = 3.0,
-    window_s: float = _WINDOW_S,
-    seed: int = 0,
-) -> TrainingSpec:
-    """What to simulate for a drive of the config.
+def drive_spec(drive: DriveConfig, *, configured: bool = True, **wanted: Any) -> TrainingSpec:
+    """What to simulate for a drive of the config; see `training_spec`.
 
     Args:
         configured: False: there is no config, the drive is the simulated one.
-        rate_hz: None: the simulated driver's own, else 1000 Hz.
-
-    Raises:
-        ConfigError: the datasheet lacks a parameter.
     """
-    from servo_daemon.errors import ConfigError
-    from servo_daemon.learning.drawing import CORE, TrainingSpec
+    from servo_daemon.service.training_spec import training_spec
     from servo_daemon.simulate import DEFAULT_NOMINAL
 
-    nominal = dict(drive.nominal) if configured else dict(DEFAULT_NOMINAL)
-    nominal.pop("J_m", None)
-    if missing := [n for n in CORE if n not in nominal]:
-        raise ConfigError(
-            f"drive {drive.name}: training needs a datasheet: nominal {', '.join(missing)} missing under "
-            "[drive.nominal] (`servo-daemon fit` finds them from a capture)"
-        )
-    rate = rate_hz or (drive.options.get("rate_hz") if drive.driver == "simulated" else None) or _RATE_HZ
-    return TrainingSpec(
-        nominal,
-        drive.model,
-        spread=spread,
-        rate_hz=float(rate),
-        window_s=window_s,
-        supply_V=drive.limits.voltage_V,
-        counts_per_rev=drive.load.counts_per_rev,
-        seed=seed,
-    )
+    return training_spec(drive, nominal=None if configured else DEFAULT_NOMINAL, **wanted)
 
 
 def train_with_bar(spec: TrainingSpec, job: Job) -> LearnedModel:
@@ -138,7 +108,7 @@ def train_with_bar(spec: TrainingSpec, job: Job) -> LearnedModel:
         return train(spec, job, progress=done, say=bar.set_description)
 
 
-def _measured(paths: Sequence[Path], arguments: argparse.Namespace) -> TrainingSet:
+def _measured(paths: Sequence[Path], arguments: argparse.Namespace, window_s: float) -> TrainingSet:
     from servo_daemon.errors import BadInputError
     from servo_daemon.learning.training import TARGETS, measured_training
 
@@ -151,7 +121,7 @@ def _measured(paths: Sequence[Path], arguments: argparse.Namespace) -> TrainingS
             if (value := capture.metadata_number(key)) is not None
         }
         try:
-            known.append(measured_training([(capture.block(), found)], arguments.window))
+            known.append(measured_training([(capture.block(), found)], window_s))
         except BadInputError as error:
             raise BadInputError(f"{capture.path}: {str(error).partition(': ')[2]}") from error
     first, *others = known

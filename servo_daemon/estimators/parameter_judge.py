@@ -20,6 +20,8 @@ from servo_daemon.samples import F64
 
 #: An unexcited parameter's covariance grows with its drift up to this 1 σ.
 _IDLE_STD = 0.3
+#: Parameters of the armature's balance, which has its own say.
+_ARMATURE = ("R", "L", "K")
 #: Parameters that are known worse than this would lead the instrument astray.
 _LED_ASTRAY_STD = 0.25
 
@@ -177,6 +179,19 @@ class ParameterJudge:
                 error = 0.0
             doubt = closure.doubt_var(error, var + float(std[k]) ** 2)
             self.mismatch_std[k] = math.sqrt(found.get(name, 0.0) ** 2 + doubt + float(coarse[k]) ** 2)
+        self._carry_over_torque()
+
+    def _carry_over_torque(self) -> None:
+        """The shaft's balance sees J, B and friction only beside K i: what the armature's leaves open of K, it leaves
+        open of them."""
+        names = self._roster.names
+        if "K" not in names or self.mismatch_std[names.index("K")] == 0.0:
+            return
+        at = names.index("K")
+        carried = coarse_input.along(self._ekf.estimate().covariance, at, float(self.mismatch_std[at]))
+        for k, name in enumerate(names):
+            if name not in _ARMATURE and self.excitation.excited[k] and self._roster.logarithmic[k]:
+                self.mismatch_std[k] = math.hypot(float(self.mismatch_std[k]), float(carried[k]))
 
     def _left_by_steps(self, tick: Tick) -> F64:
         """What the voltage's steps leave open of each coordinate, 1 σ, shape (n,)."""

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from servo_daemon.estimators import jumps
+from servo_daemon.estimators.assimilation import assimilate
 from servo_daemon.estimators.balance_window import Sampling
 from servo_daemon.estimators.base import Gaussian
 from servo_daemon.estimators.ekf import Ekf
@@ -35,7 +36,7 @@ from servo_daemon.estimators.telling import Telling
 from servo_daemon.estimators.watch import InnovationWatch, TickVerdict
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.plant.parameters import LINEAR, Parameter
-from servo_daemon.samples import SampleBlock
+from servo_daemon.samples import F64, SampleBlock
 
 #: A saved state may be of yesterday's temperature and load: added 1 σ.
 _SAVED_STD = 0.03
@@ -125,6 +126,24 @@ class Tracker:
     def explained(self) -> bool:
         """Whether the model explains the data; see `Telling`."""
         return self.plan.plant is None or self._telling.explained
+
+    @property
+    def examines_jump(self) -> bool:
+        """Whether something unexplained is being looked into: the filter may yet be set back."""
+        return self.plan.plant is not None and self._jumps.watch.is_open
+
+    def assimilate(self, known: Gaussian, widen_std: F64) -> None:
+        """Take what is known from elsewhere as a measurement of some of the parameters. What was being examined as a
+        jump is not examined any more: what it would go back to is put in doubt as well.
+
+        Args:
+            known: of coordinates by name.
+            widen_std: added to the filter's own 1 σ of these before; zeros: nothing.
+        """
+        assert self.ekf is not None
+        assimilate(self.ekf, known, widen_std)
+        if self.examines_jump and widen_std.any():
+            self._jumps.reset()
 
     def published(self) -> Gaussian | None:
         """What is to be published of all parameters; see `JumpActions`. None before the filter runs."""

@@ -13,22 +13,20 @@ from servo_daemon.learning.cache import cached_model, model_path
 from servo_daemon.learning.drawing import TrainingSpec
 from servo_daemon.learning.model import LearnedModel
 
-#: Added to the priority: whoever else wants the core comes first.
-_NICE = 15
-
 
 class BackgroundTraining:
     """Trains unless a model is kept already. The caller polls; nothing here blocks but `stop`.
 
     Args:
         spec, motors: what is to be trained.
+        nice: added to the priority: whoever else wants the core comes first.
 
     Attributes:
         done: motors simulated so far.
         error: why there will be no model; "" while all is well.
     """
 
-    def __init__(self, spec: TrainingSpec, motors: int) -> None:
+    def __init__(self, spec: TrainingSpec, motors: int, nice: int = 15) -> None:
         self.spec, self.motors = spec, motors
         self.done, self.error = 0, ""
         self._model = cached_model(spec, motors)
@@ -37,7 +35,9 @@ class BackgroundTraining:
             # A fresh process: a forked one would inherit the daemon's sockets, locks and threads' halves of work.
             context = multiprocessing.get_context("spawn")
             self._receiver, sender = context.Pipe(duplex=False)
-            self._process = context.Process(target=_work, args=(spec, motors, sender), daemon=True, name="training")
+            self._process = context.Process(
+                target=_work, args=(spec, motors, nice, sender), daemon=True, name="training"
+            )
             self._process.start()
             sender.close()
 
@@ -79,13 +79,13 @@ class BackgroundTraining:
         self._end("stopped")
 
 
-def _work(spec: TrainingSpec, motors: int, sender: Connection) -> None:
+def _work(spec: TrainingSpec, motors: int, nice: int, sender: Connection) -> None:
     """In the process: train, keep, and tell "" or what went wrong."""
     from servo_daemon.learning.model_file import save_model
     from servo_daemon.learning.run import Job, train
 
     with contextlib.suppress(OSError):
-        os.nice(_NICE)
+        os.nice(nice)
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ[name] = "1"
     try:

@@ -135,10 +135,12 @@ def _shaft_columns(w: Windows, s: Stretch) -> list[F64]:
 
 def closure(w: Window, value: Mapping[str, float]) -> tuple[float, float] | None:
     """How far the two balances of this window are from closing with these parameters: RMS of what is left over the RMS
-    of voltage and of current, after a constant (an offset, a load torque) has been taken out. None without a signal.
+    of voltage and of current. What any drive may have beside them (an offset, a brush drop; a load, dry friction) is
+    fitted to what is left: values that a model without these has bent to the data must not win by it. None without a
+    signal.
 
     Args:
-        value: R, L, K, J, B and, if there is dry friction, Tc; SI units.
+        value: R, L, K, J, B, SI units.
     """
     s = w.stretch
     short, shaft = _windows(w, "armature"), _windows(w, "shaft")
@@ -146,17 +148,20 @@ def closure(w: Window, value: Mapping[str, float]) -> tuple[float, float] | None
         return None
     current, minus_rate, speed_, one = _armature_columns(short, s)
     left = short.held(s.voltage) - value["R"] * current - value["L"] * minus_rate - value["K"] * speed_
+    drop = short.integral(np.sign(s.current))
     acceleration, shaft_speed, shaft_one = _shaft_columns(shaft, s)
     torque = value["J"] * acceleration + value["B"] * shaft_speed
-    torque = torque + value.get("Tc", 0.0) * shaft.integral(speed_sign(s))
     shaft_left = shaft.integral(s.current) - torque / value["K"]
-    return _left(left, one, short.held(s.voltage)), _left(shaft_left, shaft_one, shaft.integral(s.current))
+    friction = shaft.integral(speed_sign(s))
+    return (
+        _left(left, [one, drop], short.held(s.voltage)),
+        _left(shaft_left, [shaft_one, friction], shaft.integral(s.current)),
+    )
 
 
-def _left(residual: F64, one: F64, y: F64) -> float:
-    constant = float(one @ residual) / max(float(one @ one), 1e-300)
-    left = residual - constant * one
-    return float(np.sqrt(left @ left / max(float(y @ y), 1e-300)))
+def _left(residual: F64, free: list[F64], y: F64) -> float:
+    left = _fit(free, residual).left * np.sqrt(residual @ residual)
+    return float(left / np.sqrt(max(float(y @ y), 1e-300)))
 
 
 def _against(fit: F64, reg: dict[str, float], prefix: str, names: Sequence[str]) -> dict[str, float]:

@@ -26,7 +26,11 @@ log = logging.getLogger(__name__)
 def model_path(spec: TrainingSpec) -> Path:
     """Where the model of this training is kept: drives of one datasheet, model, rate and set of signals share it."""
     text = json.dumps(asdict(spec) | {"nominal": dict(spec.nominal)}, sort_keys=True)
-    return cache_directory() / "models" / f"{hashlib.sha256(text.encode()).hexdigest()[:24]}.model"
+    return _directory() / f"{hashlib.sha256(text.encode()).hexdigest()[:24]}.model"
+
+
+def _directory() -> Path:
+    return cache_directory() / "models"
 
 
 def cached_model(spec: TrainingSpec, motors: int) -> LearnedModel | None:
@@ -42,6 +46,27 @@ def cached_model(spec: TrainingSpec, motors: int) -> LearnedModel | None:
         log.info("%s: training it again", error)
         return None
     return model if model.spec == spec and model.facts.get("motors_drawn", 0) >= motors else None
+
+
+def kept_model(wanted: TrainingSpec) -> LearnedModel | None:
+    """The newest kept model that can be asked about this drive's windows, whoever trained it and with how many motors;
+    None: there is none."""
+    from servo_daemon.learning.model_file import load_model, trained_spec
+
+    for path in sorted(_directory().glob("*.model"), key=_changed, reverse=True):
+        try:
+            if serves(trained_spec(path), wanted):
+                return load_model(path)
+        except BadInputError as error:
+            log.info("%s", error)
+    return None
+
+
+def _changed(path: Path) -> float:
+    try:
+        return path.stat().st_mtime
+    except OSError:  # removed meanwhile
+        return 0.0
 
 
 def serves(own: TrainingSpec, wanted: TrainingSpec) -> bool:

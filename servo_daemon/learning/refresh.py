@@ -20,7 +20,6 @@ import numpy as np
 
 from servo_daemon.errors import BadInputError
 from servo_daemon.estimators.base import Gaussian
-from servo_daemon.estimators.ekf import Ekf
 from servo_daemon.learning.balance_features import closure
 from servo_daemon.learning.drawing import CORE
 from servo_daemon.learning.features import features_of
@@ -33,12 +32,14 @@ from servo_daemon.samples import F64, Quality, SampleBlock, concatenate
 _TO_PROVE, _TO_LOSE = 2, 2
 #: Won: the model leaves at most this many times what the filter leaves of both balances, or at most this share of them.
 _WON, _CLOSED = 1.05, 0.02
-#: The filter is wrong where it leaves this many times as much as the model.
-_FILTER_WRONG = 2.0
+#: The filter is wrong where it leaves this many times as much as the model, and more than this share of the balances.
+_FILTER_WRONG, _NOTICEABLE = 2.0, 0.005
 #: The calibrated std is taken for so many times as much: filter and model share the samples.
 _INFLATION = 2.0
 #: Gate: mean square of the distance in standard deviations of both together.
 _GATE = 6.0
+#: A filter whose variances are all smaller than the model's by this factor has nothing to learn from it.
+_BETTER = 9.0
 #: Friction that is no larger than so many of its standard deviations has no logarithm.
 _SEEN = 3.0
 
@@ -121,6 +122,11 @@ class Refresh:
         self._filter_wrong = False
 
     @property
+    def filter_refuted(self) -> bool:
+        """The last window's balances say that the filter is wrong, and the model not."""
+        return self._trusted and self._filter_wrong
+
+    @property
     def mode(self) -> str:
         """ "shadow" or "trusted"."""
         return "trusted" if self._trusted else "shadow"
@@ -130,7 +136,7 @@ class Refresh:
 
         Args:
             block: the next samples.
-            estimate: the filter's parameters (`Tracker.published`) in coordinates; None: it has none yet.
+            estimate: the filter's own parameters in coordinates, as sure as it is of them; None: it has none yet.
         """
         self._keep(block)
         last_s = float(block.time_s[-1])
@@ -184,7 +190,7 @@ class Refresh:
 
     def _judge(self, window: Window) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
         """Both beliefs of the window before, held against this one."""
-        before = self._before
+        before, self._filter_wrong = self._before, False
         if before is None:
             return None, None
         ours = closure(window, before.model)
@@ -195,7 +201,7 @@ class Refresh:
         left, filter_left = float(np.hypot(*ours)), float(np.hypot(*theirs))
         won = left <= max(_WON * filter_left, _CLOSED)
         self._won, self._lost = (self._won + 1, 0) if won else (0, self._lost + 1)
-        self._filter_wrong = won and filter_left > _FILTER_WRONG * left
+        self._filter_wrong = won and filter_left > max(_FILTER_WRONG * left, _NOTICEABLE)
         if self._won >= _TO_PROVE:
             self._trusted = True
         if self._lost >= _TO_LOSE:
@@ -221,14 +227,23 @@ class Refresh:
         away = mean - estimate.mean[at]
         total = covariance + estimate.covariance[np.ix_(at, at)]
         distance = float(np.sqrt(away @ np.linalg.solve(total, away) / len(names)))
+        knows_better = bool(np.all(np.diag(covariance) > _BETTER * np.diag(estimate.covariance)[at]))
+        wanted, reason = self._wanted(distance, knows_better)
+        if not wanted:
+            return None, reason, distance
+        # Of a filter that is wrong the covariance says nothing: it may be off by what separates the two.
+        widen = np.abs(away) if self._filter_wrong else np.zeros(len(names))
+        return PseudoMeasurement(tuple(names), mean, covariance, widen), reason, distance
+
+    def _wanted(self, distance: float, knows_better: bool) -> tuple[bool, str]:
+        """Whether an estimate is to enter, and why not, or why the filter is to be widened first."""
         if not self._trusted:
-            return None, "shadow: not proven yet", distance
+            return False, "shadow: not proven yet"
+        if self._filter_wrong:
+            return True, "the filter's values leave more of the balances: its covariance is widened"
         if distance**2 <= _GATE:
-            return PseudoMeasurement(tuple(names), mean, covariance, np.zeros(len(names))), "", distance
-        if not self._filter_wrong:
-            return None, f"gated: {distance:.1f} standard deviations from the filter's values", distance
-        reason = "the filter's values leave more of the balances: its covariance is widened"
-        return PseudoMeasurement(tuple(names), mean, covariance, np.abs(away)), reason, distance
+            return not knows_better, "the filter knows all of it better" if knows_better else ""
+        return False, f"gated: {distance:.1f} standard deviations from the filter's values"
 
 
 def _natural(estimate: Gaussian | None) -> dict[str, float] | None:
@@ -239,22 +254,9 @@ def _natural(estimate: Gaussian | None) -> dict[str, float] | None:
     return {n: float(np.exp(mean[n])) for n in TARGETS if n in mean}
 
 
-def enter(ekf: Ekf, pseudo: PseudoMeasurement) -> None:
-    """The pseudo-measurement into a running filter, correlations with its states included."""
-    names = ekf.plant.parameter_names
-    at = [names.index(n) for n in pseudo.names]
-    which, mean, widen = np.zeros(len(names), dtype=bool), np.zeros(len(names)), np.zeros(len(names))
-    covariance = np.zeros((len(names), len(names)))
-    which[at], mean[at], widen[at] = True, pseudo.mean, np.square(pseudo.widen_std)
-    covariance[np.ix_(at, at)] = pseudo.covariance
-    if widen.any():
-        ekf.widen_parameters(widen)
-    ekf.recall(which, mean, covariance)
-
-
 def applied(prior: Gaussian, pseudo: PseudoMeasurement) -> Gaussian:
-    """The parameters after the pseudo-measurement, in Joseph's form: what `enter` does in the filter, on the parameters
-    alone."""
+    """The parameters after the pseudo-measurement, in Joseph's form: what `Tracker.assimilate` does in the filter, on
+    the parameters alone."""
     at = [prior.names.index(n) for n in pseudo.names]
     P = prior.covariance.copy()
     P[at, at] += np.square(pseudo.widen_std)

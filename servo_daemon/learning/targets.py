@@ -29,6 +29,8 @@ _LEAST_STD, _MOST_STD, _SHARE_STD = 3e-3, 0.3, 0.02
 _MOST = 5.0
 #: P_regression counts as far as this factor beyond nominal · or / spread.
 _BEYOND = 3.0
+#: No parameter's logarithm is larger: the ends of an interval that says nothing stay numbers.
+_LARGEST_LOG = 200.0
 
 
 @dataclass(frozen=True)
@@ -105,7 +107,8 @@ def coordinate_scale(kind: Target, base: Baseline) -> F64:
 
 def natural(coordinates: F64, torque: F64) -> F64:
     """Parameters in SI units from coordinates, shape (n, m); friction is not negative."""
-    return np.column_stack([np.exp(coordinates[:, :_LOGS]), np.maximum(coordinates[:, -1], 0.0) * torque])
+    logs = np.clip(coordinates[:, :_LOGS], -_LARGEST_LOG, _LARGEST_LOG)
+    return np.column_stack([np.exp(logs), np.maximum(coordinates[:, -1], 0.0) * torque])
 
 
 def _log_nominal(nominal: Mapping[str, float]) -> F64:

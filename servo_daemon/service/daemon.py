@@ -17,6 +17,7 @@ from servo_daemon import __version__
 from servo_daemon.config import Config
 from servo_daemon.service.diagnosis_runner import DiagnosisRunner
 from servo_daemon.service.drive import DriveRuntime
+from servo_daemon.service.learned_desk import LearnedDesk
 from servo_daemon.service.notify import Notifier
 
 log = logging.getLogger(__name__)
@@ -57,9 +58,15 @@ class Daemon:
         d = config.diagnosis
         home = None if state_dir is None else state_dir / "diagnosis"
         self._diagnoses = DiagnosisRunner(d.command, d.time_limit_s, d.nice, home)
+        self._learned = LearnedDesk(config.learning)
         self._runtimes = {
             d.name: DriveRuntime(
-                d, make_driver(d.driver, d.name, d.options), state_dir, self._wake.set, self._diagnoses
+                d,
+                make_driver(d.driver, d.name, d.options),
+                state_dir,
+                self._wake.set,
+                self._diagnoses,
+                self._learned.seat(d.name) if d.estimation.refresh else None,
             )
             for d in config.drive
         }
@@ -85,6 +92,7 @@ class Daemon:
     def start(self) -> None:
         self._worker.start()
         self._saver.start()
+        self._learned.start()
         for runtime in self._runtimes.values():
             runtime.reader.start()
 
@@ -95,6 +103,7 @@ class Daemon:
             self._stop.set()
             self._wake.set()
             self._diagnoses.kill()
+            self._learned.begin_stop()
             for runtime in self._runtimes.values():
                 runtime.reader.request_stop()
 
@@ -108,6 +117,7 @@ class Daemon:
             if thread.is_alive():
                 thread.join(max(0.05, deadline - time.monotonic()))
         self._diagnoses.stop(max(0.05, deadline - time.monotonic()))
+        self._learned.stop(max(0.05, deadline - time.monotonic()))
 
     # -- threads ---------------------------------------------------------------------------------------------
 

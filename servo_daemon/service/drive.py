@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from dataclasses import replace
 from pathlib import Path
 
 from drivers.base import DriveInfo, Driver
@@ -21,6 +22,7 @@ from servo_daemon.service.drive_warnings import DriveWarnings
 from servo_daemon.service.event_log import EventLog
 from servo_daemon.service.history import HistoryRing
 from servo_daemon.service.knowledge import LoopFacts
+from servo_daemon.service.learned_desk import Seat
 from servo_daemon.service.model_change import ModelRequest, change_message, checked_request, describe_model
 from servo_daemon.service.model_desk import ModelDesk
 from servo_daemon.service.pipeline import Pipeline, all_finite
@@ -47,6 +49,7 @@ class DriveRuntime:
         state_dir: where its knowledge is kept over a restart; None: nowhere.
         wake: called when there is work, from the reader's thread.
         runner: of diagnoses, one for all drives.
+        seat: where learned models come from; None: nowhere.
     """
 
     def __init__(
@@ -56,8 +59,10 @@ class DriveRuntime:
         state_dir: Path | None,
         wake: Callable[[], None],
         runner: DiagnosisRunner | None = None,
+        seat: Seat | None = None,
     ) -> None:
         self.config = config
+        self._seat = seat
         self.history = HistoryRing()
         self._keeper = StateKeeper(state_dir, config)
         self.ring = SampleRing(config.estimation.ring_s)
@@ -190,11 +195,25 @@ class DriveRuntime:
         if pipeline.config is not self.active:
             self._activate(pipeline.config)
             self._changed = True
+        if self._seat is not None:
+            estimate = self._learn(self._seat, pipeline, estimate)
         if estimate is not None:
             estimate, told = self._warnings.update(estimate)
             self.log.tell(told)
             self._diagnoses.watch(estimate)
         self.estimate = estimate
+
+    def _learn(self, seat: Seat, pipeline: Pipeline, estimate: Estimate | None) -> Estimate | None:
+        """Tell the desk what is needed, take what has come; the estimate with what is published until then."""
+        seat.follow(self.active, pipeline.channels, pipeline.sample_period_s)
+        model = seat.take()
+        if model is not None:
+            pipeline.use_learned(model)
+            text = f"RF+GRNN model of {model.facts.get('motors')} simulated motors at work, in the shadow first"
+            self.log.add("model_learned", text)
+        if estimate is None or "grnn" in estimate.estimators:
+            return estimate
+        return replace(estimate, estimators={**estimate.estimators, "grnn": seat.view})
 
     def _pipeline_for_device(self) -> Pipeline:
         """The pipeline of the device that is attached now; a new device starts from what is known of it."""
@@ -212,6 +231,8 @@ class DriveRuntime:
             if saved is not None:
                 self._restored(saved)
             self._pipeline = Pipeline(self.active, info, saved, self.ring)
+            if self._seat is not None:
+                self._seat.begin_again()
             self._identity, self.info = info.identity, info
         elif info != self.info:
             self._pipeline.learn_info(info)

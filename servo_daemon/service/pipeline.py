@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,9 +21,13 @@ from servo_daemon.samples import SampleBlock, concatenate
 from servo_daemon.service import publish
 from servo_daemon.service.model_change import ModelRequest, change_message
 from servo_daemon.service.publish import Publisher, SavedState
+from servo_daemon.service.refresher import Refresher
 from servo_daemon.service.ring import SampleRing
 from servo_daemon.service.snapshot import Estimate
 from servo_daemon.service.stream import TickCutter
+
+if TYPE_CHECKING:
+    from servo_daemon.learning.model import LearnedModel
 
 log = logging.getLogger(__name__)
 
@@ -70,6 +75,8 @@ class Pipeline:
         self._published: Estimate | None = None
         self._wanted: tuple[ModelRequest, DriveConfig, Tracker | None] | None = None
         self._successor: _Successor | None = None
+        self._learned: LearnedModel | None = None
+        self._refresher: Refresher | None = None
         self._samples = 0
         self.samples_repeated = 0  # those without a time of their own
         self.messages: list[Message] = []
@@ -83,6 +90,25 @@ class Pipeline:
     def channels(self) -> tuple[str, ...]:
         """Of the last samples; empty before the first."""
         return self._channels
+
+    @property
+    def sample_period_s(self) -> float | None:
+        """Of the last tick, device time; None before the first."""
+        return None if self._tracker is None else self._tracker.sample_period_s
+
+    def use_learned(self, model: LearnedModel | None) -> None:
+        """The model that refreshes the estimates from the next tick on, if it was trained for this drive's effects;
+        None: no more."""
+        self._learned = model
+        self._begin_refresher()
+
+    def _begin_refresher(self) -> None:
+        model = self._learned
+        fits = model is not None and model.spec.effects == self._config.model
+        names = publish.published_names(self._config)
+        every_s = self._config.estimation.refresh_every_s
+        self._refresher = Refresher(model, names, every_s) if model is not None and fits else None
+        self._published = None
 
     def reset(self, config: DriveConfig | None = None) -> None:
         """Forget everything learned, the saved state included.
@@ -99,6 +125,7 @@ class Pipeline:
         self._published = None
         self._cutter = TickCutter()
         self._tick = []
+        self._begin_refresher()
 
     def prepare(self, config: DriveConfig) -> Tracker | None:
         """A tracker for `change_model`, its plant compiled; None while the channels are not known. Any thread, and this
@@ -185,6 +212,7 @@ class Pipeline:
         self._tick = []
         self._cutter = TickCutter()
         self._tracker = self._tracker_for(self._config, self._saved)
+        self._begin_refresher()
         if self._successor is not None or self._wanted is not None:
             config = self._successor.config if self._successor is not None else self._wanted[1]  # type: ignore[index]
             self._take_over(config, self._tracker_for(config))
@@ -199,11 +227,14 @@ class Pipeline:
 
     def _configure(self, config: DriveConfig) -> None:
         self._config, self._publisher, self._published = config, Publisher(config), None
+        self._begin_refresher()
 
     def _close_tick(self) -> None:
         assert self._tracker is not None
         tick = concatenate(self._tick)
         self.messages += self._tracker.close_tick(tick)
+        if self._refresher is not None:
+            self.messages += self._refresher.take(tick, self._tracker)
         if self._ring is not None:
             self._ring.append(tick)
         self._tick = []
@@ -245,7 +276,7 @@ class Pipeline:
     def _publish(self) -> Estimate:
         assert self._tracker is not None
         if self._published is None:
-            self._published = self._publisher.estimate(self._tracker, self._samples)
+            self._published = self._publisher.estimate(self._tracker, self._samples, self._refresher)
         elif self._published.time_s != self._tracker.last_s:
             self._published = publish.moved_on(self._published, self._tracker, self._samples)
         return self._published

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from servo_daemon.estimators.settings import Resolutions, TrackerSettings
 from servo_daemon.estimators.tracker import Tracker
 from servo_daemon.plant.effects import effects_by_name, parameter_table
 from servo_daemon.plant.parameters import J_D, LINEAR, Parameter
+from servo_daemon.service.refresher import Refresher
 from servo_daemon.service.snapshot import Covariance, Estimate, EstimatorView, ParameterEstimate, finite_or_none
 
 #: Parameter -> (value, std), natural units.
@@ -109,10 +110,13 @@ class Publisher:
         self._table = parameter_table()
         self._regression: tuple[RegressionEstimate, EstimatorView] | None = None  # the last one, as published
 
-    def estimate(self, tracker: Tracker, samples: int) -> Estimate:
+    def estimate(self, tracker: Tracker, samples: int, refresher: Refresher | None = None) -> Estimate:
         """The published record of this moment."""
         gaussian = tracker.published()
-        parameters = self._parameter_estimates(tracker, gaussian)
+        filtered = self._fused(tracker, gaussian)
+        fused = self._refreshed(filtered, tracker, refresher)
+        parameters = self._parameter_estimates(fused)
+        learned = {p.name for p, f, g in zip(self._parameters, filtered, fused, strict=True) if f is not g}
         assert tracker.last_s is not None
         period = tracker.sample_period_s
         return Estimate(
@@ -122,14 +126,19 @@ class Publisher:
             model=self._config.model,
             parameters=parameters,
             state=_state(tracker),
-            estimators=self._views(tracker),
+            estimators=self._views(tracker) | ({} if refresher is None else {"grnn": refresher.view}),
             health=_health(tracker),
-            covariance=None if gaussian is None else self._covariance(tracker, gaussian, parameters),
+            covariance=None if gaussian is None else self._covariance(tracker, gaussian, parameters, learned),
         )
 
-    def _parameter_estimates(self, tracker: Tracker, g: Gaussian | None) -> tuple[ParameterEstimate, ...]:
+    def _refreshed(self, filtered: list[Fused], tracker: Tracker, refresher: Refresher | None) -> list[Fused]:
+        if refresher is None or tracker.last_s is None:
+            return filtered
+        now_s = tracker.last_s
+        return [refresher.instead_of(p.name, f, now_s) for p, f in zip(self._parameters, filtered, strict=True)]
+
+    def _parameter_estimates(self, fused: list[Fused]) -> tuple[ParameterEstimate, ...]:
         nominal = self._config.nominal
-        fused = self._fused(tracker, g)
         out = [
             ParameterEstimate(
                 p.name, finite_or_none(f.value), finite_or_none(f.std), p.unit, nominal.get(p.name), f.status, f.reason
@@ -168,17 +177,21 @@ class Publisher:
         return out
 
     def _covariance(
-        self, tracker: Tracker, g: Gaussian, parameters: tuple[ParameterEstimate, ...]
+        self, tracker: Tracker, g: Gaussian, parameters: tuple[ParameterEstimate, ...], learned: Collection[str]
     ) -> Covariance | None:
-        """Of what is known, as published: with what unknown skew leaves open of L."""
+        """Of what is known, as published: with what unknown skew leaves open of L.
+
+        Args:
+            learned: parameters whose value is not the filter's.
+        """
         known = {p.name: p for p in parameters if p.status in ("tracking", "unexcited") and p.name in g.names}
         if not known:
             return None
         rows, covariance = [g.names.index(name) for name in known], g.covariance.tolist()
-        qualified = tracker.qualification.qualified.tolist()
-        values = [[covariance[a][b] if a == b or (qualified[a] and qualified[b]) else 0.0 for b in rows] for a in rows]
+        own = [q and n not in learned for n, q in zip(g.names, tracker.qualification.qualified.tolist(), strict=True)]
+        values = [[covariance[a][b] if a == b or (own[a] and own[b]) else 0.0 for b in rows] for a in rows]
         for k, p in enumerate(known.values()):
-            if not qualified[rows[k]]:  # as it was last known: its error has to do with nobody's of now
+            if not own[rows[k]]:  # as it was last known: its error has to do with nobody's of now
                 values[k][k] = self._coordinate_var(p)
             elif p.name == "L":
                 values[k][k] += (self._skew_floor(g) / self._value("L", g)) ** 2

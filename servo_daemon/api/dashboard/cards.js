@@ -70,6 +70,8 @@ export class ParameterCard extends Card {
     super("parameter-card", name, windowS);
     this.latest = null;
     this.truth = null;
+    this.windowS = windowS;
+    this.marks = [];
     this.find(".symbol").replaceChildren(...symbol(name));
     write(this.find(".words"), PARAMETER_WORDS[name] ?? "");
   }
@@ -87,9 +89,16 @@ export class ParameterCard extends Card {
     if (time !== null) this.series.push(time, drawn(parameter.value, parameter.status), parameter.std, truth);
   }
 
+  /** The learned model's estimate of a window that ended at `time`. */
+  learned(time, { value, std }, applied) {
+    this.marks.push({ time, value, std: std ?? 0, applied });
+    while (this.marks.length && this.marks[0].time < time - this.windowS) this.marks.shift();
+  }
+
   draw(from, now) {
     if (this.latest === null) return;
     this.render();
+    this.chart.marks = this.marks;
     this.chart.update(this.series, from, now, this.scale, this.latest.nominal);
     const label = `${this.name} over time; now ${this.find(".value").textContent.replace(/\s+/g, " ").trim()}`;
     this.find(".chart").setAttribute("aria-label", label);

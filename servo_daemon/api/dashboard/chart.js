@@ -1,4 +1,4 @@
-// One small chart: value with its ±2σ band, the simulated truth dashed, nominal as a thin line.
+// One small chart: value with its ±2σ band, the simulated truth dashed, nominal as a thin line, RF+GRNN as diamonds.
 /* global uPlot */
 
 import { clock, decimalsFor, fixed } from "./format.js";
@@ -49,7 +49,7 @@ function options(chart, width) {
       line("--truth", { dash: [5, 4] }),
     ],
     bands: [{ series: [3, 2], fill: colour("--band") }],
-    hooks: { draw: [(plot) => chart.drawNominal(plot)], setCursor: [(plot) => chart.pointed(plot)] },
+    hooks: { draw: [(plot) => chart.drawNominal(plot), (plot) => chart.drawMarks(plot)], setCursor: [(plot) => chart.pointed(plot)] },
   };
 }
 
@@ -63,6 +63,7 @@ export class Chart {
     this.onPoint = onPoint;
     this.scale = { factor: 1, unit: "" };
     this.nominal = null;
+    this.marks = [];
     this.plot = new uPlot(options(this, element.clientWidth || 300), [[], [], [], [], []], element);
     this.resizer = new ResizeObserver(([entry]) => {
       const width = Math.floor(entry.contentRect.width);
@@ -116,6 +117,37 @@ export class Chart {
       ctx.textBaseline = above ? "top" : "bottom";
       const y = above ? bbox.top + 3 * ratio : bbox.top + bbox.height - 3 * ratio;
       ctx.fillText(above ? "nominal ↑" : "nominal ↓", bbox.left + bbox.width - 4 * ratio, y);
+    }
+    ctx.restore();
+  }
+
+  /** What the learned model said of its windows: {time, value, std, applied}. */
+  drawMarks(plot) {
+    const { ctx, bbox, scales } = plot;
+    const size = 4 * uPlot.pxRatio;
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+    ctx.clip();
+    ctx.strokeStyle = ctx.fillStyle = colour("--learned")();
+    ctx.lineWidth = 1.5 * uPlot.pxRatio;
+    for (const mark of this.marks) {
+      if (mark.time < scales.x.min) continue;
+      const x = plot.valToPos(mark.time, "x", true);
+      const at = (value) => plot.valToPos(value, "y", true);
+      ctx.beginPath();
+      ctx.moveTo(x, at(mark.value - 2 * mark.std));
+      ctx.lineTo(x, at(mark.value + 2 * mark.std));
+      ctx.stroke();
+      const y = at(mark.value);
+      ctx.beginPath();
+      ctx.moveTo(x, y - size);
+      ctx.lineTo(x + size, y);
+      ctx.lineTo(x, y + size);
+      ctx.lineTo(x - size, y);
+      ctx.closePath();
+      if (mark.applied) ctx.fill();
+      else ctx.stroke();
     }
     ctx.restore();
   }

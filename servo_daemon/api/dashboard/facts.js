@@ -44,7 +44,18 @@ export function renderFacts(estimates) {
   const white = health.innovation_white;
   write("white", white === true ? "white" : white === false ? "not white" : NOTHING);
   byId("white").classList.toggle("bad", white === false);
+  renderLearned(estimates.estimators.grnn);
   write("model", ["linear motor", ...estimates.model.map((name) => name.replaceAll("_", " "))].join(" + "));
+}
+
+/** What the model that refreshes the estimates is doing. */
+function renderLearned(grnn) {
+  byId("learned-fact").hidden = grnn === undefined;
+  if (grnn === undefined) return;
+  const { mode, reason, declined, motors_done: done, motors } = grnn.detail;
+  const text = mode === "training" ? `training, ${count(done)} of ${count(motors)}` : declined ? "declined" : mode;
+  write("learned", text);
+  byId("learned-fact").title = declined ?? reason ?? "";
 }
 
 function eventItem(event) {

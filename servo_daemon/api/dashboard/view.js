@@ -96,8 +96,24 @@ export class DriveView {
     for (const [name, parameter] of Object.entries(estimates.parameters)) {
       this.cards.get(name).receive(time, parameter, this.truth[name] ?? null);
     }
+    if (time !== null) this.#learn(time, estimates.estimators.grnn);
     for (const [name, value] of Object.entries(estimates.state)) this.cards.get(name).receive(time, value);
     this.dirty = true;
+  }
+
+  /** A new window of the learned model becomes a mark on the curves. */
+  #learn(time, grnn) {
+    const end = grnn?.detail.window_end_s ?? null;
+    if (end === null || end === this.windowEnd) return;
+    const first = this.windowEnd === undefined; // of a window from before this page: when it ended is not known
+    const applied = grnn.detail.applied > (this.applied ?? 0);
+    this.windowEnd = end;
+    this.applied = grnn.detail.applied;
+    if (first) return;
+    for (const [name, parameter] of Object.entries(grnn.parameters)) {
+      if (parameter.value !== null) this.cards.get(name)?.learned(time, parameter, applied);
+    }
+    document.getElementById("learned-key").hidden = false;
   }
 
   /** Cards follow the model: effects may be added while the daemon runs. */

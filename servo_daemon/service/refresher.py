@@ -1,0 +1,135 @@
+"""A trained model beside one drive's filter, inside the pipeline: fed every tick, published, and let into the filter.
+
+Pure, like the pipeline: what it says depends on the samples, the model and when it was given, on nothing else.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from servo_daemon.estimators.base import Gaussian
+from servo_daemon.estimators.fusion import QUALIFIED, Fused
+from servo_daemon.estimators.settings import Message
+from servo_daemon.estimators.tracker import Tracker
+from servo_daemon.samples import SampleBlock
+from servo_daemon.service.snapshot import EstimatorView, finite_or_none
+
+if TYPE_CHECKING:  # scikit-learn takes a second to load: only where there is a model
+    from servo_daemon.learning.model import LearnedModel
+    from servo_daemon.learning.refresh import PseudoMeasurement, RefreshEstimate
+
+
+#: A filter that needs it again and again is not to fill the list of events, s.
+_TELL_EVERY_S = 60.0
+
+
+#: What a window said is of the motor of then: it counts for so many refreshes.
+_COUNTS_FOR = 2.5
+_WHY_TRACKING = "RF+GRNN estimate of the last window: the filter does not know it as well"
+
+
+class Refresher:
+    """See the module.
+
+    Args:
+        model: trained for this drive.
+        published: names of the parameters that this drive publishes.
+        every_s: from one window to the next.
+
+    Attributes:
+        view: what is published as `estimators.grnn`.
+    """
+
+    def __init__(self, model: LearnedModel, published: tuple[str, ...], every_s: float) -> None:
+        from servo_daemon.learning.refresh import Refresh
+
+        self.model = model
+        self._refresh = Refresh(model, every_s)
+        self._published = frozenset(published)
+        self._windows = self._declined = self._applied = 0
+        self._applied_s: float | None = None
+        self._effect: dict[str, float] = {}
+        self._told_s = -math.inf
+        self._last_s: float | None = None
+        self.view = self._make_view(None)
+
+    def take(self, tick: SampleBlock, tracker: Tracker) -> list[Message]:
+        """The samples of a tick that the filter has seen; what is worth telling."""
+        running = tracker.ekf is not None and tracker.ekf.started
+        found = self._refresh.update(tick, tracker.ekf.estimate() if running and tracker.ekf is not None else None)
+        if found is None:
+            return []
+        self._windows += 1
+        self._declined += bool(found.declined)
+        messages = self._apply(found, tracker)
+        self.view = self._make_view(found)
+        self._last_s = found.time_s
+        return messages
+
+    def instead_of(self, name: str, filtered: Fused, now_s: float) -> Fused:
+        """A parameter as the model has it, where it has proven itself and knows it better than the filter does: never
+        a mean of the two.
+
+        Args:
+            filtered: what would be published without a model.
+            now_s: device time.
+        """
+        told = self.view.parameters.get(name)
+        old = self._last_s is None or now_s - self._last_s > _COUNTS_FOR * self._refresh.every_s
+        if told is None or old or filtered.status == "fixed" or self._refresh.mode != "trusted":
+            return filtered
+        value, std = told
+        if value is None or std is None or std > QUALIFIED * abs(value):
+            return filtered
+        if filtered.std is not None and filtered.std <= std and not self._refresh.filter_refuted:
+            return filtered
+        return Fused(value, std, "tracking", _WHY_TRACKING)
+
+    def _apply(self, found: RefreshEstimate, tracker: Tracker) -> list[Message]:
+        # While a jump is examined the filter may be set back, and what entered it with it: only where it is wrong.
+        if found.pseudo is None or (tracker.examines_jump and not found.pseudo.widen_std.any()):
+            return []
+        self._effect = _entered(tracker, found.pseudo)
+        self._applied += 1
+        self._applied_s = found.time_s
+        if found.time_s - self._told_s < _TELL_EVERY_S:
+            return []
+        self._told_s = found.time_s
+        moved = ", ".join(f"{n} by {100 * by:+.2g} %" for n, by in self._effect.items())
+        data = {f"{n}_change_percent": round(100 * by, 3) for n, by in self._effect.items()}
+        return [("refreshed", f"RF+GRNN estimate of the last window entered the filter: {moved}", data)]
+
+    def _make_view(self, found: RefreshEstimate | None) -> EstimatorView:
+        value = {} if found is None else found.value
+        std = {} if found is None else found.std
+        detail: dict[str, float | int | bool | str | None] = {
+            "mode": self._refresh.mode,
+            "learner": self.model.learner,
+            "windows": self._windows,
+            "windows_declined": self._declined,
+            "window_end_s": None if found is None else found.time_s,
+            "familiarity": None if found is None else finite_or_none(found.familiarity),
+            "declined": (found.declined or None) if found is not None else None,
+            "distance_sigma": None if found is None else finite_or_none(found.distance),
+            "reason": (found.reason or None) if found is not None else "collecting the first window",
+            "applied": self._applied,
+            "last_applied_s": self._applied_s,
+        }
+        detail |= {f"effect_{n}_percent": finite_or_none(100 * by) for n, by in self._effect.items()}
+        parameters = {n: (finite_or_none(value[n]), finite_or_none(std.get(n))) for n in value if n in self._published}
+        return EstimatorView(parameters, detail)
+
+
+def _entered(tracker: Tracker, pseudo: PseudoMeasurement) -> dict[str, float]:
+    """Into the filter; by how much each of its parameters moved, as a share."""
+    before = _coordinates(tracker, pseudo.names)
+    tracker.assimilate(Gaussian(pseudo.names, pseudo.mean, pseudo.covariance), pseudo.widen_std)
+    after = _coordinates(tracker, pseudo.names)
+    return {n: math.expm1(after[n] - before[n]) for n in pseudo.names}
+
+
+def _coordinates(tracker: Tracker, names: tuple[str, ...]) -> dict[str, float]:
+    assert tracker.ekf is not None
+    g = tracker.ekf.estimate()
+    return {n: float(g.mean[g.names.index(n)]) for n in names}
