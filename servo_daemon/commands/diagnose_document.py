@@ -22,7 +22,7 @@ from servo_daemon.plant.effects import effects_by_name, parameter_table
 SCHEMA = 1
 
 #: What `depends_on` calls the finer words of the detailed list: the contract's speed, angle, current, time.
-_COARSE = {"direction": "speed", "travel": "angle", "load": "current", "step": "time"}
+_COARSE = {"direction": "speed", "travel": "angle", "load": "current", "step": "time", "moments": "time"}
 
 
 def diagnosis_document(d: Diagnosis, inputs: Inputs, evidence: Evidence) -> dict[str, Any]:

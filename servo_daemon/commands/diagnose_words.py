@@ -16,6 +16,7 @@ _FOLLOWS = {
     "load": "the load",
     "time": "time",
     "step": "a step",
+    "moments": "a few moments",
     "temperature": "the heat of the winding",
     "frequency": "a fixed frequency",
 }

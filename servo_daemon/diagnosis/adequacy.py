@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from servo_daemon.diagnosis.dependence import Dependence, dependences
-from servo_daemon.diagnosis.evidence import working_shares
+from servo_daemon.diagnosis.evidence import is_what_it_is_called, working_shares
 from servo_daemon.diagnosis.missing import Missing
 from servo_daemon.diagnosis.noise_floor import noise_floor
 from servo_daemon.diagnosis.select import Selection, longest_missing, without_effect
@@ -24,9 +24,9 @@ from servo_daemon.errors import NumericalError
 from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, fit_output_error
 
 #: Least share of the removable error that one effect takes of what the others leave, and that all take together.
-_OWN, _TOGETHER = 0.5, 0.6
+_OWN, _TOGETHER = 0.5, 0.75
 #: What is left may follow something at this share of what the effects explain, not more.
-_LEFT = 0.2
+_LEFT = 0.15
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,8 @@ def believed(selection: Selection) -> Believed:
         if weakest is not None:
             selection = weakest
             continue
+        if not is_what_it_is_called(selection.added, selection.chosen.values):
+            break
         if removed_share(selection.base.choice.nrmse, selection.chosen.choice.nrmse, floor) < _TOGETHER:
             break
         missing = longest_missing(selection.data, extended)

@@ -6,7 +6,7 @@ than what encoders and converters feign.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from servo_daemon.diagnosis.compare import Advantage, advantage
 from servo_daemon.diagnosis.missing import Missing
@@ -25,6 +25,8 @@ NESTED_GAIN = 0.02
 _OVERWHELMING, _CLEARLY = -2000.0, 0.1
 #: Lower end of a gain that needs no other evidence.
 _PLAINLY = 0.2
+#: Least friction at the first step out of rest, over that at speed.
+_AT_REST = 0.95
 _SERIES = {"N·m": "torque", "V": "voltage"}
 
 
@@ -52,6 +54,12 @@ def noticeable(name: str, trial: Trial, missing: Missing) -> bool:
     shares = working_shares((name,), trial, missing)
     shares.pop("Ts", None)
     return not shares or max(shares.values()) > LEAST_SHARE
+
+
+def is_what_it_is_called(names: Iterable[str], values: Mapping[str, float]) -> bool:
+    """Whether effects with these values are what their names say. A curve that bends otherwise than Stribeck's, with
+    less friction at rest than at speed, is something else that fits it (a brake by eddy currents)."""
+    return "stribeck_friction" not in names or values["Ts"] >= _AT_REST * values["Tc"]
 
 
 def working_shares(names: Iterable[str], trial: Trial, missing: Missing) -> dict[str, float]:

@@ -18,8 +18,14 @@ def block(r: Recording) -> SampleBlock:
     return make_block(r.time_s, voltage_V=r.voltage_V, current_A=r.current_A, position_rad=r.position_rad)
 
 
-@pytest.mark.parametrize("motor", MOTORS)
-@pytest.mark.parametrize("motion", ["prbs", "multisine"])
+@pytest.mark.parametrize(
+    ("motor", "motion"),
+    [
+        *(("paper", "multisine"), ("gear", "prbs")),
+        *(pytest.param(m, "prbs", marks=pytest.mark.slow) for m in MOTORS if m != "gear"),
+        *(pytest.param(m, "multisine", marks=pytest.mark.slow) for m in MOTORS if m != "paper"),
+    ],
+)
 def test_process_model(motor: str, motion: str) -> None:
     """Quantised encoder, jitter, hidden voltage noise, no steps: gain and sum of the time constants to 0.2 %, their
     product to 4 % where L/R is a third of the sampling period, and within the stated deviations."""

@@ -70,6 +70,7 @@ def finite_drive() -> Fetched:
     return Fetched(SimulatedDrive(make_settings(seed=5)), SAMPLES)
 
 
+@pytest.mark.slow
 def test_missing_unplugged_and_back_while_another_drive_goes_on(tmp_path: Path) -> None:
     """A port that is missing at the start, comes, goes and comes back; beside it a drive that never notices."""
     links = {"serial": tmp_path / "servo0", "slcan": tmp_path / "can0"}

@@ -66,6 +66,9 @@ def test_stop_during_start_up(tmp_path: Path, number: signal.Signals) -> None:
 
     try:
         writer = wait_for(reads_it, "it opens its configuration")
+        # Between opening and reading CPython cannot be woken by a signal: it must be in the system call.
+        wchan = Path(f"/proc/{program.process.pid}/wchan")
+        wait_for(lambda: wchan.read_text() in ("0", "") or "pipe_read" in wchan.read_text(), "it reads")
         began = time.monotonic()
         program.send(number)
         code = program.wait()

@@ -71,7 +71,9 @@ def test_texts(name: str) -> None:
 
 
 @pytest.mark.parametrize("others", [(), ("coulomb_friction", "gravity_load")], ids=["alone", "with friction"])
-@pytest.mark.parametrize("name", list(effects_by_name()))
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow if n == "backlash" else ()) for n in effects_by_name()]
+)
 def test_twin_agrees(name: str, others: tuple[str, ...]) -> None:
     model, rng = build_plant(model_with(name, *others)), np.random.default_rng(7)
     for _ in range(8):

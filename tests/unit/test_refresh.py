@@ -8,19 +8,17 @@ import numpy as np
 import pytest
 
 from servo_daemon.estimators.base import Gaussian
-from servo_daemon.learning.drawing import CORE, TrainingSpec, draw_parameters
-from servo_daemon.learning.model import LearnedModel, train_model
+from servo_daemon.learning.drawing import CORE
+from servo_daemon.learning.model import LearnedModel
 from servo_daemon.learning.refresh import Refresh, RefreshEstimate, applied
-from servo_daemon.learning.training import simulate_motors
 from servo_daemon.samples import Quality, SampleBlock
 from servo_daemon.simulate import PAPER_MOTOR, SimulatedDrive, make_settings
-
-SPEC = TrainingSpec(dict(PAPER_MOTOR), window_s=2.0, rate_hz=500.0)
+from tests.learned_models import small_model
 
 
 @pytest.fixture(scope="module")
 def model() -> LearnedModel:
-    return train_model(SPEC, simulate_motors(SPEC, range(300), draw_parameters(SPEC, 300)), jobs=1)
+    return small_model()
 
 
 @pytest.fixture(scope="module")

@@ -15,10 +15,9 @@ from servo_daemon.config import DriveConfig, EstimationConfig
 from servo_daemon.errors import ConfigError
 from servo_daemon.estimates_csv import EstimatesWriter
 from servo_daemon.learning import DEFAULT_MOTORS
-from servo_daemon.learning.drawing import CORE, TrainingSpec, draw_parameters
-from servo_daemon.learning.model import LearnedModel, train_model
+from servo_daemon.learning.drawing import CORE
+from servo_daemon.learning.model import LearnedModel
 from servo_daemon.learning.model_file import save_model
-from servo_daemon.learning.training import simulate_motors
 from servo_daemon.samples import SampleBlock
 from servo_daemon.service.model_change import ModelRequest
 from servo_daemon.service.pipeline import Pipeline
@@ -26,14 +25,14 @@ from servo_daemon.service.refresher import Refresher
 from servo_daemon.service.snapshot import Estimate
 from servo_daemon.service.training_spec import training_spec
 from servo_daemon.simulate import PAPER_MOTOR, SimulatedDrive, make_settings
+from tests.learned_models import SPEC, small_model
 
-SPEC = TrainingSpec(dict(PAPER_MOTOR), window_s=2.0, rate_hz=500.0)
 DRIVE = DriveConfig(nominal=dict(PAPER_MOTOR), estimation=EstimationConfig(refresh_every_s=2.0, refresh_window_s=2.0))
 
 
 @pytest.fixture(scope="module")
 def model() -> LearnedModel:
-    return train_model(SPEC, simulate_motors(SPEC, range(300), draw_parameters(SPEC, 300)), jobs=1)
+    return small_model()
 
 
 @pytest.fixture(scope="module")
