@@ -9,7 +9,7 @@ variance is in the denominator: where it is no larger than its standard deviatio
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -77,11 +77,13 @@ def dependences(fit: Fitted, missing: Missing) -> tuple[Dependence, ...]:
         quantities = list(_quantities(context, name))
         traces = [*nuisance, *(_trace(name, column) for q in quantities for column in q.columns)]
         regression = Regression.of(missing, motion, traces, stiff)
-        unit = float(np.median(missing.std[name]))
+        unit, whole = float(np.median(missing.std[name])), float(np.sqrt(np.mean(np.square(missing.series[name]))))
         found = _forward(
             name, regression, len(nuisance), quantities, (unit, missing.size[name]), int((~motion.rest).sum())
         )
-        out += found or _moments(name, missing)
+        # Where its standard deviation varies by orders a part must not come out larger than the whole.
+        found = [replace(d, size=min(d.size, whole), relative=min(d.size, whole) / missing.size[name]) for d in found]
+        out += [d for d in found if d.relative >= LEAST_SIZE] or _moments(name, missing)
     return tuple(sorted(out, key=lambda d: -d.share))
 
 

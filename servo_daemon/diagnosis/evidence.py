@@ -22,7 +22,7 @@ _TIE = 0.02
 #: A nested effect with more parameters must gain this much over the smaller one.
 NESTED_GAIN = 0.02
 #: BIC that no wrong model earns by chance or by an integrator's error, and the gain that must come with it.
-_OVERWHELMING, _CLEARLY = -2000.0, 0.1
+_OVERWHELMING, _CLEARLY = -1000.0, 0.1
 #: Lower end of a gain that needs no other evidence.
 _PLAINLY = 0.2
 #: Least friction at the first step out of rest, over that at speed.

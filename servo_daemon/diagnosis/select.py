@@ -38,6 +38,8 @@ _FIRST_ITERATIONS, _KEPT = 5, 0.3
 _HOPELESS = 0.01
 #: Screened so well, a cause must show in a fit: if none does, the free runs are too long for this motor.
 _PROMISING = 0.25
+#: … and so much of what it promised.
+_MUCH = 0.7
 #: V by which a model fitted again must be better to count as another.
 _BETTER_CHANCE = 2.0
 #: Told how far it is, 0 .. 1, and what is being done.
@@ -109,9 +111,10 @@ def select(data: Data, base: Trial, progress: Progress, workers: int = 2) -> Sel
         candidates = _fitted(search.data, current, proposed, workers)
         candidates = tuple(c for c in candidates if noticeable(c.name, c.trial, missing))
         search, candidates, best = _against_the_best_chance(search, candidates)
-        if best is None and max((s.heldout_share for s in screened), default=0.0) > _PROMISING:
+        promised = max((s.heldout_share for s in screened), default=0.0)
+        if promised > _PROMISING and not _kept_promise(search.data, best, missing, promised):
             progress(share + 0.2, "once more with shorter free runs")
-            search, candidates, best = _with_shorter_runs(search, proposed, candidates, workers)
+            search, candidates, best = _with_shorter_runs(search, proposed, (candidates, best), workers)
         search.rounds.append(tuple(replace(c, taken=c is best) for c in candidates))
         if best is None:
             break
@@ -163,25 +166,63 @@ def _own_values(current: Trial, other: Trial) -> dict[str, float]:
     return {name: other.values.get(name, value) for name, value in current.values.items()}
 
 
+def _kept_promise(data: Data, best: Candidate | None, before: Missing, promised: float) -> bool:
+    """Whether the best model takes of the missing torque and voltage about what screening said could be taken. Where
+    free runs diverge (a rotor between two detents) a fit to them follows the divergence and not the motor: the
+    balances, which run nowhere, tell.
+
+    Args:
+        before: what was missing without it.
+        promised: share of that, on data held out.
+    """
+    if best is None:
+        return False
+    try:
+        left = _size(longest_missing(data, best.trial)) / max(_size(before), 1e-300)
+    except NumericalError:
+        return False
+    return left < 1.0 - _MUCH * promised
+
+
+def _size(missing: Missing) -> float:
+    """Mean square of torque and voltage over what the motor works with."""
+    return sum(float(np.mean(np.square(v))) / missing.size[n] ** 2 for n, v in missing.series.items())
+
+
 def _with_shorter_runs(
-    search: _Search, proposed: Sequence[Proposal], candidates: tuple[Candidate, ...], workers: int
+    search: _Search,
+    proposed: Sequence[Proposal],
+    had: tuple[tuple[Candidate, ...], Candidate | None],
+    workers: int,
 ) -> tuple[_Search, tuple[Candidate, ...], Candidate | None]:
-    """The same candidates over shorter free runs, where that lets one of them convince; else as it was."""
-    segment_s = shorter_s(search.data.recordings, search.data.split.segment_s)
+    """The same candidates over shorter free runs, where that lets one of them convince, and, if one did before, leaves
+    less missing; else as it was.
+
+    Args:
+        had: candidates and the best of them over the runs as they are.
+    """
+    segment_s, before = shorter_s(search.data.recordings, search.data.split.segment_s), had[1]
     if segment_s is None:
-        return search, candidates, None
+        return search, *had
     data = search.data.cut(search.base.effects, segment_s)
     base = fit_trial(data, search.base.effects, search.base.values)
     current = fit_trial(data, search.current.effects, search.current.values)
     if base is None or current is None:
-        return search, candidates, None
+        return search, *had
     again = _fitted(data, current, proposed, workers)
     best = _best(again)
-    if best is None:
-        return search, candidates, None
+    if best is None or (before is not None and not _leaves_less(data, best.trial, search.data, before.trial)):
+        return search, *had
     found = replace(search, data=data, base=base)
     found.current = current
     return found, again, best
+
+
+def _leaves_less(data: Data, trial: Trial, other_data: Data, other: Trial) -> bool:
+    try:
+        return _size(longest_missing(data, trial)) < _size(longest_missing(other_data, other))
+    except NumericalError:
+        return False
 
 
 def longest_missing(data: Data, fit: Fitted) -> Missing:

@@ -38,6 +38,16 @@ def test_nothing_is_named_where_nothing_is_hidden() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_a_brake_by_eddy_currents_is_no_stribeck_friction() -> None:
+    """Its torque rises and falls with speed: the same three values fit it, with less friction at rest than at speed."""
+    judgement = judge(Case("eddy_brake", "clear", "paper", "multisine", 7), seconds=15.0)
+    assert judgement.found == (), judgement
+    assert judgement.verdict == "unexplained"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
 @pytest.mark.parametrize(
     ("cause", "strength", "motor", "motion"),
     [
@@ -55,14 +65,17 @@ def test_harder_effects_are_named(cause: str, strength: str, motor: str, motion:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize(("motor", "motion"), [("large", "reversals"), ("paper", "steps")])
 @pytest.mark.parametrize("cause", UNNAMED)
-def test_what_the_library_does_not_hold_gets_no_name(cause: str) -> None:
-    judgement = judge(Case(cause, "clear", "large", "reversals", 7))
+def test_what_the_library_does_not_hold_gets_no_name(cause: str, motor: str, motion: str) -> None:
+    judgement = judge(Case(cause, "clear", motor, motion, 7), seconds=15.0)
     assert judgement.found == (), judgement
     assert judgement.verdict == "unexplained"
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_todays_sample(capsys: pytest.CaptureFixture[str]) -> None:
     """Another part of the matrix every day, so that nothing is tuned to one draw."""
     seed = dt.datetime.now(dt.UTC).date().toordinal()
