@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from servo_daemon.service.snapshot import Event, ParameterEstimate
+from servo_daemon.service.snapshot import EstimatorView, Event, ParameterEstimate
 from tests.browser.conftest import PAST_S, LiveServer
 from tests.browser.devtools import Page
 from tests.fake_daemon import NOMINAL, live_snapshot
@@ -298,3 +298,37 @@ def test_a_long_running_page_keeps_a_bounded_number_of_points(open_page: OpenPag
     assert last == pytest.approx(1000 + 9999.9)
     assert last - 331 < first <= last - 300
     assert lengths == 1
+
+
+MARKS = """import('/assets/chart.js').then(({charts}) => {
+  const element = document.querySelector('[data-name=%s] .chart');
+  return [...charts].find((c) => c.element === element).marks.map((m) => [m.value, m.std, m.applied]);
+})"""
+
+
+def test_windows_of_the_learned_model_are_marks_on_the_curves(open_page: OpenPage, server: LiveServer) -> None:
+    server.paused.add("axis1")
+
+    def publish(end_s: float | None, applied: int, mode: str = "trusted", **more: object) -> None:
+        snapshot = live_snapshot("axis1", server.started)
+        assert snapshot.estimate is not None
+        detail = {"mode": mode, "window_end_s": end_s, "applied": applied, "reason": None, "declined": None} | more
+        view = EstimatorView({"R": (0.5, 0.01)} if end_s is not None else {}, detail)  # type: ignore[arg-type]
+        estimators = {**snapshot.estimate.estimators, "grnn": view}
+        server.axis1.publish(replace(snapshot, estimate=replace(snapshot.estimate, estimators=estimators)))
+
+    publish(None, 0, "training", motors_done=1200, motors=5000)
+    page = open_page()
+    page.until("document.getElementById('learned').textContent == 'training, 1\u202f200 of 5\u202f000'")
+    assert page.evaluate("document.getElementById('learned-key').hidden") is True
+    publish(5.0, 0, "shadow")
+    page.until("document.getElementById('learned').textContent == 'shadow'")
+    publish(10.0, 1)
+    page.until((MARKS % "R") + ".then((marks) => marks.length == 2)")
+    assert page.evaluate(MARKS % "R") == [[0.5, 0.01, False], [0.5, 0.01, True]]
+    assert page.evaluate(MARKS % "L") == []
+    assert page.evaluate("document.getElementById('learned-key').hidden") is False
+    publish(10.0, 1, declined="the window is unlike those of the training")
+    page.until("document.getElementById('learned').textContent == 'declined'")
+    assert len(page.evaluate(MARKS % "R")) == 2
+    assert page.errors() == []

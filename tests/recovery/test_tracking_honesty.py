@@ -228,3 +228,16 @@ def test_what_was_known_is_held_and_not_the_datasheet(motor: str) -> None:
     error = np.where(known, np.abs(track.value - truth), 0.0)
     assert (error < 0.05 * truth).all()
     assert (error < STDS * np.where(known, track.std, np.inf))[~track.tracking].all()
+
+
+# -- a voltage that the model lacks -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("motion", ["multisine", "pick_and_place"])
+def test_a_brush_drop_that_the_model_lacks_is_not_passed_on_to_the_shaft(motion: str) -> None:
+    """It bends R, L and K, which the armature's balance tells; J and B are seen beside K i only, and bend along."""
+    motor = MOTORS["paper"]
+    drop = {"brush_voltage_drop": {"Vb": 0.02 * motor.supply_V}}
+    recording = generate(motor, Scenario(motion, seconds=40.0, seed=3, effects=drop))
+    found = worst(run(recording, "paper"), recording)
+    assert max(found.values()) < STDS, found

@@ -103,15 +103,14 @@ export class DriveView {
 
   /** A new window of the learned model becomes a mark on the curves. */
   #learn(time, grnn) {
-    const end = grnn?.detail.window_end_s ?? null;
-    if (end === null || end === this.windowEnd) return;
-    const first = this.windowEnd === undefined; // of a window from before this page: when it ended is not known
-    const applied = grnn.detail.applied > (this.applied ?? 0);
-    this.windowEnd = end;
-    this.applied = grnn.detail.applied;
-    if (first) return;
+    if (grnn === undefined) return;
+    const { window_end_s: end = null, applied = 0 } = grnn.detail;
+    const before = this.window; // undefined: the last window ended before this page was opened, nobody knows when
+    this.window = { end, applied };
+    if (before === undefined || end === null || end === before.end) return;
+    const entered = applied > before.applied;
     for (const [name, parameter] of Object.entries(grnn.parameters)) {
-      if (parameter.value !== null) this.cards.get(name)?.learned(time, parameter, applied);
+      if (parameter.value !== null) this.cards.get(name)?.learned(time, parameter, entered);
     }
     document.getElementById("learned-key").hidden = false;
   }
