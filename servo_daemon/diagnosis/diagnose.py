@@ -157,6 +157,8 @@ def _gain(selection: Selection, name: str, trials: tuple[Trial, Trial], floor: S
 
 def _held_out(trial: Trial, scored: Scored) -> HeldOut:
     rmse = {name: float(np.sqrt(v)) for name, v in zip(trial.problem.channels, scored.mse, strict=True)}
+    if scored.speed_rmse is not None:
+        rmse["velocity_rad_s"] = scored.speed_rmse
     return HeldOut(rmse, scored.nrmse)
 
 

@@ -14,6 +14,8 @@ from servo_daemon.errors import ConfigError, NumericalError
 from servo_daemon.estimators.base import natural_values, to_coordinate
 from servo_daemon.estimators.output_error import Recording
 from servo_daemon.estimators.output_error.problem import Problem, Segment
+from servo_daemon.estimators.output_error.rollout import TIME
+from servo_daemon.estimators.output_error.score import slope
 from servo_daemon.estimators.output_error.setup import carrying, make_problem
 from servo_daemon.estimators.output_error.solver import Solution, solve
 from servo_daemon.estimators.output_error.starts import starting_points
@@ -77,11 +79,13 @@ class Scored:
         squares: shape (h, c), sums of squares.
         counts: shape (h, c), samples.
         spread: shape (c,), RMS of the measured channels about their means.
+        speed_rmse: of the speed, rad/s, where the angle is measured; else None.
     """
 
     squares: F64
     counts: F64
     spread: F64
+    speed_rmse: float | None = None
 
     @property
     def nrmse(self) -> float:
@@ -185,8 +189,18 @@ def scored_states(problem: Problem) -> Scored:
     counts = np.array([s.valid.sum(axis=0).astype(float) for s in problem.segments]).reshape(-1, c)
     if found is None:
         return Scored(np.full_like(counts, np.inf), counts, spread)
-    squares = np.array([(r * r).sum(axis=0) for r in found.point.linearisation.residuals]).reshape(-1, c)
-    return Scored(squares, counts, spread)
+    residuals = found.point.linearisation.residuals
+    squares = np.array([(r * r).sum(axis=0) for r in residuals]).reshape(-1, c)
+    return Scored(squares, counts, spread, _speed_rmse(problem, residuals))
+
+
+def _speed_rmse(problem: Problem, residuals: Sequence[F64]) -> float | None:
+    """Measured and simulated speed are slopes of angles: their difference is the slope of the angle's residual."""
+    if "position_rad" not in problem.channels:
+        return None
+    k = problem.channels.index("position_rad")
+    slopes = [slope(r[:, k], s.rows[:, TIME]) for r, s in zip(residuals, problem.segments, strict=True)]
+    return float(np.sqrt(np.mean(np.square(np.concatenate(slopes)))))
 
 
 def fit_trial(

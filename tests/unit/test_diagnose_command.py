@@ -181,7 +181,7 @@ def test_a_linear_axis_speaks_of_forces(capture: Path, tmp_path: Path) -> None:
     axis = rewritten(capture, tmp_path / "axis.csv", _linear)
     result = run_command("diagnose", axis, "--out", tmp_path / "out", "--json")
     document = result.document
-    assert document["baseline"]["heldout_rmse"].keys() == {"position_m"}
+    assert document["baseline"]["heldout_rmse"].keys() == {"position_m", "velocity_m_s"}
     assert document["baseline"]["parameters"]["J"]["unit"] == "kg"
     assert document["missing"].keys() == {"force"}
     assert document["verdict"] == "found"

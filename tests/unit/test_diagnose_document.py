@@ -105,7 +105,7 @@ def test_found_has_every_key_of_the_contract(found: tuple[Diagnosis, Evidence]) 
     }
     for model in ("baseline", "extended"):
         assert document[model].keys() >= {"parameters", "heldout_rmse", "heldout_nrmse"}
-        assert document[model]["heldout_rmse"].keys() == {"current_A", "position_rad"}
+        assert document[model]["heldout_rmse"].keys() == {"current_A", "position_rad", "velocity_rad_s"}
     assert document["extended"]["heldout_nrmse"] < document["baseline"]["heldout_nrmse"]
     assert document["gain"].keys() == {"error_removed", "ci95"}
     assert all(c.keys() >= {"name", "heldout_nrmse", "delta_bic"} for c in document["candidates"])

@@ -33,14 +33,17 @@ class Score:
 
 def measured_speed(block: SampleBlock) -> F64 | None:
     """rad/s, shape (n,): as recorded, or the derivative of the angle by a Savitzky–Golay cubic; None without either."""
-    if block.position_rad is None:
-        return block.velocity_rad_s
-    period = float(np.median(np.diff(block.time_s)))
+    return block.velocity_rad_s if block.position_rad is None else slope(block.position_rad, block.time_s)
+
+
+def slope(angle: F64, time_s: F64) -> F64:
+    """rad/s, shape (n,): of angles, or of differences of angles, by a Savitzky–Golay cubic."""
+    period = float(np.median(np.diff(time_s)))
     window = max(_SLOPE_SAMPLES, round(_SLOPE_S / period)) | 1
-    window = min(window, (len(block) - 1) | 1)
+    window = min(window, (len(angle) - 1) | 1)
     if window < 5:
-        return np.gradient(block.position_rad, block.time_s)
-    return np.asarray(savgol_filter(block.position_rad, window, 3, deriv=1, delta=period))
+        return np.gradient(angle, time_s)
+    return np.asarray(savgol_filter(angle, window, 3, deriv=1, delta=period))
 
 
 def score(block: SampleBlock, plant: PlantModel, q: F64) -> Score:
