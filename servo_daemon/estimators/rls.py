@@ -21,6 +21,9 @@ from servo_daemon.samples import F64
 
 #: Information of the start, relative to the first rows: enough for a Cholesky factor, too little to pull.
 _START_INFORMATION = 1e-9
+#: A regressor that is zero at first is told from nothing from this share of the largest one's square on: a filter's
+#: dying tail (1e-160) must not be divided by.
+_LEAST_SEEN = 1e-20
 #: By how much the model of a row may be off, as a share of y: dead time, ripple, friction that is not quite viscous.
 SYSTEMATIC = 1e-3
 #: Noise is compensated only while it is a smaller part of every regressor than this.
@@ -83,7 +86,8 @@ class DirectionalRls:
             return
         gained = Phi.T @ Phi
         if self.rows == 0:
-            self._A = np.diag(np.maximum(gained.diagonal(), 1e-300)) * _START_INFORMATION
+            least = max(_LEAST_SEEN * float(gained.diagonal().max()), _LEAST_SEEN**1.5)
+            self._A = np.diag(np.maximum(gained.diagonal(), least)) * _START_INFORMATION
         keep = math.exp(-m / self._memory)
         residual = y - Phi @ self._value
         kept, slowest = self._forget(gained, keep)
@@ -119,7 +123,7 @@ class DirectionalRls:
         if self.rows <= 2 * self._n or self._weight <= self._n:
             return None
         scale = np.sqrt(self._A.diagonal())
-        if scale.min() < _INVISIBLE * max(scale.max(), 1e-100):  # a regressor that is (all but) zero
+        if scale.min() < _INVISIBLE * max(scale.max(), 1e-7):  # a regressor that is (all but) zero
             return None
         square = scale[:, None] * scale
         eigenvalues, vectors = np.linalg.eigh(self._A / square)

@@ -120,3 +120,17 @@ def test_all_zero_rows_are_harmless() -> None:
     for _ in range(100):
         rls.update(np.zeros((5, 2)), np.zeros(5))
     assert rls.estimate() is None
+
+
+def test_a_dying_tail_is_no_regressor() -> None:
+    """A column that is 1e-160 before it is anything: y over that overflowed."""
+    rng = np.random.default_rng(1)
+    rls, theta = DirectionalRls(2, memory=1e4), np.array([2.0, -3.0])
+    for k in range(200):
+        Phi = rng.normal(size=(5, 2))
+        Phi[:, 1] *= 0.0 if k < 5 else 1e-160 if k < 20 else 1.0
+        rls.update(Phi, Phi @ theta + 1e-3 * rng.normal(size=5))
+    found = rls.estimate()
+    assert found is not None
+    assert found.value == pytest.approx(theta, abs=1e-3)
+    assert found.residual_var < 1e-5
