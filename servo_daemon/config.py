@@ -62,6 +62,7 @@ class LearningConfig(_Section):
 
     train: bool = True  # false: only models that `servo-daemon train` has made
     motors: int = Field(5000, ge=1)  # simulated, as `servo-daemon train` does
+    learner: Literal["grnn", "boosting", "forest", "ridge", "neighbours"] = "grnn"
     nice: int = Field(15, ge=0, le=19)
 
 

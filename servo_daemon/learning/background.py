@@ -11,6 +11,7 @@ from pathlib import Path
 from servo_daemon.errors import BadInputError
 from servo_daemon.learning.cache import cached_model, model_path
 from servo_daemon.learning.drawing import TrainingSpec
+from servo_daemon.learning.learners import Learner
 from servo_daemon.learning.model import LearnedModel
 
 
@@ -20,23 +21,25 @@ class BackgroundTraining:
     Args:
         spec, motors: what is to be trained.
         nice: added to the priority: whoever else wants the core comes first.
+        learner: see `learners`.
 
     Attributes:
         done: motors simulated so far.
         error: why there will be no model; "" while all is well.
     """
 
-    def __init__(self, spec: TrainingSpec, motors: int, nice: int = 15) -> None:
+    def __init__(self, spec: TrainingSpec, motors: int, nice: int = 15, learner: Learner = "grnn") -> None:
         self.spec, self.motors = spec, motors
         self.done, self.error = 0, ""
-        self._model = cached_model(spec, motors)
+        self._learner = learner
+        self._model = cached_model(spec, motors, learner)
         self._process: multiprocessing.process.BaseProcess | None = None
         if self._model is None:
             # A fresh process: a forked one would inherit the daemon's sockets, locks and threads' halves of work.
             context = multiprocessing.get_context("spawn")
             self._receiver, sender = context.Pipe(duplex=False)
             self._process = context.Process(
-                target=_work, args=(spec, motors, nice, sender), daemon=True, name="training"
+                target=_work, args=(spec, motors, nice, learner, sender), daemon=True, name="training"
             )
             self._process.start()
             sender.close()
@@ -61,7 +64,7 @@ class BackgroundTraining:
         if isinstance(message, int):
             self.done = message
             return
-        self._model = cached_model(self.spec, self.motors) if not message else None
+        self._model = cached_model(self.spec, self.motors, self._learner) if not message else None
         self._end(message or ("" if self._model is not None else "the trained model could not be kept"))
 
     def _end(self, error: str) -> None:
@@ -79,7 +82,7 @@ class BackgroundTraining:
         self._end("stopped")
 
 
-def _work(spec: TrainingSpec, motors: int, nice: int, sender: Connection) -> None:
+def _work(spec: TrainingSpec, motors: int, nice: int, learner: Learner, sender: Connection) -> None:
     """In the process: train, keep, and tell "" or what went wrong."""
     from servo_daemon.learning.model_file import save_model
     from servo_daemon.learning.run import Job, train
@@ -89,7 +92,7 @@ def _work(spec: TrainingSpec, motors: int, nice: int, sender: Connection) -> Non
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ[name] = "1"
     try:
-        model = train(spec, Job(motors, jobs=1), progress=sender.send)
+        model = train(spec, Job(motors, learner=learner, jobs=1), progress=sender.send)
         path: Path = model_path(spec)
         save_model(model, path)
     except BadInputError as error:

@@ -33,8 +33,12 @@ def _directory() -> Path:
     return cache_directory() / "models"
 
 
-def cached_model(spec: TrainingSpec, motors: int) -> LearnedModel | None:
-    """The kept model of this training, if there is one that this version can use, of at least so many motors."""
+def cached_model(spec: TrainingSpec, motors: int, learner: str | None = None) -> LearnedModel | None:
+    """The kept model of this training, if there is one that this version can use, of at least so many motors.
+
+    Args:
+        learner: that it must be of; None: any.
+    """
     from servo_daemon.learning.model_file import load_model
 
     path = model_path(spec)
@@ -45,17 +49,19 @@ def cached_model(spec: TrainingSpec, motors: int) -> LearnedModel | None:
     except BadInputError as error:
         log.info("%s: training it again", error)
         return None
-    return model if model.spec == spec and model.facts.get("motors_drawn", 0) >= motors else None
+    fits = model.spec == spec and learner in (None, model.learner)
+    return model if fits and model.facts.get("motors_drawn", 0) >= motors else None
 
 
-def kept_model(wanted: TrainingSpec) -> LearnedModel | None:
-    """The newest kept model that can be asked about this drive's windows, whoever trained it and with how many motors;
-    None: there is none."""
-    from servo_daemon.learning.model_file import load_model, trained_spec
+def kept_model(wanted: TrainingSpec, learner: str) -> LearnedModel | None:
+    """The newest kept model of this learner that can be asked about this drive's windows, whoever trained it and with
+    how many motors; None: there is none."""
+    from servo_daemon.learning.model_file import load_model, trained_as
 
     for path in sorted(_directory().glob("*.model"), key=_changed, reverse=True):
         try:
-            if serves(trained_spec(path), wanted):
+            spec, trained = trained_as(path)
+            if trained == learner and serves(spec, wanted):
                 return load_model(path)
         except BadInputError as error:
             log.info("%s", error)

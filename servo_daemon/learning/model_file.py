@@ -170,15 +170,15 @@ def load_model(path: Path, drive: DriveIdentity | None = None) -> LearnedModel:
         raise BadInputError(f"{path}: a part of the model is missing: {error}") from error
 
 
-def trained_spec(path: Path) -> TrainingSpec:
-    """On what the model in a file was trained; its numbers are not built.
+def trained_as(path: Path) -> tuple[TrainingSpec, str]:
+    """On what the model in a file was trained, and which learner it is; its numbers are not built.
 
     Raises:
         BadInputError: see `load_model`.
     """
     manifest, _ = _unpacked(path)
     _check_versions(path, manifest)
-    return _spec(path, manifest)
+    return _spec(path, manifest), str(manifest["learner"])
 
 
 def _unpacked(path: Path) -> tuple[dict[str, Any], bytes]:

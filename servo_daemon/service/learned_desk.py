@@ -154,13 +154,15 @@ class LearnedDesk:
 
         if self._for is not None and self._for[1] is wanted:
             return
-        model = kept_model(spec)
+        model = kept_model(spec, self._config.learner)
         if model is not None:
             log.info("drive %s: RF+GRNN model of %s motors", seat.drive, model.facts.get("motors"))
             seat.give(wanted, model)
         elif not self._config.train:
             seat.answered = wanted
-            seat.tell("unavailable", reason="no kept model fits this drive, and [learning] train is false")
+            seat.tell(
+                "unavailable", reason="no kept model fits this drive, and [learning] train is false"
+            )
         elif time.monotonic() - wanted.since_s < TRAIN_AFTER_S:
             seat.tell("waiting", reason=f"training begins when the drive has run for {TRAIN_AFTER_S:.0f} s")
         elif self._training is not None:
@@ -173,7 +175,7 @@ class LearnedDesk:
 
         log.info("drive %s: training an RF+GRNN model with %d motors", seat.drive, self._config.motors)
         self._for = seat, wanted
-        self._training = BackgroundTraining(spec, self._config.motors, nice=self._config.nice)
+        self._training = BackgroundTraining(spec, self._config.motors, self._config.nice, self._config.learner)
         self._follow_training()
 
     def _follow_training(self) -> None:

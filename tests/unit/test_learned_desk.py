@@ -71,7 +71,7 @@ class Trained:
     begun: list[TrainingSpec]
     stopped = 0
 
-    def __init__(self, spec: TrainingSpec, motors: int, nice: int = 15) -> None:
+    def __init__(self, spec: TrainingSpec, motors: int, nice: int = 15, learner: str = "grnn") -> None:
         Trained.begun.append(spec)
         self.done, self.error, self.running = 0, "", True
         self._left = list(Trained.steps)
@@ -160,12 +160,13 @@ def test_switched_off_there_is_nothing(start: Callable[..., Rig], training: type
 def test_a_damaged_file_is_passed_over(start: Callable[..., Rig], model: LearnedModel, tmp_path: Path) -> None:
     save_model(model, tmp_path / "models" / "good.model")
     (tmp_path / "models" / "newer.model").write_bytes(b"PK nothing of the kind")
-    found = cache.kept_model(SPEC)
+    found = cache.kept_model(SPEC, "grnn")
     assert found is not None
     assert found.spec == SPEC
-    assert cache.kept_model(replace(SPEC, effects=("coulomb_friction",))) is None
+    assert cache.kept_model(SPEC, "boosting") is None
+    assert cache.kept_model(replace(SPEC, effects=("coulomb_friction",)), "grnn") is None
     with pytest.raises(BadInputError):
-        cache.kept_model(replace(SPEC, window_s=20.0))
+        cache.kept_model(replace(SPEC, window_s=20.0), "grnn")
 
 
 def test_stopping_ends_the_training(start: Callable[..., Rig], training: type[Trained]) -> None:
