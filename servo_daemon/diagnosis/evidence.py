@@ -17,6 +17,8 @@ from servo_daemon.plant.effects import effects_by_name
 LEAST_GAIN, LEAST_BIC = 0.03, -20.0
 #: Least torque or voltage of an effect that has one, as a share of what the motor works with.
 LEAST_SHARE = 2e-3
+#: Least inertia behind a spring or a gap, as a share of the motor's.
+_LEAST_INERTIA = 0.02
 #: Candidates whose gain is within this of the best, and that resampling cannot tell from it, are equivalent.
 _TIE = 0.02
 #: A nested effect with more parameters must gain this much over the smaller one.
@@ -49,8 +51,11 @@ def overwhelming(a: Advantage) -> bool:
 
 
 def noticeable(name: str, trial: Trial, missing: Missing) -> bool:
-    """Whether an effect's torques and voltages are a noticeable share of what the motor works with: encoders feign
-    less. Of a friction the level at speed counts, not that of the first step out of rest."""
+    """Whether an effect's torques and voltages are a noticeable share of what the motor works with, and its load's
+    inertia of the motor's: encoders feign less. Of a friction the level at speed counts, not that of the first step out
+    of rest."""
+    if "J_l" in (p.name for p in effects_by_name()[name].parameters):
+        return trial.values["J_l"] > _LEAST_INERTIA * trial.values["J"]
     shares = working_shares((name,), trial, missing)
     shares.pop("Ts", None)
     return not shares or max(shares.values()) > LEAST_SHARE

@@ -38,6 +38,8 @@ _FIRST_ITERATIONS, _KEPT = 5, 0.3
 _HOPELESS = 0.01
 #: Screened so well, a cause must show in a fit: if none does, the free runs are too long for this motor.
 _PROMISING = 0.25
+#: … of these: with them a motor may stand where it cannot stay.
+_UNSTABLE = ("cogging_torque", "gravity_load")
 #: … and so much of what it promised.
 _MUCH = 0.7
 #: V by which a model fitted again must be better to count as another.
@@ -111,10 +113,12 @@ def select(data: Data, base: Trial, progress: Progress, workers: int = 2) -> Sel
         candidates = _fitted(search.data, current, proposed, workers)
         candidates = tuple(c for c in candidates if noticeable(c.name, c.trial, missing))
         search, candidates, best = _against_the_best_chance(search, candidates)
-        promised = max((s.heldout_share for s in screened), default=0.0)
+        promised = max((s.heldout_share for s in screened if s.effect in _UNSTABLE), default=0.0)
         if promised > _PROMISING and not _kept_promise(search.data, best, missing, promised):
             progress(share + 0.2, "once more with shorter free runs")
-            search, candidates, best = _with_shorter_runs(search, proposed, (candidates, best), workers)
+            search, candidates, best = _with_shorter_runs(
+                search, [p for p in proposed if p.name.startswith(_UNSTABLE)], (candidates, best), workers
+            )
         search.rounds.append(tuple(replace(c, taken=c is best) for c in candidates))
         if best is None:
             break

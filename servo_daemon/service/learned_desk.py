@@ -160,9 +160,7 @@ class LearnedDesk:
             seat.give(wanted, model)
         elif not self._config.train:
             seat.answered = wanted
-            seat.tell(
-                "unavailable", reason="no kept model fits this drive, and [learning] train is false"
-            )
+            seat.tell("unavailable", reason="no kept model fits this drive, and [learning] train is false")
         elif time.monotonic() - wanted.since_s < TRAIN_AFTER_S:
             seat.tell("waiting", reason=f"training begins when the drive has run for {TRAIN_AFTER_S:.0f} s")
         elif self._training is not None:
