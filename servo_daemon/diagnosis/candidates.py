@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -14,6 +15,8 @@ from servo_daemon.plant.effects.cogging_torque import HARMONICS
 
 #: Of the screened candidates so many are fitted in each round, if they explain this share of what the best does.
 MOST_FITTED, _WORTH_A_FIT = 6, 0.2
+#: A motor is started from both ends where screening moves one of its parameters by more, in logarithms.
+_FAR = 0.5
 #: simpler → what contains it.
 NESTED: Mapping[str, tuple[str, ...]] = {
     "coulomb_friction": ("stribeck_friction", "asymmetric_friction"),
@@ -38,11 +41,14 @@ class Proposal:
         name: of the effect that it adds.
         effects: of the model.
         start: natural units, every parameter.
+        other: the same with the motor as it was without the effect, where screening puts it far from there: a bent
+            motor may be nearer to the truth than what a regression makes of the whole; None: not needed.
     """
 
     name: str
     effects: tuple[str, ...]
     start: Mapping[str, float]
+    other: Mapping[str, float] | None = None
 
 
 def proposals(current: Trial, screened: Sequence[ScreenedCandidate], missing: Missing) -> tuple[Proposal, ...]:
@@ -69,8 +75,14 @@ def proposals(current: Trial, screened: Sequence[ScreenedCandidate], missing: Mi
                 start[choice.name] = float(choice.choices.index(value)) if isinstance(value, str) else float(value)
         if "Tc" in s.start and "Tc" in start:
             start["Tc"] = float(s.start["Tc"])
-        out.append(Proposal(name, effects, start))
+        moved = [n for n, v in s.motor.items() if n in current.values and _far(v, current.values[n])]
+        other = {**start, **{n: current.values[n] for n in s.motor if n in current.values}} if moved else None
+        out.append(Proposal(name, effects, start, other))
     return tuple(out)
+
+
+def _far(value: float, before: float) -> bool:
+    return before > 0 and value > 0 and abs(math.log(value / before)) > _FAR
 
 
 def _free_name(effect: str, present: Sequence[str]) -> str:

@@ -257,7 +257,10 @@ def _fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: i
     one has gained go on to their end."""
 
     def begin(p: Proposal) -> Trial | None:
-        return fit_trial(data, p.effects, p.start, like=current, max_iterations=_FIRST_ITERATIONS)
+        starts = [p.start] if p.other is None else [p.start, p.other]
+        trials = [fit_trial(data, p.effects, s, like=current, max_iterations=_FIRST_ITERATIONS) for s in starts]
+        found = [t for t in trials if t is not None]
+        return min(found, key=lambda t: t.solution.point.value, default=None)
 
     def end(pair: tuple[Proposal, Trial]) -> Candidate | None:
         p, trial = pair
