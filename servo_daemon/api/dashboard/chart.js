@@ -129,17 +129,21 @@ export class Chart {
     ctx.beginPath();
     ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
     ctx.clip();
+    ctx.setLineDash([]); // as the last line left it
     ctx.strokeStyle = ctx.fillStyle = colour("--learned")();
-    ctx.lineWidth = 1.5 * uPlot.pxRatio;
     for (const mark of this.marks) {
       if (mark.time < scales.x.min) continue;
       const x = plot.valToPos(mark.time, "x", true);
       const at = (value) => plot.valToPos(value, "y", true);
+      ctx.globalAlpha = 0.4;
+      ctx.lineWidth = uPlot.pxRatio;
       ctx.beginPath();
       ctx.moveTo(x, at(mark.value - 2 * mark.std));
       ctx.lineTo(x, at(mark.value + 2 * mark.std));
       ctx.stroke();
       const y = at(mark.value);
+      ctx.globalAlpha = 1;
+      ctx.lineWidth = 1.5 * uPlot.pxRatio;
       ctx.beginPath();
       ctx.moveTo(x, y - size);
       ctx.lineTo(x + size, y);
