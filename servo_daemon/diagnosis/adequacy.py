@@ -28,10 +28,10 @@ from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, fit
 _OWN, _TOGETHER = 0.5, 0.75
 #: What is left may follow something at this share of what the effects explain, not more.
 _LEFT = 0.15
-#: How exact a parameter can be said to be: where the fit leaves noise only, and where it leaves something that has a
-#: shape (what the friction does within a sample, noise of the voltage that goes through it, edges of the encoder).
-#: Measured on hidden effects: errors of 0.1 to 0.7 % that a white fit's standard deviation puts at 4 to 14 σ.
-_WHITE, _COLOURED = 5e-4, 2.5e-3
+#: How exact a parameter can be said to be, however long the data: what dry friction or a brush drop does within a
+#: sample, noise that goes through it, edges of the encoder. Measured on hidden effects: errors of 0.1 to 0.7 % where
+#: the fit's own standard deviation put them at 4 to 14 σ.
+_EXACT = 2.5e-3
 
 
 @dataclass(frozen=True)
@@ -88,18 +88,18 @@ def fit_everything(data: Data, trial: Trial, *, noise: bool = True) -> OutputErr
         with suppress(NumericalError):
             whole = fit_output_error(data.recordings, trial.effects, options)
             if whole.white:
-                return _as_exact_as(whole, _WHITE)
+                return _honest(whole)
     options = replace(options, segment_s=data.split.segment_s, noise_model="none")
-    return _as_exact_as(fit_output_error(data.recordings, trial.effects, options), _COLOURED)
+    return _honest(fit_output_error(data.recordings, trial.effects, options))
 
 
-def _as_exact_as(fit: OutputErrorFit, share: float) -> OutputErrorFit:
+def _honest(fit: OutputErrorFit) -> OutputErrorFit:
     """With standard deviations that hold what no length of data makes smaller: a simulation from sample to sample is
-    exact to this share of a parameter, and to as much of a radian of a phase."""
+    exact to a share of a parameter, and to as much of a radian of a phase."""
     parameters = {
         name: p
         if p.std is None or p.value is None
-        else replace(p, std=math.hypot(p.std, share * (1.0 if p.unit == "rad" and name != "gap" else abs(p.value))))
+        else replace(p, std=math.hypot(p.std, _EXACT * (1.0 if p.unit == "rad" and name != "gap" else abs(p.value))))
         for name, p in fit.parameters.items()
     }
     return replace(fit, parameters=parameters)
