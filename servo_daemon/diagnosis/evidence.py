@@ -17,6 +17,10 @@ from servo_daemon.plant.effects import effects_by_name
 LEAST_GAIN, LEAST_BIC = 0.03, -20.0
 #: Least torque or voltage of an effect that has one, as a share of what the motor works with.
 LEAST_SHARE = 2e-3
+#: Parameters that are such a share themselves.
+_SHARES = ("k_rip", "mu")
+#: Least part of the squared error that the search began with.
+_LEAST_OF_ALL = 1e-4
 #: Least inertia behind a spring or a gap, as a share of the motor's.
 _LEAST_INERTIA = 0.02
 #: Candidates whose gain is within this of the best, and that resampling cannot tell from it, are equivalent.
@@ -57,6 +61,7 @@ def noticeable(name: str, trial: Trial, missing: Missing) -> bool:
     if "J_l" in (p.name for p in effects_by_name()[name].parameters):
         return trial.values["J_l"] > _LEAST_INERTIA * trial.values["J"]
     shares = working_shares((name,), trial, missing)
+    shares |= {p.name: abs(trial.values[p.name]) for p in effects_by_name()[name].parameters if p.name in _SHARES}
     shares.pop("Ts", None)
     return not shares or max(shares.values()) > LEAST_SHARE
 
@@ -65,6 +70,12 @@ def is_what_it_is_called(names: Iterable[str], values: Mapping[str, float]) -> b
     """Whether effects with these values are what their names say. A curve that bends otherwise than Stribeck's, with
     less friction at rest than at speed, is something else that fits it (a brake by eddy currents)."""
     return "stribeck_friction" not in names or values["Ts"] >= _AT_REST * values["Tc"]
+
+
+def worth_a_name(trial: Trial, current: Trial, base: Trial) -> bool:
+    """Whether a model takes enough of the error of the one that the search began with: beside an effect that takes
+    nearly all of it the next one may describe how far the simulation of the first is exact."""
+    return current.choice.nrmse**2 - trial.choice.nrmse**2 > _LEAST_OF_ALL * base.choice.nrmse**2
 
 
 def working_shares(names: Iterable[str], trial: Trial, missing: Missing) -> dict[str, float]:

@@ -17,7 +17,15 @@ from numpy.typing import NDArray
 from servo_daemon.diagnosis.balance import balanced_missing_inputs
 from servo_daemon.diagnosis.candidates import CONTAINED, NESTED, SIMPLER, Proposal, proposals
 from servo_daemon.diagnosis.compare import Advantage, advantage
-from servo_daemon.diagnosis.evidence import LEAST_BIC, NESTED_GAIN, convinces, no_worse, noticeable, overwhelming
+from servo_daemon.diagnosis.evidence import (
+    LEAST_BIC,
+    NESTED_GAIN,
+    convinces,
+    no_worse,
+    noticeable,
+    overwhelming,
+    worth_a_name,
+)
 from servo_daemon.diagnosis.missing import Fitted, Missing
 from servo_daemon.diagnosis.screen import screen
 from servo_daemon.diagnosis.split import HELD_OUT, TRAIN, shorter_s
@@ -111,7 +119,11 @@ def select(data: Data, base: Trial, progress: Progress, workers: int = 2) -> Sel
         proposed = proposals(current, screened, missing)
         progress(share + 0.1, "fitting " + ", ".join(p.name for p in proposed))
         candidates = _fitted(search.data, current, proposed, workers)
-        candidates = tuple(c for c in candidates if noticeable(c.name, c.trial, missing))
+        candidates = tuple(
+            c
+            for c in candidates
+            if noticeable(c.name, c.trial, missing) and worth_a_name(c.trial, current, search.base)
+        )
         search, candidates, best = _against_the_best_chance(search, candidates)
         promised = max((s.heldout_share for s in screened if s.effect in _UNSTABLE), default=0.0)
         if promised > _PROMISING and not _kept_promise(search.data, best, missing, promised):

@@ -12,8 +12,8 @@ from tests.recovery.matrix import wilson
 
 pytestmark = pytest.mark.usefixtures("generator_built")
 
-#: Cases of today's sample, and how many must be right: of 14 with 90 % each, fewer happen once in 10⁴ days.
-_TODAY, _LEAST = 14, 8
+#: Cases of today's sample, and how many must be right: of 8 with 90 % each, fewer are right once in 2,000 days.
+_TODAY, _LEAST = 8, 4
 
 
 @pytest.mark.parametrize(

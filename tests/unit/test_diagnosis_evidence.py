@@ -10,7 +10,7 @@ import pytest
 
 from servo_daemon.diagnosis.compare import Advantage
 from servo_daemon.diagnosis.dependence import _moments
-from servo_daemon.diagnosis.evidence import convinces, is_what_it_is_called, noticeable, overwhelming
+from servo_daemon.diagnosis.evidence import convinces, is_what_it_is_called, noticeable, overwhelming, worth_a_name
 
 
 def test_stribeck_friction_is_larger_at_rest() -> None:
@@ -31,6 +31,18 @@ def test_a_load_of_no_inertia_is_no_load() -> None:
     assert not noticeable("shaft_compliance", trial(J=4e-5, J_l=4e-9, **spring), missing)
     assert noticeable("coulomb_friction", trial(Tc=0.01), missing)
     assert not noticeable("coulomb_friction", trial(Tc=0.001), missing)
+    assert noticeable("torque_ripple", trial(k_rip=0.01), missing)
+    assert not noticeable("torque_ripple", trial(k_rip=0.0006), missing)
+
+
+def test_what_takes_a_ten_thousandth_is_no_cause() -> None:
+    def model(nrmse: float) -> Any:
+        return SimpleNamespace(choice=SimpleNamespace(nrmse=nrmse))
+
+    base, friction = model(0.118), model(0.0013)
+    assert worth_a_name(friction, base, base)
+    assert not worth_a_name(model(0.0012), friction, base)
+    assert worth_a_name(model(0.0012), friction, friction)
 
 
 @pytest.mark.parametrize(
