@@ -21,8 +21,8 @@ def block(r: Recording) -> SampleBlock:
 @pytest.mark.parametrize(
     ("motor", "motion"),
     [
-        *(("paper", "multisine"), ("gear", "prbs")),
-        *(pytest.param(m, "prbs", marks=pytest.mark.slow) for m in MOTORS if m != "gear"),
+        ("paper", "multisine"),
+        *(pytest.param(m, "prbs", marks=pytest.mark.slow) for m in MOTORS),
         *(pytest.param(m, "multisine", marks=pytest.mark.slow) for m in MOTORS if m != "paper"),
     ],
 )
@@ -52,6 +52,7 @@ def test_corrected_method(motor: str) -> None:
     assert found.gain_ratio == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.slow
 def test_steady_sections_are_used_where_there_are_some() -> None:
     steady = compare_coefficients([block(generate(PAPER, Scenario("prbs", seed=1)))], PAPER.R)
     assert steady.steady.source == "steady" and steady.steady.sections > 20
@@ -66,6 +67,7 @@ def test_underdamped_motor_has_a_complex_pair() -> None:
     assert any("complex pair" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_a_wrong_R_shifts_everything_or_is_refused() -> None:
     """The paper's R for method 1 is three times that of method 2: on such a motor K and D become artefacts."""
     data = block(generate(PAPER, Scenario("prbs", seed=1)))

@@ -70,6 +70,7 @@ def test_run_alone_follows_its_simulated_motor() -> None:
 
 
 @pytest.mark.parametrize("seed", [3])
+@pytest.mark.slow
 def test_the_same_through_both_real_wires(tmp_path: Path, seed: int) -> None:
     """Three drives in one daemon: binary and text over pyserial, python-can's slcan; each against its own device."""
     link = {name: tmp_path / name for name in ("binary", "text", "slcan")}

@@ -126,6 +126,7 @@ def test_missing_unplugged_and_back_while_another_drive_goes_on(tmp_path: Path) 
         assert set(status[first:]) == {"tracking"}, "the other drive tracks without a break"
 
 
+@pytest.mark.slow
 def test_every_fault_of_a_serial_line(tmp_path: Path) -> None:
     """Lost, repeated, changed and cut frames and noise: counted, and everything else arrives."""
     at = {
@@ -206,6 +207,7 @@ def test_a_device_that_restarts_keeps_its_parameters(tmp_path: Path, wire: str) 
         assert program.said("the device restarted") == 1
 
 
+@pytest.mark.slow
 def test_a_drive_that_falls_silent_and_speaks_again(tmp_path: Path) -> None:
     """Stopped like a hung device: the port stays open and says nothing."""
     link = tmp_path / "servo0"

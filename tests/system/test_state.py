@@ -7,6 +7,8 @@ import os
 import signal
 from pathlib import Path
 
+import pytest
+
 from servo_daemon.simulate import PAPER_MOTOR
 from tests.system.harness import all_tracking, assert_close, daemon, nominal_table, statuses, write_config
 
@@ -16,6 +18,7 @@ def config(tmp_path: Path, seed: int = 1, model: str = "", speed: float = 1.0) -
     return write_config(tmp_path / "c.toml", f"{drive}\nseed = {seed}", head="[storage]\nsave_interval_s = 0.2\n")
 
 
+@pytest.mark.slow
 def test_the_next_run_starts_from_what_the_last_one_knew(tmp_path: Path) -> None:
     """Power just disappears (SIGKILL), then another motor is attached, then a model with more in it."""
     state, file = tmp_path / "state", tmp_path / "state" / "axis1.state.json"

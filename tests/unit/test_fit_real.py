@@ -31,6 +31,7 @@ def test_emps_by_the_published_method(servo_data: Path) -> None:
     assert 5e-3 < free_run["extended"]["rmse"]["position_m"] < 7e-3
 
 
+@pytest.mark.slow
 def test_emps_by_output_error_runs_freely_better_than_the_published_values(servo_data: Path) -> None:
     capture = servo_data / "emps_train.csv.gz"
     document = fitted(capture, *FRICTION)
