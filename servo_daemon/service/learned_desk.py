@@ -98,6 +98,7 @@ class LearnedDesk:
         self._stop = threading.Event()
         self._training: BackgroundTraining | None = None
         self._for: tuple[Seat, _Wanted] | None = None
+        self._looked: dict[str, _Wanted] = {}  # for which the files have been looked through, by drive
         self._thread = threading.Thread(target=self._work, name="learning", daemon=True)
 
     def seat(self, drive: str) -> Seat:
@@ -150,11 +151,9 @@ class LearnedDesk:
             seat.answered = wanted
             seat.tell("unavailable", reason=str(error))
             return
-        from servo_daemon.learning.cache import kept_model
-
         if self._for is not None and self._for[1] is wanted:
             return
-        model = kept_model(spec, self._config.learner)
+        model = self._kept(seat, wanted, spec)
         if model is not None:
             log.info("drive %s: RF+GRNN model of %s motors", seat.drive, model.facts.get("motors"))
             seat.give(wanted, model)
@@ -167,6 +166,15 @@ class LearnedDesk:
             seat.tell("waiting", reason="the model of another drive is being trained")
         else:
             self._train(seat, wanted, spec)
+
+    def _kept(self, seat: Seat, wanted: _Wanted, spec: TrainingSpec) -> LearnedModel | None:
+        """A kept model; looked for once, and again after each training, which may have made one for this drive, too."""
+        from servo_daemon.learning.cache import kept_model
+
+        if self._looked.get(seat.drive) is wanted:
+            return None
+        self._looked[seat.drive] = wanted
+        return kept_model(spec, self._config.learner)
 
     def _train(self, seat: Seat, wanted: _Wanted, spec: TrainingSpec) -> None:
         from servo_daemon.learning.background import BackgroundTraining
@@ -191,6 +199,7 @@ class LearnedDesk:
             seat.answered = wanted
             seat.tell("unavailable", reason=self._training.error)
         self._training = self._for = None
+        self._looked.clear()
 
 
 def _spec(wanted: _Wanted) -> TrainingSpec:
