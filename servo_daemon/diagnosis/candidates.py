@@ -14,9 +14,11 @@ from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.plant.effects.cogging_torque import HARMONICS
 
 #: Of the screened candidates so many are fitted in each round, if they explain this share of what the best does.
-MOST_FITTED, _WORTH_A_FIT = 6, 0.2
+MOST_FITTED, WORTH_A_FIT, WORTH_A_PAIR = 6, 0.2, 0.1
 #: A motor is started from both ends where screening moves one of its parameters by more, in logarithms.
 _FAR = 0.5
+#: Of the proposals so many are tried in pairs, and what stands between two names.
+_IN_PAIRS, AND = 4, " + "
 #: simpler → what contains it.
 NESTED: Mapping[str, tuple[str, ...]] = {
     "coulomb_friction": ("stribeck_friction", "asymmetric_friction"),
@@ -51,8 +53,14 @@ class Proposal:
     other: Mapping[str, float] | None = None
 
 
-def proposals(current: Trial, screened: Sequence[ScreenedCandidate], missing: Missing) -> tuple[Proposal, ...]:
-    """The models of one round, the most promising first."""
+def proposals(
+    current: Trial, screened: Sequence[ScreenedCandidate], missing: Missing, worth: float = WORTH_A_FIT
+) -> tuple[Proposal, ...]:
+    """The models of one round, the most promising first.
+
+    Args:
+        worth: share of what the best explains that a cause must explain.
+    """
     known = effects_by_name()
     values = natural_values(missing.augmented.plant.parameters, missing.coordinates)
     best = max((s.heldout_share for s in screened), default=0.0)
@@ -63,7 +71,7 @@ def proposals(current: Trial, screened: Sequence[ScreenedCandidate], missing: Mi
         if name not in known or effects is None or s.heldout_share <= 0:
             continue
         simpler = any(s.effect == small and p.name in large for small, large in NESTED.items() for p in out)
-        if (s.heldout_share < _WORTH_A_FIT * best or len(out) >= MOST_FITTED) and not simpler:
+        if (s.heldout_share < worth * best or len(out) >= MOST_FITTED) and not simpler:
             continue
         start = dict(current.values) | {n: v for n, v in values.items() if n in current.values}
         start |= {n: v for n, v in s.motor.items() if n in start}
@@ -78,6 +86,20 @@ def proposals(current: Trial, screened: Sequence[ScreenedCandidate], missing: Mi
         moved = [n for n, v in s.motor.items() if n in current.values and _far(v, current.values[n])]
         other = {**start, **{n: current.values[n] for n in s.motor if n in current.values}} if moved else None
         out.append(Proposal(name, effects, start, other))
+    return tuple(out)
+
+
+def pairs(proposed: Sequence[Proposal]) -> tuple[Proposal, ...]:
+    """Two of the most promising at once: what hides each other (dry friction seen through an eccentric encoder) helps
+    neither alone."""
+    out = []
+    for k, first in enumerate(proposed[:_IN_PAIRS]):
+        for second in proposed[k + 1 : _IN_PAIRS]:
+            effects = (*first.effects, *(e for e in second.effects if e not in first.effects))
+            if len(effects) == len(first.effects) + 1 and model_exists(effects):
+                start = {**second.start, **first.start}
+                other = None if first.other is None else {**second.start, **first.other}
+                out.append(Proposal(f"{first.name}{AND}{second.name}", effects, start, other))
     return tuple(out)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.diagnosis.balance import balanced_missing_inputs
-from servo_daemon.diagnosis.candidates import CONTAINED, NESTED, SIMPLER, Proposal, proposals
+from servo_daemon.diagnosis.candidates import AND, CONTAINED, NESTED, SIMPLER, WORTH_A_PAIR, Proposal, pairs, proposals
 from servo_daemon.diagnosis.compare import Advantage, advantage
 from servo_daemon.diagnosis.evidence import (
     LEAST_BIC,
@@ -131,11 +131,18 @@ def select(data: Data, base: Trial, progress: Progress, workers: int = 2) -> Sel
             search, candidates, best = _with_shorter_runs(
                 search, [p for p in proposed if p.name.startswith(_UNSTABLE)], (candidates, best), workers
             )
+        if best is None and max((s.heldout_share for s in screened), default=0.0) > _PROMISING:
+            progress(share + 0.3, "two causes at once")
+            proposed = pairs(proposals(search.current, screened, missing, WORTH_A_PAIR))
+            two = _fitted(search.data, search.current, proposed, workers)
+            two = tuple(c for c in two if worth_a_name(c.trial, search.current, search.base))
+            best, candidates = _best(two), (*two, *candidates)
         search.rounds.append(tuple(replace(c, taken=c is best) for c in candidates))
         if best is None:
             break
-        search.equivalent[best.name] = _ties(best, candidates)
-        search.added = [*(a for a in search.added if a in best.trial.effects), best.name]
+        names = best.name.split(AND)
+        search.equivalent |= {name: _ties(best, candidates) if len(names) == 1 else () for name in names}
+        search.added = [*(a for a in search.added if a in best.trial.effects), *names]
         search.current = best.trial
     chosen, added = _pruned(search.data, search.current, search.added)
     return Selection(search.data, search.base, chosen, tuple(added), tuple(search.rounds), search.equivalent)

@@ -66,6 +66,19 @@ def test_harder_effects_are_named(cause: str, strength: str, motor: str, motion:
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
+@pytest.mark.parametrize(
+    ("cause", "motor", "seed"),
+    [("encoder_eccentricity+coulomb_friction", "large", 601974), ("stribeck_friction+gravity_load", "paper", 650415)],
+)
+def test_two_that_hide_each_other_are_found_at_once(cause: str, motor: str, seed: int) -> None:
+    judgement = judge(Case(cause, "clear", motor, "reversals", seed))
+    assert set(judgement.found) == set(judgement.expected), judgement
+    assert judgement.removed is not None
+    assert judgement.removed > 0.9
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
 @pytest.mark.parametrize(("motor", "motion"), [("large", "reversals"), ("paper", "steps")])
 @pytest.mark.parametrize("cause", UNNAMED)
 def test_what_the_library_does_not_hold_gets_no_name(cause: str, motor: str, motion: str) -> None:
