@@ -105,7 +105,7 @@ def diagnose(
 
 def _within(progress: Progress, begin: float, end: float) -> Progress:
     """A part of the whole, as its own progress."""
-    return lambda share, step: progress(begin + (end - begin) * share, step)
+    return lambda share, step: progress(begin + (end - begin) * min(share, 1.0), step)
 
 
 def _unheard(_share: float, _step: str) -> None:
