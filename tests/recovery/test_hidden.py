@@ -56,7 +56,6 @@ def test_a_brake_by_eddy_currents_is_no_stribeck_friction() -> None:
         ("cogging_torque", "clear", "re40", "steps"),  # between detents: unstable, short free runs
         ("winding_heating", "clear", "re40", "multisine"),  # slow: must survive the split
         ("position_dependent_friction", "clear", "paper", "steps"),  # the richer friction must become the simpler one
-        ("backlash", "clear", "large", "steps"),
     ],
 )
 def test_harder_effects_are_named(cause: str, strength: str, motor: str, motion: str) -> None:
