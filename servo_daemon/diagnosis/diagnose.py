@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from servo_daemon.captures import Capture
 from servo_daemon.diagnosis.adequacy import Believed, believed, fit_everything
@@ -56,8 +57,16 @@ def diagnose(
         BadInputError: captures that cannot be used, alone or together.
         NumericalError: the baseline cannot be simulated over them.
     """
-    options, began = options or DiagnoseOptions(), time.perf_counter()
-    progress = progress or _unheard
+    # One thread for the linear algebra: matrices are small, the search has threads of its own, and the rounding of a
+    # verdict near the edge must not depend on the machine's cores.
+    with threadpool_limits(limits=1):
+        return _diagnose(captures, validation, options or DiagnoseOptions(), progress or _unheard)
+
+
+def _diagnose(
+    captures: Sequence[Capture], validation: Sequence[Capture], options: DiagnoseOptions, progress: Progress
+) -> Diagnosis:
+    began = time.perf_counter()
     recordings = tuple(Recording(str(c.path), c.block()) for c in captures)
     progress(0.0, "fitting the baseline")
     segment_s = segment_length_s(recordings)
