@@ -95,8 +95,8 @@ def _learned(path: Path, drive: DriveConfig, capture: Capture) -> LearnedModel:
     """Refused unless it was trained for a drive like this one."""
     import numpy as np
 
+    from servo_daemon.learning.drive import trainable
     from servo_daemon.learning.model_file import DriveIdentity, load_model
-    from servo_daemon.service.training_spec import trainable
 
     block = capture.block()
     rate_hz = 1.0 / float(np.median(np.diff(block.time_s)))

@@ -10,6 +10,7 @@ import numpy as np
 from servo_daemon.errors import BadInputError, ServoDaemonError
 from servo_daemon.estimators.estimate import Estimate
 from servo_daemon.learning.drawing import CORE, TrainingSpec
+from servo_daemon.learning.drive import rounded_rate, trainable
 from servo_daemon.learning.features import compute_features
 from servo_daemon.learning.model import LearnedModel
 from servo_daemon.learning.targets import baseline
@@ -58,10 +59,10 @@ def learned_method(
         centre,
         effects,
         spread=3.0 if known else _OWN_SPREAD,
-        rate_hz=float(f"{rate:.2g}"),
+        rate_hz=rounded_rate(rate),
         window_s=window_s,
         counts_per_rev=counts_per_rev,
-        channels=tuple(c for c in ("voltage_V", "current_A", "position_rad", "velocity_rad_s") if c in block.channels),
+        channels=trainable(block.channels),
     )
     model, remark = model_for(spec)
     found, note = _combined(model, features)

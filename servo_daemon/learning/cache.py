@@ -12,13 +12,11 @@ from typing import TYPE_CHECKING
 
 from servo_daemon.errors import BadInputError
 from servo_daemon.learning.drawing import TrainingSpec
+from servo_daemon.learning.drive import same_rate
 from servo_daemon.plant.compiled import cache_directory
 
 if TYPE_CHECKING:
     from servo_daemon.learning.model import LearnedModel
-
-#: A drive's clock is not exact, and a capture's rate is rounded.
-_RATE_TOLERANCE = 0.05
 
 log = logging.getLogger(__name__)
 
@@ -79,8 +77,7 @@ def serves(own: TrainingSpec, wanted: TrainingSpec) -> bool:
     """Whether a model of the one training can be asked about windows of the other: the same motor, signals and length,
     nearly the same rate; what is merely drawn (supply, encoder) may differ."""
     same = (own.effects, own.channels, own.window_s) == (wanted.effects, wanted.channels, wanted.window_s)
-    near = abs(own.rate_hz / wanted.rate_hz - 1.0) < _RATE_TOLERANCE
-    return same and near and dict(own.nominal) == dict(wanted.nominal)
+    return same and same_rate(own.rate_hz, wanted.rate_hz) and dict(own.nominal) == dict(wanted.nominal)
 
 
 def obtain_model(

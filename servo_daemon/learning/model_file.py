@@ -25,6 +25,7 @@ from servo_daemon.errors import BadInputError
 from servo_daemon.learning import catalogue
 from servo_daemon.learning.conformal import Intervals
 from servo_daemon.learning.drawing import TrainingSpec
+from servo_daemon.learning.drive import same_rate
 from servo_daemon.learning.learners import LEARNERS
 from servo_daemon.learning.model import LearnedModel
 from servo_daemon.learning.targets import TARGET_KINDS
@@ -239,7 +240,7 @@ def _check_drive(path: Path, spec: TrainingSpec, drive: DriveIdentity) -> None:
     for name, value in spec.nominal.items():
         if name in drive.nominal and not np.isclose(value, drive.nominal[name], rtol=1e-6):
             raise BadInputError(f"{path}: trained around {name} = {value:g}, the drive has {drive.nominal[name]:g}")
-    if drive.rate_hz is not None and not np.isclose(spec.rate_hz, drive.rate_hz, rtol=0.05):
+    if drive.rate_hz is not None and not same_rate(spec.rate_hz, drive.rate_hz):
         raise BadInputError(f"{path}: trained for {spec.rate_hz:g} Hz, the drive has {drive.rate_hz:g} Hz")
 
 

@@ -13,7 +13,7 @@ Pure: no I/O, no wall clock. The filter itself is not touched here: `RefreshEsti
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +22,7 @@ from servo_daemon.errors import BadInputError
 from servo_daemon.estimators.base import Gaussian
 from servo_daemon.learning.balance_features import closure
 from servo_daemon.learning.drawing import CORE
+from servo_daemon.learning.drive import same_rate
 from servo_daemon.learning.features import features_of
 from servo_daemon.learning.model import LearnedModel
 from servo_daemon.learning.training import TARGETS
@@ -131,12 +132,13 @@ class Refresh:
         """ "shadow" or "trusted"."""
         return "trusted" if self._trusted else "shadow"
 
-    def update(self, block: SampleBlock, estimate: Gaussian | None) -> RefreshEstimate | None:
+    def update(self, block: SampleBlock, estimate: Callable[[], Gaussian | None]) -> RefreshEstimate | None:
         """Take samples; an estimate when a window has become due.
 
         Args:
             block: the next samples.
-            estimate: the filter's own parameters in coordinates, as sure as it is of them; None: it has none yet.
+            estimate: gives the filter's own parameters in coordinates, as sure as it is of them; None: it has none yet.
+                Asked only when a window is due.
         """
         self._keep(block)
         last_s = float(block.time_s[-1])
@@ -145,7 +147,7 @@ class Refresh:
         if last_s < self._due_s:
             return None
         self._due_s = last_s + self.every_s
-        return self._estimate(self._window(), last_s, estimate)
+        return self._estimate(self._window(), last_s, estimate())
 
     def _keep(self, block: SampleBlock) -> None:
         """The last window's samples; none from before a restart, or with other channels."""
@@ -171,7 +173,7 @@ class Refresh:
         except BadInputError as error:
             self._before = None
             return RefreshEstimate(time_s, {}, {}, None, str(error), self.mode)
-        if not np.isclose(1.0 / window.period_s, self.model.spec.rate_hz, rtol=0.05):
+        if not same_rate(1.0 / window.period_s, self.model.spec.rate_hz):
             self._before = None
             text = f"{1.0 / window.period_s:.4g} Hz, the model is for {self.model.spec.rate_hz:g} Hz"
             return RefreshEstimate(time_s, {}, {}, None, text, self.mode)
@@ -252,18 +254,3 @@ def _natural(estimate: Gaussian | None) -> dict[str, float] | None:
         return None
     mean = dict(zip(estimate.names, estimate.mean.tolist(), strict=True))
     return {n: float(np.exp(mean[n])) for n in TARGETS if n in mean}
-
-
-def applied(prior: Gaussian, pseudo: PseudoMeasurement) -> Gaussian:
-    """The parameters after the pseudo-measurement, in Joseph's form: what `Tracker.assimilate` does in the filter, on
-    the parameters alone."""
-    at = [prior.names.index(n) for n in pseudo.names]
-    P = prior.covariance.copy()
-    P[at, at] += np.square(pseudo.widen_std)
-    S = P[np.ix_(at, at)] + pseudo.covariance
-    gain = np.linalg.solve(S, P[at]).T
-    mean = prior.mean + gain @ (pseudo.mean - prior.mean[at])
-    left = np.eye(len(P))
-    left[:, at] -= gain
-    P = left @ P @ left.T + gain @ pseudo.covariance @ gain.T
-    return Gaussian(prior.names, mean, (P + P.T) / 2)

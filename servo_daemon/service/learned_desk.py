@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from servo_daemon.config import DriveConfig, LearningConfig
 from servo_daemon.errors import ServoDaemonError
+from servo_daemon.learning.drive import rounded_rate, same_rate
 from servo_daemon.service.snapshot import EstimatorView
 from servo_daemon.service.training_spec import training_spec
 
@@ -28,8 +29,6 @@ log = logging.getLogger(__name__)
 TRAIN_AFTER_S = 30.0
 #: How often the desk looks at its seats and at the training, s.
 _TURN_S = 0.25
-#: A model serves a drive whose rate is this near to its own.
-_SAME_RATE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +41,7 @@ class _Wanted:
     since_s: float  # monotonic
 
     def serves(self, config: DriveConfig, channels: tuple[str, ...], rate_hz: float) -> bool:
-        return config is self.config and channels == self.channels and abs(rate_hz / self.rate_hz - 1) < _SAME_RATE
+        return config is self.config and channels == self.channels and same_rate(rate_hz, self.rate_hz)
 
 
 class Seat:
@@ -58,7 +57,7 @@ class Seat:
 
     def follow(self, config: DriveConfig, channels: tuple[str, ...], period_s: float | None) -> None:
         """What the drive is now: another model is looked for as soon as it is another drive."""
-        if not period_s or not config.estimation.refresh:
+        if not period_s:
             return
         wanted = self.wanted
         if wanted is None or not wanted.serves(config, channels, 1.0 / period_s):
@@ -108,7 +107,8 @@ class LearnedDesk:
         return seat
 
     def start(self) -> None:
-        self._thread.start()
+        if self._seats:
+            self._thread.start()
 
     def begin_stop(self) -> None:
         """Ask it to end without waiting."""
@@ -203,5 +203,4 @@ class LearnedDesk:
 
 
 def _spec(wanted: _Wanted) -> TrainingSpec:
-    """Rounded, so that a clock that is a little off finds the same model again."""
-    return training_spec(wanted.config, rate_hz=float(f"{wanted.rate_hz:.2g}"), channels=wanted.channels)
+    return training_spec(wanted.config, rate_hz=rounded_rate(wanted.rate_hz), channels=wanted.channels)

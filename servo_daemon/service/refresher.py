@@ -19,11 +19,8 @@ if TYPE_CHECKING:  # scikit-learn takes a second to load: only where there is a 
     from servo_daemon.learning.model import LearnedModel
     from servo_daemon.learning.refresh import PseudoMeasurement, RefreshEstimate
 
-
 #: A filter that needs it again and again is not to fill the list of events, s.
 _TELL_EVERY_S = 60.0
-
-
 #: What a window said is of the motor of then: it counts for so many refreshes.
 _COUNTS_FOR = 2.5
 _WHY_TRACKING = "RF+GRNN estimate of the last window: the filter does not know it as well"
@@ -56,8 +53,7 @@ class Refresher:
 
     def take(self, tick: SampleBlock, tracker: Tracker) -> list[Message]:
         """The samples of a tick that the filter has seen; what is worth telling."""
-        running = tracker.ekf is not None and tracker.ekf.started
-        found = self._refresh.update(tick, tracker.ekf.estimate() if running and tracker.ekf is not None else None)
+        found = self._refresh.update(tick, lambda: _estimate(tracker))
         if found is None:
             return []
         self._windows += 1
@@ -129,7 +125,12 @@ def _entered(tracker: Tracker, pseudo: PseudoMeasurement) -> dict[str, float]:
     return {n: math.expm1(after[n] - before[n]) for n in pseudo.names}
 
 
+def _estimate(tracker: Tracker) -> Gaussian | None:
+    """The filter's own; None while it does not run."""
+    return tracker.ekf.estimate() if tracker.ekf is not None and tracker.ekf.started else None
+
+
 def _coordinates(tracker: Tracker, names: tuple[str, ...]) -> dict[str, float]:
-    assert tracker.ekf is not None
-    g = tracker.ekf.estimate()
+    g = _estimate(tracker)
+    assert g is not None  # it was compared with the model's
     return {n: float(g.mean[g.names.index(n)]) for n in names}

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from servo_daemon.config import DriveConfig
 from servo_daemon.errors import ConfigError
+from servo_daemon.learning.drive import trainable
 from servo_daemon.plant.parameters import LINEAR
 
 if TYPE_CHECKING:
@@ -14,14 +15,7 @@ if TYPE_CHECKING:
 
 #: Without a drive that has told its own.
 _RATE_HZ = 1000.0
-#: Channels of which there are features, and those without which there are none.
-_CHANNELS = ("voltage_V", "current_A", "position_rad", "velocity_rad_s")
 _USUAL = ("voltage_V", "current_A", "position_rad")
-
-
-def trainable(channels: Collection[str]) -> tuple[str, ...]:
-    """Those of a drive's channels that a model is trained with."""
-    return tuple(c for c in _CHANNELS if c in channels)
 
 
 def training_spec(

@@ -10,7 +10,7 @@ import pytest
 from servo_daemon.estimators.base import Gaussian
 from servo_daemon.learning.drawing import CORE
 from servo_daemon.learning.model import LearnedModel
-from servo_daemon.learning.refresh import Refresh, RefreshEstimate, applied
+from servo_daemon.learning.refresh import PseudoMeasurement, Refresh, RefreshEstimate
 from servo_daemon.samples import Quality, SampleBlock
 from servo_daemon.simulate import PAPER_MOTOR, SimulatedDrive, make_settings
 from tests.learned_models import small_model
@@ -32,10 +32,24 @@ def believed(factor: float, std: float) -> Gaussian:
     return Gaussian(CORE, mean, np.diag(np.full(5, std**2)))
 
 
+def applied(prior: Gaussian, pseudo: PseudoMeasurement) -> Gaussian:
+    """What `Tracker.assimilate` does in the filter, on the parameters alone, in Joseph's form."""
+    at = [prior.names.index(n) for n in pseudo.names]
+    P = prior.covariance.copy()
+    P[at, at] += np.square(pseudo.widen_std)
+    S = P[np.ix_(at, at)] + pseudo.covariance
+    gain = np.linalg.solve(S, P[at]).T
+    mean = prior.mean + gain @ (pseudo.mean - prior.mean[at])
+    left = np.eye(len(P))
+    left[:, at] -= gain
+    P = left @ P @ left.T + gain @ pseudo.covariance @ gain.T
+    return Gaussian(prior.names, mean, (P + P.T) / 2)
+
+
 def run(model: LearnedModel, block: SampleBlock, belief: Gaussian | None, *, piece: int = 50) -> list[RefreshEstimate]:
     refresh, out = Refresh(model, every_s=2.0), []
     for k in range(0, len(block), piece):
-        found = refresh.update(block.slice(k, min(k + piece, len(block))), belief)
+        found = refresh.update(block.slice(k, min(k + piece, len(block))), lambda belief=belief: belief)
         if found is not None:
             out.append(found)
             if found.pseudo is not None and belief is not None:
@@ -67,7 +81,7 @@ def test_a_filter_that_is_far_off_is_brought_back(model: LearnedModel, recording
     refresh = Refresh(model, every_s=2.0)
     modes, errors = [], []
     for k in range(0, len(recording), 50):
-        found = refresh.update(recording.slice(k, k + 50), belief)
+        found = refresh.update(recording.slice(k, k + 50), lambda belief=belief: belief)
         if found is None:
             continue
         modes.append(found.mode)
@@ -107,12 +121,12 @@ def test_standing_still_and_wrong_rates_are_declined(model: LearnedModel, record
 
 def test_a_restart_of_the_device_begins_a_new_window(model: LearnedModel, recording: SampleBlock) -> None:
     refresh = Refresh(model, every_s=2.0)
-    assert refresh.update(recording.slice(0, 900), None) is None
+    assert refresh.update(recording.slice(0, 900), lambda: None) is None
     quality = recording.quality[:900].copy()
     quality[0] = int(Quality.TIME_RESTART)
     again = dataclasses.replace(recording.slice(0, 900), quality=quality)
-    assert refresh.update(again, None) is None
-    assert refresh.update(recording.slice(900, 1100), None) is not None
+    assert refresh.update(again, lambda: None) is None
+    assert refresh.update(recording.slice(900, 1100), lambda: None) is not None
 
 
 def test_only_what_the_filter_estimates_is_measured(model: LearnedModel, recording: SampleBlock) -> None:
