@@ -139,7 +139,7 @@ class DiagnosisDesk:
 
     def on_result(self, document: Mapping[str, Any], report: Path | None) -> None:
         now = replace(self._diagnosis, status="done", finished=time.time(), progress=1.0, step=None)
-        self._diagnosis = done = replace(now, result=document, report=report)
+        done = replace(now, result=document, report=report)
         if self._runner.home is not None:
             save_record(self._runner.folder(self._drive.active.name), done)
         verdict = str(done.verdict)
@@ -147,14 +147,15 @@ class DiagnosisDesk:
         self._watch.ended((verdict, *sorted(done.effects)), time.monotonic())
         text, data = _told(done)
         self._events.add("diagnosis_done", text, data)
+        self._diagnosis = done  # last: who sees the verdict finds its event and its count
         if self._drive.active.estimation.adopt == "auto" and self.adoption().allowed:
             self._adopt()
 
     def on_failure(self, reason: str) -> None:
-        self._diagnosis = replace(self._diagnosis, status="failed", finished=time.time(), step=None, reason=reason)
         self._counts["failed"] += 1
         self._watch.ended(("failed",), time.monotonic())
         self._events.add("diagnosis_failed", f"the diagnosis failed: {reason}")
+        self._diagnosis = replace(self._diagnosis, status="failed", finished=time.time(), step=None, reason=reason)
 
     # -- helpers ---------------------------------------------------------------------------------------------
 
