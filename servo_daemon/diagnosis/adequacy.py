@@ -53,7 +53,9 @@ class Believed:
 
 def believed(selection: Selection) -> Believed:
     """Drop the names that cannot be believed, the weakest first."""
+    before = longest_missing(selection.data, selection.base) if selection.added else None
     while selection.added:
+        assert before is not None
         extended = fit_everything(selection.data, selection.chosen)
         floor = noise_floor(extended, selection.chosen, CHOICE).nrmse
         weakest = _weakest(selection, floor)
@@ -65,12 +67,12 @@ def believed(selection: Selection) -> Believed:
         missing = longest_missing(selection.data, extended)
         removed = removed_share(selection.base.choice.nrmse, selection.chosen.choice.nrmse, floor)
         # A motor with a gap runs freely nowhere for long: the balances, which run nowhere, may speak for it.
-        if max(removed, _removed_of_missing(selection, missing)) < _TOGETHER:
+        if max(removed, _removed_of_missing(before, missing)) < _TOGETHER:
             break
         depends = () if extended.white else dependences(extended, missing)
         # Impacts and first steps come a sample early or late in the best of models: what is left at moments is no sign.
         follows = [d.relative for d in depends if d.on != "moments"]
-        if follows and max(follows) > _LEFT * _explained(selection, missing):
+        if follows and max(follows) > _LEFT * _explained(selection, before, missing):
             break
         return Believed(selection, extended, missing, depends)
     return Believed(replace(selection, chosen=selection.base, added=(), equivalent={}), None, None, ())
@@ -111,15 +113,12 @@ def removed_share(before: float, after: float, floor: float) -> float:
     return 0.0 if room <= 0 else (before**2 - after**2) / room
 
 
-def _removed_of_missing(selection: Selection, after: Missing) -> float:
+def _removed_of_missing(before: Missing, after: Missing) -> float:
     """The same share of missing torque and voltage, in mean squares beyond what their standard deviations explain."""
-    before = longest_missing(selection.data, selection.base)
     room, taken = 0.0, 0.0
-    for n in before.series:
-        was, left, noise = (
-            float(np.mean(np.square(x))) / before.size[n] ** 2
-            for x in (before.series[n], after.series.get(n, np.zeros(1)), after.std.get(n, np.zeros(1)))
-        )
+    for n, was in before.mean_square.items():
+        left = after.mean_square.get(n, 0.0)
+        noise = float(np.mean(np.square(after.std[n]))) / before.size[n] ** 2 if n in after.std else 0.0
         room += max(was - min(noise, left), 0.0)
         taken += was - left
     return taken / room if room > 0.0 else 0.0
@@ -141,18 +140,9 @@ def _weakest(selection: Selection, floor: float) -> Selection | None:
     return replace(selection, chosen=without, added=tuple(a for a in selection.added if a != name))
 
 
-def _explained(selection: Selection, missing: Missing) -> float:
+def _explained(selection: Selection, before: Missing, after: Missing) -> float:
     """The effects' torques and voltages as a share of what the motor works with; at least what is told by the missing
     series themselves."""
-    by_size = working_shares(selection.added, selection.chosen, missing)
-    return max([*by_size.values(), _by_series(selection, missing)])
-
-
-def _by_series(selection: Selection, after: Missing) -> float:
-    before = longest_missing(selection.data, selection.base)
-    shares = [
-        np.sqrt(max(float(np.mean(before.series[n] ** 2) - np.mean(after.series[n] ** 2)), 0.0)) / before.size[n]
-        for n in before.series
-        if n in after.series
-    ]
-    return float(max(shares, default=0.0))
+    left = after.mean_square
+    by_series = [math.sqrt(max(was - left[n], 0.0)) for n, was in before.mean_square.items() if n in left]
+    return max([*working_shares(selection.added, selection.chosen, after).values(), *by_series], default=0.0)

@@ -17,8 +17,8 @@ from servo_daemon.plant.effects.cogging_torque import HARMONICS
 MOST_FITTED, WORTH_A_FIT, WORTH_A_PAIR = 6, 0.2, 0.1
 #: A motor is started from both ends where screening moves one of its parameters by more, in logarithms.
 _FAR = 0.5
-#: Of the proposals so many are tried in pairs, and what stands between two names.
-_IN_PAIRS, AND = 4, " + "
+#: Of the proposals so many are tried in pairs.
+_IN_PAIRS = 4
 #: simpler → what contains it.
 NESTED: Mapping[str, tuple[str, ...]] = {
     "coulomb_friction": ("stribeck_friction", "asymmetric_friction"),
@@ -40,7 +40,7 @@ class Proposal:
     """A model to try.
 
     Attributes:
-        name: of the effect that it adds.
+        name: of the effect that it adds, or of two.
         effects: of the model.
         start: natural units, every parameter.
         other: the same with the motor as it was without the effect, where screening puts it far from there: a bent
@@ -99,7 +99,7 @@ def pairs(proposed: Sequence[Proposal]) -> tuple[Proposal, ...]:
             if len(effects) == len(first.effects) + 1 and model_exists(effects):
                 start = {**second.start, **first.start}
                 other = None if first.other is None else {**second.start, **first.other}
-                out.append(Proposal(f"{first.name}{AND}{second.name}", effects, start, other))
+                out.append(Proposal(f"{first.name} + {second.name}", effects, start, other))
     return tuple(out)
 
 

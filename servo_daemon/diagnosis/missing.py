@@ -96,6 +96,11 @@ class Missing:
     resolution: Mapping[str, float]
     unseen: NDArray[np.bool_]
 
+    @property
+    def mean_square(self) -> Mapping[str, float]:
+        """Of each series over what the motor works with."""
+        return {n: float(np.mean(np.square(v))) / self.size[n] ** 2 for n, v in self.series.items()}
+
 
 def missing_inputs(
     fit: Fitted,

@@ -7,27 +7,19 @@ fewer samples they are). Each alone is fooled by encoders and converters.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.diagnosis.balance import balanced_missing_inputs
-from servo_daemon.diagnosis.candidates import AND, CONTAINED, NESTED, SIMPLER, WORTH_A_PAIR, Proposal, pairs, proposals
-from servo_daemon.diagnosis.compare import Advantage, advantage
-from servo_daemon.diagnosis.evidence import (
-    LEAST_BIC,
-    NESTED_GAIN,
-    convinces,
-    no_worse,
-    noticeable,
-    overwhelming,
-    worth_a_name,
-)
+from servo_daemon.diagnosis.candidates import SIMPLER, WORTH_A_PAIR, Proposal, pairs, proposals
+from servo_daemon.diagnosis.compare import advantage
+from servo_daemon.diagnosis.evidence import convinces, noticeable, worth_a_name
+from servo_daemon.diagnosis.fitting import Candidate, best_of, fitted, ties
 from servo_daemon.diagnosis.missing import Fitted, Missing
-from servo_daemon.diagnosis.screen import screen
+from servo_daemon.diagnosis.screen import ScreenedCandidate, screen
 from servo_daemon.diagnosis.split import HELD_OUT, TRAIN, shorter_s
 from servo_daemon.diagnosis.trial import Data, Trial, fit_trial, model_exists
 from servo_daemon.errors import NumericalError
@@ -40,10 +32,6 @@ _MOST_EFFECTS = 4
 _LITTLE_LOST = 0.01
 #: Viscous frictions that differ by less are the same.
 _ALIKE = 0.15
-#: Iterations that every candidate gets, and the share of the best one's gain that earns it the rest.
-_FIRST_ITERATIONS, _KEPT = 5, 0.3
-#: … unless it has gained less than this in V per value: a quarter of what `LEAST_GAIN` asks for.
-_HOPELESS = 0.01
 #: Screened so well, a cause must show in a fit: if none does, the free runs are too long for this motor.
 _PROMISING = 0.25
 #: … of these: with them a motor may stand where it cannot stay.
@@ -54,23 +42,6 @@ _MUCH = 0.7
 _BETTER_CHANCE = 2.0
 #: Told how far it is, 0 .. 1, and what is being done.
 Progress = Callable[[float, str], None]
-
-
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """One effect that was fitted.
-
-    Attributes:
-        name: of the effect.
-        trial: the model of that round with it.
-        against: its advantage over the model of that round.
-        taken: whether it was.
-    """
-
-    name: str
-    trial: Trial
-    against: Advantage
-    taken: bool = False
 
 
 @dataclass(frozen=True)
@@ -115,33 +86,13 @@ def select(data: Data, base: Trial, progress: Progress, workers: int = 2) -> Sel
             if not search.added:
                 raise
             break  # the model before could be looked at, this one cannot: it is the last
-        screened = screen(current, missing)
-        proposed = proposals(current, screened, missing)
-        progress(share + 0.1, "fitting " + ", ".join(p.name for p in proposed))
-        candidates = _fitted(search.data, current, proposed, workers)
-        candidates = tuple(
-            c
-            for c in candidates
-            if noticeable(c.name, c.trial, missing) and worth_a_name(c.trial, current, search.base)
-        )
-        search, candidates, best = _against_the_best_chance(search, candidates)
-        promised = max((s.heldout_share for s in screened if s.effect in _UNSTABLE), default=0.0)
-        if promised > _PROMISING and not _kept_promise(search.data, best, missing, promised):
-            progress(share + 0.2, "once more with shorter free runs")
-            search, candidates, best = _with_shorter_runs(
-                search, [p for p in proposed if p.name.startswith(_UNSTABLE)], (candidates, best), workers
-            )
-        if best is None and max((s.heldout_share for s in screened), default=0.0) > _PROMISING:
-            progress(share + 0.3, "two causes at once")
-            proposed = pairs(proposals(search.current, screened, missing, WORTH_A_PAIR))
-            two = _fitted(search.data, search.current, proposed, workers)
-            two = tuple(c for c in two if worth_a_name(c.trial, search.current, search.base))
-            best, candidates = _best(two), (*two, *candidates)
+        search, candidates, best = _round(search, missing, _after(progress, share), workers)
         search.rounds.append(tuple(replace(c, taken=c is best) for c in candidates))
         if best is None:
             break
-        names = best.name.split(AND)
-        search.equivalent |= {name: _ties(best, candidates) if len(names) == 1 else () for name in names}
+        names = [e for e in best.trial.effects if e not in search.current.effects]
+        # Of two at once neither has been tried against others in its place.
+        search.equivalent |= {name: ties(best, candidates) if len(names) == 1 else () for name in names}
         search.added = [*(a for a in search.added if a in best.trial.effects), *names]
         search.current = best.trial
     chosen, added = _pruned(search.data, search.current, search.added)
@@ -163,14 +114,52 @@ class _Search:
         self.current = self.base
 
 
-def _against_the_best_chance(
-    search: _Search, candidates: tuple[Candidate, ...]
-) -> tuple[_Search, tuple[Candidate, ...], Candidate | None]:
+#: A round's result: the search, maybe over other runs or from a better model; all candidates, best first; the best.
+_Found = tuple[_Search, tuple[Candidate, ...], Candidate | None]
+
+
+def _round(search: _Search, missing: Missing, progress: Progress, workers: int) -> _Found:
+    """What is tried beside the present model: one effect, over shorter runs where the motor may be unstable, two."""
+    current = search.current
+    screened = screen(current, missing)
+    proposed = proposals(current, screened, missing)
+    progress(0.1, "fitting " + ", ".join(p.name for p in proposed))
+    candidates = tuple(
+        c
+        for c in fitted(search.data, current, proposed, workers)
+        if noticeable(c.name, c.trial, missing) and worth_a_name(c.trial, current, search.base)
+    )
+    found = _against_the_best_chance(search, candidates)
+    promised = _promised(s for s in screened if s.effect in _UNSTABLE)
+    if promised > _PROMISING and not _kept_promise(found[0].data, found[2], missing, promised):
+        progress(0.2, "once more with shorter free runs")
+        found = _with_shorter_runs(found, [p for p in proposed if p.name.startswith(_UNSTABLE)], workers)
+    search, candidates, best = found
+    if best is not None or _promised(screened) <= _PROMISING:
+        return found
+    progress(0.3, "two causes at once")
+    proposed = pairs(proposals(search.current, screened, missing, WORTH_A_PAIR))
+    two = fitted(search.data, search.current, proposed, workers)
+    two = tuple(c for c in two if worth_a_name(c.trial, search.current, search.base))
+    return search, (*two, *candidates), best_of(two)
+
+
+def _after(progress: Progress, share: float) -> Progress:
+    """As told by what begins there."""
+    return lambda done, step: progress(share + done, step)
+
+
+def _promised(screened: Iterable[ScreenedCandidate]) -> float:
+    """Share of what is missing that the best of them explains."""
+    return max((s.heldout_share for s in screened), default=0.0)
+
+
+def _against_the_best_chance(search: _Search, candidates: tuple[Candidate, ...]) -> _Found:
     """The best candidate, after the model without it has been fitted again from where it has come to.
 
     A richer model may only have found the way out of a valley in which the simpler one was left.
     """
-    best = _best(candidates)
+    best = best_of(candidates)
     if best is None:
         return search, candidates, None
     current = search.current
@@ -182,7 +171,7 @@ def _against_the_best_chance(
     search.current = again
     judged = [replace(c, against=advantage(again, c.trial)) for c in candidates]
     candidates = tuple(sorted(judged, key=lambda c: -c.against.gain))
-    return search, candidates, _best(candidates)
+    return search, candidates, best_of(candidates)
 
 
 def _own_values(current: Trial, other: Trial) -> dict[str, float]:
@@ -208,34 +197,30 @@ def _kept_promise(data: Data, best: Candidate | None, before: Missing, promised:
 
 
 def _size(missing: Missing) -> float:
-    """Mean square of torque and voltage over what the motor works with."""
-    return sum(float(np.mean(np.square(v))) / missing.size[n] ** 2 for n, v in missing.series.items())
+    """Mean square of torque and voltage together."""
+    return sum(missing.mean_square.values())
 
 
-def _with_shorter_runs(
-    search: _Search,
-    proposed: Sequence[Proposal],
-    had: tuple[tuple[Candidate, ...], Candidate | None],
-    workers: int,
-) -> tuple[_Search, tuple[Candidate, ...], Candidate | None]:
+def _with_shorter_runs(had: _Found, proposed: Sequence[Proposal], workers: int) -> _Found:
     """The same candidates over shorter free runs, where that lets one of them convince, and, if one did before, leaves
     less missing; else as it was.
 
     Args:
-        had: candidates and the best of them over the runs as they are.
+        had: over the runs as they are.
     """
-    segment_s, before = shorter_s(search.data.recordings, search.data.split.segment_s), had[1]
+    search, _, before = had
+    segment_s = shorter_s(search.data.recordings, search.data.split.segment_s)
     if segment_s is None:
-        return search, *had
+        return had
     data = search.data.cut(search.base.effects, segment_s)
     base = fit_trial(data, search.base.effects, search.base.values)
     current = fit_trial(data, search.current.effects, search.current.values)
     if base is None or current is None:
-        return search, *had
-    again = _fitted(data, current, proposed, workers)
-    best = _best(again)
+        return had
+    again = fitted(data, current, proposed, workers)
+    best = best_of(again)
     if best is None or (before is not None and not _leaves_less(data, best.trial, search.data, before.trial)):
-        return search, *had
+        return had
     found = replace(search, data=data, base=base)
     found.current = current
     return found, again, best
@@ -269,64 +254,6 @@ def _unseen(data: Data, trial: Trial, number: int, missing: Missing) -> NDArray[
         if segment.recording == number:
             out |= (time >= segment.rows[0, TIME]) & (time <= segment.rows[-1, TIME])
     return out
-
-
-def _fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: int) -> tuple[Candidate, ...]:
-    """Fitted together with the motor, best first. All get a few iterations; those that then have some of what the best
-    one has gained go on to their end."""
-
-    def begin(p: Proposal) -> Trial | None:
-        starts = [p.start] if p.other is None else [p.start, p.other]
-        trials = [fit_trial(data, p.effects, s, like=current, max_iterations=_FIRST_ITERATIONS) for s in starts]
-        found = [t for t in trials if t is not None]
-        return min(found, key=lambda t: t.solution.point.value, default=None)
-
-    def end(pair: tuple[Proposal, Trial]) -> Candidate | None:
-        p, trial = pair
-        if gained(trial) >= max(_KEPT * most, _HOPELESS * float(trial.fitted.counts.sum())):
-            trial = fit_trial(data, p.effects, trial.values, like=trial) or trial
-            if not trial.solution.converged and gained(trial) >= _KEPT * most:
-                trial = fit_trial(data, p.effects, trial.values, like=trial, careful=True) or trial
-        if not np.isfinite(trial.choice.squares).all():
-            return None
-        return Candidate(p.name, trial, advantage(current, trial))
-
-    def gained(trial: Trial) -> float:
-        return current.solution.point.value - trial.solution.point.value
-
-    with ThreadPoolExecutor(workers) as pool:
-        begun = [(p, t) for p, t in zip(proposed, pool.map(begin, proposed), strict=True) if t is not None]
-        most = max((gained(t) for _, t in begun), default=0.0)
-        found = [c for c in pool.map(end, begun) if c is not None]
-    return tuple(sorted(found, key=lambda c: -c.against.gain))
-
-
-def _best(candidates: Sequence[Candidate]) -> Candidate | None:
-    """The candidate that gains most; a smaller one that it contains, unless it earns its parameters."""
-    convincing = [c for c in candidates if convinces(c.against)]
-    if not convincing:
-        return None
-    best = convincing[0]
-    alike = [c for c in convincing if c is best or no_worse(c.trial, best.trial)]
-    # The smallest; of several, what every machine has; then the better one, which is the first.
-    best = min(alike, key=lambda c: (c.trial.free, c.name != "coulomb_friction"))
-    for smaller in convincing:
-        if best.name in NESTED.get(smaller.name, ()):
-            more = advantage(smaller.trial, best.trial)
-            if not overwhelming(more) and (more.low < NESTED_GAIN or more.delta_bic > LEAST_BIC):
-                return smaller
-    return best
-
-
-def _ties(best: Candidate, candidates: Sequence[Candidate]) -> tuple[str, ...]:
-    """Names that do as well as the best in its place: tested, not assumed."""
-    out = []
-    for c in candidates:
-        if c.name == best.name or not convinces(c.against) or c.name in CONTAINED.get(best.name, ()):
-            continue
-        if no_worse(c.trial, best.trial):
-            out.append(c.name)
-    return tuple(out)
 
 
 def _pruned(data: Data, current: Trial, added: Sequence[str]) -> tuple[Trial, list[str]]:

@@ -1,0 +1,94 @@
+"""One round's candidates: fitted together with the motor, and which of them is the best."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from servo_daemon.diagnosis.candidates import CONTAINED, NESTED, Proposal
+from servo_daemon.diagnosis.compare import Advantage, advantage
+from servo_daemon.diagnosis.evidence import LEAST_BIC, NESTED_GAIN, convinces, no_worse, overwhelming
+from servo_daemon.diagnosis.trial import Data, Trial, fit_trial
+
+#: Iterations that every candidate gets, and the share of the best one's gain that earns it the rest.
+_FIRST_ITERATIONS, _KEPT = 5, 0.3
+#: … unless it has gained less than this in V per value: a quarter of what `LEAST_GAIN` asks for.
+_HOPELESS = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One effect that was fitted.
+
+    Attributes:
+        name: of the effect.
+        trial: the model of that round with it.
+        against: its advantage over the model of that round.
+        taken: whether it was.
+    """
+
+    name: str
+    trial: Trial
+    against: Advantage
+    taken: bool = False
+
+
+def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: int) -> tuple[Candidate, ...]:
+    """Fitted together with the motor, best first. All get a few iterations; those that then have some of what the best
+    one has gained go on to their end."""
+
+    def begin(p: Proposal) -> Trial | None:
+        starts = [p.start] if p.other is None else [p.start, p.other]
+        trials = [fit_trial(data, p.effects, s, like=current, max_iterations=_FIRST_ITERATIONS) for s in starts]
+        found = [t for t in trials if t is not None]
+        return min(found, key=lambda t: t.solution.point.value, default=None)
+
+    def end(pair: tuple[Proposal, Trial]) -> Candidate | None:
+        p, trial = pair
+        if gained(trial) >= max(_KEPT * most, _HOPELESS * float(trial.fitted.counts.sum())):
+            trial = fit_trial(data, p.effects, trial.values, like=trial) or trial
+            if not trial.solution.converged and gained(trial) >= _KEPT * most:
+                trial = fit_trial(data, p.effects, trial.values, like=trial, careful=True) or trial
+        if not np.isfinite(trial.choice.squares).all():
+            return None
+        return Candidate(p.name, trial, advantage(current, trial))
+
+    def gained(trial: Trial) -> float:
+        return current.solution.point.value - trial.solution.point.value
+
+    with ThreadPoolExecutor(workers) as pool:
+        begun = [(p, t) for p, t in zip(proposed, pool.map(begin, proposed), strict=True) if t is not None]
+        most = max((gained(t) for _, t in begun), default=0.0)
+        found = [c for c in pool.map(end, begun) if c is not None]
+    return tuple(sorted(found, key=lambda c: -c.against.gain))
+
+
+def best_of(candidates: Sequence[Candidate]) -> Candidate | None:
+    """The candidate that gains most; a smaller one that it contains, unless it earns its parameters."""
+    convincing = [c for c in candidates if convinces(c.against)]
+    if not convincing:
+        return None
+    best = convincing[0]
+    alike = [c for c in convincing if c is best or no_worse(c.trial, best.trial)]
+    # The smallest; of several, what every machine has; then the better one, which is the first.
+    best = min(alike, key=lambda c: (c.trial.free, c.name != "coulomb_friction"))
+    for smaller in convincing:
+        if best.name in NESTED.get(smaller.name, ()):
+            more = advantage(smaller.trial, best.trial)
+            if not overwhelming(more) and (more.low < NESTED_GAIN or more.delta_bic > LEAST_BIC):
+                return smaller
+    return best
+
+
+def ties(best: Candidate, candidates: Sequence[Candidate]) -> tuple[str, ...]:
+    """Names that do as well as the best in its place: tested, not assumed."""
+    out = []
+    for c in candidates:
+        if c.name == best.name or not convinces(c.against) or c.name in CONTAINED.get(best.name, ()):
+            continue
+        if no_worse(c.trial, best.trial):
+            out.append(c.name)
+    return tuple(out)
