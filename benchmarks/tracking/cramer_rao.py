@@ -29,7 +29,7 @@ def _riccati() -> SampleLoop:
     plant = build_plant()
     P, const, sample = ca.SX.sym("P", 64), ca.SX.sym("const", 8), ca.SX.sym("sample", 11)
     x, q, u, t, h = sample[:3], sample[3:8], sample[8], sample[9], ca.fmax(sample[10], 1e-9)
-    step = predict(plant, x, x, q, u, t, h, const[0], ca.SX(0))
+    step = predict(plant, x, x, q, u, t, h, const[0], ca.SX(0), ca.SX(0))
     F = ca.SX.eye(8)
     F[:3, :3], F[:3, 3:] = step.by_state, step.by_parameter
     Q = ca.SX.zeros(8, 8)

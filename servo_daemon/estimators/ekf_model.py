@@ -53,6 +53,10 @@ DOUBTFUL_INPUT = 100.0
 _YOUTH = 0.1
 
 
+#: Of the speed's standard deviation: four fifths of a Gaussian are further from its mean.
+_TO_SLIDE = 0.25
+
+
 def natural(plant: PlantModel, q: ca.SX) -> ca.SX:
     """Parameters in their units from what the filter estimates."""
     parts = [ca.exp(q[k]) if p.transform == "log" else q[k] for k, p in enumerate(plant.parameters)]
@@ -92,6 +96,31 @@ def _own_state_noise(plant: PlantModel, h: ca.SX) -> ca.SX:
     return ca.diag(ca.vertcat(*[0.0 if s.name in core else (0.01 * s.scale) ** 2 * h for s in plant.states]))
 
 
+def _by_state(
+    plant: PlantModel,
+    x: ca.SX,
+    u: ca.SX,
+    p: ca.SX,
+    t: ca.SX,
+    h: ca.SX,
+    x_next: ca.SX,
+    speed_var: ca.SX,
+) -> ca.SX:
+    """d x_next / d x; where dry friction may hold the shaft, of a shaft that turns a little faster.
+
+    A shaft that sticks forgets its speed: the derivative is zero, and the filter is sure that it stands. At a speed
+    that is not known (a start, a gap, a wrong friction) that is a trap without a way out, since the samples then move
+    nothing but the angle. The mean derivative over the speed's distribution (statistical linearisation; Gelb,
+    *Applied Optimal Estimation*, 1974, sec. 6.2) is the share of it that slides: taken for nought or one, by whether
+    the quarter of a standard deviation suffices to slide.
+    """
+    if not plant.may_stick:
+        return ca.jacobian(x_next, x)
+    away, k = ca.SX(x), plant.state_names.index("velocity_rad_s")
+    away[k] += ca.if_else(x[k] >= 0, 1.0, -1.0) * _TO_SLIDE * ca.sqrt(ca.fmax(speed_var, 0.0))
+    return ca.jacobian(plant.step(away, u, p, t, h), x)
+
+
 def predict(
     plant: PlantModel,
     x: ca.SX,
@@ -102,19 +131,22 @@ def predict(
     h: ca.SX,
     var_u: ca.SX,
     torque_psd: ca.SX,
+    speed_var: ca.SX,
 ) -> Prediction:
     """The plant's step and its linearisation, by the states at (x, q), by the parameters at (instrument, q).
 
     Args:
         var_u: variance of the held input.
         torque_psd: intensity of a white load torque, (N·m)²·s; held over one step its variance is psd / h.
+        speed_var: of the speed in x, rad²/s².
     """
     p = natural(plant, q)
     x_next, modelled = plant.step(x, u, p, t, h), plant.step(instrument, u, p, t, h)
+    by_state = _by_state(plant, x, u, p, t, h, x_next, speed_var)
     gain = plant.noise_gain(x, u, p, t, h)
     noise = gain[:, 0] @ gain[:, 0].T * var_u + gain[:, 1] @ gain[:, 1].T * (torque_psd / h)
     noise += _own_state_noise(plant, h)
-    return Prediction(x_next, modelled, ca.jacobian(x_next, x), ca.jacobian(modelled, q), noise)
+    return Prediction(x_next, modelled, by_state, ca.jacobian(modelled, q), noise)
 
 
 @cache
@@ -170,7 +202,8 @@ def _time_update(lay: EkfLayout, state: ca.SX, const: ca.SX, sample: ca.SX) -> t
     u, var_u = state[lay.held_input], state[lay.held_variance]
     if lay.plant.drive != "voltage":  # a measured current or torque is a sample of a continuous signal: trapezoid
         u, var_u = (u + sample[2]) / 2, (var_u + const[0] + sample[3]) / 4
-    step = predict(lay.plant, x, state[lay.instrument], q, u, sample[0] - h, h, var_u, const[1])
+    at = lay.plant.state_names.index("velocity_rad_s")
+    step = predict(lay.plant, x, state[lay.instrument], q, u, sample[0] - h, h, var_u, const[1], P[at, at])
     M = ca.horzcat(step.by_state, step.by_parameter)
     T = M @ P
     P_xx = T @ M.T + step.noise

@@ -72,8 +72,9 @@ class FilterpyLoop:
         u, var_u = state[lay.held_input], state[lay.held_variance]
         if lay.plant.drive != "voltage":
             u, var_u = (u + sample[2]) / 2, (var_u + constants[0] + sample[3]) / 4
+        at = lay.plant.state_names.index("velocity_rad_s")
         x_next, modelled, by_z, noise = self._predict(
-            ekf.x[lay.x], state[lay.instrument], ekf.x[lay.q], u, sample[0] - h, h, var_u, constants[1]
+            ekf.x[lay.x], state[lay.instrument], ekf.x[lay.q], u, sample[0] - h, h, var_u, constants[1], ekf.P[at, at]
         )
         state[lay.instrument] = modelled
         F, Q = np.eye(lay.n_z), np.zeros((lay.n_z, lay.n_z))
@@ -133,11 +134,11 @@ class FilterpyLoop:
 def _prediction(plant: PlantModel) -> Callable[..., tuple[F64, ...]]:
     x, instrument = ca.SX.sym("x", len(plant.states)), ca.SX.sym("instrument", len(plant.states))
     q = ca.SX.sym("q", len(plant.parameters))
-    u, t, h, var_u, psd = (ca.SX.sym(n) for n in ("u", "t", "h", "var_u", "psd"))
-    step = predict(plant, x, instrument, q, u, t, h, var_u, psd)
+    u, t, h, var_u, psd, speed_var = (ca.SX.sym(n) for n in ("u", "t", "h", "var_u", "psd", "speed_var"))
+    step = predict(plant, x, instrument, q, u, t, h, var_u, psd, speed_var)
     by_z = ca.horzcat(step.by_state, step.by_parameter)
     results = [step.x, step.instrument, ca.densify(by_z), ca.densify(step.noise)]
-    function = ca.Function("predict", [x, instrument, q, u, t, h, var_u, psd], results)
+    function = ca.Function("predict", [x, instrument, q, u, t, h, var_u, psd, speed_var], results)
 
     def call(*arguments: Any) -> tuple[F64, ...]:
         x_next, modelled, F, Q = (np.asarray(r) for r in function(*arguments))

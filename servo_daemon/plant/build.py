@@ -10,6 +10,7 @@ from functools import cache, cached_property
 import casadi as ca
 
 from servo_daemon.plant.core import Drive
+from servo_daemon.plant.dry import dry_levels
 from servo_daemon.plant.effects import Effect, State, check_effects, effects_by_name
 from servo_daemon.plant.parameters import LINEAR, Parameter
 from servo_daemon.plant.step import StepBuilder
@@ -45,6 +46,7 @@ class PlantModel:
         sensed: CasADi function (x, p, t) -> (current_A, velocity_rad_s, position_rad) as the sensors show them;
             current is 0 where the input is not voltage.
         noise_gain: CasADi function (x, u, p, t, h) -> (n, 2): d x_next / d input and / d load torque.
+        may_stick: there is dry friction, which may hold the shaft.
     """
 
     effects: tuple[str, ...]
@@ -54,6 +56,7 @@ class PlantModel:
     step: ca.Function
     sensed: ca.Function
     noise_gain: ca.Function
+    may_stick: bool
 
     @cached_property
     def parameter_names(self) -> tuple[str, ...]:
@@ -105,4 +108,5 @@ def build_plant(effects: tuple[str, ...] = (), drive: Drive = "voltage") -> Plan
         step=ca.Function("step", [x, u, p, t, h], [x_next], ["x", "u", "p", "t", "h"], ["x_next"]),
         sensed=ca.Function("sensed", [x, p, t], [builder.sensed(x, t)], ["x", "p", "t"], ["shown"]),
         noise_gain=ca.Function("noise_gain", [x, u, p, t, h], [gain], ["x", "u", "p", "t", "h"], ["gain"]),
+        may_stick=not all(level.is_zero() for level in dry_levels(builder.terms(x, u, t, h))),
     )

@@ -106,6 +106,21 @@ def test_at_standstill_nothing_is_tracking_after_ten_seconds(motor: str, lively:
     assert max(worst(track, case.recording).values()) < STDS
 
 
+# -- a start in motion, under friction ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("motor", list(MOTORS))
+def test_a_filter_that_starts_while_the_shaft_turns_under_dry_friction(motor: str) -> None:
+    """With friction in the model a shaft may stick, and one that sticks has no speed to be wrong about: a filter that
+    starts in motion must not begin there and stay there."""
+    case = quiet("hold", friction="modelled")(MOTORS[motor], 1.0, 23)
+    track = tracked(case.recording, nominal_of(MOTORS[motor]), case.model)
+    error = np.abs(track.value - [case.truth[name][0] for name in track.names])
+    assert np.max(np.where(track.tracking, error / track.std, 0.0)) < STDS
+    known = [track.names.index(name) for name in ("R", "K", "J", "Tc")]
+    assert track.tracking[(track.time_s > 12.0) & (track.time_s < 20.0)][:, known].all()
+
+
 # -- an offset of the current sensor ----------------------------------------------------------------------------------
 
 
