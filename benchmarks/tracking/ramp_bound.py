@@ -43,7 +43,9 @@ def _loop(*, rates: bool) -> SampleLoop:
     state, const, sample = ca.SX.sym("state", 2 * n * n + n), ca.SX.sym("const", 8), ca.SX.sym("sample", 16)
     P, S, e = ca.reshape(state[: n * n], n, n), ca.reshape(state[n * n : 2 * n * n], n, n), state[2 * n * n :]
     h = ca.fmax(sample[10], 1e-9)
-    step = predict(build_plant(), sample[:3], sample[:3], sample[3:8], sample[8], sample[9], h, const[0], ca.SX(0), ca.SX(0))
+    step = predict(
+        build_plant(), sample[:3], sample[:3], sample[3:8], sample[8], sample[9], h, const[0], ca.SX(0), ca.SX(0)
+    )
     F, Q, expected = ca.SX.eye(n), ca.SX.zeros(n, n), ca.SX.zeros(n, n)
     F[:3, :3], F[:3, 3:8] = step.by_state, step.by_parameter
     if rates:
