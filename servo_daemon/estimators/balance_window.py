@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,6 +33,12 @@ _CONFRONTED = 0.8
 _RECENT_S = 1.5
 #: Rows for each column from which on what a fit leaves says how large the noise is.
 _ROWS_PER_COLUMN = 6
+#: The margin for the angle's noise (`balances`) allows for so many samples on one count.
+_COUNTS_IN_MARGIN = 4.0
+#: What the current does between samples, as a share of what a balance leaves: beyond, no noise can be told from it.
+_HIDES = 0.5
+#: A sum of squares that is larger than expected by no more than so many standard deviations is so by chance.
+_CHANCE_STDS = 4.0
 #: Noise levels are known to this factor (in squares).
 _NOISE_KNOWN = 2.0
 
@@ -45,11 +51,18 @@ class Sampling:
         noise_var: of the measured channels.
         current_step_square: mean square of the current's change from one sample to the next, A².
         period_s: usual distance of two samples.
+        samples_per_count: for how long the angle shows one value, on average.
     """
 
     noise_var: Mapping[str, float]
     current_step_square: float
     period_s: float
+    samples_per_count: float
+
+    @property
+    def stands(self) -> bool:
+        """The shaft does: what holds it may be in no model, and its balance says nothing of what moves it."""
+        return self.samples_per_count * self.period_s >= SPAN_S["shaft"]
 
 
 class BalanceWindow:
@@ -99,19 +112,19 @@ class BalanceWindow:
         """The shaft's rows are those of ∫φ i, with K from the armature."""
         return self._grams["armature"].total(self._end_s) is not None
 
-    def determined(self, names: Sequence[str], value: Mapping[str, float], noise_var: Mapping[str, float]) -> F64:
+    def determined(self, names: Sequence[str], value: Mapping[str, float], sampling: Sampling) -> F64:
         """Information on the coordinates of `names` that the last `WINDOW_S` hold if the balances are only nearly right
         (`balances.py`), shape (n, n); rows of parameters that are in no regression are zero.
 
         Args:
             value: of all parameters, natural units.
-            noise_var: of the measured channels.
         """
         out = np.zeros((len(names), len(names)))
         for which, columns in self._columns.items():
             total = self._grams[which].total(self._end_s)
-            if total is None:
+            if total is None or (which == "shaft" and sampling.stands):
                 continue
+            noise_var = _of_standing_counts(sampling, which, _COUNTS_IN_MARGIN)
             noise = noise_gram(columns, total.weight_squares, noise_var, self._y_channel(which))
             out += information(total.gram, noise, self._slopes(which, value), names, self._size(which, value))
         return out
@@ -131,7 +144,7 @@ class BalanceWindow:
                 continue
             size = self._size(which, value)
             slopes = {name: slope / size for name, slope in self._slopes(which, value).items()}
-            noise = self._noise(which, total, value, sampling)
+            noise = self._noise(which, total, value, sampling) * self._by_chance(which, total)
             found = closure.mismatch_std(total.gram, noise, slopes, self._followed(which, total))
             out |= {name: std for name, std in found.items() if name not in out}
         return out
@@ -144,12 +157,23 @@ class BalanceWindow:
             return np.inf
         return sum(part.square for part in parts) * total.rows / rows
 
-    def unexplained_torque(self, value: Mapping[str, float], sampling: Sampling) -> float:
-        """Intensity, (N·m)²·s, of a white torque that would leave of the shaft's balance what its best fit does."""
-        total = self._grams["shaft"].total(self._end_s)
+    def unexplained_torque(self, value: Mapping[str, float], sampling: Sampling, torque_Nm: float) -> float:
+        """Intensity, (N·m)²·s, of a white torque that would leave of the shaft's balance what its best fit does, and no
+        chance would.
+
+        Args:
+            torque_Nm: typical motor torque, with which the balance need not close any better at a rest.
+        """
+        total, columns = self._grams["shaft"].total(self._end_s), self._columns["shaft"]
         if total is None or not self._judges_mismatch:
             return 0.0
-        left = closure.structure(total.gram, self._noise("shaft", total, value, sampling))
+        noise = self._noise("shaft", total, value, replace(sampling, noise_var=_of_standing_counts(sampling, "shaft")))
+        noise *= self._by_chance("shaft", total)
+        usual = (
+            float(total.gram[columns.index("one"), columns.index("one")])
+            * (torque_Nm / self._size("shaft", value)) ** 2
+        )
+        left = closure.structure(total.gram, noise, usual)
         # White noise of intensity S adds S ∫φ² to the square of ∫φ τ; Σ (φ h)² = h ∫φ².
         of_one = float(total.weight_squares[0]) / sampling.period_s
         return left * self._size("shaft", value) ** 2 / max(of_one, 1e-300)
@@ -164,20 +188,19 @@ class BalanceWindow:
         left = closure.residual_square(total.gram) - noise
         return max(left, 0.0) / max(float(total.weight_squares[0]), 1e-300)
 
-    def current_noise(self) -> float | None:
-        """Variance of the current's sensor, A²: what the best fit of the shaft's balance leaves, as far as the angle's
-        noise does not explain it. A current that really flows moves the shaft, noise of its sensor does not; anything
-        that the model lacks makes this too large. None without that balance, or where there are too few rows.
-
-        Args:
-            value: of all parameters, natural units.
-            noise_var: of the measured channels.
+    def current_noise(self, sampling: Sampling) -> float | None:
+        """Variance of the current's sensor, A²: what the best fit of the shaft's balance leaves, as far as what the
+        current does between samples does not explain it. A current that really flows moves the shaft, noise of its
+        sensor does not; anything that the model lacks makes this too large. None without that balance, where there are
+        too few rows, and where what flows between samples hides the sensor's noise.
         """
         total, columns = self._grams["shaft"].since(self._end_s - _RECENT_S), self._columns["shaft"]
         if total is None or not self._per_current or total.rows < _ROWS_PER_COLUMN * len(columns):
             return None
         free = 1.0 - (len(columns) - 1) / total.rows
-        return closure.residual_square(total.gram) / free / max(float(total.weight_squares[0]), 1e-300)
+        found = closure.residual_square(total.gram) / free / max(float(total.weight_squares[0]), 1e-300)
+        between = _between(sampling, "shaft")
+        return None if between > _HIDES * found else found
 
     def confront(self, value: Mapping[str, float], noise_var: Mapping[str, float]) -> None:
         """Rows that came since the last call, beside the filter's values."""
@@ -208,7 +231,6 @@ class BalanceWindow:
         out: dict[str, tuple[float, float]] = {}
         if not self._judges_mismatch:
             return out
-        periods = period_s * value.get("R", 0.0) / value.get("L", 1.0)
         K = (0.0, 0.0)
         for which, columns in self._columns.items():
             found: Verdict | None = closure.verdict([part for _, part in self._confronted[which]])
@@ -219,12 +241,16 @@ class BalanceWindow:
             theta = _coefficients(columns[:-1], value, self._size(which, value))
             for k, name in enumerate(columns[:-1]):
                 if name in ("R", "L", "K", "J", "B", "Tc"):
-                    scale = 1.0 / theta[k]
-                    blind = BLIND_STD.get(name, 0.0) * periods / (1.0 + periods) * _coarse(which, period_s) ** 0.5
+                    scale, blind = 1.0 / theta[k], blind_std(name, value, period_s)
                     own = (scale * float(found.error[k]), scale**2 * float(found.covariance[k, k]) + blind**2)
                     out[name] = own if which == "armature" else (own[0] + K[0], own[1] + K[1])
             K = out.get("K", K)
         return out
+
+    def _by_chance(self, which: str, total: Sums) -> float:
+        """By how much larger than expected a sum of squares is that is so by chance."""
+        free = max(total.rows - len(self._columns[which]), 1)
+        return 1.0 + _CHANCE_STDS * (2.0 * closure.OVERLAP / free) ** 0.5
 
     def _y_channel(self, which: str) -> str | None:
         return "current_A" if which == "shaft" and self._per_current else None
@@ -242,10 +268,41 @@ class BalanceWindow:
         """The sum of squares that noise and sampling leave of the best fit."""
         columns, noise_var = self._columns[which], dict(sampling.noise_var)
         if "current_A" in noise_var:
-            noise_var["current_A"] += 0.25 * sampling.current_step_square * _coarse(which, sampling.period_s)
+            noise_var["current_A"] += _between(sampling, which)
         noise = noise_squares(columns, total.weight_squares, noise_var, self._y_channel(which))
         theta = _coefficients(columns[:-1], value, self._size(which, value))
         return _NOISE_KNOWN * float(np.square(np.append(theta, 1.0)) @ noise)
+
+
+def blind_std(name: str, value: Mapping[str, float], period_s: float) -> float:
+    """1 σ of a logarithm that a regression over samples may be off by, whatever its rows say: what the current does
+    between two of them it does not see.
+
+    Args:
+        value: of all parameters, natural units.
+        period_s: usual distance of two samples.
+    """
+    which = "armature" if name in ("R", "L", "K") else "shaft"
+    periods = period_s * value.get("R", 0.0) / value.get("L", 1.0)
+    return BLIND_STD.get(name, 0.0) * periods / (1.0 + periods) * _coarse(which, period_s) ** 0.5
+
+
+def _of_standing_counts(sampling: Sampling, which: str, covered: float = 1.0) -> dict[str, float]:
+    """Variances of the channels' noise as sums over a balance's window see it: a count that stands is one error.
+
+    Args:
+        covered: so many samples on one count are allowed for elsewhere.
+    """
+    alike = min(sampling.samples_per_count, SPAN_S[which] / max(sampling.period_s, 1e-9))
+    out = dict(sampling.noise_var)
+    if "position_rad" in out:
+        out["position_rad"] *= max(alike / covered, 1.0)
+    return out
+
+
+def _between(sampling: Sampling, which: str) -> float:
+    """What the current does between two samples, as noise of it, A²."""
+    return 0.25 * sampling.current_step_square * _coarse(which, sampling.period_s)
 
 
 def _coarse(which: str, period_s: float) -> float:

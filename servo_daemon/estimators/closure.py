@@ -33,7 +33,7 @@ from servo_daemon.samples import F64
 #: samples are no more exact.
 _CLOSES = 0.01
 #: Windows overlap by half, so neighbouring rows share half their noise.
-_OVERLAP = 2.0
+OVERLAP = 2.0
 #: Integrals over samples (trapezoids, jitter, what the current does between samples) are no more exact than this, 1 σ.
 _EXACT_STD = 0.01
 #: A difference of so many standard deviations (squared) is chance.
@@ -51,13 +51,14 @@ def _residual_square(gram: F64, scale: F64, inverse: F64) -> float:
     return max(0.0, float(gram[-1, -1] - b @ inverse @ b))
 
 
-def structure(gram: F64, expected: float) -> float:
+def structure(gram: F64, expected: float, usual: float = 0.0) -> float:
     """Of that, what is neither noise nor within the share to which a balance closes.
 
     Args:
         expected: how much of the fit's sum of squares noise explains.
+        usual: sum of squares of y where the motion is as lively as it usually is.
     """
-    return _structure(gram, residual_square(gram), expected)
+    return max(0.0, _structure(gram, residual_square(gram), expected) - _CLOSES**2 * usual)
 
 
 def _structure(gram: F64, left: float, expected: float) -> float:
@@ -132,7 +133,7 @@ def verdict(parts: list[Confronted]) -> Verdict | None:
     score = added([p.score for p in parts])
     error = inverse @ score
     left = max(0.0, sum(p.square for p in parts) - float(error @ score))
-    spread = _OVERLAP * left / (sums.rows - n) + SYSTEMATIC**2 * float(sums.gram[-1, -1])
+    spread = OVERLAP * left / (sums.rows - n) + SYSTEMATIC**2 * float(sums.gram[-1, -1])
     return Verdict(error, inverse * spread)
 
 

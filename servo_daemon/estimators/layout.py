@@ -149,6 +149,7 @@ class Layout:
     Attributes:
         last_s: time of the last sample; None before the first.
         origin_s: the filter's time is counted from here.
+        position_lsb: the encoder's step; 0: it has none, or is not known yet.
     """
 
     def __init__(self, drive: Drive, measured: tuple[str, ...]) -> None:
@@ -159,6 +160,7 @@ class Layout:
         self._constants[3::3] = [_IMPOSSIBLE[name] for name in self._names]
         self.last_s: float | None = None
         self.origin_s = 0.0
+        self.position_lsb = 0.0
         self._doubt((NEVER,) * len(self._names), 0.0, 0.0)
 
     @property
@@ -173,6 +175,7 @@ class Layout:
             position_lsb: the encoder's step; 0: it has none, and may well stand still.
             input_lsb: step of the recorded input; 0: it has none.
         """
+        self.position_lsb = position_lsb
         standing = 2 if position_lsb > 0 else NEVER
         least = tuple(standing if name == "position_rad" else _FEWEST_ALIKE for name in self._names[1:])
         self._doubt((NEVER, *least), position_lsb, input_lsb**2 / 12.0)

@@ -3,16 +3,47 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Mapping
 
+import numpy as np
+
+from servo_daemon.estimators.excitation import WINDOW_S
 from servo_daemon.estimators.stretch import Stretch
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.samples import F64
 
-#: A level falls by this factor a tick when the signal does: a rest of some seconds is no smaller motor.
+#: A level falls by this factor a tick when the signal does, but not at rest: that is no smaller motor.
 _FALL = 0.99
+#: A current whose variance within a tick is no larger than so many times its sensor's shows nothing but that; without a
+#: current, a voltage that moves by no more than this share of what is usual.
+_REST_VARIANCES, _REST_SHARE = 4.0, 1e-2
+#: An encoder at rest flickers between two counts; one that creeps shows a new one in every so many samples at most, and
+#: its steps are no white noise.
+_REST_COUNTS, _CREEP_SAMPLES = 1.5, 20.0
 #: Used where neither data nor nominal values say anything yet.
 _R, _K = 1.0, 0.1
+
+
+class Recent:
+    """A sum over the samples of the last `WINDOW_S`.
+
+    Attributes:
+        number: of samples.
+        total: the sum.
+    """
+
+    def __init__(self) -> None:
+        self._ticks: deque[tuple[float, int, float]] = deque()
+        self.number, self.total = 0, 0.0
+
+    def add(self, end_s: float, number: int, total: float) -> None:
+        """A tick's, and when it ended."""
+        self._ticks.append((end_s, number, total))
+        while end_s - self._ticks[0][0] > WINDOW_S:
+            self._ticks.popleft()
+        self.number = sum(n for _, n, _ in self._ticks)
+        self.total = sum(x for _, _, x in self._ticks)
 
 
 class Levels:
@@ -20,25 +51,58 @@ class Levels:
 
     Args:
         plant: whose input it is.
+
+    Attributes:
+        rests: the last tick showed a drive at rest.
     """
 
     def __init__(self, plant: PlantModel) -> None:
-        self._plant = plant
+        self._plant, self.rests = plant, False
         self.input_square = 0.0  # V², A² or (N·m)²
         self.input_step_square = 0.0  # of the change from one sample to the next
-        self.current_step_square = 0.0  # the same of the current, of the last tick
+        # Over the seconds that the balances are summed over:
+        self.current_step_square = 0.0  # the same of the current
+        self.samples_per_count = 1.0  # for how long the angle has shown one value, on average
+        self._current_steps, self._counts = Recent(), Recent()
         self._current_square: float | None = None
 
-    def take(self, tick: Stretch) -> None:
-        """A tick's samples."""
+    def take(self, tick: Stretch, position_lsb: float, noise_var: Mapping[str, float]) -> None:
+        """A tick's samples.
+
+        Args:
+            position_lsb: the encoder's step; 0: none, or not known yet.
+            noise_var: of the measured channels.
+        """
+        self.rests = self._at_rest(tick, position_lsb, noise_var)
+        fall = 1.0 if self.rests else _FALL
         held = {"voltage": tick.voltage, "current": tick.current, "torque": tick.torque}[self._plant.drive]
         if held is not None and len(held):
-            self.input_square = max(float(held @ held) / len(held), _FALL * self.input_square)
-            self.input_step_square = max(_step_square(held), _FALL * self.input_step_square)
+            self.input_square = max(float(held @ held) / len(held), fall * self.input_square)
+            self.input_step_square = max(_step_square(held), fall * self.input_step_square)
         if tick.current is not None and len(tick.current):
-            self.current_step_square = _step_square(tick.current)
+            steps = tick.current[1:] - tick.current[:-1]
+            # A tick alone may happen to be a quiet one, or the first of a rest after a window of motion.
+            self._current_steps.add(float(tick.time_s[-1]), len(steps), float(steps @ steps))
+            self.current_step_square = self._current_steps.total / max(self._current_steps.number, 1)
             square = float(tick.current @ tick.current) / len(tick.current)
-            self._current_square = max(square, _FALL * (self._current_square or 0.0))
+            self._current_square = max(square, fall * (self._current_square or 0.0))
+        if tick.position is not None and len(tick.position):
+            moved = float(np.count_nonzero(tick.position[1:] != tick.position[:-1]))
+            self._counts.add(float(tick.time_s[-1]), len(tick.position), moved)
+            self.samples_per_count = self._counts.number / max(self._counts.total, 1.0)
+
+    def _at_rest(self, tick: Stretch, position_lsb: float, noise_var: Mapping[str, float]) -> bool:
+        """Whether the tick shows an encoder that stands and a winding that nothing happens in: whatever is missing from
+        the model, it is not to be seen there, and the noise of the drive is all that is."""
+        if tick.position is None or position_lsb == 0.0 or len(tick.position) == 0:
+            return False
+        counts = float(np.ptp(tick.position)) / position_lsb
+        if counts > max(_REST_COUNTS, len(tick.position) / _CREEP_SAMPLES):
+            return False
+        if tick.current is not None and "current_A" in noise_var:
+            return float(np.var(tick.current)) < _REST_VARIANCES * noise_var["current_A"]
+        held = {"voltage": tick.voltage, "current": tick.current, "torque": tick.torque}[self._plant.drive]
+        return held is None or float(np.var(held)) < _REST_SHARE**2 * self.input_square
 
     def current_A(self, values: Mapping[str, float]) -> float:
         """Typical current: as measured, or what the rms voltage drives through the winding."""

@@ -33,7 +33,7 @@ class NoiseSetting:
         self._input_lsb = start.input_lsb
         self._coarse.lsb_V = start.input_lsb if self._ekf.plant.drive == "voltage" else 0.0
         scales = self.rescale(sampling)
-        found = self._rls.window.current_noise()
+        found = self._rls.window.current_noise(sampling)
         if found is not None and "current_A" in sampling.noise_var:
             self._watch.expect_sensor("current_A", found)
             sampling = replace(sampling, noise_var=self._watch.least_noise_var)
@@ -53,7 +53,8 @@ class NoiseSetting:
         each coordinate, shape (n,)."""
         self._value = self._roster.values(self._ekf.coordinates)
         self._torque_Nm = self._levels.torque_Nm(self._value)
-        self._watch.expect_torque(self._rls.window.unexplained_torque(self._value, sampling), self._torque_Nm)
+        unexplained = self._rls.window.unexplained_torque(self._value, sampling, self._torque_Nm)
+        self._watch.expect_torque(unexplained, self._torque_Nm)
         return np.array(self._levels.scales(self._value))
 
     def set(self) -> None:

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from servo_daemon.estimators import balances, closure, coarse_input
-from servo_daemon.estimators.balance_window import Sampling
+from servo_daemon.estimators.balance_window import Sampling, blind_std
 from servo_daemon.estimators.ekf import Ekf
 from servo_daemon.estimators.excitation import Excitation
-from servo_daemon.estimators.fusion import QUALIFIED, Qualification, Trusted, confirms
+from servo_daemon.estimators.fusion import KNOWS, QUALIFIED, Qualification, Trusted, confirms
 from servo_daemon.estimators.motor_rls import MotorRls
 from servo_daemon.estimators.roster import Mask, Roster
 from servo_daemon.estimators.starter import NUISANCE_SHARE
@@ -20,6 +20,8 @@ from servo_daemon.samples import F64
 
 #: An unexcited parameter's covariance grows with its drift up to this 1 σ.
 _IDLE_STD = 0.3
+#: A regression that may be off by as much (1 σ, relative) because of the sampling alone is no judge.
+_BLIND = 0.1
 #: Parameters of the armature's balance, which has its own say.
 _ARMATURE = ("R", "L", "K")
 #: Parameters that are known worse than this would lead the instrument astray.
@@ -35,6 +37,7 @@ class Tick:
             been gone over where it started from little.
         open: a jump is being looked for.
         explained: ticks that the noise does not explain are the exception.
+        white: innovations are.
         inductance_std: 1 σ of ln L that the steps of the recorded voltage leave open.
         sampling: noise and what else integrals over samples are off by.
     """
@@ -42,6 +45,7 @@ class Tick:
     settled: bool
     open: bool
     explained: bool
+    white: bool
     inductance_std: float
     sampling: Sampling
 
@@ -109,7 +113,7 @@ class ParameterJudge:
         roster, values = self._roster, self._roster.values(self._ekf.coordinates) if fresh else {}
         if fresh:
             self.excitation.determine(
-                self._rls.window.determined(self._roster.names, values, tick.sampling.noise_var), self._roster.covered
+                self._rls.window.determined(self._roster.names, values, tick.sampling), self._roster.covered
             )
         self.excitation.update(self._ekf.take_information(), duration_s)
         excited, std = self.excitation.excited, self._ekf.coordinate_std / self.excitation.scales
@@ -170,16 +174,35 @@ class ParameterJudge:
         window, std = self._rls.window, self._ekf.coordinate_std
         window.confront(values, tick.sampling.noise_var)
         found, said = window.mismatch(values, tick.sampling), window.verdicts(values, tick.sampling.period_s)
-        coarse = self._left_by_steps(tick)
+        coarse, armature = self._left_by_steps(tick), self._by_armature(values, tick)
         for k, name in enumerate(self._roster.names):
             if not self.excitation.excited[k] or not self._roster.logarithmic[k]:
                 continue
             error, var = said.get(name, (0.0, 0.0))
             if self._is_blind(name, values, tick):
                 error = 0.0
-            doubt = closure.doubt_var(error, var + float(std[k]) ** 2)
+            doubt = closure.doubt_var(error, var + float(std[k]) ** 2) + armature.get(name, 0.0)
             self.mismatch_std[k] = math.sqrt(found.get(name, 0.0) ** 2 + doubt + float(coarse[k]) ** 2)
         self._carry_over_torque()
+
+    def _by_armature(self, values: Mapping[str, float], tick: Tick) -> dict[str, float]:
+        """Variance of the logarithms by which the armature's regression contradicts the filter, where the innovations
+        say that the model lacks something: a torque that is in no model bends the filter, and not that balance. (Where
+        they are white it is the regression, which remembers for longer, that is behind a motor that ages.)"""
+        found = None if tick.white else self._rls.estimate()
+        if found is None:
+            return {}
+        out: dict[str, float] = {}
+        for name in ("R", "K"):
+            if name not in found.names or name not in values:
+                continue
+            at, k = found.names.index(name), self._roster.names.index(name)
+            value, spread = float(found.value[at]), float(found.std[at])
+            if value > 0.0 and spread < KNOWS * value:
+                blind = blind_std(name, values, tick.sampling.period_s)
+                var = (spread / value) ** 2 + blind**2 + float(self._ekf.coordinate_std[k]) ** 2
+                out[name] = closure.doubt_var(math.log(values[name] / value), var)
+        return out
 
     def _carry_over_torque(self) -> None:
         """The shaft's balance sees J, B and friction only beside K i: what the armature's leaves open of K, it leaves
@@ -215,8 +238,10 @@ class ParameterJudge:
             k = self._roster.names.index(name)
             if self._trusted[k]:
                 continue
-            if self._roster.logarithmic[k] and not self._is_blind(name, values, tick):
-                out[k] = confirms(value, std * balances.ALIGNED.get(name, 1.0), values[name])
+            blind = blind_std(name, values, tick.sampling.period_s)
+            if self._roster.logarithmic[k] and not self._is_blind(name, values, tick) and blind < _BLIND:
+                spread = math.hypot(std * balances.ALIGNED.get(name, 1.0), blind * value)
+                out[k] = confirms(value, spread, values[name])
             else:
                 out[k] = True
         return out

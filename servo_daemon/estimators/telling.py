@@ -34,8 +34,14 @@ class Telling:
         self._roster, self._ekf, self._watch, self._scales = roster, ekf, watch, scales
         self.explained, self._said_frozen = True, False
 
-    def whether_white(self) -> list[Message]:
-        """After each tick. Says it once when the model no longer explains the data, and once when it does again."""
+    def whether_white(self, *, seen: bool) -> list[Message]:
+        """After each tick. Says it once when the model no longer explains the data, and once when it does again.
+
+        Args:
+            seen: some parameter is excited, or has been known. Before that there is no model to be refuted.
+        """
+        if not seen:
+            return []
         explained = self._watch.white and not self._large_offsets()
         if explained == self.explained:
             return []

@@ -100,7 +100,7 @@ class Tracker:
         self._filtering = Filtering(self.ekf, self._levels)
         self._second_look = SecondLook(self._roster, self.ekf, self._filtering, self._judge)
         self._tick_end_s: float | None = None
-        self._suspicious_ticks = self._ticks = 0
+        self._suspicious_ticks = self._ticks = self._begun_better = 0
 
     def inherit(self, heritage: Heritage) -> None:
         """Begin with what another model's tracker knew; before the first samples."""
@@ -187,7 +187,7 @@ class Tracker:
         duration = max((self.sample_period_s or 0.0) * len(tick), 1e-6)
         assert self.first_s is not None
         stretch = self._stretches.of(tick, self.first_s, self._tick_end_s, self.sample_period_s)
-        self._levels.take(stretch)
+        self._levels.take(stretch, self._filtering.layout.position_lsb, self._noise_var())
         self._tick_end_s = float(tick.time_s[-1])
         if not self.ekf.started:
             self.rls.update(stretch, self._noise_var())
@@ -251,7 +251,7 @@ class Tracker:
         messages = self._jumps.act(action, self._tick_end_s or 0.0)
         fresh = self.rls.update(self._believed(stretch, action), self._noise_var())
         if action == "learn" and stretch.complete:
-            self.watch.learn(statistics, duration_s)
+            self.watch.learn(statistics, duration_s, rests=self._levels.rests)
         if fresh:
             self.excitation.scales = self._noise.rescale(self._sampling())
         self._noise.set()
@@ -266,7 +266,9 @@ class Tracker:
         alike_s = self._stretches.alike("current_A") * (self.sample_period_s or 0.0)
         if self._second_look.look(self._ticks, self.watch.white):
             self._jumps.reset()
-        messages += self._telling.whether_white() + self._telling.whether_frozen(stretch, alike_s)
+            self.watch.learn_anew()
+        seen = bool((self.qualification.qualified | self.excitation.excited)[self._roster.published].any())
+        messages += self._telling.whether_white(seen=seen) + self._telling.whether_frozen(stretch, alike_s)
         return messages + (self._judge_divergence(verdict) or self._begin_better(fresh))
 
     def _believed(self, stretch: Stretch, action: jumps.Action) -> Stretch:
@@ -284,12 +286,16 @@ class Tracker:
             settled=self._ticks >= _TICKS_TO_WATCH and not self._second_look.pending,
             open=self._jumps.watch.is_open,
             explained=self._jumps.watch.calm,
+            white=self.watch.white,
             inductance_std=self._noise.inductance_std(self.sample_period_s or 0.0),
             sampling=self._sampling(),
         )
 
     def _sampling(self) -> Sampling:
-        return Sampling(self._noise_var(), self._levels.current_step_square, self.sample_period_s or 0.0)
+        levels = self._levels
+        return Sampling(
+            self._noise_var(), levels.current_step_square, self.sample_period_s or 0.0, levels.samples_per_count
+        )
 
     def _judge_divergence(self, verdict: TickVerdict) -> list[Message]:
         assert self.ekf is not None and self.rls is not None
@@ -303,7 +309,7 @@ class Tracker:
     def _begin_better(self, fresh: bool) -> list[Message]:
         """The filter had to start from little and still does not know what the regression knows by now: begin from
         that."""
-        if not fresh or self._ticks < _TICKS_TO_BEGIN_BETTER:
+        if not fresh or self._ticks < _TICKS_TO_BEGIN_BETTER * 2**self._begun_better:
             return []
         assert self.rls is not None and self.ekf is not None
         core = [p for p in self.free if p in LINEAR]
@@ -312,6 +318,7 @@ class Tracker:
         lost = ~self.qualification.qualified[index] & ((std > QUALIFIED) | ~self._judge.confirmed[index])
         if not lost.any() or not well_known(self.rls.estimate(), [p.name for p in core]):
             return []
+        self._begun_better += 1  # what did not help is tried less and less often
         self._begin_again()
         return []
 

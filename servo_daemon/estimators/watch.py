@@ -77,6 +77,12 @@ class InnovationWatch:
         self._pool, self._updates, self._crossed = {}, {}, 0.0
         self._too_much = False
 
+    def learn_anew(self) -> None:
+        """The filter's values are others now: of a slow drive, whose first samples say little of its sensors, what the
+        innovations say of them counts as in the beginning."""
+        if self._pool:
+            self._pool, self._updates = {}, {}
+
     def expect_sensor(self, name: str, var: float) -> None:
         """Of the noise that the channel showed in its first samples its sensor makes at most this, in its unit squared.
         The rest is what it measures."""
@@ -149,8 +155,13 @@ class InnovationWatch:
             settled &= nis < 1.0 + _SETTLED_NIS * spread and s.gated < _FEWEST_GATED
         return TickVerdict(worst, unexplained, settled)
 
-    def learn(self, statistics: Mapping[str, ChannelStatistics], duration_s: float) -> None:
-        """Let a tick's innovations move noise levels and whiteness."""
+    def learn(self, statistics: Mapping[str, ChannelStatistics], duration_s: float, *, rests: bool = False) -> None:
+        """Let a tick's innovations move noise levels and whiteness.
+
+        Args:
+            rests: the drive stands, and nothing happens in its winding. Innovations then say nothing of the model, in
+                whatever order they come: they are the drive's own noise, of which there may be more than was known.
+        """
         for name, tick in statistics.items():
             pooled = self._pool.get(name)
             s, span_s = (tick, duration_s) if pooled is None else (pooled[0].joined(tick), pooled[1] + duration_s)
@@ -158,6 +169,9 @@ class InnovationWatch:
                 self._pool[name] = s, span_s
                 continue
             self._pool.pop(name, None)
+            if rests:
+                self._process[name] = self._of(name).risen(s.correlation, s.nis)
+                continue
             follow = None
             if name == "current_A":
                 # What moves the current really moves the shaft a sample later; where the winding is faster than the
@@ -168,8 +182,10 @@ class InnovationWatch:
             if name == self._measured[-1]:
                 self._crossed += (1.0 - math.exp(-span_s / _CROSS_MEMORY_S)) * (s.crossed - self._crossed)
             self._updates[name] = self._updates.get(name, 0) + 1
-            self._channel[name] = noise.adapted(self._channel[name], s.excess, span_s, self._updates[name])
-        self._judge()
+            nis = s.nis if pooled is not None else 1.0
+            self._channel[name] = noise.adapted(self._channel[name], s.excess, span_s, self._updates[name], nis)
+        if not rests:
+            self._judge()
 
     def _noise_after(self, name: str, s: ChannelStatistics, follow: float | None) -> ProcessNoise:
         """A torque moves the current too. Innovations of the current that are too small beside a torque that was
@@ -188,7 +204,8 @@ class InnovationWatch:
     def _judge(self) -> None:
         if not self.whiteness:
             return
-        correlation = max(abs(w.correlation) for w in self.whiteness.values())
+        # Innovations that are smaller than they should be are of a channel whose noise is not known yet.
+        correlation = max((abs(w.correlation) for w in self.whiteness.values() if w.nis > noise.NIS_LOW), default=0.0)
         unexplained = max((n.factor / _UNEXPLAINED[c == "current_A"] for c, n in self._process.items()), default=0.0)
         out, limit = (_WHITE_OUT, 2.0) if self.white else (_WHITE_IN, 1.0)
         self.white = bool(correlation < out and unexplained < limit)

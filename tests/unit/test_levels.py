@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,20 +27,24 @@ def levels(drive: Drive = "voltage", effects: tuple[str, ...] = ()) -> Levels:
     return Levels(build_plant(effects, drive))
 
 
+def take(found: Levels, stretch: Stretch, position_lsb: float = 0.0, current_var: float = 0.0) -> None:
+    found.take(stretch, position_lsb, {"current_A": current_var})
+
+
 def test_the_larger_is_remembered() -> None:
     """Up at once; down by 1 % of the square a tick, so that a rest of 2 s is no smaller motor."""
     found = levels()
-    found.take(tick(np.full(N, 3.0), np.full(N, 1.0)))
-    found.take(tick(np.full(N, 12.0), np.full(N, -4.0)))
+    take(found, tick(np.full(N, 3.0), np.full(N, 1.0)))
+    take(found, tick(np.full(N, 12.0), np.full(N, -4.0)))
     assert found.input_square == pytest.approx(144.0)
     assert found.current_A({}) == pytest.approx(4.0)
     for _ in range(REST):
-        found.take(tick(np.zeros(N), np.zeros(N)))
+        take(found, tick(np.zeros(N), np.zeros(N)))
     assert found.input_square == pytest.approx(144.0 * 0.99**REST)
     assert found.current_A({}) == pytest.approx(4.0 * 0.99 ** (REST / 2))
-    found.take(tick(np.full(N, 11.0), np.full(N, 1.0)))  # smaller than then, larger than what is left of it
+    take(found, tick(np.full(N, 11.0), np.full(N, 1.0)))  # smaller than then, larger than what is left of it
     assert found.input_square == pytest.approx(max(121.0, 144.0 * 0.99 ** (REST + 1)))
-    found.take(tick(np.full(N, 24.0), np.full(N, 9.0)))
+    take(found, tick(np.full(N, 24.0), np.full(N, 9.0)))
     assert found.input_square == pytest.approx(576.0)
     assert found.current_A({}) == pytest.approx(9.0)
 
@@ -47,25 +52,26 @@ def test_the_larger_is_remembered() -> None:
 def test_rms_not_peak() -> None:
     found = levels()
     square_wave = np.where(np.arange(N) % 2 == 0, 6.0, 0.0)
-    found.take(tick(square_wave, square_wave / 3))
+    take(found, tick(square_wave, square_wave / 3))
     assert found.input_square == pytest.approx(18.0)
     assert found.current_A({}) == pytest.approx(math.sqrt(2.0))
 
 
 def test_steps_between_samples() -> None:
-    """Of the input the larger is remembered; of the current only the last tick counts."""
+    """Of the input the larger is remembered; of the current what the last seconds showed counts, lively ticks and quiet
+    ones alike: one of them may happen to be quiet, or the first of a rest."""
     found = levels()
-    found.take(tick(2.0 * np.arange(N), 0.5 * np.arange(N)))
+    take(found, tick(2.0 * np.arange(N), 0.5 * np.arange(N)))
     assert found.input_step_square == pytest.approx(4.0)
     assert found.current_step_square == pytest.approx(0.25)
-    found.take(tick(np.full(N, 50.0), np.full(N, 7.0)))
+    take(found, tick(np.full(N, 50.0), np.full(N, 7.0)))
     assert found.input_step_square == pytest.approx(4.0 * 0.99)
-    assert found.current_step_square == 0.0
+    assert found.current_step_square == pytest.approx(0.125)
 
 
 def test_without_a_current_sensor_ohms_law() -> None:
     found = levels()
-    found.take(tick(np.full(N, 6.0)))
+    take(found, tick(np.full(N, 6.0)))
     assert found.current_A({"R": 2.0}) == pytest.approx(3.0)
     assert found.torque_Nm({"R": 2.0, "K": 0.5}) == pytest.approx(1.5)
 
@@ -75,7 +81,7 @@ def test_without_a_current_sensor_ohms_law() -> None:
 )
 def test_torque_by_what_drives_the_motor(drive: Drive, values: dict[str, float], torque_Nm: float) -> None:
     found = levels(drive)
-    found.take(tick(np.full(N, 24.0), np.full(N, 4.0), np.full(N, 3.0) if drive == "torque" else None))
+    take(found, tick(np.full(N, 24.0), np.full(N, 4.0), np.full(N, 3.0) if drive == "torque" else None))
     assert found.torque_Nm(values) == pytest.approx(torque_Nm)
 
 
@@ -83,7 +89,7 @@ def test_one_unit_of_each_parameter() -> None:
     """1 for logarithms and angles, the typical torque or current for what has their units."""
     plant = build_plant((*OFFSETS, "gravity_load"))
     found = Levels(plant)
-    found.take(tick(np.full(N, 24.0), np.full(N, 4.0)))
+    take(found, tick(np.full(N, 24.0), np.full(N, 4.0)))
     scales = dict(zip(plant.parameter_names, found.scales({"K": 0.5, "R": 1.0}), strict=True))
     signed = {p.name for p in plant.parameters if p.transform != "log"}
     assert {"TL", "i0", "phi_g"} <= signed and {"R", "L", "K", "J", "B"}.isdisjoint(signed)
@@ -103,7 +109,24 @@ def test_scales_are_never_zero(drive: Drive) -> None:
     empty = Stretch(nothing, np.zeros(0, dtype=bool), nothing, nothing, nothing, nothing, None)
     for stretch in (None, tick(zeros, zeros, zeros), empty):
         if stretch is not None:
-            found.take(stretch)
+            take(found, stretch)
         scales = np.array(found.scales({}))
         assert (scales > 0.0).all() and np.isfinite(scales).all()
         assert np.isfinite(1.0 / scales**2).all(), "the excitation divides by their squares"
+
+
+@pytest.mark.parametrize(
+    ("counts", "noise_A", "rests"), [(0, 0.1, True), (1, 0.1, True), (0, 1.0, False), (40, 0.1, False)]
+)
+def test_a_drive_rests_where_neither_encoder_nor_winding_shows_anything(
+    counts: int, noise_A: float, rests: bool
+) -> None:
+    """Between the noise of a sensor (0.1 A) and ten times as much, between a flicker of one count and forty a tick."""
+    rng = np.random.default_rng(1)
+    position = np.round(np.linspace(0.0, counts, N)) * 1e-3
+    stretch = replace(tick(np.zeros(N), 2.0 + noise_A * rng.standard_normal(N)), position=position)
+    found = levels()
+    take(found, tick(np.full(N, 12.0), np.full(N, 4.0)), 1e-3, 0.01)
+    take(found, stretch, 1e-3, 0.01)
+    assert found.rests is rests
+    assert (found.input_square == pytest.approx(144.0)) is rests, "a rest is no smaller motor"
