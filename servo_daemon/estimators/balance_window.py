@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from servo_daemon.estimators import closure
 from servo_daemon.estimators.balances import (
-    BLIND_STD,
     GramWindow,
     Sums,
     armature_slopes,
@@ -21,12 +21,9 @@ from servo_daemon.estimators.balances import (
 )
 from servo_daemon.estimators.closure import Confronted, Verdict
 from servo_daemon.estimators.excitation import WINDOW_S
+from servo_daemon.estimators.sampling import Sampling, between_samples, blind_std, of_standing_counts
 from servo_daemon.samples import F64
 
-#: Lengths of the windows, s: the armature reacts within L/R (a millisecond or so), the shaft within J/B and J R/K²
-#: (tens of them); and the fewest samples in one: below, the trapezoidal rule is no good.
-SPAN_S = {"armature": 0.02, "shaft": 0.1}
-FEWEST_SAMPLES = 12
 #: Share of the window's rows that must have been held against the filter.
 _CONFRONTED = 0.8
 #: The first rows, s, are less exact: what the current does between two samples was not known yet.
@@ -41,28 +38,6 @@ _HIDES = 0.5
 _CHANCE_STDS = 4.0
 #: Noise levels are known to this factor (in squares).
 _NOISE_KNOWN = 2.0
-
-
-@dataclass(frozen=True, slots=True)
-class Sampling:
-    """What the sampling does to integrals.
-
-    Attributes:
-        noise_var: of the measured channels.
-        current_step_square: mean square of the current's change from one sample to the next, A².
-        period_s: usual distance of two samples.
-        samples_per_count: for how long the angle shows one value, on average.
-    """
-
-    noise_var: Mapping[str, float]
-    current_step_square: float
-    period_s: float
-    samples_per_count: float
-
-    @property
-    def stands(self) -> bool:
-        """The shaft does: what holds it may be in no model, and its balance says nothing of what moves it."""
-        return self.samples_per_count * self.period_s >= SPAN_S["shaft"]
 
 
 class BalanceWindow:
@@ -124,7 +99,7 @@ class BalanceWindow:
             total = self._grams[which].total(self._end_s)
             if total is None or (which == "shaft" and sampling.stands):
                 continue
-            noise_var = _of_standing_counts(sampling, which, _COUNTS_IN_MARGIN)
+            noise_var = of_standing_counts(sampling, which, _COUNTS_IN_MARGIN)
             noise = noise_gram(columns, total.weight_squares, noise_var, self._y_channel(which))
             out += information(total.gram, noise, self._slopes(which, value), names, self._size(which, value))
         return out
@@ -167,12 +142,10 @@ class BalanceWindow:
         total, columns = self._grams["shaft"].total(self._end_s), self._columns["shaft"]
         if total is None or not self._judges_mismatch:
             return 0.0
-        noise = self._noise("shaft", total, value, replace(sampling, noise_var=_of_standing_counts(sampling, "shaft")))
+        noise = self._noise("shaft", total, value, replace(sampling, noise_var=of_standing_counts(sampling, "shaft")))
         noise *= self._by_chance("shaft", total)
-        usual = (
-            float(total.gram[columns.index("one"), columns.index("one")])
-            * (torque_Nm / self._size("shaft", value)) ** 2
-        )
+        one, usual_current = columns.index("one"), torque_Nm / self._size("shaft", value)
+        usual = float(total.gram[one, one]) * usual_current**2
         left = closure.structure(total.gram, noise, usual)
         # White noise of intensity S adds S ∫φ² to the square of ∫φ τ; Σ (φ h)² = h ∫φ².
         of_one = float(total.weight_squares[0]) / sampling.period_s
@@ -199,7 +172,7 @@ class BalanceWindow:
             return None
         free = 1.0 - (len(columns) - 1) / total.rows
         found = closure.residual_square(total.gram) / free / max(float(total.weight_squares[0]), 1e-300)
-        between = _between(sampling, "shaft")
+        between = between_samples(sampling, "shaft")
         return None if between > _HIDES * found else found
 
     def confront(self, value: Mapping[str, float], noise_var: Mapping[str, float]) -> None:
@@ -250,7 +223,7 @@ class BalanceWindow:
     def _by_chance(self, which: str, total: Sums) -> float:
         """By how much larger than expected a sum of squares is that is so by chance."""
         free = max(total.rows - len(self._columns[which]), 1)
-        return 1.0 + _CHANCE_STDS * (2.0 * closure.OVERLAP / free) ** 0.5
+        return 1.0 + _CHANCE_STDS * math.sqrt(2.0 * closure.OVERLAP / free)
 
     def _y_channel(self, which: str) -> str | None:
         return "current_A" if which == "shaft" and self._per_current else None
@@ -268,47 +241,10 @@ class BalanceWindow:
         """The sum of squares that noise and sampling leave of the best fit."""
         columns, noise_var = self._columns[which], dict(sampling.noise_var)
         if "current_A" in noise_var:
-            noise_var["current_A"] += _between(sampling, which)
+            noise_var["current_A"] += between_samples(sampling, which)
         noise = noise_squares(columns, total.weight_squares, noise_var, self._y_channel(which))
         theta = _coefficients(columns[:-1], value, self._size(which, value))
         return _NOISE_KNOWN * float(np.square(np.append(theta, 1.0)) @ noise)
-
-
-def blind_std(name: str, value: Mapping[str, float], period_s: float) -> float:
-    """1 σ of a logarithm that a regression over samples may be off by, whatever its rows say: what the current does
-    between two of them it does not see.
-
-    Args:
-        value: of all parameters, natural units.
-        period_s: usual distance of two samples.
-    """
-    which = "armature" if name in ("R", "L", "K") else "shaft"
-    periods = period_s * value.get("R", 0.0) / value.get("L", 1.0)
-    return BLIND_STD.get(name, 0.0) * periods / (1.0 + periods) * _coarse(which, period_s) ** 0.5
-
-
-def _of_standing_counts(sampling: Sampling, which: str, covered: float = 1.0) -> dict[str, float]:
-    """Variances of the channels' noise as sums over a balance's window see it: a count that stands is one error.
-
-    Args:
-        covered: so many samples on one count are allowed for elsewhere.
-    """
-    alike = min(sampling.samples_per_count, SPAN_S[which] / max(sampling.period_s, 1e-9))
-    out = dict(sampling.noise_var)
-    if "position_rad" in out:
-        out["position_rad"] *= max(alike / covered, 1.0)
-    return out
-
-
-def _between(sampling: Sampling, which: str) -> float:
-    """What the current does between two samples, as noise of it, A²."""
-    return 0.25 * sampling.current_step_square * _coarse(which, sampling.period_s)
-
-
-def _coarse(which: str, period_s: float) -> float:
-    """0 .. 1: what the current does between two samples is lost on the trapezoidal rule, as far as φ changes meanwhile:
-    in amplitude with the square of the share of a sample in the window, all of it in the shortest one."""
-    return min(1.0, (FEWEST_SAMPLES * period_s / SPAN_S[which]) ** 4)
 
 
 def _coefficients(columns: Sequence[str], value: Mapping[str, float], size: float) -> F64:

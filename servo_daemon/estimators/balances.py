@@ -28,8 +28,6 @@ from servo_daemon.samples import F64
 #: voltage goes with the voltage and the current; with the current's derivative it goes only as far as it comes at a
 #: wrong time, and that `skew_s` of the configuration answers for.
 ALIGNED = {"L": 1.0 / 12.0}
-#: What a regression over samples may be off by where the winding is much faster than the sampling, 1 σ.
-BLIND_STD = {"R": 0.2, "L": 0.5, "K": 0.1, "J": 0.2, "B": 0.5}
 
 
 def added(arrays: Sequence[F64]) -> F64:

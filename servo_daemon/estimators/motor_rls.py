@@ -12,11 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_daemon.estimators.balance_window import FEWEST_SAMPLES, SPAN_S, BalanceWindow
+from servo_daemon.estimators.balance_window import BalanceWindow
 from servo_daemon.estimators.balances import column_noise
 from servo_daemon.estimators.modulating import Windows, make_windows
 from servo_daemon.estimators.plausible import Plausible
 from servo_daemon.estimators.rls import DirectionalRls, LinearEstimate
+from servo_daemon.estimators.sampling import FEWEST_SAMPLES, SPAN_S
 from servo_daemon.estimators.shaft_columns import DRY, EFFECT_SIGNALS, GIVES, SHAFT_COLUMNS
 from servo_daemon.estimators.stretch import Stretch, between_samples, joined, last, median, motion, speed_sign
 from servo_daemon.estimators.stretch import speed as speed_of

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from servo_daemon.estimators.balance_window import Sampling
 from servo_daemon.estimators.coarse_input import CoarseInput
 from servo_daemon.estimators.ekf import Ekf
 from servo_daemon.estimators.levels import Levels
 from servo_daemon.estimators.motor_rls import MotorRls
 from servo_daemon.estimators.roster import Roster
+from servo_daemon.estimators.sampling import Sampling
 from servo_daemon.estimators.starter import Start
 from servo_daemon.estimators.stretch import Stretch
 from servo_daemon.estimators.watch import InnovationWatch

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from servo_daemon.estimators import balances, closure, coarse_input
-from servo_daemon.estimators.balance_window import Sampling, blind_std
 from servo_daemon.estimators.ekf import Ekf
 from servo_daemon.estimators.excitation import Excitation
 from servo_daemon.estimators.fusion import KNOWS, QUALIFIED, Qualification, Trusted, confirms
 from servo_daemon.estimators.motor_rls import MotorRls
 from servo_daemon.estimators.roster import Mask, Roster
+from servo_daemon.estimators.sampling import Sampling, blind_std
 from servo_daemon.estimators.starter import NUISANCE_SHARE
 from servo_daemon.samples import F64
 

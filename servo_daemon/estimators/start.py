@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from servo_daemon.estimators.balances import BLIND_STD
 from servo_daemon.estimators.base import Gaussian, to_coordinate
 from servo_daemon.estimators.motor_rls import RegressionEstimate
+from servo_daemon.estimators.sampling import BLIND_STD
 from servo_daemon.plant.parameters import LINEAR, Parameter
 
 #: The regression's start is trusted this much less than it says: its noise is not quite white.

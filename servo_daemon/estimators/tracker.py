@@ -12,7 +12,6 @@ import numpy as np
 
 from servo_daemon.estimators import jumps
 from servo_daemon.estimators.assimilation import assimilate
-from servo_daemon.estimators.balance_window import Sampling
 from servo_daemon.estimators.base import Gaussian
 from servo_daemon.estimators.ekf import Ekf
 from servo_daemon.estimators.excitation import Excitation
@@ -26,6 +25,7 @@ from servo_daemon.estimators.motor_rls import MotorRls
 from servo_daemon.estimators.noise_setting import NoiseSetting
 from servo_daemon.estimators.parameter_judge import ParameterJudge, Tick
 from servo_daemon.estimators.roster import make_roster
+from servo_daemon.estimators.sampling import Sampling
 from servo_daemon.estimators.second_look import SecondLook
 from servo_daemon.estimators.settings import Message, Resolutions, TrackerSettings
 from servo_daemon.estimators.signals import SignalPlan, plan_signals

@@ -1,0 +1,73 @@
+"""What sampling does to integrals over samples."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+#: Lengths of the windows, s: the armature reacts within L/R (a millisecond or so), the shaft within J/B and J R/K²
+#: (tens of them); and the fewest samples in one: below, the trapezoidal rule is no good.
+SPAN_S = {"armature": 0.02, "shaft": 0.1}
+FEWEST_SAMPLES = 12
+#: What a regression over samples may be off by where the winding is much faster than the sampling, 1 σ.
+BLIND_STD = {"R": 0.2, "L": 0.5, "K": 0.1, "J": 0.2, "B": 0.5}
+
+
+@dataclass(frozen=True, slots=True)
+class Sampling:
+    """What the sampling does to integrals.
+
+    Attributes:
+        noise_var: of the measured channels.
+        current_step_square: mean square of the current's change from one sample to the next, A².
+        period_s: usual distance of two samples.
+        samples_per_count: for how long the angle shows one value, on average.
+    """
+
+    noise_var: Mapping[str, float]
+    current_step_square: float
+    period_s: float
+    samples_per_count: float
+
+    @property
+    def stands(self) -> bool:
+        """The shaft does: what holds it may be in no model, and its balance says nothing of what moves it."""
+        return self.samples_per_count * self.period_s >= SPAN_S["shaft"]
+
+
+def blind_std(name: str, value: Mapping[str, float], period_s: float) -> float:
+    """1 σ of a logarithm that a regression over samples may be off by, whatever its rows say: what the current does
+    between two of them it does not see.
+
+    Args:
+        value: of all parameters, natural units.
+        period_s: usual distance of two samples.
+    """
+    which = "armature" if name in ("R", "L", "K") else "shaft"
+    periods = period_s * value.get("R", 0.0) / value.get("L", 1.0)
+    return BLIND_STD.get(name, 0.0) * periods / (1.0 + periods) * math.sqrt(coarse(which, period_s))
+
+
+def of_standing_counts(sampling: Sampling, which: str, covered: float = 1.0) -> dict[str, float]:
+    """Variances of the channels' noise as sums over a balance's window see it: a count that stands is one error.
+
+    Args:
+        covered: so many samples on one count are allowed for elsewhere.
+    """
+    alike = min(sampling.samples_per_count, SPAN_S[which] / max(sampling.period_s, 1e-9))
+    out = dict(sampling.noise_var)
+    if "position_rad" in out:
+        out["position_rad"] *= max(alike / covered, 1.0)
+    return out
+
+
+def between_samples(sampling: Sampling, which: str) -> float:
+    """What the current does between two samples, as noise of it, A²."""
+    return 0.25 * sampling.current_step_square * coarse(which, sampling.period_s)
+
+
+def coarse(which: str, period_s: float) -> float:
+    """0 .. 1: what the current does between two samples is lost on the trapezoidal rule, as far as φ changes meanwhile:
+    in amplitude with the square of the share of a sample in the window, all of it in the shortest one."""
+    return min(1.0, (FEWEST_SAMPLES * period_s / SPAN_S[which]) ** 4)
