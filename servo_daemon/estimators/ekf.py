@@ -115,10 +115,6 @@ class Ekf:
         self._put(z, P)
         self._state[self._lay.instrument] = z[self._lay.x]
 
-    def doubt_input(self, var: float) -> None:
-        """Samples are missing before the next one: what was applied meanwhile is known only to this variance more."""
-        self._state[self._lay.held_variance] += var
-
     def set_noise(self, noise: NoiseLevels) -> None:
         self._constants[0], self._constants[1] = noise.input_var, noise.torque_psd
         self._constants[self._lay.r] = noise.channel_var

@@ -51,6 +51,9 @@ UNUSUAL_INPUT = 30.0
 DOUBTFUL_INPUT = 100.0
 #: Its time constant is at most this share of its age.
 _YOUTH = 0.1
+#: After so many samples a filter that knew nothing of the speed has found it. Until then derivatives by the parameters
+#: are of another motion, and what the speed does to the current would pass for L.
+SAMPLES_TO_FIND_SPEED = 3.0
 
 
 #: Of the speed's standard deviation: four fifths of a Gaussian are further from its mean.
@@ -174,7 +177,7 @@ def build_ekf_step(plant: PlantModel, channels: tuple[str, ...]) -> tuple[EkfLay
     slowly = trusted * slowness(ca.fmax(sample[1], _SHORTEST_STEP_S), state[-1], const[-1])
     instrument = instrument_after(plant, modelled, z[lay.x], slowly)
     outlier = sum((output[3 * k + 2] for k in range(len(channels))), start=ca.SX(0)) > 0
-    age = ca.if_else(outlier, 0.0, state[-1] + sample[1])
+    age = ca.if_else(outlier, SAMPLES_TO_FIND_SPEED * sample[1], state[-1] + sample[1])
     next_state = ca.vertcat(z, pack(P), held, sums, instrument, age)
     return lay, ca.Function("step", [state, const, sample], ca.cse([next_state, output]))
 
@@ -183,6 +186,11 @@ def slowness(h: ca.SX, age_s: ca.SX, time_constant_s: ca.SX) -> ca.SX:
     """What is left of the instrument's distance from the filter after h. A young one follows quickly: after a gap or at
     the start the filter finds its own states first."""
     return ca.exp(-h / ca.fmin(time_constant_s, _YOUTH * (age_s + h)))
+
+
+def found_speed(age_s: ca.SX, h: ca.SX) -> ca.SX:
+    """1 from `SAMPLES_TO_FIND_SPEED` on, 0 before."""
+    return ca.if_else(age_s >= (SAMPLES_TO_FIND_SPEED - 0.5) * h, 1.0, 0.0)
 
 
 def instrument_after(plant: PlantModel, modelled: ca.SX, x: ca.SX, slowly: ca.SX) -> ca.SX:
@@ -204,7 +212,7 @@ def _time_update(lay: EkfLayout, state: ca.SX, const: ca.SX, sample: ca.SX) -> t
         u, var_u = (u + sample[2]) / 2, (var_u + const[0] + sample[3]) / 4
     at = lay.plant.state_names.index("velocity_rad_s")
     step = predict(lay.plant, x, state[lay.instrument], q, u, sample[0] - h, h, var_u, const[1], P[at, at])
-    M = ca.horzcat(step.by_state, step.by_parameter)
+    M = ca.horzcat(step.by_state, step.by_parameter * found_speed(state[-1], h))
     T = M @ P
     P_xx = T @ M.T + step.noise
     P_xq = T[:, n_x:]

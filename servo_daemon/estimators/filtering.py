@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from servo_daemon.estimators.base import Gaussian
 from servo_daemon.estimators.ekf import Ekf
 from servo_daemon.estimators.ekf_model import GATE
-from servo_daemon.estimators.layout import Layout, Marked, breaks, channel, gaps
+from servo_daemon.estimators.filled import LINE_VAR, filled
+from servo_daemon.estimators.layout import Layout, Marked, Mask, breaks, channel, gaps
 from servo_daemon.estimators.levels import Levels
 from servo_daemon.samples import F64, SampleBlock
 
@@ -35,6 +36,7 @@ class Filtering:
     def __init__(self, ekf: Ekf, levels: Levels) -> None:
         self._ekf, self._levels = ekf, levels
         self.layout = Layout(ekf.plant.drive, ekf.channels)
+        self._before: SampleBlock | None = None  # the last sample
         self._kept: list[tuple[SampleBlock, float | None, float | None]] | None = None
         self._kept_from: tuple[SampleBlock, Marked] | None = None
         self.complete = True
@@ -53,24 +55,27 @@ class Filtering:
             return
         if self._kept is not None:
             self._kept.append((block, last_s, period_s))
+        before, self._before = self._before, block.slice(len(block) - 1, len(block))
         cuts = breaks(block, last_s)
         holes = gaps(block, last_s, period_s)
         if not cuts and not holes:
             self._update(block)
             return
         self.complete = False
-        edges = sorted({*cuts, *holes})
+        edges = sorted({*cuts, *(k for k, short in holes.items() if not short)})
         for a, b in zip([0, *edges], [*edges, len(block)], strict=True):
             if b <= a:
                 continue
             part = block.slice(a, b)
-            if a in cuts or not holes.get(a, True):
+            if a in edges:
                 self.layout.last_s = float(part.time_s[0])  # begins at this sample: no prediction up to it
                 forget = self._ekf.forget_state if a in cuts else self._ekf.forget_motion
                 forget(self.first_state(part))
-            elif a in holes:
-                self._ekf.doubt_input(self._levels.input_step_square)
-            self._update(part)
+            short = [k - a for k, is_short in holes.items() if is_short and a <= k < b and k not in cuts]
+            if short and period_s is not None:
+                self._update(*filled(part, before if a == 0 else None, short, period_s))
+            else:
+                self._update(part)
 
     def keep(self, last: SampleBlock | None) -> None:
         """A filter starts: from now on samples are kept, so that they can be gone over `again`.
@@ -89,16 +94,19 @@ class Filtering:
         self.layout.back_to(marked)
         self._ekf.start(parameters, held_input=self.layout.last_input)
         self._ekf.forget_state(self.first_state(last))
-        self._kept, self._cost = None, 0.0
+        self._kept, self._cost, before = None, 0.0, self._before
+        self._before = last
         for samples in kept:
             self.take(*samples)
         fit = Fit(self._cost, int(sum(np.count_nonzero(gated) for gated in self._gated)))
-        self._kept, self._cost = kept, None
+        self._kept, self._cost, self._before = kept, None, before
         self.forget_outliers()
         return fit
 
-    def _update(self, part: SampleBlock) -> None:
-        innovations = self._ekf.update(self.layout.rows(part, self._levels.input_square))
+    def _update(self, part: SampleBlock, new: Mask | None = None) -> None:
+        """Args: new: samples of the part that were put in."""
+        line_var = LINE_VAR * self._levels.input_step_square
+        innovations = self._ekf.update(self.layout.rows(part, self._levels.input_square, new, line_var))
         self._gated.append(innovations.gated)
         if self._cost is not None:
             variance = innovations.variance

@@ -17,7 +17,9 @@ from servo_daemon.estimators.ekf_model import (
     _SHORTEST_STEP_S,
     DOUBTFUL_INPUT,
     GATE,
+    SAMPLES_TO_FIND_SPEED,
     UNUSUAL_INPUT,
+    found_speed,
     instrument_after,
     natural,
     predict,
@@ -61,7 +63,8 @@ class FilterpyLoop:
             trusted = min(DOUBTFUL_INPUT * constants[0] / max(state[lay.held_variance], 1e-300), 1.0)
             slowly = trusted * float(slowness(max(sample[1], _SHORTEST_STEP_S), state[-1], constants[-1]))
             state[lay.instrument] = self._follow(state[lay.instrument], ekf.x[lay.x], slowly)
-            state[-1] = 0.0 if outputs[row, 2::3].any() else state[-1] + sample[1]
+            age = state[-1] + sample[1]
+            state[-1] = SAMPLES_TO_FIND_SPEED * sample[1] if outputs[row, 2::3].any() else age
             state[lay.held_input], state[lay.held_variance] = sample[2], constants[0] + sample[3]
         state[lay.z] = ekf.x
         state[lay.tri] = ekf.P[self._rows, self._columns]
@@ -78,6 +81,7 @@ class FilterpyLoop:
         )
         state[lay.instrument] = modelled
         F, Q = np.eye(lay.n_z), np.zeros((lay.n_z, lay.n_z))
+        by_z[:, lay.n_x :] *= float(found_speed(state[-1], h))
         F[lay.x, :] = by_z
         Q[lay.x, lay.x] = noise
         Q[lay.q, lay.q] = np.diag(constants[lay.walk] * h)

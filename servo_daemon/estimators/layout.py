@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_daemon.estimators.filled import filled
 from servo_daemon.estimators.layout_step import NEVER, NO_VALUE, LayoutStep, build_layout_step
 from servo_daemon.estimators.stretch import Stretch
 from servo_daemon.plant.compiled import SampleLoop
@@ -20,6 +21,8 @@ LONG_GAP_S = 0.25
 _GAP_PERIODS = 1.6
 #: Up to this many periods the motion is predicted through a gap; beyond, what the voltage did meanwhile counts more.
 _SHORT_GAP_PERIODS = 3.5
+
+Mask = NDArray[np.bool_]
 
 _INVALID_BIT = {
     "voltage_V": int(Quality.VOLTAGE_INVALID),
@@ -81,6 +84,12 @@ def gaps(block: SampleBlock, last_s: float | None, period_s: float | None) -> di
         return {}  # the usual case
     missing = ((block.quality & _GAP) != 0) | (distance > _GAP_PERIODS * period_s)
     return {k: bool(distance[k] <= _SHORT_GAP_PERIODS * period_s) for k in np.flatnonzero(missing).tolist()}
+
+
+def short_gaps(block: SampleBlock, last_s: float | None, period_s: float | None) -> list[int]:
+    """Indices of samples before which so few are missing that others can be put in their place."""
+    cuts = breaks(block, last_s)
+    return [k for k, short in gaps(block, last_s, period_s).items() if short and k not in cuts]
 
 
 def channel(block: SampleBlock, name: str) -> tuple[F64, NDArray[np.bool_] | None]:
@@ -195,11 +204,13 @@ class Layout:
         self._constants[5::3] = least
         self._state[2::2], self._state[3::2] = NO_VALUE, 0.0
 
-    def rows(self, block: SampleBlock, unknown_input_var: float) -> F64:
+    def rows(self, block: SampleBlock, unknown_input_var: float, new: Mask | None = None, new_var: float = 0.0) -> F64:
         """shape (n, 4 + 3 channels): t, h, input, extra variance, (y, valid, doubt)…
 
         Args:
             unknown_input_var: added variance where the input is not known and the last one is held.
+            new: samples that were put in (`filled`), of which nothing was measured; shape (n,); None: none were.
+            new_var: added variance of their input.
         """
         samples = np.ones((len(block), self._lay.n_sample))
         samples[:, 0] = block.time_s
@@ -208,9 +219,13 @@ class Layout:
         if not _all_good(block):
             for k, name in enumerate(self._names):
                 samples[:, 2 + 2 * k] = (block.quality & _INVALID_BIT[name]) == 0
+        if new is not None:
+            samples[new, 4::2] = 0.0
         self._state[0] = block.time_s[0] if self.last_s is None else self.last_s
         self._constants[0], self._constants[2] = self.origin_s, unknown_input_var
         out = self._loop.run(self._state, self._constants, samples)
+        if new is not None:
+            out[new, 3] += new_var
         self.last_s = float(block.time_s[-1])
         return out
 
@@ -220,19 +235,23 @@ class Stretches:
 
     def __init__(self) -> None:
         self._frozen = {name: Repetition(_FEWEST_ALIKE) for name in ("current_A", "velocity_rad_s")}
+        self._last: SampleBlock | None = None
 
     def alike(self, name: str) -> int:
         """For how many samples the channel has shown one value; 0 while it flickers."""
         return self._frozen[name].alike
 
     def of(self, block: SampleBlock, origin_s: float, last_s: float | None, period_s: float | None) -> Stretch:
-        """The block for the regressions. Samples after a long gap, with an invalid channel or a frozen one are not
-        usable. (In a short gap current and motion are nearly straight; what the voltage did nobody knows.)
+        """The block for the regressions, its short gaps filled. Samples after a long gap, with an invalid channel or a
+        frozen one are not usable.
 
         Args:
             origin_s: time is counted from here.
             last_s, period_s: as for `gaps`.
         """
+        last, self._last = self._last, block.slice(len(block) - 1, len(block))
+        if period_s is not None and (short := short_gaps(block, last_s, period_s)):
+            block, _ = filled(block, last, short, period_s)
         usable = np.ones(len(block), dtype=bool) if _all_good(block) else (block.quality & _RESTART) == 0
         holes = gaps(block, last_s, period_s)
         gap = None

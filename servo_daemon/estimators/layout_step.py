@@ -68,7 +68,8 @@ def build_layout_step(channels: int) -> ca.Function:
         value = ca.if_else(valid, sample[1 + 2 * k], 0.0)
         last, before = state[2 + 2 * k], state[3 + 2 * k]
         alike = ca.if_else(ca.fabs(value - last) <= half_step, before + 1.0, 1.0)
-        kept += [value, alike]
+        # What is no measurement is passed over: the count that stood before it stands after it.
+        kept += [ca.if_else(valid, value, last), ca.if_else(valid, alike, before)]
         value -= _ahead(value - last, before, half_step) * (alike <= 1.0)
         doubt = ca.if_else(alike >= least, ca.fmin(2.0 * alike * (alike - 1.0), _MOST_DOUBT), 1.0)
         shown.append((value, valid, doubt, alike))

@@ -180,13 +180,14 @@ class Tracker:
 
     def close_tick(self, tick: SampleBlock) -> list[Message]:
         """Everything slower than a sample, over exactly the samples of this tick."""
+        period_s = self.sample_period_s  # with which the filter has taken the tick's samples
         if len(tick) > 1:
             self.sample_period_s = median(tick.time_s[1:] - tick.time_s[:-1])
         if self.plan.plant is None or self.rls is None or self.ekf is None:
             return []
         duration = max((self.sample_period_s or 0.0) * len(tick), 1e-6)
         assert self.first_s is not None
-        stretch = self._stretches.of(tick, self.first_s, self._tick_end_s, self.sample_period_s)
+        stretch = self._stretches.of(tick, self.first_s, self._tick_end_s, period_s)
         self._levels.take(stretch, self._filtering.layout.position_lsb, self._noise_var())
         self._tick_end_s = float(tick.time_s[-1])
         if not self.ekf.started:
