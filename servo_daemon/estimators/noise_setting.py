@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from servo_daemon.estimators.ekf import Ekf
 from servo_daemon.estimators.levels import Levels
 from servo_daemon.estimators.motor_rls import MotorRls
 from servo_daemon.estimators.roster import Roster
-from servo_daemon.estimators.sampling import Sampling
+from servo_daemon.estimators.sampling import Sampling, coarse
 from servo_daemon.estimators.starter import Start
 from servo_daemon.estimators.stretch import Stretch
 from servo_daemon.estimators.watch import InnovationWatch
@@ -33,15 +34,22 @@ class NoiseSetting:
         self._input_lsb = start.input_lsb
         self._coarse.lsb_V = start.input_lsb if self._ekf.plant.drive == "voltage" else 0.0
         scales = self.rescale(sampling)
+        hidden = self._hidden_in_current(sampling)
         found = self._rls.window.current_noise(sampling)
         if found is not None and "current_A" in sampling.noise_var:
             self._watch.expect_sensor("current_A", found)
             sampling = replace(sampling, noise_var=self._watch.least_noise_var)
-        var = self._rls.window.input_noise(self._value, sampling)
-        if var is not None:
-            self._watch.expect_input(var, self._levels.input_square**0.5, self._input_lsb)
+        var = max(self._rls.window.input_noise(self._value, sampling) or 0.0, hidden)
+        self._watch.expect_input(var, self._levels.input_square**0.5, self._input_lsb)
         self.set()
         return scales
+
+    def _hidden_in_current(self, sampling: Sampling) -> float:
+        """Variance of a held voltage that would make all of what is taken for the current sensor's noise, as far as the
+        winding is faster than the sampling and the two cannot be told apart yet. Taken for nothing but the sensor's,
+        the current's noise would move no shaft."""
+        R, slow = self._value.get("R", 0.0), coarse("armature", sampling.period_s)  # there motion passes for noise
+        return sampling.noise_var.get("current_A", 0.0) * (R * self._watch.settled) ** 2 * (1.0 - slow)
 
     def take(self, tick: Stretch, period_s: float) -> None:
         """A tick's samples while the filter runs."""
@@ -53,6 +61,8 @@ class NoiseSetting:
         each coordinate, shape (n,)."""
         self._value = self._roster.values(self._ekf.coordinates)
         self._torque_Nm = self._levels.torque_Nm(self._value)
+        if {"R", "L"} <= self._value.keys():
+            self._watch.settled = 1.0 - math.exp(-sampling.period_s * self._value["R"] / self._value["L"])
         unexplained = self._rls.window.unexplained_torque(self._value, sampling, self._torque_Nm)
         self._watch.expect_torque(unexplained, self._torque_Nm)
         return np.array(self._levels.scales(self._value))

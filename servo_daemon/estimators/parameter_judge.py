@@ -22,6 +22,9 @@ from servo_daemon.samples import F64
 _IDLE_STD = 0.3
 #: A regression that may be off by as much (1 σ, relative) because of the sampling alone is no judge.
 _BLIND = 0.1
+#: Of a motor whose model lacks something nothing is known better, 1 σ of a logarithm: no balance over samples that
+#: could contradict the filter is more exact.
+_LACKING_STD = 0.01
 #: Parameters of the armature's balance, which has its own say.
 _ARMATURE = ("R", "L", "K")
 #: Parameters that are known worse than this would lead the instrument astray.
@@ -182,7 +185,8 @@ class ParameterJudge:
             if self._is_blind(name, values, tick):
                 error = 0.0
             doubt = closure.doubt_var(error, var + float(std[k]) ** 2) + armature.get(name, 0.0)
-            self.mismatch_std[k] = math.sqrt(found.get(name, 0.0) ** 2 + doubt + float(coarse[k]) ** 2)
+            lacking = 0.0 if tick.white else _LACKING_STD
+            self.mismatch_std[k] = math.hypot(found.get(name, 0.0), math.sqrt(doubt), float(coarse[k]), lacking)
         self._carry_over_torque()
 
     def _by_armature(self, values: Mapping[str, float], tick: Tick) -> dict[str, float]:

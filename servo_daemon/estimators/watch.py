@@ -13,8 +13,8 @@ from servo_daemon.estimators.noise import ChannelNoise, ProcessNoise, Whiteness
 #: Fewest innovations from which noise and correlation are learned.
 _FEWEST_TO_LEARN = 50
 #: The correlation of the current's innovations with the motion's a sample later is small: averaged over so long, s, and
-#: weighted up.
-_CROSS_MEMORY_S, _CROSS_WEIGHT = 10.0, 4.0
+#: weighted up; more so where the winding has settled between two samples and nothing else tells the two noises apart.
+_CROSS_MEMORY_S, _CROSS_WEIGHT, _CROSS_WEIGHT_SETTLED = 10.0, 4.0, 10.0
 #: Of a sensor's noise that is known from elsewhere at least this much stays, however small the innovations are beside
 #: what a filter that has just started expects of them.
 _LEAST_SHARE = 0.5
@@ -54,6 +54,7 @@ class InnovationWatch:
         whiteness: per channel, once it has been seen.
         white: with hysteresis: innovations are uncorrelated, and not only because process noise was raised.
         gated: samples that were weighted down as outliers.
+        settled: 0 .. 1: how far the current has settled from one sample to the next.
     """
 
     def __init__(self, measured: tuple[str, ...]) -> None:
@@ -68,6 +69,7 @@ class InnovationWatch:
         self.whiteness: dict[str, Whiteness] = {}
         self.white = True
         self.gated = 0
+        self.settled = 0.0
 
     def start(self, channels: Mapping[str, ChannelNoise]) -> None:
         """Begin with these levels; what was found about the model before is forgotten."""
@@ -176,7 +178,7 @@ class InnovationWatch:
             if name == "current_A":
                 # What moves the current really moves the shaft a sample later; where the winding is faster than the
                 # sampling this alone tells voltage noise from sensor noise.
-                follow = s.correlation + _CROSS_WEIGHT * self._crossed
+                follow = s.correlation + self._cross_weight() * self._crossed
             self._process[name] = self._noise_after(name, s, follow)
             self.whiteness[name] = self.whiteness.get(name, Whiteness()).after(s.correlation, s.nis, span_s)
             if name == self._measured[-1]:
@@ -186,6 +188,9 @@ class InnovationWatch:
             self._channel[name] = noise.adapted(self._channel[name], s.excess, span_s, self._updates[name], nis)
         if not rests:
             self._judge()
+
+    def _cross_weight(self) -> float:
+        return _CROSS_WEIGHT + (_CROSS_WEIGHT_SETTLED - _CROSS_WEIGHT) * self.settled**2
 
     def _noise_after(self, name: str, s: ChannelStatistics, follow: float | None) -> ProcessNoise:
         """A torque moves the current too. Innovations of the current that are too small beside a torque that was

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks.tracking import faults
-from benchmarks.tracking.cases import coarse_voltage, quiet
+from benchmarks.tracking.cases import coarse_voltage, quiet, slow_sampling
 from benchmarks.tracking.faults import Where
 from benchmarks.tracking.follow import NAMES, Flags, Track, nominal_of, sampled, tracked
 from servo_daemon.samples import F64
@@ -106,6 +106,29 @@ def test_at_standstill_nothing_is_tracking_after_ten_seconds(motor: str, lively:
     assert max(worst(track, case.recording).values()) < STDS
 
 
+@pytest.mark.parametrize("motor", ["paper", "gear", "large"])
+def test_a_rest_is_no_evidence_against_the_model(motor: str) -> None:
+    """What the drive's own noise does at rest is in no balance: nothing is told of a shaft that stands. (The RE 40 has
+    nothing that holds it: its drive's noise turns it by counts at a time.)"""
+    case = quiet("standstill")(MOTORS[motor], 40.0, SEED)
+    track = run(case.recording, motor)
+    assert track.white[after(track, 20.0)].all(), track.told
+
+
+# -- sampling far slower than the winding -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("motor", list(MOTORS))
+def test_a_hundred_samples_a_second_are_as_right_as_a_thousand(motor: str) -> None:
+    """L/R is a millisecond, a tenth of the period: integrals over samples see nothing of it, the filter does."""
+    case = slow_sampling(MOTORS[motor], 30.0, SEED)
+    track = run(case.recording, motor)
+    found = worst(track, case.recording)
+    assert max(found.values()) < STDS, found
+    for parameter in ("R", "L", "K", "J"):
+        assert track.tracking[after(track, 20.0), NAMES.index(parameter)].mean() > 0.9
+
+
 # -- a start in motion, under friction ---------------------------------------------------------------------------------
 
 
@@ -145,7 +168,6 @@ def test_five_percent_of_current_offset_bends_nothing(motor: str, motion: str) -
     failing(
         {
             ("paper", "reversals", 1): "R 8.2 std (7 %) off between 11.0 and 12.9 s, the first in which it is excited",
-            ("large", "reversals", 1): "L 4.4 std (11 %) off at 8.9 s, from a nominal value 40 % off",
         },
         *((motor, motion, 1) for motor in MOTORS for motion in ("pick_and_place", "reversals")),
         ("paper", "pick_and_place", 2),
@@ -226,15 +248,31 @@ def test_spikes_of_the_voltage_bend_nothing(motor: str) -> None:
         assert track.tracking[after(track, 10.0), NAMES.index(parameter)].all()
 
 
+# -- missing samples --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("run_length", [1, 50], ids=["singly", "in runs"])
+@pytest.mark.parametrize("motor", list(MOTORS))
+def test_a_fifth_of_the_samples_missing_bends_nothing(motor: str, run_length: int) -> None:
+    """What the voltage did in a short gap is on a straight line; after a long one the speed is found first."""
+    clean = generate(MOTORS[motor], Scenario("pick_and_place", seconds=30.0, seed=SEED))
+    recording = faults.missing(0.2, run_length)(clean, Where(MOTORS[motor], 0, SEED))
+    track = run(recording, motor)
+    found = worst(track, recording)
+    assert max(found.values()) < STDS, found
+    for parameter in ("R", "K", "J", "B"):
+        assert track.tracking[after(track, 15.0), NAMES.index(parameter)].all()
+
+
 # -- what was known and is so no longer -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("motor", ["paper", "gear", "large"])
 def test_what_was_known_is_held_and_not_the_datasheet(motor: str) -> None:
-    """From 12 s on every fifth sample is missing, and for a time the balances close no more. What was known stays what
-    it was, with a standard deviation that says how much that is still worth; the datasheet is 40 % wrong."""
+    """From 12 s on six of ten samples are missing, by twos, and for a time the balances close no more. What was known
+    stays what it was, with a standard deviation that says how much that is still worth; the datasheet is 40 % wrong."""
     recording = generate(MOTORS[motor], Scenario("pick_and_place", seconds=24.0, seed=SEED))
-    track = run(faults.missing(0.2, 1)(recording, Where(MOTORS[motor], 12000, SEED)), motor)
+    track = run(faults.missing(0.6, 2)(recording, Where(MOTORS[motor], 12000, SEED)), motor)
     known = np.maximum.accumulate(track.tracking, axis=0)
     assert known[-1].all()
     assert (known & ~track.tracking).any(), "nothing was lost: this says nothing"
