@@ -102,7 +102,7 @@ def test_inductance_is_right_again_after_five_seconds(name: str, motor: str) -> 
     late, k = track.time_s >= CHANGE_S + FOLLOWED_S, track.names.index("L")
     spread = track.std[late, k] / case.truth["L"][-1]
     assert (np.abs(errors(case, track)[late, k]) < np.maximum(NEAR, 3.0 * spread)).all()
-    assert spread.max() < 0.05
+    assert spread.max() < 0.07  # with the sampling skew (δ·R) in it, 3 % of this L
 
 
 # -- a step that no parameter explains --------------------------------------------------------------------------------
