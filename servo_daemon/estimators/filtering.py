@@ -30,7 +30,7 @@ class Filtering:
 
     Attributes:
         layout: how samples are laid out.
-        complete: of the samples that are kept none are missing.
+        complete: of the samples that are kept none are missing, but for such as were put in.
     """
 
     def __init__(self, ekf: Ekf, levels: Levels) -> None:
@@ -61,8 +61,8 @@ class Filtering:
         if not cuts and not holes:
             self._update(block)
             return
-        self.complete = False
         edges = sorted({*cuts, *(k for k, short in holes.items() if not short)})
+        self.complete = self.complete and not edges
         for a, b in zip([0, *edges], [*edges, len(block)], strict=True):
             if b <= a:
                 continue
@@ -76,6 +76,11 @@ class Filtering:
                 self._update(*filled(part, before if a == 0 else None, short, period_s))
             else:
                 self._update(part)
+
+    @property
+    def kept(self) -> int:
+        """How many samples are kept."""
+        return 0 if self._kept is None else sum(len(block) for block, _, _ in self._kept)
 
     def keep(self, last: SampleBlock | None) -> None:
         """A filter starts: from now on samples are kept, so that they can be gone over `again`.

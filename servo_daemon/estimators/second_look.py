@@ -23,7 +23,9 @@ from servo_daemon.samples import F64
 #: Begun with a larger 1 σ than this a parameter's derivatives may be wrong.
 _VAGUE_STD = 0.1
 #: After so many ticks the first samples are gone over; each time in at most so many passes.
-_TICKS, _PASSES = (10, 40), 8
+_TICKS, _PASSES = (10, 40, 100), 8
+#: More samples than these are not gone over: others wait for their turn meanwhile.
+_MOST_SAMPLES = 20_000
 #: A pass begins with no larger 1 σ: further off a logarithm's derivatives say nothing of where it would have to go.
 _WIDEST_STD = 0.2
 #: A pass along the instrument fits as well as one without it, if its cost is no larger than by this.
@@ -76,6 +78,7 @@ class SecondLook:
         if self._start is None or tick not in _TICKS:
             return False
         start, complete = self._start.parameters, self._filtering.complete and white
+        complete = complete and self._filtering.kept <= _MOST_SAMPLES
         self.pending = False
         follows = self._go_over(start, self._judge.walk(self._roster.free)) if complete else None
         if tick == _TICKS[-1]:
