@@ -2,8 +2,8 @@
 start with no nominal values at all; over all motors and motions, 20 s each.
 
 Converged: in the end R, K, J and B are `tracking` and within 3 std or 3 % of the truth; L too where it is published as
-`tracking` (where the motion does not show it, it must say so). Those that did not converge are told apart: `open`, where
-nothing is `tracking` that is not right, and `wrong`. Start number k depends on k alone: `--first 400 --runs 100` repeats
+`tracking` (where the motion does not show it, it must say so). Those that did not converge are told apart: open, where
+nothing is `tracking` that is not right, and wrong. Start number k depends on k alone: `--first 400 --runs 100` repeats
 starts 400 to 499.
 """
 
