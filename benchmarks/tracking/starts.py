@@ -79,6 +79,5 @@ def report_starts(first: int, count: int, seconds: float) -> None:
     ):
         good, claimed = sum(not s.failure for s in chosen), sum(s.claimed for s in chosen)
         share = f"({100 * good / max(len(chosen), 1):.1f} %)"
-        print(
-            f"{title:22} {good:5} of {len(chosen):5} converged {share}, {len(chosen) - good - claimed} open, {claimed} wrong"
-        )
+        rest = f"{len(chosen) - good - claimed} open, {claimed} wrong"
+        print(f"{title:22} {good:5} of {len(chosen):5} converged {share}, {rest}")

@@ -34,8 +34,8 @@ class NoiseSetting:
         self._input_lsb = start.input_lsb
         self._coarse.lsb_V = start.input_lsb if self._ekf.plant.drive == "voltage" else 0.0
         scales = self.rescale(sampling)
-        hidden = self._hidden_in_current(sampling)
         found = self._rls.window.current_noise(sampling)
+        hidden = self._hidden_in_current(sampling, found)
         if found is not None and "current_A" in sampling.noise_var:
             self._watch.expect_sensor("current_A", found)
             sampling = replace(sampling, noise_var=self._watch.least_noise_var)
@@ -44,12 +44,18 @@ class NoiseSetting:
         self.set()
         return scales
 
-    def _hidden_in_current(self, sampling: Sampling) -> float:
-        """Variance of a held voltage that would make all of what is taken for the current sensor's noise, as far as the
-        winding is faster than the sampling and the two cannot be told apart yet. Taken for nothing but the sensor's,
-        the current's noise would move no shaft."""
+    def _hidden_in_current(self, sampling: Sampling, sensor_var: float | None) -> float:
+        """Variance of a held voltage that makes the current's noise, as far as it is not its sensor's and the winding is
+        faster than the sampling: there the two look alike. Taken for nothing but the sensor's, the current's noise
+        would move no shaft.
+
+        Args:
+            sensor_var: what the shaft's balance leaves to the sensor, A²; None: not known, and half of it is.
+        """
+        whole = sampling.noise_var.get("current_A", 0.0)
+        flows = max(whole - (whole / 2 if sensor_var is None else sensor_var), 0.0)
         R, slow = self._value.get("R", 0.0), coarse("armature", sampling.period_s)  # there motion passes for noise
-        return sampling.noise_var.get("current_A", 0.0) * (R * self._watch.settled) ** 2 * (1.0 - slow)
+        return flows * (R * self._watch.settled) ** 2 * (1.0 - slow)
 
     def take(self, tick: Stretch, period_s: float) -> None:
         """A tick's samples while the filter runs."""

@@ -23,7 +23,7 @@ from servo_daemon.samples import F64
 #: Begun with a larger 1 σ than this a parameter's derivatives may be wrong.
 _VAGUE_STD = 0.1
 #: After so many ticks the first samples are gone over; each time in at most so many passes.
-_TICKS, _PASSES = (10, 40, 100), 8
+_TICKS, _PASSES = (10, 40), 8
 #: More samples than these are not gone over: others wait for their turn meanwhile.
 _MOST_SAMPLES = 20_000
 #: A pass begins with no larger 1 σ: further off a logarithm's derivatives say nothing of where it would have to go.
