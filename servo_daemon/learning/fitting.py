@@ -1,0 +1,152 @@
+"""From windows with known parameters to a model: screen, fit, calibrate."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_daemon.errors import BadInputError
+from servo_daemon.learning.conformal import FEWEST_CALIBRATED, calibrate
+from servo_daemon.learning.drawing import TrainingSpec
+from servo_daemon.learning.familiarity import Familiarity
+from servo_daemon.learning.learners import Learner, fit_learner, make_learner, predict
+from servo_daemon.learning.model import LearnedModel
+from servo_daemon.learning.preparation import Preparation
+from servo_daemon.learning.screening import Screening, screen
+from servo_daemon.learning.strangeness import Strangeness, strangeness_inputs
+from servo_daemon.learning.targets import Baseline, Target, baseline, bounded, coordinate_scale, encode
+from servo_daemon.learning.training import FAULTY, FOREIGN, HEALTHY, TARGETS, TrainingSet
+from servo_daemon.samples import F64
+
+#: Shares of the motors: to calibrate with, and of the others to screen with.
+_CALIBRATE, _SCREEN = 0.25, 0.2
+#: Fewer give no useful model.
+FEWEST_MOTORS = 100
+
+#: Told what is being done.
+Say = Callable[[str], object]
+
+
+@dataclass(frozen=True)
+class _Usable:
+    """Windows that can be learned from, and what of them: m targets.
+
+    Attributes:
+        windows, base: n of them, with a regression.
+        wanted, scale: shape (n, m), targets, and coordinates per unit of these.
+        role: shape (n,), see `roles`.
+    """
+
+    windows: TrainingSet
+    base: Baseline
+    wanted: F64
+    scale: F64
+    role: NDArray[np.str_]
+
+    def only(self, which: NDArray[np.bool_]) -> _Usable:
+        """Some of the windows."""
+        base = Baseline(self.base.centre[which], self.base.scale[which], self.base.torque[which])
+        return _Usable(self.windows.only(which), base, self.wanted[which], self.scale[which], self.role[which])
+
+
+def train_model(
+    spec: TrainingSpec,
+    windows: TrainingSet,
+    *,
+    target: Target = "correction",
+    learner: Learner = "grnn",
+    jobs: int = -1,
+    say: Say | None = None,
+) -> LearnedModel:
+    """Screen, fit, calibrate.
+
+    Args:
+        windows: simulated ones of this spec, strange ones among them, and measured ones.
+        jobs: cores.
+        say: told what is being done.
+
+    Raises:
+        BadInputError: too few motors with a usable window, or no strange ones.
+    """
+    tell = say or (lambda _: None)
+    began = time.perf_counter()
+    everything = _usable(spec, windows, target)
+    healthy = everything.only(everything.windows.kind == HEALTHY)
+    fit, held = (healthy.only((healthy.role == "calibrate") == c) for c in (False, True))
+    y = bounded(target, fit.wanted)  # few windows in which the regression is useless are not to rule the fit
+    tell("screening the features")
+    preparation = Preparation().fit(fit.windows.features)
+    prepared = preparation.prepare(fit.windows.features)
+    screening = screen(prepared.learned, y, fit.role == "screen", jobs=jobs, seed=spec.seed)
+    kept = screening.kept
+    tell("fitting")
+    made = make_learner(learner, jobs=jobs, seed=spec.seed)
+    fitted = fit_learner(made, prepared.learned[:, kept], y, fit.windows.motor)
+    tell("calibrating")
+    calibration = preparation.prepare(held.windows.features)
+    familiarity = Familiarity().fit(prepared.extended, calibration.extended, spec.seed)
+    strangeness = _strangeness(spec, preparation, everything)
+    predicted, std = predict(fitted, calibration.learned[:, kept])
+    labels = held.windows.motor
+    # Few windows that were bounded for the fit count here as they are.
+    intervals = calibrate(held.wanted, predicted, std, labels)
+    facts = _facts(screening, healthy, np.abs(predicted - held.wanted) * held.scale, len(preparation.used_))
+    model = LearnedModel(spec, target, learner, preparation, kept, fitted, intervals, familiarity, strangeness, facts)
+    # What it declines promises nothing: the intervals are for what it accepts.
+    ok = model.predict(held.windows.features).accepted
+    if len(np.unique(labels[ok])) >= FEWEST_CALIBRATED:
+        intervals = calibrate(held.wanted[ok], predicted[ok], std[ok], labels[ok])
+    return replace(model, intervals=intervals, facts=facts | _abstains(model, everything, time.perf_counter() - began))
+
+
+def _usable(spec: TrainingSpec, windows: TrainingSet, target: Target) -> _Usable:
+    """Raises BadInputError where that is too little to learn from."""
+    base = baseline(windows.features, spec.nominal, spec.spread)
+    wanted, scale = encode(target, windows.truth, base, spec.nominal), coordinate_scale(target, base)
+    role = roles(windows.motor, spec.seed)
+    found = _Usable(windows, base, wanted, scale, role).only(base.known & np.isfinite(wanted).all(axis=1))
+    motors = len(np.unique(found.windows.motor[found.windows.kind == HEALTHY]))
+    if motors < FEWEST_MOTORS:
+        raise BadInputError(f"{motors} motors gave a usable window: {FEWEST_MOTORS} at least are needed")
+    if not {FAULTY, FOREIGN} <= set(found.windows.kind.tolist()):
+        raise BadInputError("no windows with a fault or of motors outside the range: simulate them with strange=True")
+    return found
+
+
+def _strangeness(spec: TrainingSpec, preparation: Preparation, of: _Usable) -> Strangeness:
+    inputs = strangeness_inputs(preparation.prepare(of.windows.features).extended, of.base, spec)
+    kind, held = of.windows.kind, of.role == "calibrate"
+    return Strangeness().fit(inputs[~held], kind[~held], inputs[held & (kind == HEALTHY)], spec.seed)
+
+
+def roles(motor: NDArray[np.int64], seed: int) -> NDArray[np.str_]:
+    """What each window is for, by its motor: "fit", "screen" or "calibrate"; measured ones (negative) only to fit."""
+    names = np.unique(motor)
+    draw = np.random.default_rng([seed, 3]).random(len(names))
+    role = np.where(draw < _CALIBRATE, "calibrate", np.where(draw < _CALIBRATE + _SCREEN, "screen", "fit"))
+    role[names < 0] = "fit"
+    return np.asarray(role[np.searchsorted(names, motor)])
+
+
+def _facts(screening: Screening, healthy: _Usable, error: F64, features: int) -> dict[str, Any]:
+    """Held-out errors are those of motors that took part in nothing but the calibration."""
+    return {
+        "motors": len(np.unique(healthy.windows.motor)),
+        "features": features,
+        "features_kept": len(screening.kept),
+        "screening_loss": screening.loss,
+        "median_error": {name: float(e) for name, e in zip(TARGETS, np.median(error, axis=0), strict=True)},
+    }
+
+
+def _abstains(model: LearnedModel, of: _Usable, seconds: float) -> dict[str, float]:
+    """What the model accepts of the calibration motors' windows, and of those with a fault."""
+    held = of.windows.only(of.role == "calibrate")
+    accepted, kind = model.predict(held.features).accepted, held.kind
+    shares = {"accepted": HEALTHY, "accepted_faulty": FAULTY, "accepted_foreign": FOREIGN}
+    return {name: float(accepted[kind == k].mean()) for name, k in shares.items()} | {"seconds": seconds}
