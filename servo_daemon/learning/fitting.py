@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.errors import BadInputError
-from servo_daemon.learning.conformal import FEWEST_CALIBRATED, calibrate
+from servo_daemon.learning.conformal import FEWEST_CALIBRATED, Intervals, calibrate
 from servo_daemon.learning.drawing import TrainingSpec
 from servo_daemon.learning.familiarity import Familiarity
-from servo_daemon.learning.learners import Learner, fit_learner, make_learner, predict
+from servo_daemon.learning.learners import Learner, fit_learner, make_learner, most_correction, predict
 from servo_daemon.learning.model import LearnedModel
 from servo_daemon.learning.preparation import Preparation
 from servo_daemon.learning.screening import Screening, screen
@@ -48,6 +48,10 @@ class _Usable:
     scale: F64
     role: NDArray[np.str_]
 
+    def healthy(self, which: NDArray[np.bool_]) -> _Usable:
+        """Some of the windows, of these the healthy ones."""
+        return self.only(which & (self.windows.kind == HEALTHY))
+
     def only(self, which: NDArray[np.bool_]) -> _Usable:
         """Some of the windows."""
         base = Baseline(self.base.centre[which], self.base.scale[which], self.base.torque[which])
@@ -76,32 +80,39 @@ def train_model(
     tell = say or (lambda _: None)
     began = time.perf_counter()
     everything = _usable(spec, windows, target)
-    healthy = everything.only(everything.windows.kind == HEALTHY)
-    fit, held = (healthy.only((healthy.role == "calibrate") == c) for c in (False, True))
-    y = bounded(target, fit.wanted)  # few windows in which the regression is useless are not to rule the fit
+    fit, held = (everything.healthy((everything.role == "calibrate") == c) for c in (False, True))
     tell("screening the features")
     preparation = Preparation().fit(fit.windows.features)
-    prepared = preparation.prepare(fit.windows.features)
-    screening = screen(prepared.learned, y, fit.role == "screen", jobs=jobs, seed=spec.seed)
-    kept = screening.kept
+    X = preparation.transform(fit.windows.features)
+    # Few windows in which the regression is useless are not to rule the fit.
+    y = bounded(target, fit.wanted, most_correction(learner))
+    screening = screen(X, y, fit.role == "screen", jobs=jobs, seed=spec.seed)
     tell("fitting")
-    made = make_learner(learner, jobs=jobs, seed=spec.seed)
-    fitted = fit_learner(made, prepared.learned[:, kept], y, fit.windows.motor)
+    kept, made = screening.kept, make_learner(learner, jobs=jobs, seed=spec.seed)
+    fitted = fit_learner(made, X[:, kept], y, fit.windows.motor)
     tell("calibrating")
-    calibration = preparation.prepare(held.windows.features)
-    familiarity = Familiarity().fit(prepared.extended, calibration.extended, spec.seed)
-    strangeness = _strangeness(spec, preparation, everything)
-    predicted, std = predict(fitted, calibration.learned[:, kept])
-    labels = held.windows.motor
-    # Few windows that were bounded for the fit count here as they are.
-    intervals = calibrate(held.wanted, predicted, std, labels)
-    facts = _facts(screening, healthy, np.abs(predicted - held.wanted) * held.scale, len(preparation.used_))
-    model = LearnedModel(spec, target, learner, preparation, kept, fitted, intervals, familiarity, strangeness, facts)
-    # What it declines promises nothing: the intervals are for what it accepts.
-    ok = model.predict(held.windows.features).accepted
-    if len(np.unique(labels[ok])) >= FEWEST_CALIBRATED:
-        intervals = calibrate(held.wanted[ok], predicted[ok], std[ok], labels[ok])
-    return replace(model, intervals=intervals, facts=facts | _abstains(model, everything, time.perf_counter() - began))
+    predicted = predict(fitted, preparation.transform(held.windows.features)[:, kept])
+    intervals = _intervals(held, predicted, np.ones(len(held.role), dtype=bool))
+    declines = _declines(spec, preparation, everything)
+    model = LearnedModel(spec, target, learner, preparation, kept, fitted, intervals, *declines, {})
+    model = _calibrated(model, held, predicted)
+    facts = _facts(screening, everything, np.abs(predicted[0] - held.wanted) * held.scale, len(preparation.used_))
+    facts |= _abstains(model, everything) | {"seconds": time.perf_counter() - began}
+    return replace(model, facts=facts)
+
+
+def _calibrated(model: LearnedModel, held: _Usable, predicted: tuple[F64, F64]) -> LearnedModel:
+    """With intervals for what it accepts: what it declines promises nothing."""
+    accepted = model.predict(held.windows.features).accepted
+    if len(np.unique(held.windows.motor[accepted])) < FEWEST_CALIBRATED:
+        return model
+    return replace(model, intervals=_intervals(held, predicted, accepted))
+
+
+def _intervals(held: _Usable, predicted: tuple[F64, F64], which: NDArray[np.bool_]) -> Intervals:
+    """From some of the held-out windows; few that would have been bounded for the fit count here as they are."""
+    value, std = predicted
+    return calibrate(held.wanted[which], value[which], std[which], held.windows.motor[which])
 
 
 def _usable(spec: TrainingSpec, windows: TrainingSet, target: Target) -> _Usable:
@@ -118,10 +129,16 @@ def _usable(spec: TrainingSpec, windows: TrainingSet, target: Target) -> _Usable
     return found
 
 
-def _strangeness(spec: TrainingSpec, preparation: Preparation, of: _Usable) -> Strangeness:
-    inputs = strangeness_inputs(preparation.prepare(of.windows.features).extended, of.base, spec)
+def _declines(spec: TrainingSpec, preparation: Preparation, of: _Usable) -> tuple[Familiarity, Strangeness]:
+    """What the model declines by."""
+    z = preparation.prepare(of.windows.features).extended
+    inputs = strangeness_inputs(z, of.base, spec)
     kind, held = of.windows.kind, of.role == "calibrate"
-    return Strangeness().fit(inputs[~held], kind[~held], inputs[held & (kind == HEALTHY)], spec.seed)
+    fit, calibration = ~held & (kind == HEALTHY), held & (kind == HEALTHY)
+    return (
+        Familiarity().fit(z[fit], z[calibration], spec.seed),
+        Strangeness().fit(inputs[~held], kind[~held], inputs[calibration], spec.seed),
+    )
 
 
 def roles(motor: NDArray[np.int64], seed: int) -> NDArray[np.str_]:
@@ -133,10 +150,10 @@ def roles(motor: NDArray[np.int64], seed: int) -> NDArray[np.str_]:
     return np.asarray(role[np.searchsorted(names, motor)])
 
 
-def _facts(screening: Screening, healthy: _Usable, error: F64, features: int) -> dict[str, Any]:
+def _facts(screening: Screening, of: _Usable, error: F64, features: int) -> dict[str, Any]:
     """Held-out errors are those of motors that took part in nothing but the calibration."""
     return {
-        "motors": len(np.unique(healthy.windows.motor)),
+        "motors": len(np.unique(of.windows.motor[of.windows.kind == HEALTHY])),
         "features": features,
         "features_kept": len(screening.kept),
         "screening_loss": screening.loss,
@@ -144,9 +161,9 @@ def _facts(screening: Screening, healthy: _Usable, error: F64, features: int) ->
     }
 
 
-def _abstains(model: LearnedModel, of: _Usable, seconds: float) -> dict[str, float]:
+def _abstains(model: LearnedModel, of: _Usable) -> dict[str, float]:
     """What the model accepts of the calibration motors' windows, and of those with a fault."""
     held = of.windows.only(of.role == "calibrate")
     accepted, kind = model.predict(held.features).accepted, held.kind
     shares = {"accepted": HEALTHY, "accepted_faulty": FAULTY, "accepted_foreign": FOREIGN}
-    return {name: float(accepted[kind == k].mean()) for name, k in shares.items()} | {"seconds": seconds}
+    return {name: float(accepted[kind == k].mean()) for name, k in shares.items()}
