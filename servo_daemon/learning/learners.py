@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from servo_daemon.errors import BadInputError
 from servo_daemon.learning.grnn import GRNN
 from servo_daemon.learning.screening import forest
+from servo_daemon.learning.trees import boosted_trees
 from servo_daemon.samples import F64
 
 Learner = Literal["grnn", "forest", "boosting", "ridge", "neighbours"]
@@ -57,8 +58,11 @@ def most_correction(name: str) -> float:
 
 
 def fit_learner(learner: Any, X: F64, y: F64, motor: NDArray[np.int64]) -> Any:
-    """Fitted; a GRNN is told which windows are of one motor."""
-    return learner.fit(X, y, groups=motor) if isinstance(learner, GRNN) else learner.fit(X, y)
+    """Fitted; a GRNN is told which windows are of one motor; of boosting the trees are kept."""
+    from sklearn.multioutput import MultiOutputRegressor
+
+    fitted = learner.fit(X, y, groups=motor) if isinstance(learner, GRNN) else learner.fit(X, y)
+    return boosted_trees(fitted.estimators_) if isinstance(fitted, MultiOutputRegressor) else fitted
 
 
 def predict(learner: Any, X: F64) -> tuple[F64, F64]:
