@@ -162,8 +162,8 @@ def _facts(screening: Screening, of: _Usable, error: F64, features: int) -> dict
 
 
 def _abstains(model: LearnedModel, of: _Usable) -> dict[str, float]:
-    """What the model accepts of the calibration motors' windows, and of those with a fault."""
+    """Which share the model accepts of the windows of calibration motors, healthy and strange."""
     held = of.windows.only(of.role == "calibrate")
     accepted, kind = model.predict(held.features).accepted, held.kind
     shares = {"accepted": HEALTHY, "accepted_faulty": FAULTY, "accepted_foreign": FOREIGN}
-    return {name: float(accepted[kind == k].mean()) for name, k in shares.items()}
+    return {name: float(accepted[kind == k].sum() / max(np.count_nonzero(kind == k), 1)) for name, k in shares.items()}
