@@ -84,21 +84,19 @@ def train_model(
     tell("screening the features")
     preparation = Preparation().fit(fit.windows.features)
     X = preparation.transform(fit.windows.features)
-    # Few windows in which the regression is useless are not to rule the fit.
-    y = bounded(target, fit.wanted, most_correction(learner))
+    y = bounded(target, fit.wanted, most_correction(learner))  # where the regression is useless, it is not to rule
     screening = screen(X, y, fit.role == "screen", jobs=jobs, seed=spec.seed)
     tell("fitting")
-    kept, made = screening.kept, make_learner(learner, jobs=jobs, seed=spec.seed)
-    fitted = fit_learner(made, X[:, kept], y, fit.windows.motor)
+    kept = screening.kept
+    fitted = fit_learner(make_learner(learner, jobs=jobs, seed=spec.seed), X[:, kept], y, fit.windows.motor)
     tell("calibrating")
     predicted = predict(fitted, preparation.transform(held.windows.features)[:, kept])
-    intervals = _intervals(held, predicted, np.ones(len(held.role), dtype=bool))
+    intervals = _intervals(held, predicted, held.role == "calibrate")
     declines = _declines(spec, preparation, everything)
-    model = LearnedModel(spec, target, learner, preparation, kept, fitted, intervals, *declines, {})
-    model = _calibrated(model, held, predicted)
+    uncalibrated = LearnedModel(spec, target, learner, preparation, kept, fitted, intervals, *declines, {})
+    model = _calibrated(uncalibrated, held, predicted)
     facts = _facts(screening, everything, np.abs(predicted[0] - held.wanted) * held.scale, len(preparation.used_))
-    facts |= _abstains(model, everything) | {"seconds": time.perf_counter() - began}
-    return replace(model, facts=facts)
+    return replace(model, facts=facts | _abstains(model, everything) | {"seconds": time.perf_counter() - began})
 
 
 def _calibrated(model: LearnedModel, held: _Usable, predicted: tuple[F64, F64]) -> LearnedModel:

@@ -104,7 +104,11 @@ def simulate_training(
             parts.append(part)
             if progress is not None:
                 progress(min(_PER_TASK * len(parts), motors))
-    windows = stacked(parts)
+    return _checked(stacked(parts), motors)
+
+
+def _checked(windows: TrainingSet, motors: int) -> TrainingSet:
+    """Raises BadInputError where most of the motors hardly moved."""
     usable = np.count_nonzero(windows.kind == HEALTHY)
     if usable < (1.0 - _MOST_LOST) * motors:
         raise BadInputError(
