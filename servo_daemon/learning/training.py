@@ -36,6 +36,8 @@ _MOST_LOST = 0.5
 #: What a window is: of a motor within the range and well measured; of such a motor with a fault of the measuring; of a
 #: motor outside the range. The last two are what a model must decline (`strangeness`).
 HEALTHY, FAULTY, FOREIGN = 0, 1, 2
+#: Faulty windows beside each healthy one: they come in many kinds, and cost no simulation.
+_FAULTS_EACH = 2
 #: Motors outside the range have other random streams than those within.
 _FOREIGN_NUMBERS = 1 << 40
 
@@ -83,7 +85,7 @@ def simulate_training(
     """Windows of so many simulated motors.
 
     Args:
-        strange: beside each healthy window one with a fault, and one of a motor outside the range.
+        strange: beside each healthy window two with a fault, and one of a motor outside the range.
         jobs: processes on this machine; −1: one per core.
         dask: address of a Dask scheduler, such as "tcp://host:8786"; the tasks then run on its workers.
 
@@ -152,8 +154,9 @@ def simulate_motors(spec: TrainingSpec, numbers: Sequence[int], core: F64, *, st
         window, truth = simulate_window(spec, number, row, loop)
         parts.append(labelled(window, truth, number))
         if strange:
-            faulty, _ = with_fault(window, np.random.default_rng([spec.seed, 4, number]))
-            parts.append(labelled(faulty, truth, number, FAULTY))
+            rng = np.random.default_rng([spec.seed, 4, number])
+            faulty = [with_fault(window, rng)[0] for _ in range(_FAULTS_EACH)]
+            parts += [labelled(f, truth, number, FAULTY) for f in faulty]
             far = draw_outside(spec, number, row)
             parts.append(labelled(*simulate_window(spec, _FOREIGN_NUMBERS + number, far, loop), number, FOREIGN))
     return stacked([p for p in parts if p is not None])
