@@ -5,7 +5,8 @@ from __future__ import annotations
 from functools import cache
 
 from servo_daemon.learning.drawing import TrainingSpec, draw_parameters
-from servo_daemon.learning.model import LearnedModel, train_model
+from servo_daemon.learning.fitting import train_model
+from servo_daemon.learning.model import LearnedModel
 from servo_daemon.learning.training import simulate_motors
 from servo_daemon.simulate import PAPER_MOTOR
 
@@ -16,4 +17,4 @@ SPEC = TrainingSpec(dict(PAPER_MOTOR), window_s=2.0, rate_hz=500.0)
 @cache
 def small_model(motors: int = 300) -> LearnedModel:
     """Good to some percent."""
-    return train_model(SPEC, simulate_motors(SPEC, range(motors), draw_parameters(SPEC, motors)), jobs=1)
+    return train_model(SPEC, simulate_motors(SPEC, range(motors), draw_parameters(SPEC, motors), strange=True), jobs=1)

@@ -157,6 +157,8 @@ def _print(document: dict[str, Any]) -> None:
     )
     print(f"  median error on motors it has not seen: {parts}, Tc {100 * errors['Tc']:.2g} % of the torque")
     print(
-        f"  accepts {100 * document['accepted']:.0f} % of their windows; "
-        f"simulated in {document['simulation_s']:.0f} s, trained in {document['seconds']:.0f} s"
+        f"  accepts {100 * document['accepted']:.0f} % of their windows, "
+        f"{100 * document['accepted_faulty']:.0f} % of those with a drawn fault (many are slight), "
+        f"{100 * document['accepted_foreign']:.0f} % of those of motors 1.4 to 5 times outside the range"
     )
+    print(f"  simulated in {document['simulation_s']:.0f} s, trained in {document['seconds']:.0f} s")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,6 +22,8 @@ _CORE = ("R", "L", "K", "J", "B")
 _FEWEST = 12
 #: Of what happened once: beyond six robust standard deviations, found in so many rounds.
 _REJECT, _REJECTIONS = 6.0 * 1.4826, 3
+#: Signals are shifted against each other by this much, s.
+_SHIFT_S = 0.004
 _SPAN_S = {"armature": 0.02, "armature long": 0.1, "shaft": 0.1, "shaft long": 0.4}
 
 
@@ -71,7 +73,7 @@ def balance_features(w: Window, reg: dict[str, float], rms: F64) -> dict[str, fl
     out: dict[str, float] = {}
     short, long = _windows(w, "armature"), _windows(w, "armature long")
     if short is not None:
-        out |= _armature(short, s, reg, float(rms[0]))
+        out |= _armature(short, s, reg, float(rms[0])) | _armature_shifted(short, s, _shift(w))
     if long is not None:
         fit = _fit(_armature_columns(long, s), long.held(s.voltage))
         out |= _against(fit.theta, reg, "arm_long", "R") | {"arm_left_long": fit.left}
@@ -96,6 +98,50 @@ def _armature(w: Windows, s: Stretch, reg: dict[str, float], rms_v: float) -> di
     return out | {"arm_left": plain.left, "arm_rejected": _rejected(with_drop, y)}
 
 
+def _shift(w: Window) -> int:
+    """By so many samples signals are shifted against each other, to see whether the balances then close better."""
+    return max(1, round(_SHIFT_S / w.period_s))
+
+
+def _armature_shifted(w: Windows, s: Stretch, shift: int) -> dict[str, float]:
+    """log of what is left with one signal shifted to what is left without: below 0 where that signal came late
+    (`late`, it is moved ahead) or early."""
+    assert s.voltage is not None
+    assert s.current is not None
+    columns, v = _armature_columns(w, s), w.held(s.voltage)
+    drop = w.integral(np.sign(s.current))
+    plain = _fit([*columns, drop], v).left
+    out: dict[str, float] = {}
+    for name, k in (("late", shift), ("early", -shift)):
+        current, angle = _moved(s.current, k), _motion_moved(s, k)
+        i, di = w.integrals(current, 0, 1)
+        cases = {
+            "v": _fit([*columns, drop], w.held(_moved(s.voltage, k))),
+            "i": _fit([i, -di, columns[2], w.of_one, w.integral(np.sign(current))], v),
+            "w": _fit([*columns[:2], motion(w, angle)[0], w.of_one, drop], v),
+        }
+        out |= {f"arm_{name}_{c}": _log_ratio(fit.left, plain) for c, fit in cases.items()}
+    return out
+
+
+def _motion_moved(s: Stretch, k: int) -> Stretch:
+    if s.position is not None:
+        return replace(s, position=_moved(s.position, k))
+    assert s.velocity is not None
+    return replace(s, velocity=_moved(s.velocity, k))
+
+
+def _moved(x: F64, k: int) -> F64:
+    """What comes k samples later (k < 0: earlier), the ends held."""
+    if k > 0:
+        return np.concatenate([x[k:], np.full(k, x[-1])])
+    return np.concatenate([np.full(-k, x[0]), x[:k]])
+
+
+def _log_ratio(a: float, b: float) -> float:
+    return float(np.log(max(a, 1e-12) / max(b, 1e-12)))
+
+
 def _shaft(w: Window, reg: dict[str, float], rms: F64) -> dict[str, float]:
     s, K = w.stretch, reg["reg_K"]
     assert s.current is not None
@@ -103,7 +149,7 @@ def _shaft(w: Window, reg: dict[str, float], rms: F64) -> dict[str, float]:
     short, long = _windows(w, "shaft"), _windows(w, "shaft long")
     direction = speed_sign(s)
     if short is not None:
-        out |= _shaft_short(short, s, reg, rms, direction)
+        out |= _shaft_short(short, s, reg, rms, direction, _shift(w))
     if long is not None:
         fit = _fit([*_shaft_columns(long, s), long.integral(direction)], long.integral(s.current))
         out |= _against(K * fit.theta, reg, "shaft_long", "JB")
@@ -111,7 +157,9 @@ def _shaft(w: Window, reg: dict[str, float], rms: F64) -> dict[str, float]:
     return out
 
 
-def _shaft_short(w: Windows, s: Stretch, reg: dict[str, float], rms: F64, direction: F64) -> dict[str, float]:
+def _shaft_short(
+    w: Windows, s: Stretch, reg: dict[str, float], rms: F64, direction: F64, shift: int
+) -> dict[str, float]:
     assert s.current is not None
     K, rms_i, rms_w = reg["reg_K"], float(rms[1]), float(rms[2])
     y, minus_rate = w.integrals(s.current, 0, 1)
@@ -125,6 +173,8 @@ def _shaft_short(w: Windows, s: Stretch, reg: dict[str, float], rms: F64, direct
     drag = _fit([*columns, w.integral(omega * np.abs(omega))], y).theta
     out |= _against(K * drag, reg, "shaft_drag", "JB") | {"shaft_drag": drag[4] * rms_w**2 / rms_i}
     out["shaft_delay"] = float(_fit([*columns, minus_rate], y).theta[4])
+    for name, k in (("late", shift), ("early", -shift)):
+        out[f"shaft_{name}"] = _log_ratio(_fit(columns, w.integral(_moved(s.current, k))).left, rough.left)
     return out
 
 

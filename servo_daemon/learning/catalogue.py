@@ -63,6 +63,15 @@ BALANCES: tuple[Feature, ...] = (
     _linear("shaft_long_Tc", "1", "dry friction over spans of 0.4 s over K times the current's RMS"),
     *(_linear(f"shaft_drag_{n}", "1", f"log of {n} beside c ω|ω| to reg_{n}") for n in "JB"),
     _linear("shaft_drag", "1", "that torque at the speed's RMS over K times the current's RMS"),
+    *(
+        _linear(f"arm_{when}_{s}", "1", f"log of what the armature's balance leaves if {s} came 4 ms {when}, to now")
+        for when in ("late", "early")
+        for s in "viw"
+    ),
+    *(
+        _linear(f"shaft_{when}", "1", f"log of what the shaft's balance leaves if the current came 4 ms {when}, to now")
+        for when in ("late", "early")
+    ),
     _log("shaft_left", "1", "what the shaft's balance leaves, over the current, spans of 0.1 s"),
     _log("shaft_left_long", "1", "the same, spans of 0.4 s"),
     _linear("shaft_rejected", "1", "what rows of the shaft's balance leave that a fit to the others rejects"),
@@ -118,7 +127,5 @@ MOTION: tuple[Feature, ...] = (
 
 FEATURES: tuple[Feature, ...] = (*REGRESSION, *BALANCES, *SPECTRUM, *STATISTICS, *MOTION)
 NAMES: tuple[str, ...] = tuple(f.name for f in FEATURES)
-#: Those that tell a fault by themselves: in a healthy drive they are nearly nothing, whatever the motor.
-TELL_TALES: tuple[str, ...] = ("arm_rejected", "shaft_rejected", "shaft_delay")
 #: Changes when any feature is computed otherwise: part of a model file's identity.
-VERSION = 1
+VERSION = 2

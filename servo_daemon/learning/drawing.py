@@ -30,6 +30,8 @@ _NUISANCE = ("constant_load_torque", "current_sensor_offset", "brush_voltage_dro
 _DRY = ("coulomb_friction", "asymmetric_friction", "stribeck_friction")
 #: The motor has run for this long when its window begins, s.
 LEAD_S = 0.3
+#: Motors outside the range are beyond its ends by these factors.
+_OUTSIDE = (1.4, 5.0)
 #: Without a datasheet's supply: volts that small drives run on.
 _SUPPLIES_V = (12.0, 48.0)
 
@@ -109,6 +111,17 @@ def draw_parameters(spec: TrainingSpec, n: int) -> F64:
     )[:n]
     nominal = np.array([spec.nominal[name] for name in CORE])
     return np.asarray(nominal * spec.spread ** (2.0 * unit - 1.0))
+
+
+def draw_outside(spec: TrainingSpec, number: int, core: F64) -> F64:
+    """A motor that lies outside the range: R, L, K, J, B, shape (5,), of one within, of which one or two are put 1.4 to
+    5 times beyond an end of their range."""
+    rng = np.random.default_rng([spec.seed, 5, number])
+    out = core.copy()
+    for k in rng.choice(len(CORE), size=1 + int(rng.random() < 0.3), replace=False).tolist():
+        beyond = spec.spread * _between(rng, *_OUTSIDE)
+        out[k] = spec.nominal[CORE[k]] * beyond ** float(rng.choice((-1.0, 1.0)))
+    return out
 
 
 def draw_motor(spec: TrainingSpec, number: int, core: F64) -> DrawnMotor:

@@ -32,7 +32,7 @@ from servo_daemon.learning.targets import TARGET_KINDS
 from servo_daemon.learning.training import TARGETS
 from servo_daemon.plant.build import build_plant
 
-SCHEMA = 1
+SCHEMA = 2
 _KIND = "servo-daemon learned model"
 _MANIFEST, _MODEL = "manifest.json", "model.skops"
 #: No model is larger, bytes; a zip can promise anything.
@@ -43,11 +43,8 @@ _TYPES = frozenset(
         "servo_daemon.learning.grnn.GRNN",
         "servo_daemon.learning.preparation.Preparation",
         "servo_daemon.learning.familiarity.Familiarity",
-        "sklearn.ensemble._hist_gradient_boosting.binning._BinMapper",
-        "sklearn.ensemble._hist_gradient_boosting.predictor.TreePredictor",
-        "sklearn._loss.link.IdentityLink",
-        "sklearn._loss.link.Interval",
-        "sklearn._loss.loss.AbsoluteError",
+        "servo_daemon.learning.strangeness.Strangeness",
+        "servo_daemon.learning.trees.BoostedTrees",
         "sklearn.tree._tree.Tree",
         "sklearn.metrics._dist_metrics.EuclideanDistance64",
         "sklearn.neighbors._kd_tree.KDTree",
@@ -84,6 +81,7 @@ def save_model(model: LearnedModel, path: Path) -> None:
         "kept": model.kept,
         "estimator": model.estimator,
         "familiarity": model.familiarity,
+        "strangeness": model.strangeness,
         "intervals": {k: np.asarray(v) for k, v in asdict(model.intervals).items()},
     }
     numbers = skops.io.dumps(parts)
@@ -165,6 +163,7 @@ def load_model(path: Path, drive: DriveIdentity | None = None) -> LearnedModel:
             parts["estimator"],
             Intervals(**parts["intervals"]),
             parts["familiarity"],
+            parts["strangeness"],
             manifest["facts"],
         )
     except (KeyError, TypeError) as error:

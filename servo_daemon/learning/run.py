@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 
 from servo_daemon.learning import DEFAULT_MOTORS
 from servo_daemon.learning.drawing import TrainingSpec
+from servo_daemon.learning.fitting import train_model
 from servo_daemon.learning.learners import Learner
-from servo_daemon.learning.model import LearnedModel, train_model
+from servo_daemon.learning.model import LearnedModel
 from servo_daemon.learning.targets import Target
 from servo_daemon.learning.training import TrainingSet, simulate_training
 
@@ -51,7 +52,7 @@ def train(
         BadInputError: see `simulate_training` and `train_model`.
     """
     began = time.perf_counter()
-    windows = simulate_training(spec, job.motors, jobs=job.jobs, dask=job.dask, progress=progress)
+    windows = simulate_training(spec, job.motors, strange=True, jobs=job.jobs, dask=job.dask, progress=progress)
     simulated_s = time.perf_counter() - began
     if job.measured is not None:
         windows = windows.joined(job.measured)

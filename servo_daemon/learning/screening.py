@@ -19,8 +19,9 @@ from servo_daemon.samples import F64
 
 #: Rank correlation from which features belong together (complete linkage).
 _ALIKE = 0.9
-#: Shares of the features that may be kept, and what keeping so few may cost.
-_SHARES = (0.2, 0.3, 0.4, 0.5)
+#: Shares of the features that may be kept, and what keeping so few may cost. A forest does as well with a fifth of
+#: them, but a GRNN, which has a bandwidth for each, is 5 % better with two fifths and gains nothing by more.
+_SHARES = (0.4, 0.5)
 _MOST_LOSS = 0.02
 _REPEATS = 3
 

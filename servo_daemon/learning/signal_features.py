@@ -82,8 +82,8 @@ def statistics_features(w: Window, rms: F64) -> dict[str, float]:
     out["rms_a"] = float(np.sqrt(np.mean(np.square(acceleration))))
     mean = w.even.mean(axis=1)
     centred = w.even - mean[:, None]
-    std = np.maximum(centred.std(axis=1), 1e-300)
     peak = np.abs(w.even).max(axis=1)
+    std = np.maximum(centred.std(axis=1), 1e-12 * peak + 1e-300)  # a constant's is not always exactly zero
     z = centred / std[:, None]
     square = z * z  # NumPy's powers are ten times as slow
     skew, kurtosis = np.mean(square * z, axis=1), np.mean(square * square, axis=1)

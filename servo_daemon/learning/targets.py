@@ -25,8 +25,6 @@ TARGET_KINDS: tuple[Target, ...] = get_args(Target)
 _LOGS = len(TARGETS) - 1  # all but Tc
 #: The regression's std counts within these limits, and friction's share is known to about so much.
 _LEAST_STD, _MOST_STD, _SHARE_STD = 3e-3, 0.3, 0.02
-#: A correction beyond so many of its units says only that the regression is useless there.
-_MOST = 5.0
 #: P_regression counts as far as this factor beyond nominal · or / spread.
 _BEYOND = 3.0
 #: No parameter's logarithm is larger: the ends of an interval that says nothing stay numbers.
@@ -84,10 +82,14 @@ def encode(kind: Target, truth: F64, base: Baseline, nominal: Mapping[str, float
     return wanted
 
 
-def bounded(kind: Target, y: F64) -> F64:
-    """Targets as they are fitted: none so large that it would rule the others."""
+def bounded(kind: Target, y: F64, most: float) -> F64:
+    """Targets as they are fitted: none so large that it would rule the others.
+
+    Args:
+        most: a correction beyond so many of its units says only that the regression is useless there.
+    """
     if kind == "correction":
-        return np.asarray(np.clip(y, -_MOST, _MOST))
+        return np.asarray(np.clip(y, -most, most))
     return np.column_stack([y[:, :_LOGS], np.clip(y[:, -1], -1.0, 1.0)])
 
 

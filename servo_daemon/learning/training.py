@@ -10,7 +10,7 @@ import contextlib
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from servo_daemon.errors import BadInputError, ServoDaemonError
 from servo_daemon.learning import catalogue
-from servo_daemon.learning.drawing import CORE, LEAD_S, TrainingSpec, draw_motor, draw_parameters
+from servo_daemon.learning.drawing import CORE, LEAD_S, TrainingSpec, draw_motor, draw_outside, draw_parameters
+from servo_daemon.learning.faults import with_fault
 from servo_daemon.learning.features import compute_features
 from servo_daemon.samples import F64, SampleBlock
 
@@ -32,6 +33,14 @@ _PER_TASK = 25
 #: Windows without features (the motor hardly moved): beyond this share something is wrong with the datasheet.
 _MOST_LOST = 0.5
 
+#: What a window is: of a motor within the range and well measured; of such a motor with a fault of the measuring; of a
+#: motor outside the range. The last two are what a model must decline (`strangeness`).
+HEALTHY, FAULTY, FOREIGN = 0, 1, 2
+#: Faulty windows beside each healthy one: they come in many kinds, and cost no simulation.
+_FAULTS_EACH = 2
+#: Motors outside the range have other random streams than those within.
+_FOREIGN_NUMBERS = 1 << 40
+
 #: Told after each task how many motors are done.
 Progress = Callable[[int], object]
 
@@ -44,34 +53,39 @@ class TrainingSet:
         features: shape (n, features), in their units, NaN where one cannot be had.
         truth: shape (n, len(TARGETS)), SI units.
         motor: shape (n,): whose window; negative for measured captures.
+        kind: shape (n,): HEALTHY, FAULTY or FOREIGN.
     """
 
     features: F64
     truth: F64
     motor: NDArray[np.int64]
+    kind: NDArray[np.int64]
 
     def __len__(self) -> int:
         return len(self.motor)
 
     def only(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> TrainingSet:
         """Some of the windows."""
-        return TrainingSet(self.features[which], self.truth[which], self.motor[which])
+        return TrainingSet(self.features[which], self.truth[which], self.motor[which], self.kind[which])
 
     def joined(self, other: TrainingSet) -> TrainingSet:
         """The windows of both."""
-        return TrainingSet(
-            np.concatenate([self.features, other.features]),
-            np.concatenate([self.truth, other.truth]),
-            np.concatenate([self.motor, other.motor]),
-        )
+        return stacked([self, other])
 
 
 def simulate_training(
-    spec: TrainingSpec, motors: int, *, jobs: int = -1, dask: str | None = None, progress: Progress | None = None
+    spec: TrainingSpec,
+    motors: int,
+    *,
+    strange: bool = False,
+    jobs: int = -1,
+    dask: str | None = None,
+    progress: Progress | None = None,
 ) -> TrainingSet:
     """Windows of so many simulated motors.
 
     Args:
+        strange: beside each healthy window two with a fault, and one of a motor outside the range.
         jobs: processes on this machine; −1: one per core.
         dask: address of a Dask scheduler, such as "tcp://host:8786"; the tasks then run on its workers.
 
@@ -87,15 +101,20 @@ def simulate_training(
     with _engine(dask, jobs):
         from joblib import Parallel, delayed
 
-        work = (delayed(simulate_motors)(spec, task, core[task.start : task.stop]) for task in tasks)
+        work = (delayed(simulate_motors)(spec, t, core[t.start : t.stop], strange=strange) for t in tasks)
         for part in Parallel(return_as="generator", batch_size=1, pre_dispatch="all" if dask else "2*n_jobs")(work):
             parts.append(part)
             if progress is not None:
                 progress(min(_PER_TASK * len(parts), motors))
-    windows = _stacked(parts)
-    if len(windows) < (1.0 - _MOST_LOST) * motors:
+    return _checked(stacked(parts), motors)
+
+
+def _checked(windows: TrainingSet, motors: int) -> TrainingSet:
+    """Raises BadInputError where most of the motors hardly moved."""
+    usable = np.count_nonzero(windows.kind == HEALTHY)
+    if usable < (1.0 - _MOST_LOST) * motors:
         raise BadInputError(
-            f"only {len(windows)} of {motors} simulated motors gave a usable window: "
+            f"only {usable} of {motors} simulated motors gave a usable window: "
             "are the nominal values and the sample rate those of a motor that moves?"
         )
     return windows
@@ -122,20 +141,25 @@ def _engine(dask: str | None, jobs: int) -> Iterator[None]:
         yield
 
 
-def simulate_motors(spec: TrainingSpec, numbers: Sequence[int], core: F64) -> TrainingSet:
+def simulate_motors(spec: TrainingSpec, numbers: Sequence[int], core: F64, *, strange: bool = False) -> TrainingSet:
     """A task: the windows of these motors.
 
     Args:
         core: their R, L, K, J, B, shape (len(numbers), 5).
+        strange: see `simulate_training`.
     """
     loop = servo_loop(spec)
     parts = []
     for number, row in zip(numbers, core, strict=True):
         window, truth = simulate_window(spec, number, row, loop)
-        found = labelled(window, truth, number)
-        if found is not None:
-            parts.append(found)
-    return _stacked(parts)
+        parts.append(labelled(window, truth, number))
+        if strange:
+            rng = np.random.default_rng([spec.seed, 4, number])
+            faulty = [with_fault(window, rng)[0] for _ in range(_FAULTS_EACH)]
+            parts += [labelled(f, truth, number, FAULTY) for f in faulty]
+            far = draw_outside(spec, number, row)
+            parts.append(labelled(*simulate_window(spec, _FOREIGN_NUMBERS + number, far, loop), number, FOREIGN))
+    return stacked([p for p in parts if p is not None])
 
 
 def servo_loop(spec: TrainingSpec) -> SampleLoop:
@@ -166,14 +190,15 @@ def _checked_effects(spec: TrainingSpec) -> tuple[str, ...]:
     return spec.plant_effects
 
 
-def labelled(window: SampleBlock, truth: Mapping[str, float], motor: int) -> TrainingSet | None:
+def labelled(window: SampleBlock, truth: Mapping[str, float], motor: int, kind: int = HEALTHY) -> TrainingSet | None:
     """One window with what is known of its motor; None where it has no features."""
     try:
         features = compute_features(window)
     except BadInputError:
         return None
     values = [truth.get(name, 0.0 if name == "Tc" else np.nan) for name in TARGETS]
-    return TrainingSet(features[None], np.array([values]), np.array([motor], dtype=np.int64))
+    labels = (np.array([n], dtype=np.int64) for n in (motor, kind))
+    return TrainingSet(features[None], np.array([values]), *labels)
 
 
 def measured_training(captures: Sequence[tuple[SampleBlock, Mapping[str, float]]], window_s: float) -> TrainingSet:
@@ -193,7 +218,7 @@ def measured_training(captures: Sequence[tuple[SampleBlock, Mapping[str, float]]
         if not found:
             raise BadInputError(f"measured capture {k + 1}: no window of {window_s:g} s has usable samples")
         parts += found
-    return _stacked(parts)
+    return stacked(parts)
 
 
 def cut_windows(block: SampleBlock, window_s: float) -> list[SampleBlock]:
@@ -205,9 +230,9 @@ def cut_windows(block: SampleBlock, window_s: float) -> list[SampleBlock]:
     return [block.slice(a, b) for a, b in itertools.pairwise(edges.tolist()) if b - a > 1]
 
 
-def _stacked(parts: Sequence[TrainingSet]) -> TrainingSet:
-    if not parts:
-        width = len(catalogue.NAMES)
-        return TrainingSet(np.empty((0, width)), np.empty((0, len(TARGETS))), np.empty(0, dtype=np.int64))
-    columns: list[Any] = [[getattr(p, name) for p in parts] for name in ("features", "truth", "motor")]
+def stacked(parts: Sequence[TrainingSet]) -> TrainingSet:
+    """The windows of all."""
+    none = np.empty(0, dtype=np.int64)
+    empty = TrainingSet(np.empty((0, len(catalogue.NAMES))), np.empty((0, len(TARGETS))), none, none)
+    columns: list[Any] = [[getattr(p, f.name) for p in (empty, *parts)] for f in fields(TrainingSet)]
     return TrainingSet(*(np.concatenate(c) for c in columns))

@@ -13,7 +13,8 @@ from servo_daemon.config import parse_config
 from servo_daemon.errors import BadInputError
 from servo_daemon.learning import background, cache
 from servo_daemon.learning.drawing import TrainingSpec, draw_parameters
-from servo_daemon.learning.model import LearnedModel, train_model
+from servo_daemon.learning.fitting import train_model
+from servo_daemon.learning.model import LearnedModel
 from servo_daemon.learning.model_file import save_model
 from servo_daemon.learning.training import simulate_motors
 from servo_daemon.service import learned_desk
@@ -36,7 +37,7 @@ def start(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callable[
 
 @pytest.fixture(scope="module")
 def model() -> LearnedModel:
-    return train_model(SPEC, simulate_motors(SPEC, range(200), draw_parameters(SPEC, 200)), jobs=1)
+    return train_model(SPEC, simulate_motors(SPEC, range(200), draw_parameters(SPEC, 200), strange=True), jobs=1)
 
 
 def config(*, nominal: dict[str, float] | None = None, refresh: bool = True, **learning: Any) -> Any:

@@ -75,6 +75,29 @@ def test_what_went_wrong_once_and_what_comes_late_shows(block: SampleBlock, feat
     assert abs(features["shaft_delay"]) < 0.0005
 
 
+@pytest.mark.parametrize(
+    ("channel", "feature"),
+    [
+        ("current_A", "arm_late_i"),
+        ("voltage_V", "arm_late_v"),
+        ("position_rad", "shaft_early"),
+        ("current_A", "shaft_late"),
+    ],
+)
+def test_the_balances_close_better_when_a_late_channel_is_moved_back(
+    channel: str, feature: str, block: SampleBlock, features: dict[str, float]
+) -> None:
+    signal = getattr(block, channel)
+    late = dataclasses.replace(block, **{channel: np.concatenate([np.full(4, signal[0]), signal[:-4]])})
+    assert named(late)[feature] < -0.3 < 0.1 < features[feature]
+
+
+def test_a_channel_that_shows_nothing_is_no_error(block: SampleBlock) -> None:
+    for value in (0.0, 0.1, -1.0 / 3.0):
+        dead = dataclasses.replace(block, voltage_V=np.full(len(block), value))
+        assert not np.isinf(compute_features(dead)).any()
+
+
 def test_they_do_not_depend_on_when_the_clock_began(block: SampleBlock) -> None:
     later = dataclasses.replace(block, time_s=block.time_s + 1024.0)
     assert compute_features(later) == pytest.approx(compute_features(block), rel=1e-4, abs=1e-6)

@@ -53,6 +53,8 @@ def test_a_model_for_the_drive_of_a_config(config: Path, tmp_path: Path) -> None
     assert document["motors_drawn"] == 160
     assert len(document["feature_names"]) == document["features_kept"] <= document["features"] / 2
     assert set(document["median_error"]) == {"R", "L", "K", "J", "B", "Tc"}
+    assert document["accepted_foreign"] < document["accepted"]
+    assert document["accepted_faulty"] < document["accepted"]
 
 
 @pytest.mark.slow
@@ -66,6 +68,7 @@ def test_the_text_and_measured_captures(tmp_path: Path, monkeypatch: pytest.Monk
     path = Path(result.out.splitlines()[0])
     assert path.parent == tmp_path / "models"
     assert "not seen" in result.out
+    assert "of those with a drawn fault" in result.out
     model = load_model(path)
     assert model_path(model.spec) == path
     assert cached_model(model.spec, 160) is not None
