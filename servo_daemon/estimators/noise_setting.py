@@ -45,8 +45,8 @@ class NoiseSetting:
         return scales
 
     def _hidden_in_current(self, sampling: Sampling, sensor_var: float | None) -> float:
-        """Variance of a held voltage that makes the current's noise, as far as it is not its sensor's and the winding is
-        faster than the sampling: there the two look alike. Taken for nothing but the sensor's, the current's noise
+        """Variance of a held voltage that makes the current's noise, as far as that is not its sensor's and the winding
+        is faster than the sampling: there the two look alike. Taken for nothing but the sensor's, the current's noise
         would move no shaft.
 
         Args:

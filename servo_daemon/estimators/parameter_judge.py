@@ -127,6 +127,9 @@ class ParameterJudge:
             else:
                 self._measure_mismatch(values, tick)
                 self._unjudged = False
+        if fresh and not tick.white and "L" in roster.names and self._is_blind("L", values, tick):
+            # What happens between two samples is seen by the filter's model alone, and that lacks something.
+            self.qualification.qualified[roster.names.index("L")] = False
         if fresh and not tick.explained:
             # The model lacks something: what the filter makes of it is worth nothing without a second opinion.
             self.qualification.qualified &= self.confirmed
@@ -247,5 +250,5 @@ class ParameterJudge:
                 spread = math.hypot(std * balances.ALIGNED.get(name, 1.0), blind * value)
                 out[k] = confirms(value, spread, values[name])
             else:
-                out[k] = True
+                out[k] = name != "L" or tick.white
         return out
