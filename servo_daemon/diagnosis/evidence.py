@@ -25,6 +25,8 @@ _LEAST_OF_ALL = 1e-4
 _LEAST_INERTIA = 0.02
 #: Candidates whose gain is within this of the best, and that resampling cannot tell from it, are equivalent.
 _TIE = 0.02
+#: What a simpler model may lose at the end of a search.
+_LITTLE_LOST = 0.01
 #: A nested effect with more parameters must gain this much over the smaller one.
 NESTED_GAIN = 0.02
 #: BIC that no wrong model earns by chance or by an integrator's error, and the gain that must come with it.
@@ -39,6 +41,12 @@ _SERIES = {"N·m": "torque", "V": "voltage"}
 def convinces(a: Advantage) -> bool:
     """Whether an effect's advantage is one."""
     return overwhelming(a) or (a.gain > LEAST_GAIN and a.low > 0.0 and a.delta_bic < LEAST_BIC)
+
+
+def needless(lost: Advantage) -> bool:
+    """Whether the simpler model does as well: what it loses is nothing, or neither the runs that decide (resampled) nor
+    those that were fitted say that it loses anything."""
+    return not convinces(lost) and (lost.gain < _LITTLE_LOST or (lost.low < 0.0 and lost.delta_bic > 0.0))
 
 
 def no_worse(trial: Trial, best: Trial) -> bool:

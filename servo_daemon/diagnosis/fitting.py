@@ -17,6 +17,9 @@ from servo_daemon.diagnosis.trial import Data, Trial, fit_trial
 _FIRST_ITERATIONS, _KEPT = 5, 0.3
 #: … unless it has gained less than this in V per value: a quarter of what `LEAST_GAIN` asks for.
 _HOPELESS = 0.01
+#: Where fewer of what a fit leaves are independent samples, it may be caught among the initial states that it has from
+#: the model before (a shaft that stuck in that one): it is begun again from the measured ones.
+_COLOURED = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,10 +44,14 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: in
     one has gained go on to their end."""
 
     def begin(p: Proposal) -> Trial | None:
-        starts = [p.start] if p.other is None else [p.start, p.other]
-        trials = [fit_trial(data, p.effects, s, like=current, max_iterations=_FIRST_ITERATIONS) for s in starts]
-        found = [t for t in trials if t is not None]
-        return min(found, key=lambda t: t.solution.point.value, default=None)
+        best = None
+        for start in (p.start, p.other):
+            trial = fit_trial(data, p.effects, start, like=current, max_iterations=_FIRST_ITERATIONS)
+            best = _better(best, trial)
+            # Worse than the model that it contains: it began in the wrong place.
+            if best is not None and gained(best) > 0.0 and not p.far:
+                break
+        return best
 
     def end(pair: tuple[Proposal, Trial]) -> Candidate | None:
         p, trial = pair
@@ -52,6 +59,8 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: in
             trial = fit_trial(data, p.effects, trial.values, like=trial) or trial
             if not trial.solution.converged and gained(trial) >= _KEPT * most:
                 trial = fit_trial(data, p.effects, trial.values, like=trial, careful=True) or trial
+            if trial.independent < _COLOURED and gained(trial) >= _KEPT * most:
+                trial = _better(trial, fit_trial(data, p.effects, trial.values)) or trial
         if not np.isfinite(trial.choice.squares).all():
             return None
         return Candidate(p.name, trial, advantage(current, trial))
@@ -64,6 +73,12 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: in
         most = max((gained(t) for _, t in begun), default=0.0)
         found = [c for c in pool.map(end, begun) if c is not None]
     return tuple(sorted(found, key=lambda c: -c.against.gain))
+
+
+def _better(one: Trial | None, other: Trial | None) -> Trial | None:
+    if one is None or other is None:
+        return one or other
+    return min(one, other, key=lambda t: t.solution.point.value)
 
 
 def best_of(candidates: Sequence[Candidate]) -> Candidate | None:

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.diagnosis.balance import balanced_missing_inputs
-from servo_daemon.diagnosis.candidates import SIMPLER, WORTH_A_PAIR, Proposal, pairs, proposals
+from servo_daemon.diagnosis.candidates import SIMPLER, WORTH_A_PAIR, Proposal, as_simpler, pairs, proposals
 from servo_daemon.diagnosis.compare import advantage
-from servo_daemon.diagnosis.evidence import convinces, noticeable, worth_a_name
+from servo_daemon.diagnosis.evidence import needless, noticeable, worth_a_name
 from servo_daemon.diagnosis.fitting import Candidate, best_of, fitted, ties
 from servo_daemon.diagnosis.missing import Fitted, Missing
 from servo_daemon.diagnosis.screen import ScreenedCandidate, screen
@@ -28,8 +28,6 @@ from servo_daemon.plant.effects import effects_by_name
 
 #: At most so many effects are taken.
 _MOST_EFFECTS = 4
-#: What a simpler model may lose at the end of a search.
-_LITTLE_LOST = 0.01
 #: Viscous frictions that differ by less are the same.
 _ALIKE = 0.15
 #: Screened so well, a cause must show in a fit: if none does, the free runs are too long for this motor.
@@ -124,12 +122,12 @@ def _round(search: _Search, missing: Missing, progress: Progress, workers: int) 
     screened = screen(current, missing)
     proposed = proposals(current, screened, missing)
     progress(0.1, "fitting " + ", ".join(p.name for p in proposed))
-    candidates = tuple(
-        c
-        for c in fitted(search.data, current, proposed, workers)
-        if noticeable(c.name, c.trial, missing) and worth_a_name(c.trial, current, search.base)
-    )
-    found = _against_the_best_chance(search, candidates)
+    found = _against_the_best_chance(search, _worthy(search, missing, proposed, workers))
+    if found[2] is None and _promised(screened) > _PROMISING:
+        # Much is left. Screening is linear in what may be far from it: what it thought little of gets a fit as well.
+        rest = [p for p in proposals(current, screened, missing, 0.0) if p.name not in {q.name for q in proposed}]
+        more = _worthy(search, missing, rest, workers)
+        found = _against_the_best_chance(search, (*more, *found[1]))
     promised = _promised(s for s in screened if s.effect in _UNSTABLE)
     if promised > _PROMISING and not _kept_promise(found[0].data, found[2], missing, promised):
         progress(0.2, "once more with shorter free runs")
@@ -142,6 +140,15 @@ def _round(search: _Search, missing: Missing, progress: Progress, workers: int) 
     two = fitted(search.data, search.current, proposed, workers)
     two = tuple(c for c in two if worth_a_name(c.trial, search.current, search.base))
     return search, (*two, *candidates), best_of(two)
+
+
+def _worthy(search: _Search, missing: Missing, proposed: Sequence[Proposal], workers: int) -> tuple[Candidate, ...]:
+    """The proposals fitted, less what is too small to have a name."""
+    return tuple(
+        c
+        for c in fitted(search.data, search.current, proposed, workers)
+        if noticeable(c.name, c.trial, missing) and worth_a_name(c.trial, search.current, search.base)
+    )
 
 
 def _after(progress: Progress, share: float) -> Progress:
@@ -266,8 +273,7 @@ def _pruned(data: Data, current: Trial, added: Sequence[str]) -> tuple[Trial, li
             without = without_effect(data, current, name, instead=instead)
             if without is None or not np.isfinite(without.choice.squares).all():
                 continue
-            lost = advantage(without, current)
-            if not convinces(lost) and lost.gain < _LITTLE_LOST:
+            if needless(advantage(without, current)):
                 kept = [k for present in kept for k in (instead if present == name else (present,))]
                 current = without
                 break
@@ -288,7 +294,7 @@ def without_effect(
         return None
     if not model_exists(effects):
         return None
-    values = dict(trial.values)
+    values = as_simpler(trial.values, name, instead)
     for p in (p for e in effects for p in effects_by_name()[e].parameters):
         values.setdefault(p.name, p.nominal)
     return fit_trial(data, effects, values, parts=parts, like=trial)
