@@ -62,6 +62,12 @@ def overwhelming(a: Advantage) -> bool:
     return (a.gain > _CLEARLY and a.delta_bic < _OVERWHELMING) or a.low > _PLAINLY
 
 
+def at_odds(a: Advantage) -> bool:
+    """Far better where it was fitted, and not where it decides: a simulation that runs away from what it was fitted to
+    within a free run says nothing about the model."""
+    return a.delta_bic < _OVERWHELMING and not convinces(a)
+
+
 def noticeable(name: str, trial: Trial, missing: Missing) -> bool:
     """Whether an effect's torques and voltages are a noticeable share of what the motor works with, and its load's
     inertia of the motor's: encoders feign less. Of a friction the level at speed counts, not that of the first step out

@@ -11,6 +11,7 @@ import numpy as np
 from servo_daemon.diagnosis.candidates import CONTAINED, NESTED, Proposal
 from servo_daemon.diagnosis.compare import Advantage, advantage
 from servo_daemon.diagnosis.evidence import LEAST_BIC, NESTED_GAIN, convinces, no_worse, overwhelming
+from servo_daemon.diagnosis.split import shorter_s
 from servo_daemon.diagnosis.trial import Data, Trial, fit_trial
 
 #: Iterations that every candidate gets, and the share of the best one's gain that earns it the rest.
@@ -73,6 +74,20 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: in
         most = max((gained(t) for _, t in begun), default=0.0)
         found = [c for c in pool.map(end, begun) if c is not None]
     return tuple(sorted(found, key=lambda c: -c.against.gain))
+
+
+def closer(data: Data, trial: Trial) -> Trial:
+    """The model fitted once more from where shorter free runs put it, if what it leaves is not noise and that helps.
+
+    A run with dry friction is no smooth function of the parameters: a shaft that stops a little earlier sticks. Over
+    short runs there are few such edges for a fit to be caught at.
+    """
+    shorter = shorter_s(data.recordings, data.split.segment_s)
+    if shorter is None or trial.independent >= _COLOURED:
+        return trial
+    short = fit_trial(data.cut(trial.effects, shorter), trial.effects, trial.values)
+    again = None if short is None else fit_trial(data, trial.effects, short.values)
+    return _better(trial, again) or trial
 
 
 def _better(one: Trial | None, other: Trial | None) -> Trial | None:
