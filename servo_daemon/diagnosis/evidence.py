@@ -15,6 +15,9 @@ from servo_daemon.plant.effects import effects_by_name
 
 #: Least gain of a new effect: error of the free runs (log of its RMS; the 98 % interval must be above 0), and BIC.
 LEAST_GAIN, LEAST_BIC = 0.03, -20.0
+#: Share of the gain that is none: where the motor moves in few of the runs that decide, some resamples hold none of
+#: these and neither gain nor lose.
+_NOTHING = 0.01
 #: Least torque or voltage of an effect that has one, as a share of what the motor works with.
 LEAST_SHARE = 2e-3
 #: Parameters that are such a share themselves.
@@ -40,7 +43,7 @@ _SERIES = {"N·m": "torque", "V": "voltage"}
 
 def convinces(a: Advantage) -> bool:
     """Whether an effect's advantage is one."""
-    return overwhelming(a) or (a.gain > LEAST_GAIN and a.low > 0.0 and a.delta_bic < LEAST_BIC)
+    return overwhelming(a) or (a.gain > LEAST_GAIN and a.low > -_NOTHING * a.gain and a.delta_bic < LEAST_BIC)
 
 
 def needless(lost: Advantage) -> bool:

@@ -16,6 +16,7 @@ from servo_daemon.estimators.base import natural_values, to_coordinate
 from servo_daemon.estimators.output_error import Recording
 from servo_daemon.estimators.output_error.lost_runs import ENOUGH, begun_again
 from servo_daemon.estimators.output_error.problem import Problem, Segment
+from servo_daemon.estimators.output_error.rollout import STEP
 from servo_daemon.estimators.output_error.setup import carrying, make_problem
 from servo_daemon.estimators.output_error.solver import Solution, solve
 from servo_daemon.estimators.output_error.starts import starting_points
@@ -29,6 +30,10 @@ _START_ITERATIONS, _MOST_ITERATIONS = 3, 25
 #: Samples of all free runs together: of longer captures each run is only begun, so that a search takes no longer; the
 #: fit that is published sees all of them. And the least of one run.
 _MOST_SAMPLES, _LEAST_SAMPLES = 24_000, 40
+
+
+#: An L/R of this share of the sample period and a viscous friction of this share of the braking K²/R can be seen.
+_SEEN_LAG, _SEEN_BRAKING = 0.1, 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,6 +171,7 @@ def fit_trial(
     values = {
         p.name: float(np.clip({**start, **data.fixed}[p.name], p.lower, p.upper)) for p in problem.plant.parameters
     }
+    values |= _lifted(values, problem)
     chosen = data.split.of(*parts)
     problem = _begun_like(problem, like, chosen)
     fitted = replace(problem, segments=tuple(problem.segments[int(k)] for k in chosen))
@@ -174,6 +180,16 @@ def fit_trial(
     if found is None:
         return None
     return Trial(effects, _natural(fitted, found.point.unknowns), held, problem, fitted, found, data.split)
+
+
+def _lifted(values: Mapping[str, float], problem: Problem) -> dict[str, float]:
+    """Free L and B that a simpler model has driven to nothing, at values that can be seen: the logarithm of nothing has
+    no slope, and whatever else the model gets, it would stay there."""
+    if not {"R", "L", "K", "B"} <= set(values):
+        return {}
+    period = float(np.median(np.concatenate([s.rows[:, STEP] for s in problem.segments])))
+    least = {"L": _SEEN_LAG * period * values["R"], "B": _SEEN_BRAKING * values["K"] ** 2 / values["R"]}
+    return {name: low for name, low in least.items() if name in problem.free and values[name] < low}
 
 
 def _solved(problem: Problem, start: F64, max_iterations: int, careful: bool) -> Solution | None:
