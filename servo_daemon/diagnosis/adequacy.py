@@ -71,12 +71,14 @@ def believed(selection: Selection) -> Believed:
             continue
         if not is_what_it_is_called(selection.added, selection.chosen.values):
             break
-        extended = _unbent(selection.data, selection.chosen, extended)
         missing = longest_missing(selection.data, extended)
         removed = removed_share(selection.base.choice.nrmse, selection.chosen.choice.nrmse, floor)
         # A motor with a gap runs freely nowhere for long: the balances, which run nowhere, may speak for it.
         if max(removed, _removed_of_missing(before, missing)) < _TOGETHER:
             break
+        straight = _unbent(selection.data, selection.chosen, extended)
+        if straight is not extended:
+            extended, missing = straight, longest_missing(selection.data, straight)
         depends = () if extended.white else dependences(extended, missing)
         # Impacts and first steps come a sample early or late in the best of models: what is left at moments is no sign.
         follows = [d.relative for d in depends if d.on != "moments"]

@@ -193,14 +193,14 @@ def _lifted(values: Mapping[str, float], problem: Problem) -> dict[str, float]:
 
 
 def _solved(problem: Problem, start: F64, max_iterations: int, careful: bool) -> Solution | None:
-    """The fit, and once more if some of its runs had only begun in the wrong place."""
+    """The fit; one that goes to its end once more if some of its runs had only begun in the wrong place."""
 
     def solution(unknowns: F64) -> Solution | None:
         enough = (0.02 if careful else 1.0) * ENOUGH * float(problem.counts.sum())
         return solve(problem, unknowns, max_iterations=max_iterations, enough=enough, curved=careful)
 
     found = solution(start)
-    if found is None or (again := begun_again(problem, found)) is None:
+    if found is None or max_iterations < _MOST_ITERATIONS or (again := begun_again(problem, found)) is None:
         return found
     other = solution(again)
     return found if other is None or other.point.value > found.point.value else other
