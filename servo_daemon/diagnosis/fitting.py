@@ -20,7 +20,7 @@ _FIRST_ITERATIONS, _KEPT = 5, 0.3
 _HOPELESS = 0.01
 #: Where fewer of what a fit leaves are independent samples, it may be caught among the initial states that it has from
 #: the model before (a shaft that stuck in that one): it is begun again from the measured ones.
-_COLOURED = 0.5
+COLOURED = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: in
             trial = fit_trial(data, p.effects, trial.values, like=trial) or trial
             if not trial.solution.converged and gained(trial) >= _KEPT * most:
                 trial = fit_trial(data, p.effects, trial.values, like=trial, careful=True) or trial
-            if trial.independent < _COLOURED and gained(trial) >= _KEPT * most:
+            if trial.independent < COLOURED and gained(trial) >= _KEPT * most:
                 trial = _better(trial, fit_trial(data, p.effects, trial.values)) or trial
         if not np.isfinite(trial.choice.squares).all():
             return None
@@ -83,7 +83,7 @@ def closer(data: Data, trial: Trial) -> Trial:
     short runs there are few such edges for a fit to be caught at.
     """
     shorter = shorter_s(data.recordings, data.split.segment_s)
-    if shorter is None or trial.independent >= _COLOURED:
+    if shorter is None or trial.independent >= COLOURED:
         return trial
     short = fit_trial(data.cut(trial.effects, shorter), trial.effects, trial.values)
     again = None if short is None else fit_trial(data, trial.effects, short.values)

@@ -15,7 +15,7 @@ import numpy as np
 from servo_daemon.diagnosis.candidates import SIMPLER, WORTH_A_PAIR, Proposal, as_simpler, pairs, proposals
 from servo_daemon.diagnosis.compare import advantage
 from servo_daemon.diagnosis.evidence import at_odds, needless, noticeable, worth_a_name
-from servo_daemon.diagnosis.fitting import Candidate, best_of, closer, fitted, ties
+from servo_daemon.diagnosis.fitting import COLOURED, Candidate, best_of, closer, fitted, ties
 from servo_daemon.diagnosis.lacking import leaves, leaves_less, seen_missing
 from servo_daemon.diagnosis.missing import Missing
 from servo_daemon.diagnosis.screen import ScreenedCandidate, screen
@@ -121,8 +121,9 @@ def _round(search: _Search, missing: Missing, progress: Progress, workers: int) 
     proposed = proposals(current, screened, missing)
     progress(0.1, "fitting " + ", ".join(p.name for p in proposed))
     found = _against_the_best_chance(search, _worthy(search, missing, proposed, workers))
-    if found[2] is None and _promised(screened) > _PROMISING:
-        # Much is left. Screening is linear in what may be far from it: what it thought little of gets a fit as well.
+    if found[2] is None and (_promised(screened) > _PROMISING or current.independent < COLOURED):
+        # It is not noise that is left. Screening is linear in what may be far from it, and what it sees depends on what
+        # it took for noise: what it thought little of gets a fit as well.
         rest = [p for p in proposals(current, screened, missing, 0.0) if p.name not in {q.name for q in proposed}]
         more = _worthy(search, missing, rest, workers)
         found = _against_the_best_chance(search, (*more, *found[1]))
