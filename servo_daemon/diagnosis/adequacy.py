@@ -9,6 +9,7 @@ looked at.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -16,13 +17,15 @@ import numpy as np
 
 from servo_daemon.diagnosis.dependence import Dependence, dependences
 from servo_daemon.diagnosis.evidence import is_what_it_is_called, working_shares
+from servo_daemon.diagnosis.lacking import longest_missing
 from servo_daemon.diagnosis.missing import Missing
 from servo_daemon.diagnosis.noise_floor import noise_floor
-from servo_daemon.diagnosis.select import Selection, longest_missing, without_effect
-from servo_daemon.diagnosis.split import CHOICE
-from servo_daemon.diagnosis.trial import Data, Trial
+from servo_daemon.diagnosis.select import Selection, without_effect
+from servo_daemon.diagnosis.split import CHOICE, shorter_s
+from servo_daemon.diagnosis.trial import Data, Trial, fit_trial
 from servo_daemon.errors import NumericalError
 from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, fit_output_error
+from servo_daemon.estimators.output_error.parameters import FittedParameter
 
 #: Least share of the removable error that one effect takes of what the others leave, and that all take together.
 _OWN, _TOGETHER = 0.5, 0.75
@@ -32,6 +35,10 @@ _LEFT = 0.15
 #: sample, noise that goes through it, edges of the encoder. Measured on hidden effects: errors of 0.1 to 0.7 % where
 #: the fit's own standard deviation put them at 4 to 14 σ.
 _EXACT = 2.5e-3
+#: Angles that differ by less are one, rad.
+_ONE_PLACE = 1e-9
+#: Standard deviations by which two estimates differ that cannot both be right.
+_DIFFERENT = 3.0
 
 
 @dataclass(frozen=True)
@@ -69,6 +76,9 @@ def believed(selection: Selection) -> Believed:
         # A motor with a gap runs freely nowhere for long: the balances, which run nowhere, may speak for it.
         if max(removed, _removed_of_missing(before, missing)) < _TOGETHER:
             break
+        straight = _unbent(selection.data, selection.chosen, extended)
+        if straight is not extended:
+            extended, missing = straight, longest_missing(selection.data, straight)
         depends = () if extended.white else dependences(extended, missing)
         # Impacts and first steps come a sample early or late in the best of models: what is left at moments is no sign.
         follows = [d.relative for d in depends if d.on != "moments"]
@@ -95,16 +105,72 @@ def fit_everything(data: Data, trial: Trial, *, noise: bool = True) -> OutputErr
     return _honest(fit_output_error(data.recordings, trial.effects, options))
 
 
+def _unbent(data: Data, trial: Trial, fit: OutputErrorFit) -> OutputErrorFit:
+    """The fit, or one over shorter free runs if that contradicts it.
+
+    If the model and noise of the sensors were all there is, both would be right, and the longer runs tell more. Noise
+    that enters the motor adds up along a run, at a reversal with dry friction or beside a detent without bound, and
+    bends what is fitted to it: where the two differ the shorter runs are to be believed.
+    """
+    shorter = shorter_s(data.recordings, data.split.segment_s)
+    if fit.white or shorter is None:
+        return fit
+    begun = fit_trial(data.cut(trial.effects, shorter), trial.effects, trial.values) or trial
+    options = FitOptions(nominal=begun.values, fixed={**data.fixed, **trial.held}, thorough=False)
+    options = replace(options, segment_s=shorter, noise_model="none")
+    with suppress(NumericalError):
+        short = _honest(fit_output_error(data.recordings, trial.effects, options))
+        if contradicts(fit.parameters, short.parameters):
+            return short
+    return fit
+
+
+def contradicts(fit: Mapping[str, FittedParameter], other: Mapping[str, FittedParameter]) -> bool:
+    """Whether two estimates from the same data, of which the first should be the more exact, differ too much: the
+    variance of their difference is then that of their variances (Hausman, *Econometrica* 46, 1978)."""
+    for name, p in fit.items():
+        q = other[name]
+        if p.value is None or q.value is None or not p.std or not q.std:
+            continue
+        spread = math.hypot(math.sqrt(max(q.std**2 - p.std**2, 0.0)), _exactness(name, p))
+        if abs(p.value - q.value) > _DIFFERENT * spread:
+            return True
+    return False
+
+
 def _honest(fit: OutputErrorFit) -> OutputErrorFit:
     """With standard deviations that hold what no length of data makes smaller: a simulation from sample to sample is
-    exact to a share of a parameter, and to as much of a radian of a phase."""
+    exact to a share of a parameter, and to as much of a radian of a phase; where within a count the encoder's zero
+    lies is not known."""
+    zero = _encoder_zero(fit)
     parameters = {
         name: p
         if p.std is None or p.value is None
-        else replace(p, std=math.hypot(p.std, _EXACT * (1.0 if p.unit == "rad" and name != "gap" else abs(p.value))))
+        else replace(p, std=math.hypot(p.std, _exactness(name, p), zero.get(name, 0.0)))
         for name, p in fit.parameters.items()
     }
     return replace(fit, parameters=parameters)
+
+
+def _exactness(name: str, p: FittedParameter) -> float:
+    return _EXACT * (1.0 if p.unit == "rad" and name != "gap" else abs(p.value or 0.0))
+
+
+def _encoder_zero(fit: OutputErrorFit) -> dict[str, float]:
+    """Standard deviation of each phase over the turn for an encoder's zero that is anywhere within a count, rad."""
+    channels, segments = fit.problem.channels, fit.problem.segments
+    if "position_rad" not in channels:
+        return {}
+    column = channels.index("position_rad")
+    moved = np.abs(np.concatenate([np.diff(s.measured[s.valid[:, column], column]) for s in segments]))
+    step = float(np.min(moved[moved > _ONE_PLACE], initial=np.inf))
+    if not math.isfinite(step):
+        return {}
+    phases = [name for name in fit.parameters if name.startswith("phi_") and not name.startswith("phi_per")]
+    order = {name: fit.parameters.get("n" + name.removeprefix("phi")) for name in phases}
+    return {
+        name: (1.0 if n is None or n.value is None else n.value) * step / math.sqrt(12.0) for name, n in order.items()
+    }
 
 
 def removed_share(before: float, after: float, floor: float) -> float:

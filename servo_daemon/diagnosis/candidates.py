@@ -35,6 +35,18 @@ SIMPLER: Mapping[str, tuple[tuple[str, ...], ...]] = {
 }
 
 
+def as_simpler(values: Mapping[str, float], name: str, instead: Sequence[str]) -> dict[str, float]:
+    """Start values of what stands in the place of an effect: the nearest that the simpler model has to it."""
+    out = dict(values)
+    if name == "asymmetric_friction":
+        out["Tc"] = (values["Tc"] + values["Tc_neg"]) / 2
+        if "constant_load_torque" in instead:
+            out["TL"] = (values["Tc"] - values["Tc_neg"]) / 2
+    if name == "load_torque_step" and "constant_load_torque" in instead:
+        out["TL"] = values["dTL"]
+    return out
+
+
 @dataclass(frozen=True, slots=True)
 class Proposal:
     """A model to try.
@@ -43,14 +55,16 @@ class Proposal:
         name: of the effect that it adds, or of two.
         effects: of the model.
         start: natural units, every parameter.
-        other: the same with the motor as it was without the effect, where screening puts it far from there: a bent
-            motor may be nearer to the truth than what a regression makes of the whole; None: not needed.
+        other: the same with the motor as it was without the effect, which may be nearer to the truth than what a
+            regression makes of the whole.
+        far: whether screening puts the motor far from there, so that both must be tried.
     """
 
     name: str
     effects: tuple[str, ...]
     start: Mapping[str, float]
-    other: Mapping[str, float] | None = None
+    other: Mapping[str, float]
+    far: bool
 
 
 def proposals(
@@ -83,9 +97,9 @@ def proposals(
                 start[choice.name] = float(choice.choices.index(value)) if isinstance(value, str) else float(value)
         if "Tc" in s.start and "Tc" in start:
             start["Tc"] = float(s.start["Tc"])
-        moved = [n for n, v in s.motor.items() if n in current.values and _far(v, current.values[n])]
-        other = {**start, **{n: current.values[n] for n in s.motor if n in current.values}} if moved else None
-        out.append(Proposal(name, effects, start, other))
+        far = any(_far(v, current.values[n]) for n, v in s.motor.items() if n in current.values)
+        other = {**start, **current.values, **({"Tc": start["Tc"]} if "Tc" in s.start else {})}
+        out.append(Proposal(name, effects, start, other, far))
     return tuple(out)
 
 
@@ -97,9 +111,9 @@ def pairs(proposed: Sequence[Proposal]) -> tuple[Proposal, ...]:
         for second in proposed[k + 1 : _IN_PAIRS]:
             effects = (*first.effects, *(e for e in second.effects if e not in first.effects))
             if len(effects) == len(first.effects) + 1 and model_exists(effects):
-                start = {**second.start, **first.start}
-                other = None if first.other is None else {**second.start, **first.other}
-                out.append(Proposal(f"{first.name} + {second.name}", effects, start, other))
+                start, other = {**second.start, **first.start}, {**second.start, **first.other}
+                far = first.far or second.far
+                out.append(Proposal(f"{first.name} + {second.name}", effects, start, other, far))
     return tuple(out)
 
 

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from servo_daemon.diagnosis.trial import Scored, Trial
+from servo_daemon.diagnosis.scored import Scored
+from servo_daemon.diagnosis.trial import Trial
 from servo_daemon.samples import F64
 
 _RESAMPLES = 500

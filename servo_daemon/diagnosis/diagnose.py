@@ -14,11 +14,13 @@ from servo_daemon.diagnosis.adequacy import Believed, believed, fit_everything
 from servo_daemon.diagnosis.compare import error_removed
 from servo_daemon.diagnosis.dependence import dependences
 from servo_daemon.diagnosis.differences import differences
+from servo_daemon.diagnosis.lacking import longest_missing
 from servo_daemon.diagnosis.noise_floor import noise_floor
 from servo_daemon.diagnosis.result import CandidateScore, Diagnosis, HeldOut, NamedEffect, Verdict
-from servo_daemon.diagnosis.select import Selection, longest_missing, select, without_effect
+from servo_daemon.diagnosis.scored import Scored
+from servo_daemon.diagnosis.select import Selection, select, without_effect
 from servo_daemon.diagnosis.split import CHOICE, TRAIN, segment_length_s
-from servo_daemon.diagnosis.trial import Data, Scored, Trial, first_trial, fit_trial
+from servo_daemon.diagnosis.trial import Data, Trial, first_trial, fit_trial
 from servo_daemon.estimators.output_error import Recording
 from servo_daemon.identification.validate import validated
 

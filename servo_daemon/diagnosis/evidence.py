@@ -15,6 +15,9 @@ from servo_daemon.plant.effects import effects_by_name
 
 #: Least gain of a new effect: error of the free runs (log of its RMS; the 98 % interval must be above 0), and BIC.
 LEAST_GAIN, LEAST_BIC = 0.03, -20.0
+#: Share of the gain that is none: where the motor moves in few of the runs that decide, some resamples hold none of
+#: these and neither gain nor lose.
+_NOTHING = 0.01
 #: Least torque or voltage of an effect that has one, as a share of what the motor works with.
 LEAST_SHARE = 2e-3
 #: Parameters that are such a share themselves.
@@ -25,6 +28,8 @@ _LEAST_OF_ALL = 1e-4
 _LEAST_INERTIA = 0.02
 #: Candidates whose gain is within this of the best, and that resampling cannot tell from it, are equivalent.
 _TIE = 0.02
+#: What a simpler model may lose at the end of a search.
+_LITTLE_LOST = 0.01
 #: A nested effect with more parameters must gain this much over the smaller one.
 NESTED_GAIN = 0.02
 #: BIC that no wrong model earns by chance or by an integrator's error, and the gain that must come with it.
@@ -38,7 +43,13 @@ _SERIES = {"N·m": "torque", "V": "voltage"}
 
 def convinces(a: Advantage) -> bool:
     """Whether an effect's advantage is one."""
-    return overwhelming(a) or (a.gain > LEAST_GAIN and a.low > 0.0 and a.delta_bic < LEAST_BIC)
+    return overwhelming(a) or (a.gain > LEAST_GAIN and a.low > -_NOTHING * a.gain and a.delta_bic < LEAST_BIC)
+
+
+def needless(lost: Advantage) -> bool:
+    """Whether the simpler model does as well: what it loses is nothing, or neither the runs that decide (resampled) nor
+    those that were fitted say that it loses anything."""
+    return not convinces(lost) and (lost.gain < _LITTLE_LOST or (lost.low < 0.0 and lost.delta_bic > 0.0))
 
 
 def no_worse(trial: Trial, best: Trial) -> bool:
@@ -52,6 +63,12 @@ def overwhelming(a: Advantage) -> bool:
     it: of a motor with a gap those that begin within it. Or better by so much where it decides that the fitted part,
     whose residuals may be one slow drift and count as a handful of samples, need not say so, too."""
     return (a.gain > _CLEARLY and a.delta_bic < _OVERWHELMING) or a.low > _PLAINLY
+
+
+def at_odds(a: Advantage) -> bool:
+    """Far better where it was fitted, and not where it decides: a simulation that runs away from what it was fitted to
+    within a free run says nothing about the model."""
+    return a.delta_bic < _OVERWHELMING and not convinces(a)
 
 
 def noticeable(name: str, trial: Trial, missing: Missing) -> bool:

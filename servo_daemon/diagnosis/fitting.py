@@ -11,12 +11,16 @@ import numpy as np
 from servo_daemon.diagnosis.candidates import CONTAINED, NESTED, Proposal
 from servo_daemon.diagnosis.compare import Advantage, advantage
 from servo_daemon.diagnosis.evidence import LEAST_BIC, NESTED_GAIN, convinces, no_worse, overwhelming
+from servo_daemon.diagnosis.split import shorter_s
 from servo_daemon.diagnosis.trial import Data, Trial, fit_trial
 
 #: Iterations that every candidate gets, and the share of the best one's gain that earns it the rest.
 _FIRST_ITERATIONS, _KEPT = 5, 0.3
 #: … unless it has gained less than this in V per value: a quarter of what `LEAST_GAIN` asks for.
 _HOPELESS = 0.01
+#: Where fewer of what a fit leaves are independent samples, it may be caught among the initial states that it has from
+#: the model before (a shaft that stuck in that one): it is begun again from the measured ones.
+COLOURED = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,10 +45,14 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: in
     one has gained go on to their end."""
 
     def begin(p: Proposal) -> Trial | None:
-        starts = [p.start] if p.other is None else [p.start, p.other]
-        trials = [fit_trial(data, p.effects, s, like=current, max_iterations=_FIRST_ITERATIONS) for s in starts]
-        found = [t for t in trials if t is not None]
-        return min(found, key=lambda t: t.solution.point.value, default=None)
+        best = None
+        for start in (p.start, p.other):
+            trial = fit_trial(data, p.effects, start, like=current, max_iterations=_FIRST_ITERATIONS)
+            best = _better(best, trial)
+            # Worse than the model that it contains: it began in the wrong place.
+            if best is not None and gained(best) > 0.0 and not p.far:
+                break
+        return best
 
     def end(pair: tuple[Proposal, Trial]) -> Candidate | None:
         p, trial = pair
@@ -52,6 +60,8 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: in
             trial = fit_trial(data, p.effects, trial.values, like=trial) or trial
             if not trial.solution.converged and gained(trial) >= _KEPT * most:
                 trial = fit_trial(data, p.effects, trial.values, like=trial, careful=True) or trial
+            if trial.independent < COLOURED and gained(trial) >= _KEPT * most:
+                trial = _better(trial, fit_trial(data, p.effects, trial.values)) or trial
         if not np.isfinite(trial.choice.squares).all():
             return None
         return Candidate(p.name, trial, advantage(current, trial))
@@ -64,6 +74,26 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: in
         most = max((gained(t) for _, t in begun), default=0.0)
         found = [c for c in pool.map(end, begun) if c is not None]
     return tuple(sorted(found, key=lambda c: -c.against.gain))
+
+
+def closer(data: Data, trial: Trial) -> Trial:
+    """The model fitted once more from where shorter free runs put it, if what it leaves is not noise and that helps.
+
+    A run with dry friction is no smooth function of the parameters: a shaft that stops a little earlier sticks. Over
+    short runs there are few such edges for a fit to be caught at.
+    """
+    shorter = shorter_s(data.recordings, data.split.segment_s)
+    if shorter is None or trial.independent >= COLOURED:
+        return trial
+    short = fit_trial(data.cut(trial.effects, shorter), trial.effects, trial.values)
+    again = None if short is None else fit_trial(data, trial.effects, short.values)
+    return _better(trial, again) or trial
+
+
+def _better(one: Trial | None, other: Trial | None) -> Trial | None:
+    if one is None or other is None:
+        return one or other
+    return min(one, other, key=lambda t: t.solution.point.value)
 
 
 def best_of(candidates: Sequence[Candidate]) -> Candidate | None:

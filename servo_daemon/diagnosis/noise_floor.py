@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from servo_daemon.diagnosis.scored import Scored, scored_states
 from servo_daemon.diagnosis.split import HELD_OUT
-from servo_daemon.diagnosis.trial import Scored, Trial, scored_states
+from servo_daemon.diagnosis.trial import Trial
 from servo_daemon.estimators.output_error import OutputErrorFit
 from servo_daemon.estimators.output_error.rollout import INPUT, free_run
 from servo_daemon.estimators.output_error.solver import solve

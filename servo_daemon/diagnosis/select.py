@@ -11,25 +11,21 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from servo_daemon.diagnosis.balance import balanced_missing_inputs
-from servo_daemon.diagnosis.candidates import SIMPLER, WORTH_A_PAIR, Proposal, pairs, proposals
+from servo_daemon.diagnosis.candidates import SIMPLER, WORTH_A_PAIR, Proposal, as_simpler, pairs, proposals
 from servo_daemon.diagnosis.compare import advantage
-from servo_daemon.diagnosis.evidence import convinces, noticeable, worth_a_name
-from servo_daemon.diagnosis.fitting import Candidate, best_of, fitted, ties
-from servo_daemon.diagnosis.missing import Fitted, Missing
+from servo_daemon.diagnosis.evidence import at_odds, needless, noticeable, worth_a_name
+from servo_daemon.diagnosis.fitting import COLOURED, Candidate, best_of, closer, fitted, ties
+from servo_daemon.diagnosis.lacking import leaves, leaves_less, seen_missing
+from servo_daemon.diagnosis.missing import Missing
 from servo_daemon.diagnosis.screen import ScreenedCandidate, screen
-from servo_daemon.diagnosis.split import HELD_OUT, TRAIN, shorter_s
+from servo_daemon.diagnosis.split import TRAIN, shorter_s
 from servo_daemon.diagnosis.trial import Data, Trial, fit_trial, model_exists
 from servo_daemon.errors import NumericalError
-from servo_daemon.estimators.output_error.rollout import TIME
 from servo_daemon.plant.effects import effects_by_name
 
 #: At most so many effects are taken.
 _MOST_EFFECTS = 4
-#: What a simpler model may lose at the end of a search.
-_LITTLE_LOST = 0.01
 #: Viscous frictions that differ by less are the same.
 _ALIKE = 0.15
 #: Screened so well, a cause must show in a fit: if none does, the free runs are too long for this motor.
@@ -81,7 +77,7 @@ def select(data: Data, base: Trial, progress: Progress, workers: int = 2) -> Sel
         current = search.current
         progress(share, f"what is missing beside {' + '.join(current.effects) or 'the linear motor'}")
         try:
-            missing = _seen_missing(search.data, current)
+            missing = seen_missing(search.data, current)
         except NumericalError:
             if not search.added:
                 raise
@@ -94,7 +90,7 @@ def select(data: Data, base: Trial, progress: Progress, workers: int = 2) -> Sel
         # Of two at once neither has been tried against others in its place.
         search.equivalent |= {name: ties(best, candidates) if len(names) == 1 else () for name in names}
         search.added = [*(a for a in search.added if a in best.trial.effects), *names]
-        search.current = best.trial
+        search.current = closer(search.data, best.trial)
     chosen, added = _pruned(search.data, search.current, search.added)
     return Selection(search.data, search.base, chosen, tuple(added), tuple(search.rounds), search.equivalent)
 
@@ -124,14 +120,16 @@ def _round(search: _Search, missing: Missing, progress: Progress, workers: int) 
     screened = screen(current, missing)
     proposed = proposals(current, screened, missing)
     progress(0.1, "fitting " + ", ".join(p.name for p in proposed))
-    candidates = tuple(
-        c
-        for c in fitted(search.data, current, proposed, workers)
-        if noticeable(c.name, c.trial, missing) and worth_a_name(c.trial, current, search.base)
-    )
-    found = _against_the_best_chance(search, candidates)
+    found = _against_the_best_chance(search, _worthy(search, missing, proposed, workers))
+    if found[2] is None and (_promised(screened) > _PROMISING or current.independent < COLOURED):
+        # It is not noise that is left. Screening is linear in what may be far from it, and what it sees depends on what
+        # it took for noise: what it thought little of gets a fit as well.
+        rest = [p for p in proposals(current, screened, missing, 0.0) if p.name not in {q.name for q in proposed}]
+        more = _worthy(search, missing, rest, workers)
+        found = _against_the_best_chance(search, (*more, *found[1]))
     promised = _promised(s for s in screened if s.effect in _UNSTABLE)
-    if promised > _PROMISING and not _kept_promise(found[0].data, found[2], missing, promised):
+    broken = promised > _PROMISING and not _kept_promise(found, missing, promised)
+    if broken or (found[2] is None and any(c.name.startswith(_UNSTABLE) and at_odds(c.against) for c in found[1])):
         progress(0.2, "once more with shorter free runs")
         found = _with_shorter_runs(found, [p for p in proposed if p.name.startswith(_UNSTABLE)], workers)
     search, candidates, best = found
@@ -142,6 +140,16 @@ def _round(search: _Search, missing: Missing, progress: Progress, workers: int) 
     two = fitted(search.data, search.current, proposed, workers)
     two = tuple(c for c in two if worth_a_name(c.trial, search.current, search.base))
     return search, (*two, *candidates), best_of(two)
+
+
+def _worthy(search: _Search, missing: Missing, proposed: Sequence[Proposal], workers: int) -> tuple[Candidate, ...]:
+    """The proposals fitted, less what is too small to have a name or takes too little."""
+    return tuple(
+        c
+        for c in fitted(search.data, search.current, proposed, workers)
+        if noticeable(c.name, c.trial, missing)
+        and (worth_a_name(c.trial, search.current, search.base) or at_odds(c.against))
+    )
 
 
 def _after(progress: Progress, share: float) -> Progress:
@@ -178,7 +186,7 @@ def _own_values(current: Trial, other: Trial) -> dict[str, float]:
     return {name: other.values.get(name, value) for name, value in current.values.items()}
 
 
-def _kept_promise(data: Data, best: Candidate | None, before: Missing, promised: float) -> bool:
+def _kept_promise(found: _Found, before: Missing, promised: float) -> bool:
     """Whether the best model takes of the missing torque and voltage about what screening said could be taken. Where
     free runs diverge (a rotor between two detents) a fit to them follows the divergence and not the motor: the
     balances, which run nowhere, tell.
@@ -187,18 +195,8 @@ def _kept_promise(data: Data, best: Candidate | None, before: Missing, promised:
         before: what was missing without it.
         promised: share of that, on data held out.
     """
-    if best is None:
-        return False
-    try:
-        left = _size(longest_missing(data, best.trial)) / max(_size(before), 1e-300)
-    except NumericalError:
-        return False
-    return left < 1.0 - _MUCH * promised
-
-
-def _size(missing: Missing) -> float:
-    """Mean square of torque and voltage together."""
-    return sum(missing.mean_square.values())
+    search, _, best = found
+    return best is not None and leaves(search.data, best.trial, before) < 1.0 - _MUCH * promised
 
 
 def _with_shorter_runs(had: _Found, proposed: Sequence[Proposal], workers: int) -> _Found:
@@ -219,41 +217,11 @@ def _with_shorter_runs(had: _Found, proposed: Sequence[Proposal], workers: int) 
         return had
     again = fitted(data, current, proposed, workers)
     best = best_of(again)
-    if best is None or (before is not None and not _leaves_less(data, best.trial, search.data, before.trial)):
+    if best is None or (before is not None and not leaves_less(data, best.trial, search.data, before.trial)):
         return had
     found = replace(search, data=data, base=base)
     found.current = current
     return found, again, best
-
-
-def _leaves_less(data: Data, trial: Trial, other_data: Data, other: Trial) -> bool:
-    try:
-        return _size(longest_missing(data, trial)) < _size(longest_missing(other_data, other))
-    except NumericalError:
-        return False
-
-
-def longest_missing(data: Data, fit: Fitted) -> Missing:
-    """Missing torque and voltage of the longest recording under a fitted model."""
-    number = data.longest
-    return balanced_missing_inputs(fit, data.recordings[number].block, recording=number)
-
-
-def _seen_missing(data: Data, trial: Trial) -> Missing:
-    """The same with the held-out part marked as unseen."""
-    missing = longest_missing(data, trial)
-    return replace(missing, unseen=_unseen(data, trial, data.longest, missing))
-
-
-def _unseen(data: Data, trial: Trial, number: int, missing: Missing) -> NDArray[np.bool_]:
-    """Which samples of a recording are in the held-out part, shape (n,)."""
-    out = np.zeros(len(missing.time_s), dtype=bool)
-    time = missing.time_s - data.recordings[number].block.time_s[0]
-    for k in data.split.of(HELD_OUT):
-        segment = trial.problem.segments[int(k)]
-        if segment.recording == number:
-            out |= (time >= segment.rows[0, TIME]) & (time <= segment.rows[-1, TIME])
-    return out
 
 
 def _pruned(data: Data, current: Trial, added: Sequence[str]) -> tuple[Trial, list[str]]:
@@ -266,8 +234,7 @@ def _pruned(data: Data, current: Trial, added: Sequence[str]) -> tuple[Trial, li
             without = without_effect(data, current, name, instead=instead)
             if without is None or not np.isfinite(without.choice.squares).all():
                 continue
-            lost = advantage(without, current)
-            if not convinces(lost) and lost.gain < _LITTLE_LOST:
+            if needless(advantage(without, current)):
                 kept = [k for present in kept for k in (instead if present == name else (present,))]
                 current = without
                 break
@@ -288,7 +255,7 @@ def without_effect(
         return None
     if not model_exists(effects):
         return None
-    values = dict(trial.values)
+    values = as_simpler(trial.values, name, instead)
     for p in (p for e in effects for p in effects_by_name()[e].parameters):
         values.setdefault(p.name, p.nominal)
     return fit_trial(data, effects, values, parts=parts, like=trial)

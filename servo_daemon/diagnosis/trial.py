@@ -9,13 +9,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_daemon.diagnosis.scored import Scored, scored_states
 from servo_daemon.diagnosis.split import CHOICE, HELD_OUT, TRAIN, Split, divide
 from servo_daemon.errors import ConfigError, NumericalError
 from servo_daemon.estimators.base import natural_values, to_coordinate
 from servo_daemon.estimators.output_error import Recording
+from servo_daemon.estimators.output_error.lost_runs import ENOUGH, begun_again
 from servo_daemon.estimators.output_error.problem import Problem, Segment
-from servo_daemon.estimators.output_error.rollout import TIME
-from servo_daemon.estimators.output_error.score import slope
+from servo_daemon.estimators.output_error.rollout import STEP
 from servo_daemon.estimators.output_error.setup import carrying, make_problem
 from servo_daemon.estimators.output_error.solver import Solution, solve
 from servo_daemon.estimators.output_error.starts import starting_points
@@ -25,14 +26,14 @@ from servo_daemon.plant.effects.base import LATE_STEPS
 from servo_daemon.plant.parameters import Parameter
 from servo_daemon.samples import F64
 
-_START_ITERATIONS, _MOST_ITERATIONS, _STATE_ITERATIONS = 3, 25, 8
+_START_ITERATIONS, _MOST_ITERATIONS = 3, 25
 #: Samples of all free runs together: of longer captures each run is only begun, so that a search takes no longer; the
 #: fit that is published sees all of them. And the least of one run.
 _MOST_SAMPLES, _LEAST_SAMPLES = 24_000, 40
-#: A trial's fit is over when an iteration lowers V by less than this per value: the RMS by half of it.
-_ENOUGH = 1e-4
-#: Keeps the logarithm of an error of nothing finite.
-_TINY = 1e-24
+
+
+#: An L/R of this share of the sample period and a viscous friction of this share of the braking K²/R can be seen.
+_SEEN_LAG, _SEEN_BRAKING = 0.1, 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,39 +70,6 @@ class Data:
     def cut(self, effects: tuple[str, ...], segment_s: float) -> Data:
         """The same with free runs of another length."""
         return Data.of(self.recordings, self.fixed, effects, segment_s)
-
-
-@dataclass(frozen=True, slots=True)
-class Scored:
-    """Errors of the free runs of one part, h of them, c channels.
-
-    Attributes:
-        squares: shape (h, c), sums of squares.
-        counts: shape (h, c), samples.
-        spread: shape (c,), RMS of the measured channels about their means.
-        speed_rmse: of the speed, rad/s, where the angle is measured; else None.
-    """
-
-    squares: F64
-    counts: F64
-    spread: F64
-    speed_rmse: float | None = None
-
-    @property
-    def nrmse(self) -> float:
-        """RMS error over the signal's RMS, the geometric mean over channels: what falls with the likelihood, however
-        noisy one of the channels is."""
-        return float(np.sqrt(self.mean_square(np.ones(len(self.squares)))))
-
-    def mean_square(self, weights: F64) -> F64:
-        """Its square, each free run counted so many times; weights: shape (…, h), result: shape (…,)."""
-        mse = (weights @ self.squares) / np.maximum(weights @ self.counts, 1.0)
-        return np.asarray(np.exp(np.mean(np.log(mse / self.spread**2 + _TINY), axis=-1)))
-
-    @property
-    def mse(self) -> F64:
-        """Shape (c,)."""
-        return np.asarray(self.squares.sum(axis=0) / np.maximum(self.counts.sum(axis=0), 1.0))
 
 
 @dataclass(frozen=True)
@@ -175,34 +143,6 @@ class Trial:
         return np.asarray(np.mean([self.coordinates(k) for k in range(self.problem.recordings)], axis=0))
 
 
-def scored_states(problem: Problem) -> Scored:
-    """Errors of free runs whose initial states are fitted and nothing else."""
-    spread, c = problem.spread, len(problem.channels)
-    found = solve(
-        problem,
-        problem.start({}),
-        robust=False,
-        max_iterations=_STATE_ITERATIONS,
-        enough=_ENOUGH * float(problem.counts.sum()),
-        curved=False,
-    )
-    counts = np.array([s.valid.sum(axis=0).astype(float) for s in problem.segments]).reshape(-1, c)
-    if found is None:
-        return Scored(np.full_like(counts, np.inf), counts, spread)
-    residuals = found.point.linearisation.residuals
-    squares = np.array([(r * r).sum(axis=0) for r in residuals]).reshape(-1, c)
-    return Scored(squares, counts, spread, _speed_rmse(problem, residuals))
-
-
-def _speed_rmse(problem: Problem, residuals: Sequence[F64]) -> float | None:
-    """Measured and simulated speed are slopes of angles: their difference is the slope of the angle's residual."""
-    if "position_rad" not in problem.channels:
-        return None
-    k = problem.channels.index("position_rad")
-    slopes = [slope(r[:, k], s.rows[:, TIME]) for r, s in zip(residuals, problem.segments, strict=True)]
-    return float(np.sqrt(np.mean(np.square(np.concatenate(slopes)))))
-
-
 def fit_trial(
     data: Data,
     effects: tuple[str, ...],
@@ -231,19 +171,39 @@ def fit_trial(
     values = {
         p.name: float(np.clip({**start, **data.fixed}[p.name], p.lower, p.upper)) for p in problem.plant.parameters
     }
+    values |= _lifted(values, problem)
     chosen = data.split.of(*parts)
     problem = _begun_like(problem, like, chosen)
     fitted = replace(problem, segments=tuple(problem.segments[int(k)] for k in chosen))
-    found = solve(
-        fitted,
-        fitted.start({p.name: to_coordinate(p, values[p.name]) for p in problem.plant.parameters}),
-        max_iterations=max_iterations,
-        enough=(0.02 if careful else 1.0) * _ENOUGH * float(fitted.counts.sum()),
-        curved=careful,
-    )
+    start_at = fitted.start({p.name: to_coordinate(p, values[p.name]) for p in problem.plant.parameters})
+    found = _solved(fitted, start_at, max_iterations, careful)
     if found is None:
         return None
     return Trial(effects, _natural(fitted, found.point.unknowns), held, problem, fitted, found, data.split)
+
+
+def _lifted(values: Mapping[str, float], problem: Problem) -> dict[str, float]:
+    """Free L and B that a simpler model has driven to nothing, at values that can be seen: the logarithm of nothing has
+    no slope, and whatever else the model gets, it would stay there."""
+    if not {"R", "L", "K", "B"} <= set(values):
+        return {}
+    period = float(np.median(np.concatenate([s.rows[:, STEP] for s in problem.segments])))
+    least = {"L": _SEEN_LAG * period * values["R"], "B": _SEEN_BRAKING * values["K"] ** 2 / values["R"]}
+    return {name: low for name, low in least.items() if name in problem.free and values[name] < low}
+
+
+def _solved(problem: Problem, start: F64, max_iterations: int, careful: bool) -> Solution | None:
+    """The fit; one that goes to its end once more if some of its runs had only begun in the wrong place."""
+
+    def solution(unknowns: F64) -> Solution | None:
+        enough = (0.02 if careful else 1.0) * ENOUGH * float(problem.counts.sum())
+        return solve(problem, unknowns, max_iterations=max_iterations, enough=enough, curved=careful)
+
+    found = solution(start)
+    if found is None or max_iterations < _MOST_ITERATIONS or (again := begun_again(problem, found)) is None:
+        return found
+    other = solution(again)
+    return found if other is None or other.point.value > found.point.value else other
 
 
 def first_trial(data: Data, effects: tuple[str, ...], nominal: Mapping[str, float]) -> Trial:

@@ -9,8 +9,11 @@ import pytest
 
 from servo_daemon.diagnosis.balance import balanced_missing_inputs
 from servo_daemon.diagnosis.dependence import dependences
+from servo_daemon.diagnosis.lacking import seen_missing
 from servo_daemon.diagnosis.missing import Missing, missing_inputs
 from servo_daemon.diagnosis.screen import screen
+from servo_daemon.diagnosis.split import segment_length_s
+from servo_daemon.diagnosis.trial import Data, first_trial, fit_trial
 from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, fit_output_error
 from servo_daemon.estimators.output_error import Recording as Capture
 from servo_daemon.samples import SampleBlock, make_block
@@ -72,6 +75,31 @@ def test_screening_puts_the_cause_first(motor: Motor, motion: str, name: str, sh
     assert best.start[parameter] == pytest.approx(truth[parameter], rel=0.1)
     if "n_cog" in truth:
         assert best.start["n_cog"] == truth["n_cog"]
+
+
+def test_a_fast_ripple_is_not_taken_for_noise_of_the_voltage() -> None:
+    """By likelihood white noise of the voltage explains it best; screening must see it all the same."""
+    effects = {"torque_ripple": {"k_rip": 0.04, "n_rip": 9.0, "phi_rip": 2.24}}
+    _, block = _captured(RE40, Scenario("reversals", seconds=20.0, effects=effects, seed=589189))
+    recordings = (Capture("test", block),)
+    data = Data.of(recordings, {}, (), segment_length_s(recordings))
+    base = first_trial(data, (), {})
+    best = screen(base, seen_missing(data, base))[0]
+    assert best.effect == "torque_ripple"
+    assert best.start["n_rip"] == 9.0
+    assert best.heldout_share > 0.1
+
+
+def test_runs_beside_a_point_where_the_rotor_cannot_stand_find_their_beginning() -> None:
+    """Of 96 short runs of a cogging motor three turn the wrong way from the measured state: RMS 4 times too large."""
+    effects = {"cogging_torque": {"Tcog": 0.03618, "n_cog": 20.0, "phi_cog": 1.9458251085769183}}
+    _, block = _captured(RE40, Scenario("multisine", seconds=20.0, effects=effects, seed=248881))
+    recordings = (Capture("test", block),)
+    data = Data.of(recordings, {}, (), segment_length_s(recordings) / 8.0)
+    truth = {name: float(getattr(RE40, name)) for name in ("R", "L", "K", "J", "B")} | effects["cogging_torque"]
+    trial = fit_trial(data, ("cogging_torque",), truth, max_iterations=0)
+    assert trial is not None
+    assert trial.choice.nrmse < 0.7 * first_trial(data, (), {}).choice.nrmse
 
 
 def test_parameters_bent_by_stiction_are_moved_before_looking() -> None:

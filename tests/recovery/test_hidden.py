@@ -66,6 +66,23 @@ def test_harder_effects_are_named(cause: str, strength: str, motor: str, motion:
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize(
+    ("cause", "strength", "motor", "motion", "seed"),
+    [
+        ("cogging_torque", "clear", "re40", "multisine", 248881),  # a few free runs turn the wrong way
+        ("position_dependent_friction", "clear", "gear", "steps", 240861),  # without it B is driven to nothing
+        ("constant_load_torque+coulomb_friction", "clear", "gear", "reversals", 429300),  # friction one way only
+        ("load_dependent_friction", "faint", "large", "steps", 744605),  # most of the runs that decide stand still
+    ],
+)
+def test_what_a_fit_was_caught_by_is_overcome(cause: str, strength: str, motor: str, motion: str, seed: int) -> None:
+    judgement = judge(Case(cause, strength, motor, motion, seed))
+    assert set(judgement.found) == set(judgement.expected), judgement
+    assert judgement.outside == ()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize(
     ("cause", "motor", "seed"),
     [("encoder_eccentricity+coulomb_friction", "large", 601974), ("stribeck_friction+gravity_load", "paper", 650415)],
 )

@@ -18,6 +18,7 @@ from servo_daemon.estimators.output_error.combinations import (
 )
 from servo_daemon.estimators.output_error.information import Information, NullDirection, information
 from servo_daemon.estimators.output_error.input_error import SHIFTED, with_input_error
+from servo_daemon.estimators.output_error.lost_runs import begun_again
 from servo_daemon.estimators.output_error.noise import NoiseModel
 from servo_daemon.estimators.output_error.outcome import NoiseOption, conclude
 from servo_daemon.estimators.output_error.parameters import (
@@ -230,7 +231,18 @@ def _search(problem: Problem, starts: Sequence[Start], options: FitOptions) -> t
         and (further := solve(problem, best[0].point.unknowns, robust=options.robust)) is not None
     ):
         best = _in_a_row(best[0], further), best[1]
-    return best
+    return _with_lost_runs(problem, best[0], options, enough), best[1]
+
+
+def _with_lost_runs(problem: Problem, found: Solution, options: FitOptions, enough: float) -> Solution:
+    """The end of a search over pieces of a recording, gone on with where some of these had begun in the wrong place."""
+    again = begun_again(problem, found) if options.segment_s is not None else None
+    if again is None:
+        return found
+    curved = options.thorough
+    further = solve(problem, again, robust=options.robust, max_iterations=_OTHER_SEARCHES, enough=enough, curved=curved)
+    better = further is not None and further.point.value < found.point.value - _BETTER
+    return _in_a_row(found, further) if further is not None and better else found
 
 
 def _in_a_row(first: Solution, then: Solution) -> Solution:

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_daemon.estimators.output_error.bordered import solve_bordered
 from servo_daemon.estimators.output_error.problem import Linearised, Problem
 from servo_daemon.estimators.output_error.robust import sample_weights
 from servo_daemon.samples import F64
@@ -113,7 +114,7 @@ def solve(
     while len(iterations) <= max_iterations:
         H, g = normal_equations(problem, point)
         free = ~((point.unknowns <= low) & (g < 0) | (point.unknowns >= high) & (g > 0))
-        if converged or _decrement(H, g, free, problem.logarithmic) < _DECREMENT:
+        if converged or _decrement(problem, H, g, free) < _DECREMENT:
             converged = True
             break
         better, damping, tried = _search(problem, point, (H, g, free), damping, curved)
@@ -145,11 +146,11 @@ def _search(
         the point (None: none is better), the damping to begin with next, how many points were simulated.
     """
     H, g, free = equations
-    whole = _decrement(H, g, free, problem.logarithmic)
+    whole = _decrement(problem, H, g, free)
     low, high = problem.bounds
     best, best_damping, tried = None, damping, 0
     while damping < _MOST_DAMPING:
-        step = _step(H, g, free, damping, problem.logarithmic)
+        step = _step(problem, H, g, free, damping)
         promised = float(2 * g @ step - step @ H @ step)
         if curved and promised > _STRAIGHT:
             step_bent = step + _acceleration(problem, point, (H, free), step, damping)
@@ -244,34 +245,30 @@ def _acceleration(
         second = 2.0 / h * ((r0 - r1) / h - J @ step[where])
         root = np.sqrt(w) / point.sigma
         g[where] -= (J * root[:, :, None]).reshape(-1, J.shape[2]).T @ (root * second).ravel()
-    bend = np.zeros_like(step)
-    A = _scaled(H[np.ix_(free, free)], damping, problem.logarithmic[free])
-    bend[free] = 0.5 * np.linalg.solve(A, g[free])
+    bend = 0.5 * _solved(problem, H, g, free, damping)
     metric = np.sqrt(np.diag(H))
     length = float(np.linalg.norm(metric * step))
     return bend if float(np.linalg.norm(metric * bend)) <= _MOST_BENT * length else np.zeros_like(step)
 
 
-def _scaled(H: F64, damping: float, logarithmic: NDArray[np.bool_]) -> F64:
-    """H with damping: alike for all logarithms, so that a parameter that is hardly seen does not run off; for states
-    and offsets, whose units differ, each by its own size."""
-    d = np.maximum(np.diag(H), 1e-12 * float(np.max(np.diag(H))))
+def _solved(problem: Problem, H: F64, g: F64, free: NDArray[np.bool_], damping: float) -> F64:
+    """The equations with damping: alike for all logarithms, so that a parameter that is hardly seen does not run off;
+    for states and offsets, whose units differ, each by its own size."""
+    d = np.diag(H).copy()
+    d = np.maximum(d, 1e-12 * float(np.max(d[free], initial=0.0)))
+    logarithmic = problem.logarithmic & free
     if logarithmic.any():
         d[logarithmic] = np.mean(d[logarithmic])
-    return H + damping * np.diag(d)
+    return solve_bordered(H, g, free, damping * d, len(problem.parameter_of_column), len(problem.plant.states))
 
 
-def _decrement(H: F64, g: F64, free: NDArray[np.bool_], logarithmic: NDArray[np.bool_]) -> float:
+def _decrement(problem: Problem, H: F64, g: F64, free: NDArray[np.bool_]) -> float:
     """What a full step promises, over the directions the data show."""
-    if not free.any():
-        return 0.0
-    A = _scaled(H[np.ix_(free, free)], _LEAST_DAMPING, logarithmic[free])
-    return float(g[free] @ np.linalg.solve(A, g[free]))
+    return float(g @ _solved(problem, H, g, free, _LEAST_DAMPING)) if free.any() else 0.0
 
 
-def _step(H: F64, g: F64, free: NDArray[np.bool_], damping: float, logarithmic: NDArray[np.bool_]) -> F64:
+def _step(problem: Problem, H: F64, g: F64, free: NDArray[np.bool_], damping: float) -> F64:
     """The damped step, shortened where a parameter would leap."""
-    step = np.zeros(len(g))
-    step[free] = np.linalg.solve(_scaled(H[np.ix_(free, free)], damping, logarithmic[free]), g[free])
-    longest = float(np.max(np.abs(step[logarithmic]), initial=0.0))
+    step = _solved(problem, H, g, free, damping)
+    longest = float(np.max(np.abs(step[problem.logarithmic]), initial=0.0))
     return step if longest <= _LONGEST_STEP else step * (_LONGEST_STEP / longest)

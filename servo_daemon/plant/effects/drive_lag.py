@@ -17,7 +17,7 @@ def _terms(s: Signals) -> Terms:
 EFFECT = Effect(
     name="drive_lag",
     cause="The output stage filters: the voltage or force at the motor follows the reported one by a first-order lag, "
-    "the bandwidth of an inner loop.",
+    "the bandwidth of an inner loop (which leaves the same trace as L/R: the two trade places unless L is known).",
     equation=r"t_{lag}\,\dot v = v_{\mathrm{shown}} - v",
     parameters=(T_LAG,),
     terms=_terms,
