@@ -15,7 +15,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from servo_daemon.learning.drawing import TrainingSpec
 from servo_daemon.learning.fitting import roles
 from servo_daemon.learning.grnn import GRNN
-from servo_daemon.learning.learners import most_correction
 from servo_daemon.learning.model import LearnedModel
 from servo_daemon.learning.preparation import Preparation
 from servo_daemon.learning.screening import forest
@@ -111,7 +110,7 @@ def _tuned(
 ) -> Callable[[F64], F64]:
     """The best of four settings on the held-out motors, fitted on all."""
     b = baseline(train.features, spec.nominal, spec.spread)
-    y = bounded(target, encode(target, train.truth, b, spec.nominal), most_correction(name))
+    y = bounded(target, encode(target, train.truth, b, spec.nominal))
     X = prepared.transform(train.features)[:, columns]
     settings = _settings(name, X[~held], y[~held], jobs)
     errors = [float(np.median(np.abs(s(X[~held], y[~held])(X[held]) - y[held]))) for s in settings]

@@ -14,7 +14,7 @@ from servo_daemon.errors import BadInputError
 from servo_daemon.learning.conformal import FEWEST_CALIBRATED, Intervals, calibrate
 from servo_daemon.learning.drawing import TrainingSpec
 from servo_daemon.learning.familiarity import Familiarity
-from servo_daemon.learning.learners import Learner, fit_learner, make_learner, most_correction, predict
+from servo_daemon.learning.learners import Learner, fit_learner, make_learner, predict
 from servo_daemon.learning.model import LearnedModel
 from servo_daemon.learning.preparation import Preparation
 from servo_daemon.learning.screening import Screening, screen
@@ -84,7 +84,7 @@ def train_model(
     tell("screening the features")
     preparation = Preparation().fit(fit.windows.features)
     X = preparation.transform(fit.windows.features)
-    y = bounded(target, fit.wanted, most_correction(learner))  # where the regression is useless, it is not to rule
+    y = bounded(target, fit.wanted)  # where the regression is useless, it is not to rule
     screening = screen(X, y, fit.role == "screen", jobs=jobs, seed=spec.seed)
     tell("fitting")
     kept = screening.kept

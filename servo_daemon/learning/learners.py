@@ -51,12 +51,6 @@ def make_learner(name: str, *, jobs: int = -1, seed: int = 0, windows: int = _MA
     raise BadInputError(f"unknown learner {name!r}: there are {', '.join(LEARNERS)}")
 
 
-def most_correction(name: str) -> float:
-    """Beyond so many of its units a correction is cut off for the fit: early for what fits squares, which large ones
-    would rule; trees that fit magnitudes can have them."""
-    return 5.0 if name == "boosting" else 2.0
-
-
 def fit_learner(learner: Any, X: F64, y: F64, motor: NDArray[np.int64]) -> Any:
     """Fitted; a GRNN is told which windows are of one motor; of boosting the trees are kept."""
     from sklearn.multioutput import MultiOutputRegressor

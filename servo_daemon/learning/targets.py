@@ -23,6 +23,9 @@ from servo_daemon.samples import F64
 Target = Literal["value", "correction"]
 TARGET_KINDS: tuple[Target, ...] = get_args(Target)
 _LOGS = len(TARGETS) - 1  # all but Tc
+#: A correction beyond so many of its units says only that the regression is useless there. (Two make fits of squares 2 %
+#: better, but then motors with a friction that their filter lacks get none that is large enough.)
+_MOST_CORRECTION = 5.0
 #: The regression's std counts within these limits, and friction's share is known to about so much.
 _LEAST_STD, _MOST_STD, _SHARE_STD = 3e-3, 0.3, 0.02
 #: P_regression counts as far as this factor beyond nominal · or / spread.
@@ -82,14 +85,10 @@ def encode(kind: Target, truth: F64, base: Baseline, nominal: Mapping[str, float
     return wanted
 
 
-def bounded(kind: Target, y: F64, most: float) -> F64:
-    """Targets as they are fitted: none so large that it would rule the others.
-
-    Args:
-        most: a correction beyond so many of its units says only that the regression is useless there.
-    """
+def bounded(kind: Target, y: F64) -> F64:
+    """Targets as they are fitted: none so large that it would rule the others."""
     if kind == "correction":
-        return np.asarray(np.clip(y, -most, most))
+        return np.asarray(np.clip(y, -_MOST_CORRECTION, _MOST_CORRECTION))
     return np.column_stack([y[:, :_LOGS], np.clip(y[:, -1], -1.0, 1.0)])
 
 
