@@ -23,8 +23,8 @@ from servo_daemon.samples import F64
 Target = Literal["value", "correction"]
 TARGET_KINDS: tuple[Target, ...] = get_args(Target)
 _LOGS = len(TARGETS) - 1  # all but Tc
-#: A correction beyond so many of its units says only that the regression is useless there. (Two make fits of squares 2 %
-#: better, but then motors with a friction that their filter lacks get none that is large enough.)
+#: A correction beyond so many of its units says only that the regression is useless there. (Two make fits of squares
+#: 2 % better, but then motors with a friction that their filter lacks get none that is large enough.)
 _MOST_CORRECTION = 5.0
 #: The regression's std counts within these limits, and friction's share is known to about so much.
 _LEAST_STD, _MOST_STD, _SHARE_STD = 3e-3, 0.3, 0.02
