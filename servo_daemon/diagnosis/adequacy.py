@@ -9,7 +9,7 @@ looked at.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -23,6 +23,7 @@ from servo_daemon.diagnosis.noise_floor import noise_floor
 from servo_daemon.diagnosis.select import Selection, without_effect
 from servo_daemon.diagnosis.split import CHOICE, shorter_s
 from servo_daemon.diagnosis.trial import Data, Trial, fit_trial
+from servo_daemon.diagnosis.twins import told_from_twin
 from servo_daemon.errors import NumericalError
 from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, fit_output_error
 from servo_daemon.estimators.output_error.parameters import FittedParameter
@@ -77,6 +78,9 @@ def believed(selection: Selection) -> Believed:
         if max(removed, _removed_of_missing(before, missing)) < _TOGETHER:
             break
         straight = _unbent(selection.data, selection.chosen, extended)
+        data, short = selection.data, straight is not extended
+        runs_s = shorter_s(data.recordings, data.split.segment_s) if short else data.split.segment_s
+        straight = told_from_twin(straight, _again(data, selection.chosen, None if straight.white else runs_s))
         if straight is not extended:
             extended, missing = straight, longest_missing(selection.data, straight)
         depends = () if extended.white else dependences(extended, missing)
@@ -123,6 +127,20 @@ def _unbent(data: Data, trial: Trial, fit: OutputErrorFit) -> OutputErrorFit:
         if contradicts(fit.parameters, short.parameters):
             return short
     return fit
+
+
+def _again(data: Data, trial: Trial, runs_s: float | None) -> Callable[[Mapping[str, float]], OutputErrorFit | None]:
+    """A fit to everything from other values, over free runs of this length; None: as a whole."""
+
+    def begin(values: Mapping[str, float]) -> OutputErrorFit | None:
+        options = FitOptions(nominal=values, fixed={**data.fixed, **trial.held}, thorough=False)
+        if runs_s is not None:
+            options = replace(options, segment_s=runs_s, noise_model="none")
+        with suppress(NumericalError):
+            return _honest(fit_output_error(data.recordings, trial.effects, options))
+        return None
+
+    return begin
 
 
 def contradicts(fit: Mapping[str, FittedParameter], other: Mapping[str, FittedParameter]) -> bool:

@@ -20,6 +20,8 @@ LEAST_GAIN, LEAST_BIC = 0.03, -20.0
 _NOTHING = 0.01
 #: Least torque or voltage of an effect that has one, as a share of what the motor works with.
 LEAST_SHARE = 2e-3
+#: BIC of an effect that screening thought little of.
+_UNSEEN_BIC = -100.0
 #: Parameters that are such a share themselves.
 _SHARES = ("k_rip", "mu")
 #: Least part of the squared error that the search began with.
@@ -44,6 +46,12 @@ _SERIES = {"N·m": "torque", "V": "voltage"}
 def convinces(a: Advantage) -> bool:
     """Whether an effect's advantage is one."""
     return overwhelming(a) or (a.gain > LEAST_GAIN and a.low > -_NOTHING * a.gain and a.delta_bic < LEAST_BIC)
+
+
+def speaks_against_screening(a: Advantage) -> bool:
+    """Whether the advantage of a candidate is one although screening saw nothing of it. There are twenty such, and one
+    of them will gain a little by chance."""
+    return at_odds(a) or a.delta_bic < _UNSEEN_BIC
 
 
 def needless(lost: Advantage) -> bool:

@@ -13,6 +13,7 @@ from servo_daemon.diagnosis.compare import Advantage, advantage
 from servo_daemon.diagnosis.evidence import LEAST_BIC, NESTED_GAIN, convinces, no_worse, overwhelming
 from servo_daemon.diagnosis.split import shorter_s
 from servo_daemon.diagnosis.trial import Data, Trial, fit_trial
+from servo_daemon.diagnosis.twins import lag_twin
 
 #: Iterations that every candidate gets, and the share of the best one's gain that earns it the rest.
 _FIRST_ITERATIONS, _KEPT = 5, 0.3
@@ -62,6 +63,9 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: in
                 trial = fit_trial(data, p.effects, trial.values, like=trial, careful=True) or trial
             if trial.independent < COLOURED and gained(trial) >= _KEPT * most:
                 trial = _better(trial, fit_trial(data, p.effects, trial.values)) or trial
+            twin = lag_twin(trial.values)
+            if twin is not None:
+                trial = _better(trial, fit_trial(data, p.effects, twin)) or trial
         if not np.isfinite(trial.choice.squares).all():
             return None
         return Candidate(p.name, trial, advantage(current, trial))
