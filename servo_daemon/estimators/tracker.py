@@ -314,7 +314,8 @@ class Tracker:
             return []
         assert self.rls is not None and self.ekf is not None
         core = [p for p in self.free if p in LINEAR]
-        index = [self._roster.names.index(p.name) for p in core]
+        # (L is not claimed by a model that lacks something: beginning again would not help it.)
+        index = [self._roster.names.index(p.name) for p in core if p.name != "L" or self.watch.white]
         std = self.ekf.coordinate_std[index] / self.excitation.scales[index]
         lost = ~self.qualification.qualified[index] & ((std > QUALIFIED) | ~self._judge.confirmed[index])
         if not lost.any() or not well_known(self.rls.estimate(), [p.name for p in core]):

@@ -114,8 +114,11 @@ def test_a_hundred_samples_a_second_are_as_right_as_a_thousand(motor: str) -> No
     track = run(case.recording, motor)
     found = worst(track, case.recording)
     assert max(found.values()) < STDS, found
-    for parameter in ("R", "L", "K", "J"):
-        assert track.tracking[after(track, 20.0), NAMES.index(parameter)].mean() > 0.9
+    late = after(track, 20.0)
+    for parameter in ("R", "K", "J"):
+        assert track.tracking[late, NAMES.index(parameter)].mean() > 0.9
+    # What happens between two samples nothing but the filter's model sees: where that is in doubt, L is not claimed.
+    assert track.tracking[-1, NAMES.index("L")] or not track.white[-1]
 
 
 # -- a start in motion, under friction ---------------------------------------------------------------------------------
