@@ -95,6 +95,7 @@ def test_at_standstill_nothing_is_tracking_after_ten_seconds(motor: str, lively:
     assert max(worst(track, case.recording).values()) < STDS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motor", ["paper", "gear", "large"])
 def test_a_rest_is_no_evidence_against_the_model(motor: str) -> None:
     """What the drive's own noise does at rest is in no balance: nothing is told of a shaft that stands. (The RE 40 has
@@ -243,7 +244,9 @@ def test_spikes_of_the_voltage_bend_nothing(motor: str) -> None:
 # -- missing samples --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("run_length", [1, 50], ids=["singly", "in runs"])
+@pytest.mark.parametrize(
+    "run_length", [pytest.param(1, id="singly"), pytest.param(50, id="in runs", marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("motor", list(MOTORS))
 def test_a_fifth_of_the_samples_missing_bends_nothing(motor: str, run_length: int) -> None:
     """What the voltage did in a short gap is on a straight line; after a long one the speed is found first."""
