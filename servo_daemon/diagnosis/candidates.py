@@ -98,7 +98,7 @@ def proposals(
         if "Tc" in s.start and "Tc" in start:
             start["Tc"] = float(s.start["Tc"])
         far = any(_far(v, current.values[n]) for n, v in s.motor.items() if n in current.values)
-        other = {**start, **current.values, **({"Tc": start["Tc"]} if "Tc" in s.start else {})}
+        other = {**start, **current.values, **({"Tc": start["Tc"]} if "Tc" in s.start and "Tc" in start else {})}
         out.append(Proposal(name, effects, start, other, far))
     return tuple(out)
 

@@ -47,6 +47,8 @@ _DIVERGED_NIS, _DIVERGED_TICKS = 6.0, 20
 _TICKS_TO_WATCH, _SOUNDNESS_EVERY = 8, 20
 #: From then on a filter that took over from another may speak for the drive.
 _TICKS_TO_SETTLE = 10
+#: Before so many the innovations are of a filter that is still finding its values and noise: they refute no model.
+_TICKS_TO_JUDGE = 40
 #: A filter that started from little has this long to find out for itself, ticks.
 _TICKS_TO_BEGIN_BETTER = 50
 #: When the filter begins to use its instrument, the covariance is widened once, 1 σ over the scales.
@@ -268,7 +270,8 @@ class Tracker:
         if self._second_look.look(self._ticks, self.watch.white):
             self._jumps.reset()
             self.watch.learn_anew()
-        seen = bool((self.qualification.qualified | self.excitation.excited)[self._roster.published].any())
+        known = (self.qualification.qualified | self.excitation.excited)[self._roster.published]
+        seen = self._ticks >= _TICKS_TO_JUDGE and bool(known.any())
         messages += self._telling.whether_white(seen=seen) + self._telling.whether_frozen(stretch, alike_s)
         return messages + (self._judge_divergence(verdict) or self._begin_better(fresh))
 

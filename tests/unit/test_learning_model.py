@@ -182,6 +182,7 @@ def test_a_forest_finds_what_matters_and_groups_what_says_the_same() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(300)
 def test_the_same_windows_make_the_same_model(model: LearnedModel, windows: TrainingSet) -> None:
     again = train_model(SPEC, windows, jobs=2)
     assert again.feature_names == model.feature_names
