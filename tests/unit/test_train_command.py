@@ -175,6 +175,7 @@ def test_which_models_serve_for_a_capture() -> None:
     assert not serves(own, TrainingSpec(PAPER_MOTOR | {"R": 1.0}))
 
 
+@pytest.mark.slow
 def test_a_model_that_was_trained_for_the_drive_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("servo_daemon.learning.cache.cache_directory", lambda: tmp_path)
     spec = TrainingSpec(dict(PAPER_MOTOR), window_s=2.0, rate_hz=250.0)
