@@ -9,7 +9,7 @@ looked at.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -78,9 +78,7 @@ def believed(selection: Selection) -> Believed:
         if max(removed, _removed_of_missing(before, missing)) < _TOGETHER:
             break
         straight = _unbent(selection.data, selection.chosen, extended)
-        data, short = selection.data, straight is not extended
-        runs_s = shorter_s(data.recordings, data.split.segment_s) if short else data.split.segment_s
-        straight = told_from_twin(straight, _again(data, selection.chosen, None if straight.white else runs_s))
+        straight = _told_from_twin(selection.data, selection.chosen, straight, short=straight is not extended)
         if straight is not extended:
             extended, missing = straight, longest_missing(selection.data, straight)
         depends = () if extended.white else dependences(extended, missing)
@@ -99,13 +97,27 @@ def fit_everything(data: Data, trial: Trial, *, noise: bool = True) -> OutputErr
     Args:
         noise: whether noise that enters the motor is looked for; without it the fit cannot be found white.
     """
-    options = FitOptions(nominal=trial.values, fixed={**data.fixed, **trial.held}, thorough=False)
     if noise:
         with suppress(NumericalError):
-            whole = fit_output_error(data.recordings, trial.effects, options)
+            whole = _fit(data, trial, trial.values, None)
             if whole.white:
-                return _honest(whole)
-    options = replace(options, segment_s=data.split.segment_s, noise_model="none")
+                return whole
+    return _fit(data, trial, trial.values, data.split.segment_s)
+
+
+def _fit(data: Data, trial: Trial, values: Mapping[str, float], runs_s: float | None) -> OutputErrorFit:
+    """A trial's model fitted to everything.
+
+    Args:
+        values: from these.
+        runs_s: in free runs of this length; None: in one, with noise that enters the motor.
+
+    Raises:
+        NumericalError: it fails.
+    """
+    options = FitOptions(nominal=values, fixed={**data.fixed, **trial.held}, thorough=False)
+    if runs_s is not None:
+        options = replace(options, segment_s=runs_s, noise_model="none")
     return _honest(fit_output_error(data.recordings, trial.effects, options))
 
 
@@ -120,27 +132,27 @@ def _unbent(data: Data, trial: Trial, fit: OutputErrorFit) -> OutputErrorFit:
     if fit.white or shorter is None:
         return fit
     begun = fit_trial(data.cut(trial.effects, shorter), trial.effects, trial.values) or trial
-    options = FitOptions(nominal=begun.values, fixed={**data.fixed, **trial.held}, thorough=False)
-    options = replace(options, segment_s=shorter, noise_model="none")
     with suppress(NumericalError):
-        short = _honest(fit_output_error(data.recordings, trial.effects, options))
+        short = _fit(data, begun, begun.values, shorter)
         if contradicts(fit.parameters, short.parameters):
             return short
     return fit
 
 
-def _again(data: Data, trial: Trial, runs_s: float | None) -> Callable[[Mapping[str, float]], OutputErrorFit | None]:
-    """A fit to everything from other values, over free runs of this length; None: as a whole."""
+def _told_from_twin(data: Data, trial: Trial, fit: OutputErrorFit, *, short: bool) -> OutputErrorFit:
+    """See `twins`; over the same runs.
 
-    def begin(values: Mapping[str, float]) -> OutputErrorFit | None:
-        options = FitOptions(nominal=values, fixed={**data.fixed, **trial.held}, thorough=False)
-        if runs_s is not None:
-            options = replace(options, segment_s=runs_s, noise_model="none")
+    Args:
+        short: the fit is that of `_unbent` over shorter ones.
+    """
+    runs_s = shorter_s(data.recordings, data.split.segment_s) if short else data.split.segment_s
+
+    def again(values: Mapping[str, float]) -> OutputErrorFit | None:
         with suppress(NumericalError):
-            return _honest(fit_output_error(data.recordings, trial.effects, options))
+            return _fit(data, trial, values, None if fit.white else runs_s)
         return None
 
-    return begin
+    return told_from_twin(fit, again)
 
 
 def contradicts(fit: Mapping[str, FittedParameter], other: Mapping[str, FittedParameter]) -> bool:

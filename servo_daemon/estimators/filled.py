@@ -14,11 +14,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_daemon.samples import CHANNELS, F64, Quality, SampleBlock
+from servo_daemon.samples import CHANNELS, F64, Quality, SampleBlock, concatenate
 
 #: Variance of a voltage on the line, as a share of the mean square of its steps from sample to sample.
 LINE_VAR = 0.75
 #: What says something of the way to a sample, and nothing of the sample.
+_GAP = np.uint8(int(Quality.GAP_BEFORE))
 _BEFORE = np.uint8(int(Quality.GAP_BEFORE | Quality.TIME_RESTART))
 
 
@@ -35,10 +36,9 @@ def filled(
     Returns:
         The block, of which the new samples are no better than their neighbours, and which samples are new.
     """
-    extended = block if before is None else _joined(before, block)
-    shift = len(extended) - len(block)
+    extended = block if before is None else concatenate([before, block])
+    shift, time_s = len(extended) - len(block), extended.time_s
     at = np.array([k + shift for k in gaps if k + shift > 0], dtype=np.intp)
-    time_s = extended.time_s
     missing = np.maximum(np.round((time_s[at] - time_s[at - 1]) / period_s).astype(np.intp) - 1, 0)
     where = np.repeat(at, missing)
     if len(where) == 0:
@@ -47,36 +47,22 @@ def filled(
     number = np.arange(len(where)) - np.repeat(np.cumsum(missing) - missing, missing) + 1
     share = number / (np.repeat(missing, missing) + 1.0)
 
-    quality = extended.quality[where - 1] | extended.quality[where]
-
     def line(values: F64) -> F64:
         new = values[where - 1] + share * (values[where] - values[where - 1])
         return np.asarray(np.insert(values, where, new))[shift:]
 
+    quality = extended.quality.copy()
+    quality[at[missing > 0]] &= ~_GAP  # which there is none any more
+    of_new = (quality[where - 1] | quality[where]) & ~_BEFORE
     new = np.insert(np.zeros(len(extended), dtype=bool), where, True)[shift:]
     channels = [None if (a := getattr(extended, name)) is None else line(a) for name in CHANNELS]
     return (
         SampleBlock(
             line(time_s),
             np.insert(extended.sequence, where, extended.sequence[where])[shift:],
-            np.insert(extended.quality, where, quality & ~_BEFORE)[shift:],
+            np.insert(quality, where, of_new)[shift:],
             block.host_time_s,
             *channels,
         ),
         new,
-    )
-
-
-def _joined(before: SampleBlock, block: SampleBlock) -> SampleBlock:
-    """`concatenate` for a sample and a block of one drive, whose channels are the same."""
-    last = before.slice(len(before) - 1, len(before))
-    channels = [
-        None if (a := getattr(block, name)) is None else np.concatenate([getattr(last, name), a]) for name in CHANNELS
-    ]
-    return SampleBlock(
-        np.concatenate([last.time_s, block.time_s]),
-        np.concatenate([last.sequence, block.sequence]),
-        np.concatenate([last.quality, block.quality]),
-        block.host_time_s,
-        *channels,
     )

@@ -19,7 +19,7 @@ from servo_daemon.samples import F64, Quality, SampleBlock
 LONG_GAP_S = 0.25
 #: Samples further apart than this many periods have lost some between them: no regular drive's jitter is as large.
 _GAP_PERIODS = 1.6
-#: Up to this many periods the motion is predicted through a gap; beyond, what the voltage did meanwhile counts more.
+#: Up to this many periods a gap is filled (`filled`); beyond, what the voltage did meanwhile nobody knows.
 _SHORT_GAP_PERIODS = 3.5
 
 Mask = NDArray[np.bool_]
