@@ -241,6 +241,11 @@ class Stretches:
         """For how many samples the channel has shown one value; 0 while it flickers."""
         return self._frozen[name].alike
 
+    def _without_short_gaps(self, block: SampleBlock, last_s: float | None, period_s: float | None) -> SampleBlock:
+        last, self._last = self._last, block.slice(len(block) - 1, len(block))
+        short = [] if period_s is None else short_gaps(block, last_s, period_s)
+        return filled(block, last, short, period_s)[0] if short and period_s is not None else block
+
     def of(self, block: SampleBlock, origin_s: float, last_s: float | None, period_s: float | None) -> Stretch:
         """The block for the regressions, its short gaps filled. Samples after a long gap, with an invalid channel or a
         frozen one are not usable.
@@ -249,9 +254,7 @@ class Stretches:
             origin_s: time is counted from here.
             last_s, period_s: as for `gaps`.
         """
-        last, self._last = self._last, block.slice(len(block) - 1, len(block))
-        if period_s is not None and (short := short_gaps(block, last_s, period_s)):
-            block, _ = filled(block, last, short, period_s)
+        block = self._without_short_gaps(block, last_s, period_s)
         usable = np.ones(len(block), dtype=bool) if _all_good(block) else (block.quality & _RESTART) == 0
         holes = gaps(block, last_s, period_s)
         gap = None
