@@ -140,9 +140,9 @@ def booted(root: Path) -> Iterator[Machine]:
     command = [*_NSPAWN, "--boot", "--volatile=overlay", f"--directory={root}"]
     with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as container:
         try:
-            leader = wait_for("process 1 of the container", lambda: _only_child(container))
+            leader = wait_for("process 1 of the container", lambda: _leader(container))
             machine = Machine(leader)
-            state = wait_for("a booted system", lambda: _state(machine))
+            state = wait_for("a booted system", lambda: _state(machine), timeout_s=180.0)
             assert state == "running", machine.run("systemctl", "--failed", check=False)
             yield machine
         finally:
@@ -153,10 +153,25 @@ def booted(root: Path) -> Iterator[Machine]:
                 container.kill()
 
 
-def _only_child(process: subprocess.Popen[bytes]) -> int:
-    assert process.poll() is None, f"systemd-nspawn ended: {process.returncode}"
-    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text(encoding="ascii").split()
-    return int(children[0]) if children else 0
+def _leader(container: subprocess.Popen[bytes]) -> int:
+    """The container's process 1 as the host numbers it; 0 as long as there is none.
+
+    systemd-nspawn's first child only mounts the file systems and then ends, in milliseconds or, on a busy disk, longer:
+    process 1 is the child that has a PID namespace of its own.
+    """
+    assert container.poll() is None, f"systemd-nspawn ended: {container.returncode}"
+    children = Path(f"/proc/{container.pid}/task/{container.pid}/children").read_text(encoding="ascii").split()
+    return next((int(child) for child in children if _is_process_1(child)), 0)
+
+
+def _is_process_1(pid: str) -> bool:
+    """Its number in the innermost PID namespace is 1 (`NSpid` of proc(5)); it may end while it is asked."""
+    try:
+        status = Path(f"/proc/{pid}/status").read_text(encoding="ascii", errors="replace")
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+    numbers = next(line.split()[1:] for line in status.splitlines() if line.startswith("NSpid:"))
+    return len(numbers) > 1 and numbers[-1] == "1"
 
 
 def _state(machine: Machine) -> str:
