@@ -63,4 +63,8 @@ def make_driver(kind: str, name: str, options: dict[str, Any]) -> Driver:
     Raises:
         DriverConfigError: unknown driver, or wrong options.
     """
-    return driver_class(kind)(name, options)
+    try:
+        cls = driver_class(kind)
+    except DriverConfigError as error:
+        raise DriverConfigError(f"drive {name}: {error}") from error
+    return cls(name, options)

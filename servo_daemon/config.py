@@ -16,17 +16,15 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from servo_daemon.config_texts import is_limit, parse_drift
 from servo_daemon.errors import ConfigError
 from servo_daemon.plant.effects import check_effects, parameter_table
 
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 FiniteFloat = Annotated[float, Field(allow_inf_nan=False)]
 
-_NAME = re.compile(r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")
-_RATE = re.compile(r"^\s*([0-9.]+(?:[eE][-+]?\d+)?)\s*%\s*/\s*(?:(sqrt)\s*)?\(?(s|min|h|d)\)?\s*$")
-_SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
-_ALARM = re.compile(r"^(?P<parameter>\w+)_(?P<side>max|min)$")
-_RELATIVE = re.compile(r"^\s*([+-]?[0-9.]+(?:[eE][-+]?\d+)?)\s*%\s*$")
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+_ALARM = re.compile(r"(?P<parameter>\w+)_(?P<side>max|min)")
 
 
 class _Section(BaseModel):
@@ -100,10 +98,10 @@ class LimitsConfig(BaseModel):
     @model_validator(mode="after")
     def _alarms_are_known(self) -> LimitsConfig:
         for key, value in (self.model_extra or {}).items():
-            match = _ALARM.match(key)
+            match = _ALARM.fullmatch(key)
             if match is None or match["parameter"] not in {*parameter_table(), "J_d"}:
                 raise ValueError(f"unknown key '{key}'")
-            if not isinstance(value, int | float) and not (isinstance(value, str) and _RELATIVE.match(value)):
+            if not is_limit(value):
                 raise ValueError(f"'{key}' must be a number or a text such as \"+30 %\", not {value!r}")
         return self
 
@@ -156,7 +154,7 @@ class DriveConfig(_Section):
     @field_validator("name")
     @classmethod
     def _name_fits_an_url(cls, name: str) -> str:
-        if not _NAME.match(name):
+        if not _NAME.fullmatch(name):
             raise ValueError("must be letters, digits, '_', '-' or '.', at most 64, starting with a letter or digit")
         return name
 
@@ -171,26 +169,22 @@ class DriveConfig(_Section):
 
     @field_validator("nominal", mode="before")
     @classmethod
-    def _choices_by_name(cls, nominal: Any) -> Any:
+    def _nominal_is_possible(cls, nominal: Any) -> Any:
         """A choice may be given by its name: `channel = "current_A"`."""
-        if not isinstance(nominal, dict):
+        if not isinstance(nominal, Mapping):
             return nominal
-        choices = {p.name: p.choices for p in parameter_table().values() if p.choices}
-        return {k: choices[k].index(v) if k in choices and v in choices[k] else v for k, v in nominal.items()}
-
-    @field_validator("nominal")
-    @classmethod
-    def _nominal_is_possible(cls, nominal: dict[str, float]) -> dict[str, float]:
         table = parameter_table()
-        for name, value in nominal.items():
+        read: dict[str, float] = {}
+        for name, given in nominal.items():
             if name not in table:
                 raise ValueError(f"unknown key '{name}': parameters are {', '.join(sorted(table))}")
-            parameter = table[name]
-            if not parameter.lower <= value <= parameter.upper:
-                raise ValueError(
-                    f"{name} = {value:g} {parameter.unit} is outside {parameter.lower:g} .. {parameter.upper:g}"
-                )
-        return nominal
+            try:
+                read[name] = table[name].read(given)
+            except ValueError as error:
+                raise ValueError(f"{name} = {error}") from None
+        if read.get("J_m", 0.0) > read.get("J", math.inf):
+            raise ValueError(f"J_m = {read['J_m']:g} kg·m² of the bare motor is more than J = {read['J']:g} with load")
+        return read
 
     @field_validator("drift")
     @classmethod
@@ -198,7 +192,10 @@ class DriveConfig(_Section):
         for name, text in drift.items():
             if name not in parameter_table():
                 raise ValueError(f"unknown key '{name}'")
-            parse_drift(text)
+            try:
+                parse_drift(text)
+            except ValueError as error:
+                raise ValueError(f"{name}: {error}") from None
         return drift
 
     def drift_per_sqrt_s(self, name: str) -> float | None:
@@ -241,21 +238,6 @@ class Config(_Section):
         raise ConfigError(f"no drive named {name!r}: the config has {', '.join(d.name for d in self.drive)}")
 
 
-def parse_drift(text: str) -> float:
-    """'10 %/h' as the intensity of a random walk of log(parameter), in 1/√s: 1 σ after one hour is 10 %.
-
-    Raises:
-        ValueError: not of the form '10 %/h' (s, min, h, d; '%/sqrt(min)' means the same).
-    """
-    match = _RATE.match(text)
-    if match is None:
-        raise ValueError(f"{text!r} is not a drift such as '10 %/h' (units s, min, h, d)")
-    percent = float(match[1])
-    if not math.isfinite(percent):
-        raise ValueError(f"{text!r} is not finite")
-    return percent / 100.0 / math.sqrt(_SECONDS[match[3]])
-
-
 def _explain(error: ValidationError, source: str) -> str:
     """Pydantic's first complaint as one line that names the place; a misspelt key before the one it leaves missing."""
     complaints = error.errors()
@@ -265,6 +247,8 @@ def _explain(error: ValidationError, source: str) -> str:
     if first["type"] == "extra_forbidden":
         return f"{source}: unknown key '{where}'"
     message = first["msg"].removeprefix("Value error, ")
+    if first["type"] == "tuple_type":  # TOML knows none
+        message = "must be a list, [[drive]]" if where == "drive" else "must be a list, in brackets"
     more = len(complaints) - 1
     return f"{source}: {where}: {message}" + (f" (and {more} more)" if more else "")
 
@@ -306,7 +290,7 @@ def load_config(path: Path | None, environ: Mapping[str, str] = os.environ) -> C
     source = "config" if path is None else str(path)
     if path is not None:
         try:
-            data = tomllib.loads(path.read_text(encoding="utf-8"))
+            data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
         except OSError as error:
             raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
         except UnicodeDecodeError as error:

@@ -17,6 +17,8 @@ from servo_daemon.samples import F64
 _SLOWEST_S, _FASTEST_S = 0.25, 1e-6
 #: Means over this time, s, and at least so many samples: the winding has settled within them.
 _MEAN_S, _MEAN_SAMPLES = 0.02, 8
+#: What the voltages of a lag, of an inductance and of brushes are off by, as a share of the whole.
+_STATIC = 0.03
 #: A coefficient this many standard deviations below zero has the wrong sign.
 _SIGMA = 5.0
 #: Below this share of its largest value a channel does not move.
@@ -122,7 +124,8 @@ def _balance(capture: Capture) -> list[str]:
         return []
     found, *_ = np.linalg.lstsq(A, mean_v, rcond=None)
     left = float(np.mean((mean_v - A @ found) ** 2))
-    std = np.sqrt(left * np.diag(np.linalg.inv(A.T @ A)))
+    # The balance at rest is not quite that of a motion: where current and speed go together, that matters most.
+    std = np.sqrt((left + _STATIC**2 * float(mean_v @ mean_v)) * np.diag(np.linalg.inv(A.T @ A)))
     names = ("current_A", "position_rad" if x is not None else "velocity_rad_s")
     notes = [
         f"column {name} counts against voltage_V (v = R i + K ω has {symbol} = {value:.3g}): is its sign turned?"

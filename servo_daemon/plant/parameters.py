@@ -17,6 +17,11 @@ Transform = Literal["log", "identity"]
 Held = Literal["no", "live", "always"]
 
 
+def spaced(unit: str) -> str:
+    """A unit as it follows a number in a sentence; nothing after a bare number, whose unit is "1"."""
+    return "" if unit in ("", "1") else f" {unit}"
+
+
 @dataclass(frozen=True, slots=True)
 class Scale:
     """The size of a parameter on a motor of any size: the product of the motor's own sizes to these powers.
@@ -83,6 +88,28 @@ class Parameter:
     def searched(self) -> bool:
         """Whether a search must try starts: no slope leads there from far away."""
         return self.held != "no"
+
+    def read(self, given: object) -> float:
+        """A value as it is given in a file, on a command line or in a request: a number in `unit` or its text, of a
+        choice its name or its number.
+
+        Raises:
+            ValueError: what is wrong with it, in words that go on after the parameter's name.
+        """
+        if self.choices and given in self.choices:
+            return float(self.choices.index(str(given)))
+        try:
+            if not isinstance(given, int | float | str) or isinstance(given, bool):
+                raise ValueError
+            value = float(given)
+        except (ValueError, OverflowError):
+            what = f"none of {', '.join(self.choices)}" if self.choices else "not a number"
+            raise ValueError(f"{given!r} is {what}") from None
+        if not self.lower <= value <= self.upper:  # which a NaN is not
+            raise ValueError(f"{value:g}{spaced(self.unit)} is outside {self.lower:g} .. {self.upper:g}")
+        if self.choices and not value.is_integer():
+            raise ValueError(f"{value:g} is none of {', '.join(self.choices)}")
+        return value
 
     def __post_init__(self) -> None:
         if not self.lower < self.upper:

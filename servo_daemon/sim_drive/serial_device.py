@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import secrets
 import select
 import threading
 import time
@@ -94,7 +95,10 @@ class _Firmware:
     def __init__(
         self, source: SampleSource, wire: Wire, drive_id: int, faults: LineFaults, counters: DeviceCounters
     ) -> None:
-        self._binary = BinaryEncoder(describe(source.info, drive_id=drive_id)) if wire == "binary" else None
+        session = secrets.randbelow(256)  # another after every start, as docs/protocol.md asks of a device
+        self._binary = (
+            BinaryEncoder(describe(source.info, drive_id=drive_id, session=session)) if wire == "binary" else None
+        )
         self._counts_per_rev = source.info.counts_per_rev or _DEFAULT_COUNTS_PER_REV
         self._faults, self._counters = faults, counters
         self._frame = 0

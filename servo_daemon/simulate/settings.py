@@ -151,18 +151,10 @@ def with_harmonics(name: str, values: Mapping[str, float]) -> tuple[str, ...]:
 
 
 def _checked(parameter: Parameter, value: Any, where: str) -> float:
-    if value in parameter.choices:
-        return float(parameter.choices.index(value))
     try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise BadInputError(f"{where}: {parameter.name} = {value!r} is not a number") from None
-    if not parameter.lower <= number <= parameter.upper:
-        raise BadInputError(
-            f"{where}: {parameter.name} = {number:g} {parameter.unit} is outside "
-            f"{parameter.lower:g} .. {parameter.upper:g}"
-        )
-    return number
+        return parameter.read(value)
+    except ValueError as error:
+        raise BadInputError(f"{where}: {parameter.name} = {error}") from None
 
 
 def parse_effects(effects: Iterable[str] | Mapping[str, Any]) -> tuple[tuple[str, ...], dict[str, float]]:
@@ -238,7 +230,7 @@ def make_settings(
     """
     for name, value in {"rate": rate_hz, "supply_V": supply_V, "seconds": 1.0 if seconds is None else seconds}.items():
         if not (math.isfinite(value) and value > 0):
-            raise BadInputError(f"{name} must be greater than zero, not {value:g}")
+            raise BadInputError(f"{name} must be a finite number greater than zero, not {value:g}")
     if seed < 0:
         raise BadInputError(f"seed must not be negative, not {seed}")
     p = _motor(motor)

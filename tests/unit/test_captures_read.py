@@ -18,6 +18,11 @@ FULL = "time_s,voltage_V,current_A,position_rad\n"
 ROWS = "0.0,1.0,0.5,0.0\n0.001,1.5,0.6,0.01\n0.002,2.0,0.7,0.02\n"
 
 
+def gz(text: str) -> bytes:
+    """Without the time of day, which would give these tests another name with every second."""
+    return gzip.compress(text.encode(), mtime=0)
+
+
 def written(folder: Path, content: str | bytes, name: str = "a.csv") -> Path:
     path = folder / name
     path.write_bytes(content.encode() if isinstance(content, str) else content)
@@ -81,8 +86,8 @@ def test_repeated_metadata_are_joined(tmp_path: Path) -> None:
         (FULL + "\n" + ROWS.replace("\n", "\n\n") + "  \n").encode(),
         (FULL.replace("time_s", '"time_s"') + ROWS.replace("0.5", '"0.5"')).encode(),
         b"\xef\xbb\xbf" + (FULL + ROWS.replace("0.5", '"0.5"')).encode(),
-        gzip.compress((FULL + ROWS).encode()),
-        gzip.compress(FULL.encode()) + gzip.compress(ROWS.encode()),
+        gz(FULL + ROWS),
+        gz(FULL) + gz(ROWS),
         b"# note: 3 \xd9 in latin-1\n" + (FULL + ROWS).encode(),
     ],
 )
@@ -205,7 +210,7 @@ BAD = {
 @pytest.mark.parametrize("packed", [False, True], ids=["plain", "gzip"])
 def test_bad_capture_is_one_line_naming_the_place(tmp_path: Path, name: str, packed: bool) -> None:
     content, message = BAD[name]
-    path = written(tmp_path, gzip.compress(content.encode()) if packed else content, "bad capture.csv")
+    path = written(tmp_path, gz(content) if packed else content, "bad capture.csv")
     with pytest.raises(CaptureError) as caught:
         read_capture(path)
     text = str(caught.value)
@@ -218,9 +223,9 @@ def test_bad_capture_is_one_line_naming_the_place(tmp_path: Path, name: str, pac
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (gzip.compress((FULL + ROWS * 2000).encode())[:-20], "the gzip file is cut off or damaged"),
-        (gzip.compress((FULL + ROWS).encode())[:14], "the gzip file is cut off or damaged"),
-        (gzip.compress((FULL + ROWS).encode())[:-8] + bytes(8), "the gzip file is cut off or damaged"),
+        (gz(FULL + ROWS * 2000)[:-20], "the gzip file is cut off or damaged"),
+        (gz(FULL + ROWS)[:14], "the gzip file is cut off or damaged"),
+        (gz(FULL + ROWS)[:-8] + bytes(8), "the gzip file is cut off or damaged"),
         (bytes(range(256)) * 40, "line 1: not a text file"),
         (b"PK\x03\x04" + bytes(100), "not a usable Excel workbook (.xlsx), or cut off: File is not a zip file"),
         (b"\x89PNG\xff\xfe\xfd,\xfc", "line 1: not a text file"),

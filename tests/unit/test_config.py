@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from servo_daemon.config import Config, load_config, parse_config, parse_drift
+from servo_daemon.config import Config, load_config, parse_config
+from servo_daemon.config_texts import parse_drift
 from servo_daemon.errors import ConfigError
 from servo_daemon.plant.parameters import LINEAR
 
@@ -100,13 +101,23 @@ def test_an_unknown_key_is_refused_by_name_in_every_section(file: Path, section:
         ("[[drive]]\nnmae = 'x'\nname = 5", r"unknown key 'drive\[0\]\.nmae'"),
         ("[[drive]]\n[drive.limits]\nQ_max = 1", "unknown key 'Q_max'"),
         ("[[drive]]\n[drive.limits]\nR_max = 'much'", "R_max"),
+        ("[[drive]]\n[drive.limits]\nR_max = '1.2.3 %'", r"R_max.*not '1\.2\.3 %'"),
+        ("[[drive]]\n[drive.limits]\nR_max = '+1e999 %'", "R_max"),
+        ("[[drive]]\n[drive.limits]\nR_max = nan", "R_max.*not nan"),
+        ("[[drive]]\n[drive.limits]\nR_max = true", "R_max.*not True"),
         ("[[drive]]\n[drive.limits]\nvoltage_V = -1", "voltage_V"),
         ("[[drive]]\n[drive.nominal]\nr = 1", "unknown key 'r'"),
         ("[[drive]]\n[drive.nominal]\nR = -1", "R = -1 Ω is outside"),
         ("[[drive]]\n[drive.nominal]\nR = nan", "nominal"),
         ("[[drive]]\n[drive.nominal]\nR = inf", "nominal"),
         ("[[drive]]\n[drive.nominal]\nR = 'one'", "nominal"),
+        ("[[drive]]\n[drive.nominal]\nR = true", "R = True is not a number"),
+        ("[[drive]]\n[drive.nominal]\nchannel = 'tacho'", "channel = 'tacho' is none of current_A, position_rad"),
+        ("[[drive]]\n[drive.nominal]\nchannel = 0.5", "channel = 0.5 is none of current_A, position_rad"),
+        ("[[drive]]\n[drive.nominal]\nJ = 0.01\nJ_m = 0.02", "J_m = 0.02 .* is more than J = 0.01"),
         ("[[drive]]\n[drive.drift]\nR = '10 parsec'", "10 parsec"),
+        ("[[drive]]\n[drive.drift]\nK = '1.2.3 %/h'", r"K: '1\.2\.3 %/h' is not a drift"),
+        ("[[drive]]\n[drive.drift]\nK = '10 %/(h'", "K: .* is not a drift"),
         ("[[drive]]\n[drive.drift]\nQ = '10 %/h'", "unknown key 'Q'"),
         ("[[drive]]\nmodel = ['warp']", "unknown effect 'warp': known are"),
         ("[[drive]]\nmodel = ['gravity_load', 'gravity_load']", "named twice"),
@@ -119,7 +130,10 @@ def test_an_unknown_key_is_refused_by_name_in_every_section(file: Path, section:
         ("[storage]\nsave_interval_s = 0", "save_interval_s"),
         ("[[drive]]\n[drive.estimation]\nengine = 'magic'", "engine"),
         ("[[drive]]\n[drive.estimation]\nskew_s = -1e-6", "skew_s"),
+        ('[[drive]]\nname = "a\\n"', "must be letters"),
         ("drive = 5", "drive"),
+        ("[drive]\nname = 'a'", r"drive: must be a list, \[\[drive\]\]"),
+        ("[[drive]]\nmodel = 'coulomb_friction'", r"drive\[0\]\.model: must be a list, in brackets"),
         ("[api", "not valid TOML"),
     ],
 )
@@ -134,6 +148,10 @@ def test_what_is_wrong_is_said_in_one_line(file: Path, text: str, says: str) -> 
 def test_several_mistakes_are_counted(file: Path) -> None:
     with pytest.raises(ConfigError, match=r"\(and 1 more\)"):
         load(file, "[api]\nport = -1\n[storage]\nsave_interval_s = -1")
+
+
+def test_a_byte_order_mark_is_no_part_of_the_text(file: Path) -> None:
+    assert load(file, "\ufeff[api]\nport = 1\n").api.port == 1
 
 
 def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:

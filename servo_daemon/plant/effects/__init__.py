@@ -51,6 +51,8 @@ NAMES = (
 )
 #: Effects that are a dry friction of their own.
 DRY = ("coulomb_friction", "asymmetric_friction", "stribeck_friction", "load_dependent_friction")
+#: What steps, and the parameter that says when.
+INSTANTS: Mapping[str, str] = {"dTL": "t_TL", "dR": "t_R"}
 
 
 @cache
