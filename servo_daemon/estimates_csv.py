@@ -6,16 +6,20 @@ own parameters as the model lists them, J_d last; then the same with the prefix 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 
 from servo_daemon.captures.output import AtomicFile
+from servo_daemon.errors import BadInputError
 from servo_daemon.plant.parameters import J_D, LINEAR
 from servo_daemon.service.snapshot import Estimate, EstimatorView, finite_or_none
 
 #: Prefixes in their order in the file.
 ESTIMATORS = ("ekf", "rls", "grnn")
+#: No ending at all (/dev/stdout), or that of a table of text.
+_CSV_NAME = re.compile(r"^[^.]*$|\.csv(\.gz)?$", re.IGNORECASE)
 
 
 def parameter_order(names: Sequence[str]) -> tuple[str, ...]:
@@ -37,10 +41,12 @@ class EstimatesWriter:
 
     Raises:
         ValueError: an estimator that does not exist.
-        BadInputError: the file cannot be created.
+        BadInputError: the file cannot be created, or its name promises another format.
     """
 
     def __init__(self, path: Path | str, parameters: Sequence[str], estimators: Sequence[str] = ()) -> None:
+        if not _CSV_NAME.search(Path(path).name):
+            raise BadInputError(f"{path}: estimates are written as CSV: name it .csv or .csv.gz")
         if unknown := set(estimators) - set(ESTIMATORS):
             raise ValueError(f"unknown estimators {sorted(unknown)}: known are {', '.join(ESTIMATORS)}")
         self._parameters = parameter_order(parameters)

@@ -10,6 +10,7 @@ from .ageing import report_ageing
 from .bound import report_bound, report_realistic
 from .cost import report_cost
 from .long import report_long
+from .models import report_models
 from .rivals import report_rivals
 from .scenarios import report_scenarios
 from .starts import report_starts
@@ -24,6 +25,7 @@ def _parts() -> Mapping[str, Part]:
         "ageing": lambda a: report_ageing(a.runs or 5, a.seconds or 300.0),
         "scenarios": lambda a: report_scenarios(a.runs or 1, a.seconds or 60.0, a.only, a.plots),
         "starts": lambda a: report_starts(a.first, a.runs or 1000, a.seconds or 20.0),
+        "models": lambda a: report_models(a.motion),
         "rivals": lambda a: report_rivals(a.seconds or 60.0),
         "cost": lambda _: report_cost(),
         "long": lambda a: report_long(a.steps),
@@ -37,6 +39,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, help="of each case (starts: how many starts)")
     parser.add_argument("--seconds", type=float, help="of each run; scenarios: of each quiet stretch too")
     parser.add_argument("--only", default="", help="scenarios whose name contains this")
+    parser.add_argument("--motion", default="multisine", help="models: which")
     parser.add_argument("--plots", type=Path, help="scenarios: write one PNG of each into this directory")
     parser.add_argument("--first", type=int, default=0, help="starts: number of the first")
     parser.add_argument("--steps", type=float, default=1e8, help="long: how many")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 
@@ -10,17 +11,20 @@ from servo_daemon.config import DriveConfig
 from servo_daemon.estimators.ekf import Ekf, Loop
 from servo_daemon.estimators.ekf_model import build_ekf_step
 from servo_daemon.estimators.filterpy_ekf import FilterpyLoop
+from servo_daemon.estimators.settings import TrackerSettings
+from servo_daemon.estimators.tracker import Tracker
 from servo_daemon.plant.build import build_plant
 from servo_daemon.plant.compiled import SampleLoop
 from servo_daemon.samples import F64, SampleBlock, make_block
 from servo_daemon.service.pipeline import Pipeline
+from servo_daemon.service.publish import resolutions
 from tests.recovery.generator import MOTORS, PAPER, Scenario, generate
 
 from .bound import CHANNELS, WALK_PER_SQRT_MIN, bound_recording, known_noise_filter, rows
 from .follow import NAMES, info_of
 from .rival_filters import Task, filterpy_ekf
 
-DRIVES, WARM_S, MEASURED_S, BLOCK = 32, 5.0, 15.0, 100
+DRIVES, WARM_S, MEASURED_S, BLOCK = 32, 20.0, 20.0, 100
 REPEATS, RIVAL_SAMPLES = 5, 3000
 LIMIT_US = {"c": 2.5, "vm": 15.0}
 LIMIT_FILTERPY, LIMIT_DRIVES = 30.0, 0.15
@@ -66,12 +70,13 @@ def _report_step() -> None:
 
 
 def _report_drives() -> None:
-    """As the daemon does: blocks of 100 ms, drive after drive, nothing published in between."""
-    seconds = WARM_S + MEASURED_S
-    drives: list[tuple[Pipeline, list[SampleBlock]]] = []
+    """Block after block, drive after drive: the estimators by themselves, and as the daemon has them, with the cutting
+    into ticks and a record ten times a second."""
+    estimators, pipelines = [], []
+    blocks: list[list[SampleBlock]] = []
     for k in range(DRIVES):
         motor = list(MOTORS.values())[k % len(MOTORS)]
-        recording = generate(motor, Scenario("pick_and_place", seconds=seconds, seed=k))
+        recording = generate(motor, Scenario("pick_and_place", seconds=WARM_S + MEASURED_S, seed=k))
         nominal = {n: 1.4 * float(getattr(motor, n)) for n in NAMES}
         block = make_block(
             recording.time_s,
@@ -79,19 +84,36 @@ def _report_drives() -> None:
             current_A=recording.current_A,
             position_rad=recording.position_rad,
         )
-        blocks = [block.slice(a, a + BLOCK) for a in range(0, len(block), BLOCK)]
-        drives.append((Pipeline(DriveConfig(nominal=nominal), info_of(recording)), blocks))
+        blocks.append([block.slice(a, a + BLOCK) for a in range(0, len(block), BLOCK)])
+        config, info = DriveConfig(nominal=nominal), info_of(recording)
+        estimators.append(Tracker(block.channels, TrackerSettings(nominal=nominal), resolutions(config, info)))
+        pipelines.append(Pipeline(config, info))
+
+    def estimate(k: int, block: SampleBlock) -> None:
+        estimators[k].take(block)
+        estimators[k].close_tick(block)
+
+    def publish(k: int, block: SampleBlock) -> None:
+        pipelines[k].process(block, rows=False)
+        pipelines[k].current()
+
+    print(
+        f"{DRIVES} drives at 1 kHz, blocks of {BLOCK} samples, the {MEASURED_S:.0f} s after the first {WARM_S:.0f} s:"
+    )
+    for what, work in (("the estimators", estimate), ("with ticks and a record ten times a second", publish)):
+        spent = _spent(blocks, work)
+        share, each = spent / MEASURED_S, 1e6 * spent / (DRIVES * 1000 * MEASURED_S)
+        print(f"  {what}: {100 * share:.1f} % of a core, {each:.2f} µs a sample")
+    print(f"  (limit {100 * LIMIT_DRIVES:.0f} % for the estimators)")
+
+
+def _spent(blocks: list[list[SampleBlock]], work: Callable[[int, SampleBlock], None]) -> float:
+    """Seconds of CPU after the warm-up."""
     spent = 0.0
-    for turn in range(len(drives[0][1])):
+    for turn in range(len(blocks[0])):
         began = time.process_time()
-        for pipeline, blocks in drives:
-            pipeline.process(blocks[turn], rows=False)
-            pipeline.current()
+        for k, of_drive in enumerate(blocks):
+            work(k, of_drive[turn])
         if turn * BLOCK >= 1000 * WARM_S:
             spent += time.process_time() - began
-    share = spent / MEASURED_S
-    each = 1e6 * spent / (DRIVES * 1000 * MEASURED_S)
-    print(
-        f"{DRIVES} drives at 1 kHz, blocks of {BLOCK} samples: {100 * share:.1f} % of a core "
-        f"(limit {100 * LIMIT_DRIVES:.0f} %), {each:.2f} µs a sample, pipeline and a record ten times a second"
-    )
+    return spent

@@ -75,6 +75,17 @@ def sampled(truth: Mapping[str, F64], time_s: F64, names: tuple[str, ...], at_s:
     return np.column_stack([truth[name][index] for name in names])
 
 
+def deviations(track: Track, truth: Mapping[str, F64], time_s: F64, names: tuple[str, ...]) -> tuple[F64, F64]:
+    """(value − truth)/std while a parameter is `tracking`, else 0, and value − truth; shapes (m, names).
+
+    Args:
+        truth, time_s: as for `sampled`.
+    """
+    at = [track.names.index(name) for name in names]
+    error = track.value[:, at] - sampled(truth, time_s, names, track.time_s)
+    return np.where(track.tracking[:, at], error / track.std[:, at], 0.0), error
+
+
 def info_of(recording: Recording) -> DriveInfo:
     """What a driver would know: the encoder's counts."""
     counts = recording.metadata.get("counts_per_rev")

@@ -3,8 +3,8 @@ start with no nominal values at all; over all motors and motions, 20 s each.
 
 Converged: in the end R, K, J and B are `tracking` and within 3 std or 3 % of the truth; L too where it is published as
 `tracking` (where the motion does not show it, it must say so). Those that did not converge are told apart: open, where
-nothing is `tracking` that is not right, and wrong. Start number k depends on k alone: `--first 400 --runs 100` repeats
-starts 400 to 499.
+nothing is published with a standard deviation (`tracking`, or held as `unexcited`) that is not right, and wrong. Start
+number k depends on k alone: `--first 400 --runs 100` repeats starts 400 to 499.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ TOLERANCE, STDS = 0.03, 3.0
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """One start: its number, what it was, what was wrong in the end ("" if it converged), and whether that was called
-    `tracking`."""
+    """One start: its number, what it was, what was wrong in the end ("" if it converged), and whether that was
+    published with a standard deviation."""
 
     number: int
     motor: str
@@ -50,7 +50,7 @@ def run_start(job: tuple[int, float]) -> Start:
     truth = np.array([getattr(motor, n) for n in NAMES])
     error = np.abs(track.value[-1] / truth - 1)
     spread = track.std[-1] / truth
-    claimed = track.tracking[-1] & ~(error <= np.maximum(TOLERANCE, STDS * spread))
+    claimed = np.isfinite(spread) & ~(error <= np.maximum(TOLERANCE, STDS * spread))
     wrong = [
         f"{n} {track.status[-1, p]} {100 * error[p]:.1f} % ({error[p] / spread[p]:.1f} σ)"
         for p, n in enumerate(NAMES)

@@ -21,6 +21,7 @@ from servo_daemon.estimators.balances import (
 )
 from servo_daemon.estimators.closure import Confronted, Verdict
 from servo_daemon.estimators.excitation import WINDOW_S
+from servo_daemon.estimators.regression_terms import SHARES, armature_coefficient, coefficient
 from servo_daemon.estimators.sampling import Sampling, between_samples, blind_std, coarse, of_standing_counts
 from servo_daemon.samples import F64
 
@@ -147,8 +148,8 @@ class BalanceWindow:
             return 0.0
         noise = self._noise("shaft", total, value, replace(sampling, noise_var=of_standing_counts(sampling, "shaft")))
         noise *= self._by_chance("shaft", total)
-        one, usual_current = columns.index("one"), torque_Nm / self._size("shaft", value)
-        usual = float(total.gram[one, one]) * usual_current**2
+        ones, usual_current = _constant(columns), torque_Nm / self._size("shaft", value)
+        usual = float(ones @ total.gram @ ones) * usual_current**2
         left = closure.structure(total.gram, noise, usual)
         # White noise of intensity S adds S ∫φ² to the square of ∫φ τ; Σ (φ h)² = h ∫φ².
         of_one = float(total.weight_squares[0]) / sampling.period_s
@@ -257,10 +258,20 @@ def _coefficients(columns: Sequence[str], value: Mapping[str, float], size: floa
     Args:
         size: of the balance per unit of y.
     """
-    Tg, phi = value.get("Tg", 0.0), value.get("phi_g", 0.0)
-    armature = "R" in columns
-    one = -value["R"] * value.get("i0", 0.0) if armature else 0.0
-    if not armature:
-        one = value.get("TL", 0.0) / size + value.get("i0", 0.0)
-    extra = {"one": one, "sin": Tg * np.cos(phi) / size, "cos": Tg * np.sin(phi) / size}
-    return np.array([extra[name] if name in extra else value[name] / (1.0 if armature else size) for name in columns])
+    if "R" in columns:
+        return np.array([armature_coefficient(c, value)[0] for c in columns])
+    return np.array([_of_shaft(c, value, size) for c in columns])
+
+
+def _of_shaft(column: str, value: Mapping[str, float], size: float) -> float:
+    found = coefficient(column, value)[0]
+    if column in SHARES:
+        return found
+    return found / size + (value.get("i0", 0.0) if column == "one" else 0.0)
+
+
+def _constant(columns: Sequence[str]) -> F64:
+    """The regressor of a constant torque as weights on the shaft's columns: friction by direction has two levels in the
+    place of the constant's own column, and the one less the other is a constant while the shaft turns."""
+    weights = {"one": 1.0} if "one" in columns else {"Tc": 1.0, "Tc_neg": -1.0}
+    return np.array([weights.get(name, 0.0) for name in columns])

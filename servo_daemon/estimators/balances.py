@@ -21,6 +21,7 @@ from functools import reduce
 
 import numpy as np
 
+from servo_daemon.estimators import regression_terms
 from servo_daemon.estimators.rls import SYSTEMATIC
 from servo_daemon.samples import F64
 
@@ -128,10 +129,11 @@ def noise_gram(
 
 
 def armature_slopes(columns: Sequence[str], value: Mapping[str, float]) -> dict[str, F64]:
-    """d residual / d coordinate of each parameter, as weights on the columns "R", "L", "K", "one", "y"."""
-    slopes = {name: _unit(columns, name, value[name]) for name in ("R", "L", "K")}
-    if "one" in columns:
-        slopes["i0"] = _unit(columns, "one", -value["R"])
+    """d residual / d coordinate of each parameter, as weights on the columns "R", "L", "K", effects' and "y"."""
+    slopes: dict[str, F64] = {}
+    for name in columns:
+        if name != "y":
+            _add(slopes, columns, name, regression_terms.armature_coefficient(name, value)[1])
     return slopes
 
 
@@ -141,22 +143,24 @@ def shaft_slopes(columns: Sequence[str], value: Mapping[str, float], per_current
     Args:
         per_current: y is ∫φ i and K a parameter of this balance; else y is a torque.
     """
-    own = ("J", "B", "Tc", "Tc_neg", "B_neg", "c2")
-    slopes = {name: _unit(columns, name, -value[name]) for name in own if name in columns}
-    if "mu" in columns:
-        slopes["mu"] = _unit(columns, "mu", -value["mu"] * (value["K"] if per_current else 1.0))
-    if "one" in columns:
-        slopes["TL"] = _unit(columns, "one", -1.0)
-        if per_current and "i0" in value:
-            slopes["i0"] = _unit(columns, "one", -value["K"])
-    if "sin" in columns:
-        Tg, phi = value["Tg"], value["phi_g"]
-        s, c = _unit(columns, "sin", 1.0), _unit(columns, "cos", 1.0)
-        slopes["Tg"] = -Tg * (np.cos(phi) * s + np.sin(phi) * c)
-        slopes["phi_g"] = -Tg * (np.cos(phi) * c - np.sin(phi) * s)
+    slopes: dict[str, F64] = {}
+    for name in columns:
+        if name != "y":
+            _, by = regression_terms.coefficient(name, value)
+            torque = value["K"] if per_current and name in regression_terms.SHARES else 1.0
+            _add(slopes, columns, name, {p: -torque * slope for p, slope in by.items()})
+    if "one" in columns and per_current and "i0" in value:
+        slopes["i0"] = _unit(columns, "one", -value["K"])
     if per_current:
         slopes["K"] = _unit(columns, "y", value["K"])
     return slopes
+
+
+def _add(slopes: dict[str, F64], columns: Sequence[str], name: str, by: Mapping[str, float]) -> None:
+    """To each parameter's slope what its part in the coefficient of one column makes."""
+    for parameter, slope in by.items():
+        part = _unit(columns, name, slope)
+        slopes[parameter] = slopes[parameter] + part if parameter in slopes else part
 
 
 def information(gram: F64, noise: F64, slopes: Mapping[str, F64], names: Sequence[str], size_per_y: float) -> F64:

@@ -108,6 +108,12 @@ class Excitation:
         enough = self.std() < np.where(self.excited, LEAVE, ENTER)
         self.excited = enough & (self._systematic_std < np.where(self.excited, SYSTEMATIC_LEAVE, SYSTEMATIC_ENTER))
 
+    @property
+    def systematic_std(self) -> F64:
+        """1 σ of each coordinate over its scale that balances which are only nearly right leave open; 0 where they say
+        nothing; shape (n,)."""
+        return self._systematic_std
+
     def std(self) -> F64:
         """What the samples of the window alone would leave of each coordinate, 1 σ over its scale; shape (n,)."""
         return np.asarray(1.0 / (np.sqrt(np.maximum(self._sum, 1e-300)) * self.scales))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from servo_daemon.estimators import excitation
 from servo_daemon.estimators.base import from_coordinate
-from servo_daemon.plant.parameters import Parameter
+from servo_daemon.plant.parameters import Parameter, spaced
 from servo_daemon.samples import F64
 
 Status = Literal["estimating", "tracking", "unexcited", "at_bound", "fixed", "invalid"]
@@ -84,14 +84,19 @@ def fuse(
     if not math.isfinite(value) or not math.isfinite(std):
         return Fused(nominal, None, "invalid", "the filter's estimate is not a number: it is being restarted")
     if not qualified:
-        if excited:
-            return Fused(nominal, None, "estimating", f"known to {_percent(parameter, value, std)} so far")
-        return Fused(nominal, None, "estimating", excitation.reason(parameter.name))
+        why = _not_yet(parameter, value, std) if excited else excitation.reason(parameter.name)
+        return Fused(nominal, None, "estimating", why)
     if value <= parameter.lower * (1 + 1e-9) or value >= parameter.upper * (1 - 1e-9):
         return Fused(value, std, "at_bound", f"at the edge of {parameter.lower:g} .. {parameter.upper:g}")
     if not excited:
         return Fused(value, std, "unexcited", excitation.reason(parameter.name))
     return Fused(value, std, "tracking", None)
+
+
+def _not_yet(parameter: Parameter, value: float, std: float) -> str:
+    if parameter.transform == "log" and std < QUALIFIED * value:
+        return "the filter is sure of a value, which nothing confirms yet"
+    return f"known to {_percent(parameter, value, std)} so far"
 
 
 def as_last_known(
@@ -113,4 +118,4 @@ def as_last_known(
 def _percent(parameter: Parameter, value: float, std: float) -> str:
     if parameter.transform == "log":
         return f"± {100 * std / value:.0f} %"
-    return f"± {std:.2g} {parameter.unit}"
+    return f"± {std:.2g}{spaced(parameter.unit)}"

@@ -60,10 +60,14 @@ class Heritage:
             ekf.know_state(name, mean, var)
 
 
-def trusted_mask(names: Sequence[str], heritage: Heritage | None, saved: bool) -> Mask:
-    """Parameters that begin as they were known before, shape (n,): from another filter, or from a saved state, which is
-    kept only when all are."""
-    return np.array([saved if heritage is None else name in heritage.sure for name in names])
+def trusted_mask(names: Sequence[str], heritage: Heritage | None, saved: Sequence[str]) -> Mask:
+    """Parameters that begin as they were known before, shape (n,): from another filter, or from a saved state.
+
+    Args:
+        saved: names of the parameters in the saved state: it keeps those only that were qualified.
+    """
+    sure = saved if heritage is None else heritage.sure
+    return np.array([name in sure for name in names])
 
 
 def inherited(

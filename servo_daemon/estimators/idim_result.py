@@ -40,7 +40,7 @@ def sorted_out(shaft: ShaftFit, armature: ArmatureFit | None, axis: Axis) -> Fou
     order = sorted(range(len(names)), key=lambda k: _ORDER.index(b) if (b := _base(names[k])) in _ORDER else 9)
     chosen = tuple(names[k] for k in order)
     units = tuple(_unit(n, axis) for n in chosen)
-    return Found(chosen, value[order], covariances[:, np.array(order)[:, None], order], units, directions)
+    return Found(chosen, value[order], covariances[:, np.array(order, np.intp)[:, None], order], units, directions)
 
 
 def _joint(upper: F64, lower: F64, by: F64) -> F64:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from servo_daemon.estimators.base import from_coordinate
 from servo_daemon.estimators.settings import Message
-from servo_daemon.plant.parameters import Parameter
+from servo_daemon.plant.parameters import Parameter, spaced
 from servo_daemon.samples import F64
 
 #: Ticks with unexplained innovations (others count a quarter against) until the covariance is opened: 0.3 s.
@@ -36,6 +36,9 @@ OPEN_SIGNED_STD = 0.5
 _SIGNIFICANT, _NOTICEABLE = 6.0, 0.02
 #: Beside a large jump of one, others are named only if they are this share as significant: they have been pulled along.
 _BESIDE = 0.3
+
+#: The event that names a parameter which has jumped.
+JUMPED = "parameter_jump"
 
 #: What the filter is to do with the tick it has just worked through.
 Action = Literal["learn", "undo", "open", "settle", "accept", "reject"]
@@ -140,8 +143,9 @@ def message(parameter: Parameter, before: Known, coordinate: float, time_s: floa
     k = before.names.index(parameter.name)
     old, _ = from_coordinate(parameter, float(before.mean[k]), 0.0)
     new, _ = from_coordinate(parameter, coordinate, 0.0)
-    size = f"{100 * (new / old - 1):+.1f} %" if parameter.transform == "log" else f"{new - old:+.3g} {parameter.unit}"
-    text = f"{parameter.name} stepped from {old:.4g} to {new:.4g} {parameter.unit} ({size})"
+    unit = spaced(parameter.unit)
+    size = f"{100 * (new / old - 1):+.1f} %" if parameter.transform == "log" else f"{new - old:+.3g}{unit}"
+    text = f"{parameter.name} stepped from {old:.4g} to {new:.4g}{unit} ({size})"
     data: dict[str, float | int | str | None] = {
         "parameter": parameter.name,
         "unit": parameter.unit,
@@ -150,4 +154,4 @@ def message(parameter: Parameter, before: Known, coordinate: float, time_s: floa
         "time_s": before.time_s,
         "recognised_s": time_s,
     }
-    return "parameter_jump", text, data
+    return JUMPED, text, data

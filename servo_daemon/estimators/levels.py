@@ -34,16 +34,21 @@ class Recent:
     """
 
     def __init__(self) -> None:
-        self._ticks: deque[tuple[float, int, float]] = deque()
+        self._ends_s: deque[float] = deque()  # three of plain numbers: to sum these costs next to nothing
+        self._numbers: deque[int] = deque()
+        self._totals: deque[float] = deque()
         self.number, self.total = 0, 0.0
 
     def add(self, end_s: float, number: int, total: float) -> None:
         """A tick's, and when it ended."""
-        self._ticks.append((end_s, number, total))
-        while end_s - self._ticks[0][0] > WINDOW_S:
-            self._ticks.popleft()
-        self.number = sum(n for _, n, _ in self._ticks)
-        self.total = sum(x for _, _, x in self._ticks)
+        self._ends_s.append(end_s)
+        self._numbers.append(number)
+        self._totals.append(total)
+        while end_s - self._ends_s[0] > WINDOW_S:
+            self._ends_s.popleft()
+            self._numbers.popleft()
+            self._totals.popleft()
+        self.number, self.total = sum(self._numbers), sum(self._totals)
 
 
 class Levels:

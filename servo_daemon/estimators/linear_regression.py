@@ -155,7 +155,7 @@ def long_run(scores: F64) -> F64:
 
 def bandwidth(scores: F64) -> int:
     """Lags for Bartlett weights: 1.1447 (α n)^(1/3), α = 4 ρ²/(1 − ρ²)² with the largest ρ of the columns."""
-    rho = max(abs(autocorrelation(column)) for column in scores.T)
+    rho = max((abs(autocorrelation(column)) for column in scores.T), default=0.0)
     rho = min(rho, 0.97)
     return int(1.1447 * (4 * rho**2 / (1 - rho**2) ** 2 * len(scores)) ** (1 / 3)) + 1
 

@@ -7,21 +7,41 @@ and B from the shaft with that K); with less, what is missing must be given (`kn
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.estimators.balance_window import BalanceWindow
 from servo_daemon.estimators.balances import column_noise
+from servo_daemon.estimators.lag import Lag
 from servo_daemon.estimators.modulating import Windows, make_windows
 from servo_daemon.estimators.plausible import Plausible
+from servo_daemon.estimators.regression_estimate import (
+    RegressionEstimate,
+    as_current,
+    side_by_side,
+    times_torque_constant,
+    without_lag,
+)
+from servo_daemon.estimators.regression_terms import (
+    ARMATURE_OFFSETS,
+    NEED_ANGLE,
+    NEED_EFFORT,
+    SIGNALS,
+    TWO_MASSES,
+    armature_columns,
+    as_parameters,
+    columns_of,
+    given_by,
+    shaft_columns,
+)
 from servo_daemon.estimators.rls import DirectionalRls, LinearEstimate
 from servo_daemon.estimators.sampling import FEWEST_SAMPLES, SPAN_S
-from servo_daemon.estimators.shaft_columns import DRY, EFFECT_SIGNALS, GIVES, SHAFT_COLUMNS
 from servo_daemon.estimators.stretch import Stretch, between_samples, joined, last, median, motion, speed_sign
 from servo_daemon.estimators.stretch import speed as speed_of
 from servo_daemon.plant.build import PlantModel
+from servo_daemon.plant.effects import DRY
 from servo_daemon.samples import F64
 
 #: Excited directions forget with this time constant, s.
@@ -32,19 +52,10 @@ _EAGER_UPDATES, _BATCH = 50, 10
 _OVERLAP_INFLATION = 2.0
 
 _ARMATURE = ("R", "L", "K")
-
-
-@dataclass(frozen=True, slots=True)
-class RegressionEstimate:
-    """Parameters in natural units: value shape (n,), covariance shape (n, n). Values may come out impossible."""
-
-    names: tuple[str, ...]
-    value: F64
-    covariance: F64
-
-    @property
-    def std(self) -> F64:
-        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
+#: A current has a direction beyond so many standard deviations of its noise.
+_DIRECTED = 3.0
+#: With a second inertia the shaft's regression finds the sum of both, by slow motion: known to this share at best, 1 σ.
+_BOTH_MASSES_STD = 0.3
 
 
 class MotorRls:
@@ -53,13 +64,36 @@ class MotorRls:
     Args:
         plant: the model; effects it cannot express linearly keep their nominal values.
         known: parameters that are given, in natural units (needed where a signal is missing).
+        nuisance: parameters of the plant that nobody asks for: no offset of the armature is named that is one of them.
+        nominal: what orders, frequencies and the like are held at, and what is not linear is taken at.
+        sees_angle: the angle is measured, not only the speed.
     """
 
-    def __init__(self, plant: PlantModel, known: Mapping[str, float]) -> None:
+    def __init__(
+        self,
+        plant: PlantModel,
+        known: Mapping[str, float],
+        nuisance: Sequence[str] = (),
+        nominal: Mapping[str, float] | None = None,
+        *,
+        sees_angle: bool = True,
+    ) -> None:
         self._plant, self._known = plant, dict(known)
-        self._shaft_columns = ("J", "B", *(c for e in plant.effects for c in SHAFT_COLUMNS.get(e, ())))
-        self._armature_columns = (*_ARMATURE, *(("one",) if "current_sensor_offset" in plant.effects else ()))
+        self._taken_at = {p.name: p.nominal for p in plant.parameters} | dict(nominal or {})
+        self._current_gain = self._taken_at.get("g_i", 1.0)
+        self._lag = Lag(self._taken_at["t_lag"]) if "drive_lag" in plant.effects else None
+        self._two_masses = bool(TWO_MASSES.intersection(plant.effects))
         given_torque = plant.drive == "voltage" and bool(known)
+        # Columns of zeros would keep a regression from any estimate: no torque that friction or ripple are a share of
+        # without a current, no waves of an angle that nobody measures.
+        unseen = (NEED_EFFORT if given_torque else frozenset()) | (frozenset() if sees_angle else NEED_ANGLE)
+        self._shaft_effects = tuple(e for e in plant.effects if e not in unseen)
+        self._shaft_columns = ("J", "B", *shaft_columns(self._shaft_effects))
+        self._offsets = tuple(name for effect, name in ARMATURE_OFFSETS.items() if effect in plant.effects)
+        self._armature_columns = (*_ARMATURE, *armature_columns(self._shaft_effects))
+        asked = len(self._offsets) == 1 and self._offsets[0] not in nuisance
+        named = {c: c for c in (*_ARMATURE, "Vb")} | ({"one": self._offsets[0]} if asked else {})
+        self._armature_named = {c: named[c] for c in self._armature_columns if c in named}
         self.window = BalanceWindow(self._armature_columns, self._shaft_columns, judges_mismatch=not given_torque)
         self._armature: DirectionalRls | None = None
         self._shaft: DirectionalRls | None = None
@@ -75,7 +109,7 @@ class MotorRls:
     def names(self) -> tuple[str, ...]:
         """Parameters these regressions can give, if the motion shows them."""
         both = self._plant.drive == "voltage" and not self._known
-        return (*(_ARMATURE if both else ()), *(GIVES.get(c, c) for c in self._shaft_columns))
+        return (*(self._armature_named.values() if both else ()), *map(given_by, self._shaft_columns))
 
     def update(self, new: Stretch, noise_var: Mapping[str, float]) -> bool:
         """Take the samples of one tick; windows reach back into earlier ones. Returns whether they were worked off.
@@ -87,6 +121,10 @@ class MotorRls:
         """
         self._updates += 1
         self._noise_var = dict(noise_var)
+        if self._current_gain != 1.0 and new.current is not None:
+            new = replace(new, current=new.current / self._current_gain)
+        if self._lag is not None and new.voltage is not None:
+            new = replace(new, voltage=self._lag.mean_of(new.time_s, new.voltage))
         self._pending.append(new)
         if self._updates > _EAGER_UPDATES and self._updates % _BATCH:
             return False
@@ -104,6 +142,11 @@ class MotorRls:
         self._pending = [recorded]
         self._estimate = self._compute()
         return True
+
+    def follow_lag(self, lag_s: float) -> None:
+        """What the filter has found of the drive's lag, which no regression finds."""
+        if self._lag is not None:
+            self._lag.lag_s = lag_s
 
     def _between_samples(self, period_s: float) -> tuple[float, float]:
         """The current's mean between two samples is
@@ -127,9 +170,9 @@ class MotorRls:
 
     @property
     def in_regression(self) -> tuple[str, ...]:
-        """Parameters that some column of these regressions stands for."""
-        offset = ("i0",) if "one" in self._armature_columns else ()
-        return (*self.names, *offset) if "R" in self.names else self.names
+        """Parameters that some column of these regressions stands for, and that they can judge."""
+        names = [n for n in self.names if not (self._two_masses and n in map(given_by, self._shaft_columns))]
+        return tuple(dict.fromkeys((*names, *(self._offsets if "R" in names else ()))))
 
     def _windows(self, s: Stretch, period: float, which: str) -> Windows | None:
         """Windows that have not been used yet, half overlapping, none across unusable samples; of the armature, whose
@@ -154,6 +197,10 @@ class MotorRls:
         return make_windows(s.time_s, first, length) if len(first) else None
 
     def _armature_rows(self, s: Stretch, period: float) -> None:
+        direction = None
+        if "Vb" in self._armature_columns and s.current is not None:
+            direction = self._direction(s.current)
+            s = replace(s, usable=s.usable & (direction != 0.0))
         w = self._windows(s, period, "armature")
         if w is None or s.voltage is None or s.current is None:
             return
@@ -165,11 +212,15 @@ class MotorRls:
         columns = [current + self._sag * acceleration, -current_rate, speed]
         if "one" in self._armature_columns:
             columns.append(w.of_one)
+        if direction is not None:
+            columns.append(w.integral(direction))
+        if "rip_sin" in self._armature_columns:
+            columns += self._rippled_speed(w, s)
         Phi, y = np.column_stack(columns), w.held(s.voltage)
         self._take("armature", self._armature, float(s.time_s[-1]), Phi, y, w)
 
     def _shaft_rows(self, s: Stretch, period: float) -> None:
-        if DRY.intersection(self._plant.effects):
+        if set(DRY) & set(self._plant.effects):
             s = replace(s, usable=s.usable & (speed_sign(s) != 0.0))
         w = self._windows(s, period, "shaft")
         if w is None:
@@ -181,7 +232,7 @@ class MotorRls:
         columns = [acceleration, speed]
         if "asymmetric_friction" in self._plant.effects:  # B is that of positive motion alone
             columns[1] = speed - w.integral(np.minimum(speed_of(s), 0.0))
-        for effect in self._plant.effects:
+        for effect in self._shaft_effects:
             columns += self._effect_columns(effect, w, s)
         y = self._driving_torque(w, s, speed, acceleration)
         if y is not None:
@@ -199,12 +250,25 @@ class MotorRls:
         columns = self._armature_columns if which == "armature" else self._shaft_columns
         weight_squares = w.weight_squares
         rls.update(Phi, y, column_noise(columns, weight_squares, self._noise_var))
-        self.window.add(which, time_s, Phi, y, weight_squares)
+        if which == "armature" or not self._two_masses:  # of which the shaft's balance does not close
+            self.window.add(which, time_s, Phi, y, weight_squares)
 
     def _effect_columns(self, effect: str, w: Windows, s: Stretch) -> list[F64]:
-        if effect not in SHAFT_COLUMNS:
+        if not columns_of(effect, self._shaft_effects):
             return []
-        return [w.integral(signal) for signal in EFFECT_SIGNALS[effect](s)]
+        return [w.integral(signal) for signal in SIGNALS[effect](s, self._taken_at)]
+
+    def _direction(self, current: F64) -> F64:
+        """Sign of the current per sample, 0 where its noise may have made it."""
+        least = _DIRECTED * self._noise_var.get("current_A", 0.0) ** 0.5
+        return np.where(np.abs(current) > least, np.sign(current), 0.0)
+
+    def _rippled_speed(self, w: Windows, s: Stretch) -> list[F64]:
+        """∫φ ω sin(n θ) and ∫φ ω cos(n θ), by parts."""
+        n = self._taken_at["n_rip"]
+        assert s.position is not None
+        sine, cosine = w.integral(np.sin(n * s.position), 1), w.integral(np.cos(n * s.position), 1)
+        return [cosine / n, -sine / n]
 
     def _driving_torque(self, w: Windows, s: Stretch, speed: F64, acceleration: F64) -> F64 | None:
         """∫φ of motor torque, divided by K where K is to come from the armature; None if it cannot be had."""
@@ -223,22 +287,38 @@ class MotorRls:
         asked for often: computed anew with each of the first updates, later with every batch."""
         return self._estimate
 
+    def _armature_estimate(self) -> LinearEstimate | None:
+        """R, L, K and what else is named; a constant that two offsets share is neither's."""
+        found = None if self._armature is None else self._armature.estimate()
+        if found is None:
+            return None
+        index = [self._armature_columns.index(c) for c in self._armature_named]
+        value, covariance = found.value[index], found.covariance[np.ix_(index, index)]
+        names = tuple(self._armature_named.values())
+        if "i0" in names:
+            value, covariance = as_current(value, covariance, names.index("i0"))
+        return LinearEstimate(value, covariance, found.residual_var)
+
     def _compute(self) -> RegressionEstimate | None:
-        armature = _first(self._armature.estimate(), len(_ARMATURE)) if self._armature is not None else None
+        armature = self._armature_estimate()
         shaft = self._shaft.estimate() if self._shaft is not None else None
         if armature is None and (shaft is None or self._armature is not None):
             return None  # without K the shaft's coefficients are quotients only
         blocks = [e for e in (armature, shaft) if e is not None]
         value = np.concatenate([e.value for e in blocks])
-        covariance = _side_by_side([e.covariance for e in blocks]) * _OVERLAP_INFLATION
-        names = [*(_ARMATURE if armature is not None else []), *(self._shaft_columns if shaft is not None else [])]
+        covariance = side_by_side([e.covariance for e in blocks]) * _OVERLAP_INFLATION
+        own = tuple(self._armature_named.values()) if armature is not None else ()
+        columns = [*own, *(self._shaft_columns if shaft is not None else [])]
         if armature is not None and shaft is not None:
-            value, covariance = _times_torque_constant(value, covariance, names)
+            value, covariance = times_torque_constant(value, covariance, columns, len(own))
         elif self._plant.drive == "voltage" and self._known:
-            value, covariance = _without_lag(value, covariance, self._known["L"] / self._known["R"])
-        if "sin" in names:
-            value, covariance = _amplitude_and_phase(value, covariance, names.index("sin"))
-        return RegressionEstimate(tuple(GIVES.get(n, n) for n in names), value, covariance)
+            value, covariance = without_lag(value, covariance, self._known["L"] / self._known["R"])
+        if shaft is not None:
+            value, covariance = as_parameters(columns, value, covariance)
+        if self._two_masses and shaft is not None:
+            doubt = np.array([k >= len(own) for k in range(len(value))]) * _BOTH_MASSES_STD * value
+            covariance = covariance + np.diag(doubt**2)
+        return RegressionEstimate((*own, *map(given_by, columns[len(own) :])), value, covariance)
 
 
 def _apart(first: NDArray[np.intp], hop: int) -> NDArray[np.intp]:
@@ -248,46 +328,3 @@ def _apart(first: NDArray[np.intp], hop: int) -> NDArray[np.intp]:
         if not taken or k - taken[-1] >= hop:
             taken.append(k)
     return np.array(taken, dtype=np.intp)
-
-
-def _first(e: LinearEstimate | None, n: int) -> LinearEstimate | None:
-    """The first n coefficients: an offset's is of no use to anybody."""
-    return None if e is None else LinearEstimate(e.value[:n], e.covariance[:n, :n], e.residual_var)
-
-
-def _side_by_side(covariances: list[F64]) -> F64:
-    """Of estimates that are independent of each other: a block diagonal matrix."""
-    ends = np.cumsum([len(c) for c in covariances]).tolist()
-    out = np.zeros((ends[-1], ends[-1]))
-    for end, c in zip(ends, covariances, strict=True):
-        out[end - len(c) : end, end - len(c) : end] = c
-    return out
-
-
-def _times_torque_constant(value: F64, covariance: F64, names: Sequence[str]) -> tuple[F64, F64]:
-    """Shaft coefficients were found per unit of K (the third value): multiply, errors included to first order. A share
-    of the torque (mu) is one of the current as well."""
-    K = value[2]
-    per_K = np.array([k >= 3 and name != "mu" for k, name in enumerate(names)])
-    by = np.diag(np.where(per_K, K, 1.0))
-    by[per_K, 2] = value[per_K]
-    return np.where(per_K, K * value, value), by @ covariance @ by.T
-
-
-def _without_lag(value: F64, covariance: F64, lag_s: float) -> tuple[F64, F64]:
-    """(J, B, …) where (v − K ω)/R stood for the current, which lags behind it by L/R: the coefficient of dω/dt was then
-    J + B L/R (to first order in the lag)."""
-    by = np.eye(len(value))
-    by[0, 1] = -lag_s
-    return by @ value, by @ covariance @ by.T
-
-
-def _amplitude_and_phase(value: F64, covariance: F64, k: int) -> tuple[F64, F64]:
-    """(Tg cos φ, Tg sin φ) at k, k+1 as (Tg, φ): Tg sin(θ + φ) = (Tg cos φ) sin θ + (Tg sin φ) cos θ."""
-    c, s = value[k], value[k + 1]
-    size = max(float(np.hypot(c, s)), 1e-300)
-    by = np.eye(len(value))
-    by[k : k + 2, k : k + 2] = [[c / size, s / size], [-s / size**2, c / size**2]]
-    out = value.copy()
-    out[k], out[k + 1] = size, np.arctan2(s, c)
-    return out, by @ covariance @ by.T

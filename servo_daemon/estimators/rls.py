@@ -32,6 +32,8 @@ _MOST_NOISE = 0.3
 _INVISIBLE = 1e-12
 #: Beyond this condition number, each column over its own size, the rows do not determine the coefficients.
 _WORST_CONDITION = 1e10
+#: Of a direction with less information than this, relative to the one with most, rounding errors are all there is.
+_ROUNDING = 1e-11
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +94,7 @@ class DirectionalRls:
         residual = y - Phi @ self._value
         kept, slowest = self._forget(gained, keep)
         A = kept + gained
-        self._value = self._value + np.linalg.solve(A, Phi.T @ residual)
+        self._value = self._value + _least_step(A, Phi.T @ residual)
         after = y - Phi @ self._value
         self._A = (A + A.T) / 2
         # Errors before times errors after: by how much the least-squares cost rises (Ljung 1999, eq. 11.17).
@@ -143,3 +145,15 @@ class DirectionalRls:
         if part.max() > _MOST_NOISE or np.linalg.eigvalsh(signal)[0] <= 1e-8:
             return self._value.copy()
         return np.asarray(np.linalg.solve(signal, self._A @ self._value / scale) / scale)
+
+
+def _least_step(A: F64, gradient: F64) -> F64:
+    """A⁻¹ g, shape (n,), without a step along what no row has shown yet: it would be rounding errors over next to
+    nothing, and what the following rows make of it would be taken for noise of theirs."""
+    scale = np.sqrt(A.diagonal())
+    shown = scale > _INVISIBLE * scale.max()
+    inverse = np.where(shown, 1.0 / np.maximum(scale, 1e-300), 0.0)
+    eigenvalues, V, _ = dsyevd(A * (inverse[:, None] * inverse), lower=1)
+    kept = eigenvalues > _ROUNDING * eigenvalues[-1]
+    V = V[:, kept]
+    return np.asarray(inverse * (V @ ((V.T @ (inverse * gradient)) / eigenvalues[kept])))

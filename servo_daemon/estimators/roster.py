@@ -26,6 +26,7 @@ class Roster:
         published: estimated and published.
         nuisance: estimated and not published.
         covered: estimated, and in a regression that can judge them.
+        claimable: published, and to be believed (`SignalPlan.unclaimed`).
         logarithmic: positive ones, estimated as logarithms.
         drift: 1 σ of the coordinate's random walk over its scale, 1/√s.
     """
@@ -34,6 +35,7 @@ class Roster:
     published: Mask
     nuisance: Mask
     covered: Mask
+    claimable: Mask
     logarithmic: Mask
     drift: F64
 
@@ -73,6 +75,7 @@ def make_roster(plan: SignalPlan, settings: TrackerSettings, in_regression: tupl
         published=published,
         nuisance=nuisance,
         covered=np.array([n in in_regression for n in names]) & (published | nuisance),
+        claimable=np.array([n not in plan.unclaimed for n in names]),
         logarithmic=np.array([p.transform == "log" for p in plan.plant.parameters]),
         drift=np.array([settings.drift_of(n, offset=n in plan.nuisance) for n in names]),
     )

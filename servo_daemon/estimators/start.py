@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from servo_daemon.estimators.base import Gaussian, to_coordinate
-from servo_daemon.estimators.motor_rls import RegressionEstimate
+from servo_daemon.estimators.regression_estimate import RegressionEstimate
 from servo_daemon.estimators.sampling import BLIND_STD
 from servo_daemon.plant.parameters import LINEAR, Parameter
 

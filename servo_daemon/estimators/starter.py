@@ -11,8 +11,8 @@ from scipy.linalg import block_diag
 from servo_daemon.estimators import noise as noise_levels
 from servo_daemon.estimators.base import Gaussian, to_coordinate
 from servo_daemon.estimators.layout import INPUT, channel
-from servo_daemon.estimators.motor_rls import RegressionEstimate
 from servo_daemon.estimators.noise import ChannelNoise
+from servo_daemon.estimators.regression_estimate import RegressionEstimate
 from servo_daemon.estimators.settings import Resolutions
 from servo_daemon.estimators.signals import SignalPlan
 from servo_daemon.estimators.start import starting_point, well_known

@@ -51,6 +51,8 @@ _TICKS_TO_SETTLE = 10
 _TICKS_TO_JUDGE = 40
 #: A filter that started from little has this long to find out for itself, ticks.
 _TICKS_TO_BEGIN_BETTER = 50
+#: Beyond it, s, as long as a tick of the pipeline, a tick has one sample at the most.
+_SLOW_S = 0.1
 #: When the filter begins to use its instrument, the covariance is widened once, 1 σ over the scales.
 _SECOND_START_STD = 0.1
 
@@ -68,14 +70,15 @@ class Tracker:
         self.channels, self.settings, self.resolutions = channels, settings, resolutions
         self.nominal = dict(settings.nominal or {})
         self.plan: SignalPlan = plan_signals(channels, settings.effects, self.nominal)
-        wanted = {*self.plan.free, *self.plan.held}
-        self._prior = prior if prior is not None and set(prior.names) == wanted else None
+        usable = prior is not None and set(self.plan.held) <= set(prior.names) <= {*self.plan.free, *self.plan.held}
+        self._prior = prior if usable else None
         self._heritage: Heritage | None = None
         self.last_s: float | None = None
         self.first_s: float | None = None  # from where time counts
         self._seen_s: float | None = None  # the first sample
         self.measured_state: dict[str, float | None] = {}
         self.sample_period_s: float | None = None
+        self._tick_end_s: float | None = None
         self.restarts = 0
         self.watch = InnovationWatch(self.plan.measured)
         self.rls: MotorRls | None = None
@@ -90,7 +93,8 @@ class Tracker:
 
             loop = FilterpyLoop(plant, self.plan.measured)
         self.ekf = Ekf(plant, self.plan.measured, loop)
-        self.rls = MotorRls(plant, self.plan.known)
+        sees_angle = "position_rad" in self.plan.measured
+        self.rls = MotorRls(plant, self.plan.known, self.plan.nuisance, self.nominal, sees_angle=sees_angle)
         self._roster = make_roster(self.plan, self.settings, self.rls.in_regression)
         self._judge = ParameterJudge(self._roster, self.ekf, self.rls)
         self._jumps = JumpActions(self._roster, self.ekf, self.rls, self._judge)
@@ -101,7 +105,6 @@ class Tracker:
         self._noise = NoiseSetting(self._roster, self.ekf, self.rls, self.watch, self._levels)
         self._filtering = Filtering(self.ekf, self._levels)
         self._second_look = SecondLook(self._roster, self.ekf, self._filtering, self._judge)
-        self._tick_end_s: float | None = None
         self._suspicious_ticks = self._ticks = self._begun_better = 0
 
     def inherit(self, heritage: Heritage) -> None:
@@ -134,6 +137,12 @@ class Tracker:
         """Whether something unexplained is being looked into: the filter may yet be set back."""
         return self.plan.plant is not None and self._jumps.watch.is_open
 
+    @property
+    def jump_is_sudden(self) -> bool:
+        """Whether it came after samples that the model explained: the motor has changed, it is not the model that lacks
+        something."""
+        return self.plan.plant is not None and self._jumps.watch.sudden
+
     def assimilate(self, known: Gaussian, widen_std: F64) -> None:
         """Take what is known from elsewhere as a measurement of some of the parameters. What was being examined as a
         jump is not examined any more: what it would go back to is put in doubt as well.
@@ -146,6 +155,16 @@ class Tracker:
         assimilate(self.ekf, known, widen_std)
         if self.examines_jump and widen_std.any():
             self._jumps.reset()
+
+    @property
+    def _prior_is_whole(self) -> bool:
+        """What was known before this filter began is of all parameters."""
+        return self._prior is not None and {*self.plan.free} <= {*self._prior.names}
+
+    @property
+    def position_lsb_rad(self) -> float:
+        """The encoder's step; 0: none, or not known yet."""
+        return 0.0 if self.plan.plant is None else self._filtering.layout.position_lsb
 
     def published(self) -> Gaussian | None:
         """What is to be published of all parameters; see `JumpActions`. None before the filter runs."""
@@ -182,21 +201,30 @@ class Tracker:
 
     def close_tick(self, tick: SampleBlock) -> list[Message]:
         """Everything slower than a sample, over exactly the samples of this tick."""
-        period_s = self.sample_period_s  # with which the filter has taken the tick's samples
-        if len(tick) > 1:
-            self.sample_period_s = median(tick.time_s[1:] - tick.time_s[:-1])
+        period_s, before_s = self.sample_period_s, self._tick_end_s  # with which the filter has taken its samples
+        self._see_period(tick)
         if self.plan.plant is None or self.rls is None or self.ekf is None:
             return []
         duration = max((self.sample_period_s or 0.0) * len(tick), 1e-6)
         assert self.first_s is not None
-        stretch = self._stretches.of(tick, self.first_s, self._tick_end_s, period_s)
+        stretch = self._stretches.of(tick, self.first_s, before_s, period_s)
         self._levels.take(stretch, self._filtering.layout.position_lsb, self._noise_var())
-        self._tick_end_s = float(tick.time_s[-1])
         if not self.ekf.started:
             self.rls.update(stretch, self._noise_var())
             return self._try_start(tick)
         self._noise.take(stretch, self.sample_period_s or 0.0)
         return self._watch(stretch, duration)
+
+    def _see_period(self, tick: SampleBlock) -> None:
+        """The usual distance of two samples, from within the tick. A drive that is slower than the ticks has one in
+        each: then it is the least distance to the tick before, which a missing sample does not make longer."""
+        before_s, self._tick_end_s = self._tick_end_s, float(tick.time_s[-1])
+        known_s = self.sample_period_s
+        if len(tick) > 1:
+            self.sample_period_s = median(tick.time_s[1:] - tick.time_s[:-1])
+        elif before_s is not None and (known_s is None or known_s >= _SLOW_S):
+            distance_s = self._tick_end_s - before_s
+            self.sample_period_s = distance_s if known_s is None else min(known_s, distance_s)
 
     def _noise_var(self) -> dict[str, float]:
         """Of the measured channels: as the filter has found it, or what the resolutions alone make of it."""
@@ -225,7 +253,8 @@ class Tracker:
         self._filtering.layout.expect_steps(start.position_lsb, start.input_lsb)
         self.ekf.start(start.parameters, held_input=self._filtering.layout.last_input)
         self._jumps.reset()
-        trusted = trusted_mask(self._roster.names, self._heritage, saved=self._prior is not None)
+        saved = () if self._prior is None else (*self._prior.names, *self.plan.nuisance)
+        trusted = trusted_mask(self._roster.names, self._heritage, saved)
         self._judge.begin(trusted)
         self._ticks = 0
         self._filtering.forget_outliers()
@@ -236,7 +265,7 @@ class Tracker:
         if self._heritage is not None:
             self.qualification.qualified |= trusted
             self._heritage.hand_states_to(self.ekf)
-        self._second_look.begin(start, trusted=self._prior is not None or self._heritage is not None)
+        self._second_look.begin(start, trusted=self._prior_is_whole or self._heritage is not None)
 
     def _watch(self, stretch: Stretch, duration_s: float) -> list[Message]:
         """Noise, whiteness, jumps, excitation, soundness: after each tick of the running filter."""
@@ -259,7 +288,7 @@ class Tracker:
             self.excitation.scales = self._noise.rescale(self._sampling())
         self._noise.set()
         self._judge.update(duration_s, fresh, self._tick())
-        if self._judge.begins_to_follow and (self._prior is None or not {*self.plan.free} <= {*self._prior.names}):
+        if self._judge.begins_to_follow and not self._prior_is_whole:
             # What was learned without the instrument (from a start that was guessed, partly from the colour of the
             # noise) is taken for less.
             self.ekf.widen_parameters(
@@ -343,11 +372,13 @@ class Tracker:
         self._judge.reset()
 
     def worth_keeping(self) -> Gaussian | None:
-        """Qualified parameters for a later run, with what may have changed meanwhile; None unless all are well."""
+        """Qualified parameters, and those that are held, for a later run, with what may have changed meanwhile; None
+        where none is qualified or the filter is not well."""
         if self.ekf is None or not self.ekf.started or not self.ekf.is_sound() or self._suspicious_ticks:
             return None
-        if not self._jumps.watch.quiet or not self.qualification.qualified[self._roster.published].all():
+        known = self._roster.published & self.qualification.qualified
+        if not self._jumps.watch.quiet or not known.any():
             return None
-        g, kept = self.ekf.estimate(), np.flatnonzero(~self._roster.nuisance)
+        g, kept = self.ekf.estimate(), np.flatnonzero(known | ~self._roster.free)
         covariance = g.covariance + np.diag(np.square(_SAVED_STD * self.excitation.scales))
         return Gaussian(tuple(g.names[k] for k in kept), g.mean[kept], covariance[np.ix_(kept, kept)])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from servo_daemon.estimators.output_error import (
 from servo_daemon.estimators.output_error.score import Score, score
 from servo_daemon.estimators.output_error.setup import FEWEST_SAMPLES, OFFSETS, choose_signals
 from servo_daemon.plant.core import Drive
-from servo_daemon.samples import F64
+from servo_daemon.samples import F64, SampleBlock
 
 #: A parameter settles if a capture's first part shows it to this share of itself.
 _WELL_SEEN = 0.1
@@ -59,7 +59,16 @@ def scored(capture: Capture, fit: OutputErrorFit) -> Score:
         BadInputError: the capture lacks the model's input or response.
     """
     check_input(capture, fit.problem.plant.drive)
-    return score(capture.block(), fit.problem.plant, _mean_coordinates(fit))
+    return score(_comparable(capture, fit), fit.problem.plant, _mean_coordinates(fit))
+
+
+def _comparable(capture: Capture, fit: OutputErrorFit) -> SampleBlock:
+    """Its samples, without a current that the fit can say nothing of: the motion alone determines three of R, L, K, J
+    and B, and with R or K the current stays open, unless what was told settles them."""
+    block, problem = capture.block(), fit.problem
+    known = all(p.value is not None for name, p in fit.parameters.items() if name in ("R", "K"))
+    is_given = problem.plant.drive != "voltage" or "current_A" in problem.channels  # as the input, or to fit
+    return block if known or is_given else replace(block, current_A=None)
 
 
 def validated(
@@ -93,7 +102,7 @@ def adapted_share(capture: Capture, fit: OutputErrorFit, share: float) -> tuple[
     """
     check_input(capture, fit.problem.plant.drive)
     check_share(capture, share)
-    block, cut = capture.block(), round(share * len(capture))
+    block, cut = _comparable(capture, fit), round(share * len(capture))
     values = natural_values(fit)
     plant = fit.problem.plant
     free = [name for name in values if name in SETTLING]

@@ -13,7 +13,7 @@ import pytest
 from benchmarks.tracking import faults
 from benchmarks.tracking.cases import coarse_voltage, quiet, slow_sampling
 from benchmarks.tracking.faults import Where
-from benchmarks.tracking.follow import NAMES, Flags, Track, nominal_of, sampled, tracked
+from benchmarks.tracking.follow import NAMES, Flags, Track, deviations, nominal_of, sampled, tracked
 from servo_daemon.samples import F64
 from tests.recovery.generator import MOTIONS, MOTORS, Motor, Plan, Recording, Scenario, generate
 
@@ -30,13 +30,24 @@ def run(recording: Recording, motor: str) -> Track:
 
 def worst(track: Track, recording: Recording) -> dict[str, float]:
     """Largest |error| / std of each parameter while it is tracking; 0 if it never is."""
-    truth = sampled(recording.truth.parameters, recording.truth.time_s, track.names, track.time_s)
-    stds = np.where(track.tracking, np.abs(track.value - truth) / track.std, 0.0)
-    return dict(zip(track.names, stds.max(axis=0).tolist(), strict=True))
+    stds, _ = deviations(track, recording.truth.parameters, recording.truth.time_s, track.names)
+    return dict(zip(track.names, np.abs(stds).max(axis=0).tolist(), strict=True))
 
 
 def after(track: Track, time_s: float) -> Flags:
     return np.asarray(track.time_s > time_s)
+
+
+# -- slow sampling -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rate_hz", [12.0, 20.0])
+def test_samples_ten_times_slower_than_the_winding(rate_hz: float) -> None:
+    """A filter that began with a wrong R is sure of a wrong L there (five times the truth, at 2,000 σ)."""
+    scenario = Scenario("multisine", seconds=150.0, rate_hz=rate_hz, seed=3)
+    recording = generate(MOTORS["paper"], scenario)
+    found = worst(tracked(recording, {}), recording)
+    assert max(found.values()) < STDS, found
 
 
 # -- constant speed ---------------------------------------------------------------------------------------------------

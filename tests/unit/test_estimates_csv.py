@@ -101,3 +101,10 @@ def test_equal_estimates_give_equal_bytes_compressed_too(tmp_path: Path, monkeyp
     assert data == (tmp_path / "b.csv.gz").read_bytes()
     rows = gzip.decompress(data).decode().splitlines()
     assert [float(row.split(",")[1]) for row in rows[1:]] == [math.sqrt(k) for k in range(100)]
+
+
+def test_a_name_of_another_format_is_refused(tmp_path: Path) -> None:
+    for name in ("est.parquet", "est.XLSX", "est.xyz", "est.csv.zip"):
+        with pytest.raises(BadInputError, match=rf"{name}: estimates are written as CSV"):
+            EstimatesWriter(tmp_path / name, ["R"])
+    assert not list(tmp_path.iterdir())

@@ -101,6 +101,7 @@ def test_status_and_reason() -> None:
     status, value, reason = published(qualified=False)
     assert status == "estimating" and value == 0.02 and reason is not None
     assert published(qualified=False, nominal=None)[1] is None
+    assert reason == "the filter is sure of a value, which nothing confirms yet"
 
 
 def test_what_was_known_is_held_as_uncertain_as_it_is_by_now() -> None:

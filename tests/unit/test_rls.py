@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -134,3 +136,20 @@ def test_a_dying_tail_is_no_regressor() -> None:
     assert found is not None
     assert found.value == pytest.approx(theta, abs=1e-3)
     assert found.residual_var < 1e-5
+
+
+def test_what_no_row_has_shown_is_not_taken_for_noise() -> None:
+    """Friction of the positive direction while the shaft turns the other way: its column is rounding errors. A step
+    along it would come back as a residual with the first rows of the other direction, and widen every std 30 times."""
+    rng = np.random.default_rng(5)
+    truth, noise = np.array([0.03, 1.7, 3.7, 2.1, 1.9]), 3e-3
+    Phi = rng.normal(size=(200, 5)) * [3.0, 0.15, 0.03, 0.02, 0.1]
+    Phi[:6, 1] *= 1e-3
+    Phi[:6, 2] *= 1e-15
+    y = Phi @ truth + noise * rng.normal(size=200)
+    rls = DirectionalRls(5, 300.0)
+    for a, b in pairwise((0, 1, 4, 6, *range(8, 201, 3))):
+        rls.update(Phi[a:b], y[a:b])
+    estimate = rls.estimate()
+    assert estimate is not None
+    assert estimate.residual_var == pytest.approx(noise**2, rel=0.5)

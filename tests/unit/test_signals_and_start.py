@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servo_daemon.estimators.motor_rls import RegressionEstimate
+from servo_daemon.estimators.regression_estimate import RegressionEstimate
 from servo_daemon.estimators.signals import plan_signals
 from servo_daemon.estimators.start import starting_point, well_known
 from servo_daemon.plant.parameters import LINEAR

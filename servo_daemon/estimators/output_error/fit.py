@@ -16,6 +16,7 @@ from servo_daemon.estimators.output_error.combinations import (
     determined_combinations,
     voltage_answer,
 )
+from servo_daemon.estimators.output_error.elsewhere import from_elsewhere, is_to_be_searched
 from servo_daemon.estimators.output_error.information import Information, NullDirection, information
 from servo_daemon.estimators.output_error.input_error import SHIFTED, with_input_error
 from servo_daemon.estimators.output_error.lost_runs import begun_again
@@ -153,6 +154,7 @@ def fit_output_error(
     starts = starts if options.thorough else starts[:1]
     scale = _coordinate_scale(problem, recordings, starts[0])
     solution, start = _search(problem, starts, options)
+    solution = _from_elsewhere_on(problem, solution, recordings, options)
     first = solve(problem, problem.start(coordinates(start, problem)), robust=False, max_iterations=0)
     assert first is not None  # it was searched from
     outcome = conclude(problem, solution, scale, options.noise_model, _torque_size(problem, recordings, solution))
@@ -220,7 +222,7 @@ def _search(problem: Problem, starts: Sequence[Start], options: FitOptions) -> t
             break
         if best is None or found.point.value < best[0].point.value - _BETTER:
             best = found, start
-            if idle or all(test.white for test in residual_tests(problem, found.point).values()):
+            if idle or _is_white(problem, found):
                 break
     if best is None:
         raise NumericalError("the motor cannot be simulated over these data from any start: values out of range?")
@@ -234,6 +236,19 @@ def _search(problem: Problem, starts: Sequence[Start], options: FitOptions) -> t
     return _with_lost_runs(problem, best[0], options, enough), best[1]
 
 
+def _from_elsewhere_on(
+    problem: Problem, found: Solution, recordings: Sequence[Recording], options: FitOptions
+) -> Solution:
+    """The end of a search, gone on with from the best instant or frequency of all that were tried."""
+    if not options.thorough or not is_to_be_searched(problem) or _is_white(problem, found):
+        return found
+    seconds = max(float(r.block.time_s[-1] - r.block.time_s[0]) for r in recordings)
+    torque_Nm = _torque_size(problem, recordings, found)
+    begun = from_elsewhere(problem, found, seconds, torque_Nm, robust=options.robust)
+    further = None if begun is None else solve(problem, begun.point.unknowns, robust=options.robust)
+    return _gone_on(found, further)
+
+
 def _with_lost_runs(problem: Problem, found: Solution, options: FitOptions, enough: float) -> Solution:
     """The end of a search over pieces of a recording, gone on with where some of these had begun in the wrong place."""
     again = begun_again(problem, found) if options.segment_s is not None else None
@@ -241,6 +256,15 @@ def _with_lost_runs(problem: Problem, found: Solution, options: FitOptions, enou
         return found
     curved = options.thorough
     further = solve(problem, again, robust=options.robust, max_iterations=_OTHER_SEARCHES, enough=enough, curved=curved)
+    return _gone_on(found, further)
+
+
+def _is_white(problem: Problem, found: Solution) -> bool:
+    return all(test.white for test in residual_tests(problem, found.point).values())
+
+
+def _gone_on(found: Solution, further: Solution | None) -> Solution:
+    """What was found, gone on with where that is better."""
     better = further is not None and further.point.value < found.point.value - _BETTER
     return _in_a_row(found, further) if further is not None and better else found
 

@@ -20,6 +20,9 @@ Status = Literal["estimated", "undetermined", "fixed"]
 
 #: Viscous friction of this share of the back-EMF's braking K²/R shows what it could do.
 _VISIBLE_FRICTION = 0.05
+#: What a simulation from sample to sample is exact to where friction or brushes switch between two of them: over eight
+#: captures R, L, K, J, B and the effect's own were 0.02 .. 0.10 % off together, with 1 σ of the noise 0.03 %.
+_BETWEEN_SAMPLES = 1e-3
 #: Units of what means nothing without a size.
 _OF_NOTHING = ("rad", "Hz", "s")
 
@@ -48,6 +51,8 @@ def fitted_parameters(
     table = {p.name: p for p in problem.plant.parameters}
     std = np.sqrt(np.maximum(np.diag(info.covariance), 0.0))
     lost = _lost(problem, info, std)
+    if problem.plant.may_stick or "brush_voltage_drop" in problem.plant.effects:
+        std = np.hypot(std, [_BETWEEN_SAMPLES if table[n].transform == "log" else 0.0 for n in info.names])
 
     def fitted(column: int) -> FittedParameter:
         p = table[info.names[column]]

@@ -158,7 +158,7 @@ def _cuts(time: F64, segment_s: float | None) -> list[tuple[int, int]]:
     for begin, end in pairwise(edges):
         pieces = 1
         if segment_s is not None and end - begin > 1:
-            pieces = max(1, round(float(time[end - 1] - time[begin]) / segment_s))
+            pieces = max(1, round(min(float(time[end - 1] - time[begin]) / segment_s, end - begin)))
         inner = np.linspace(begin, end, pieces + 1).astype(int)
         cuts += list(pairwise(inner.tolist()))
     return cuts
