@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -60,8 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.learner not in LEARNERS:
         raise BadInputError(f"--learner: {arguments.learner!r} is none of {', '.join(LEARNERS)}")
-    if arguments.motors < 1:
-        raise BadInputError(f"--motors must be at least 1, not {arguments.motors}")
+    _check_numbers(arguments)
     drive = common.offline_drive(arguments)
     spec = drive_spec(
         drive,
@@ -71,10 +71,11 @@ def run(arguments: argparse.Namespace) -> int:
         window_s=arguments.window,
         seed=arguments.seed,
     )
+    path = arguments.out or model_path(spec)
+    _check_out(arguments, path)
     measured = _measured(arguments.measured, arguments, spec.window_s) if arguments.measured else None
     job = Job(arguments.motors, learner=arguments.learner, jobs=arguments.jobs, dask=arguments.dask, measured=measured)
     model = train_with_bar(spec, job)
-    path = arguments.out or model_path(spec)
     save_model(model, path)
     document = _document(model, path)
     if arguments.json:
@@ -82,6 +83,39 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         _print(document)
     return 0
+
+
+def _check_numbers(arguments: argparse.Namespace) -> None:
+    """What the libraries below would refuse in words of their own.
+
+    Raises:
+        BadInputError: naming the flag.
+    """
+    from servo_daemon.errors import BadInputError
+
+    if arguments.motors < 1:
+        raise BadInputError(f"--motors must be at least 1, not {arguments.motors}")
+    if arguments.jobs == 0:
+        raise BadInputError("--jobs must not be 0 (-1: one per core)")
+    if arguments.seed < 0:
+        raise BadInputError(f"--seed must not be negative, not {arguments.seed}")
+    if arguments.rate is not None and not 0.0 < arguments.rate < math.inf:
+        raise BadInputError(f"--rate must be greater than zero, not {arguments.rate:g}")
+
+
+def _check_out(arguments: argparse.Namespace, path: Path) -> None:
+    """What cannot be written should not be trained first.
+
+    Raises:
+        BadInputError: it cannot.
+    """
+    from servo_daemon.commands.output_folder import OutputFolder
+    from servo_daemon.errors import BadInputError
+
+    common.keep_inputs(path, arguments.config, *arguments.measured)
+    if path.is_dir():
+        raise BadInputError(f"--out {path}: is a folder")
+    OutputFolder(path.parent).check_writable()
 
 
 def drive_spec(drive: DriveConfig, *, configured: bool = True, **wanted: Any) -> TrainingSpec:

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from servo_daemon.estimators.modulating import Windows, make_windows
-from servo_daemon.estimators.motor_rls import MotorRls, RegressionEstimate
+from servo_daemon.estimators.motor_rls import MotorRls
+from servo_daemon.estimators.regression_estimate import RegressionEstimate
 from servo_daemon.estimators.stretch import Stretch, motion, speed, speed_sign
 from servo_daemon.learning.window import Window
 from servo_daemon.plant.build import build_plant

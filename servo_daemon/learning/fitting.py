@@ -18,7 +18,7 @@ from servo_daemon.learning.learners import Learner, fit_learner, make_learner, p
 from servo_daemon.learning.model import LearnedModel
 from servo_daemon.learning.preparation import Preparation
 from servo_daemon.learning.screening import Screening, screen
-from servo_daemon.learning.strangeness import Strangeness, strangeness_inputs
+from servo_daemon.learning.strangeness import Looks, Strangeness
 from servo_daemon.learning.targets import Baseline, Target, baseline, bounded, coordinate_scale, encode
 from servo_daemon.learning.training import FAULTY, FOREIGN, HEALTHY, TARGETS, TrainingSet
 from servo_daemon.samples import F64
@@ -54,8 +54,8 @@ class _Usable:
 
     def only(self, which: NDArray[np.bool_]) -> _Usable:
         """Some of the windows."""
-        base = Baseline(self.base.centre[which], self.base.scale[which], self.base.torque[which])
-        return _Usable(self.windows.only(which), base, self.wanted[which], self.scale[which], self.role[which])
+        base, wanted, scale = self.base.only(which), self.wanted[which], self.scale[which]
+        return _Usable(self.windows.only(which), base, wanted, scale, self.role[which])
 
 
 def train_model(
@@ -129,13 +129,12 @@ def _usable(spec: TrainingSpec, windows: TrainingSet, target: Target) -> _Usable
 
 def _declines(spec: TrainingSpec, preparation: Preparation, of: _Usable) -> tuple[Familiarity, Strangeness]:
     """What the model declines by."""
-    z = preparation.prepare(of.windows.features).extended
-    inputs = strangeness_inputs(z, of.base, spec)
+    looks = Looks(preparation.prepare(of.windows.features).extended, of.base)
     kind, held = of.windows.kind, of.role == "calibrate"
-    fit, calibration = ~held & (kind == HEALTHY), held & (kind == HEALTHY)
+    fit, calibration = ~held & (kind == HEALTHY), looks.only(held & (kind == HEALTHY))
     return (
-        Familiarity().fit(z[fit], z[calibration], spec.seed),
-        Strangeness().fit(inputs[~held], kind[~held], inputs[calibration], spec.seed),
+        Familiarity().fit(looks.extended[fit], calibration.extended, spec.seed),
+        Strangeness().fit(spec, looks.only(~held), of.windows.truth[~held], kind[~held], calibration),
     )
 
 

@@ -15,7 +15,7 @@ from servo_daemon.learning.drawing import TrainingSpec
 from servo_daemon.learning.familiarity import LEAST_FAMILIARITY, Familiarity
 from servo_daemon.learning.learners import Learner, predict
 from servo_daemon.learning.preparation import Preparation
-from servo_daemon.learning.strangeness import MOST_STRANGE, Strangeness, strangeness_inputs
+from servo_daemon.learning.strangeness import MOST_STRANGE, Looks, Strangeness
 from servo_daemon.learning.targets import Target, baseline, coordinate_scale, decode, natural
 from servo_daemon.learning.training import FAULTY, TARGETS
 from servo_daemon.samples import F64
@@ -96,7 +96,7 @@ class LearnedModel:
         value = natural(coordinates, base.torque)
         sigma = np.column_stack([value[:, :-1] * one[:, :-1], one[:, -1] * base.torque])
         familiarity = self.familiarity.score(prepared.extended)
-        strange, kind = self.strangeness.judge(strangeness_inputs(prepared.extended, base, self.spec))
+        strange, kind = self.strangeness.judge(Looks(prepared.extended, base))
         usual = self.strangeness.share(strange)
         looks = np.where(kind == FAULTY, _LOOKS_FAULTY, _LOOKS_FOREIGN)
         unlike = np.where(familiarity < LEAST_FAMILIARITY, "the window is unlike those of the training", "")

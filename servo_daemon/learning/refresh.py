@@ -20,25 +20,19 @@ import numpy as np
 
 from servo_daemon.errors import BadInputError
 from servo_daemon.estimators.base import Gaussian
-from servo_daemon.learning.balance_features import closure
 from servo_daemon.learning.drawing import CORE
 from servo_daemon.learning.drive import same_rate
 from servo_daemon.learning.features import features_of
 from servo_daemon.learning.model import LearnedModel
+from servo_daemon.learning.proof import Proof
 from servo_daemon.learning.training import TARGETS
-from servo_daemon.learning.window import Window, prepare
+from servo_daemon.learning.window import prepare
 from servo_daemon.samples import F64, Quality, SampleBlock, concatenate
 
-#: Windows in a row that must be won to leave the shadow, and lost to go back.
-_TO_PROVE, _TO_LOSE = 2, 2
-#: Won: the model leaves at most this many times what the filter leaves of both balances, or at most this share of them.
-_WON, _CLOSED = 1.05, 0.02
-#: The filter is wrong where it leaves this many times as much as the model, and more than this share of the balances.
-_FILTER_WRONG, _NOTICEABLE = 2.0, 0.005
 #: The calibrated std is taken for so many times as much: filter and model share the samples.
 _INFLATION = 2.0
 #: Gate: mean square of the distance in standard deviations of both together.
-_GATE = 6.0
+GATE = 6.0
 #: A filter whose variances are all smaller than the model's by this factor has nothing to learn from it.
 _BETTER = 9.0
 #: Friction that is no larger than so many of its standard deviations has no logarithm.
@@ -91,14 +85,6 @@ class RefreshEstimate:
     filter_closure: tuple[float, float] | None = None
 
 
-@dataclass(frozen=True)
-class _Judged:
-    """What both believed at the end of a window."""
-
-    model: Mapping[str, float]
-    filter: Mapping[str, float] | None
-
-
 class Refresh:
     """See the module.
 
@@ -117,20 +103,17 @@ class Refresh:
         self._blocks: deque[SampleBlock] = deque()
         self._due_s: float | None = None
         self._channels: tuple[str, ...] = ()
-        self._before: _Judged | None = None
-        self._won = self._lost = 0
-        self._trusted = False
-        self._filter_wrong = False
+        self._proof = Proof()
 
     @property
-    def filter_refuted(self) -> bool:
-        """The last window's balances say that the filter is wrong, and the model not."""
-        return self._trusted and self._filter_wrong
+    def refuted(self) -> frozenset[str]:
+        """Parameters of which the last window's balances say that the filter is wrong, and the model not."""
+        return self._proof.refuted if self._proof.trusted else frozenset()
 
     @property
     def mode(self) -> str:
         """ "shadow" or "trusted"."""
-        return "trusted" if self._trusted else "shadow"
+        return "trusted" if self._proof.trusted else "shadow"
 
     def update(self, block: SampleBlock, estimate: Callable[[], Gaussian | None]) -> RefreshEstimate | None:
         """Take samples; an estimate when a window has become due.
@@ -155,7 +138,8 @@ class Refresh:
         backwards = bool(self._blocks) and float(block.time_s[0]) <= float(self._blocks[-1].time_s[-1])
         if restarted or backwards or block.channels != self._channels:
             self._blocks.clear()
-            self._due_s, self._before, self._channels = None, None, block.channels
+            self._due_s, self._channels = None, block.channels
+            self._proof.forget()
         self._blocks.append(block)
         oldest_s = float(block.time_s[-1]) - self.model.spec.window_s
         while len(self._blocks) > 1 and float(self._blocks[0].time_s[-1]) < oldest_s:
@@ -168,47 +152,25 @@ class Refresh:
         return whole.slice(int(np.searchsorted(whole.time_s, first)), len(whole))
 
     def _estimate(self, block: SampleBlock, time_s: float, estimate: Gaussian | None) -> RefreshEstimate:
+        # A window that is declined says nothing, of the filter neither: what was known stands.
         try:
             window = prepare(block)
         except BadInputError as error:
-            self._before = None
             return RefreshEstimate(time_s, {}, {}, None, str(error), self.mode)
         if not same_rate(1.0 / window.period_s, self.model.spec.rate_hz):
-            self._before = None
             text = f"{1.0 / window.period_s:.4g} Hz, the model is for {self.model.spec.rate_hz:g} Hz"
             return RefreshEstimate(time_s, {}, {}, None, text, self.mode)
-        ours, theirs = self._judge(window)
         p = self.model.predict(features_of(window)[None])
         familiarity, declined = float(p.familiarity[0]), p.declined[0]
-        filtered = _natural(estimate)
         if declined:
-            self._before = None
-            return RefreshEstimate(time_s, {}, {}, familiarity, declined, self.mode, None, "", None, ours, theirs)
+            return RefreshEstimate(time_s, {}, {}, familiarity, declined, self.mode)
+        filtered = _natural(estimate)
+        left = self._proof.judge(window, filtered)
         value = dict(zip(TARGETS, p.value[0].tolist(), strict=True))
         std = dict(zip(TARGETS, p.std[0].tolist(), strict=True))
-        self._before = _Judged(value, filtered)
-        pseudo, reason, distance = self._compare(value, std, p.correlation, estimate)
-        return RefreshEstimate(time_s, value, std, familiarity, "", self.mode, pseudo, reason, distance, ours, theirs)
-
-    def _judge(self, window: Window) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
-        """Both beliefs of the window before, held against this one."""
-        before, self._filter_wrong = self._before, False
-        if before is None:
-            return None, None
-        ours = closure(window, before.model)
-        theirs = None if before.filter is None else closure(window, before.filter)
-        if ours is None or theirs is None:
-            return ours, theirs
-        # Together: with all parameters wrong by one factor the shaft's balance closes, the armature's does not.
-        left, filter_left = float(np.hypot(*ours)), float(np.hypot(*theirs))
-        won = left <= max(_WON * filter_left, _CLOSED)
-        self._won, self._lost = (self._won + 1, 0) if won else (0, self._lost + 1)
-        self._filter_wrong = won and filter_left > max(_FILTER_WRONG * left, _NOTICEABLE)
-        if self._won >= _TO_PROVE:
-            self._trusted = True
-        if self._lost >= _TO_LOSE:
-            self._trusted = False
-        return ours, theirs
+        self._proof.believe(value, filtered)
+        decided = self._compare(value, std, p.correlation, estimate)
+        return RefreshEstimate(time_s, value, std, familiarity, "", self.mode, *decided, left.model, left.filter)
 
     def _compare(
         self, value: Mapping[str, float], std: Mapping[str, float], correlation: F64, estimate: Gaussian | None
@@ -233,17 +195,17 @@ class Refresh:
         wanted, reason = self._wanted(distance, knows_better)
         if not wanted:
             return None, reason, distance
-        # Of a filter that is wrong the covariance says nothing: it may be off by what separates the two.
-        widen = np.abs(away) if self._filter_wrong else np.zeros(len(names))
+        # Where the filter is wrong its covariance says nothing: it may be off by what separates the two.
+        widen = np.abs(away) * [n in self.refuted for n in names]
         return PseudoMeasurement(tuple(names), mean, covariance, widen), reason, distance
 
     def _wanted(self, distance: float, knows_better: bool) -> tuple[bool, str]:
         """Whether an estimate is to enter, and why not, or why the filter is to be widened first."""
-        if not self._trusted:
+        if not self._proof.trusted:
             return False, "shadow: not proven yet"
-        if self._filter_wrong:
+        if self.refuted:
             return True, "the filter's values leave more of the balances: its covariance is widened"
-        if distance**2 <= _GATE:
+        if distance**2 <= GATE:
             return not knows_better, "the filter knows all of it better" if knows_better else ""
         return False, f"gated: {distance:.1f} standard deviations from the filter's values"
 

@@ -53,6 +53,10 @@ class Baseline:
         """Which windows have one, shape (n,)."""
         return np.asarray(np.isfinite(self.centre).all(axis=1) & np.isfinite(self.scale).all(axis=1))
 
+    def only(self, which: NDArray[np.bool_]) -> Baseline:
+        """Of some of the windows."""
+        return Baseline(self.centre[which], self.scale[which], self.torque[which])
+
 
 def baseline(features: F64, nominal: Mapping[str, float], spread: float) -> Baseline:
     """Of windows' features, shape (n, features), in their units."""

@@ -6,10 +6,13 @@ Pure, like the pipeline: what it says depends on the samples, the model and when
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from servo_daemon.estimators.base import Gaussian
-from servo_daemon.estimators.fusion import QUALIFIED, Fused
+from servo_daemon.estimators.fusion import LOST, Fused
+from servo_daemon.estimators.jumps import JUMPED
 from servo_daemon.estimators.settings import Message
 from servo_daemon.estimators.tracker import Tracker
 from servo_daemon.samples import SampleBlock
@@ -23,7 +26,7 @@ if TYPE_CHECKING:  # scikit-learn takes a second to load: only where there is a 
 _TELL_EVERY_S = 60.0
 #: What a window said is of the motor of then: it counts for so many refreshes.
 _COUNTS_FOR = 2.5
-_WHY_TRACKING = "RF+GRNN estimate of the last window: the filter does not know it as well"
+_WHY_TRACKING = "RF+GRNN estimate of the last windows: the filter does not know it as well"
 
 
 class Refresher:
@@ -39,29 +42,48 @@ class Refresher:
     """
 
     def __init__(self, model: LearnedModel, published: tuple[str, ...], every_s: float) -> None:
+        from servo_daemon.learning.recent import Recent
         from servo_daemon.learning.refresh import Refresh
 
         self.model = model
         self._refresh = Refresh(model, every_s)
+        self._recent = Recent(_COUNTS_FOR * self._refresh.every_s)
+        self._examines = False
+        self._changed_s = -math.inf
         self._published = frozenset(published)
         self._windows = self._declined = self._applied = 0
         self._applied_s: float | None = None
         self._effect: dict[str, float] = {}
         self._told_s = -math.inf
-        self._last_s: float | None = None
         self.view = self._make_view(None)
 
-    def take(self, tick: SampleBlock, tracker: Tracker) -> list[Message]:
-        """The samples of a tick that the filter has seen; what is worth telling."""
+    def take(self, tick: SampleBlock, tracker: Tracker, told: Sequence[Message] = ()) -> list[Message]:
+        """The samples of a tick that the filter has seen; what is worth telling.
+
+        Args:
+            told: what the filter had to say of that tick.
+        """
+        self._watch_jumps(tracker, told)
         found = self._refresh.update(tick, lambda: _estimate(tracker))
         if found is None:
             return []
+        if found.time_s - self.model.spec.window_s < self._changed_s:
+            found = replace(found, pseudo=None, reason="the motor changed during the window")
+        elif not found.declined:
+            self._recent.add(found.time_s, found.value, found.std)
         self._windows += 1
         self._declined += bool(found.declined)
         messages = self._apply(found, tracker)
         self.view = self._make_view(found)
-        self._last_s = found.time_s
         return messages
+
+    def _watch_jumps(self, tracker: Tracker, told: Sequence[Message]) -> None:
+        """What windows before a jump said is of another motor."""
+        self._examines = tracker.examines_jump and tracker.jump_is_sudden
+        for kind, _, data in told:
+            if kind == JUMPED:
+                self._changed_s = float(data["time_s"] or 0.0)
+                self._recent.forget()
 
     def instead_of(self, name: str, filtered: Fused, now_s: float) -> Fused:
         """A parameter as the model has it, where it has proven itself and knows it better than the filter does: never
@@ -71,14 +93,16 @@ class Refresher:
             filtered: what would be published without a model.
             now_s: device time.
         """
-        told = self.view.parameters.get(name)
-        old = self._last_s is None or now_s - self._last_s > _COUNTS_FOR * self._refresh.every_s
-        if told is None or old or filtered.status == "fixed" or self._refresh.mode != "trusted":
+        told = self._recent.of(name, now_s) if self._refresh.mode == "trusted" else None
+        if told is None or filtered.status == "fixed":
             return filtered
         value, std = told
-        if value is None or std is None or std > QUALIFIED * abs(value):
+        # The narrower limit of a filter keeps a start that still converges from being believed: here that is the proof.
+        if not math.isfinite(value) or not std < LOST * abs(value):
             return filtered
-        if filtered.std is not None and filtered.std <= std and not self._refresh.filter_refuted:
+        # While a jump is examined the filter says how far what it followed may have gone, and the windows do not.
+        opened = self._examines and filtered.status == "tracking"
+        if filtered.std is not None and name not in self._refresh.refuted and (filtered.std <= std or opened):
             return filtered
         return Fused(value, std, "tracking", _WHY_TRACKING)
 

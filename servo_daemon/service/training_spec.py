@@ -42,13 +42,7 @@ def training_spec(
     """
     from servo_daemon.learning.drawing import TrainingSpec
 
-    known = dict(drive.nominal if nominal is None else nominal)
-    known.pop("J_m", None)
-    if missing := [p.name for p in LINEAR if p.name not in known]:
-        raise ConfigError(
-            f"drive {drive.name}: training needs a datasheet: nominal {', '.join(missing)} missing under "
-            "[drive.nominal] (`servo-daemon fit` finds them from a capture)"
-        )
+    known = _datasheet(drive.name, drive.nominal if nominal is None else nominal)
     rate = rate_hz or (drive.options.get("rate_hz") if drive.driver == "simulated" else None) or _RATE_HZ
     return TrainingSpec(
         known,
@@ -61,3 +55,18 @@ def training_spec(
         channels=trainable(channels),
         seed=seed,
     )
+
+
+def _datasheet(drive: str, nominal: Mapping[str, float]) -> dict[str, float]:
+    """What training takes of it.
+
+    Raises:
+        ConfigError: it lacks a parameter.
+    """
+    known = {name: value for name, value in nominal.items() if name != "J_m"}
+    if missing := [p.name for p in LINEAR if p.name not in known]:
+        raise ConfigError(
+            f"drive {drive}: training needs a datasheet: nominal {', '.join(missing)} missing under "
+            "[drive.nominal] (`servo-daemon fit` finds them from a capture)"
+        )
+    return known

@@ -139,7 +139,7 @@ def test_a_fault_that_looks_like_another_motor_is_declined(model: LearnedModel) 
 
 
 def test_what_healthy_motors_look_like_is_calibrated(model: LearnedModel) -> None:
-    """Of further healthy motors about 3 % look stranger than 97 % of those that it was calibrated on."""
+    """Of further healthy motors about as many look strange as of those that it was calibrated on."""
     spec = dataclasses.replace(SPEC, seed=13)
     windows = simulate_motors(spec, range(300), draw_parameters(spec, 300))
     known = baseline(windows.features, SPEC.nominal, SPEC.spread).known

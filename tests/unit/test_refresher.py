@@ -16,9 +16,9 @@ from servo_daemon.errors import ConfigError
 from servo_daemon.estimates_csv import EstimatesWriter
 from servo_daemon.learning import DEFAULT_MOTORS
 from servo_daemon.learning.drawing import CORE
-from servo_daemon.learning.model import LearnedModel
+from servo_daemon.learning.model import LearnedModel, Predictions
 from servo_daemon.learning.model_file import save_model
-from servo_daemon.samples import SampleBlock
+from servo_daemon.samples import F64, SampleBlock
 from servo_daemon.service.model_change import ModelRequest
 from servo_daemon.service.pipeline import Pipeline
 from servo_daemon.service.refresher import Refresher
@@ -121,6 +121,91 @@ def test_what_enters_the_filter_is_told_once(model: LearnedModel, recording: Sam
     assert "R by" in told[0][1]
     assert refresher.view.detail["mode"] == "trusted"
     assert refresher.view.detail["effect_R_percent"] != 0
+
+
+@pytest.fixture(scope="module")
+def rubbing() -> SampleBlock:
+    """Of a motor with dry friction."""
+    friction = {"coulomb_friction": {"Tc": 0.08 * PAPER_MOTOR["K"] * 15.0}}
+    return SimulatedDrive(make_settings(rate_hz=500.0, effects=friction)).next_block(9000)
+
+
+class _SureOfJ(LearnedModel):
+    """J is known to 10 %: what a model of so few motors claims itself hangs on the last bit of its training."""
+
+    def predict(self, features: F64) -> Predictions:
+        found = super().predict(features)
+        std = found.std.copy()
+        std[:, CORE.index("J")] = 0.1 * found.value[:, CORE.index("J")]
+        return dataclasses.replace(found, std=std)
+
+
+def test_what_the_filter_lacks_is_published_as_the_windows_have_it(model: LearnedModel, rubbing: SampleBlock) -> None:
+    """A filter without friction, wrong nominal values: never back to these, and R, L, K stay the filter's own."""
+    model = _SureOfJ(**{f.name: getattr(model, f.name) for f in dataclasses.fields(model)})
+    nominal = {n: 1.3 * v for n, v in PAPER_MOTOR.items()}
+    config = DriveConfig(nominal=nominal, estimation=DRIVE.estimation)
+    pipeline = Pipeline(config)
+    pipeline.use_learned(model)
+    estimates = pipeline.process(rubbing)
+    first = next(e.time_s for e in estimates if e.estimators["grnn"].detail["mode"] == "trusted")
+    assert first < 9.0
+    widths = []
+    for e in (e for e in estimates if e.time_s > first):
+        shown = {p.name: p for p in e.parameters}
+        value, std = shown["J"].value, shown["J"].std
+        assert value is not None
+        assert std is not None
+        assert abs(value - PAPER_MOTOR["J"]) < min(0.1 * PAPER_MOTOR["J"], 3 * std), e.time_s
+        assert "RF+GRNN" in (shown["J"].reason or ""), e.time_s
+        widths.append(std / value)
+        assert [(shown[n].status, shown[n].reason) for n in "RK"] == [("tracking", None)] * 2, e.time_s
+    assert 0.05 < max(widths) < 0.15  # wider than what a filter may begin with, no wider than what it may keep
+
+
+def test_windows_of_before_a_jump_do_not_count(model: LearnedModel, recording: SampleBlock) -> None:
+    from servo_daemon.estimators.fusion import Fused
+    from servo_daemon.estimators.settings import Resolutions, TrackerSettings
+    from servo_daemon.estimators.tracker import Tracker
+
+    tracker = Tracker(recording.channels, TrackerSettings((), dict(PAPER_MOTOR), {}, "compiled"), Resolutions())
+    refresher, unknown = Refresher(model, CORE, 2.0), Fused(1.0, None, "estimating", "known to ± 20 % so far")
+    jump_s, shown = 7.0, []
+    for k in range(0, len(recording), 50):
+        tick = recording.slice(k, k + 50)
+        tracker.take(tick)
+        tracker.close_tick(tick)
+        now_s = float(tick.time_s[-1])
+        told = [("parameter_jump", "", {"time_s": jump_s})] if jump_s + 0.3 <= now_s < jump_s + 0.4 else []
+        refresher.take(tick, tracker, told)
+        shown.append((now_s, refresher.instead_of("L", unknown, now_s) is not unknown))
+    assert all(learned for now_s, learned in shown if 6.7 < now_s < jump_s + 0.3)
+    assert not any(learned for now_s, learned in shown if jump_s + 0.4 < now_s < jump_s + 2.0)
+    assert shown[-1][1]
+
+
+def test_while_a_jump_is_examined_only_what_the_filter_followed_stands(
+    model: LearnedModel, recording: SampleBlock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from servo_daemon.estimators.fusion import Fused
+    from servo_daemon.estimators.settings import Resolutions, TrackerSettings
+    from servo_daemon.estimators.tracker import Tracker
+
+    tracker = Tracker(recording.channels, TrackerSettings((), dict(PAPER_MOTOR), {}, "compiled"), Resolutions())
+    refresher = Refresher(model, CORE, 2.0)
+    opened = Fused(PAPER_MOTOR["L"], 0.13 * PAPER_MOTOR["L"], "tracking", None)
+    held = dataclasses.replace(opened, status="unexcited")
+    for k in range(0, 3500, 50):
+        tick = recording.slice(k, k + 50)
+        tracker.take(tick)
+        tracker.close_tick(tick)
+        refresher.take(tick, tracker)
+    now_s = float(tick.time_s[-1])
+    assert refresher.instead_of("L", opened, now_s) is not opened
+    monkeypatch.setattr(Tracker, "examines_jump", True)
+    refresher.take(recording.slice(3500, 3550), tracker)
+    assert refresher.instead_of("L", opened, now_s) is opened
+    assert refresher.instead_of("L", held, now_s) is not held
 
 
 def capture(path: Path, block: SampleBlock) -> Path:
