@@ -7,12 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from servo_daemon.captures import Capture
+from servo_daemon.commands.diagnose_balance import WHY
 from servo_daemon.commands.diagnose_evidence import Evidence
 from servo_daemon.commands.fit_report import LABELS, capture_series
 from servo_daemon.commands.units import shown_column
+from servo_daemon.diagnosis.missing import Missing
 from servo_daemon.diagnosis.result import Diagnosis
+from servo_daemon.estimators.base import natural_values
 from servo_daemon.estimators.output_error.score import Score, measured_speed
-from servo_daemon.report import Axis, Line, Mark, TimeSeries
+from servo_daemon.report import Axis, Line, Mark, Text, TimeSeries
 from servo_daemon.report.document import Block
 from servo_daemon.samples import F64, SampleBlock
 
@@ -63,6 +66,25 @@ def free_run_figures(d: Diagnosis, evidence: Evidence, marks: Sequence[Mark]) ->
         title = f"{label.capitalize()}{_where(d, capture)}: one free run"
         figures.append(_figure(title, block.time_s - block.time_s[0], lines, Axis(label, unit), capture, marks))
     return tuple(figures)
+
+
+def needed_figures(d: Diagnosis, marks: Sequence[Mark]) -> tuple[Block, ...]:
+    """The measured current (or torque) over time, and what the motion needs by both models: the longest capture."""
+    torque = d.baseline.problem.plant.drive == "torque"
+    capture = max(d.captures, key=len)
+    axis = Axis("torque" if torque else "current", "N·m" if torque else "A")
+    time = d.before.time_s - d.before.time_s[0]
+    lines = [Line("measured", d.before.input), Line("baseline", _needed(d.before), style="dashed")]
+    if d.after is not None:
+        lines.append(Line("extended", _needed(d.after), style="dashed"))
+    title = f"{axis.label.capitalize()}: measured, and needed for the measured motion"
+    return (Text(WHY), _figure(title, time, lines, axis, capture, marks))
+
+
+def _needed(missing: Missing) -> F64:
+    """What would leave nothing missing."""
+    K = natural_values(missing.augmented.plant.parameters, missing.coordinates).get("K", 1.0)
+    return np.asarray(missing.input - missing.series["torque"] / K)
 
 
 def _figure(

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from servo_daemon.commands.diagnose_balance import by_balance
 from servo_daemon.commands.diagnose_evidence import Evidence
-from servo_daemon.commands.diagnose_figures import MOST_DRAWN, free_run_figures, signal_figures
+from servo_daemon.commands.diagnose_figures import MOST_DRAWN, free_run_figures, needed_figures, signal_figures
 from servo_daemon.commands.diagnose_missing import missing_figures
 from servo_daemon.commands.diagnose_tables import (
     candidate_blocks,
@@ -22,11 +23,9 @@ from servo_daemon.commands.diagnose_tables import (
 )
 from servo_daemon.commands.fit_report import validation_sections
 from servo_daemon.diagnosis.result import Diagnosis
+from servo_daemon.plant.effects import INSTANTS
 from servo_daemon.report import Mark, Provenance, Report, Section, Text
 from servo_daemon.report.document import Block
-
-#: Parameters that are instants of the capture, s.
-_INSTANTS = ("t_TL", "t_R")
 
 
 def diagnosis_report(d: Diagnosis, evidence: Evidence, document: Mapping[str, Any], provenance: Provenance) -> Report:
@@ -42,7 +41,9 @@ def diagnosis_report(d: Diagnosis, evidence: Evidence, document: Mapping[str, An
         *((Section("For the daemon", toml_blocks(document)),) if document["toml"] else ()),
         Section(
             "Measured and simulated",
-            (
+            needed_figures(d, marks)
+            if by_balance(document)
+            else (
                 *free_run_tables(document),
                 *free_run_figures(d, evidence, marks),
                 _short_runs(d),
@@ -67,7 +68,7 @@ def _title(name: str) -> str:
 def _events(document: Mapping[str, Any]) -> list[Mark]:
     """Instants that were found, to be marked in what is drawn over time."""
     rows = {name: p for e in document["effects"] for name, p in e["parameters"].items()}
-    return [Mark(rows[n]["value"], n) for n in _INSTANTS if n in rows and rows[n]["value"] is not None]
+    return [Mark(rows[n]["value"], n) for n in INSTANTS.values() if n in rows and rows[n]["value"] is not None]
 
 
 def _short_runs(d: Diagnosis) -> Block:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from servo_daemon.commands.diagnose_balance import by_balance, error_heading
 from servo_daemon.commands.diagnose_hints import experiment
 from servo_daemon.commands.diagnose_words import change_text, headline, model_name, remaining_lines, verdict_lines
 from servo_daemon.commands.fit_report import open_blocks, parameter_remark, score_table
@@ -44,7 +45,8 @@ def error_blocks(document: Mapping[str, Any]) -> tuple[Block, ...]:
     called = "; ".join(
         f"{kind.capitalize()}: {model_name(m['model'])}" for kind, m in zip(_KINDS, models, strict=False)
     )
-    note = f"Short free runs that neither fit nor choice has seen, each from its best initial state. {called}."
+    best = "" if by_balance(document) else ", each from its best initial state"
+    note = f"{error_heading(document)}{best}. {called}."
     table = Table("RMS error on held-out data", columns, tuple(rows), note=note)
     return (table, *_gain_bars(document))
 
@@ -147,8 +149,9 @@ def candidate_blocks(document: Mapping[str, Any]) -> tuple[Block, ...]:
         rounds.setdefault(tuple(c["beside"]), []).append(c)
     if not rounds:
         return (Text("No effect of the library explains enough of what is missing to be worth a fit."),)
+    judge = "times" if by_balance(document) else "free runs"
     text = Text(
-        "Each was fitted together with the motor. The error is that of free runs that were not fitted and that decide. "
+        f"Each was fitted together with the motor. The error is that of {judge} that were not fitted and that decide. "
         "An effect is taken if it lowers this error by a margin that resampling does not undo, and if its parameters "
         "are worth their place (ΔBIC well below zero); a simpler effect goes before one that contains it."
     )

@@ -7,9 +7,11 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any
 
+from servo_daemon.commands.diagnose_balance import by_balance, error_heading
 from servo_daemon.commands.diagnose_hints import experiment
 from servo_daemon.commands.diagnose_words import change_text, headline, model_name, percent, verdict_lines
 from servo_daemon.commands.fit_text import open_lines, parameter_line, validation_lines
+from servo_daemon.plant.parameters import spaced
 
 _WIDTH = 100
 
@@ -54,13 +56,13 @@ def _open_lines(document: Mapping[str, Any]) -> list[str]:
     """What the data leave open; what they determine instead only where they leave much open."""
     parameters = (document["extended"] or document["baseline"])["parameters"].values()
     few = 2 * sum(p["status"] == "undetermined" for p in parameters) < len(parameters)
-    return open_lines({**document, "combinations": []} if few else document)
+    return open_lines({**document, "combinations": []} if few and not by_balance(document) else document)
 
 
 def _error_lines(document: Mapping[str, Any]) -> list[str]:
     """Held-out errors of both models."""
     models = [m for m in (document["baseline"], document["extended"]) if m is not None]
-    lines = ["Error of short free runs that neither fit nor choice has seen, rms:"]
+    lines = [f"{error_heading(document)}, rms:"]
     for m in models:
         sizes = ", ".join(f"{name} {_number(value)}" for name, value in m["heldout_rmse"].items())
         lines.append(f"  {model_name(m['model'])}: {sizes or 'nothing was held out'}{_share(m['heldout_nrmse'])}")
@@ -103,7 +105,7 @@ def _difference_lines(document: Mapping[str, Any]) -> list[str]:
             for value, std in zip(d["values"], d["stds"], strict=True)
         )
         change = change_text(d["values"])
-        lines.append(f"  {d['name']} = {each} {d['unit']}{f'   ({change})' if change else ''}")
+        lines.append(f"  {d['name']} = {each}{spaced(d['unit'])}{f'   ({change})' if change else ''}")
     if document["own_models"]:
         lines.append("What that means for one free run over all of each, rms:")
     for m in document["own_models"]:

@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from servo_daemon.commands.diagnose_balance import WHY, by_balance
+
 #: What a missing torque or voltage follows, as a reader says it.
 _FOLLOWS = {
     "speed": "the speed",
@@ -21,6 +23,10 @@ _FOLLOWS = {
     "frequency": "a fixed frequency",
 }
 #: Of what is left.
+_BY_ITSELF = (
+    "What is left is far larger than steps of encoder and converters and coloured noise leave, but it follows neither "
+    "speed, angle, current nor time: a load that moves by itself, behind play or on a spring, does that."
+)
 _COLOURED = (
     "What is left is not white, but it follows neither speed, angle, current nor time: steps of encoder and converters "
     "and coloured noise do that."
@@ -38,7 +44,8 @@ def headline(document: Mapping[str, Any]) -> str:
     if document["verdict"] == "found":
         return "Found: " + ", ".join(e["name"].replace("_", " ") for e in document["effects"])
     if document["verdict"] == "unexplained":
-        follows = ", ".join(dict.fromkeys(_FOLLOWS.get(x["on"], x["on"]) for x in remaining["dependences"]))
+        on = dict.fromkeys(_FOLLOWS.get(x["on"], x["on"]) for x in remaining["dependences"])
+        follows = ", ".join(on) or "neither speed, angle, current nor time"
         return f"Unexplained: something is missing that has no name here; it follows {follows}"
     if not _anything_known(document):
         return "Nothing can be said: these data do not determine even one parameter of the motor"
@@ -50,7 +57,8 @@ def headline(document: Mapping[str, Any]) -> str:
 def verdict_lines(document: Mapping[str, Any]) -> list[str]:
     """What supports the verdict."""
     if document["verdict"] == "found":
-        return [_gain_line(document), *remaining_lines(document)]
+        why = [WHY] if by_balance(document) else []
+        return [_gain_line(document), *why, *remaining_lines(document)]
     if document["verdict"] == "unexplained":
         return [
             "No effect of the library predicts the part of the data that decides better by a margin that counts.",
@@ -95,8 +103,23 @@ def remaining_lines(document: Mapping[str, Any]) -> list[str]:
     if remaining["white"]:
         return ["What is left is noise."]
     if not remaining["dependences"]:
-        return [_COLOURED]
+        return [_unnamed(document) if document["verdict"] == "unexplained" else _COLOURED]
     return [dependence_line(x) for x in remaining["dependences"]]
+
+
+def _unnamed(document: Mapping[str, Any]) -> str:
+    """Of what is left and follows nothing: what fits it best, though it predicts no better."""
+    from servo_daemon.diagnosis.evidence import OVERWHELMING_BIC
+
+    tried = [c for c in document["candidates"] if c["delta_bic"] is not None]
+    best = min(tried, key=lambda c: float(c["delta_bic"]), default=None)
+    if best is None or best["delta_bic"] > OVERWHELMING_BIC:
+        return _BY_ITSELF
+    name, gain = best["name"].replace("_", " "), best["delta_bic"]
+    return (
+        f"What is left is no noise: {name} fits it far better (ΔBIC {gain:,.0f}), but predicts free runs that were not "
+        "fitted no better. A motion that shows more of it would decide: `excite` plans one."
+    )
 
 
 def dependence_line(x: Mapping[str, Any]) -> str:

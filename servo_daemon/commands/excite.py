@@ -62,6 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
     from servo_daemon.experiment import plan_motion
 
     check_path(arguments.out)
+    common.keep_inputs(arguments.out, arguments.config, arguments.diagnosis)
     drive = common.offline_drive(arguments)
     request, notes = make_request(drive, arguments)
     for line in notes:

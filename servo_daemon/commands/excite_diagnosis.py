@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from servo_daemon.commands.diagnose_document import SCHEMA
 from servo_daemon.errors import BadInputError
 
 #: At most so many causes are told apart at once: each is fitted to each other.
@@ -45,11 +46,17 @@ def read_tied(path: Path, configured: Sequence[str]) -> Tied:
         raise BadInputError(f"{path}: not a JSON document: {error}") from error
     try:
         return _tied(str(path), document, configured)
-    except (KeyError, TypeError, AttributeError, IndexError) as error:
-        raise BadInputError(f"{path}: not a diagnosis.json: {error!r} is not as it should be") from error
+    except KeyError as error:
+        raise BadInputError(f"{path}: not a diagnosis.json: it has no {error}") from error
+    except (TypeError, AttributeError, IndexError, ValueError, OverflowError) as error:
+        raise BadInputError(f"{path}: not a diagnosis.json: {error}") from error
 
 
 def _tied(path: str, document: Mapping[str, Any], configured: Sequence[str]) -> Tied:
+    if not isinstance(document, Mapping):
+        raise TypeError(f"a {type(document).__name__} where an object should be")
+    if document.get("schema") != SCHEMA:
+        raise ValueError(f"schema {document.get('schema')}, this version reads {SCHEMA}")
     found = document["effects"]
     values = _values(document["baseline"]["parameters"])
     if document.get("extended"):

@@ -16,8 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from servo_daemon.diagnosis.dependence import Dependence, dependences
-from servo_daemon.diagnosis.evidence import is_what_it_is_called, working_shares
+from servo_daemon.diagnosis.evidence import LEAST_OWN, LEAST_TOGETHER, is_what_it_is_called, working_shares
 from servo_daemon.diagnosis.lacking import longest_missing
+from servo_daemon.diagnosis.likelihood import without_the_unneeded
 from servo_daemon.diagnosis.missing import Missing
 from servo_daemon.diagnosis.noise_floor import noise_floor
 from servo_daemon.diagnosis.select import Selection, without_effect
@@ -28,8 +29,6 @@ from servo_daemon.errors import NumericalError
 from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, fit_output_error
 from servo_daemon.estimators.output_error.parameters import FittedParameter
 
-#: Least share of the removable error that one effect takes of what the others leave, and that all take together.
-_OWN, _TOGETHER = 0.5, 0.75
 #: What is left may follow something at this share of what the effects explain, not more.
 _LEFT = 0.15
 #: How exact a parameter can be said to be, however long the data: what dry friction or a brush drop does within a
@@ -61,26 +60,27 @@ class Believed:
 
 def believed(selection: Selection) -> Believed:
     """Drop the names that cannot be believed, the weakest first."""
-    before = longest_missing(selection.data, selection.base) if selection.added else None
+    data = selection.data
+    before = longest_missing(data, selection.base) if selection.added else None
     while selection.added:
         assert before is not None
-        extended = fit_everything(selection.data, selection.chosen)
+        extended = fit_everything(data, selection.chosen)
         floor = noise_floor(extended, selection.chosen, CHOICE).nrmse
-        weakest = _weakest(selection, floor)
-        if weakest is not None:
-            selection = weakest
+        fewer = _weakest(selection, floor) or without_the_unneeded(selection, extended, lambda t: _whole(data, t))
+        if fewer is not None:
+            selection = fewer
             continue
         if not is_what_it_is_called(selection.added, selection.chosen.values):
             break
-        missing = longest_missing(selection.data, extended)
+        missing = longest_missing(data, extended)
         removed = removed_share(selection.base.choice.nrmse, selection.chosen.choice.nrmse, floor)
         # A motor with a gap runs freely nowhere for long: the balances, which run nowhere, may speak for it.
-        if max(removed, _removed_of_missing(before, missing)) < _TOGETHER:
+        if max(removed, _removed_of_missing(before, missing)) < LEAST_TOGETHER:
             break
-        straight = _unbent(selection.data, selection.chosen, extended)
-        straight = _told_from_twin(selection.data, selection.chosen, straight, short=straight is not extended)
+        straight = _unbent(data, selection.chosen, extended)
+        straight = _told_from_twin(data, selection.chosen, straight, short=straight is not extended)
         if straight is not extended:
-            extended, missing = straight, longest_missing(selection.data, straight)
+            extended, missing = straight, longest_missing(data, straight)
         depends = () if extended.white else dependences(extended, missing)
         # Impacts and first steps come a sample early or late in the best of models: what is left at moments is no sign.
         follows = [d.relative for d in depends if d.on != "moments"]
@@ -97,12 +97,15 @@ def fit_everything(data: Data, trial: Trial, *, noise: bool = True) -> OutputErr
     Args:
         noise: whether noise that enters the motor is looked for; without it the fit cannot be found white.
     """
-    if noise:
-        with suppress(NumericalError):
-            whole = _fit(data, trial, trial.values, None)
-            if whole.white:
-                return whole
-    return _fit(data, trial, trial.values, data.split.segment_s)
+    whole = _whole(data, trial) if noise else None
+    return whole if whole is not None and whole.white else _fit(data, trial, trial.values, data.split.segment_s)
+
+
+def _whole(data: Data, trial: Trial) -> OutputErrorFit | None:
+    """In one run, with noise that enters the motor; None where that fails."""
+    with suppress(NumericalError):
+        return _fit(data, trial, trial.values, None)
+    return None
 
 
 def _fit(data: Data, trial: Trial, values: Mapping[str, float], runs_s: float | None) -> OutputErrorFit:
@@ -231,7 +234,7 @@ def _weakest(selection: Selection, floor: float) -> Selection | None:
             share = removed_share(without.choice.nrmse, selection.chosen.choice.nrmse, floor)
             own.append((share, name, without))
     share, name, without = min(own, key=lambda o: o[0], default=(1.0, "", selection.chosen))
-    if share >= _OWN:
+    if share >= LEAST_OWN:
         return None
     return replace(selection, chosen=without, added=tuple(a for a in selection.added if a != name))
 

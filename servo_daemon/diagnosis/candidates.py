@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from servo_daemon.diagnosis.missing import Missing
@@ -68,12 +68,18 @@ class Proposal:
 
 
 def proposals(
-    current: Trial, screened: Sequence[ScreenedCandidate], missing: Missing, worth: float = WORTH_A_FIT
+    current: Trial,
+    screened: Sequence[ScreenedCandidate],
+    missing: Missing,
+    worth: float = WORTH_A_FIT,
+    given: Collection[str] = (),
 ) -> tuple[Proposal, ...]:
     """The models of one round, the most promising first.
 
     Args:
         worth: share of what the best explains that a cause must explain.
+        given: parameters that the user holds. Who gives the weight of an arm has one: that cause is fitted, whatever
+            screening sees of it beside a bent motor.
     """
     known = effects_by_name()
     values = natural_values(missing.augmented.plant.parameters, missing.coordinates)
@@ -82,25 +88,35 @@ def proposals(
     for s in screened:
         name = _free_name(s.effect, current.effects)
         effects = extended(current.effects, name)
-        if name not in known or effects is None or s.heldout_share <= 0:
+        if name not in known or effects is None:
+            continue
+        held = any(p.name in given for p in known[name].parameters)
+        if s.heldout_share <= 0 and not held:
             continue
         simpler = any(s.effect == small and p.name in large for small, large in NESTED.items() for p in out)
-        if (s.heldout_share < worth * best or len(out) >= MOST_FITTED) and not simpler:
+        if (s.heldout_share < worth * best or len(out) >= MOST_FITTED) and not (simpler or held):
             continue
-        start = dict(current.values) | {n: v for n, v in values.items() if n in current.values}
-        start |= {n: v for n, v in s.motor.items() if n in start}
-        start |= {p.name: p.nominal for e in effects for p in known[e].parameters if p.name not in start}
-        ending = name.removeprefix(s.effect)
-        for key, value in s.start.items():
-            choice = next((p for p in known[name].parameters if p.name == key + ending), None)
-            if choice is not None:
-                start[choice.name] = float(choice.choices.index(value)) if isinstance(value, str) else float(value)
-        if "Tc" in s.start and "Tc" in start:
-            start["Tc"] = float(s.start["Tc"])
+        start = _start(s, name, effects, {n: values.get(n, v) for n, v in current.values.items()})
         far = any(_far(v, current.values[n]) for n, v in s.motor.items() if n in current.values)
         other = {**start, **current.values, **({"Tc": start["Tc"]} if "Tc" in s.start and "Tc" in start else {})}
         out.append(Proposal(name, effects, start, other, far))
     return tuple(out)
+
+
+def _start(s: ScreenedCandidate, name: str, effects: Sequence[str], present: Mapping[str, float]) -> dict[str, float]:
+    """Natural values of every parameter where a model with this candidate begins: the present ones, the motor and the
+    effect as screening has them."""
+    known = effects_by_name()
+    start = {n: s.motor.get(n, v) for n, v in present.items()}
+    start |= {p.name: p.nominal for e in effects for p in known[e].parameters if p.name not in start}
+    ending = name.removeprefix(s.effect)
+    for key, value in s.start.items():
+        choice = next((p for p in known[name].parameters if p.name == key + ending), None)
+        if choice is not None:
+            start[choice.name] = float(choice.choices.index(value)) if isinstance(value, str) else float(value)
+    if "Tc" in s.start and "Tc" in start:
+        start["Tc"] = float(s.start["Tc"])
+    return start
 
 
 def pairs(proposed: Sequence[Proposal]) -> tuple[Proposal, ...]:

@@ -19,7 +19,8 @@ from servo_daemon.diagnosis.regression import Regression, of_parameters
 from servo_daemon.diagnosis.response import Trace
 from servo_daemon.diagnosis.screen import context_of
 from servo_daemon.diagnosis.signals import motion_of
-from servo_daemon.diagnosis.torque_families import best_harmonics, spectral_lines, step_instants
+from servo_daemon.diagnosis.torque_families import best_harmonics, step_instants
+from servo_daemon.estimators.output_error.spectrum import spectral_lines
 from servo_daemon.samples import F64
 
 #: A share below this is none, nor is anything below this share of the working torque or voltage. The second is what
@@ -29,6 +30,8 @@ LEAST_SHARE, LEAST_SIZE = 0.08, 2e-3
 #: So few samples hold so much of the series' energy, are so many standard deviations large at the largest, and are of
 #: such a size beside the working torque or voltage, where something came at moments.
 _FEW, _HELD_BY_FEW, _BEYOND_NOISE, _MOMENT_SIZE = 0.02, 0.4, 10.0, 0.05
+#: Beyond this share of the working torque or voltage something is missing, also if it follows nothing.
+_LARGE = 0.02
 #: Hats over a quantity's range, and the longest list.
 _HATS, _LONGEST = 9, 4
 #: Of a heat that comes and goes, in shares of the capture.
@@ -85,6 +88,13 @@ def dependences(fit: Fitted, missing: Missing) -> tuple[Dependence, ...]:
         found = [replace(d, size=min(d.size, whole), relative=min(d.size, whole) / missing.size[name]) for d in found]
         out += [d for d in found if d.relative >= LEAST_SIZE] or _moments(name, missing)
     return tuple(sorted(out, key=lambda d: -d.share))
+
+
+def is_large(missing: Missing) -> bool:
+    """Whether a torque or a voltage is missing, whatever it follows, that no clean capture shows: those have 0.1 % of
+    the working one at the most (16 captures, four motors, four motions)."""
+    noise = {n: float(np.median(std)) / missing.size[n] for n, std in missing.std.items()}
+    return any(square >= _LARGE**2 and square > noise[n] ** 2 for n, square in missing.mean_square.items())
 
 
 def _moments(name: str, missing: Missing) -> list[Dependence]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -12,16 +13,19 @@ from threadpoolctl import threadpool_limits
 from servo_daemon.captures import Capture
 from servo_daemon.diagnosis.adequacy import Believed, believed, fit_everything
 from servo_daemon.diagnosis.compare import error_removed
-from servo_daemon.diagnosis.dependence import dependences
+from servo_daemon.diagnosis.dependence import dependences, is_large
 from servo_daemon.diagnosis.differences import differences
+from servo_daemon.diagnosis.evidence import OVERWHELMING_BIC
+from servo_daemon.diagnosis.inverse import ByBalance, found_by_balance
 from servo_daemon.diagnosis.lacking import longest_missing
 from servo_daemon.diagnosis.noise_floor import noise_floor
-from servo_daemon.diagnosis.result import CandidateScore, Diagnosis, HeldOut, NamedEffect, Verdict
+from servo_daemon.diagnosis.result import CandidateScore, Diagnosis, HeldOut, NamedEffect
 from servo_daemon.diagnosis.scored import Scored
 from servo_daemon.diagnosis.select import Selection, select, without_effect
 from servo_daemon.diagnosis.split import CHOICE, TRAIN, segment_length_s
 from servo_daemon.diagnosis.trial import Data, Trial, first_trial, fit_trial
-from servo_daemon.estimators.output_error import Recording
+from servo_daemon.errors import ServoDaemonError
+from servo_daemon.estimators.output_error import OutputErrorFit, Recording
 from servo_daemon.identification.validate import validated
 
 #: Told how far it is, 0 .. 1, and what is being done.
@@ -71,29 +75,40 @@ def _diagnose(
     began = time.perf_counter()
     recordings = tuple(Recording(str(c.path), c.block()) for c in captures)
     progress(0.0, "fitting the baseline")
-    segment_s = segment_length_s(recordings)
-    data = Data.of(recordings, options.fixed, options.baseline, segment_s)
+    data = Data.of(recordings, options.fixed, options.baseline, segment_length_s(recordings))
     base = first_trial(data, options.baseline, options.nominal)
     selection = select(data, base, _within(progress, 0.1, 0.8), options.workers)
     progress(0.8, "whether the names can be believed")
     belief = believed(selection)
-    selection = belief.selection
     baseline = fit_everything(data, base, noise=belief.extended is None)
-    final = belief.extended or baseline
-    progress(0.88, "scoring on what was held out")
+    diagnosis = _by_free_runs(captures, data, belief, baseline, _within(progress, 0.88, 1.0))
+    if not diagnosis.effects:
+        with suppress(ServoDaemonError):  # then the free runs have the last word
+            found = found_by_balance(data, baseline, base, options.nominal)
+            diagnosis = diagnosis if found is None else _by_balance(diagnosis, found)
+    scores = tuple(validated(c, baseline, diagnosis.extended, options.adapt) for c in validation)
+    return replace(diagnosis, validation=scores, seconds=time.perf_counter() - began)
+
+
+def _by_free_runs(
+    captures: Sequence[Capture], data: Data, belief: Believed, baseline: OutputErrorFit, progress: Progress
+) -> Diagnosis:
+    """What the search came to, scored; `validation` and `seconds` are yet to come."""
+    selection, final = belief.selection, belief.extended or baseline
+    progress(0.0, "scoring on what was held out")
     outcome = _outcome(belief)
-    progress(0.92, "what is left")
+    progress(0.33, "what is left")
     before = longest_missing(data, baseline)
-    depends = belief.depends_on
+    depends, remains = belief.depends_on, bool(belief.depends_on)
     if belief.extended is None and not baseline.white:
         depends = dependences(baseline, before)
-    progress(0.95, "what differs between the captures")
-    held = {**options.fixed, **selection.chosen.held}
-    spreads, own_models = differences(recordings, final, held, selection.data.split.segment_s)
-    verdict: Verdict = "found" if outcome.effects else "unexplained" if depends else "none"
+        remains = bool(depends) or is_large(before) or _speaks_for_something(selection)
+    progress(0.58, "what differs between the captures")
+    held = {**data.fixed, **selection.chosen.held}
+    spreads, own_models = differences(data.recordings, final, held, selection.data.split.segment_s)
     return Diagnosis(
         captures=tuple(captures),
-        verdict=verdict,
+        verdict="found" if outcome.effects else "unexplained" if remains else "none",
         effects=outcome.effects,
         baseline=baseline,
         extended=belief.extended,
@@ -109,8 +124,37 @@ def _diagnose(
         depends_on=depends,
         differences=spreads,
         own_models=own_models,
-        validation=tuple(validated(c, baseline, belief.extended, options.adapt) for c in validation),
-        seconds=time.perf_counter() - began,
+        validation=(),
+        seconds=0.0,
+    )
+
+
+def _speaks_for_something(selection: Selection) -> bool:
+    """Whether a cause fits far better that does not predict better: free runs that drift off with the drive's own noise
+    do not decide, and yet it is no noise that is left."""
+    return any(c.against.delta_bic < OVERWHELMING_BIC for c in selection.rounds[0])
+
+
+def _by_balance(d: Diagnosis, found: ByBalance) -> Diagnosis:
+    """The diagnosis with what the balance has named."""
+    return replace(
+        d,
+        verdict="found",
+        judged_by="balance",
+        effects=found.effects,
+        extended=found.extended,
+        baseline_score=found.baseline_score,
+        extended_score=found.extended_score,
+        noise_floor=found.noise_floor,
+        error_removed=found.error_removed,
+        ci95=found.ci95,
+        candidates=found.candidates,
+        before=found.before,
+        after=found.after,
+        white=found.extended.white,
+        depends_on=dependences(found.extended, found.after),
+        differences=(),
+        own_models=(),
     )
 
 

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from servo_daemon.diagnosis.compare import Advantage, advantage
+from servo_daemon.diagnosis.compare import Advantage, advantage, bootstrapped
 from servo_daemon.diagnosis.missing import Missing
+from servo_daemon.diagnosis.scored import Scored
 from servo_daemon.diagnosis.trial import Trial
 from servo_daemon.plant.effects import effects_by_name
 
@@ -20,6 +21,8 @@ LEAST_GAIN, LEAST_BIC = 0.03, -20.0
 _NOTHING = 0.01
 #: Least torque or voltage of an effect that has one, as a share of what the motor works with.
 LEAST_SHARE = 2e-3
+#: Least share of the removable error that one effect takes of what the others leave, and that all take together.
+LEAST_OWN, LEAST_TOGETHER = 0.5, 0.75
 #: BIC of an effect that screening thought little of.
 _UNSEEN_BIC = -100.0
 #: Parameters that are such a share themselves.
@@ -35,7 +38,7 @@ _LITTLE_LOST = 0.01
 #: A nested effect with more parameters must gain this much over the smaller one.
 NESTED_GAIN = 0.02
 #: BIC that no wrong model earns by chance or by an integrator's error, and the gain that must come with it.
-_OVERWHELMING, _CLEARLY = -1000.0, 0.1
+OVERWHELMING_BIC, _CLEARLY = -1000.0, 0.1
 #: Lower end of a gain that needs no other evidence.
 _PLAINLY = 0.2
 #: Least friction at the first step out of rest, over that at speed.
@@ -63,20 +66,26 @@ def needless(lost: Advantage) -> bool:
 def no_worse(trial: Trial, best: Trial) -> bool:
     """Whether resampling cannot tell them apart and what it gains less is nothing."""
     difference = advantage(trial, best)
-    return difference.gain < _TIE and difference.low < 0.0 and difference.delta_bic > _OVERWHELMING
+    return difference.gain < _TIE and difference.low < 0.0 and difference.delta_bic > OVERWHELMING_BIC
+
+
+def ties_with(scored: Scored, best: Scored) -> bool:
+    """The same of errors alone."""
+    gain, low, _ = bootstrapped(scored, best)
+    return gain < _TIE and low < 0.0
 
 
 def overwhelming(a: Advantage) -> bool:
     """Better where it decides, and far better where it was fitted, though a few free runs may be none the better for
     it: of a motor with a gap those that begin within it. Or better by so much where it decides that the fitted part,
     whose residuals may be one slow drift and count as a handful of samples, need not say so, too."""
-    return (a.gain > _CLEARLY and a.delta_bic < _OVERWHELMING) or a.low > _PLAINLY
+    return (a.gain > _CLEARLY and a.delta_bic < OVERWHELMING_BIC) or a.low > _PLAINLY
 
 
 def at_odds(a: Advantage) -> bool:
     """Far better where it was fitted, and not where it decides: a simulation that runs away from what it was fitted to
     within a free run says nothing about the model."""
-    return a.delta_bic < _OVERWHELMING and not convinces(a)
+    return a.delta_bic < OVERWHELMING_BIC and not convinces(a)
 
 
 def noticeable(name: str, trial: Trial, missing: Missing) -> bool:

@@ -19,6 +19,9 @@ from servo_daemon.estimators.output_error.rollout import TIME
 #: that changes fast (a ripple over the turn) may look most like white noise of the voltage; taken for that, nothing of
 #: it is left to screen.
 _LEAST_WALK, _WITHIN_S = 1e-3, 0.01
+#: … and white noise of the input is at most this share of the working input: converters are better, and friction that
+#: sticks and slides passes for noise of the voltage as large as the voltage itself.
+_MOST_INPUT = 0.05
 
 
 def longest_missing(data: Data, fit: Fitted) -> Missing:
@@ -39,13 +42,15 @@ def seen_missing(data: Data, trial: Trial) -> Missing:
     """
     number, missing = data.longest, longest_missing(data, trial)
     least = {name: (_LEAST_WALK * size) ** 2 / _WITHIN_S for name, size in missing.size.items()}
-    if any(walk < least[name] for name, walk in missing.levels.walk.items()):
+    most = _MOST_INPUT**2 * float(np.mean(np.square(missing.input))) or math.inf
+    levels = missing.levels
+    if levels.input_var > most or any(walk < least[name] for name, walk in levels.walk.items()):
         missing = missing_inputs(
             trial,
             data.recordings[number].block,
             recording=number,
             coordinates=missing.coordinates,
-            levels=missing.levels,
+            levels=replace(levels, input_var=min(levels.input_var, most)),
             least_walk=least,
         )
     return replace(missing, unseen=_unseen(data, trial, number, missing))

@@ -15,6 +15,9 @@ from servo_daemon.identification.validate import Validation
 #: "none": the baseline explains the data to their noise; "found": at least one effect was named; "unexplained": none
 #: was, yet structure remains.
 Verdict = Literal["none", "found", "unexplained"]
+#: What the names and the gain were judged by: free runs of the simulation, or, for a motor that its controller holds
+#: where it would not stay by itself, the torque that its measured motion needs.
+JudgedBy = Literal["free_runs", "balance"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +103,7 @@ class Diagnosis:
         own_models: what that means for each capture; empty where there is one capture.
         validation: scores on captures that were not diagnosed.
         seconds: time taken.
+        judged_by: see `JudgedBy`; the held-out errors are of that.
     """
 
     captures: tuple[Capture, ...]
@@ -121,6 +125,7 @@ class Diagnosis:
     own_models: tuple[OwnModel, ...]
     validation: tuple[Validation, ...]
     seconds: float
+    judged_by: JudgedBy = "free_runs"
 
     @property
     def final(self) -> OutputErrorFit:

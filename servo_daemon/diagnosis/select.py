@@ -118,7 +118,7 @@ def _round(search: _Search, missing: Missing, progress: Progress, workers: int) 
     """What is tried beside the present model: one effect, over shorter runs where the motor may be unstable, two."""
     current = search.current
     screened = screen(current, missing)
-    proposed = proposals(current, screened, missing)
+    proposed = proposals(current, screened, missing, given=search.data.fixed)
     progress(0.1, "fitting " + ", ".join(p.name for p in proposed))
     found = _against_the_best_chance(search, _worthy(search, missing, proposed, workers))
     if found[2] is None and (_promised(screened) > _PROMISING or current.independent < COLOURED):

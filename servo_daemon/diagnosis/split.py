@@ -70,7 +70,7 @@ def divide(n: int, segment_s: float) -> Split:
     if n < _FEWEST_RUNS:
         raise BadInputError(
             f"too short to diagnose: {n} free runs of about {segment_s:.2g} s, and {_FEWEST_RUNS} are needed to "
-            f"fit, to choose and to measure the gain; record {2 * _FEWEST_RUNS * segment_s:.2g} s or more"
+            f"fit, to choose and to measure the gain: {_FEWEST_RUNS * segment_s:.2g} s; record twice that or more"
         )
     rng = np.random.default_rng(_SEED)
     part = np.concatenate([rng.permutation(_PATTERN) for _ in range(-(-n // len(_PATTERN)))])[:n]

@@ -28,6 +28,9 @@ _THERMAL, _KNEES = (0.05, 0.15, 0.4, 1.5), (0.7, 1.2, 2.0, 4.0)
 _LAGS_S = np.geomspace(2e-4, 3e-2, 7)
 #: No current sensor is further off.
 _MOST_GAIN = 0.6
+#: rad; an encoder's disk that runs further out of true is not read any more. Without a bound an angle that is wrong by
+#: a radian stands for any gravity.
+_MOST_ECCENTRIC = 0.3
 
 
 def _brush(c: Context) -> Iterator[Basis]:
@@ -108,9 +111,9 @@ def _resistance_step(c: Context) -> Iterator[Basis]:
 def _eccentricity(c: Context) -> Iterator[Basis]:
     angle = c.motion.at_sample["position_rad"]
 
-    def start(b: F64) -> dict[str, float]:
+    def start(b: F64) -> dict[str, float] | None:
         size, phi = phase(b[0], b[1])
-        return {"e_enc": size, "phi_enc": phi}
+        return {"e_enc": size, "phi_enc": phi} if size < _MOST_ECCENTRIC else None
 
     shown = [{"position_rad": wave, "velocity_rad_s": rate * c.motion.at_sample["velocity_rad_s"]}
              for wave, rate in ((np.sin(angle), np.cos(angle)), (np.cos(angle), -np.sin(angle)))]  # fmt: skip

@@ -25,6 +25,8 @@ def encode(values: F64, *, ordered: bool = False) -> dict[str, Any]:
     offset = float(0.5 * finite.min() + 0.5 * finite.max()) if finite.size else 0.0
     if np.all((finite == np.round(finite)) & (np.abs(finite) < 2**24)):
         offset = 0.0  # whole numbers (iterations, indices) stay whole
+    if np.any(np.abs(finite) > 0.5 * np.finfo(np.float64).max):
+        offset = 0.0  # at the edge of all numbers a rounded sum may be none
     shifted = np.where(known, np.where(known, values, 0.0) - offset, 0.0)
     wide = ordered and values.size > 1 and _blurred(shifted)
     if not wide and np.any(np.abs(shifted) > np.finfo(np.float32).max):

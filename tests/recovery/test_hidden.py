@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import datetime as dt
+import time
 
 import numpy as np
 import pytest
+from scipy.stats import binom
 
 from tests.recovery.hidden import INVISIBLE, UNNAMED, Case, cases, judge
 from tests.recovery.matrix import wilson
 
 pytestmark = pytest.mark.usefixtures("generator_built")
 
-#: Cases of today's sample, and how many must be right: of 8 with 90 % each, fewer are right once in 2,000 days.
-_TODAY, _LEAST = 8, 4
+#: Cases of today's sample; none is begun after so many seconds (a slow machine judges fewer).
+_TODAY, _BUDGET_S = 8, 240.0
 
 
 @pytest.mark.parametrize(
@@ -38,7 +40,16 @@ def test_nothing_is_named_where_nothing_is_hidden() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(900)
+def test_a_drift_of_free_runs_is_not_taken_for_the_heat_of_a_winding() -> None:
+    """What the recorded voltage does not show adds up along a free run of a light motor; a fit that knows of such noise
+    needs no effect with a memory of its own."""
+    judgement = judge(Case("clean", "clear", "re40", "pick_and_place", 4221))
+    assert judgement.verdict == "none", judgement
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_a_brake_by_eddy_currents_is_no_stribeck_friction() -> None:
     """Its torque rises and falls with speed: the same three values fit it, with less friction at rest than at speed."""
     judgement = judge(Case("eddy_brake", "clear", "paper", "multisine", 7), seconds=15.0)
@@ -47,7 +58,7 @@ def test_a_brake_by_eddy_currents_is_no_stribeck_friction() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize(
     ("cause", "strength", "motor", "motion"),
     [
@@ -64,7 +75,7 @@ def test_harder_effects_are_named(cause: str, strength: str, motor: str, motion:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize(
     ("cause", "strength", "motor", "motion", "seed"),
     [
@@ -81,7 +92,7 @@ def test_what_a_fit_was_caught_by_is_overcome(cause: str, strength: str, motor: 
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(900)
 def test_two_that_hide_each_other_are_found_at_once() -> None:
     judgement = judge(Case("encoder_eccentricity+coulomb_friction", "clear", "large", "reversals", 601974))
     assert set(judgement.found) == set(judgement.expected), judgement
@@ -90,7 +101,7 @@ def test_two_that_hide_each_other_are_found_at_once() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize(("motor", "motion"), [("large", "reversals"), ("paper", "steps")])
 @pytest.mark.parametrize("cause", UNNAMED)
 def test_what_the_library_does_not_hold_gets_no_name(cause: str, motor: str, motion: str) -> None:
@@ -106,10 +117,14 @@ def test_todays_sample(capsys: pytest.CaptureFixture[str]) -> None:
     seed = dt.datetime.now(dt.UTC).date().toordinal()
     every = [c for c in cases(repeats=3, clean=64) if c.cause not in INVISIBLE]
     drawn = [every[int(k)] for k in np.random.default_rng(seed).choice(len(every), _TODAY, replace=False)]
-    judged = [judge(c) for c in drawn]
+    end, judged = time.monotonic() + _BUDGET_S, []
+    for case in drawn:
+        if not judged or time.monotonic() < end:
+            judged.append(judge(case))
     with capsys.disabled():
         print(f"\nsample of day {seed}:", *(f"{j.case.key} → {j.found or j.verdict}" for j in judged), sep="\n  ")
-    assert sum(j.right for j in judged) >= _LEAST
+    # Where nine of ten are right, fewer than these are once in 2,000 days.
+    assert sum(j.right for j in judged) >= binom.ppf(1 / 2000, len(judged), 0.9)
     assert not [j for j in judged if j.case.cause == "clean" and j.found]
 
 

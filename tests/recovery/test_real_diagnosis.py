@@ -38,6 +38,40 @@ def test_xl330_lifts_a_pendulum(servo_data: Path) -> None:
     assert document["gain"]["error_removed"] > 0.9
 
 
+@pytest.mark.timeout(900)
+def test_xl330_gear_rubs_more_under_load(servo_data: Path) -> None:
+    """Six captures of 6 s together: the gear's friction has a name, and R and K are no longer bent (published with a
+    friction that depends on load: R 2.4 to 2.8 Ω, K 0.304 to 0.366; with Coulomb friction R 4.0 to 4.8)."""
+    document = diagnosed(*sorted(servo_data.glob("xl330_*.csv.gz")))
+    assert names(document) == ["gravity_load", "load_dependent_friction"]
+    motor = document["extended"]["parameters"]
+    assert 2.0 < motor["R"]["value"] < 2.9
+    assert 0.29 < motor["K"]["value"] < 0.38
+    assert 0.3 < motor["mu"]["value"] < 0.7
+
+
+@pytest.mark.parametrize("capture", ["odrive_slow_nocomp", "odrive_slow_comp"])
+def test_odrive_is_dragged_over_its_detents(servo_data: Path, capture: str) -> None:
+    """Four of the five known harmonics have a name, the fifth (36) is what is left. The compensation adds its torque
+    through the same current: it makes the motion even, and the current that cogging needs is the same with it."""
+    document = diagnosed(servo_data / f"{capture}.csv.gz")
+    assert document["verdict"] == "found"
+    assert document["judged_by"] == "balance"
+    assert all(name.startswith("cogging_torque") for name in names(document))
+    found = {}
+    for effect in document["effects"]:
+        ending = effect["name"].removeprefix("cogging_torque")
+        p = effect["parameters"]
+        (ratio,) = (c for c in document["combinations"] if c["expression"] == f"Tcog{ending}/K")
+        found[p[f"n_cog{ending}"]["value"]] = (ratio["value"], p[f"phi_cog{ending}"]["value"])
+    expected = {7: (0.80, -0.64), 14: (0.21, 2.42), 12: (0.18, 1.89), 28: (0.185, -0.49)}  # A, rad; both captures
+    assert set(found) == set(expected)
+    for n, (amplitude, phase) in expected.items():
+        assert found[n][0] == pytest.approx(amplitude, abs=0.035)
+        assert found[n][1] == pytest.approx(phase, abs=0.1)
+    assert 0.93 < document["gain"]["error_removed"] < 0.99
+
+
 def test_unal_has_a_dead_zone(servo_data: Path) -> None:
     """0.2 V of it, published. Its speed never reverses: Coulomb friction, a constant load and an offset of the voltage
     are the same there, and that is said."""

@@ -196,6 +196,17 @@ def _without(name: str) -> Callable[[Columns], Columns]:
 
 
 @pytest.mark.slow
+def test_what_is_large_and_has_no_name_is_not_nothing(tmp_path: Path) -> None:
+    """A load that rattles in its play, which neither a search nor a look at speed, angle, current and time explains."""
+    path = tmp_path / "play.csv"
+    words = ("--seconds", "20", "--seed", "77", "--effect", "backlash")
+    assert run_command("simulate", "--out", path, *words).code == 0
+    document = run_command("diagnose", path, "--out", tmp_path / "report", "--json").document
+    assert document["verdict"] != "none"
+    assert not document["remaining"]["white"]
+
+
+@pytest.mark.slow
 def test_without_a_voltage_the_cause_is_named_and_no_number_is_invented(capture: Path, tmp_path: Path) -> None:
     bare = rewritten(capture, tmp_path / "c.csv", _without("voltage_V"))
     document = run_command("diagnose", bare, "--json").document

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from servo_daemon.diagnosis.adequacy import contradicts
-from servo_daemon.diagnosis.candidates import as_simpler
+from servo_daemon.diagnosis.candidates import as_simpler, proposals
 from servo_daemon.diagnosis.compare import Advantage
 from servo_daemon.diagnosis.dependence import _moments
 from servo_daemon.diagnosis.evidence import (
@@ -21,9 +21,12 @@ from servo_daemon.diagnosis.evidence import (
     overwhelming,
     worth_a_name,
 )
+from servo_daemon.diagnosis.screen import ScreenedCandidate
 from servo_daemon.diagnosis.trial import _lifted
+from servo_daemon.estimators.base import to_coordinate
 from servo_daemon.estimators.output_error.parameters import FittedParameter
 from servo_daemon.estimators.output_error.rollout import STEP
+from servo_daemon.plant.build import build_plant
 
 
 def test_stribeck_friction_is_larger_at_rest() -> None:
@@ -115,6 +118,22 @@ def test_two_estimates_that_cannot_both_be_right() -> None:
     assert not contradict(estimate(1.0, 0.003), estimate(1.03, 0.02))  # the shorter runs do not say
     assert not contradict(estimate(1.0, 0.003), estimate(1.005, 0.003))  # no simulation is exact to that
     assert not contradict(estimate(1.0, None), estimate(2.0, 0.003))
+
+
+def test_a_cause_whose_size_the_user_gives_is_fitted_whatever_screening_sees() -> None:
+    """The weight of a pendulum is known; beside a motor that the linear fit has bent nothing of it shows."""
+    plant = build_plant(())
+    motor = {p.name: p.nominal for p in plant.parameters}
+    current: Any = SimpleNamespace(effects=(), values=motor)
+    coordinates = np.array([to_coordinate(p, p.nominal) for p in plant.parameters])
+    missing: Any = SimpleNamespace(augmented=SimpleNamespace(plant=plant), coordinates=coordinates)
+    screened = (
+        ScreenedCandidate("quadratic_drag", 0.4, {"c2": 1e-3}, 0.4, {}),
+        ScreenedCandidate("gravity_load", 0.0, {"Tg": 0.1, "phi_g": 0.0}, -0.01, {}),
+    )
+    assert [p.name for p in proposals(current, screened, missing)] == ["quadratic_drag"]
+    given = proposals(current, screened, missing, given={"Tg": 0.48})
+    assert [p.name for p in given] == ["quadratic_drag", "gravity_load"]
 
 
 def test_what_was_driven_to_nothing_is_lifted_to_where_it_is_seen() -> None:

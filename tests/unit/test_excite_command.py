@@ -155,7 +155,14 @@ def test_bad_input_is_one_line(config: Path, tmp_path: Path, words: tuple[str, .
 
 
 @pytest.mark.parametrize(
-    ("text", "says"), [("[]", "not a diagnosis.json"), ("{}", "not a diagnosis.json"), ("x", "not a JSON document")]
+    ("text", "says"),
+    [
+        ("[]", "not a diagnosis.json"),
+        ("{}", "schema None, this"),
+        ('{"schema": 1}', "it has no 'effects'"),
+        ('{"schema": 2}', "schema 2, this version reads 1"),
+        ("x", "not a JSON document"),
+    ],
 )
 def test_a_document_that_is_no_diagnosis_is_named(config: Path, tmp_path: Path, text: str, says: str) -> None:
     (tmp_path / "d.json").write_text(text, encoding="utf-8")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -86,6 +86,7 @@ def test_a_cloud_keeps_its_outline() -> None:
     assert quarter[0] == pytest.approx(quarter[1], abs=0.02), "the rest is thinned evenly"
 
 
+@example(np.array([1.79769313e308, -3.08977193e305]))
 @given(hnp.arrays(np.float64, st.integers(1, 50), elements=st.floats(allow_nan=True, allow_infinity=True)))
 def test_an_array_reads_back_and_is_never_nan(values: F64) -> None:
     document = json.loads(json.dumps(encode(values), allow_nan=False))

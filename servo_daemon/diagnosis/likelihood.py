@@ -1,0 +1,51 @@
+"""Whether data that a model explains to their noise need an effect at all.
+
+Free runs add up what the recorded voltage does not show: over half a second a light motor drifts off by a dozen encoder
+steps, and an effect with a memory of its own (a winding that warms up within a second) can be bent to follow the very
+drift that came up, on runs that were held out too where these lie between the others. A fit that takes this noise for
+what it is needs no such help. Where both models, with noise that enters the motor, are white over the whole recording,
+their likelihoods can be compared (Schwarz 1978): twice the logarithm of their ratio was −308 and −30 for two effects
+that were not there, 2,641 for one that was.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+from servo_daemon.diagnosis.select import Selection, without_effect
+from servo_daemon.diagnosis.trial import Trial
+from servo_daemon.estimators.output_error import OutputErrorFit
+
+#: Beyond what its parameters cost an effect makes the data likelier by this, twice the logarithm.
+_LIKELIER = 30.0
+#: An effect without which the free runs that decide are so many times worse is needed in any case.
+_PLAINLY = 2.0
+
+
+def without_the_unneeded(
+    selection: Selection, extended: OutputErrorFit, whole: Callable[[Trial], OutputErrorFit | None]
+) -> Selection | None:
+    """The search's result less an effect without which the data are as likely; None: all are needed, or it cannot be
+    told.
+
+    Args:
+        extended: fitted to everything, with noise that enters the motor.
+        whole: such a fit of another model; None where there is none.
+    """
+    if not extended.white:
+        return None
+    for name in selection.added:
+        others = tuple(a for a in selection.added if a != name)
+        without = without_effect(selection.data, selection.chosen, name) if others else selection.base
+        if without is None or without.choice.nrmse > _PLAINLY * selection.chosen.choice.nrmse:
+            continue  # no drift of free runs makes such a difference, and a fit to everything takes its time
+        fit = whole(without)
+        if fit is None or not fit.white:
+            continue
+        more = len(extended.problem.free) - len(fit.problem.free)
+        cost = more * math.log(max(float(extended.problem.counts.sum()), 2.0))
+        if fit.solution.point.value - extended.solution.point.value < cost + _LIKELIER:
+            return replace(selection, chosen=without, added=others)
+    return None
