@@ -13,6 +13,17 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 
 
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest first: no process is still at one when the others have finished."""
+
+    def seconds(item: pytest.Item) -> float:
+        marker = item.get_closest_marker("timeout")
+        return float(marker.args[0]) if marker is not None and marker.args else 0.0
+
+    items.sort(key=seconds, reverse=True)
+
+
 def _missing(what: str) -> NoReturn:
     """A part of the system is not there: a skip that says so; a failure where SERVO_DAEMON_REQUIRE_SYSTEM is set."""
     if os.environ.get("SERVO_DAEMON_REQUIRE_SYSTEM", "") not in {"", "0"}:

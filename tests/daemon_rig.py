@@ -49,6 +49,8 @@ class Fed(Driver):
         return block
 
     def put(self, what: SampleBlock | Exception) -> None:
+        if not isinstance(what, Exception):
+            self.fed += len(what)
         with self._ready:
             self._next.append(what)
             self._ready.notify_all()
@@ -64,7 +66,6 @@ class Fed(Driver):
             what = self._next.pop(0)
         if isinstance(what, Exception):
             raise what
-        self.fed += len(what)
         return what
 
     def _close(self) -> None:

@@ -10,6 +10,7 @@ from starlette.responses import JSONResponse
 
 from servo_daemon.api import assets, diagnosis_schemas, problems, schemas
 from servo_daemon.api.guard import Guard
+from servo_daemon.api.head import Head
 from servo_daemon.api.routes import api_router, metrics_router
 from servo_daemon.service.view import DaemonView
 
@@ -46,6 +47,7 @@ def create_app(daemon: DaemonView, allowed_hosts: Iterable[str] = ()) -> FastAPI
     app.include_router(api_router(daemon, PREFIX), prefix=PREFIX)
     app.include_router(metrics_router(daemon))
     app.include_router(assets.make_router())
+    app.add_middleware(Head)
     app.add_middleware(Guard, allowed_hosts=tuple(allowed_hosts))
     _describe(app)
     return app

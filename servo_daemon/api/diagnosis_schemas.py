@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
 
 from servo_daemon.service.diagnosis_state import DiagnosisStatus, Trigger
 
@@ -19,11 +20,33 @@ class _Document(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
+#: JSON's true and false are no numbers.
+Number = Annotated[float, Field(strict=True)]
+
+
+def _kind(given: object) -> str:
+    """Which member of a union a value is meant as: so a mistake brings one complaint, and not one of each member."""
+    if isinstance(given, str):
+        return "<text>"
+    return "<document>" if isinstance(given, Mapping | BaseModel) else "<number>"
+
+
+TaggedNumber = Annotated[Number, Tag("<number>")]
+TaggedText = Annotated[str, Tag("<text>")]
+
+
 class StartValueDocument(_Document):
     """Where a parameter begins."""
 
-    value: float | str = Field(description="In the parameter's unit; a choice (`channel`) by its name.")
-    std: float | None = Field(None, ge=0, description="1 σ in the parameter's unit; null: not known.")
+    value: Annotated[TaggedNumber | TaggedText, Discriminator(_kind)] = Field(
+        description="In the parameter's unit; a choice (`channel`) by its name."
+    )
+    std: Number | None = Field(None, ge=0, description="1 σ in the parameter's unit; null: not known.")
+
+
+StartValue = Annotated[
+    TaggedNumber | TaggedText | Annotated[StartValueDocument, Tag("<document>")], Discriminator(_kind)
+]
 
 
 class ModelRequestDocument(_Document):
@@ -32,7 +55,7 @@ class ModelRequestDocument(_Document):
     model_config = _example(effects=["coulomb_friction"], parameters={"Tc": {"value": 0.0125, "std": 0.0004}})
 
     effects: list[str] = Field(max_length=64, description="All effects on top of the linear motor; `[]`: none.")
-    parameters: dict[str, float | str | StartValueDocument] = Field(
+    parameters: dict[str, StartValue] = Field(
         default={},
         max_length=200,
         description="Where parameters begin, value or value and std. The others keep what is known of them; those of "

@@ -98,18 +98,27 @@ async def _on_http(request: Request, error: Exception) -> Response:
 
 def _complaint(error: Mapping[str, Any]) -> dict[str, str]:
     place, *name = error["loc"]
+    detail = str(error["msg"])
+    if error["type"] == "json_invalid":
+        detail, name = f"not JSON: {error['ctx']['error']} at character {name[0]}", []
+    elif place == "body" and not name:
+        detail = "a JSON object is needed, sent with Content-Type: application/json"
     return {
         "location": str(place),
-        "parameter": ".".join(str(part) for part in name),
-        "detail": str(error["msg"]),
+        "parameter": ".".join(part for part in map(str, name) if not part.startswith("<")),  # a union's member
+        "detail": detail,
     }
+
+
+def _sentence(complaint: Mapping[str, str]) -> str:
+    name = f" parameter '{complaint['parameter']}'" if complaint["parameter"] else ""
+    return f"{complaint['location']}{name}: {complaint['detail']}"
 
 
 async def _on_validation(request: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
     complaints = [_complaint(e) for e in error.errors()]
-    detail = "; ".join(f"{c['location']} parameter '{c['parameter']}': {c['detail']}" for c in complaints)
-    return problem_response(request, 422, "invalid_parameter", detail, errors=complaints)
+    return problem_response(request, 422, "invalid_parameter", "; ".join(map(_sentence, complaints)), errors=complaints)
 
 
 async def _on_anything(request: Request, _error: Exception) -> Response:

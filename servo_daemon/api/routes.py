@@ -18,12 +18,16 @@ from servo_daemon.api.stream import StreamSlots, estimates_stream
 from servo_daemon.api.times import ACCEPTED, parse_time
 from servo_daemon.api.tuning import TuningAnswers
 from servo_daemon.service import exposition
+from servo_daemon.service.history import HistorySeries, split_unit
 from servo_daemon.service.metrics import render_metrics
 from servo_daemon.service.view import DaemonView, DriveView
 from servo_daemon.tuning.knowledge import Ask
 
 DEFAULT_POINTS: Final = 1000
 MAX_POINTS: Final = 20_000
+
+#: What every drive shows beside its parameters, as far as it is measured or follows from it.
+_STATE: Final = ("current_A", "velocity_rad_s", "position_rad")
 
 #: nginx would otherwise hold events back until its buffer is full.
 _STREAM_HEADERS: Final = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
@@ -129,10 +133,7 @@ class Routes:
         try:
             series = view.history.query(parameter, limits["start"], limits["end"], points)
         except KeyError:
-            known = list(view.history.names())
-            names = ", ".join(known) or "none yet"
-            detail = f"{parameter!r} has no history; known are {names}"
-            raise parameter_problem("parameter", detail, known) from None
+            series = _nothing_yet(view, parameter)
         return json_response(documents.history_document(view, series))
 
     async def events(self, drive: DriveName) -> Response:
@@ -169,6 +170,22 @@ class Routes:
         """Forget what was learned of this drive and start from the nominal values. Answers before it is done."""
         self.find(drive).request_reset()
         return json_response({"drive": drive, "accepted": True}, 202)
+
+
+def _nothing_yet(view: DriveView, parameter: str) -> HistorySeries:
+    """The history of what is published and has no row so far: before the first samples, after a change of model.
+
+    Raises:
+        ProblemError: 422, it is no parameter of this drive, and none is kept of an earlier model.
+    """
+    units = {p.name: p.unit for p in view.initial_parameters}
+    if parameter in units:
+        return HistorySeries.empty(parameter, units[parameter], parameter=True)
+    if parameter in _STATE:
+        return HistorySeries.empty(parameter, split_unit(parameter)[1], parameter=False)
+    known = list(dict.fromkeys([*units, *view.history.names(), *_STATE]))
+    detail = f"{parameter!r} has no history; known are {', '.join(known)}"
+    raise parameter_problem("parameter", detail, known)
 
 
 def _limit(name: str, text: str | None, now_s: float) -> float | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import time
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 from drivers.base import Driver
 from servo_daemon.commands import common
 from servo_daemon.config import DriveConfig, load_config
-from servo_daemon.errors import DriverConfigError, DriverError, EndOfStreamError
+from servo_daemon.errors import BadInputError, DriverConfigError, DriverError, EndOfStreamError
 from servo_daemon.estimators.signals import plan_signals
 
 HELP = "validate a config, open each driver and say what it sees"
@@ -30,6 +31,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Exit code 1 if a drive cannot be opened or says nothing; 2 if the configuration is wrong."""
     from drivers.registry import make_driver
 
+    if not 0.0 < arguments.listen < math.inf:
+        raise BadInputError(f"--listen must be greater than zero, not {arguments.listen:g}")
     config = load_config(arguments.config)
     drives = [(d, make_driver(d.driver, d.name, d.options)) for d in config.drive]  # all options, before any device
     reports = [_look(drive, driver, arguments.listen) for drive, driver in drives]

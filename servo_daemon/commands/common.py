@@ -58,14 +58,25 @@ def parse_fix(text: str) -> dict[str, float]:
         if name in values:
             raise BadInputError(f"--fix: {name} is given twice")
         try:
-            value = float(number)
-        except ValueError:
-            raise BadInputError(f"--fix: {part!r}: {number!r} is not a number") from None
-        p = table[name]
-        if not p.lower <= value <= p.upper:  # which a NaN is not
-            raise BadInputError(f"--fix: {name} = {number} {p.unit} is outside {p.lower:g} .. {p.upper:g}")
-        values[name] = value
+            values[name] = table[name].read(number)
+        except ValueError as error:
+            raise BadInputError(f"--fix: {name} = {error}") from None
     return values
+
+
+def keep_inputs(out: Path, *inputs: Path | None) -> None:
+    """See that what is written takes the place of nothing that is read.
+
+    Args:
+        out: of `--out`.
+        inputs: files the command reads; None: not given.
+
+    Raises:
+        BadInputError: it is one of them.
+    """
+    for path in inputs:
+        if path is not None and out.exists() and path.exists() and out.samefile(path) and out.is_file():
+            raise BadInputError(f"--out {out}: is {path} itself, which is read: choose another name")
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
@@ -141,15 +152,22 @@ def parameter_rows(parameters: tuple[ParameterEstimate, ...]) -> dict[str, dict[
     return {p.name: {key: getattr(p, key) for key in keys} for p in parameters}
 
 
+def stop_signals() -> tuple[signal.Signals, ...]:
+    """What asks a command that runs on to end in order: SIGTERM, Ctrl-C, and the terminal that is closed (unless
+    `nohup` keeps that from it)."""
+    hangup = () if signal.getsignal(signal.SIGHUP) == signal.SIG_IGN else (signal.SIGHUP,)
+    return (signal.SIGTERM, signal.SIGINT, *hangup)
+
+
 @contextmanager
 def stop_requested() -> Iterator[Event]:
-    """Set by SIGTERM and Ctrl-C, so that work can end in order instead of anywhere."""
+    """Set by `stop_signals`, so that work can end in order instead of anywhere."""
     event = Event()
 
     def stop(_signal: int, _frame: FrameType | None) -> None:
         event.set()
 
-    previous = {number: signal.signal(number, stop) for number in (signal.SIGTERM, signal.SIGINT)}
+    previous = {number: signal.signal(number, stop) for number in stop_signals()}
     try:
         yield event
     finally:

@@ -74,15 +74,13 @@ def run(arguments: argparse.Namespace) -> int:
     from servo_daemon.commands.fit_notes import drift_note, result_notes
     from servo_daemon.commands.fit_text import print_fit
     from servo_daemon.commands.output_folder import OutputFolder
-    from servo_daemon.errors import BadInputError
     from servo_daemon.estimators.output_error import FitOptions
     from servo_daemon.identification import IdentifyOptions, identify
 
-    if arguments.segment is not None and not arguments.segment > 0.0:
-        raise BadInputError(f"--segment must be greater than zero, not {arguments.segment:g}")
     if arguments.out is not None:
         OutputFolder(arguments.out).check_writable()  # what cannot be written should not be computed first
     inputs = gather(arguments, arguments.captures, arguments.validate)
+    _check_segment(arguments.segment, inputs)
     check_validation(inputs, arguments.adapt)
     for text in inputs.notes:
         common.note(text)
@@ -107,6 +105,25 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         print_fit(document)
     return 0
+
+
+def _check_segment(segment_s: float | None, inputs: Inputs) -> None:
+    """Each free run has an initial state of its own, which some samples must tell.
+
+    Raises:
+        BadInputError: there are too few in a run of this length, s.
+    """
+    from servo_daemon.errors import BadInputError
+    from servo_daemon.estimators.output_error.setup import FEWEST_SAMPLES
+
+    if segment_s is None:
+        return
+    if not segment_s > 0.0:
+        raise BadInputError(f"--segment must be greater than zero, not {segment_s:g}")
+    for capture in inputs.captures:
+        if segment_s < (shortest := (FEWEST_SAMPLES - 1) * capture.sample_period_s):
+            least = f"{FEWEST_SAMPLES} samples, here {shortest:.3g} s"
+            raise BadInputError(f"--segment {segment_s:g}: {capture.path}: a free run needs at least {least}")
 
 
 def _idim(arguments: argparse.Namespace, inputs: Inputs) -> int:

@@ -8,6 +8,7 @@ from servo_daemon.commands.units import shown_column, shown_unit
 from servo_daemon.estimators.output_error import OutputErrorFit
 from servo_daemon.estimators.output_error.input_error import sample_period_s
 from servo_daemon.identification.drift import SEGMENT_S, Drift
+from servo_daemon.plant.parameters import spaced
 
 #: An estimate further from its nominal value than this factor is no ageing: a unit, a sign, another motor.
 _FAR = 10.0
@@ -28,11 +29,13 @@ def result_notes(fit: OutputErrorFit, nominal: Mapping[str, float]) -> list[str]
             continue
         if given is not None and given > 0 and p.value > 0 and not 1 / _FAR < p.value / given < _FAR:
             notes.append(
-                f"{name} = {p.value:.4g} {p.unit} is {p.value / given:.3g} times its nominal value: "
+                f"{name} = {p.value:.4g}{spaced(p.unit)} is {p.value / given:.3g} times its nominal value: "
                 "is a column in another unit, or its sign turned?"
             )
         if p.at_bound:
-            notes.append(f"{name} ended at its physical bound, {p.value:.3g} {p.unit}: the data ask for what cannot be")
+            notes.append(
+                f"{name} ended at its physical bound, {p.value:.3g}{spaced(p.unit)}: the data ask for what cannot be"
+            )
     for name, spread in zip(fit.problem.channels, fit.problem.spread, strict=True):
         if fit.residual[name].rmse > _NOTHING * spread > 0:
             notes.append(f"the model explains next to nothing of {name}: is its sign turned, or its unit wrong?")

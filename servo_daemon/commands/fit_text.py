@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from servo_daemon.plant.parameters import spaced
+
 
 def print_fit(document: Mapping[str, Any]) -> None:
     """The document of `fit` as text on stdout."""
@@ -39,7 +41,7 @@ def parameter_line(name: str, p: Mapping[str, Any]) -> str:
     std = "" if p["std"] is None else f" ± {p['std']:.2g}"
     if p.get("std_white") is not None:
         std += f" (± {p['std_white']:.2g} if the residual were white)"
-    return f"  {name:>8} = {value}{std} {p['unit']}{remark}"
+    return f"  {name:>8} = {value}{std}{spaced(p['unit'])}{remark}"
 
 
 def open_lines(document: Mapping[str, Any]) -> list[str]:

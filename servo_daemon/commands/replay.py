@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from servo_daemon.commands import common
+from servo_daemon.plant.parameters import spaced
 from servo_daemon.service.snapshot import ParameterEstimate
 
 if TYPE_CHECKING:
@@ -49,6 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.block < 1:
         raise BadInputError(f"--block must be at least 1, not {arguments.block}")
+    common.keep_inputs(arguments.out, arguments.capture, arguments.config, arguments.learned, arguments.signals)
     drive = common.offline_drive(arguments)
     (capture,) = common.read_captures([arguments.capture], arguments)
     pipeline = Pipeline(drive, common.capture_info(capture))
@@ -118,4 +120,4 @@ def _print_table(document: dict[str, Any]) -> None:
         value = "—" if p["value"] is None else f"{p['value']:.6g}"
         std = "" if p["std"] is None else f" ± {p['std']:.2g}"
         reason = f"  ({p['reason']})" if p["reason"] else ""
-        common.note(f"  {name:>6} = {value}{std} {p['unit']}  {p['status']}{reason}")
+        common.note(f"  {name:>6} = {value}{std}{spaced(p['unit'])}  {p['status']}{reason}")

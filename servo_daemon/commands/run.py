@@ -33,8 +33,6 @@ EXAMPLE = """  servo-daemon run
 #: Open streams and slow clients may hold up a stop this long, s.
 _DRAIN_S = 1
 
-_STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     common.add_config(parser, drive=False)
@@ -48,11 +46,13 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         with _stop_during_start_up():
             from servo_daemon.service.daemon import Daemon
+            from servo_daemon.service.state_lock import state_locked
 
             config = _configuration(arguments)
+            state_dir = _state_dir(arguments, config)
             listener = _listen(config.api.host, config.api.port)
-            with listener:
-                daemon = Daemon(config, _state_dir(arguments, config))
+            with listener, state_locked(state_dir, (d.name for d in config.drive)):
+                daemon = Daemon(config, state_dir)
                 with asyncio.Runner(loop_factory=_loop_factory()) as runner:
                     runner.run(_serve(daemon, listener))
     except _StopError as stop:
@@ -61,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 class _StopError(BaseException):
-    """SIGTERM or SIGINT before the daemon runs: nothing is open yet that would have to be closed in order."""
+    """A stop before the daemon runs: nothing is open yet that would have to be closed in order."""
 
 
 @contextmanager
@@ -71,7 +71,7 @@ def _stop_during_start_up() -> Iterator[None]:
     def stop(number: int, _frame: FrameType | None) -> None:
         raise _StopError(signal.Signals(number).name)
 
-    previous = {number: signal.signal(number, stop) for number in _STOP_SIGNALS}
+    previous = {number: signal.signal(number, stop) for number in common.stop_signals()}
     try:
         yield
     finally:
@@ -153,7 +153,7 @@ def _loop_factory() -> Callable[[], asyncio.AbstractEventLoop] | None:
 
 
 async def _serve(daemon: Daemon, listener: socket.socket) -> None:
-    """API in this thread's event loop, everything else in threads of the daemon, until SIGTERM or SIGINT."""
+    """API in this thread's event loop, everything else in threads of the daemon, until a signal says stop."""
     loop, told = asyncio.get_running_loop(), asyncio.Event()
 
     def stop(name: str) -> None:
@@ -162,7 +162,7 @@ async def _serve(daemon: Daemon, listener: socket.socket) -> None:
             told.set()
             daemon.begin_stop()
 
-    for number in (signal.SIGTERM, signal.SIGINT):
+    for number in common.stop_signals():
         loop.add_signal_handler(number, stop, number.name)
     daemon.start()
     try:

@@ -32,8 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     from servo_daemon.simulate import DEFAULT_AGEING, DEFAULT_J_M, SimulatedDrive, make_settings
 
+    _check(arguments)
     stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
+    for number in common.stop_signals():
         signal.signal(number, lambda *_: stop.set())
     if arguments.seconds is not None:
         timer = threading.Timer(arguments.seconds, stop.set)
@@ -59,3 +60,19 @@ def run(arguments: argparse.Namespace) -> int:
 
         run_slcan_device(link, source, drive_id=arguments.drive_id, stop=stop)
     return 0
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    """Refuse what the wire cannot carry.
+
+    Raises:
+        BadInputError: naming the flag.
+    """
+    from drivers.can_wire import FIRST_DRIVE, LAST_DRIVE
+    from servo_daemon.errors import BadInputError
+
+    lowest, highest = (0, 255) if arguments.serial is not None else (FIRST_DRIVE, LAST_DRIVE)
+    if not lowest <= arguments.drive_id <= highest:
+        raise BadInputError(f"--drive-id {arguments.drive_id} is outside {lowest} .. {highest}")
+    if arguments.seconds is not None and not 0.0 < arguments.seconds <= threading.TIMEOUT_MAX:
+        raise BadInputError(f"--seconds must be greater than zero, not {arguments.seconds:g}")

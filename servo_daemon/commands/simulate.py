@@ -57,6 +57,7 @@ def _assignments(text: str) -> dict[str, float]:
 
 def run(arguments: argparse.Namespace) -> int:
     from servo_daemon.captures import write_capture
+    from servo_daemon.captures.model import MIN_SAMPLES
     from servo_daemon.simulate import simulate_capture
 
     ageing = [part for text in arguments.ageing for part in text.split(",") if part]
@@ -71,6 +72,9 @@ def run(arguments: argparse.Namespace) -> int:
         supply_V=arguments.supply,
         command=shlex.join(["servo-daemon", *sys.argv[1:]]),
     )
+    if len(block) < MIN_SAMPLES:
+        few = f"{arguments.seconds:g} s at {arguments.rate:g} Hz are {len(block)} sample"
+        raise BadInputError(f"{few}: a capture has at least {MIN_SAMPLES}")
     write_capture(arguments.out, block, metadata=metadata)
     if arguments.json:
         common.print_json({"capture": str(arguments.out), "samples": len(block), "metadata": metadata})

@@ -23,7 +23,7 @@ EXAMPLE = """  servo-daemon tune capture.csv --config servo-daemon.toml --bandwi
 
 #: Taken for the loop's rate where nobody says it, and told.
 _ASSUMED_RATE_HZ = 1000.0
-_TOLERANCE = re.compile(r"^(?:(?P<name>\w+)\s*=\s*)?(?P<percent>[0-9.]+(?:[eE][-+]?\d+)?)\s*%$")
+_TOLERANCE = re.compile(r"^(?:(?P<name>\w+)\s*=\s*)?(?P<percent>(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*%$")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -97,7 +97,8 @@ def _setup(drive: DriveConfig, capture: Capture | None, arguments: argparse.Name
     for name in ("rate_hz", "delay_samples"):
         value, flag = getattr(arguments, name), f"--{name.replace('_', '-')}"
         if value is not None and not (0 <= value < 1e6 and (value > 0 or name == "delay_samples")):
-            raise BadInputError(f"{flag} must be a positive number, not {value:g}")
+            what = "a positive number" if name == "rate_hz" else "a number and not negative"
+            raise BadInputError(f"{flag} must be {what}, not {value:g}")
     counts = None if capture is None else capture.counts_per_rev
     facts = loop_facts(drive, counts)
     if arguments.delay_samples is not None:

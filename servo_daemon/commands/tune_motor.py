@@ -158,7 +158,8 @@ def _to_be_given(fit: OutputErrorFit) -> tuple[str, ...]:
     """The fewest of R, L, K, J, B that must be given so that no null direction is left among them."""
     absent = [n for n in NEEDED if n not in fit.problem.plant.parameter_names]
     lost = [n for n in _EASY if n in fit.after.names and fit.parameters[n].std is None]
-    rows = np.array([[d.components.get(n, 0.0) for n in lost] for d in fit.null_directions]).reshape(-1, len(lost))
+    rows = np.array([[d.components.get(n, 0.0) for n in lost] for d in fit.null_directions])
+    rows = rows.reshape(len(fit.null_directions), len(lost))  # also where there are none of both
     rank = np.linalg.matrix_rank(rows, tol=_ROUNDED) if rows.size else 0
     for size in range(rank, len(lost)):
         for chosen in combinations(range(len(lost)), size):

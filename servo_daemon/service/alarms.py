@@ -7,13 +7,12 @@ as `unexcited`); with any other status it stays as it is.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from servo_daemon.config import DriveConfig
-from servo_daemon.errors import ConfigError
+from servo_daemon.config_texts import share
 from servo_daemon.estimators.settings import Message
-from servo_daemon.plant.parameters import J_D
+from servo_daemon.plant.parameters import J_D, spaced
 from servo_daemon.service.publish import published_names
 from servo_daemon.service.snapshot import Estimate, ParameterEstimate
 
@@ -44,9 +43,6 @@ class Alarms:
 
     Attributes:
         impossible: to be told at the start: alarms that can never ring, and why.
-
-    Raises:
-        ConfigError: a limit that is not a finite number.
     """
 
     def __init__(self, config: DriveConfig) -> None:
@@ -58,7 +54,7 @@ class Alarms:
             parameter, _, side = name.rpartition("_")
             why = _impossible(config, parameter, isinstance(written, str))
             if why is None:
-                value = _limit(config, parameter, name, written)
+                value = _limit(config, parameter, written)
                 self._limits.append(Limit(name, parameter, side == "max", value))
             else:
                 self.impossible.append(("alarm_impossible", f"the alarm {name} cannot work: {why}", {"alarm": name}))
@@ -124,27 +120,22 @@ def _impossible(config: DriveConfig, parameter: str, relative: bool) -> str | No
     return None
 
 
-def _limit(config: DriveConfig, parameter: str, name: str, written: float | str) -> float:
+def _limit(config: DriveConfig, parameter: str, written: float | str) -> float:
     """The limit in the parameter's unit. A share is one of the nominal value's size: "+30 %" is above it whatever its
     sign."""
-    try:
-        value = float(written.replace("%", "")) if isinstance(written, str) else float(written)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise ConfigError(f"drive '{config.name}': limits.{name} = {written!r} is not a finite number")
     if not isinstance(written, str):
-        return value
+        return float(written)
     given = config.nominal
     nominal = given["J"] - given["J_m"] if parameter == J_D.name else given[parameter]
-    return nominal + value / 100.0 * abs(nominal)
+    return nominal + share(written) * abs(nominal)
 
 
 def _message(kind: str, limit: Limit, p: ParameterEstimate, value: float, time_s: float) -> Message:
     side = "above" if limit.is_upper else "below"
     back = "below" if limit.is_upper else "above"
     where = f"is {side}" if kind == "alarm" else f"is back {back}"
-    text = f"{p.name} = {value:.4g} {p.unit}".rstrip() + f" {where} its limit {limit.name} = {limit.value:.4g} {p.unit}"
+    unit = spaced(p.unit)
+    text = f"{p.name} = {value:.4g}{unit} {where} its limit {limit.name} = {limit.value:.4g}{unit}"
     data: dict[str, float | int | str | None] = {
         "alarm": limit.name,
         "parameter": p.name,

@@ -228,8 +228,11 @@ def _told(done: Diagnosis) -> tuple[str, Mapping[str, float | int | str | None]]
         removed = "" if share is None else f"; with it {100 * share:.0f} % of the error that can go is gone"
         text = f"the data hold what the model lacks: {', '.join(done.effects)}{removed}"
         return text, {**data, "error_removed": share}
+    remaining = result.get("remaining") or {}
     if done.verdict == "none":
-        return "nothing is missing: the model explains the recording to its noise", data
-    follows = (result.get("remaining") or {}).get("depends_on") or []
+        white = remaining.get("white", True)
+        how = "the model explains the recording to its noise" if white else "no other explains the recording better"
+        return f"nothing is missing: {how}", data
+    follows = remaining.get("depends_on") or []
     on = ", ".join(str(f.get("on", f) if isinstance(f, dict) else f) for f in follows)
     return "the model lacks something that has no name here" + (f"; it follows {on}" if on else ""), data

@@ -49,6 +49,12 @@ class HistorySeries:
     status: I8 | None
     truth: F64 | None
 
+    @classmethod
+    def empty(cls, name: str, unit: str | None, *, parameter: bool) -> HistorySeries:
+        """Of a parameter or a state channel of which no row is kept."""
+        none = np.empty(0)
+        return cls(name, unit, none, none, none, np.empty(0, np.int8) if parameter else None, None)
+
     def __len__(self) -> int:
         return int(self.time_s.shape[0])
 

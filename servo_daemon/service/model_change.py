@@ -14,6 +14,7 @@ from servo_daemon.config import DriveConfig
 from servo_daemon.errors import ConfigError, ModelError
 from servo_daemon.estimators.heritage import StartValue
 from servo_daemon.estimators.settings import Message
+from servo_daemon.estimators.signals import is_held
 from servo_daemon.plant.effects import check_effects, effects_by_name
 from servo_daemon.plant.parameters import LINEAR, Parameter
 
@@ -47,7 +48,7 @@ class ModelRequest:
         own = {p.name for p in LINEAR}
         for name, (value, _) in self.start.items():
             # What the filter cannot search for is held at its nominal value: there the newer one counts.
-            if name not in own and (name not in nominal or parameters_of(self.effects)[name].searched):
+            if name not in own and (name not in nominal or is_held(parameters_of(self.effects)[name])):
                 nominal[name] = value
         return config.model_copy(update={"model": self.effects, "nominal": nominal})
 
@@ -103,15 +104,15 @@ def checked_request(
 
 def _checked(p: Parameter, value: float | str, std: float | None) -> StartValue:
     where = f"parameters.{p.name}"
-    if isinstance(value, str):
-        if value not in p.choices:
-            raise ModelError(where, f"{value!r} is none of {', '.join(p.choices) or 'its values, which are numbers'}")
-        value = float(p.choices.index(value))
-    if not (math.isfinite(value) and p.lower <= value <= p.upper):
-        raise ModelError(where, f"{value:g} {p.unit}".rstrip() + f" is outside {p.lower:g} .. {p.upper:g}")
+    if isinstance(value, str) and value not in p.choices:  # JSON has numbers of its own
+        raise ModelError(where, f"{value!r} is none of {', '.join(p.choices) or 'its values, which are numbers'}")
+    try:
+        number = p.read(value)
+    except ValueError as error:
+        raise ModelError(where, str(error)) from None
     if std is not None and not (math.isfinite(std) and std >= 0):
         raise ModelError(where, f"a standard deviation of {std:g} makes no sense")
-    return float(value), std or None
+    return number, std if std and std < p.upper - p.lower else None  # one that is wider says nothing
 
 
 def adopted_effects(model: Sequence[str], found: Sequence[str]) -> tuple[str, ...]:

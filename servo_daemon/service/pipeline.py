@@ -163,10 +163,14 @@ class Pipeline:
             self._begin(block.channels)
         estimates = []
         restarts, repeated = self._cutter.restarts, self._cutter.repeated
-        for segment in self._cutter.cut(block):
+        segments = tuple(self._cutter.cut(block))
+        last = max((k for k, segment in enumerate(segments) if segment.closes_tick), default=-1)
+        for k, segment in enumerate(segments):
             if segment.closes_tick and self._tick:
                 self._close_tick()
-                if rows and self._tracker is not None and self._tracker.last_s is not None:
+                # At the tick's end, before the filter takes what came with it in one block: what is published must not
+                # depend on how the samples came.
+                if (rows or k == last) and self._tracker is not None and self._tracker.last_s is not None:
                     estimates.append(self._publish())
             assert self._tracker is not None
             self._tracker.take(segment.block)
@@ -178,7 +182,7 @@ class Pipeline:
         if self._cutter.restarts > restarts:
             text = "device time began anew: the device restarted; its parameters are kept"
             self.messages.append(("device_restarted", text, {"restarts": self._cutter.restarts}))
-        return estimates
+        return estimates if rows else []
 
     def finish(self) -> Estimate | None:
         """At the end of a finite source: the estimate after the last, incomplete tick; None if there is none."""
@@ -232,9 +236,10 @@ class Pipeline:
     def _close_tick(self) -> None:
         assert self._tracker is not None
         tick = concatenate(self._tick)
-        self.messages += self._tracker.close_tick(tick)
+        told = self._tracker.close_tick(tick)
+        self.messages += told
         if self._refresher is not None:
-            self.messages += self._refresher.take(tick, self._tracker)
+            self.messages += self._refresher.take(tick, self._tracker, told)
         if self._ring is not None:
             self._ring.append(tick)
         self._tick = []

@@ -13,7 +13,8 @@ from servo_daemon.config import DriveConfig
 from servo_daemon.estimators import excitation
 from servo_daemon.estimators.base import Gaussian, from_coordinate
 from servo_daemon.estimators.fusion import Fused, as_last_known, fuse
-from servo_daemon.estimators.motor_rls import RegressionEstimate
+from servo_daemon.estimators.regression_estimate import RegressionEstimate
+from servo_daemon.estimators.regression_terms import waves_per_turn
 from servo_daemon.estimators.settings import Resolutions, TrackerSettings
 from servo_daemon.estimators.tracker import Tracker
 from servo_daemon.plant.effects import effects_by_name, parameter_table
@@ -51,8 +52,8 @@ class Adopted:
 
 @dataclass(frozen=True, slots=True)
 class SavedState:
-    """What survives a restart of the daemon: coordinates and covariance of the qualified parameters, if they all are,
-    and an adopted model."""
+    """What survives a restart of the daemon: coordinates and covariance of the qualified parameters, and an adopted
+    model."""
 
     model: tuple[str, ...]
     names: tuple[str, ...]
@@ -162,15 +163,18 @@ class Publisher:
             nominal = self._config.nominal.get(p.name)
             if p.name not in tracker.plan.free:
                 why = tracker.plan.reasons.get(p.name, f"{p.name} is not visible in these signals")
-                out.append(Fused(nominal, None, "fixed" if nominal is not None else "estimating", why))
+                taken = tracker.plan.held.get(p.name, nominal)  # what the filter runs with, whoever chose it
+                out.append(Fused(taken, None, "fixed" if taken is not None else "estimating", why))
             elif g is None:
                 out.append(_before_the_filter(p, tracker, nominal))
             else:
                 k = known[p.name]
-                floor = self._skew_floor(g) if p.name == "L" else 0.0
+                floor = self._floor(p.name, g, tracker)
                 last = None if qualified[k] else tracker.last_known(p.name)
                 if last is None:
-                    out.append(fuse(p, mean[k], std[k], excited[k], qualified[k], nominal, floor))
+                    found = fuse(p, mean[k], std[k], excited[k], qualified[k], nominal, floor)
+                    unclaimed = tracker.plan.unclaimed.get(p.name)
+                    out.append(found if unclaimed is None else replace(found, reason=unclaimed))
                     continue
                 why = "the data no longer confirm a value" if excited[k] else excitation.reason(p.name)
                 out.append(as_last_known(p, last, why, std[k], floor))
@@ -193,8 +197,9 @@ class Publisher:
         for k, p in enumerate(known.values()):
             if not own[rows[k]]:  # as it was last known: its error has to do with nobody's of now
                 values[k][k] = self._coordinate_var(p)
-            elif p.name == "L":
-                values[k][k] += (self._skew_floor(g) / self._value("L", g)) ** 2
+            elif floor := self._floor(p.name, g, tracker):
+                scale = self._value(p.name, g) if self._table[p.name].transform == "log" else 1.0
+                values[k][k] += (floor / scale) ** 2
         if not all(math.isfinite(value) for row in values for value in row):
             return None
         return Covariance(tuple(known), tuple(map(tuple, values)))
@@ -203,6 +208,12 @@ class Publisher:
         """Of a published parameter."""
         scale = p.value if self._table[p.name].transform == "log" else 1.0
         return ((p.std or 0.0) / (scale or 1.0)) ** 2
+
+    def _floor(self, name: str, g: Gaussian, tracker: Tracker) -> float:
+        """1 σ in the parameter's unit that no amount of data removes."""
+        if name == "L":
+            return self._skew_floor(g)
+        return 0.5 * tracker.position_lsb_rad * waves_per_turn(name, tracker.plan.held)
 
     def _skew_floor(self, g: Gaussian) -> float:
         """What unknown skew of current and voltage sampling means for L: a delay δ looks like an inductance δ·R."""

@@ -54,7 +54,9 @@ def command(*words: str | Path) -> list[str]:
     return [sys.executable, "-m", "servo_daemon", *map(str, words)]
 
 
-def run_once(*words: str | Path, env: Mapping[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+def run_once(
+    *words: str | Path, env: Mapping[str, str] | None = None, within_s: float = PATIENCE_S
+) -> subprocess.CompletedProcess[str]:
     """A command that ends by itself."""
     return subprocess.run(
         command(*words),
@@ -62,7 +64,7 @@ def run_once(*words: str | Path, env: Mapping[str, str] | None = None) -> subpro
         env=dict(env or environment()),
         text=True,
         capture_output=True,
-        timeout=PATIENCE_S,
+        timeout=within_s,
         check=False,
     )
 

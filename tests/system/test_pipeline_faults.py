@@ -299,3 +299,26 @@ def test_any_samples_are_survived(
         assert estimate.samples + pipeline.samples_repeated == fed
         state = pipeline.save()
         assert state is None or np.isfinite(state.mean).all()
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 5.0])
+def test_a_drive_slower_than_the_ticks_is_a_drive(rate_hz: float) -> None:
+    """One sample in a tick, or in some of them: no distance of two within one."""
+    drive = SimulatedDrive(make_settings(rate_hz=rate_hz, seed=0))
+    pipeline = Pipeline(DriveConfig(), drive.info)  # nothing is nominal, so the regression's start is awaited
+    pipeline.process(drive.next_block(250))
+    found = current(pipeline)
+    assert found.sample_rate_hz == pytest.approx(rate_hz, rel=0.01)
+    assert all(p.value is None for p in found.parameters)  # of windings so much faster nothing is seen
+
+
+def test_friction_by_direction_is_tracked() -> None:
+    """It stands in the regression in the place of the constant torque that every drive has."""
+    drive = SimulatedDrive(make_settings(effects=["asymmetric_friction"], rate_hz=500.0, seed=0))
+    pipeline = Pipeline(config(model=("asymmetric_friction",)), drive.info)
+    pipeline.process(drive.next_block(6000))
+    found = {p.name: p for p in current(pipeline).parameters}
+    truth = drive.truth()
+    for name in ("R", "L", "K", "J"):
+        assert found[name].status == "tracking"
+        assert abs(found[name].value - truth[name]) < FEW_STD * found[name].std  # type: ignore[operator]

@@ -65,7 +65,8 @@ def test_the_refreshed_drive_recovers_sooner(missing: Callable[[str], NoReturn],
         head="[learning]\ntrain = false\n",
     )  # fmt: skip
     environment = dict(os.environ, XDG_CACHE_HOME=str(tmp_path / "cache"), PYTHONUNBUFFERED="1")
-    trained = run_once("train", "--config", config, "--drive", "refreshed", "--motors", "800", env=environment)
+    words = ("train", "--config", config, "--drive", "refreshed", "--motors", "800")
+    trained = run_once(*words, env=environment, within_s=300.0)
     assert trained.returncode == 0, trained.stderr
 
     def recovered(d: dict[str, Any]) -> bool:

@@ -30,7 +30,8 @@ def test_the_next_run_starts_from_what_the_last_one_knew(tmp_path: Path) -> None
     saved = json.loads(file.read_text())
     assert saved["schema"] == 1 and saved["names"] == list(PAPER_MOTOR)
 
-    with daemon("--config", config(tmp_path), "--state-dir", state) as program:
+    unhurried = config(tmp_path, speed=0.2)  # so that even a slow machine looks before a second of samples is there
+    with daemon("--config", unhurried, "--state-dir", state) as program:
         first = program.until(lambda d: statuses(d) != {"estimating"}, "the first estimates")
         assert first["samples"] < 1000, "sooner than a regression could have found anything"
         assert_close(program.until(all_tracking, "tracks"), PAPER_MOTOR)

@@ -14,7 +14,7 @@ import pytest
 
 from tests.system.harness import STOP_S, Program, all_tracking, daemon, nominal_table, wait_for, write_config
 
-SIGNALS = [signal.SIGTERM, signal.SIGINT]
+SIGNALS = [signal.SIGTERM, signal.SIGINT, signal.SIGHUP]
 
 
 @pytest.mark.parametrize("number", SIGNALS, ids=lambda n: n.name)
@@ -114,3 +114,14 @@ def test_a_simulated_drive_stops_too(tmp_path: Path) -> None:
             assert not link.is_symlink(), "its link is gone"
         finally:
             program.end()
+
+
+def test_nohup_outlives_the_terminal() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # a child inherits it, as from nohup
+    try:
+        with daemon() as program:
+            program.send(signal.SIGHUP)
+            assert program.stop() < STOP_S, program.log
+            assert program.said("SIGHUP") == 0 and program.said("SIGTERM: stopping") == 1
+    finally:
+        signal.signal(signal.SIGHUP, before)

@@ -24,6 +24,7 @@ from tests.unit.test_api_problems import problem
 
 AXIS1 = "/api/v1/drives/axis1"
 DIAGNOSIS, REPORT, MODEL = f"{AXIS1}/diagnosis", f"{AXIS1}/diagnosis/report", f"{AXIS1}/model"
+FORM = "application/x-www-form-urlencoded"
 DONE = replace(RUNNING, status="done", finished=T0 + 60, progress=1.0, step=None, result=result("found", 0.0125))
 FAILED = replace(RUNNING, status="failed", finished=T0 + 60, reason="ended after its time limit")
 
@@ -176,15 +177,19 @@ def test_what_no_drive_can_have_is_named(daemon: FakeDaemon, client: Client) -> 
     ("content", "parameter"),
     [
         ("", ""),
-        ("{", "1"),
+        ("{", ""),
+        ("null", ""),
         ("[]", ""),
         ("{}", "effects"),
         ('{"effects": "coulomb_friction"}', "effects"),
         ('{"effects": [1]}', "effects.0"),
         ('{"effects": [], "parameter": {}}', "parameter"),
-        ('{"effects": [], "parameters": {"Tc": {"std": 1}}}', "parameters.Tc"),
-        ('{"effects": [], "parameters": {"Tc": {"value": 1, "std": -1}}}', "parameters.Tc"),
-        ('{"effects": [], "parameters": {"Tc": {"value": NaN}}}', "parameters.Tc"),
+        ('{"effects": [], "parameters": {"Tc": {"std": 1}}}', "parameters.Tc.value"),
+        ('{"effects": [], "parameters": {"Tc": {"value": 1, "std": -1}}}', "parameters.Tc.std"),
+        ('{"effects": [], "parameters": {"Tc": {"value": 1, "std": true}}}', "parameters.Tc.std"),
+        ('{"effects": [], "parameters": {"Tc": {"value": NaN}}}', "parameters.Tc.value"),
+        ('{"effects": [], "parameters": {"Tc": true}}', "parameters.Tc"),
+        ('{"effects": [], "parameters": {"Tc": null}}', "parameters.Tc"),
         ('{"effects": [], "parameters": {"Tc": Infinity}}', "parameters.Tc"),
         ('{"effects": [], "parameters": {"Tc": [1]}}', "parameters.Tc"),
     ],
@@ -193,7 +198,15 @@ def test_a_body_that_makes_no_sense_is_named(client: Client, content: str, param
     response = client.post(MODEL, content=content, headers={"content-type": "application/json"})
     document = problem(response, 422)
     assert document["code"] == "invalid_parameter"
-    assert any(e["parameter"].startswith(parameter) for e in document["errors"])
+    assert [e["parameter"] for e in document["errors"]] == [parameter], "one complaint of one mistake"
+
+
+def test_a_body_that_is_no_json_is_told_so(client: Client) -> None:
+    """`curl -d` without a header sends a form."""
+    form = problem(client.post(MODEL, content='{"effects": []}', headers={"content-type": FORM}), 422)
+    assert form["detail"] == "body: a JSON object is needed, sent with Content-Type: application/json"
+    cut = problem(client.post(MODEL, content='{"effects": [', headers={"content-type": "application/json"}), 422)
+    assert cut["detail"] == "body: not JSON: Expecting value at character 13"
 
 
 @pytest.mark.parametrize("path", ["/diagnosis", "/diagnosis/report"])

@@ -37,6 +37,20 @@ def test_files_are_asked_for_again_and_sent_only_if_changed(client: Client, path
     assert (head.status_code, head.headers["etag"]) == (200, tag)
 
 
+@pytest.mark.parametrize("path", ["/metrics", "/api/v1/drives", "/api/v1/drives/axis1/estimates", "/api/v1/nothing"])
+def test_head_is_get_without_its_body(client: Client, path: str) -> None:
+    get, head = client.get(path), client.request("HEAD", path)
+    assert head.content == b""
+    assert head.status_code == get.status_code
+    assert head.headers["content-type"] == get.headers["content-type"]
+
+
+def test_head_of_a_stream_ends(client: Client) -> None:
+    head = client.request("HEAD", "/api/v1/drives/axis1/stream")
+    assert (head.status_code, head.content) == (200, b"")
+    assert head.headers["content-type"].startswith("text/event-stream")
+
+
 def test_media_types(client: Client) -> None:
     for path, media_type in (
         ("/", "text/html; charset=utf-8"),

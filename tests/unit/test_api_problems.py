@@ -90,6 +90,19 @@ def test_a_parameter_without_history_names_those_with(client: Client) -> None:
     assert "'Q'" in document["detail"]
 
 
+@pytest.mark.parametrize(("name", "unit"), [("R", "Ω"), ("B", "N·m·s/rad"), ("current_A", "A")])
+def test_before_the_first_samples_a_history_is_empty(name: str, unit: str) -> None:
+    """A page that asks as soon as the daemon answers has made no mistake."""
+    client = Client(create_app(FakeDaemon({"axis1": FakeDrive()})))
+    answer = client.get(f"{HISTORY}?parameter={name}")
+    assert answer.status_code == 200
+    document = answer.json()
+    assert (document["parameter"], document["unit"], document["points"]) == (name, unit, 0)
+    assert document["time"] == document["value"] == document["std"] == []
+    assert document["status"] == ([] if name != "current_A" else None)
+    assert "Q" not in problem(client.get(HISTORY + "?parameter=Q"), 422)["known"]
+
+
 class _BrokenDrive(FakeDrive):
     def events(self) -> Any:
         raise RuntimeError("a secret of the implementation")

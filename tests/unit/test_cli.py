@@ -23,6 +23,7 @@ from scipy.io import savemat
 from drivers.registry import make_driver
 from servo_daemon import cli
 from servo_daemon.captures import read_capture, write_capture
+from servo_daemon.commands.common import capture_info
 from servo_daemon.config import DriveConfig
 from servo_daemon.errors import EndOfStreamError
 from servo_daemon.estimates_csv import EstimatesWriter
@@ -218,6 +219,27 @@ def test_replay_is_what_the_live_pipeline_gives(run: Run, capture: Path, tmp_pat
         writer.write(final)
     assert blocks > 100
     assert live.read_bytes() == whole
+
+
+@pytest.mark.parametrize("size", [1, 23, 170, 1100])
+def test_what_the_daemon_publishes_is_a_row_of_replay(capture: Path, size: int) -> None:
+    """It asks after each block, whose samples may belong to the next tick already."""
+    config, block = DriveConfig(nominal=dict(PAPER_MOTOR)), read_capture(capture).block()
+    info = capture_info(read_capture(capture))
+    rows = {row.time_s: row.parameters for row in Pipeline(config, info).process(block)}
+    live, seen = Pipeline(config, info), 0
+    for a in range(0, len(block), size):
+        part = block.slice(a, a + size)
+        live.process(part, rows=False)
+        estimate = live.current()
+        assert estimate is not None and estimate.time_s == float(part.time_s[-1])
+        ended = [
+            t for t in rows if t < estimate.time_s and np.floor(t * 10 + 1e-6) < np.floor(estimate.time_s * 10 + 1e-6)
+        ]
+        if ended:
+            assert estimate.parameters == rows[max(ended)]
+            seen += 1
+    assert seen > 2
 
 
 def test_replay_depends_on_no_clock_zone_or_hash(run: Run, capture: Path, tmp_path: Path) -> None:
@@ -440,7 +462,7 @@ def test_record_of_a_device_that_goes_away_fails_and_keeps_what_there_was(run: R
     assert len(read_capture(tmp_path / "r.csv")) == 1500
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=lambda n: n.name)
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP], ids=lambda n: n.name)
 def test_record_that_is_stopped_keeps_what_there_was(tmp_path: Path, number: signal.Signals) -> None:
     config = simulated_config(tmp_path, "seed = 3")
     out = tmp_path / "r.csv"
@@ -562,3 +584,51 @@ def test_a_reader_of_our_output_that_goes_away_is_no_crash(capture: Path, tmp_pa
     program.stderr.close()
     assert program.wait(60) == 1
     assert "Traceback" not in errors
+
+
+def test_what_is_read_is_not_written_over(run: Run, capture: Path, tmp_path: Path) -> None:
+    """A capture cannot be measured again."""
+    config = tmp_path / "servo.toml"
+    config.write_text("[[drive]]\nname = 'a'\n[drive.nominal]\nR=1\nL=1e-3\nK=0.1\nJ=1e-3\nB=1e-2\n")
+    link = tmp_path / "link.csv"
+    link.symlink_to(capture)
+    before = capture.read_bytes()
+    for words in (
+        ("replay", capture, "--out", capture),
+        ("replay", capture, "--out", link),
+        ("replay", capture, "--config", config, "--out", config),
+        ("excite", "--config", config, "--diagnosis", capture, "--out", capture),
+        ("train", "--config", config, "--motors", "1", "--out", config),
+    ):
+        result = run(*words)
+        assert result.code == 2 and "which is read: choose another name" in result.err
+    assert capture.read_bytes() == before and config.read_text().startswith("[[drive]]")
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("simulate", "--out", "s.csv", "--seconds", "0.001"), "1 sample: a capture has at least 2"),
+        (("sim-drive", "--serial", "link", "--drive-id", "-1"), "--drive-id -1 is outside 0 .. 255"),
+        (("sim-drive", "--serial", "link", "--drive-id", "256"), "--drive-id 256 is outside 0 .. 255"),
+        (("sim-drive", "--slcan", "link", "--drive-id", "32"), "--drive-id 32 is outside 1 .. 31"),
+        (("sim-drive", "--serial", "link", "--seconds", "-1"), "--seconds must be greater than zero, not -1"),
+        (("sim-drive", "--serial", "link", "--seconds", "nan"), "--seconds must be greater than zero, not nan"),
+        (("check", "--config", "c.toml", "--listen", "nan"), "--listen must be greater than zero, not nan"),
+        (("check", "--config", "c.toml", "--listen", "0"), "--listen must be greater than zero, not 0"),
+        (("check", "--config", "c.toml"), "drive a: unknown driver 'tacho'"),
+        (("train", "--jobs", "0"), "--jobs must not be 0"),
+        (("train", "--seed", "-1"), "--seed must not be negative"),
+        (("train", "--rate", "0"), "--rate must be greater than zero"),
+        (("train", "--motors", "1", "--out", "."), "--out .: is a folder"),
+        (("train", "--motors", "1", "--out", "c.toml/model"), "--out c.toml: "),
+    ],
+)
+def test_what_cannot_be_is_refused_at_once(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], says: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("c.toml").write_text("[[drive]]\nname = 'a'\ndriver = 'tacho'\n")
+    result = run(*words)
+    assert (result.code, len(result.err.strip().splitlines())) == (2, 1), result.err
+    assert says in result.err and [p.name for p in tmp_path.iterdir()] == ["c.toml"]

@@ -136,9 +136,10 @@ def test_what_is_out_of_reach_is_capped_and_says_why(run: Run) -> None:  # noqa:
         (("--fix", FIX, "--rate-hz", "0"), "--rate-hz"),
         (("--fix", FIX, "--delay-samples", "50"), "--delay-samples"),
         (("--fix", "X=1"), "unknown parameter in 'X=1'"),
-        (("--fix", "R=big"), "'R=big'"),
+        (("--fix", "R=big"), "R = 'big' is not a number"),
         (("--fix", "R=-1"), "outside"),
         (("--fix", FIX, "--tolerance", "10"), "not of the form 10%"),
+        (("--fix", FIX, "--tolerance", "1.2.3%"), "'1.2.3%' is not of the form 10%"),
         (("--fix", FIX, "--tolerance", "150%"), "between 0 and 100 %"),
         (("--fix", FIX, "--tolerance", "Tc=10%"), "unknown parameter"),
     ],
@@ -196,6 +197,9 @@ def test_what_must_be_given_is_said(run: Run, capture: Path, tmp_path: Path) -> 
     assert result.code == 2 and "no_voltage.csv" in result.document["error"]
     assert "--fix R=…,L=…,K=… " in result.document["error"]
     assert run("tune", no_voltage, "--fix", "R=0.4937,L=2.2769e-3,K=0.30628", "--json").code == 0
+    torque = tmp_path / "torque.csv"
+    torque.write_text(no_voltage.read_text().replace("current_A", "torque_Nm"))
+    assert "--fix R=…,L=…,K=… " in run("tune", torque, "--json").document["error"]
     still = without(without(capture, "position_rad", tmp_path / "a.csv"), "velocity_rad_s", tmp_path / "still.csv")
     result = run("tune", still, "--json")
     assert result.code == 2 and "--fix K=… " in result.document["error"]

@@ -13,6 +13,7 @@ import pytest
 
 from servo_daemon.captures import read_capture, write_capture
 from servo_daemon.captures.plausible import plausibility_notes
+from servo_daemon.simulate import PAPER_MOTOR
 from tests.unit.commands import Result, run_command
 
 Run = Callable[..., Result]
@@ -99,6 +100,44 @@ def test_effects_and_validation(capture: Path, tmp_path: Path) -> None:
     # The other motor has no dry friction: what settles sees it.
     assert without["adapted"]["settled"]["Tc"] < 0.03
     assert without["adapted"]["rmse"]["velocity_rad_s"] < without["extended"]["rmse"]["velocity_rad_s"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("effect", "at"),
+    [
+        ("resistance_step:dR=0.1,t_R=2.2", "t_R"),
+        ("load_torque_step:dTL=0.5,t_TL=4.7", "t_TL"),
+        ("periodic_disturbance:Tper=0.3,f_per=7", "f_per"),
+    ],
+)
+def test_instants_and_frequencies_are_searched_for(tmp_path: Path, effect: str, at: str) -> None:
+    path, (name, _, values) = tmp_path / "step.csv", effect.partition(":")
+    assert run_command("simulate", "--out", path, "--seconds", "6", "--seed", "2", "--effect", effect).code == 0
+    document = run_command("fit", path, "--effect", name, "--json").document
+    for key, true in (pair.split("=") for pair in values.split(",")):
+        assert document["parameters"][key]["value"] == pytest.approx(float(true), rel=0.01), key
+    assert document["parameters"][at]["std"] < 1e-3
+
+
+@pytest.mark.slow
+def test_what_switches_between_samples_is_known_no_better_than_a_simulation_is_exact(tmp_path: Path) -> None:
+    path = tmp_path / "brushes.csv"
+    words = ("--seconds", "20", "--seed", "11", "--effect", "brush_voltage_drop:Vb=1.0")
+    assert run_command("simulate", "--out", path, *words).code == 0
+    found = run_command("fit", path, "--effect", "brush_voltage_drop", "--json").document["parameters"]
+    truth = {**PAPER_MOTOR, "Vb": 1.0}
+    for name, p in found.items():
+        assert abs(p["value"] - truth[name]) < 2 * p["std"], name
+        assert p["std"] < 2e-3 * p["value"], name
+
+
+def test_a_current_that_the_fit_leaves_open_is_not_scored(capture: Path, tmp_path: Path) -> None:
+    bare = rewritten(capture, tmp_path / "bare.csv", lambda c: c.pop("current_A"))
+    for fixed, channels in (("R=0.4937", []), ("R=0.4937,K=0.30628", ["current_A"])):
+        (v,) = run_command("fit", bare, "--fix", fixed, "--validate", capture, "--json").document["validation"]
+        assert list(v["baseline"]["rmse"]) == [*channels, "velocity_rad_s", "position_rad"]
+    assert v["baseline"]["rmse"]["current_A"] < 0.1  # the sensor's noise is 0.06 A
 
 
 def test_a_capture_without_current_says_what_it_holds(capture: Path, tmp_path: Path) -> None:
@@ -204,8 +243,10 @@ def test_what_a_held_voltage_hides_of_j_is_said_or_in_its_deviation(capture: Pat
 
 
 def test_no_excitation_claims_nothing(capture: Path, tmp_path: Path) -> None:
-    document = run_command("fit", rewritten(capture, tmp_path / "still.csv", _still), "--json").document
-    assert all(p["std"] is None for p in document["parameters"].values())
+    still = rewritten(capture, tmp_path / "still.csv", _still)
+    for method in ("output-error", "idim"):
+        document = run_command("fit", still, "--method", method, "--json").document
+        assert all(p["std"] is None for p in document["parameters"].values())
 
 
 @pytest.mark.parametrize(
@@ -254,6 +295,7 @@ def test_nan_is_placed(capture: Path, tmp_path: Path) -> None:
         (("--effect", "magic"), "unknown effect 'magic'"),
         (("--adapt", "1.5"), "--adapt must lie between 0 and 1"),
         (("--segment", "0"), "--segment must be greater than zero"),
+        (("--segment", "1e-9"), "motor.csv: a free run needs at least 10 samples"),
     ],
 )
 def test_wrong_flags_are_named(capture: Path, words: tuple[str, ...], message: str) -> None:

@@ -33,6 +33,9 @@ FRICTION = ("coulomb_friction",)
         (FRICTION, {"Tc": (0.1, -1.0)}, "parameters.Tc", "makes no sense"),
         (FRICTION, {"Tc": (0.1, float("inf"))}, "parameters.Tc", "makes no sense"),
         (FRICTION, {"Tc": ("much", None)}, "parameters.Tc", "'much' is none of"),
+        (FRICTION, {"Tc": ("0.1", None)}, "parameters.Tc", "'0.1' is none of"),
+        (FRICTION, {"Tc": (True, None)}, "parameters.Tc", "True is not a number"),
+        (("measurement_delay",), {"channel": (0.5, None)}, "parameters.channel", "0.5 is none of current_A"),
         (("measurement_delay",), {"channel": ("voltage_V", None)}, "parameters.channel", "'voltage_V' is none of"),
     ],
 )
