@@ -3,6 +3,7 @@
 #   PYTHON=python3.12 make venv     another interpreter (3.11 or newer; only asked when .venv is first made)
 #   make run ARGS="--config deploy/example.toml"
 #   make test ARGS="-k wire -x"
+#   make test WORKERS=0             in one process (for a debugger)
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
@@ -14,6 +15,9 @@ BIN := $(VENV)/bin
 UV_VERSION := 0.13.9
 PREFIX ?= /opt/servo-daemon
 ARGS ?=
+# Test processes beside each other. Each keeps to one thread: several that wait for each other on one core crawl.
+WORKERS ?= auto
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
 # --no-deps: the lock is complete, nothing may be resolved beside it. --no-build-isolation: what has no wheel is built
 # with the setuptools of the lock, not with whatever a registry offers today. Which registry: pip's own configuration.
@@ -22,7 +26,7 @@ PIP_INSTALL := $(PIP) install --no-deps --no-build-isolation --require-hashes
 
 .PHONY: help
 help: ## this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 .PHONY: venv
 venv: $(VENV)/.project ## .venv with everything in it, exactly as locked, and .venv/bin/servo-daemon
@@ -33,7 +37,11 @@ run: venv ## the daemon (ARGS: what follows `servo-daemon run`)
 
 .PHONY: test
 test: venv ## the fast tests (ARGS for pytest)
-	$(BIN)/python -m pytest -m "not slow" $(ARGS)
+	$(PYTEST) -m "not slow" $(ARGS)
+
+.PHONY: test-slow
+test-slow: venv ## the slow ones, and those of the whole system (ARGS for pytest)
+	$(PYTEST) -m slow $(ARGS)
 
 .PHONY: matrix
 matrix: venv ## hides every effect in hundreds of captures and prints what was found (an hour or two, can be resumed)
