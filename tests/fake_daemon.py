@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -107,6 +108,7 @@ class FakeDrive:
     refusal: Exception | None = None  # of the next request
     outcome: ModelChange | None = None  # of a change of the model; None: it takes for ever
     asked: list[tuple[tuple[str, ...], dict[str, object]]] = field(default_factory=list)
+    was_asked: threading.Event = field(default_factory=threading.Event)
 
     @property
     def initial_parameters(self) -> Sequence[ParameterEstimate]:
@@ -139,6 +141,7 @@ class FakeDrive:
         if isinstance(self.refusal, Exception):
             raise self.refusal
         self.asked.append((tuple(effects), dict(start)))
+        self.was_asked.set()
         future: Future[ModelChange] = Future()
         if self.outcome is not None:
             self.model = tuple(effects)

@@ -73,6 +73,7 @@ def test_a_verdict_and_its_adoption(open_page: OpenPage, server: LiveServer) -> 
     page.until("document.getElementById('adopt').textContent == 'Adopting…'")
     assert "linear motor + coulomb friction" in page.evaluate("window.asked")
     assert page.evaluate("document.getElementById('adopt').disabled") is True
+    assert server.axis1.was_asked.wait(10)  # the page says "Adopting…" before its request has arrived
     assert server.axis1.asked == [(FRICTION, {})]
     assert page.errors() == []
 
