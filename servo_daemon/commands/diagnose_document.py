@@ -33,6 +33,7 @@ def diagnosis_document(d: Diagnosis, inputs: Inputs, evidence: Evidence) -> dict
         "schema": SCHEMA,
         "verdict": d.verdict,
         "judged_by": d.judged_by,
+        "deviance_gain": d.deviance_gain,
         "effects": [_effect_row(e, d, inputs, linear=linear) for e in d.effects],
         "baseline": _model_row(d.baseline, d.baseline_score, inputs, linear=linear),
         "extended": None if d.extended is None else _model_row(d.extended, d.extended_score, inputs, linear=linear),

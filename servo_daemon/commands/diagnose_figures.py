@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from servo_daemon.captures import Capture
-from servo_daemon.commands.diagnose_balance import WHY
 from servo_daemon.commands.diagnose_evidence import Evidence
+from servo_daemon.commands.diagnose_judge import WHY
 from servo_daemon.commands.fit_report import LABELS, capture_series
 from servo_daemon.commands.units import shown_column
 from servo_daemon.diagnosis.missing import Missing
@@ -78,7 +78,7 @@ def needed_figures(d: Diagnosis, marks: Sequence[Mark]) -> tuple[Block, ...]:
     if d.after is not None:
         lines.append(Line("extended", _needed(d.after), style="dashed"))
     title = f"{axis.label.capitalize()}: measured, and needed for the measured motion"
-    return (Text(WHY), _figure(title, time, lines, axis, capture, marks))
+    return (Text(WHY["balance"]), _figure(title, time, lines, axis, capture, marks))
 
 
 def _needed(missing: Missing) -> F64:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from servo_daemon.commands.diagnose_balance import by_balance
 from servo_daemon.commands.diagnose_evidence import Evidence
 from servo_daemon.commands.diagnose_figures import MOST_DRAWN, free_run_figures, needed_figures, signal_figures
+from servo_daemon.commands.diagnose_judge import by_balance
 from servo_daemon.commands.diagnose_missing import missing_figures
 from servo_daemon.commands.diagnose_tables import (
     candidate_blocks,

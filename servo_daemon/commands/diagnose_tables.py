@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from servo_daemon.commands.diagnose_balance import by_balance, error_heading
 from servo_daemon.commands.diagnose_hints import experiment
+from servo_daemon.commands.diagnose_judge import by_balance, by_predictions, error_heading
 from servo_daemon.commands.diagnose_words import change_text, headline, model_name, remaining_lines, verdict_lines
 from servo_daemon.commands.fit_report import open_blocks, parameter_remark, score_table
 from servo_daemon.commands.symbols import symbol_text
@@ -45,7 +45,7 @@ def error_blocks(document: Mapping[str, Any]) -> tuple[Block, ...]:
     called = "; ".join(
         f"{kind.capitalize()}: {model_name(m['model'])}" for kind, m in zip(_KINDS, models, strict=False)
     )
-    best = "" if by_balance(document) else ", each from its best initial state"
+    best = ", each from its best initial state" if document["judged_by"] == "free_runs" else ""
     note = f"{error_heading(document)}{best}. {called}."
     table = Table("RMS error on held-out data", columns, tuple(rows), note=note)
     return (table, *_gain_bars(document))
@@ -155,6 +155,8 @@ def candidate_blocks(document: Mapping[str, Any]) -> tuple[Block, ...]:
         "An effect is taken if it lowers this error by a margin that resampling does not undo, and if its parameters "
         "are worth their place (ΔBIC well below zero); a simpler effect goes before one that contains it."
     )
+    if by_predictions(document):
+        text = Text(f"{text.text} Here free runs took none: taken is what the data are far likelier with, and white.")
     return (text, *(_candidate_table(beside, rows) for beside, rows in rounds.items()))
 
 

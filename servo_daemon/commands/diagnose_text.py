@@ -7,8 +7,8 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any
 
-from servo_daemon.commands.diagnose_balance import by_balance, error_heading
 from servo_daemon.commands.diagnose_hints import experiment
+from servo_daemon.commands.diagnose_judge import by_balance, error_heading
 from servo_daemon.commands.diagnose_words import change_text, headline, model_name, percent, verdict_lines
 from servo_daemon.commands.fit_text import open_lines, parameter_line, validation_lines
 from servo_daemon.plant.parameters import spaced

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from servo_daemon.commands.diagnose_balance import WHY, by_balance
+from servo_daemon.commands.diagnose_judge import why
 
 #: What a missing torque or voltage follows, as a reader says it.
 _FOLLOWS = {
@@ -57,8 +57,7 @@ def headline(document: Mapping[str, Any]) -> str:
 def verdict_lines(document: Mapping[str, Any]) -> list[str]:
     """What supports the verdict."""
     if document["verdict"] == "found":
-        why = [WHY] if by_balance(document) else []
-        return [_gain_line(document), *why, *remaining_lines(document)]
+        return [_gain_line(document), *why(document), *remaining_lines(document)]
     if document["verdict"] == "unexplained":
         return [
             "No effect of the library predicts the part of the data that decides better by a margin that counts.",

@@ -66,7 +66,7 @@ def believed(selection: Selection) -> Believed:
         assert before is not None
         extended = fit_everything(data, selection.chosen)
         floor = noise_floor(extended, selection.chosen, CHOICE).nrmse
-        fewer = _weakest(selection, floor) or without_the_unneeded(selection, extended, lambda t: _whole(data, t))
+        fewer = _weakest(selection, floor) or without_the_unneeded(selection, extended, lambda t: fit_whole(data, t))
         if fewer is not None:
             selection = fewer
             continue
@@ -97,14 +97,18 @@ def fit_everything(data: Data, trial: Trial, *, noise: bool = True) -> OutputErr
     Args:
         noise: whether noise that enters the motor is looked for; without it the fit cannot be found white.
     """
-    whole = _whole(data, trial) if noise else None
+    whole = fit_whole(data, trial) if noise else None
     return whole if whole is not None and whole.white else _fit(data, trial, trial.values, data.split.segment_s)
 
 
-def _whole(data: Data, trial: Trial) -> OutputErrorFit | None:
-    """In one run, with noise that enters the motor; None where that fails."""
+def fit_whole(data: Data, trial: Trial, values: Mapping[str, float] | None = None) -> OutputErrorFit | None:
+    """A trial's model fitted to everything in one run, with noise that enters the motor; None where that fails.
+
+    Args:
+        values: from these instead of the trial's.
+    """
     with suppress(NumericalError):
-        return _fit(data, trial, trial.values, None)
+        return _fit(data, trial, values or trial.values, None)
     return None
 
 

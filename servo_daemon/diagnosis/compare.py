@@ -56,6 +56,12 @@ def bootstrapped(a: Scored, b: Scored) -> tuple[float, float, float]:
     return float(gains(np.ones(len(a.squares)))), float(low), float(high)
 
 
+def bootstrapped_sum(per_run: F64) -> tuple[float, float]:
+    """Ends of the 95 % interval of a sum over free runs, shape (h,), of which each might have been drawn again."""
+    low, high = np.quantile(_resamples(len(per_run)) @ per_run, [0.025, 0.975])
+    return float(low), float(high)
+
+
 def _delta_bic(simple: Trial, rich: Trial) -> float:
     """With the richer model's share of independent samples for both: what it leaves is nearer to noise."""
     share = rich.independent

@@ -18,8 +18,10 @@ from servo_daemon.diagnosis.differences import differences
 from servo_daemon.diagnosis.evidence import OVERWHELMING_BIC
 from servo_daemon.diagnosis.inverse import ByBalance, found_by_balance
 from servo_daemon.diagnosis.lacking import longest_missing
+from servo_daemon.diagnosis.missing import Missing
 from servo_daemon.diagnosis.noise_floor import noise_floor
-from servo_daemon.diagnosis.result import CandidateScore, Diagnosis, HeldOut, NamedEffect
+from servo_daemon.diagnosis.predictions import ByPredictions, found_by_predictions
+from servo_daemon.diagnosis.result import CandidateScore, Diagnosis, HeldOut, JudgedBy, NamedEffect
 from servo_daemon.diagnosis.scored import Scored
 from servo_daemon.diagnosis.select import Selection, select, without_effect
 from servo_daemon.diagnosis.split import CHOICE, TRAIN, segment_length_s
@@ -84,8 +86,7 @@ def _diagnose(
     diagnosis = _by_free_runs(captures, data, belief, baseline, _within(progress, 0.88, 1.0))
     if not diagnosis.effects:
         with suppress(ServoDaemonError):  # then the free runs have the last word
-            found = found_by_balance(data, baseline, base, options.nominal)
-            diagnosis = diagnosis if found is None else _by_balance(diagnosis, found)
+            diagnosis = _otherwise(diagnosis, data, belief.selection, options.nominal)
     scores = tuple(validated(c, baseline, diagnosis.extended, options.adapt) for c in validation)
     return replace(diagnosis, validation=scores, seconds=time.perf_counter() - began)
 
@@ -129,18 +130,30 @@ def _by_free_runs(
     )
 
 
+def _otherwise(d: Diagnosis, data: Data, selection: Selection, nominal: Mapping[str, float]) -> Diagnosis:
+    """Where free runs name nothing: what predictions show, else what the balance does."""
+    predicted = found_by_predictions(data, selection, d.candidates)
+    if predicted is not None:
+        named = _named(d, "predictions", predicted, longest_missing(data, predicted.extended))
+        return replace(named, deviance_gain=predicted.deviance_gain)
+    found = found_by_balance(data, d.baseline, selection.base, nominal)
+    return d if found is None else _named(d, "balance", found, found.after, found.before)
+
+
 def _speaks_for_something(selection: Selection) -> bool:
     """Whether a cause fits far better that does not predict better: free runs that drift off with the drive's own noise
     do not decide, and yet it is no noise that is left."""
     return any(c.against.delta_bic < OVERWHELMING_BIC for c in selection.rounds[0])
 
 
-def _by_balance(d: Diagnosis, found: ByBalance) -> Diagnosis:
-    """The diagnosis with what the balance has named."""
+def _named(
+    d: Diagnosis, judge: JudgedBy, found: ByBalance | ByPredictions, after: Missing, before: Missing | None = None
+) -> Diagnosis:
+    """The diagnosis with what another judge than free runs has named."""
     return replace(
         d,
         verdict="found",
-        judged_by="balance",
+        judged_by=judge,
         effects=found.effects,
         extended=found.extended,
         baseline_score=found.baseline_score,
@@ -149,10 +162,10 @@ def _by_balance(d: Diagnosis, found: ByBalance) -> Diagnosis:
         error_removed=found.error_removed,
         ci95=found.ci95,
         candidates=found.candidates,
-        before=found.before,
-        after=found.after,
+        before=before or d.before,
+        after=after,
         white=found.extended.white,
-        depends_on=dependences(found.extended, found.after),
+        depends_on=() if found.extended.white else dependences(found.extended, after),
         differences=(),
         own_models=(),
     )

@@ -55,7 +55,7 @@ class SmoothedStretch:
     Attributes:
         rows: shape (n, 3 + 2 c), as the passes took them.
         passed: shape (n, ·), the forward pass (`Augmented.columns`).
-        z, std: shape (n, n_z), smoothed state and 1 σ.
+        z, std: shape (n, n_z), smoothed state and 1 σ (0 for the steps of a delay line).
     """
 
     rows: F64

@@ -15,9 +15,10 @@ from servo_daemon.identification.validate import Validation
 #: "none": the baseline explains the data to their noise; "found": at least one effect was named; "unexplained": none
 #: was, yet structure remains.
 Verdict = Literal["none", "found", "unexplained"]
-#: What the names and the gain were judged by: free runs of the simulation, or, for a motor that its controller holds
-#: where it would not stay by itself, the torque that its measured motion needs.
-JudgedBy = Literal["free_runs", "balance"]
+#: What the names and the gain were judged by: free runs of the simulation; where noise that enters the motor adds up in
+#: them to more than the effect makes, predictions of each sample from those before it; or, for a motor that its
+#: controller holds where it would not stay by itself, the torque that its measured motion needs.
+JudgedBy = Literal["free_runs", "predictions", "balance"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +105,7 @@ class Diagnosis:
         validation: scores on captures that were not diagnosed.
         seconds: time taken.
         judged_by: see `JudgedBy`; the held-out errors are of that.
+        deviance_gain: by how much −2 log p falls with what predictions have named; else None.
     """
 
     captures: tuple[Capture, ...]
@@ -126,6 +128,7 @@ class Diagnosis:
     validation: tuple[Validation, ...]
     seconds: float
     judged_by: JudgedBy = "free_runs"
+    deviance_gain: float | None = None
 
     @property
     def final(self) -> OutputErrorFit:

@@ -26,10 +26,13 @@ from servo_daemon.estimators.ekf_layout import MEASURABLE
 from servo_daemon.estimators.ekf_model import natural, pack, unpack
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.plant.compiled import SampleLoop
+from servo_daemon.plant.effects.base import LATE
 from servo_daemon.samples import F64
 
 #: Regressors that one call of the linear response carries.
 BATCH = 8
+#: More states than this are those of a delay line, most of which only move on.
+_FEW_STATES = 10
 
 
 @dataclass(frozen=True)
@@ -77,6 +80,16 @@ class Augmented:
         return {name: slice(int(end - size), int(end)) for (name, size), end in zip(sizes.items(), ends, strict=True)}
 
 
+@cache
+def _structure(a: Augmented) -> ca.Sparsity:
+    """Which elements of the step's derivative by z are not always zero, shape (n_x, n_z)."""
+    x, d = ca.SX.sym("x", a.n_x), ca.SX.sym("d", 2)
+    moved = _moved(a, x, d[0], d[1], ca.SX.sym("q", len(a.plant.parameters)), ca.SX.sym("row", 3))
+    chosen = [("torque", "voltage").index(name) for name in a.disturbances]
+    by_state, by_disturbance = ca.jacobian(moved, x).sparsity(), ca.jacobian(moved, d[chosen]).sparsity()
+    return ca.horzcat(by_state, by_disturbance)
+
+
 def _dense(arguments: list[ca.SX], state: ca.SX, output: ca.SX) -> ca.Function:
     """The step for a `SampleLoop`: structural zeros must be written as well."""
     return ca.Function("step", arguments, ca.cse([ca.densify(state), ca.densify(output)]))
@@ -87,6 +100,13 @@ def _moved(a: Augmented, x: ca.SX, torque: ca.SX, voltage: ca.SX, q: ca.SX, row:
     p = natural(a.plant, q)
     p[a.plant.parameter_names.index("TL")] += torque
     return a.plant.step(x, row[2] - voltage, p, row[0], row[1])
+
+
+def _without(M: ca.SX, gain: ca.SX, H: ca.SX) -> ca.SX:
+    """(I − gain H) M, for a column and a row; in n² steps where a delay line brings two dozen states. (With few,
+    1 − k h first: it keeps one more digit of what a wide prior leaves.)"""
+    n = M.shape[0]
+    return (ca.SX.eye(n) - gain @ H) @ M if n <= _FEW_STATES else M - gain @ (H @ M)
 
 
 @dataclass(frozen=True)
@@ -131,9 +151,8 @@ class _Pass:
             precision = valid / (H @ PH + r)
             innovation = ca.if_else(valid > 0, self.row[3 + k] - here, 0.0)
             gain = PH * precision
-            keep = ca.SX.eye(a.n_z) - gain @ H
-            z, P = z + gain * innovation, keep @ P @ keep.T + r * (gain @ gain.T)  # Joseph: stays positive definite
-            P = (P + P.T) / 2
+            z, P = z + gain * innovation, _without(_without(P, gain, H).T, gain, H) + r * (gain @ gain.T)
+            P = (P + P.T) / 2  # Joseph's form: stays positive definite
             innovations, precisions = [*innovations, innovation], [*precisions, precision]
             gains, rows = [*gains, gain], [*rows, H_x.T]
         return z, P, *(ca.vertcat(*part) for part in (innovations, precisions, gains, rows))
@@ -176,8 +195,9 @@ def _part(a: Augmented, row: ca.SX, name: str) -> ca.SX:
 
 
 def _transition(a: Augmented, row: ca.SX) -> ca.SX:
+    """F of a row of the forward pass, without what is always zero (of a delay line nearly all)."""
     n_d = len(a.disturbances)
-    top = ca.reshape(_part(a, row, "F"), a.n_x, a.n_z)
+    top = ca.project(ca.reshape(_part(a, row, "F"), a.n_x, a.n_z), _structure(a))
     return ca.vertcat(top, ca.horzcat(ca.SX.zeros(n_d, a.n_x), ca.SX.eye(n_d)))
 
 
@@ -190,7 +210,8 @@ def _channel(a: Augmented, row: ca.SX, k: int) -> tuple[ca.SX, ca.SX, ca.SX]:
 
 @cache
 def backward(a: Augmented) -> SampleLoop:
-    """Over the forward pass's rows in reverse; state λ | triangle of Λ; output: smoothed z | its variances."""
+    """Over the forward pass's rows in reverse; state λ | triangle of Λ; output: smoothed z | its variances (0 for the
+    steps of a delay line, which nobody asks for)."""
     n = a.n_z
     state, const = ca.SX.sym("state", n + a.n_tri), ca.SX.sym("const", 1)
     row = ca.SX.sym("row", a.columns["H"].stop)
@@ -199,12 +220,16 @@ def backward(a: Augmented) -> SampleLoop:
     lam, Lam = F.T @ lam, F.T @ Lam @ F
     for k in reversed(range(len(a.channels))):
         gain, H, precision = _channel(a, row, k)
-        keep = ca.SX.eye(n) - gain @ H.T
-        lam = keep.T @ lam - H * (_part(a, row, "innovation")[k] * precision)
-        Lam = keep.T @ Lam @ keep + H @ H.T * precision
+        lam = _without(lam, H, gain.T) - H * (_part(a, row, "innovation")[k] * precision)
+        Lam = _without(_without(Lam, H, gain.T).T, H, gain.T) + H @ H.T * precision
     Lam = (Lam + Lam.T) / 2
     P = unpack(_part(a, row, "P"), n)
-    smoothed = ca.vertcat(_part(a, row, "z") - P @ lam, ca.diag(P - P @ Lam @ P))
+    late = {state.name for state in LATE}
+    asked = [k for k, state in enumerate(a.plant.states) if state.name not in late] + list(range(a.n_x, n))
+    variance = ca.SX.zeros(n)
+    for k in asked:
+        variance[k] = P[k, k] - P[k, :] @ Lam @ P[:, k]
+    smoothed = ca.vertcat(_part(a, row, "z") - P @ lam, variance)
     return SampleLoop(_dense([state, const, row], ca.vertcat(lam, pack(Lam)), smoothed))
 
 

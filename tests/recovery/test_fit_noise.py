@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from servo_daemon.estimators.output_error import FitOptions, fit_output_error
 from servo_daemon.estimators.output_error.outcome import NoiseOption, Outcome, conclude
 from servo_daemon.estimators.output_error.setup import Recording, make_problem
 from servo_daemon.estimators.output_error.solver import solve
@@ -72,6 +73,30 @@ def test_noise_of_the_sensors_alone_needs_no_model(noise: str) -> None:
     sensors = Sensors() if noise == "none" else Sensors(current_noise_A=0.003 * PAPER.rated_current_A)
     made = [outcome(PAPER, Scenario("multisine", 2.0, seed=s, sensors=sensors)) for s in range(4)]
     assert all(each.noise is None for each in made)
+
+
+def test_the_deviance_of_a_needless_parameter_is_chance() -> None:
+    """−2 log p falls by χ² of one degree of freedom where a parameter is added that is not there (Wilks 1938); the
+    value of the free runs, which add up the noise, changes by hundreds."""
+    fallen, of_free_runs = [], []
+    for seed in range(6):
+        made = generate(RE40, Scenario("pick_and_place", 4.0, seed=7200 + seed))
+        block = make_block(
+            made.time_s, voltage_V=made.voltage_V, current_A=made.current_A, position_rad=made.position_rad
+        )
+        nominal = {name: float(getattr(RE40, name)) for name in NAMES}
+        options = FitOptions(nominal=nominal, thorough=False)
+        simple, rich = (
+            fit_output_error([Recording("capture", block)], effects, options) for effects in ((), ("quadratic_drag",))
+        )
+        assert simple.white
+        assert simple.deviance is not None
+        assert rich.deviance is not None
+        fallen.append(simple.deviance - rich.deviance)
+        of_free_runs.append(abs(simple.solution.point.value - rich.solution.point.value))
+    assert min(fallen) > -1.0  # (both stop where another step promises next to nothing)
+    assert max(fallen) < 12.0
+    assert max(of_free_runs) > 100.0
 
 
 @pytest.mark.parametrize(("motor", "share"), [(PAPER, 0.005), (GEAR_MOTOR, 0.005), (RE40, 0.01)], ids=str)

@@ -50,6 +50,25 @@ def test_a_drift_of_free_runs_is_not_taken_for_the_heat_of_a_winding() -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
+@pytest.mark.parametrize(
+    ("cause", "strength", "motor", "motion", "seed"),
+    [
+        ("winding_heating", "clear", "re40", "pick_and_place", 891469),  # both models are white, one is far likelier
+        ("measurement_delay", "faint", "large", "reversals", 102971),
+        ("drive_lag", "clear", "paper", "pick_and_place", 101345),  # a late sensor makes the data white as well
+    ],
+)
+def test_what_noise_hides_from_free_runs_is_seen_by_predictions(
+    cause: str, strength: str, motor: str, motion: str, seed: int
+) -> None:
+    judgement = judge(Case(cause, strength, motor, motion, seed))
+    assert judgement.found == (cause,), judgement
+    assert judgement.tied == ()
+    assert judgement.outside == ()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_a_brake_by_eddy_currents_is_no_stribeck_friction() -> None:
     """Its torque rises and falls with speed: the same three values fit it, with less friction at rest than at speed."""
     judgement = judge(Case("eddy_brake", "clear", "paper", "multisine", 7), seconds=15.0)

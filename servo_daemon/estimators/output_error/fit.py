@@ -28,6 +28,7 @@ from servo_daemon.estimators.output_error.parameters import (
     fitted_parameters,
     seen_with_friction,
 )
+from servo_daemon.estimators.output_error.polish import Polished
 from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.output_error.residual import ResidualTest, residual_tests
 from servo_daemon.estimators.output_error.setup import Recording, carrying, current_size, make_problem
@@ -90,6 +91,8 @@ class OutputErrorFit:
         innovation: of the noise model's filter, by channel, where that model is used.
         noise: noise that enters the motor, where it explains what the free run leaves: `solution` is then the estimate
             of largest likelihood under it. None: plain output error.
+        polished: the estimate of largest likelihood under noise of the voltage, whether it is the published one or not;
+            None: it was not asked for, none was seen, or it did not settle.
         plain: the plain output-error solution, whatever was published; `iterations` are its own.
         start: which start won.
         seconds: time taken.
@@ -107,6 +110,7 @@ class OutputErrorFit:
     residual: Mapping[str, ResidualTest]
     innovation: Mapping[str, ResidualTest] | None
     noise: NoiseModel | None
+    polished: Polished | None
     plain: Solution
     start: str
     seconds: float
@@ -119,6 +123,15 @@ class OutputErrorFit:
     def white(self) -> bool:
         """Whether the model and the noise explain the data."""
         return all(test.white for test in (self.innovation or self.residual).values())
+
+    @property
+    def deviance(self) -> float | None:
+        """−2 log p of the data under this model with noise of voltage and sensors: what two fits of the same data are
+        compared by (`solution.point.value` is that of a free run whose sensors alone are noisy, however it was
+        fitted). None: that is not known."""
+        if self.polished is not None:
+            return self.polished.deviance
+        return self.solution.point.value + float(self.problem.counts.sum()) if self.white else None
 
     def cost(self, iteration: Iteration) -> float:
         """Mean squared residual over the mean square of the measured signal about its mean; over several channels the
@@ -183,6 +196,7 @@ def fit_output_error(
         residual=outcome.residual,
         innovation=outcome.innovation,
         noise=outcome.noise,
+        polished=outcome.polished,
         plain=plain,
         start=start.source,
         seconds=time.perf_counter() - began,

@@ -41,6 +41,7 @@ class Outcome:
         residual: of the free run there, by channel.
         innovation: of the filter, by channel; None without a noise model.
         noise: the noise model the estimate is for; None: plain output error.
+        polished: see `OutputErrorFit`.
     """
 
     solution: Solution
@@ -48,6 +49,7 @@ class Outcome:
     residual: Mapping[str, ResidualTest]
     innovation: Mapping[str, ResidualTest] | None
     noise: NoiseModel | None
+    polished: Polished | None
 
 
 def conclude(problem: Problem, plain: Solution, scale: F64, option: NoiseOption, torque_size: float) -> Outcome:
@@ -68,7 +70,7 @@ def conclude(problem: Problem, plain: Solution, scale: F64, option: NoiseOption,
         return _plain(problem, plain, scale, polished)
     solution = replace(plain, point=polished.point, at_bound=polished.at_bound)
     known = information(problem, polished.whitened, scale)
-    return Outcome(solution, known, residual_tests(problem, polished.point), tests, polished.noise)
+    return Outcome(solution, known, residual_tests(problem, polished.point), tests, polished.noise, polished)
 
 
 def _plain(problem: Problem, plain: Solution, scale: F64, rejected: Polished | None) -> Outcome:
@@ -84,4 +86,4 @@ def _plain(problem: Problem, plain: Solution, scale: F64, rejected: Polished | N
             filtered = information(problem, whitened, scale)
             others += [filtered.root, sandwich(problem, whitened, filtered)]
         known = replace(known, root=reduce(largest, others, known.root))
-    return Outcome(plain, known, residual, None, None)
+    return Outcome(plain, known, residual, None, None, rejected)

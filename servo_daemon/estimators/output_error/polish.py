@@ -58,6 +58,7 @@ class Polished:
         whitened: the same with innovations for residuals, in units of their σ.
         noise: the noise model.
         log_variance: of the noises, as the filter takes them.
+        deviance: −2 log p with them, Σ log s + Σ ε².
         torque_gain: by how much a white load torque beside it would lower −2 log p.
         innovation_rms: shape (c,), in the channels' units.
         at_bound: columns of parameters that ended at a bound.
@@ -67,6 +68,7 @@ class Polished:
     whitened: Point
     noise: NoiseModel
     log_variance: F64
+    deviance: float
     torque_gain: float
     innovation_rms: F64
     at_bound: frozenset[int]
@@ -87,10 +89,11 @@ def polish(problem: Problem, point: Point, torque_size: float) -> Polished | Non
     if end is None:
         return None
     point, whitened, a = end
-    gain = plain - _likelihood(problem, point, limits).value(a)
+    deviance = _likelihood(problem, point, limits).value(a)
     whitened, rms = whiten_point(problem, point, a)
     torque = _torque_gain(problem, point, a, limits)
-    return Polished(point, whitened, noise_model(problem, a, gain), a, torque, rms, _at_bound(problem, whitened))
+    noise = noise_model(problem, a, plain - deviance)
+    return Polished(point, whitened, noise, a, deviance, torque, rms, _at_bound(problem, whitened))
 
 
 def _torque_gain(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64]) -> float:

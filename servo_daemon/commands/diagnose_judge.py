@@ -1,0 +1,42 @@
+"""What text and report of `diagnose` say of the judge, where that is not the free run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+#: Why, in one sentence, by `judged_by`.
+WHY = {
+    "balance": "Judged by the current (or torque) that the measured motion needs: in a free run nothing can be told of "
+    "a motor that its controller holds where it would not stay by itself.",
+    "predictions": "Judged by predictions of each sample from those before it: within a free run noise that enters the "
+    "motor adds up to more than this effect makes.",
+}
+_ERROR_OF = {
+    "free_runs": "Error of short free runs that neither fit nor choice has seen",
+    "balance": "Error of the effort that the motion needs, on times that neither fit nor choice has seen",
+    "predictions": "Error of the predictions of the next sample, on times that the fit has not seen",
+}
+
+
+def by_balance(document: Mapping[str, Any]) -> bool:
+    """Whether the shaft's balance was the judge."""
+    return bool(document["judged_by"] == "balance")
+
+
+def by_predictions(document: Mapping[str, Any]) -> bool:
+    """Whether predictions of the next sample were."""
+    return bool(document["judged_by"] == "predictions")
+
+
+def why(document: Mapping[str, Any]) -> list[str]:
+    """Why free runs were not the judge; nothing where they were."""
+    text, gain = WHY.get(document["judged_by"]), document["deviance_gain"]
+    if text is None:
+        return []
+    return [text if gain is None else f"{text} Twice the logarithm of the likelihoods' ratio is {gain:.0f}."]
+
+
+def error_heading(document: Mapping[str, Any]) -> str:
+    """What the held-out errors are of."""
+    return _ERROR_OF[document["judged_by"]]

@@ -1,0 +1,216 @@
+"""The effect that only predictions show, where free runs name none.
+
+Noise that enters the motor adds up along a free run, until after half a second it is more than a lag of the drive or a
+winding that warms up makes. A fit that knows of such noise predicts each sample from those before it, and there
+nothing adds up: on clean captures the deviances (−2 log p) with and without an effect differ as chance has it, by −2 to
+4, with one that is there by 100 to 2,000. An effect is named if the data are white with it and far likelier than
+without, and if it predicts times better that neither fit has seen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_daemon.diagnosis.adequacy import fit_whole
+from servo_daemon.diagnosis.candidates import CONTAINED, NESTED
+from servo_daemon.diagnosis.compare import bootstrapped_sum, error_removed
+from servo_daemon.diagnosis.fitting import Candidate
+from servo_daemon.diagnosis.likelihood import far_likelier
+from servo_daemon.diagnosis.result import CandidateScore, HeldOut, NamedEffect
+from servo_daemon.diagnosis.scored import Scored
+from servo_daemon.diagnosis.select import Selection
+from servo_daemon.diagnosis.split import HELD_OUT
+from servo_daemon.diagnosis.trial import Data, Trial
+from servo_daemon.estimators.output_error import OutputErrorFit, Recording
+from servo_daemon.estimators.output_error.problem import Problem
+from servo_daemon.estimators.output_error.setup import make_problem
+from servo_daemon.estimators.output_error.whitening import tangents, whiten
+from servo_daemon.samples import F64
+
+#: So many of the candidates of the first round, those that fit best, are fitted to everything.
+_TRIED = 5
+#: A mean of squares is larger than expected by no more than so many of its standard deviations by chance.
+_CHANCE_STDS = 3.0
+
+
+@dataclass(frozen=True)
+class ByPredictions:
+    """What was found.
+
+    Attributes:
+        effects: the one, with what is as likely.
+        extended: fitted to everything, white.
+        baseline_score, extended_score: errors of the predictions of the next sample, on times that no fit has seen.
+        noise_floor: what the noise makes of them.
+        error_removed, ci95, deviance_gain: as in `Diagnosis`.
+        candidates: all that were tried, the one marked.
+    """
+
+    effects: tuple[NamedEffect, ...]
+    extended: OutputErrorFit
+    baseline_score: HeldOut
+    extended_score: HeldOut
+    noise_floor: float
+    error_removed: float
+    ci95: tuple[float, float]
+    deviance_gain: float
+    candidates: tuple[CandidateScore, ...]
+
+
+def found_by_predictions(
+    data: Data, selection: Selection, candidates: Sequence[CandidateScore]
+) -> ByPredictions | None:
+    """The effect of the search's first round that the data need; None: there is none, or it cannot be told.
+
+    Args:
+        data: uncut.
+        candidates: as they were scored.
+
+    Raises:
+        NumericalError: predictions left the range of numbers.
+    """
+    base = selection.base
+    whole = fit_whole(data, base)
+    if whole is None or whole.problem.plant.drive != "voltage":
+        return None
+    likely = _likely(data, selection, whole)
+    if not likely:
+        return None
+    best, extended = _simplest(likely)
+    held = _held_out(data, base.effects)
+    after = _predicted(extended, _unseeing(data, best.trial, extended, held), held)
+    # A model that is far off may not settle on less: as fitted to everything it has seen what it predicts.
+    before = _predicted(whole, _unseeing(data, base, whole, held) or whole, held)
+    if after is None or before is None or bootstrapped_sum(before.deviance - after.deviance)[0] <= 0.0:
+        return None
+    floor = _floor(after)
+    removed, ci95 = error_removed(before.errors, after.errors, floor)
+    richer = (best.name, *CONTAINED.get(best.name, ()))
+    ties = tuple(c.name for c, fit in likely if c.name not in richer and not far_likelier(extended, fit))
+    return ByPredictions(
+        (NamedEffect(best.name, removed, ties),),
+        extended,
+        _score(before.errors, whole.problem.channels),
+        _score(after.errors, whole.problem.channels),
+        floor,
+        removed,
+        ci95,
+        (whole.deviance or 0.0) - (extended.deviance or 0.0),
+        tuple(replace(c, taken=c.name == best.name and c.beside == base.effects) for c in candidates),
+    )
+
+
+def _likely(data: Data, selection: Selection, base: OutputErrorFit) -> list[tuple[Candidate, OutputErrorFit]]:
+    """Candidates with which the data are white and far likelier than without, the likeliest first."""
+    single = [c for c in selection.rounds[0] if len(c.trial.effects) == len(selection.base.effects) + 1]
+    tried = sorted({c.name: c for c in reversed(single)}.values(), key=lambda c: c.against.delta_bic)[:_TRIED]
+    fits = [(c, fit) for c in tried if (fit := fit_whole(data, c.trial)) is not None and fit.white]
+    fits = [(c, fit) for c, fit in fits if far_likelier(fit, base)]
+    return sorted(fits, key=lambda f: f[1].deviance or math.inf)
+
+
+def _simplest(likely: Sequence[tuple[Candidate, OutputErrorFit]]) -> tuple[Candidate, OutputErrorFit]:
+    """The likeliest, or one that it contains where it is not far likelier than that."""
+    best, fit = likely[0]
+    for simpler, other in likely[1:]:
+        if best.name in NESTED.get(simpler.name, ()) and not far_likelier(fit, other):
+            best, fit = simpler, other
+    return best, fit
+
+
+#: Per recording, shape (n,): times that are held out, and which of the free runs they belong to (−1: none).
+_Held = tuple[NDArray[np.int64], ...]
+
+
+def _held_out(data: Data, effects: tuple[str, ...]) -> _Held:
+    """The search's own division. What a recording begins with is never held out: a fit begins there."""
+    cut = make_problem(data.recordings, effects, dict(data.fixed), segment_s=data.split.segment_s)
+    out = [np.full(len(r.block), -1, dtype=np.int64) for r in data.recordings]
+    for k in data.split.of(HELD_OUT).tolist():
+        segment = cut.segments[k]
+        if segment.begin > 0:
+            out[segment.recording][segment.begin : segment.begin + len(segment.rows)] = k
+    return tuple(out)
+
+
+def _without(recordings: Sequence[Recording], held: _Held, channels: Sequence[str]) -> tuple[Recording, ...]:
+    """Recordings without what was measured at the times held out; the input is there."""
+    out = []
+    for recording, runs in zip(recordings, held, strict=True):
+        hidden: dict[str, Any] = {c: np.where(runs < 0, getattr(recording.block, c), np.nan) for c in channels}
+        out.append(replace(recording, block=replace(recording.block, **hidden)))
+    return tuple(out)
+
+
+@dataclass(frozen=True, slots=True)
+class _Predicted:
+    """Of the times held out, by free run, h of them, c channels.
+
+    Attributes:
+        deviance: shape (h,), −2 log p given all that came before each sample.
+        errors: squares of the innovations.
+        expected: the same as the noise makes them.
+    """
+
+    deviance: F64
+    errors: Scored
+    expected: Scored
+
+
+def _unseeing(data: Data, trial: Trial, fit: OutputErrorFit, held: _Held) -> OutputErrorFit | None:
+    """The model fitted without the times held out, from where the fit to everything has come to."""
+    seen = _without(data.recordings, held, fit.problem.channels)
+    values = {name: p.value for name, p in fit.parameters.items() if p.value is not None}
+    part = fit_whole(replace(data, recordings=seen), trial, values)
+    return part if part is not None and part.polished is not None else None
+
+
+def _predicted(fit: OutputErrorFit, part: OutputErrorFit | None, held: _Held) -> _Predicted | None:
+    """What a fit predicts of the times held out; None: it has no noise to predict with.
+
+    Args:
+        fit: of the same model to everything, for the measurements.
+        part: whose parameters hold.
+    """
+    if part is None or part.polished is None:
+        return None
+    problem, channels = _with_all(part.problem, fit.problem), fit.problem.channels
+    unknowns = part.polished.point.unknowns
+    residuals = problem.linearise(unknowns).residuals
+    n = max(int(runs.max()) for runs in held) + 1
+    deviance, squares, expected, counts = np.zeros(n), *(np.zeros((n, len(channels))) for _ in range(3))
+    for segment, model, r in zip(problem.segments, tangents(problem, unknowns), residuals, strict=True):
+        out = whiten(model, segment.valid.astype(float), r[:, :, None], np.exp(part.polished.log_variance))
+        white, variance = out.values[:, :, 0], np.where(segment.valid, np.exp(out.log_variance), 0.0)
+        runs = held[segment.recording][segment.begin : segment.begin + len(segment.rows)]
+        use, at = runs >= 0, runs[runs >= 0]
+        np.add.at(deviance, at, (out.log_variance + white**2)[use].sum(axis=1))
+        np.add.at(squares, at, (white**2 * variance)[use])
+        np.add.at(expected, at, variance[use])
+        np.add.at(counts, at, segment.valid[use].astype(float))
+    runs_there = counts.sum(axis=1) > 0
+    errors = Scored(squares[runs_there], counts[runs_there], problem.spread)
+    return _Predicted(deviance[runs_there], errors, replace(errors, squares=expected[runs_there]))
+
+
+def _floor(after: _Predicted) -> float:
+    """What noise leaves: by the noise model, or, where it leaves more by no more than chance does, that."""
+    expected, found = after.expected.nrmse, after.errors.nrmse
+    chance = _CHANCE_STDS * math.sqrt(2.0 / max(float(after.errors.counts.sum()), 1.0))
+    return found if found**2 <= (1.0 + chance) * expected**2 else expected
+
+
+def _with_all(problem: Problem, full: Problem) -> Problem:
+    """The problem with the measurements of another over the same segments."""
+    segments = zip(problem.segments, full.segments, strict=True)
+    return replace(problem, segments=tuple(replace(s, measured=f.measured, valid=f.valid) for s, f in segments))
+
+
+def _score(errors: Scored, channels: Sequence[str]) -> HeldOut:
+    return HeldOut({c: float(np.sqrt(v)) for c, v in zip(channels, errors.mse, strict=True)}, errors.nrmse)
