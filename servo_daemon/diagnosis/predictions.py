@@ -35,6 +35,8 @@ from servo_daemon.samples import F64
 
 #: So many of the candidates of the first round, those that fit best, are fitted to everything.
 _TRIED = 5
+#: Samples, of all recordings together, that a decision needs at most.
+_MOST_SAMPLES = 60_000
 #: A mean of squares is larger than expected by no more than so many of its standard deviations by chance.
 _CHANCE_STDS = 3.0
 
@@ -75,19 +77,22 @@ def found_by_predictions(
     Raises:
         NumericalError: predictions left the range of numbers.
     """
-    base = selection.base
-    whole = fit_whole(data, base)
+    base, few = selection.base, _begun(data, selection.base.effects)
+    whole = fit_whole(few, base)
     if whole is None or whole.problem.plant.drive != "voltage":
         return None
-    likely = _likely(data, selection, whole)
+    likely = _likely(few, selection, whole)
     if not likely:
         return None
     best, extended = _simplest(likely)
-    held = _held_out(data, base.effects)
-    after = _predicted(extended, _unseeing(data, best.trial, extended, held), held)
+    held = _held_out(few, base.effects)
+    after = _predicted(extended, _unseeing(few, best.trial, extended, held), held)
     # A model that is far off may not settle on less: as fitted to everything it has seen what it predicts.
-    before = _predicted(whole, _unseeing(data, base, whole, held) or whole, held)
+    before = _predicted(whole, _unseeing(few, base, whole, held) or whole, held)
     if after is None or before is None or bootstrapped_sum(before.deviance - after.deviance)[0] <= 0.0:
+        return None
+    published = extended if few is data else fit_whole(data, best.trial, _values(extended))
+    if published is None or not published.white:
         return None
     floor = _floor(after)
     removed, ci95 = error_removed(before.errors, after.errors, floor)
@@ -95,7 +100,7 @@ def found_by_predictions(
     ties = tuple(c.name for c, fit in likely if c.name not in richer and not far_likelier(extended, fit))
     return ByPredictions(
         (NamedEffect(best.name, removed, ties),),
-        extended,
+        published,
         _score(before.errors, whole.problem.channels),
         _score(after.errors, whole.problem.channels),
         floor,
@@ -104,6 +109,16 @@ def found_by_predictions(
         (whole.deviance or 0.0) - (extended.deviance or 0.0),
         tuple(replace(c, taken=c.name == best.name and c.beside == base.effects) for c in candidates),
     )
+
+
+def _begun(data: Data, effects: tuple[str, ...]) -> Data:
+    """The first samples of each recording, where there are more than a decision needs: several models are fitted."""
+    samples = sum(len(r.block) for r in data.recordings)
+    if samples <= _MOST_SAMPLES:
+        return data
+    share = _MOST_SAMPLES / samples
+    begun = [replace(r, block=r.block.slice(0, max(int(share * len(r.block)), 1))) for r in data.recordings]
+    return Data.of(begun, data.fixed, effects, data.split.segment_s)
 
 
 def _likely(data: Data, selection: Selection, base: OutputErrorFit) -> list[tuple[Candidate, OutputErrorFit]]:
@@ -166,24 +181,27 @@ class _Predicted:
 def _unseeing(data: Data, trial: Trial, fit: OutputErrorFit, held: _Held) -> OutputErrorFit | None:
     """The model fitted without the times held out, from where the fit to everything has come to."""
     seen = _without(data.recordings, held, fit.problem.channels)
-    values = {name: p.value for name, p in fit.parameters.items() if p.value is not None}
-    part = fit_whole(replace(data, recordings=seen), trial, values)
+    part = fit_whole(replace(data, recordings=seen), trial, _values(fit))
     return part if part is not None and part.polished is not None else None
 
 
+def _values(fit: OutputErrorFit) -> dict[str, float]:
+    return {name: p.value for name, p in fit.parameters.items() if p.value is not None}
+
+
 def _predicted(fit: OutputErrorFit, part: OutputErrorFit | None, held: _Held) -> _Predicted | None:
-    """What a fit predicts of the times held out; None: it has no noise to predict with.
+    """What a fit predicts of the times held out; None: there are none, or it has no noise to predict with.
 
     Args:
         fit: of the same model to everything, for the measurements.
         part: whose parameters hold.
     """
-    if part is None or part.polished is None:
+    n = max(int(runs.max()) for runs in held) + 1
+    if part is None or part.polished is None or n == 0:
         return None
     problem, channels = _with_all(part.problem, fit.problem), fit.problem.channels
     unknowns = part.polished.point.unknowns
     residuals = problem.linearise(unknowns).residuals
-    n = max(int(runs.max()) for runs in held) + 1
     deviance, squares, expected, counts = np.zeros(n), *(np.zeros((n, len(channels))) for _ in range(3))
     for segment, model, r in zip(problem.segments, tangents(problem, unknowns), residuals, strict=True):
         out = whiten(model, segment.valid.astype(float), r[:, :, None], np.exp(part.polished.log_variance))

@@ -1,0 +1,68 @@
+"""Which times and models predictions are judged on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+
+from servo_daemon.diagnosis.fitting import Candidate
+from servo_daemon.diagnosis.predictions import _MOST_SAMPLES, _begun, _held_out, _simplest, _without
+from servo_daemon.diagnosis.trial import Data
+from servo_daemon.estimators.output_error import OutputErrorFit, Recording
+from servo_daemon.samples import make_block
+
+
+def recording(samples: int) -> Recording:
+    t = np.arange(samples) / 1000.0
+    signals = {name: np.sin(2 * np.pi * f * t) for name, f in (("voltage_V", 1.0), ("current_A", 2.0))}
+    return Recording("capture", make_block(t, **signals, position_rad=np.cos(2 * np.pi * t)))
+
+
+def data(*samples: int) -> Data:
+    return Data.of([recording(n) for n in samples], {}, (), 0.5)
+
+
+def test_a_decision_needs_no_more_than_so_many_samples_and_divides_those_anew() -> None:
+    few = _begun(data(2 * _MOST_SAMPLES, _MOST_SAMPLES), ())
+    assert [len(r.block) for r in few.recordings] == [_MOST_SAMPLES * 2 // 3, _MOST_SAMPLES // 3]
+    assert len(few.split.part) == _MOST_SAMPLES / 500
+    short = data(10_000)
+    assert _begun(short, ()) is short
+
+
+def test_what_a_recording_begins_with_is_never_held_out_and_the_input_always_there() -> None:
+    both = data(5000, 5000)
+    held = _held_out(both, ())
+    assert [len(h) for h in held] == [5000, 5000]
+    assert all((h[:500] == -1).all() for h in held)
+    runs = {int(k) for h in held for k in h} - {-1}
+    assert runs
+    assert runs <= set(both.split.of(3).tolist())
+    seen = _without(both.recordings, held, ("current_A", "position_rad"))
+    for before, after, h in zip(both.recordings, seen, held, strict=True):
+        assert after.block.current_A is not None
+        np.testing.assert_array_equal(np.isnan(after.block.current_A), h >= 0)
+        np.testing.assert_array_equal(after.block.voltage_V, before.block.voltage_V)
+
+
+@dataclass
+class Fit:
+    deviance: float
+    free: int
+
+    @property
+    def problem(self) -> SimpleNamespace:
+        return SimpleNamespace(free=range(self.free), counts=np.array([20_000.0, 20_000.0]))
+
+
+@pytest.mark.parametrize(("richer_by", "taken"), [(40.0, "coulomb_friction"), (400.0, "stribeck_friction")])
+def test_of_two_that_contain_each_other_the_simpler_one(richer_by: float, taken: str) -> None:
+    pairs = [("stribeck_friction", Fit(-1000.0 - richer_by, 8)), ("coulomb_friction", Fit(-1000.0, 6))]
+    likely = [
+        (cast(Candidate, SimpleNamespace(name=name)), cast(OutputErrorFit, cast(object, fit))) for name, fit in pairs
+    ]
+    assert _simplest(likely)[0].name == taken
