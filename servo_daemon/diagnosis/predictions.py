@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +26,7 @@ from servo_daemon.diagnosis.scored import Scored
 from servo_daemon.diagnosis.select import Selection
 from servo_daemon.diagnosis.split import HELD_OUT
 from servo_daemon.diagnosis.trial import Data, Trial
-from servo_daemon.estimators.output_error import OutputErrorFit, Recording
+from servo_daemon.estimators.output_error import OutputErrorFit
 from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.output_error.setup import make_problem
 from servo_daemon.estimators.output_error.whitening import tangents, whiten
@@ -154,15 +153,6 @@ def _held_out(data: Data, effects: tuple[str, ...]) -> _Held:
     return tuple(out)
 
 
-def _without(recordings: Sequence[Recording], held: _Held, channels: Sequence[str]) -> tuple[Recording, ...]:
-    """Recordings without what was measured at the times held out; the input is there."""
-    out = []
-    for recording, runs in zip(recordings, held, strict=True):
-        hidden: dict[str, Any] = {c: np.where(runs < 0, getattr(recording.block, c), np.nan) for c in channels}
-        out.append(replace(recording, block=replace(recording.block, **hidden)))
-    return tuple(out)
-
-
 @dataclass(frozen=True, slots=True)
 class _Predicted:
     """Of the times held out, by free run, h of them, c channels.
@@ -180,7 +170,7 @@ class _Predicted:
 
 def _unseeing(data: Data, trial: Trial, fit: OutputErrorFit, held: _Held) -> OutputErrorFit | None:
     """The model fitted without the times held out, from where the fit to everything has come to."""
-    seen = _without(data.recordings, held, fit.problem.channels)
+    seen = tuple(replace(r, seen=runs < 0) for r, runs in zip(data.recordings, held, strict=True))
     part = fit_whole(replace(data, recordings=seen), trial, _values(fit))
     return part if part is not None and part.polished is not None else None
 
@@ -225,9 +215,9 @@ def _floor(after: _Predicted) -> float:
 
 
 def _with_all(problem: Problem, full: Problem) -> Problem:
-    """The problem with the measurements of another over the same segments."""
+    """The problem with all that was measured in the same segments."""
     segments = zip(problem.segments, full.segments, strict=True)
-    return replace(problem, segments=tuple(replace(s, measured=f.measured, valid=f.valid) for s, f in segments))
+    return replace(problem, segments=tuple(replace(s, valid=f.valid) for s, f in segments))
 
 
 def _score(errors: Scored, channels: Sequence[str]) -> HeldOut:

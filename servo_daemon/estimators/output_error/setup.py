@@ -8,6 +8,7 @@ from itertools import pairwise
 from math import isfinite
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servo_daemon.errors import BadInputError
 from servo_daemon.estimators.base import to_coordinate
@@ -34,10 +35,17 @@ _SLOPE_SAMPLES = 15
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """A capture as the fit takes it."""
+    """A capture as the fit takes it, n samples.
+
+    Attributes:
+        name: for messages.
+        block: its samples.
+        seen: shape (n,): where its measurements are fitted; None: everywhere. The input is known all the time.
+    """
 
     name: str
     block: SampleBlock
+    seen: NDArray[np.bool_] | None = None
 
 
 def choose_signals(channels: Sequence[str]) -> tuple[Drive, tuple[str, ...]]:
@@ -85,9 +93,7 @@ def make_problem(
     for name, value in fixed.items():
         if name in table and not (isfinite(value) and table[name].lower <= value <= table[name].upper):
             raise BadInputError(f"{name} = {value:g} is outside {table[name].lower:g} .. {table[name].upper:g}")
-    segments = [
-        s for k, r in enumerate(recordings) for s in _segments(k, r.block, plant, measured, (segment_s, input_share))
-    ]
+    segments = [s for k, r in enumerate(recordings) for s in _segments(k, r, plant, measured, (segment_s, input_share))]
     if not segments:
         raise BadInputError(f"too few samples: a stretch of at least {FEWEST_SAMPLES} without a long gap is needed")
     names = [n for n in plant.parameter_names if n not in fixed]
@@ -111,22 +117,23 @@ def carrying(problem: Problem, recordings: Sequence[Recording]) -> Problem:
 
 def _segments(
     recording: int,
-    block: SampleBlock,
+    of: Recording,
     plant: PlantModel,
     measured: tuple[str, ...],
     cutting: tuple[float | None, float],
 ) -> list[Segment]:
-    segment_s, share = cutting
+    segment_s, share, block = *cutting, of.block
     time = block.time_s - block.time_s[0]
     values = np.stack([_channel(block, name) for name in measured], axis=1)
+    valid = np.isfinite(values) if of.seen is None else np.isfinite(values) & of.seen[:, None]
     scale = state_scale(block, plant)
     rows = input_rows(block, plant.drive, share)
     out = []
     for begin, end in _cuts(time, segment_s):
         if end - begin >= FEWEST_SAMPLES:
             x0 = _initial_state(block, plant, begin, end)
-            part = values[begin:end]
-            out.append(Segment(recording, rows[begin:end].copy(), part, np.isfinite(part), x0, scale, begin))
+            part, fitted = values[begin:end], valid[begin:end]
+            out.append(Segment(recording, rows[begin:end].copy(), part, fitted, x0, scale, begin))
     return out
 
 
