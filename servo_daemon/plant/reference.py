@@ -60,13 +60,14 @@ class _Twin:
     def places(self, states: Sequence[State]) -> list[int]:
         return [self.model.states.index(s) for s in states if s in self.model.states]
 
-    def terms(self, x: F64, t: float, h: float) -> dict[str, float]:
+    def terms(self, x: F64, t: float, h: float, i_square: float | None = None) -> dict[str, float]:
         """Sums (factors: products) of all effects' terms, and the rates of their states, as numbers."""
         own = dict(zip(self.model.state_names[3:], map(ca.DM, x[3:]), strict=True))
         time, voltage, torque, length = map(ca.DM, (t, self.u, self.p["K"] * x[0], h))
         current, speed, angle = map(ca.DM, x[:3])
         p = {k: ca.DM(v) for k, v in self.p.items()}
-        signals = Signals(time, voltage, current, speed, angle, torque, length, states=own, p=p)
+        square = current**2 if i_square is None else ca.DM(i_square)
+        signals = Signals(time, voltage, current, square, speed, angle, torque, length, states=own, p=p)
         total = dict.fromkeys(_SUMS, 0.0) | dict.fromkeys(_FACTORS, 1.0)
         levels, rates, extra = np.zeros(2), dict[str, float](), dict[str, float]()
         for name in self.model.effects:
@@ -89,11 +90,28 @@ class _Twin:
         Ad, Bd = _driven_step(scaled, h)
         return Ad @ x[:3] + Bd @ [acting[0] - terms["voltage_drop"], terms["load_torque"], acting[1]], Bd
 
-    def own_state(self, k: int, x: F64, t: float, h: float) -> float:
+    def mean_square(self, x: F64, after: F64, terms: Mapping[str, float], acting: float, h: float) -> float:
+        """⟨i²⟩ over the step, by quadrature over the curve through both ends with the mean that the voltages give.
+
+        Args:
+            acting: mean voltage less all drops.
+        """
+        R, K = self.p["R"] * terms["factor_R"], self.p["K"] * terms["factor_K"]
+        mean = (acting - (K * (after[2] - x[2]) + self.p["L"] * (after[0] - x[0])) / h) / R
+        z = -R / self.p["L"] * h
+        nodes, weights = np.polynomial.legendre.leggauss(60)
+        s, w = (nodes + 1) / 2, weights / 2
+        third, its_mean = (s * s, 1 / 3) if -z < 0.05 else (np.exp(z * s), np.expm1(z) / z)
+        ends = (0.0, 1.0) if -z < 0.05 else (1.0, np.exp(z))
+        shape = np.array([[1.0, 0.0, ends[0]], [1.0, 1.0, ends[1]], [1.0, 0.5, its_mean]])
+        i = np.column_stack([np.ones_like(s), s, third]) @ np.linalg.solve(shape, [x[0], after[0], mean])
+        return float(w @ i**2)
+
+    def own_state(self, k: int, x: F64, t: float, h: float, i_square: float | None = None) -> float:
         """Exponential step of one state of an effect; the slope of its rate by a central difference."""
         name, d = self.model.state_names[k], 1e-4 * (1.0 + abs(x[k]))
         shift = d * np.eye(len(x))[k]
-        rate, above, below = (self.terms(at, t, h).get(name, 0.0) for at in (x, x + shift, x - shift))
+        rate, above, below = (self.terms(at, t, h, i_square).get(name, 0.0) for at in (x, x + shift, x - shift))
         z = (above - below) / (2 * d) * h
         return float(x[k] + h * rate * (np.expm1(z) / z if z else 1.0))
 
@@ -122,17 +140,18 @@ class _Twin:
         ahead = self.terms(np.r_[begin[:2], angle, own_middle], t + h / 2, h)
         guess, gains = self.core(begin, ahead, (mean, rise), h)
         if self.follows():
-            guess = self.solved(guess, gains, ahead, None if twist else x[1])
+            guess, _ = self.solved(guess, gains, ahead, None if twist else x[1])
         middle_x = (begin + guess) / 2
         middle_x[2] = angle if twist else middle_x[2]
         middle = self.terms(np.r_[middle_x, own_middle], t + h / 2, h)
         core, gains = self.core(begin, middle, (mean, rise), h)
-        own = [self.own_state(k, np.r_[middle_x, x[3:]], t + h / 2, h) for k in range(3, len(x))]
         if not twist:
-            core = self.solved(core, gains, middle, x[1])
+            core, drop = self.solved(core, gains, middle, x[1])
         else:
             core[2], gains[2] = begin[2], 0.0
-            core, z = self.second_half(core, gains, z + np.array([core[1] - begin[1], 0.0]), middle, h / 2)
+            core, z, drop = self.second_half(core, gains, z + np.array([core[1] - begin[1], 0.0]), middle, h / 2)
+        i_square = self.mean_square(x, core, middle, mean - middle["voltage_drop"] - drop, h)
+        own = [self.own_state(k, np.r_[middle_x, x[3:]], t + h / 2, h, i_square) for k in range(3, len(x))]
         out = np.concatenate((core, own))
         if twist:
             out[twist] = z
@@ -145,26 +164,29 @@ class _Twin:
         return any(name.startswith(needing) for name in self.model.effects)
 
     @staticmethod
-    def solved(x: F64, gains: F64, terms: Mapping[str, float], speed: float | None = None) -> F64:
-        """Blocked current and dry friction; with the speed at the beginning a reversal is found within the step."""
+    def solved(x: F64, gains: F64, terms: Mapping[str, float], speed: float | None = None) -> tuple[F64, float]:
+        """Blocked current and dry friction; with the speed at the beginning a reversal is found within the step. And
+        the dry drop, V."""
         drop = friction = 0.0
         for _ in range(3):
             stopping = (x[0] + gains[0, 1] * friction) / gains[0, 0]
             drop = np.clip(stopping, -terms["dry_drop"], terms["dry_drop"])
             levels = (-terms["dry_backward"], terms["dry_forward"])
             friction = _friction(speed, x[1] - gains[1, 0] * drop, gains[1, 1], levels)
-        return np.asarray(x - gains[:, 0] * drop + gains[:, 1] * friction)
+        return np.asarray(x - gains[:, 0] * drop + gains[:, 1] * friction), float(drop)
 
-    def second_half(self, core: F64, gains: F64, z: F64, terms: Mapping[str, float], half: float) -> tuple[F64, F64]:
-        """The shaft's second half step, friction such that the motor stands at its end."""
-        predicted = self.solved(core, gains, terms)
+    def second_half(
+        self, core: F64, gains: F64, z: F64, terms: Mapping[str, float], half: float
+    ) -> tuple[F64, F64, float]:
+        """The shaft's second half step, friction such that the motor stands at its end. And the dry drop, V."""
+        predicted, _ = self.solved(core, gains, terms)
         at = self.meeting(z + np.array([predicted[1] - core[1], 0.0]), terms, half)
         after, z_after = self.half(core, z, terms, half, at)
         moved, moved_z = self.half(core + gains[:, 1], z + np.array([gains[1, 1], 0.0]), terms, half, at)
         driven, driven_z = self.half(core + gains[:, 0], z + np.array([gains[1, 0], 0.0]), terms, half, at)
         per = np.column_stack([np.r_[driven - after, driven_z - z_after], np.r_[moved - after, moved_z - z_after]])
-        out = self.solved(np.r_[after, z_after], per, terms)
-        return out[:3], out[3:]
+        out, drop = self.solved(np.r_[after, z_after], per, terms)
+        return out[:3], out[3:], drop
 
     def spring(self, z: F64, flank: float, terms: Mapping[str, float], seconds: float) -> F64:
         mu = 1 / (1 / self.p["J"] + 1 / terms["J_l"])

@@ -28,6 +28,8 @@ from servo_daemon.plant.shaft import TwoInertias, after_second_half, standing
 
 #: Passes over blocked current and sticking shaft, where both may be: each moves the other by K² h²/(4 J L) at most.
 _PASSES = 3
+#: Over less of the winding's time constant than this a current within a step is a parabola.
+_NEARLY_STRAIGHT = 0.05
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,7 @@ class StepBuilder:
     core_states: int
     p: Mapping[str, ca.SX]
 
-    def terms(self, x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX) -> list[Terms]:
+    def terms(self, x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX, i_square: ca.SX | None = None) -> list[Terms]:
         n = self.core_states
         voltage = self.drive == "voltage"
         i = x[0] if voltage else (u if self.drive == "current" else ca.SX(0))
@@ -71,6 +73,7 @@ class StepBuilder:
             t=t,
             v=u if voltage else ca.SX(0),
             i=i,
+            i_square=i**2 if i_square is None else i_square,
             omega=x[n - 2],
             theta=x[n - 1],
             torque=u if self.drive == "torque" else self.p["K"] * i,
@@ -133,7 +136,8 @@ class StepBuilder:
             moved = standing(core, begin, z)
             whole = after_second_half(two, moved, self._solved(moved, held, None).x)
         solved = self._solved(whole, held, speed)
-        own = self._own_states(ca.vertcat(middle_x[:n], x[n:]), u, t + h / 2, h)
+        i_square = self._mean_square(x, held, solved, h) if self.drive == "voltage" and self._warms() else None
+        own = self._own_states(ca.vertcat(middle_x[:n], x[n:]), u, t + h / 2, h, i_square)
         rows = dict.fromkeys(self._places((LAGGED,)), lagged)
         rows |= {place: solved.x[n + k] for k, place in enumerate(self._places(TWIST))}
         own = ca.vertcat(*[rows.get(n + k, own[k]) for k in range(own.numel())]) if rows else own
@@ -228,6 +232,13 @@ class StepBuilder:
         factors = ca.vertcat(*[ca.SX(getattr(term, name)) for term in terms for name in names])
         return bool(terms) and bool(ca.depends_on(factors, x[: self.core_states]))
 
+    def _warms(self) -> bool:
+        """Whether an effect's own state follows the mean of the squared current."""
+        x, square = ca.SX.sym("x", len(self.states)), ca.SX.sym("square")
+        terms = self.terms(x, ca.SX(0), ca.SX(0), ca.SX.sym("h"), square)
+        rates = [rate for term in terms for rate in term.rates.values()]
+        return bool(rates) and bool(ca.depends_on(ca.vertcat(*rates), square))
+
     def _guess_needs_friction(self) -> bool:
         """Whether what acts at the midpoint depends on current or speed there, which dry friction changes to first
         order within a step (the angle only to second)."""
@@ -238,11 +249,40 @@ class StepBuilder:
         acting = [ca.SX(getattr(term, name)) for term in terms for name in names] + list(dry_levels(terms))
         return bool(ca.depends_on(ca.vertcat(*acting), x[: self.core_states - 1]))
 
-    def _own_states(self, x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX) -> ca.SX:
-        """The effects' states after h, from those in x, with the motion in x taken as constant over h."""
+    def _mean_square(self, x: ca.SX, held: _Held, solved: _Solved, h: ca.SX) -> ca.SX:
+        """⟨i²⟩ over a step, A²: of i = a + b exp(−s h R/L) + d s, s from 0 to 1, between the currents at both ends,
+        with the mean that the step's own balance L Δi = h (u − R ⟨i⟩) − K Δθ gives. The exponential is the winding's,
+        the straight part what the speed makes meanwhile."""
+        R, K = self.p["R"], self.p["K"]
+        for term in held.terms:
+            R, K = R * term.factor_R, K * term.factor_K
+        n, before = self.core_states, x[0]
+        change, turned = solved.x[0] - before, solved.x[n - 1] - x[n - 1]
+        u = held.u - self._drop(held.terms) - solved.drop
+        above = (
+            (u - (K * turned + self.p["L"] * change) / h) / R - before - change / 2
+        )  # of the mean, over a straight line
+        z = -R / self.p["L"] * h
+        slow = ca.fabs(z) < _NEARLY_STRAIGHT
+        z = ca.if_else(slow, -1.0, z)
+        _, phi1, phi2 = flow.phi_scalar(z)
+        _, phi1_twice, _ = flow.phi_scalar(2 * z)
+        b = above / (z * (phi2 - phi1 / 2))
+        a, d = before - b, change - b * z * phi1
+        bent = a**2 + b**2 * phi1_twice + d**2 / 3 + 2 * a * b * phi1 + a * d + 2 * b * d * (phi1 - phi2)
+        c, middle = 6 * above, before + change / 2  # the parabola through the same
+        parabola = middle**2 + change**2 / 12 + c * middle / 3 + c**2 / 30
+        return ca.if_else(slow, parabola, bent)
+
+    def _own_states(self, x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX, i_square: ca.SX | None = None) -> ca.SX:
+        """The effects' states after h, from those in x, with the motion in x taken as constant over h.
+
+        Args:
+            i_square: mean of the squared current; None: that of the current in x.
+        """
         # Symbols of their own, so that the slope is the partial one: a midpoint current depends on these states too.
         at = ca.SX.sym("at", x.numel())
-        rates = {name: rate for term in self.terms(at, u, t, h) for name, rate in term.rates.items()}
+        rates = {name: rate for term in self.terms(at, u, t, h, i_square) for name, rate in term.rates.items()}
         updates = []
         for k, state in enumerate(self.states[self.core_states :], start=self.core_states):
             if state.name not in rates:

@@ -146,6 +146,24 @@ def test_heated_winding_settles_where_heat_in_is_heat_out() -> None:
     assert x[0] == pytest.approx(12.0 * VALUES["B"] / (hot * VALUES["B"] + VALUES["K"] ** 2), rel=1e-6)
 
 
+@pytest.mark.parametrize("L", [3e-5, 1e-4, 1e-3, 1e-2], ids="L={:g}".format)
+def test_heat_within_a_step_is_the_whole_loss(L: float) -> None:
+    """A winding that settles within a sample, and a speed that follows while it does: the mean of i² is not the square
+    of the middle (7 % of the heat of a 1 kHz capture with L/R = 0.3 ms; 0.3 % are left)."""
+    model = build_plant(("winding_heating",))
+    motor = {"R": 0.3, "L": L, "K": 0.03, "J": 1.4e-5, "B": 4e-6, "R_th": 1.0, "C_th": 5.0}
+    p = np.array([motor[name] for name in model.parameter_names])
+    n, fine, h = 2000, 100, 1e-3
+    u = np.random.default_rng(3).choice([-3.0, 3.0], n)
+    hot = []
+    for parts in (1, fine):
+        x = np.zeros(4)
+        rows = [np.arange(n * parts) * h / parts, np.full(n * parts, h / parts), np.repeat(u, parts)]
+        loop_of(model).run(x, p, np.column_stack(rows))
+        hot.append(x[3])
+    assert hot[0] == pytest.approx(hot[1], rel=5e-3)
+
+
 def test_content_hash_follows_the_equations(monkeypatch: pytest.MonkeyPatch) -> None:
     plain = build_plant(()).content_hash
     assert build.build_plant.__wrapped__(()).content_hash == plain  # built again: the same

@@ -27,11 +27,13 @@ class State:
 class Signals:
     """What an effect may depend on, as CasADi expressions: time t (s), voltage v (V), current i (A), speed omega
     (rad/s), angle theta (rad), the motor's torque (N·m), the effects' states and all parameters by name. Terms are held
-    over h (s) about t; h is 0 where a sensor is asked."""
+    over h (s) about t; h is 0 where a sensor is asked. i_square (A²) is the mean of i² over h: a winding that settles
+    within a sample has another than the square of its current in the middle."""
 
     t: ca.SX
     v: ca.SX
     i: ca.SX
+    i_square: ca.SX
     omega: ca.SX
     theta: ca.SX
     torque: ca.SX
