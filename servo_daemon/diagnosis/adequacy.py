@@ -12,6 +12,7 @@ import math
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -66,7 +67,7 @@ def believed(selection: Selection) -> Believed:
         assert before is not None
         extended = fit_everything(data, selection.chosen)
         floor = noise_floor(extended, selection.chosen, CHOICE).nrmse
-        fewer = _weakest(selection, floor) or without_the_unneeded(selection, extended, lambda t: fit_whole(data, t))
+        fewer = _weakest(selection, floor) or without_the_unneeded(selection, extended, partial(fit_whole, data))
         if fewer is not None:
             selection = fewer
             continue

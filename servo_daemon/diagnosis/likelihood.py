@@ -11,7 +11,7 @@ five clean captures, as chance has it, and 104 on one where it was hidden.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from servo_daemon.diagnosis.select import Selection, without_effect
@@ -24,15 +24,16 @@ _LIKELIER = 30.0
 _PLAINLY = 2.0
 
 
-def without_the_unneeded(
-    selection: Selection, extended: OutputErrorFit, whole: Callable[[Trial], OutputErrorFit | None]
-) -> Selection | None:
+#: Fits a trial's model to everything from these values, with noise that enters the motor; None where that fails.
+Whole = Callable[[Trial, Mapping[str, float]], OutputErrorFit | None]
+
+
+def without_the_unneeded(selection: Selection, extended: OutputErrorFit, whole: Whole) -> Selection | None:
     """The search's result less an effect without which the data are as likely; None: all are needed, or it cannot be
     told.
 
     Args:
         extended: fitted to everything, with noise that enters the motor.
-        whole: such a fit of another model; None where there is none.
     """
     if not extended.white:
         return None
@@ -41,12 +42,22 @@ def without_the_unneeded(
         without = without_effect(selection.data, selection.chosen, name) if others else selection.base
         if without is None or without.choice.nrmse > _PLAINLY * selection.chosen.choice.nrmse:
             continue  # no drift of free runs makes such a difference, and a fit to everything takes its time
-        fit = whole(without)
-        if fit is None or not fit.white:
+        if not _is_as_likely(without, extended, whole):
             continue
-        if not far_likelier(extended, fit):
-            return replace(selection, chosen=without, added=others)
+        return replace(selection, chosen=without, added=others)
     return None
+
+
+def _is_as_likely(without: Trial, extended: OutputErrorFit, whole: Whole) -> bool:
+    """Whether the data are white and as likely without; fitted from where it is, and, as the richer model may only have
+    found the way out of a valley, from where that came to."""
+    came_to = {name: extended.parameters[name].value for name in without.values if name in extended.parameters}
+    known = {name: value for name, value in came_to.items() if value is not None}
+    for values in (without.values, {**without.values, **known}):
+        fit = whole(without, values)
+        if fit is not None and fit.white and not far_likelier(extended, fit):
+            return True
+    return False
 
 
 def far_likelier(rich: OutputErrorFit, simple: OutputErrorFit) -> bool:
