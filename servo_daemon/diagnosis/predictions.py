@@ -10,30 +10,35 @@ without, and if it predicts times better that neither fit has seen.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.diagnosis.adequacy import fit_whole
 from servo_daemon.diagnosis.candidates import CONTAINED, NESTED
-from servo_daemon.diagnosis.compare import bootstrapped_sum, error_removed
+from servo_daemon.diagnosis.compare import advantage, bootstrapped_sum, error_removed
 from servo_daemon.diagnosis.fitting import Candidate
 from servo_daemon.diagnosis.likelihood import far_likelier
 from servo_daemon.diagnosis.result import CandidateScore, HeldOut, NamedEffect
 from servo_daemon.diagnosis.scored import Scored
 from servo_daemon.diagnosis.select import Selection
 from servo_daemon.diagnosis.split import HELD_OUT
-from servo_daemon.diagnosis.trial import Data, Trial
+from servo_daemon.diagnosis.trial import Data, Trial, fit_trial, model_exists
+from servo_daemon.diagnosis.twins import told_from_twin
 from servo_daemon.estimators.output_error import OutputErrorFit
 from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.output_error.setup import make_problem
 from servo_daemon.estimators.output_error.whitening import tangents, whiten
+from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.samples import F64
 
 #: So many of the candidates of the first round, those that fit best, are fitted to everything.
 _TRIED = 5
+#: Where the baseline is not white these are tried, too, whatever screening thinks of them.
+_OVERLOOKED = ("drive_lag", "winding_heating")
 #: Samples, of all recordings together, that a decision needs at most.
 _MOST_SAMPLES = 60_000
 #: A mean of squares is larger than expected by no more than so many of its standard deviations by chance.
@@ -90,7 +95,7 @@ def found_by_predictions(
     before = _predicted(whole, _unseeing(few, base, whole, held) or whole, held)
     if after is None or before is None or bootstrapped_sum(before.deviance - after.deviance)[0] <= 0.0:
         return None
-    published = extended if few is data else fit_whole(data, best.trial, _values(extended))
+    published = extended if few is data else _fitted(data, best.trial)
     if published is None or not published.white:
         return None
     floor = _floor(after)
@@ -106,8 +111,15 @@ def found_by_predictions(
         removed,
         ci95,
         (whole.deviance or 0.0) - (extended.deviance or 0.0),
-        tuple(replace(c, taken=c.name == best.name and c.beside == base.effects) for c in candidates),
+        _marked(candidates, best, base),
     )
+
+
+def _marked(candidates: Sequence[CandidateScore], best: Candidate, base: Trial) -> tuple[CandidateScore, ...]:
+    """What was tried, with the best as the one that was taken."""
+    own = CandidateScore(best.name, base.effects, best.trial.choice.nrmse, best.against.delta_bic, taken=True)
+    others = [c for c in candidates if (c.name, c.beside) != (best.name, base.effects)]
+    return (own, *others)
 
 
 def _begun(data: Data, effects: tuple[str, ...]) -> Data:
@@ -124,9 +136,31 @@ def _likely(data: Data, selection: Selection, base: OutputErrorFit) -> list[tupl
     """Candidates with which the data are white and far likelier than without, the likeliest first."""
     single = [c for c in selection.rounds[0] if len(c.trial.effects) == len(selection.base.effects) + 1]
     tried = sorted({c.name: c for c in reversed(single)}.values(), key=lambda c: c.against.delta_bic)[:_TRIED]
-    fits = [(c, fit) for c in tried if (fit := fit_whole(data, c.trial)) is not None and fit.white]
+    if not base.white:
+        tried += _unscreened(selection, {c.name for c in tried})
+    fits = [(c, fit) for c in tried if (fit := _fitted(data, c.trial)) is not None and fit.white]
     fits = [(c, fit) for c, fit in fits if far_likelier(fit, base)]
     return sorted(fits, key=lambda f: f[1].deviance or math.inf)
+
+
+def _unscreened(selection: Selection, tried: Collection[str]) -> list[Candidate]:
+    """What screening may see nothing of: it looks for what follows the motion, and a lag makes little of that."""
+    base, known, out = selection.base, effects_by_name(), []
+    for name in _OVERLOOKED:
+        effects = (*base.effects, name)
+        if name in tried or name in base.effects or not model_exists(effects):
+            continue
+        start = {**base.values, **{p.name: p.nominal for p in known[name].parameters}}
+        trial = fit_trial(selection.data, effects, start, like=base)
+        if trial is not None and np.isfinite(trial.choice.squares).all():
+            out.append(Candidate(name, trial, advantage(base, trial)))
+    return out
+
+
+def _fitted(data: Data, trial: Trial) -> OutputErrorFit | None:
+    """To everything; of two lags in a row in the order that the data prefer."""
+    fit = fit_whole(data, trial)
+    return None if fit is None else told_from_twin(fit, partial(fit_whole, data, trial))
 
 
 def _simplest(likely: Sequence[tuple[Candidate, OutputErrorFit]]) -> tuple[Candidate, OutputErrorFit]:

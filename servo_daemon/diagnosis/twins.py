@@ -18,6 +18,8 @@ from servo_daemon.estimators.output_error import OutputErrorFit
 #: Twins whose residuals differ by no more than this share are one to the data: simulation, noise that is not quite
 #: white and what else is missing make as much.
 _ALIKE = 0.01
+#: Where both are white their deviances tell: a difference of 3 σ, squared.
+_BY_CHANCE = 9.0
 
 
 def lag_twin(values: Mapping[str, float]) -> dict[str, float] | None:
@@ -41,8 +43,11 @@ def told_from_twin(
     other = None if start is None else again(start)
     if other is None:
         return fit
-    difference = _error(other) - _error(fit)
-    if abs(difference) < _ALIKE:
+    if fit.white and other.white and fit.deviance is not None and other.deviance is not None:
+        difference, alike = other.deviance - fit.deviance, _BY_CHANCE
+    else:
+        difference, alike = _error(other) - _error(fit), _ALIKE
+    if abs(difference) < alike:
         return _with_distance(fit, other)
     return other if difference < 0.0 else fit
 
