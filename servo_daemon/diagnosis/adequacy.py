@@ -17,6 +17,7 @@ from functools import partial
 import numpy as np
 
 from servo_daemon.diagnosis.dependence import Dependence, dependences
+from servo_daemon.diagnosis.everything import exactness, fit_everything, fit_runs, fit_whole
 from servo_daemon.diagnosis.evidence import LEAST_OWN, LEAST_TOGETHER, is_what_it_is_called, working_shares
 from servo_daemon.diagnosis.lacking import longest_missing
 from servo_daemon.diagnosis.likelihood import without_the_unneeded
@@ -27,17 +28,11 @@ from servo_daemon.diagnosis.split import CHOICE, shorter_s
 from servo_daemon.diagnosis.trial import Data, Trial, fit_trial
 from servo_daemon.diagnosis.twins import told_from_twin
 from servo_daemon.errors import NumericalError
-from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, fit_output_error
+from servo_daemon.estimators.output_error import OutputErrorFit
 from servo_daemon.estimators.output_error.parameters import FittedParameter
 
 #: What is left may follow something at this share of what the effects explain, not more.
 _LEFT = 0.15
-#: How exact a parameter can be said to be, however long the data: what dry friction or a brush drop does within a
-#: sample, noise that goes through it, edges of the encoder. Measured on hidden effects: errors of 0.1 to 0.7 % where
-#: the fit's own standard deviation put them at 4 to 14 σ.
-_EXACT = 2.5e-3
-#: Angles that differ by less are one, rad.
-_ONE_PLACE = 1e-9
 #: Standard deviations by which two estimates differ that cannot both be right.
 _DIFFERENT = 3.0
 
@@ -91,44 +86,6 @@ def believed(selection: Selection) -> Believed:
     return Believed(replace(selection, chosen=selection.base, added=(), equivalent={}), None, None, ())
 
 
-def fit_everything(data: Data, trial: Trial, *, noise: bool = True) -> OutputErrorFit:
-    """A trial's model fitted to all parts, with standard deviations: in one run if that explains the data to their
-    noise (then noise that enters the motor is told from what the sensors add), else in the free runs of the search.
-
-    Args:
-        noise: whether noise that enters the motor is looked for; without it the fit cannot be found white.
-    """
-    whole = fit_whole(data, trial) if noise else None
-    return whole if whole is not None and whole.white else _fit(data, trial, trial.values, data.split.segment_s)
-
-
-def fit_whole(data: Data, trial: Trial, values: Mapping[str, float] | None = None) -> OutputErrorFit | None:
-    """A trial's model fitted to everything in one run, with noise that enters the motor; None where that fails.
-
-    Args:
-        values: from these instead of the trial's.
-    """
-    with suppress(NumericalError):
-        return _fit(data, trial, values or trial.values, None)
-    return None
-
-
-def _fit(data: Data, trial: Trial, values: Mapping[str, float], runs_s: float | None) -> OutputErrorFit:
-    """A trial's model fitted to everything.
-
-    Args:
-        values: from these.
-        runs_s: in free runs of this length; None: in one, with noise that enters the motor.
-
-    Raises:
-        NumericalError: it fails.
-    """
-    options = FitOptions(nominal=values, fixed={**data.fixed, **trial.held}, thorough=False)
-    if runs_s is not None:
-        options = replace(options, segment_s=runs_s, noise_model="none")
-    return _honest(fit_output_error(data.recordings, trial.effects, options))
-
-
 def _unbent(data: Data, trial: Trial, fit: OutputErrorFit) -> OutputErrorFit:
     """The fit, or one over shorter free runs if that contradicts it.
 
@@ -141,7 +98,7 @@ def _unbent(data: Data, trial: Trial, fit: OutputErrorFit) -> OutputErrorFit:
         return fit
     begun = fit_trial(data.cut(trial.effects, shorter), trial.effects, trial.values) or trial
     with suppress(NumericalError):
-        short = _fit(data, begun, begun.values, shorter)
+        short = fit_runs(data, begun, begun.values, shorter)
         if contradicts(fit.parameters, short.parameters):
             return short
     return fit
@@ -157,7 +114,7 @@ def _told_from_twin(data: Data, trial: Trial, fit: OutputErrorFit, *, short: boo
 
     def again(values: Mapping[str, float]) -> OutputErrorFit | None:
         with suppress(NumericalError):
-            return _fit(data, trial, values, None if fit.white else runs_s)
+            return fit_runs(data, trial, values, None if fit.white else runs_s)
         return None
 
     return told_from_twin(fit, again)
@@ -170,45 +127,10 @@ def contradicts(fit: Mapping[str, FittedParameter], other: Mapping[str, FittedPa
         q = other[name]
         if p.value is None or q.value is None or not p.std or not q.std:
             continue
-        spread = math.hypot(math.sqrt(max(q.std**2 - p.std**2, 0.0)), _exactness(name, p))
+        spread = math.hypot(math.sqrt(max(q.std**2 - p.std**2, 0.0)), exactness(name, p))
         if abs(p.value - q.value) > _DIFFERENT * spread:
             return True
     return False
-
-
-def _honest(fit: OutputErrorFit) -> OutputErrorFit:
-    """With standard deviations that hold what no length of data makes smaller: a simulation from sample to sample is
-    exact to a share of a parameter, and to as much of a radian of a phase; where within a count the encoder's zero
-    lies is not known."""
-    zero = _encoder_zero(fit)
-    parameters = {
-        name: p
-        if p.std is None or p.value is None
-        else replace(p, std=math.hypot(p.std, _exactness(name, p), zero.get(name, 0.0)))
-        for name, p in fit.parameters.items()
-    }
-    return replace(fit, parameters=parameters)
-
-
-def _exactness(name: str, p: FittedParameter) -> float:
-    return _EXACT * (1.0 if p.unit == "rad" and name != "gap" else abs(p.value or 0.0))
-
-
-def _encoder_zero(fit: OutputErrorFit) -> dict[str, float]:
-    """Standard deviation of each phase over the turn for an encoder's zero that is anywhere within a count, rad."""
-    channels, segments = fit.problem.channels, fit.problem.segments
-    if "position_rad" not in channels:
-        return {}
-    column = channels.index("position_rad")
-    moved = np.abs(np.concatenate([np.diff(s.measured[s.valid[:, column], column]) for s in segments]))
-    step = float(np.min(moved[moved > _ONE_PLACE], initial=np.inf))
-    if not math.isfinite(step):
-        return {}
-    phases = [name for name in fit.parameters if name.startswith("phi_") and not name.startswith("phi_per")]
-    order = {name: fit.parameters.get("n" + name.removeprefix("phi")) for name in phases}
-    return {
-        name: (1.0 if n is None or n.value is None else n.value) * step / math.sqrt(12.0) for name, n in order.items()
-    }
 
 
 def removed_share(before: float, after: float, floor: float) -> float:

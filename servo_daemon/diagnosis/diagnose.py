@@ -11,10 +11,11 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from servo_daemon.captures import Capture
-from servo_daemon.diagnosis.adequacy import Believed, believed, fit_everything
+from servo_daemon.diagnosis.adequacy import Believed, believed
 from servo_daemon.diagnosis.compare import error_removed
 from servo_daemon.diagnosis.dependence import dependences, is_large
 from servo_daemon.diagnosis.differences import differences
+from servo_daemon.diagnosis.everything import fit_everything
 from servo_daemon.diagnosis.evidence import OVERWHELMING_BIC
 from servo_daemon.diagnosis.inverse import ByBalance, found_by_balance
 from servo_daemon.diagnosis.lacking import longest_missing

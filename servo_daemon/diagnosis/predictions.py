@@ -17,9 +17,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_daemon.diagnosis.adequacy import fit_whole
 from servo_daemon.diagnosis.candidates import CONTAINED, NESTED
 from servo_daemon.diagnosis.compare import advantage, bootstrapped_sum, error_removed
+from servo_daemon.diagnosis.everything import fit_whole
 from servo_daemon.diagnosis.fitting import Candidate
 from servo_daemon.diagnosis.likelihood import far_likelier
 from servo_daemon.diagnosis.result import CandidateScore, HeldOut, NamedEffect
