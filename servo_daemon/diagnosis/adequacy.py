@@ -12,12 +12,11 @@ import math
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from servo_daemon.diagnosis.dependence import Dependence, dependences
-from servo_daemon.diagnosis.everything import exactness, fit_everything, fit_runs, fit_whole
+from servo_daemon.diagnosis.everything import WholeFits, exactness, fit_everything, fit_runs
 from servo_daemon.diagnosis.evidence import LEAST_OWN, LEAST_TOGETHER, is_what_it_is_called, working_shares
 from servo_daemon.diagnosis.lacking import longest_missing
 from servo_daemon.diagnosis.likelihood import without_the_unneeded
@@ -54,15 +53,15 @@ class Believed:
     depends_on: tuple[Dependence, ...]
 
 
-def believed(selection: Selection) -> Believed:
+def believed(selection: Selection, whole_fits: WholeFits) -> Believed:
     """Drop the names that cannot be believed, the weakest first."""
     data = selection.data
     before = longest_missing(data, selection.base) if selection.added else None
     while selection.added:
         assert before is not None
-        extended = fit_everything(data, selection.chosen)
+        extended = fit_everything(data, selection.chosen, whole_fits)
         floor = noise_floor(extended, selection.chosen, CHOICE).nrmse
-        fewer = _weakest(selection, floor) or without_the_unneeded(selection, extended, partial(fit_whole, data))
+        fewer = _weakest(selection, floor) or without_the_unneeded(selection, extended, whole_fits.of)
         if fewer is not None:
             selection = fewer
             continue

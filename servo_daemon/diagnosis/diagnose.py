@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -15,14 +15,13 @@ from servo_daemon.diagnosis.adequacy import Believed, believed
 from servo_daemon.diagnosis.compare import error_removed
 from servo_daemon.diagnosis.dependence import dependences, is_large
 from servo_daemon.diagnosis.differences import differences
-from servo_daemon.diagnosis.everything import fit_everything
+from servo_daemon.diagnosis.everything import WholeFits, fit_everything
 from servo_daemon.diagnosis.evidence import OVERWHELMING_BIC
-from servo_daemon.diagnosis.inverse import ByBalance, found_by_balance
+from servo_daemon.diagnosis.inverse import found_by_balance
 from servo_daemon.diagnosis.lacking import longest_missing
-from servo_daemon.diagnosis.missing import Missing
 from servo_daemon.diagnosis.noise_floor import noise_floor
-from servo_daemon.diagnosis.predictions import ByPredictions, found_by_predictions
-from servo_daemon.diagnosis.result import CandidateScore, Diagnosis, HeldOut, JudgedBy, NamedEffect
+from servo_daemon.diagnosis.predictions import found_by_predictions
+from servo_daemon.diagnosis.result import CandidateScore, Diagnosis, Finding, HeldOut, NamedEffect
 from servo_daemon.diagnosis.scored import Scored
 from servo_daemon.diagnosis.select import Selection, select, without_effect
 from servo_daemon.diagnosis.split import CHOICE, TRAIN, segment_length_s
@@ -82,12 +81,13 @@ def _diagnose(
     base = first_trial(data, options.baseline, options.nominal)
     selection = select(data, base, _within(progress, 0.1, 0.8), options.workers)
     progress(0.8, "whether the names can be believed")
-    belief = believed(selection)
-    baseline = fit_everything(data, base, noise=belief.extended is None)
+    whole_fits = WholeFits(data)
+    belief = believed(selection, whole_fits)
+    baseline = fit_everything(data, base, whole_fits if belief.extended is None else None)
     diagnosis = _by_free_runs(captures, data, belief, baseline, _within(progress, 0.88, 1.0))
     if not diagnosis.effects:
         with suppress(ServoDaemonError):  # then the free runs have the last word
-            diagnosis = _otherwise(diagnosis, data, belief.selection, options.nominal)
+            diagnosis = _otherwise(diagnosis, data, belief.selection, options.nominal, whole_fits)
     scores = tuple(validated(c, baseline, diagnosis.extended, options.adapt) for c in validation)
     return replace(diagnosis, validation=scores, seconds=time.perf_counter() - began)
 
@@ -131,14 +131,14 @@ def _by_free_runs(
     )
 
 
-def _otherwise(d: Diagnosis, data: Data, selection: Selection, nominal: Mapping[str, float]) -> Diagnosis:
+def _otherwise(
+    d: Diagnosis, data: Data, selection: Selection, nominal: Mapping[str, float], whole_fits: WholeFits
+) -> Diagnosis:
     """Where free runs name nothing: what predictions show, else what the balance does."""
-    predicted = found_by_predictions(data, selection, d.candidates)
-    if predicted is not None:
-        named = _named(d, "predictions", predicted, longest_missing(data, predicted.extended))
-        return replace(named, deviance_gain=predicted.deviance_gain)
-    found = found_by_balance(data, d.baseline, selection.base, nominal)
-    return d if found is None else _named(d, "balance", found, found.after, found.before)
+    found = found_by_predictions(data, selection, d.candidates, whole_fits) or found_by_balance(
+        data, d.baseline, selection.base, nominal
+    )
+    return d if found is None else _named(d, found)
 
 
 def _speaks_for_something(selection: Selection) -> bool:
@@ -147,26 +147,15 @@ def _speaks_for_something(selection: Selection) -> bool:
     return any(c.against.delta_bic < OVERWHELMING_BIC for c in selection.rounds[0])
 
 
-def _named(
-    d: Diagnosis, judge: JudgedBy, found: ByBalance | ByPredictions, after: Missing, before: Missing | None = None
-) -> Diagnosis:
+def _named(d: Diagnosis, found: Finding) -> Diagnosis:
     """The diagnosis with what another judge than free runs has named."""
     return replace(
         d,
+        **{f.name: getattr(found, f.name) for f in fields(found) if f.name != "before"},
+        before=found.before or d.before,
         verdict="found",
-        judged_by=judge,
-        effects=found.effects,
-        extended=found.extended,
-        baseline_score=found.baseline_score,
-        extended_score=found.extended_score,
-        noise_floor=found.noise_floor,
-        error_removed=found.error_removed,
-        ci95=found.ci95,
-        candidates=found.candidates,
-        before=before or d.before,
-        after=after,
         white=found.extended.white,
-        depends_on=() if found.extended.white else dependences(found.extended, after),
+        depends_on=() if found.extended.white else dependences(found.extended, found.after),
         differences=(),
         own_models=(),
     )

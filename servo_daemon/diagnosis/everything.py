@@ -22,39 +22,64 @@ _EXACT = 2.5e-3
 _ONE_PLACE = 1e-9
 
 
-def fit_everything(data: Data, trial: Trial, *, noise: bool = True) -> OutputErrorFit:
+class WholeFits:
+    """`fit_whole` over the same data: search, belief and predictions ask for the same models, and one takes seconds."""
+
+    def __init__(self, data: Data) -> None:
+        self._data = data
+        self._known: dict[object, OutputErrorFit | None] = {}
+
+    def of(
+        self, trial: Trial, values: Mapping[str, float] | None = None, below: float = math.inf
+    ) -> OutputErrorFit | None:
+        """See `fit_whole`; made once."""
+        begin = values or trial.values
+        asked = (trial.effects, tuple(sorted(trial.held.items())), tuple(sorted(begin.items())), below)
+        if asked not in self._known:
+            self._known[asked] = fit_whole(self._data, trial, begin, below)
+        return self._known[asked]
+
+
+def fit_everything(data: Data, trial: Trial, whole_fits: WholeFits | None) -> OutputErrorFit:
     """A trial's model fitted to all parts, with standard deviations: in one run if that explains the data to their
     noise (then noise that enters the motor is told from what the sensors add), else in the free runs of the search.
 
     Args:
-        noise: whether noise that enters the motor is looked for; without it the fit cannot be found white.
+        whole_fits: over the same recordings; None: no noise that enters the motor is looked for, and the fit cannot be
+            found white.
     """
-    whole = fit_whole(data, trial) if noise else None
+    whole = None if whole_fits is None else whole_fits.of(trial)
     return whole if whole is not None and whole.white else fit_runs(data, trial, trial.values, data.split.segment_s)
 
 
-def fit_whole(data: Data, trial: Trial, values: Mapping[str, float] | None = None) -> OutputErrorFit | None:
+def fit_whole(
+    data: Data, trial: Trial, values: Mapping[str, float] | None = None, below: float = math.inf
+) -> OutputErrorFit | None:
     """A trial's model fitted to everything in one run, with noise that enters the motor; None where that fails.
 
     Args:
         values: from these instead of the trial's.
+        below: without that noise where the deviance will not come below this.
     """
     with suppress(NumericalError):
-        return fit_runs(data, trial, values or trial.values, None)
+        return fit_runs(data, trial, values or trial.values, None, below)
     return None
 
 
-def fit_runs(data: Data, trial: Trial, values: Mapping[str, float], runs_s: float | None) -> OutputErrorFit:
+def fit_runs(
+    data: Data, trial: Trial, values: Mapping[str, float], runs_s: float | None, below: float = math.inf
+) -> OutputErrorFit:
     """A trial's model fitted to everything.
 
     Args:
         values: from these.
         runs_s: in free runs of this length; None: in one, with noise that enters the motor.
+        below: see `fit_whole`.
 
     Raises:
         NumericalError: it fails.
     """
-    options = FitOptions(nominal=values, fixed={**data.fixed, **trial.held}, thorough=False)
+    options = FitOptions(nominal=values, fixed={**data.fixed, **trial.held}, thorough=False, deviance_below=below)
     if runs_s is not None:
         options = replace(options, segment_s=runs_s, noise_model="none")
     return _honest(fit_output_error(data.recordings, trial.effects, options))

@@ -11,8 +11,8 @@ from servo_daemon.diagnosis.compare import error_removed
 from servo_daemon.diagnosis.inverse_fit import OFFSET, OWN, Explained, Start, non_negative
 from servo_daemon.diagnosis.inverse_rows import BalanceRows, balance_rows
 from servo_daemon.diagnosis.inverse_search import Found, search_balance
-from servo_daemon.diagnosis.missing import Missing, coordinates_with_load, missing_inputs
-from servo_daemon.diagnosis.result import CandidateScore, HeldOut, NamedEffect
+from servo_daemon.diagnosis.missing import coordinates_with_load, missing_inputs
+from servo_daemon.diagnosis.result import CandidateScore, Finding, HeldOut, NamedEffect
 from servo_daemon.diagnosis.split import CHOICE, HELD_OUT, shorter_s
 from servo_daemon.diagnosis.trial import Data, Trial
 from servo_daemon.estimators.base import to_coordinate
@@ -30,22 +30,6 @@ _STEP = 1e-6
 
 
 @dataclass(frozen=True)
-class ByBalance:
-    """The finding; see `Diagnosis`."""
-
-    effects: tuple[NamedEffect, ...]
-    extended: OutputErrorFit
-    baseline_score: HeldOut
-    extended_score: HeldOut
-    noise_floor: float
-    error_removed: float
-    ci95: tuple[float, float]
-    candidates: tuple[CandidateScore, ...]
-    before: Missing
-    after: Missing
-
-
-@dataclass(frozen=True)
 class _Values:
     """Natural values and 1 σ by name; a σ of None: not seen, the value is one that would not show."""
 
@@ -53,9 +37,7 @@ class _Values:
     std: Mapping[str, float | None]
 
 
-def found_by_balance(
-    data: Data, baseline: OutputErrorFit, base: Trial, nominal: Mapping[str, float]
-) -> ByBalance | None:
+def found_by_balance(data: Data, baseline: OutputErrorFit, base: Trial, nominal: Mapping[str, float]) -> Finding | None:
     """Look at the shaft's balance where free runs have named nothing.
 
     Args:
@@ -80,7 +62,8 @@ def found_by_balance(
     floor, number = _floor(found.explained), data.longest
     removed, ci95 = error_removed(found.base.scored(HELD_OUT), found.explained.scored(HELD_OUT), floor)
     block = data.recordings[number].block
-    return ByBalance(
+    return Finding(
+        judged_by="balance",
         effects=_named(found, removed),
         extended=extended,
         baseline_score=_held_out(found.base, plant.drive),

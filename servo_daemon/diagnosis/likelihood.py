@@ -42,18 +42,16 @@ def without_the_unneeded(selection: Selection, extended: OutputErrorFit, whole: 
         without = without_effect(selection.data, selection.chosen, name) if others else selection.base
         if without is None or without.choice.nrmse > _PLAINLY * selection.chosen.choice.nrmse:
             continue  # no drift of free runs makes such a difference, and a fit to everything takes its time
-        if not _is_as_likely(without, extended, whole):
-            continue
-        return replace(selection, chosen=without, added=others)
+        if _is_as_likely(without, extended, whole):
+            return replace(selection, chosen=without, added=others)
     return None
 
 
 def _is_as_likely(without: Trial, extended: OutputErrorFit, whole: Whole) -> bool:
     """Whether the data are white and as likely without; fitted from where it is, and, as the richer model may only have
     found the way out of a valley, from where that came to."""
-    came_to = {name: extended.parameters[name].value for name in without.values if name in extended.parameters}
-    known = {name: value for name, value in came_to.items() if value is not None}
-    for values in (without.values, {**without.values, **known}):
+    came_to = {name: value for name, value in extended.values.items() if name in without.values}
+    for values in (without.values, {**without.values, **came_to}):
         fit = whole(without, values)
         if fit is not None and fit.white and not far_likelier(extended, fit):
             return True
@@ -65,6 +63,13 @@ def far_likelier(rich: OutputErrorFit, simple: OutputErrorFit) -> bool:
     where either deviance is not known."""
     if rich.deviance is None or simple.deviance is None:
         return False
-    more = len(rich.problem.free) - len(simple.problem.free)
-    cost = more * math.log(max(float(rich.problem.counts.sum()), 2.0))
-    return simple.deviance - rich.deviance >= cost + _LIKELIER
+    return rich.deviance <= far_below(simple, len(rich.problem.free))
+
+
+def far_below(simple: OutputErrorFit, free: int) -> float:
+    """The deviance that a model with so many free parameters must not exceed to be far likelier; infinite where the
+    simpler one's is not known."""
+    if simple.deviance is None:
+        return math.inf
+    cost = (free - len(simple.problem.free)) * math.log(max(float(simple.problem.counts.sum()), 2.0))
+    return simple.deviance - cost - _LIKELIER

@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 
 from servo_daemon.diagnosis.candidates import CONTAINED, NESTED
 from servo_daemon.diagnosis.compare import advantage, bootstrapped_sum, error_removed
-from servo_daemon.diagnosis.everything import fit_whole
+from servo_daemon.diagnosis.everything import WholeFits, fit_whole
 from servo_daemon.diagnosis.fitting import Candidate
-from servo_daemon.diagnosis.likelihood import far_likelier
-from servo_daemon.diagnosis.result import CandidateScore, HeldOut, NamedEffect
+from servo_daemon.diagnosis.lacking import longest_missing
+from servo_daemon.diagnosis.likelihood import far_below, far_likelier
+from servo_daemon.diagnosis.result import CandidateScore, Finding, HeldOut, NamedEffect
 from servo_daemon.diagnosis.scored import Scored
 from servo_daemon.diagnosis.select import Selection
 from servo_daemon.diagnosis.split import HELD_OUT
@@ -45,47 +46,28 @@ _MOST_SAMPLES = 60_000
 _CHANCE_STDS = 3.0
 
 
-@dataclass(frozen=True)
-class ByPredictions:
-    """What was found.
-
-    Attributes:
-        effects: the one, with what is as likely.
-        extended: fitted to everything, white.
-        baseline_score, extended_score: errors of the predictions of the next sample, on times that no fit has seen.
-        noise_floor: what the noise makes of them.
-        error_removed, ci95, deviance_gain: as in `Diagnosis`.
-        candidates: all that were tried, the one marked.
-    """
-
-    effects: tuple[NamedEffect, ...]
-    extended: OutputErrorFit
-    baseline_score: HeldOut
-    extended_score: HeldOut
-    noise_floor: float
-    error_removed: float
-    ci95: tuple[float, float]
-    deviance_gain: float
-    candidates: tuple[CandidateScore, ...]
-
-
 def found_by_predictions(
-    data: Data, selection: Selection, candidates: Sequence[CandidateScore]
-) -> ByPredictions | None:
+    data: Data, selection: Selection, candidates: Sequence[CandidateScore], whole_fits: WholeFits
+) -> Finding | None:
     """The effect of the search's first round that the data need; None: there is none, or it cannot be told.
 
     Args:
         data: uncut.
         candidates: as they were scored.
+        whole_fits: over `data`.
 
     Raises:
         NumericalError: predictions left the range of numbers.
     """
-    base, few = selection.base, _begun(data, selection.base.effects)
-    whole = fit_whole(few, base)
-    if whole is None or whole.problem.plant.drive != "voltage":
+    base = selection.base
+    if base.problem.plant.drive != "voltage":
         return None
-    likely = _likely(few, selection, whole)
+    few = _begun(data, base.effects)
+    fits = whole_fits if few is data else WholeFits(few)
+    whole = fits.of(base)
+    if whole is None:
+        return None
+    likely = _likely(fits, selection, whole)
     if not likely:
         return None
     best, extended = _simplest(likely)
@@ -95,23 +77,25 @@ def found_by_predictions(
     before = _predicted(whole, _unseeing(few, base, whole, held) or whole, held)
     if after is None or before is None or bootstrapped_sum(before.deviance - after.deviance)[0] <= 0.0:
         return None
-    published = extended if few is data else _fitted(data, best.trial)
+    published = extended if few is data else _fitted(whole_fits, best.trial)
     if published is None or not published.white:
         return None
     floor = _floor(after)
     removed, ci95 = error_removed(before.errors, after.errors, floor)
     richer = (best.name, *CONTAINED.get(best.name, ()))
     ties = tuple(c.name for c, fit in likely if c.name not in richer and not far_likelier(extended, fit))
-    return ByPredictions(
-        (NamedEffect(best.name, removed, ties),),
-        published,
-        _score(before.errors, whole.problem.channels),
-        _score(after.errors, whole.problem.channels),
-        floor,
-        removed,
-        ci95,
-        (whole.deviance or 0.0) - (extended.deviance or 0.0),
-        _marked(candidates, best, base),
+    return Finding(
+        judged_by="predictions",
+        effects=(NamedEffect(best.name, removed, ties),),
+        extended=published,
+        baseline_score=_score(before.errors, whole.problem.channels),
+        extended_score=_score(after.errors, whole.problem.channels),
+        noise_floor=floor,
+        error_removed=removed,
+        ci95=ci95,
+        candidates=_marked(candidates, best, base),
+        after=longest_missing(data, published),
+        deviance_gain=(whole.deviance or 0.0) - (extended.deviance or 0.0),
     )
 
 
@@ -132,15 +116,17 @@ def _begun(data: Data, effects: tuple[str, ...]) -> Data:
     return Data.of(begun, data.fixed, effects, data.split.segment_s)
 
 
-def _likely(data: Data, selection: Selection, base: OutputErrorFit) -> list[tuple[Candidate, OutputErrorFit]]:
+def _likely(
+    whole_fits: WholeFits, selection: Selection, base: OutputErrorFit
+) -> list[tuple[Candidate, OutputErrorFit]]:
     """Candidates with which the data are white and far likelier than without, the likeliest first."""
     single = [c for c in selection.rounds[0] if len(c.trial.effects) == len(selection.base.effects) + 1]
     tried = sorted({c.name: c for c in reversed(single)}.values(), key=lambda c: c.against.delta_bic)[:_TRIED]
     if not base.white:
         tried += _unscreened(selection, {c.name for c in tried})
-    fits = [(c, fit) for c in tried if (fit := _fitted(data, c.trial)) is not None and fit.white]
-    fits = [(c, fit) for c, fit in fits if far_likelier(fit, base)]
-    return sorted(fits, key=lambda f: f[1].deviance or math.inf)
+    fits = [(c, _fitted(whole_fits, c.trial, far_below(base, len(c.trial.problem.free)))) for c in tried]
+    likely = [(c, fit) for c, fit in fits if fit is not None and fit.white and far_likelier(fit, base)]
+    return sorted(likely, key=lambda f: f[1].deviance or math.inf)
 
 
 def _unscreened(selection: Selection, tried: Collection[str]) -> list[Candidate]:
@@ -157,10 +143,11 @@ def _unscreened(selection: Selection, tried: Collection[str]) -> list[Candidate]
     return out
 
 
-def _fitted(data: Data, trial: Trial) -> OutputErrorFit | None:
-    """To everything; of two lags in a row in the order that the data prefer."""
-    fit = fit_whole(data, trial)
-    return None if fit is None else told_from_twin(fit, partial(fit_whole, data, trial))
+def _fitted(whole_fits: WholeFits, trial: Trial, below: float = math.inf) -> OutputErrorFit | None:
+    """To everything, as far as the deviance may come below this; of two lags in a row in the order that the data
+    prefer."""
+    fit = whole_fits.of(trial, below=below)
+    return None if fit is None else told_from_twin(fit, partial(whole_fits.of, trial, below=below))
 
 
 def _simplest(likely: Sequence[tuple[Candidate, OutputErrorFit]]) -> tuple[Candidate, OutputErrorFit]:
@@ -205,12 +192,8 @@ class _Predicted:
 def _unseeing(data: Data, trial: Trial, fit: OutputErrorFit, held: _Held) -> OutputErrorFit | None:
     """The model fitted without the times held out, from where the fit to everything has come to."""
     seen = tuple(replace(r, seen=runs < 0) for r, runs in zip(data.recordings, held, strict=True))
-    part = fit_whole(replace(data, recordings=seen), trial, _values(fit))
+    part = fit_whole(replace(data, recordings=seen), trial, fit.values)
     return part if part is not None and part.polished is not None else None
-
-
-def _values(fit: OutputErrorFit) -> dict[str, float]:
-    return {name: p.value for name, p in fit.parameters.items() if p.value is not None}
 
 
 def _predicted(fit: OutputErrorFit, part: OutputErrorFit | None, held: _Held) -> _Predicted | None:

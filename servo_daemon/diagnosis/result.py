@@ -83,6 +83,28 @@ class OwnModel:
 
 
 @dataclass(frozen=True)
+class Finding:
+    """What another judge than free runs has named; see `Diagnosis`.
+
+    Attributes:
+        before: None: as the free runs have it.
+    """
+
+    judged_by: JudgedBy
+    effects: tuple[NamedEffect, ...]
+    extended: OutputErrorFit
+    baseline_score: HeldOut
+    extended_score: HeldOut
+    noise_floor: float
+    error_removed: float
+    ci95: tuple[float, float]
+    candidates: tuple[CandidateScore, ...]
+    after: Missing
+    before: Missing | None = None
+    deviance_gain: float | None = None
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """The result.
 

@@ -38,12 +38,13 @@ def told_from_twin(
     Args:
         again: the same fit begun from other values; None where it fails.
     """
-    values = {name: p.value for name, p in fit.parameters.items() if p.value is not None}
-    start = lag_twin(values)
+    start = lag_twin(fit.values)
     other = None if start is None else again(start)
     if other is None:
         return fit
-    if fit.white and other.white and fit.deviance is not None and other.deviance is not None:
+    if (fit.deviance is None) != (other.deviance is None):
+        return other if fit.deviance is None else fit  # that for which noise of voltage and sensors was found
+    if fit.deviance is not None and other.deviance is not None:
         difference, alike = other.deviance - fit.deviance, _BY_CHANCE
     else:
         difference, alike = _error(other) - _error(fit), _ALIKE

@@ -136,7 +136,7 @@ class StepBuilder:
             moved = standing(core, begin, z)
             whole = after_second_half(two, moved, self._solved(moved, held, None).x)
         solved = self._solved(whole, held, speed)
-        i_square = self._mean_square(x, held, solved, h) if self.drive == "voltage" and self._warms() else None
+        i_square = self._mean_square(x, held, solved, h) if self.drive == "voltage" else None
         own = self._own_states(ca.vertcat(middle_x[:n], x[n:]), u, t + h / 2, h, i_square)
         rows = dict.fromkeys(self._places((LAGGED,)), lagged)
         rows |= {place: solved.x[n + k] for k, place in enumerate(self._places(TWIST))}
@@ -232,13 +232,6 @@ class StepBuilder:
         factors = ca.vertcat(*[ca.SX(getattr(term, name)) for term in terms for name in names])
         return bool(terms) and bool(ca.depends_on(factors, x[: self.core_states]))
 
-    def _warms(self) -> bool:
-        """Whether an effect's own state follows the mean of the squared current."""
-        x, square = ca.SX.sym("x", len(self.states)), ca.SX.sym("square")
-        terms = self.terms(x, ca.SX(0), ca.SX(0), ca.SX.sym("h"), square)
-        rates = [rate for term in terms for rate in term.rates.values()]
-        return bool(rates) and bool(ca.depends_on(ca.vertcat(*rates), square))
-
     def _guess_needs_friction(self) -> bool:
         """Whether what acts at the midpoint depends on current or speed there, which dry friction changes to first
         order within a step (the angle only to second)."""
@@ -259,9 +252,8 @@ class StepBuilder:
         n, before = self.core_states, x[0]
         change, turned = solved.x[0] - before, solved.x[n - 1] - x[n - 1]
         u = held.u - self._drop(held.terms) - solved.drop
-        above = (
-            (u - (K * turned + self.p["L"] * change) / h) / R - before - change / 2
-        )  # of the mean, over a straight line
+        mean = (u - (K * turned + self.p["L"] * change) / h) / R
+        above = mean - before - change / 2  # a straight line
         z = -R / self.p["L"] * h
         slow = ca.fabs(z) < _NEARLY_STRAIGHT
         z = ca.if_else(slow, -1.0, z)

@@ -11,7 +11,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from servo_daemon.diagnosis.inverse import ByBalance, found_by_balance
+from servo_daemon.diagnosis.inverse import found_by_balance
+from servo_daemon.diagnosis.result import Finding
 from servo_daemon.diagnosis.split import segment_length_s
 from servo_daemon.diagnosis.trial import Data, first_trial
 from servo_daemon.estimators.output_error import FitOptions, Recording, fit_output_error
@@ -64,7 +65,7 @@ def captured(load: Callable[[float, float], float], seed: int = 1) -> SampleBloc
     return make_block(time, current_A=noisy, position_rad=np.round(angle[at] / step) * step)
 
 
-def found(block: SampleBlock, fixed: dict[str, float] | None = None) -> ByBalance | None:
+def found(block: SampleBlock, fixed: dict[str, float] | None = None) -> Finding | None:
     recordings = (Recording("slow", block),)
     data = Data.of(recordings, fixed or {}, (), segment_length_s(recordings))
     base = first_trial(data, (), {})

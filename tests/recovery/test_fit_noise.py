@@ -30,7 +30,7 @@ def outcome(motor: Motor, scenario: Scenario, noise_model: NoiseOption = "auto")
     problem = make_problem([Recording("capture", block)], (), {})
     plain = solve(problem, problem.start({name: np.log(1.02 * getattr(motor, name)) for name in NAMES}))
     assert plain is not None
-    return conclude(problem, plain, np.ones(len(NAMES)), noise_model, motor.working_torque_Nm)
+    return conclude(problem, plain, np.ones(len(NAMES)), noise_model, motor.working_torque_Nm, np.inf)
 
 
 def z_of(found: Outcome, motor: Motor) -> np.ndarray:

@@ -65,6 +65,8 @@ class FitOptions:
             "none": plain output error.
         thorough: False: only the first start is searched from, and only as far as the simulation gets visibly better:
             for starts that are known to be near the best end.
+        deviance_below: the noise model is given up where the deviance will not come below this: the fit of a rival that
+            is no better than what there is need not be exact.
     """
 
     nominal: Mapping[str, float] = field(default_factory=dict)
@@ -73,6 +75,7 @@ class FitOptions:
     segment_s: float | None = None
     noise_model: NoiseOption = "auto"
     thorough: bool = True
+    deviance_below: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -118,6 +121,11 @@ class OutputErrorFit:
     @property
     def null_directions(self) -> tuple[NullDirection, ...]:
         return self.after.null
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Natural values of the parameters that have one, held ones included."""
+        return {name: p.value for name, p in self.parameters.items() if p.value is not None}
 
     @property
     def white(self) -> bool:
@@ -170,7 +178,8 @@ def fit_output_error(
     solution = _from_elsewhere_on(problem, solution, recordings, options)
     first = solve(problem, problem.start(coordinates(start, problem)), robust=False, max_iterations=0)
     assert first is not None  # it was searched from
-    outcome = conclude(problem, solution, scale, options.noise_model, _torque_size(problem, recordings, solution))
+    size = _torque_size(problem, recordings, solution)
+    outcome = conclude(problem, solution, scale, options.noise_model, size, options.deviance_below)
     plain, solution, after = solution, outcome.solution, outcome.information
     if problem.plant.drive != "voltage":
         shifted = make_problem(recordings, effects, options.fixed, segment_s=options.segment_s, input_share=SHIFTED)

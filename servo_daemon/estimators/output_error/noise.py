@@ -18,7 +18,7 @@ import numpy as np
 
 from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.output_error.rollout import INPUT
-from servo_daemon.estimators.output_error.whitening import SOURCES, Prepared, prepare
+from servo_daemon.estimators.output_error.whitening import SOURCES, Prepared, Tangent, prepare
 from servo_daemon.samples import F64
 
 #: A source must lower −2 log p by more than this: chance does so once in 10⁵ (χ² with one degree of freedom).
@@ -185,7 +185,7 @@ def resolution(problem: Problem) -> F64:
 
 
 def likelihood_of(
-    models: Sequence[F64], weights: Sequence[F64], residuals: Sequence[F64], limits: tuple[F64, F64]
+    models: Sequence[Tangent], weights: Sequence[F64], residuals: Sequence[F64], limits: tuple[F64, F64]
 ) -> NoiseLikelihood:
     """Of residuals, shape (n, c) per segment.
 

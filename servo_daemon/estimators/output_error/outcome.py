@@ -52,16 +52,19 @@ class Outcome:
     polished: Polished | None
 
 
-def conclude(problem: Problem, plain: Solution, scale: F64, option: NoiseOption, torque_size: float) -> Outcome:
+def conclude(
+    problem: Problem, plain: Solution, scale: F64, option: NoiseOption, torque_size: float, below: float
+) -> Outcome:
     """From the plain output-error solution to what is published.
 
     Args:
         scale: as for `information`.
         torque_size: N·m, what the motor typically exerts.
+        below: see `FitOptions.deviance_below`.
     """
     polished = None
     if option == "auto" and problem.plant.drive == "voltage":
-        polished = polish(problem, plain.point, torque_size)
+        polished = polish(problem, plain.point, torque_size, below)
     if polished is None:
         return _plain(problem, plain, scale, None)
     tests = innovation_tests(problem, polished.whitened, polished.innovation_rms, moving(problem), resolution(problem))

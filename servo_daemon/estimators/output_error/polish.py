@@ -36,8 +36,9 @@ from servo_daemon.samples import F64
 
 #: Most steps, and most halvings of one.
 _STEPS, _HALVINGS = 30, 6
-#: A step left over that is not smaller than this share of the last one has gone too far.
-_PROGRESS = 0.8
+#: A step left over that is not smaller than this share of the last one has gone too far: the next are halved, and at
+#: the least share of a step nothing will move any more.
+_PROGRESS, _LEAST_SHARE = 0.8, 1 / 256
 #: Keeps a direction that the data do not show where it is, in units of what each unknown is known by.
 _RIDGE = 1e-10
 #: Directions of which the data know less than this (1/σ², σ of three e-folds) stay: a friction near zero.
@@ -47,6 +48,9 @@ _LONGEST = 0.5
 #: Settled when the step left over is this many standard deviations, squared, and no variance changes by a larger share;
 #: close enough where it comes no nearer.
 _DECREMENT, _SAME, _CLOSE = 1e-4, 0.01, 0.01
+#: A step promises what −2 log p falls by; over the steps that follow it fell by 0.4 to 1.2 times the promise, on hidden
+#: effects and clean captures alike. What would take more than this many times the promise is out of reach.
+_REACH = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,18 +78,19 @@ class Polished:
     at_bound: frozenset[int]
 
 
-def polish(problem: Problem, point: Point, torque_size: float) -> Polished | None:
+def polish(problem: Problem, point: Point, torque_size: float, below: float = np.inf) -> Polished | None:
     """From the plain output-error estimate; None where no noise but the sensors' is seen, or no estimate is found.
 
     Args:
         torque_size: N·m, what the motor typically exerts.
+        below: given up where −2 log p will not come below this.
     """
     limits = bounds(problem, torque_size)
     at = _likelihood(problem, point, limits)
     alone = at.sensors_alone()
     plain = at.value(alone)
     a, value = at.with_source(alone, INPUT_NOISE)
-    end = _settle(problem, point, a, limits) if value < plain - WORTH else None
+    end = _settle(problem, point, a, limits, below) if value < plain - WORTH else None
     if end is None:
         return None
     point, whitened, a = end
@@ -105,16 +110,23 @@ def _torque_gain(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64]
     return value - at.with_source(a, TORQUE_NOISE)[1]
 
 
-def _settle(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64]) -> tuple[Point, Point, F64] | None:
-    """Steps of the parameters and of the noise in turn, until neither moves; None if they do not come to rest.
+def _settle(
+    problem: Problem, point: Point, a: F64, limits: tuple[F64, F64], below: float
+) -> tuple[Point, Point, F64] | None:
+    """Steps of the parameters and of the noise in turn, until neither moves; None if they do not come to rest, or not
+    below the value.
 
     In turn, because the noise as seen from a poor estimate leads astray where the data say little.
     """
     settled, share, last = False, 1.0, np.inf
     whitened, _ = whiten_point(problem, point, a)
-    for _ in range(_STEPS):
+    for steps in range(_STEPS):
         step, decrement = _step(problem, whitened)
+        if steps > 0 and whitened.value - _REACH * decrement > below:
+            return None
         share, last = (share / 2 if decrement > _PROGRESS * last else share), decrement  # to and fro in a bent valley
+        if share < _LEAST_SHARE:
+            break
         if decrement < _DECREMENT and settled:
             break
         better = _along(problem, (point, whitened), share * step, a, decrement) if decrement >= _DECREMENT else None

@@ -14,7 +14,6 @@ if the model of the noise is right. The same numbers whiten the sensitivities, c
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -38,8 +37,6 @@ SOURCES = 2
 _BATCH = 8
 #: More equal samples in a row are a channel that stands.
 _LONGEST_REPEAT = 3
-#: With more states (a late sensor brings many, most of which only move on) the filter is written without F's zeros.
-_FEW_STATES = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,9 +52,44 @@ class Whitened:
     log_variance: F64
 
 
+@dataclass(frozen=True, slots=True)
+class Structure:
+    """Which elements of F, (g_u, g_τ) and H are not always zero: of a late sensor's two dozen states nearly all are.
+
+    Attributes:
+        states, channels: nx, c.
+        used: indices into F | g | H, each by columns, of the elements that are kept.
+    """
+
+    states: int
+    channels: int
+    used: tuple[int, ...]
+
+    def parts(self, kept: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """F, g and H as sparse matrices of the elements that are kept."""
+        n, c = self.states, self.channels
+        ends = np.cumsum([0, n * n, SOURCES * n, c * n]).tolist()
+        whole = ca.SX(ca.Sparsity.triplet(ends[-1], 1, list(self.used), [0] * len(self.used)), kept)
+        F, g, H = (whole[a:b] for a, b in pairwise(ends))
+        return ca.reshape(F, n, n), ca.reshape(g, n, SOURCES), ca.reshape(H, c, n)
+
+
+@dataclass(frozen=True, slots=True)
+class Tangent:
+    """How errors move along a free run.
+
+    Attributes:
+        values: shape (n, m), what is kept of F, (g_u, g_τ) and H at every sample.
+        structure: which m elements that are.
+    """
+
+    values: F64
+    structure: Structure
+
+
 @cache
-def _tangent_loop(plant: PlantModel, channels: tuple[str, ...]) -> SampleLoop:
-    """Along a free run: F, the two noise gains, H, all column-major."""
+def _tangent_loop(plant: PlantModel, channels: tuple[str, ...]) -> tuple[SampleLoop, Structure]:
+    """Along a free run: what is kept of F, the two noise gains and H."""
     n, row = len(plant.states), ca.SX.sym("row", 3)
     x, q = ca.SX.sym("x", n), ca.SX.sym("q", len(plant.parameters))
     u, t, h = row[INPUT], row[TIME], row[STEP]
@@ -69,29 +101,30 @@ def _tangent_loop(plant: PlantModel, channels: tuple[str, ...]) -> SampleLoop:
     speed = plant.state_names.index("velocity_rad_s")
     through = per_input[speed] / gain[speed, 0]
     parts = [ca.jacobian(x_next, x), per_input, gain[:, 1] * through, ca.jacobian(shown, x)]
-    outputs = ca.vertcat(*[ca.vec(ca.densify(part)) for part in parts])
-    return SampleLoop(ca.Function("step", [x, q, row], ca.cse([x_next, outputs])))
+    outputs = ca.vertcat(*[ca.vec(part) for part in parts])
+    used, _ = outputs.sparsity().get_triplet()
+    kept = ca.vertcat(*outputs.nonzeros())
+    loop = SampleLoop(ca.Function("step", [x, q, row], ca.cse([x_next, kept])))
+    return loop, Structure(n, len(channels), tuple(used))
 
 
-def tangent(plant: PlantModel, channels: tuple[str, ...], q: F64, x0: F64, rows: F64) -> F64:
-    """F, (g_u, g_τ), H at every sample of a free run, each by columns; shape (n, nx² + 2 nx + c nx)."""
-    return _tangent_loop(plant, channels).run(np.array(x0, dtype=np.float64), q, rows)
+def tangent(plant: PlantModel, channels: tuple[str, ...], q: F64, x0: F64, rows: F64) -> Tangent:
+    """F, (g_u, g_τ) and H at every sample of a free run."""
+    loop, structure = _tangent_loop(plant, channels)
+    return Tangent(loop.run(np.array(x0, dtype=np.float64), q, rows), structure)
 
 
 @cache
-def _filter_loop(n: int, c: int, k: int, used: tuple[int, ...]) -> SampleLoop:
-    """Measurement update channel by channel, then prediction, for k columns of data.
-
-    Args:
-        used: which of F's elements, by columns, are not zero.
-    """
-    n_tri, n_model = n * (n + 1) // 2, n * n + SOURCES * n + c * n
+def _filter_loop(structure: Structure, k: int) -> SampleLoop:
+    """Measurement update channel by channel, then prediction, for k columns of data."""
+    n, c, kept = structure.states, structure.channels, len(structure.used)
+    n_tri = n * (n + 1) // 2
     state, variance = ca.SX.sym("state", n_tri + n * k), ca.SX.sym("variance", SOURCES + c)
-    sample = ca.SX.sym("sample", n_model + c + c * k)
-    edges = np.cumsum([0, n * n, SOURCES * n, c * n, c, c * k])
-    F, g, H, weight, data = (sample[a:b] for a, b in pairwise(edges.tolist()))
-    F = ca.SX(ca.Sparsity.triplet(n, n, [e % n for e in used], [e // n for e in used]), F[list(used)])
-    g, H, data = ca.reshape(g, n, SOURCES), ca.reshape(H, c, n), ca.reshape(data, k, c)
+    sample = ca.SX.sym("sample", kept + c + c * k)
+    edges = np.cumsum([0, kept, c, c * k])
+    model, weight, data = (sample[a:b] for a, b in pairwise(edges.tolist()))
+    F, g, H = structure.parts(model)
+    data = ca.reshape(data, k, c)
     P, xi = ca.tril2symm(ca.tril(_square(state[:n_tri], n))), ca.reshape(state[n_tri:], n, k)
     whitened, logs = [], []
     for m in range(c):
@@ -126,40 +159,37 @@ class Prepared:
     """Samples as the filter takes them, to be run with several variances.
 
     Attributes:
-        samples: shape (n, nx² + 2 nx + c nx + c + c k), k columns of data at the end.
-        states, channels, columns: nx, c, k.
+        samples: shape (n, m + c + c k): what is kept of the model, weights, k columns of data.
+        structure: of the model.
+        columns: k.
     """
 
     samples: F64
-    states: int
-    channels: int
+    structure: Structure
     columns: int
 
     def run(self, variance: F64) -> Whitened:
         """Through the filter, with variances as for `whiten`."""
-        n, c, k = self.states, self.channels, self.columns
-        moves = np.arange(n * n) if n <= _FEW_STATES else np.flatnonzero(self.samples[:, : n * n].any(axis=0))
-        out = _filter_loop(n, c, k, tuple(moves.tolist())).run(
-            np.zeros(n * (n + 1) // 2 + n * k), variance, self.samples
-        )
+        n, c, k = self.structure.states, self.structure.channels, self.columns
+        out = _filter_loop(self.structure, k).run(np.zeros(n * (n + 1) // 2 + n * k), variance, self.samples)
         return Whitened(out[:, : c * k].reshape(-1, c, k), out[:, c * k :])
 
 
-def prepare(model: F64, weights: F64, data: F64) -> Prepared:
+def prepare(model: Tangent, weights: F64, data: F64) -> Prepared:
     """For one or up to eight columns; arguments as for `whiten`."""
     rows, c, width = data.shape
-    k, m = (1 if width == 1 else _BATCH), model.shape[1]
+    k, m = (1 if width == 1 else _BATCH), model.values.shape[1]
     samples = np.zeros((rows, m + c + c * k))
-    samples[:, :m], samples[:, m : m + c] = model, weights
+    samples[:, :m], samples[:, m : m + c] = model.values, weights
     samples[:, m + c :].reshape(rows, c, k)[:, :, :width] = data
-    return Prepared(samples, _states(m, c), c, k)
+    return Prepared(samples, model.structure, k)
 
 
-def whiten(model: F64, weights: F64, data: F64, variance: F64) -> Whitened:
+def whiten(model: Tangent, weights: F64, data: F64, variance: F64) -> Whitened:
     """Run the filter over k columns.
 
     Args:
-        model: shape (n, …), see `tangent`.
+        model: over n samples.
         weights: shape (n, c); a channel's variance is divided by it, 0: not valid.
         data: shape (n, c, k).
         variance: shape (2 + c,): of w_u and w_τ, held over a step, then of each channel's noise.
@@ -169,12 +199,7 @@ def whiten(model: F64, weights: F64, data: F64, variance: F64) -> Whitened:
     return Whitened(np.concatenate([p.values for p in parts], axis=2)[:, :, :k], parts[0].log_variance)
 
 
-def _states(width: int, c: int) -> int:
-    """nx from nx² + 2 nx + c nx."""
-    return round((math.sqrt((SOURCES + c) ** 2 + 4 * width) - SOURCES - c) / 2)
-
-
-def tangents(problem: Problem, unknowns: F64) -> tuple[F64, ...]:
+def tangents(problem: Problem, unknowns: F64) -> tuple[Tangent, ...]:
     """`tangent` of every segment at these unknowns."""
     return tuple(
         tangent(
