@@ -136,3 +136,15 @@ def test_a_current_sensor_without_noise_is_no_trouble() -> None:
     found = outcome(GEAR_MOTOR, Scenario("multisine", seconds=2.0, seed=1, sensors=sensors))
     assert np.isfinite(np.diag(found.information.covariance)).all()
     assert np.all(np.abs(z_of(found, GEAR_MOTOR)) < 5.0)
+
+
+def test_a_fit_that_cannot_come_below_a_deviance_is_given_up() -> None:
+    made = generate(PAPER, Scenario("multisine", 4.0, seed=7300))
+    block = make_block(made.time_s, voltage_V=made.voltage_V, current_A=made.current_A, position_rad=made.position_rad)
+    options = FitOptions(nominal={name: float(getattr(PAPER, name)) for name in NAMES}, thorough=False)
+    whole = fit_output_error([Recording("capture", block)], (), options)
+    assert whole.polished is not None
+    for below, reached in ((whole.polished.deviance + 1.0, True), (whole.polished.deviance - 30.0, False)):
+        again = fit_output_error([Recording("capture", block)], (), replace(options, deviance_below=below))
+        assert (again.polished is not None) == reached
+        assert again.polished is None or again.values == whole.values
