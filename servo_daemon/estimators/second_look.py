@@ -6,6 +6,10 @@ still tens of percent off, and then it is slow to believe anything else. So it i
 the start but at the values it has found, over the same samples, until a pass no longer moves them: Gauss–Newton on the
 first seconds (the iterated filter-smoother of Jazwinski, *Stochastic Processes and Filtering Theory*, 1970, sec. 8.3,
 with all of the samples in one iteration).
+
+What the first samples did not show (an inertia on a motion that hardly accelerates) the filter meets at its guess later
+on, and everything else pays for the leap that it makes then: whenever a guessed parameter has leapt, the samples since
+the start are gone over once more.
 """
 
 from __future__ import annotations
@@ -22,8 +26,9 @@ from servo_daemon.samples import F64
 
 #: Begun with a larger 1 σ than this a parameter's derivatives may be wrong.
 _VAGUE_STD = 0.1
-#: After so many ticks the first samples are gone over; each time in at most so many passes.
-_TICKS, _PASSES = (10, 40), 8
+#: After so many ticks the first samples are gone over, and after the first when a parameter has moved by so much (a
+#: share of one unit) from where the last time has left it; each time in at most so many passes.
+_TICKS, _LEAP, _PASSES = (10, 40), 0.1, 8
 #: More samples than these are not gone over: others wait for their turn meanwhile.
 _MOST_SAMPLES = 20_000
 #: A pass begins with no larger 1 σ: further off a logarithm's derivatives say nothing of where it would have to go.
@@ -55,6 +60,7 @@ class SecondLook:
         self._roster, self._ekf, self._filtering = roster, ekf, filtering
         self._judge = judge
         self._start: Start | None = None
+        self._left_at: F64 = np.zeros(0)  # coordinates, by the last time
         self.pending = False
 
     def begin(self, start: Start, trusted: bool) -> None:
@@ -75,13 +81,14 @@ class SecondLook:
             tick: number of the running filter's.
             white: the innovations are. Where they are not, the samples hold what no values explain.
         """
-        if self._start is None or tick not in _TICKS:
+        if self._start is None or not (tick in _TICKS or (tick > _TICKS[0] and self._has_leapt())):
             return False
         start, complete = self._start.parameters, self._filtering.complete and white
         complete = complete and self._filtering.kept <= _MOST_SAMPLES
         self.pending = False
         follows = self._go_over(start, self._judge.walk(self._roster.free)) if complete else None
-        if tick == _TICKS[-1]:
+        self._left_at = self._ekf.coordinates.copy()
+        if tick >= _TICKS[-1]:
             self._start = None
             self._filtering.keep(None)
         if follows is None:
@@ -89,6 +96,14 @@ class SecondLook:
         self._ekf.take_statistics()
         self._judge.begin_anew(follows)
         return True
+
+    def _has_leapt(self) -> bool:
+        """Whether a guessed parameter that the filter has seen is elsewhere than the derivatives were taken at."""
+        assert self._start is not None
+        start = self._start.parameters
+        index = np.array([self._roster.names.index(name) for name in start.names])[self._vague(start)]
+        leapt = (np.abs(self._ekf.coordinates - self._left_at) > _LEAP) & (self._ekf.coordinate_std < _VAGUE_STD)
+        return bool(leapt[index].any())
 
     def _go_over(self, start: Gaussian, walk_var_per_s: F64) -> bool | None:
         """Pass over the samples since the start. Returns whether the last pass used the instrument; None: with the best

@@ -21,8 +21,10 @@ from servo_daemon.estimators.regression_estimate import RegressionEstimate
 _ONE_LINE = 0.9
 #: Near: by no more than this, and so many of the filter's standard deviations; of a logarithm.
 _NEAR, _STDS = 0.03, 2.0
-#: What K carries with it: the shaft's balance is in units of its torque.
-_CARRIED = ("R", "J", "B")
+#: What may lie on the line with K.
+_BESIDE = ("R", "J", "B")
+#: What does not go with K: all others are of the shaft's balance, in units of its torque.
+_ELECTRICAL = ("R", "L")
 
 
 class Vouching:
@@ -42,7 +44,8 @@ class Vouching:
         std: Mapping[str, float],
         blind: Mapping[str, float],
     ) -> frozenset[str]:
-        """Names of parameters on the line, while nothing speaks for the filter's values.
+        """Names of parameters on the line and of those that K carries with it, while nothing speaks for the filter's
+        values.
 
         Args:
             value: the filter's, natural units.
@@ -57,14 +60,16 @@ class Vouching:
             and abs(math.log(value[name] / float(found.value[k]))) < _NEAR + _STDS * std[name] + blind[name]
             for name, k in line
         )
-        return frozenset() if self.done else frozenset(name for name, _ in line)
+        if self.done:
+            return frozenset()
+        return frozenset(name for name, _ in line) | frozenset(n for n in found.names if n not in _ELECTRICAL)
 
 
 def _on_one_line(found: RegressionEstimate) -> tuple[tuple[str, int], ...]:
-    """K, R, and what goes with them, with their indices; empty where R and K are told apart."""
+    """K, R, and what is on the line with them, with their indices; empty where R and K are told apart."""
     if not {"R", "K"} <= set(found.names):
         return ()
     at = found.names.index("K")
     together = np.abs(found.covariance[at]) > _ONE_LINE * found.std * found.std[at]
-    line = [(n, k) for k, n in enumerate(found.names) if n in _CARRIED and together[k]]
+    line = [(n, k) for k, n in enumerate(found.names) if n in _BESIDE and together[k]]
     return (("K", at), *line) if any(n == "R" for n, _ in line) else ()

@@ -14,6 +14,7 @@ from benchmarks.tracking import faults
 from benchmarks.tracking.cases import coarse_voltage, quiet, slow_sampling
 from benchmarks.tracking.faults import Where
 from benchmarks.tracking.follow import NAMES, Flags, Track, deviations, nominal_of, sampled, tracked
+from benchmarks.tracking.starts import run_start
 from servo_daemon.samples import F64
 from tests.recovery.generator import MOTIONS, MOTORS, Motor, Plan, Recording, Scenario, generate
 
@@ -186,6 +187,16 @@ def test_a_start_is_honest(motor: str, motion: str, seed: int) -> None:
     assert track.tracking.any() or (motor, motion) == ("paper", "reversals")
     found = worst(track, recording)
     assert max(found.values()) < STDS, found
+
+
+@pytest.mark.parametrize("number", [42, 52, 62, 322, 332, 372])
+def test_what_the_first_samples_did_not_show_is_not_claimed_on_the_way(number: int) -> None:
+    """Starts of the benchmark with slow triangles: the filter met an inertia first where the acceleration changed, 1 s
+    after its first samples had been gone over, and claimed J 6 to 25 % off at up to 25 σ until the second time."""
+    start = run_start((number, 20.0))
+    assert start.motion == "reversals"
+    assert not start.claimed, start
+    assert not start.on_the_way, start
 
 
 # -- a dry friction that is not in the model --------------------------------------------------------------------------
