@@ -148,3 +148,22 @@ def test_a_fit_that_cannot_come_below_a_deviance_is_given_up() -> None:
         again = fit_output_error([Recording("capture", block)], (), replace(options, deviance_below=below))
         assert (again.polished is not None) == reached
         assert again.polished is None or again.values == whole.values
+
+
+def test_an_inductance_that_a_free_run_drives_to_nothing_comes_back() -> None:
+    """A free run adds up the hidden voltage, and fits that best without L; from there a logarithm has hardly a slope,
+    and a clean capture was left without a noise model (a diagnosis called it unexplained)."""
+    made = generate(RE40, Scenario("pick_and_place", 20.0, seed=886858))
+    block = make_block(made.time_s, voltage_V=made.voltage_V, current_A=made.current_A, position_rad=made.position_rad)
+    nominal = {name: float(getattr(RE40, name)) for name in NAMES}
+    found = fit_output_error([Recording("capture", block)], (), FitOptions(nominal=nominal, thorough=False))
+    plain = found.problem.coordinates(found.plain.point.unknowns, 0)
+    assert np.exp(plain[found.problem.plant.parameter_names.index("L")]) < 0.1 * RE40.L  # that this test can fail
+    assert found.white
+    for name in NAMES:
+        p = found.parameters[name]
+        assert p.value is not None
+        assert p.std is not None
+        assert abs(p.value - getattr(RE40, name)) < 3 * p.std, (name, p)
+    assert found.parameters["L"].std is not None
+    assert found.parameters["L"].std < 0.05 * RE40.L

@@ -43,7 +43,8 @@ _PROGRESS, _LEAST_SHARE = 0.8, 1 / 256
 _RIDGE = 1e-10
 #: Directions of which the data know less than this (1/σ², σ of three e-folds) stay: a friction near zero.
 _FAINT = 0.1
-#: No logarithm moves by more in one step.
+#: No logarithm moves by more in one step, unless it grows from next to nothing: there the model is linear in the
+#: parameter itself, and the step is taken in that (an L that a free run has left at a thousandth of itself).
 _LONGEST = 0.5
 #: Settled when the step left over is this many standard deviations, squared, and no variance changes by a larger share;
 #: close enough where it comes no nearer.
@@ -210,7 +211,8 @@ def _along(
     left out of the equations and may be as large."""
     low, high = problem.bounds
     point, whitened = here
-    step = np.where(problem.logarithmic, np.clip(step, -_LONGEST, _LONGEST), step)
+    grown = np.log1p(np.maximum(step, 0.0))
+    step = np.where(problem.logarithmic, np.clip(step, -_LONGEST, np.maximum(grown, _LONGEST)), step)
     for halved in range(_HALVINGS):
         unknowns = np.clip(point.unknowns + step / 2**halved, low, high)
         with np.errstate(over="ignore", invalid="ignore"):
