@@ -29,6 +29,8 @@ _VAGUE_STD = 0.1
 #: After so many ticks the first samples are gone over, and after the first when a parameter has moved by so much (a
 #: share of one unit) from where the last time has left it; each time in at most so many passes.
 _TICKS, _LEAP, _PASSES = (10, 40), 0.1, 8
+#: After so many leaps the second time is waited for.
+_MOST_LEAPS = 4
 #: More samples than these are not gone over: others wait for their turn meanwhile.
 _MOST_SAMPLES = 20_000
 #: A pass begins with no larger 1 σ: further off a logarithm's derivatives say nothing of where it would have to go.
@@ -61,6 +63,7 @@ class SecondLook:
         self._judge = judge
         self._start: Start | None = None
         self._left_at: F64 = np.zeros(0)  # coordinates, by the last time
+        self._leaps = 0
         self.pending = False
 
     def begin(self, start: Start, trusted: bool) -> None:
@@ -71,6 +74,7 @@ class SecondLook:
         """
         vague = not trusted and bool(self._vague(start.parameters).any())
         self._start, self.pending = start if vague else None, vague
+        self._leaps = 0
         self._filtering.keep(start.last if vague else None)
 
     def look(self, tick: int, white: bool) -> bool:
@@ -81,8 +85,9 @@ class SecondLook:
             tick: number of the running filter's.
             white: the innovations are. Where they are not, the samples hold what no values explain.
         """
-        if self._start is None or not (tick in _TICKS or (tick > _TICKS[0] and self._has_leapt())):
+        if self._start is None or not (tick in _TICKS or self._has_leapt(tick)):
             return False
+        self._leaps += tick not in _TICKS
         start, complete = self._start.parameters, self._filtering.complete and white
         complete = complete and self._filtering.kept <= _MOST_SAMPLES
         self.pending = False
@@ -97,9 +102,10 @@ class SecondLook:
         self._judge.begin_anew(follows)
         return True
 
-    def _has_leapt(self) -> bool:
+    def _has_leapt(self, tick: int) -> bool:
         """Whether a guessed parameter that the filter has seen is elsewhere than the derivatives were taken at."""
-        assert self._start is not None
+        if self._start is None or tick < _TICKS[0] or self._leaps == _MOST_LEAPS:
+            return False
         start = self._start.parameters
         index = np.array([self._roster.names.index(name) for name in start.names])[self._vague(start)]
         leapt = (np.abs(self._ekf.coordinates - self._left_at) > _LEAP) & (self._ekf.coordinate_std < _VAGUE_STD)
