@@ -32,6 +32,9 @@ START_TIMEOUT_S = 10.0
 _BACKLOG_SAMPLES = 50_000
 #: A worker that has not turned for this long is a problem the API reports, s.
 _STUCK_S = 5.0
+#: A stop waits so long for threads that are busy (with the first model's equations, say), s: of the 2 s that a stop may
+#: take the end of the server and of the interpreter need 0.5 on a slow machine.
+_STOP_S = 1.2
 
 
 class Daemon:
@@ -107,7 +110,7 @@ class Daemon:
             for runtime in self._runtimes.values():
                 runtime.reader.request_stop()
 
-    def stop(self, timeout_s: float = 1.5) -> None:
+    def stop(self, timeout_s: float = _STOP_S) -> None:
         """End readers, worker and saver; what was learned is saved once more. Idempotent."""
         self.begin_stop()
         deadline = time.monotonic() + timeout_s
