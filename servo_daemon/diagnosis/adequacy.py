@@ -19,7 +19,7 @@ from servo_daemon.diagnosis.dependence import Dependence, dependences
 from servo_daemon.diagnosis.everything import WholeFits, exactness, fit_everything, fit_runs
 from servo_daemon.diagnosis.evidence import LEAST_OWN, LEAST_TOGETHER, is_what_it_is_called, working_shares
 from servo_daemon.diagnosis.lacking import longest_missing
-from servo_daemon.diagnosis.likelihood import without_the_unneeded
+from servo_daemon.diagnosis.likelihood import as_likely, plainly_worse
 from servo_daemon.diagnosis.missing import Missing
 from servo_daemon.diagnosis.noise_floor import noise_floor
 from servo_daemon.diagnosis.select import Selection, without_effect
@@ -61,7 +61,7 @@ def believed(selection: Selection, whole_fits: WholeFits) -> Believed:
         assert before is not None
         extended = fit_everything(data, selection.chosen, whole_fits)
         floor = noise_floor(extended, selection.chosen, CHOICE).nrmse
-        fewer = _weakest(selection, floor) or without_the_unneeded(selection, extended, whole_fits.of)
+        fewer = _weakest(selection, floor) or _without_the_unneeded(selection, extended, whole_fits)
         if fewer is not None:
             selection = fewer
             continue
@@ -163,6 +163,25 @@ def _weakest(selection: Selection, floor: float) -> Selection | None:
     if share >= LEAST_OWN:
         return None
     return replace(selection, chosen=without, added=tuple(a for a in selection.added if a != name))
+
+
+def _without_the_unneeded(selection: Selection, extended: OutputErrorFit, whole_fits: WholeFits) -> Selection | None:
+    """The search's result less an effect without which the data are as likely; None: all are needed, or it cannot be
+    told.
+
+    Args:
+        extended: fitted to everything, with noise that enters the motor.
+    """
+    if not extended.white:
+        return None
+    for name in selection.added:
+        others = tuple(a for a in selection.added if a != name)
+        without = without_effect(selection.data, selection.chosen, name) if others else selection.base
+        if without is None or plainly_worse(without, selection.chosen):
+            continue
+        if as_likely(without, extended, whole_fits.of):
+            return replace(selection, chosen=without, added=others)
+    return None
 
 
 def _explained(selection: Selection, before: Missing, after: Missing) -> float:

@@ -12,9 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 
-from servo_daemon.diagnosis.select import Selection, without_effect
 from servo_daemon.diagnosis.trial import Trial
 from servo_daemon.estimators.output_error import OutputErrorFit
 
@@ -28,26 +26,28 @@ _PLAINLY = 2.0
 Whole = Callable[[Trial, Mapping[str, float]], OutputErrorFit | None]
 
 
-def without_the_unneeded(selection: Selection, extended: OutputErrorFit, whole: Whole) -> Selection | None:
-    """The search's result less an effect without which the data are as likely; None: all are needed, or it cannot be
-    told.
+def needs_no_effect(without: Trial, rich: Trial, whole: Whole) -> bool:
+    """Whether the data are white and as likely under a model as under a richer one that free runs prefer.
 
     Args:
-        extended: fitted to everything, with noise that enters the motor.
+        whole: fits to all the data.
     """
-    if not extended.white:
-        return None
-    for name in selection.added:
-        others = tuple(a for a in selection.added if a != name)
-        without = without_effect(selection.data, selection.chosen, name) if others else selection.base
-        if without is None or without.choice.nrmse > _PLAINLY * selection.chosen.choice.nrmse:
-            continue  # no drift of free runs makes such a difference, and a fit to everything takes its time
-        if _is_as_likely(without, extended, whole):
-            return replace(selection, chosen=without, added=others)
-    return None
+    if plainly_worse(without, rich):
+        return False
+    simple = whole(without, without.values)
+    if simple is None or not simple.white:
+        return False
+    extended = whole(rich, rich.values)
+    return extended is not None and extended.white and not far_likelier(extended, simple)
 
 
-def _is_as_likely(without: Trial, extended: OutputErrorFit, whole: Whole) -> bool:
+def plainly_worse(without: Trial, rich: Trial) -> bool:
+    """Whether the free runs that decide are so many times worse as no drift of theirs makes them: then a fit to
+    everything, which takes its time, need not be asked."""
+    return without.choice.nrmse > _PLAINLY * rich.choice.nrmse
+
+
+def as_likely(without: Trial, extended: OutputErrorFit, whole: Whole) -> bool:
     """Whether the data are white and as likely without; fitted from where it is, and, as the richer model may only have
     found the way out of a valley, from where that came to."""
     came_to = {name: value for name, value in extended.values.items() if name in without.values}

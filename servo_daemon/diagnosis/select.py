@@ -17,6 +17,7 @@ from servo_daemon.diagnosis.compare import advantage
 from servo_daemon.diagnosis.evidence import at_odds, needless, noticeable, speaks_against_screening, worth_a_name
 from servo_daemon.diagnosis.fitting import COLOURED, Candidate, best_of, closer, fitted, ties
 from servo_daemon.diagnosis.lacking import leaves, leaves_less, seen_missing
+from servo_daemon.diagnosis.likelihood import Whole, needs_no_effect
 from servo_daemon.diagnosis.missing import Missing
 from servo_daemon.diagnosis.screen import ScreenedCandidate, screen
 from servo_daemon.diagnosis.split import TRAIN, shorter_s
@@ -61,11 +62,12 @@ class Selection:
     equivalent: Mapping[str, tuple[str, ...]]
 
 
-def select(data: Data, base: Trial, progress: Progress, workers: int = 2) -> Selection:
+def select(data: Data, base: Trial, progress: Progress, whole: Whole, workers: int = 2) -> Selection:
     """Search from a fitted baseline.
 
     Args:
         progress: told what is being done.
+        whole: fits to all the data: a first effect that these do not need is not searched beside.
         workers: threads that fit.
 
     Raises:
@@ -83,6 +85,8 @@ def select(data: Data, base: Trial, progress: Progress, workers: int = 2) -> Sel
                 raise
             break  # the model before could be looked at, this one cannot: it is the last
         search, candidates, best = _round(search, missing, _after(progress, share), workers)
+        if best is not None and not search.added and needs_no_effect(search.base, best.trial, whole):
+            best = None
         search.rounds.append(tuple(replace(c, taken=c is best) for c in candidates))
         if best is None:
             break
