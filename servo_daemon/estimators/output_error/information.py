@@ -9,7 +9,8 @@ is a billion times weaker than the strongest.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,6 +88,19 @@ def information(problem: Problem, point: Point, scale: F64) -> Information:
         if e or d > _UNKNOWN
     ]
     return Information(names, scale[:, None] * root, lost | (std > _UNKNOWN), tuple(null), directions[exact])
+
+
+def wider(info: Information, std: Mapping[int, float]) -> Information:
+    """With 1 σ of some coordinates no smaller than this, by what is correlated with nothing.
+
+    Args:
+        std: by column, in the coordinate's unit.
+    """
+    known = np.sqrt(np.maximum(np.diag(info.covariance), 0.0))
+    added = np.zeros((len(known), len(std)))
+    for k, (column, least) in enumerate(std.items()):
+        added[column, k] = np.sqrt(max(least**2 - known[column] ** 2, 0.0))
+    return replace(info, root=np.hstack([info.root, added]))
 
 
 def _components(names: tuple[str, ...], direction: F64) -> dict[str, float]:

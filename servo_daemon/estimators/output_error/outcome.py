@@ -14,12 +14,13 @@ voltage, where noise of the input cannot be told from a torque.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Literal
 
-from servo_daemon.estimators.output_error.information import Information, information, largest, sandwich
+from servo_daemon.estimators.output_error.information import Information, information, largest, sandwich, wider
 from servo_daemon.estimators.output_error.noise import WORTH, NoiseModel, resolution
 from servo_daemon.estimators.output_error.polish import Polished, polish, whiten_point
 from servo_daemon.estimators.output_error.problem import Problem
@@ -72,7 +73,7 @@ def conclude(
     if not explained or not all(test.white for test in tests.values()):
         return _plain(problem, plain, scale, polished)
     solution = replace(plain, point=polished.point, at_bound=polished.at_bound)
-    known = information(problem, polished.whitened, scale)
+    known = wider(information(problem, polished.whitened, scale), polished.instant_std)
     return Outcome(solution, known, residual_tests(problem, polished.point), tests, polished.noise, polished)
 
 
@@ -89,4 +90,13 @@ def _plain(problem: Problem, plain: Solution, scale: F64, rejected: Polished | N
             filtered = information(problem, whitened, scale)
             others += [filtered.root, sandwich(problem, whitened, filtered)]
         known = replace(known, root=reduce(largest, others, known.root))
+    if rejected is not None:
+        known = wider(known, _instant_std(plain, rejected))
     return Outcome(plain, known, residual, None, None, rejected)
+
+
+def _instant_std(plain: Solution, rejected: Polished) -> dict[int, float]:
+    """Of the instants in a free run, whose derivative knows no more of them: as far as the likelihood puts them
+    elsewhere, and its own."""
+    here, there = plain.point.unknowns, rejected.point.unknowns
+    return {k: math.hypot(std, float(here[k] - there[k])) for k, std in rejected.instant_std.items()}

@@ -14,11 +14,14 @@ Identification*, 2nd ed. 1999, sec. 8.4; Jategaonkar, *Flight Vehicle System Ide
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_daemon.estimators.output_error.instants import instants_of, profile
 from servo_daemon.estimators.output_error.noise import (
     INPUT_NOISE,
     TORQUE_NOISE,
@@ -52,6 +55,8 @@ _DECREMENT, _SAME, _CLOSE = 1e-4, 0.01, 0.01
 #: A step promises what −2 log p falls by; over the steps that follow it fell by 0.4 to 1.2 times the promise, on hidden
 #: effects and clean captures alike. What would take more than this many times the promise is out of reach.
 _REACH = 3.0
+#: How often the likeliest instant and the rest are looked for in turn.
+_INSTANT_ROUNDS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +72,7 @@ class Polished:
         torque_gain: by how much a white load torque beside it would lower −2 log p.
         innovation_rms: shape (c,), in the channels' units.
         at_bound: columns of parameters that ended at a bound.
+        instant_std: of the columns of instants, s: what no derivative tells.
     """
 
     point: Point
@@ -77,6 +83,7 @@ class Polished:
     torque_gain: float
     innovation_rms: F64
     at_bound: frozenset[int]
+    instant_std: Mapping[int, float]
 
 
 def polish(problem: Problem, point: Point, torque_size: float, below: float = np.inf) -> Polished | None:
@@ -92,6 +99,10 @@ def polish(problem: Problem, point: Point, torque_size: float, below: float = np
     plain = at.value(alone)
     a, value = at.with_source(alone, INPUT_NOISE)
     end = _settle(problem, point, a, limits, below) if value < plain - WORTH else None
+    if end is not None and instants_of(problem):
+        end, instant_std = _settle_instants(problem, end, limits, below)
+    else:
+        instant_std = {}
     if end is None:
         return None
     point, whitened, a = end
@@ -99,7 +110,45 @@ def polish(problem: Problem, point: Point, torque_size: float, below: float = np
     whitened, rms = whiten_point(problem, point, a)
     torque = _torque_gain(problem, point, a, limits)
     noise = noise_model(problem, a, plain - deviance)
-    return Polished(point, whitened, noise, a, deviance, torque, rms, _at_bound(problem, whitened))
+    return Polished(point, whitened, noise, a, deviance, torque, rms, _at_bound(problem, whitened), instant_std)
+
+
+#: Free run, whitened, log variances.
+_End = tuple[Point, Point, F64]
+
+
+def _settle_instants(
+    problem: Problem, end: _End, limits: tuple[F64, F64], below: float
+) -> tuple[_End | None, dict[int, float]]:
+    """From the likeliest instants of the steps that the model holds, and how well these are known."""
+    std: dict[int, float] = {}
+    for column in instants_of(problem):
+        for _ in range(_INSTANT_ROUNDS):
+            point, whitened, a = end
+            here = float(point.unknowns[column])
+            there, std[column] = profile(problem, column, here, partial(_deviance_at, problem, end, column))
+            if there == here:
+                break
+            moved = _moved(problem, point, column, there)
+            again = _settle(problem, moved, a, limits, below)
+            if again is None or again[1].value > whitened.value:
+                break
+            end = again
+    return end, std
+
+
+def _moved(problem: Problem, point: Point, column: int, at_s: float) -> Point:
+    unknowns = point.unknowns.copy()
+    unknowns[column] = at_s
+    with np.errstate(over="ignore", invalid="ignore"):
+        return point_of(problem, unknowns, problem.linearise(unknowns), point.weights)
+
+
+def _deviance_at(problem: Problem, end: _End, column: int, at_s: float) -> float:
+    """−2 log p with one instant elsewhere and all else as it is."""
+    point, _, a = end
+    moved = _moved(problem, point, column, at_s)
+    return whiten_point(problem, moved, a)[0].value if moved.linearisation.finite else np.inf
 
 
 def _torque_gain(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64]) -> float:
@@ -111,9 +160,7 @@ def _torque_gain(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64]
     return value - at.with_source(a, TORQUE_NOISE)[1]
 
 
-def _settle(
-    problem: Problem, point: Point, a: F64, limits: tuple[F64, F64], below: float
-) -> tuple[Point, Point, F64] | None:
+def _settle(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64], below: float) -> _End | None:
     """Steps of the parameters and of the noise in turn, until neither moves; None if they do not come to rest, or not
     below the value.
 
