@@ -119,6 +119,12 @@ class Ekf:
         self._constants[0], self._constants[1] = noise.input_var, noise.torque_psd
         self._constants[self._lay.r] = noise.channel_var
 
+    @property
+    def noise(self) -> NoiseLevels:
+        """As it was set."""
+        r = tuple(self._constants[self._lay.r].tolist())
+        return NoiseLevels(float(self._constants[0]), float(self._constants[1]), r)
+
     def set_active(self, active: NDArray[np.bool_] | F64, walk_var_per_s: F64) -> None:
         """How the parameters may move.
 

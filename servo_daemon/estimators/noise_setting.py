@@ -78,6 +78,19 @@ class NoiseSetting:
         input_rms = self._levels.input_square**0.5
         self._ekf.set_noise(self._watch.levels(input_rms, self._input_lsb, self._torque_Nm))
 
+    @property
+    def of_current(self) -> tuple[float, float] | None:
+        """Variances of the current's sensor and of the held voltage, A² and V²; None: one of them is not there."""
+        if self._ekf.plant.drive != "voltage" or "current_A" not in self._ekf.channels:
+            return None
+        return self._watch.noise_var["current_A"], self._ekf.noise.input_var
+
+    def put_of_current(self, sensor_A2: float, voltage_V2: float) -> None:
+        """See `of_current`; as far as resolutions and what a voltage has at least allow."""
+        self._watch.put_sensor("current_A", sensor_A2)
+        self._watch.put_input(voltage_V2, self._levels.input_square**0.5, self._input_lsb)
+        self.set()
+
     def inductance_std(self, period_s: float) -> float:
         """1 σ of ln L that the steps of the recorded voltage leave open."""
         return self._coarse.inductance_std(period_s, self._value) if "L" in self._value else 0.0

@@ -31,6 +31,8 @@ _LACKING_STD = 0.01
 #: What no balance over samples sees (a spring, a delay) is known no better than this, 1 σ of a logarithm: the filter
 #: alone takes what its model is off by for information.
 _ALONE_STD = 0.01
+#: A parameter that is known no better than this, 1 σ of its logarithm, is a guess.
+_GUESS_STD = 0.5
 #: Parameters of the armature's balance, which has its own say.
 _ARMATURE = ("R", "L", "K")
 #: The lags of winding and drive are told apart by the speed alone, which acts behind the drive's: alike to this factor
@@ -157,9 +159,14 @@ class ParameterJudge:
         self._no_L_without_R(tick.sampling.period_s)
         self._remember(np.hypot(std, self.mismatch_std), duration_s, tick)
         shown = roster.published & excited
+        self._follow(settled, shown, std, tick)
         self._ekf.set_active(self._moving(tick), self.walk(shown | (roster.free & (std < self._idle_std))))
+
+    def _follow(self, settled: bool, shown: Mask, std: F64, tick: Tick) -> None:
+        """Whether derivatives are taken along the instrument from now on: where all that is shown is known."""
         limit = _LED_ASTRAY_STD if self._follows else QUALIFIED
-        follows = settled and not np.count_nonzero(shown & ~(std < limit))
+        needed = shown & self._roster.free_without_instrument(self._ekf.coordinates, tick.sampling.period_s)
+        follows = settled and not np.count_nonzero(needed & ~(std < limit))
         self.begins_to_follow = follows and not self._follows and not self._followed
         self._followed |= follows
         self._follows = follows
@@ -201,11 +208,15 @@ class ParameterJudge:
 
     def _moving(self, tick: Tick) -> Mask:
         """Which parameters are not held."""
+        roster = self._roster
+        free = roster.free
+        if not self._follows:
+            free = roster.free_without_instrument(self._ekf.coordinates, tick.sampling.period_s)
         if tick.open:
-            return self._roster.free
+            return free
         # What no regression can judge is free until it has been seen once: there is nothing to hold yet.
-        known = self.qualification.qualified | self._roster.covered
-        moving: Mask = self._roster.free & ~self.excitation.held(known)
+        known = self.qualification.qualified | roster.covered
+        moving: Mask = free & ~self.excitation.held(known)
         return moving
 
     def _measure_mismatch(self, values: Mapping[str, float], tick: Tick) -> None:
@@ -244,9 +255,10 @@ class ParameterJudge:
 
         - The innovations say that the model lacks something: a torque that is in no model bends the filter, and not
           that balance. By how much they differ, and no better than the regression knows.
-        - L was never known: the filter holds it at a value that bends R, the regression has one of its own.
+        - L was never known: the filter holds it at a value that bends R, the regression has one of its own. (Less so
+          where the current has settled by the next sample.)
         """
-        L_unknown = self._is_unknown("L")
+        L_unknown = self._is_unknown("L", _GUESS_STD if self._is_blind("L", values, tick) else LOST)
         found = None if tick.white and not L_unknown else self._rls.estimate()
         if found is None:
             return {}
@@ -267,12 +279,12 @@ class ParameterJudge:
         """Whether the filter knows a parameter better than a guess."""
         return float(self._ekf.coordinate_std[self._roster.names.index(name)]) < LOST
 
-    def _is_unknown(self, name: str) -> bool:
-        """Whether a parameter never qualified, and the filter has little more than its start."""
+    def _is_unknown(self, name: str, std: float) -> bool:
+        """Whether a parameter never qualified, and the filter knows it no better than to this 1 σ of its logarithm."""
         if name not in self._roster.names:
             return False
         k = self._roster.names.index(name)
-        return self.last_known(k) is None and float(self._ekf.coordinate_std[k]) > LOST
+        return self.last_known(k) is None and float(self._ekf.coordinate_std[k]) > std
 
     def _carry_over_torque(self) -> None:
         """The shaft's balance sees J, B and friction only beside K i: what the armature's leaves open of K, it leaves

@@ -104,7 +104,7 @@ class Tracker:
         self._levels = Levels(plant)
         self._noise = NoiseSetting(self._roster, self.ekf, self.rls, self.watch, self._levels)
         self._filtering = Filtering(self.ekf, self._levels)
-        self._second_look = SecondLook(self._roster, self.ekf, self._filtering, self._judge)
+        self._second_look = SecondLook(self._roster, self.ekf, self._filtering, self._judge, self._noise)
         self._suspicious_ticks = self._ticks = self._begun_better = 0
 
     def inherit(self, heritage: Heritage) -> None:
@@ -296,7 +296,7 @@ class Tracker:
             )
         self._jumps.remember(self._tick_end_s or 0.0)
         alike_s = self._stretches.alike("current_A") * (self.sample_period_s or 0.0)
-        if self._second_look.look(self._ticks, self.watch.white):
+        if self._second_look.look(self._ticks, self.watch.white, self.sample_period_s or 0.0):
             self._jumps.reset()
             self.watch.learn_anew()
         known = (self.qualification.qualified | self.excitation.excited)[self._roster.published]

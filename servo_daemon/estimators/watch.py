@@ -141,6 +141,20 @@ class InnovationWatch:
         if factor > self._of("current_A").factor:
             self._process["current_A"] = ProcessNoise(min(factor, noise.FACTOR_MOST))
 
+    def put_sensor(self, name: str, var: float) -> None:
+        """A channel's noise is this, in its unit squared, as far as its resolution allows."""
+        floor = self._channel[name].floor
+        self._channel[name] = ChannelNoise(max(var, floor), floor)
+
+    def put_input(self, var: float, input_rms: float, input_lsb: float | None) -> None:
+        """The held input's is this, or the least that it has.
+
+        Args:
+            input_rms, input_lsb: as for `expect_input`.
+        """
+        factor = var / noise.input_variance(input_rms, input_lsb)
+        self._process["current_A"] = ProcessNoise(min(max(factor, 1.0), noise.FACTOR_MOST))
+
     def judge(self, statistics: Mapping[str, ChannelStatistics]) -> TickVerdict:
         """Look at the innovations of a tick; nothing is learned yet."""
         worst, unexplained, settled = 0.0, False, True
