@@ -15,7 +15,7 @@ from servo_daemon.estimators.fusion import KNOWS, LOST, QUALIFIED, Qualification
 from servo_daemon.estimators.motor_rls import MotorRls
 from servo_daemon.estimators.regression_estimate import RegressionEstimate
 from servo_daemon.estimators.roster import Mask, Roster
-from servo_daemon.estimators.sampling import Sampling, blind_std, coarse
+from servo_daemon.estimators.sampling import Sampling, blind_std
 from servo_daemon.estimators.starter import NUISANCE_SHARE
 from servo_daemon.estimators.vouching import Vouching
 from servo_daemon.plant.parameters import Parameter
@@ -33,6 +33,8 @@ _LACKING_STD = 0.01
 _ALONE_STD = 0.01
 #: A parameter that is known no better than this, 1 σ of its logarithm, is a guess.
 _GUESS_STD = 0.5
+#: Errors of two parameters go together from this correlation on.
+_ONE_LINE = 0.8
 #: Parameters of the armature's balance, which has its own say.
 _ARMATURE = ("R", "L", "K")
 #: The lags of winding and drive are told apart by the speed alone, which acts behind the drive's: alike to this factor
@@ -156,7 +158,8 @@ class ParameterJudge:
         confirmed = self.confirmed if settled and not self._unjudged else np.zeros_like(self.confirmed)
         self.qualification.update(np.hypot(std, self.mismatch_std), excited, confirmed)
         self.qualification.qualified &= self._claimable(tick)
-        self._no_L_without_R(tick.sampling.period_s)
+        self._no_R_without_K()
+        self._no_L_without_R()
         self._remember(np.hypot(std, self.mismatch_std), duration_s, tick)
         shown = roster.published & excited
         self._follow(settled, shown, std, tick)
@@ -180,10 +183,18 @@ class ParameterJudge:
             return ~roster.published
         return roster.claimable if tick.white else roster.claimable & (roster.covered | ~roster.published)
 
-    def _no_L_without_R(self, period_s: float) -> None:
-        """Over few samples a current shows L/R: with a wrong R the filter is sure of a wrong L."""
+    def _no_R_without_K(self) -> None:
+        """Where R and K lie on one line the one is as wrong as the other."""
         names, qualified = self._roster.names, self.qualification.qualified
-        if {"R", "L"} <= set(names) and coarse("armature", period_s) == 1.0:
+        if {"R", "K"} <= set(names):
+            R, K = names.index("R"), names.index("K")
+            covariance, std = self._ekf.estimate().covariance, self._ekf.coordinate_std
+            qualified[R] &= qualified[K] | (abs(covariance[R, K]) < _ONE_LINE * std[R] * std[K])
+
+    def _no_L_without_R(self) -> None:
+        """A current shows L/R before it shows L: with a wrong R the filter is sure of a wrong L."""
+        names, qualified = self._roster.names, self.qualification.qualified
+        if {"R", "L"} <= set(names):
             qualified[names.index("L")] &= qualified[names.index("R")]
 
     def last_known(self, k: int) -> Trusted | None:

@@ -86,33 +86,36 @@ class StepBuilder:
     def step(self, x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX) -> tuple[ca.SX, ca.SX]:
         """x after the step, and its derivatives by input and load torque, shape (n, 2)."""
         after, gain = self._parts(x, u, t, h)
+        for place in self._places((LAGGED,)):
+            gain[place, 0] = 0.0  # the recorded voltage's, which is before the lag, is no noise of the motor's
         delay = _delay(self.terms(x, u, t, h))
         return (after, gain) if delay is None else self._keep_step(x, after, gain, delay, h)
 
     def _parts(self, x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX) -> tuple[ca.SX, ca.SX]:
         parts = max((effect.substeps for effect in self.effects), default=1)
         if parts == 1:
-            return self._substep(x, u, t, h)
-        after, gains, length = x, [], h / parts
+            after, gain, _ = self._substep(x, u, t, h)
+            return after, gain
+        after, whole, length = x, ca.SX.zeros(len(self.states), 2), h / parts
         substep = self._substep_function()
         for k in range(parts):
-            after, gain = substep(after, u, t + k * length, length, self._parameters())
-            gains.append(gain)
-        # What an input does over the whole step, but for the motion that the first parts' share makes in the later ones
-        # (of a torque: the angle), which counts as if it were the middle's.
-        return after, sum(gains[1:], start=gains[0])
+            after, gain, through = substep(after, u, t + k * length, length, self._parameters())
+            whole = through @ whole + gain  # what the parts before have done goes on in this one
+        return after, whole
 
     def _parameters(self) -> ca.SX:
         return ca.vertcat(*self.p.values())
 
     def _substep_function(self) -> ca.Function:
-        """`_substep` as a function (x, u, t, h, p) -> (x_next, gain)."""
+        """`_substep` as a function (x, u, t, h, p) -> (x_next, gain, through)."""
         x, p = ca.SX.sym("x", len(self.states)), ca.SX.sym("p", len(self.p))
         u, t, h = ca.SX.sym("u"), ca.SX.sym("t"), ca.SX.sym("h")
         own = replace(self, p=dict(zip(self.p, ca.vertsplit(p), strict=True)))
         return ca.Function("substep", [x, u, t, h, p], list(own._substep(x, u, t, h)))
 
-    def _substep(self, x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX) -> tuple[ca.SX, ca.SX]:
+    def _substep(self, x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """x after it, its derivatives by input and load torque, and by x as far as current, speed and angle go by
+        themselves (a shaft that friction holds included)."""
         n = self.core_states
         declared = self.terms(x, u, t, h)
         mean, rise, lagged = self._input(declared, x, u, h)
@@ -128,7 +131,8 @@ class StepBuilder:
         if two is not None:
             middle_x[n - 1] = angle
         middle = self.terms(middle_x, u, t + h / 2, h)
-        if self._factors_follow_motion():
+        known = middle if self._factors_follow_motion() else ahead
+        if known is middle:
             core = self._core(begin, middle, h)
         held = _Held(mean, rise, middle)
         whole = core
@@ -141,7 +145,14 @@ class StepBuilder:
         rows = dict.fromkeys(self._places((LAGGED,)), lagged)
         rows |= {place: solved.x[n + k] for k, place in enumerate(self._places(TWIST))}
         own = ca.vertcat(*[rows.get(n + k, own[k]) for k in range(own.numel())]) if rows else own
-        return ca.vertcat(solved.x[:n], own), self._gain(whole, mean, u)
+        through, at = ca.SX.eye(len(self.states)), ca.SX.sym("at", n)
+        through[:n, :n] = ca.jacobian(self._core(at, known, h).free, at)
+        gain = self._gain(whole, mean, u)
+        for place in self._places((LAGGED,)):
+            through[:n, place] = core.per_input @ ca.jacobian(mean, x)[place]
+            through[place, :] = ca.jacobian(lagged, x)
+            gain[place, 0] = ca.jacobian(lagged, u)
+        return ca.vertcat(solved.x[:n], own), gain, through
 
     def _places(self, states: Sequence[State]) -> list[int]:
         return [self.states.index(s) for s in states if s in self.states]
