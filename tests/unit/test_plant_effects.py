@@ -297,8 +297,8 @@ def test_a_late_channel_is_finite_after_any_step() -> None:
     ids=lambda effects: "+".join(effects) or "linear",
 )
 def test_noise_of_the_voltage_does_what_the_voltage_does(effects: tuple[str, ...]) -> None:
-    """Of a winding that settles within a sample (RE 40 at 1 kHz) most of what the first parts of a step have done to the
-    current is gone at its end: simply added up it was 1.7 times too much in two parts, 2.5 times in four."""
+    """Of a winding that settles within a sample (RE 40 at 1 kHz) most of what the first parts of a step have done to
+    the current is gone at its end: simply added up it was 1.7 times too much in two parts, 2.5 times in four."""
     plant = build_plant(effects)
     motor = {"R": 1.13, "L": 0.33e-3, "K": 60.3e-3, "J": 4e-5, "B": 3e-5}
     p = np.array([motor.get(q.name, q.nominal) for q in plant.parameters])
