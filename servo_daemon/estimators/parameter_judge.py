@@ -90,6 +90,7 @@ class ParameterJudge:
         self._last: tuple[F64, F64] = np.zeros(n), np.full(n, np.nan)
         self._trusted: Mask = np.zeros(n, dtype=bool)
         self._follows = self._followed = self.begins_to_follow = False
+        self._moves: tuple[Mask, F64] = self._trusted, np.zeros(n)  # which may, and their process noise
         self.confirmed: Mask = ~roster.covered
 
     def begin(self, trusted: Mask) -> None:
@@ -163,7 +164,13 @@ class ParameterJudge:
         self._remember(np.hypot(std, self.mismatch_std), duration_s, tick)
         shown = roster.published & excited
         self._follow(settled, shown, std, tick)
-        self._ekf.set_active(self._moving(tick), self.walk(shown | (roster.free & (std < self._idle_std))))
+        self._moves = self._moving(tick), self.walk(shown | (roster.free & (std < self._idle_std)))
+        self.resume()
+
+    def resume(self) -> None:
+        """The filter is to go on as after the last tick."""
+        self._ekf.set_active(*self._moves)
+        self._ekf.use_instrument(self._follows)
 
     def _follow(self, settled: bool, shown: Mask, std: F64, tick: Tick) -> None:
         """Whether derivatives are taken along the instrument from now on: where all that is shown is known."""
@@ -173,7 +180,6 @@ class ParameterJudge:
         self.begins_to_follow = follows and not self._follows and not self._followed
         self._followed |= follows
         self._follows = follows
-        self._ekf.use_instrument(follows)
 
     def _claimable(self, tick: Tick) -> Mask:
         """What may be believed at all: where the model lacks something no second opinion is to be had of what no

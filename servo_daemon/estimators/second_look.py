@@ -55,6 +55,8 @@ _FOLLOWS_SHARE = 0.05
 #: The search for the likeliest variances: first step and accuracy of their logarithms, of −2 log p, and passes.
 _NOISE_STEP, _NOISE_EXACT, _NOISE_COST, _NOISE_PASSES = 1.5, 0.3, 3.0, 25
 _LEAST_VAR = 1e-18
+#: Of fewer samples the values, which are fitted as well, leave too little of the noise.
+_FEWEST = 300
 #: Innovations are white below this lag-1 correlation, and explained below this mean of ν²/s.
 _WHITE, _AS_EXPECTED = 0.15, 1.3
 
@@ -128,6 +130,7 @@ class SecondLook:
             self._start = None
             self._filtering.keep(None)
         if follows is None:
+            self._judge.resume()
             return False
         self._ekf.take_statistics()
         self._judge.begin_anew(follows)
@@ -224,7 +227,7 @@ class SecondLook:
         shaft: likelihood knows (by 280 of −2 log p within 1.5 s of an RE 40), correlations of innovations learn it
         within a minute."""
         guess = self._noise.of_current
-        if guess is None:
+        if guess is None or self._filtering.kept < _FEWEST:
             return
         found = self._ekf.snapshot()
 
