@@ -15,7 +15,7 @@ from servo_daemon.estimators.fusion import KNOWS, LOST, QUALIFIED, Qualification
 from servo_daemon.estimators.motor_rls import MotorRls
 from servo_daemon.estimators.regression_estimate import RegressionEstimate
 from servo_daemon.estimators.roster import Mask, Roster
-from servo_daemon.estimators.sampling import Sampling, blind_std
+from servo_daemon.estimators.sampling import Sampling, blind_std, coarse
 from servo_daemon.estimators.starter import NUISANCE_SHARE
 from servo_daemon.estimators.vouching import Vouching
 from servo_daemon.plant.parameters import Parameter
@@ -160,7 +160,7 @@ class ParameterJudge:
         self.qualification.update(np.hypot(std, self.mismatch_std), excited, confirmed)
         self.qualification.qualified &= self._claimable(tick)
         self._no_R_without_K()
-        self._no_L_without_R()
+        self._no_L_without_R(tick.sampling.period_s)
         self._remember(np.hypot(std, self.mismatch_std), duration_s, tick)
         shown = roster.published & excited
         self._follow(settled, shown, std, tick)
@@ -197,10 +197,10 @@ class ParameterJudge:
             covariance, std = self._ekf.estimate().covariance, self._ekf.coordinate_std
             qualified[R] &= qualified[K] | (abs(covariance[R, K]) < _ONE_LINE * std[R] * std[K])
 
-    def _no_L_without_R(self) -> None:
-        """A current shows L/R before it shows L: with a wrong R the filter is sure of a wrong L."""
+    def _no_L_without_R(self, period_s: float) -> None:
+        """Over few samples a current shows L/R: with a wrong R the filter is sure of a wrong L."""
         names, qualified = self._roster.names, self.qualification.qualified
-        if {"R", "L"} <= set(names):
+        if {"R", "L"} <= set(names) and coarse("armature", period_s) == 1.0:
             qualified[names.index("L")] &= qualified[names.index("R")]
 
     def last_known(self, k: int) -> Trusted | None:
@@ -275,7 +275,7 @@ class ParameterJudge:
         - L was never known: the filter holds it at a value that bends R, the regression has one of its own. (Less so
           where the current has settled by the next sample.)
         """
-        L_unknown = self._is_unknown("L", _GUESS_STD if self._is_blind("L", values, tick) else LOST)
+        L_unknown = "L" in values and self._is_unknown("L", _GUESS_STD if self._is_blind("L", values, tick) else LOST)
         found = None if tick.white and not L_unknown else self._rls.estimate()
         if found is None:
             return {}

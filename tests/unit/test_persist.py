@@ -239,7 +239,7 @@ def test_nothing_is_kept_before_something_is_known() -> None:
 
 def test_what_is_known_is_kept_while_one_parameter_is_not() -> None:
     """Else a drive whose motion never shows one of them would learn everything anew after every power cut."""
-    drive = SimulatedDrive(make_settings(seed=2, motion="speed", dither_rms_V=0.05))  # L shows, R and K only together
+    drive = SimulatedDrive(make_settings(seed=2, motion="speed", dither_rms_V=0.1))  # L shows, R and K only together
     pipeline = Pipeline(DriveConfig(), drive.info)
     pipeline.process(drive.next_block(8000))
     estimate = pipeline.current()
