@@ -25,6 +25,8 @@ from servo_daemon.learning.preparation import Preparation
 from servo_daemon.learning.screening import correlated_groups, screen
 from servo_daemon.learning.targets import baseline, bounded, decode, encode, natural
 from servo_daemon.learning.training import (
+    FAULTY,
+    FOREIGN,
     HEALTHY,
     TARGETS,
     TrainingSet,
@@ -146,8 +148,15 @@ def test_what_healthy_motors_look_like_is_calibrated(model: LearnedModel) -> Non
     strange = [r for r in model.predict(windows.features).declined if "looks like" in r]
     assert len(strange) < 0.1 * known.sum()
     assert model.facts["accepted"] > 0.85
-    assert model.facts["accepted_faulty"] < 0.5
-    assert model.facts["accepted_foreign"] < 0.3
+
+
+def test_strange_windows_of_other_motors_are_declined(model: LearnedModel) -> None:
+    """Motors outside and faults, 200 and 400 windows that took no part in anything (the facts know 22 and 41)."""
+    spec = dataclasses.replace(SPEC, seed=13)
+    windows = simulate_motors(spec, range(200), draw_parameters(spec, 200), strange=True)
+    accepted = model.predict(windows.features).accepted
+    assert accepted[windows.kind == FOREIGN].mean() < 0.2
+    assert accepted[windows.kind == FAULTY].mean() < 0.3
 
 
 def test_a_model_needs_windows_to_decline(windows: TrainingSet) -> None:
