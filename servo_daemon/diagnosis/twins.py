@@ -32,7 +32,7 @@ def lag_twin(values: Mapping[str, float]) -> dict[str, float] | None:
 def told_from_twin(
     fit: OutputErrorFit, again: Callable[[Mapping[str, float]], OutputErrorFit | None]
 ) -> OutputErrorFit:
-    """A fit, or its twin if that is better; where they are alike, with what lies between them in the standard
+    """A fit or its twin, whichever is better; where they are alike, with what lies between them in the standard
     deviations.
 
     Args:
@@ -48,9 +48,8 @@ def told_from_twin(
         difference, alike = other.deviance - fit.deviance, _BY_CHANCE
     else:
         difference, alike = _error(other) - _error(fit), _ALIKE
-    if abs(difference) < alike:
-        return _with_distance(fit, other)
-    return other if difference < 0.0 else fit
+    better, worse = (other, fit) if difference < 0.0 else (fit, other)
+    return _with_distance(better, worse) if abs(difference) < alike else better
 
 
 def _error(fit: OutputErrorFit) -> float:

@@ -86,8 +86,6 @@ class StepBuilder:
     def step(self, x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX) -> tuple[ca.SX, ca.SX]:
         """x after the step, and its derivatives by input and load torque, shape (n, 2)."""
         after, gain = self._parts(x, u, t, h)
-        for place in self._places((LAGGED,)):
-            gain[place, 0] = 0.0  # the recorded voltage's, which is before the lag, is no noise of the motor's
         delay = _delay(self.terms(x, u, t, h))
         return (after, gain) if delay is None else self._keep_step(x, after, gain, delay, h)
 

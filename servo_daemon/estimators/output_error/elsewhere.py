@@ -24,6 +24,8 @@ from servo_daemon.samples import F64
 _TRIED, _ITERATIONS, _CLOSER = 16, 6, 3
 #: So many on either side, at this part of the distance before.
 _ASIDE, _PART = 3, 0.25
+#: Instants nearby are tried this part of a piece apart.
+_NEARBY = 0.75
 #: Lines of the residual's spectrum that are tried, with these phases.
 _LINES, _PHASES = 4, (0.0, np.pi / 2, np.pi, -np.pi / 2)
 #: A periodic torque is at first so much of the motor's.
@@ -69,6 +71,28 @@ def _from_instants(problem: Problem, best: Solution, name: str, size: str, secon
         apart_s *= _PART
         tried_s = best.point.unknowns[column] + np.arange(-_ASIDE, _ASIDE + 1) * apart_s
     return best
+
+
+def from_nearby(problem: Problem, found: Solution, *, robust: bool) -> Solution | None:
+    """The same of instants within some pieces of the recording of where the search has ended: across the edge of a
+    piece, which begins in a state of its own, no derivative leads."""
+    best = found
+    spans_s = [float(s.rows[-1, TIME] - s.rows[0, TIME]) for s in problem.segments]
+    apart_s = _NEARBY * float(np.median(spans_s))
+    for size, name in INSTANTS.items():
+        if name not in problem.free or size not in problem.free:
+            continue
+        column = problem.free.index(name)
+        for _ in range(_CLOSER):
+            center = best.point.unknowns[column]
+            before = best
+            for at_s in center + apart_s * np.array([-4.0, -2.0, -1.0, 1.0, 2.0, 4.0]):
+                unknowns = before.point.unknowns.copy()
+                unknowns[column] = at_s
+                best = _better(problem, best, unknowns, robust=robust)
+            if best is before:
+                break
+    return None if best is found else best
 
 
 def _from_frequencies(problem: Problem, best: Solution, amplitude: float, *, robust: bool) -> Solution:

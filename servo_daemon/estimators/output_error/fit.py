@@ -16,7 +16,7 @@ from servo_daemon.estimators.output_error.combinations import (
     determined_combinations,
     voltage_answer,
 )
-from servo_daemon.estimators.output_error.elsewhere import from_elsewhere, is_to_be_searched
+from servo_daemon.estimators.output_error.elsewhere import from_elsewhere, from_nearby, is_to_be_searched
 from servo_daemon.estimators.output_error.information import Information, NullDirection, information
 from servo_daemon.estimators.output_error.input_error import SHIFTED, with_input_error
 from servo_daemon.estimators.output_error.lost_runs import begun_again
@@ -263,8 +263,11 @@ def _from_elsewhere_on(
     problem: Problem, found: Solution, recordings: Sequence[Recording], options: FitOptions
 ) -> Solution:
     """The end of a search, gone on with from the best instant or frequency of all that were tried."""
-    if not options.thorough or not is_to_be_searched(problem) or _is_white(problem, found):
+    if not is_to_be_searched(problem) or _is_white(problem, found):
         return found
+    if not options.thorough:
+        nearby = from_nearby(problem, found, robust=options.robust) if options.segment_s is not None else None
+        return _gone_on(found, nearby)
     seconds = max(float(r.block.time_s[-1] - r.block.time_s[0]) for r in recordings)
     torque_Nm = _torque_size(problem, recordings, found)
     begun = from_elsewhere(problem, found, seconds, torque_Nm, robust=options.robust)

@@ -21,5 +21,6 @@ EFFECT = Effect(
     equation=r"t_{lag}\,\dot v = v_{\mathrm{shown}} - v",
     parameters=(T_LAG,),
     terms=_terms,
+    substeps=4,
     states=(LAGGED,),
 )
