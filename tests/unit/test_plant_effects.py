@@ -309,3 +309,18 @@ def test_noise_of_the_voltage_does_what_the_voltage_does(effects: tuple[str, ...
     linear = build_plant(())
     expected = np.array(linear.noise_gain(x, 1.0, [motor[q.name] for q in linear.parameters], 0.0, h))
     assert gain == pytest.approx(expected, rel=0.01)
+
+
+def test_a_lagging_voltage_into_a_winding_that_settles_within_a_sample() -> None:
+    """RE 40 at 1 kHz, a lag of 4 ms: in one step 1.4 mA of 2 A off, in four 7 µA; against steps of 10 µs."""
+    plant = build_plant(("drive_lag",))
+    motor = {"R": 1.13, "L": 0.33e-3, "K": 60.3e-3, "J": 4e-5, "B": 3e-5, "t_lag": 4e-3}
+    p, h = np.array([motor[q.name] for q in plant.parameters]), 1e-3
+    coarse = fine = np.zeros(len(plant.states))
+    worst = 0.0
+    for u in np.random.default_rng(2).normal(size=200) * 10.0:
+        coarse = np.array(plant.step(coarse, u, p, 0.0, h))[:, 0]
+        for _ in range(100):
+            fine = np.array(plant.step(fine, u, p, 0.0, h / 100))[:, 0]
+        worst = max(worst, abs(float(coarse[0] - fine[0])))
+    assert worst < 1e-4
