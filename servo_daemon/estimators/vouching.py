@@ -23,8 +23,6 @@ _ONE_LINE = 0.9
 _NEAR, _STDS = 0.03, 2.0
 #: What may lie on the line with K.
 _BESIDE = ("R", "J", "B")
-#: What does not go with K: all others are of the shaft's balance, in units of its torque.
-_ELECTRICAL = ("R", "L")
 
 
 class Vouching:
@@ -44,8 +42,8 @@ class Vouching:
         std: Mapping[str, float],
         blind: Mapping[str, float],
     ) -> frozenset[str]:
-        """Names of parameters on the line and of those that K carries with it, while nothing speaks for the filter's
-        values.
+        """Names of all parameters where R and K are on one line and nothing speaks for the filter's values: the shaft's
+        are in units of K, and L comes as L/R.
 
         Args:
             value: the filter's, natural units.
@@ -62,7 +60,7 @@ class Vouching:
         )
         if self.done:
             return frozenset()
-        return frozenset(name for name, _ in line) | frozenset(n for n in found.names if n not in _ELECTRICAL)
+        return frozenset(found.names)
 
 
 def _on_one_line(found: RegressionEstimate) -> tuple[tuple[str, int], ...]:
