@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from servo_daemon.diagnosis.missing import Missing
 from servo_daemon.diagnosis.screen import ScreenedCandidate
@@ -121,7 +121,7 @@ def _start(s: ScreenedCandidate, name: str, effects: Sequence[str], present: Map
 
 def pairs(proposed: Sequence[Proposal]) -> tuple[Proposal, ...]:
     """Two of the most promising at once: what hides each other (dry friction seen through an eccentric encoder) helps
-    neither alone."""
+    neither alone. And a dry friction with what only scales it, which is no model by itself."""
     out = []
     for k, first in enumerate(proposed[:_IN_PAIRS]):
         for second in proposed[k + 1 : _IN_PAIRS]:
@@ -130,7 +130,23 @@ def pairs(proposed: Sequence[Proposal]) -> tuple[Proposal, ...]:
                 start, other = {**second.start, **first.start}, {**second.start, **first.other}
                 far = first.far or second.far
                 out.append(Proposal(f"{first.name} + {second.name}", effects, start, other, far))
+    friction = next((p for p in proposed if p.name == "coulomb_friction"), None)
+    if friction is not None:
+        scaled = scaled_friction(friction.effects, friction.start, friction.other)
+        out += [replace(p, name=f"{friction.name} + {p.name}", far=friction.far) for p in scaled]
     return tuple(out)
+
+
+def scaled_friction(
+    present: tuple[str, ...], start: Mapping[str, float], other: Mapping[str, float]
+) -> Iterator[Proposal]:
+    """A model's dry friction with each effect that makes it more or less of itself, beginning at nothing: free runs
+    that stick where the shaft slides show screening little of it."""
+    for effect in effects_by_name().values():
+        effects = (*present, effect.name)
+        if effect.scales_friction and effect.name not in present and model_exists(effects):
+            nothing = {p.name: p.nominal for p in effect.parameters}
+            yield Proposal(effect.name, effects, {**nothing, **start}, {**nothing, **other}, far=False)
 
 
 def _far(value: float, before: float) -> bool:

@@ -12,7 +12,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from servo_daemon.diagnosis.candidates import SIMPLER, WORTH_A_PAIR, Proposal, as_simpler, pairs, proposals
+from servo_daemon.diagnosis.candidates import (
+    SIMPLER,
+    WORTH_A_PAIR,
+    Proposal,
+    as_simpler,
+    pairs,
+    proposals,
+    scaled_friction,
+)
 from servo_daemon.diagnosis.compare import advantage
 from servo_daemon.diagnosis.evidence import at_odds, needless, noticeable, speaks_against_screening, worth_a_name
 from servo_daemon.diagnosis.fitting import COLOURED, Candidate, best_of, closer, fitted, ties
@@ -128,8 +136,12 @@ def _round(search: _Search, missing: Missing, progress: Progress, workers: int) 
     if found[2] is None and (_promised(screened) > _PROMISING or current.independent < COLOURED):
         # It is not noise that is left. Screening is linear in what may be far from it, and what it sees depends on what
         # it took for noise: what it thought little of gets a fit as well.
-        rest = [p for p in proposals(current, screened, missing, 0.0) if p.name not in {q.name for q in proposed}]
-        more = tuple(c for c in _worthy(search, missing, rest, workers) if speaks_against_screening(c.against))
+        rest = {p.name: p for p in scaled_friction(current.effects, current.values, current.values)}
+        rest |= {p.name: p for p in proposals(current, screened, missing, 0.0)}
+        rest = {name: p for name, p in rest.items() if name not in {q.name for q in proposed}}
+        more = tuple(
+            c for c in _worthy(search, missing, [*rest.values()], workers) if speaks_against_screening(c.against)
+        )
         found = _against_the_best_chance(search, (*more, *found[1]))
     promised = _promised(s for s in screened if s.effect in _UNSTABLE)
     broken = promised > _PROMISING and not _kept_promise(found, missing, promised)

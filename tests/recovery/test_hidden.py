@@ -103,6 +103,11 @@ def test_harder_effects_are_named(cause: str, strength: str, motor: str, motion:
         ("constant_load_torque+coulomb_friction", "clear", "gear", "reversals", 429300),  # friction one way only
         ("brush_voltage_drop", "clear", "gear", "reversals", 169485),  # its current reverses within a sample
         ("load_dependent_friction", "faint", "large", "steps", 744605),  # most of the runs that decide stand still
+        ("position_dependent_friction", "clear", "gear", "pick_and_place", 702492),  # Coulomb's alone explains little
+        ("position_dependent_friction", "clear", "paper", "pick_and_place", 644246),  # … or nothing
+        ("resistance_step", "faint", "large", "pick_and_place", 358832),  # no current at the instant a descent found
+        ("load_torque_step", "faint", "re40", "multisine", 435304),  # its instant in the next piece but one
+        ("drive_lag", "clear", "gear", "steps", 609000),  # alike with the winding's in its place
     ],
 )
 def test_what_a_fit_was_caught_by_is_overcome(cause: str, strength: str, motor: str, motion: str, seed: int) -> None:
