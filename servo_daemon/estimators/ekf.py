@@ -191,6 +191,11 @@ class Ekf:
         """1 σ of the parameters' coordinates, shape (n_q,)."""
         return np.asarray(np.sqrt(np.maximum(self._state[self._parameter_variances], 0.0)))
 
+    def correlation(self, k: int, j: int) -> float:
+        """Of two coordinates' errors."""
+        variances = self._state[self._parameter_variances[k]] * self._state[self._parameter_variances[j]]
+        return float(self._state[self._parameter_elements[k, j]] / np.sqrt(max(variances, 1e-300)))
+
     def snapshot(self) -> F64:
         """A copy of everything the filter carries, for `parameters_of`; cheap."""
         return self._state.copy()

@@ -194,8 +194,7 @@ class ParameterJudge:
         names, qualified = self._roster.names, self.qualification.qualified
         if {"R", "K"} <= set(names):
             R, K = names.index("R"), names.index("K")
-            covariance, std = self._ekf.estimate().covariance, self._ekf.coordinate_std
-            qualified[R] &= qualified[K] | (abs(covariance[R, K]) < _ONE_LINE * std[R] * std[K])
+            qualified[R] &= qualified[K] or abs(self._ekf.correlation(R, K)) < _ONE_LINE
 
     def _no_L_without_R(self, period_s: float) -> None:
         """Over few samples a current shows L/R: with a wrong R the filter is sure of a wrong L."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -50,6 +51,16 @@ class Roster:
         return mask
 
     @cached_property
+    def _winding(self) -> tuple[int, int] | None:
+        """Indices of R and L."""
+        return (self.names.index("R"), self.names.index("L")) if {"R", "L"} <= set(self.names) else None
+
+    @cached_property
+    def _without_L(self) -> Mask:
+        mask: Mask = self.free & np.array([name != "L" for name in self.names])
+        return mask
+
+    @cached_property
     def drift_square(self) -> F64:
         """Variance of the coordinate's random walk over its scale squared, 1/s."""
         return np.square(self.drift)
@@ -63,11 +74,10 @@ class Roster:
         """What the filter may estimate along its own states: all but the inductance of a winding that settles between
         two samples. Of that little more than the colour of the innovations is left, and a wrong share of the noise
         between sensor and voltage colours them, too (L 26 % off at 11 σ, and 37 % at 23)."""
-        free = self.free.copy()
-        values = self.values(coordinates)
-        if "L" in self.names and values["L"] < period_s * values["R"]:
-            free[self.names.index("L")] = False
-        return free
+        if self._winding is None:
+            return self.free
+        R, L = self._winding  # logarithms
+        return self._without_L if coordinates[L] - coordinates[R] < math.log(max(period_s, 1e-12)) else self.free
 
     def values(self, coordinates: F64) -> dict[str, float]:
         """Natural units."""
