@@ -44,8 +44,9 @@ _TURNS = 2
 _MOST_SAMPLES = 20_000
 #: A pass begins with no larger 1 σ: further off a logarithm's derivatives say nothing of where it would have to go.
 _WIDEST_STD = 0.2
-#: A pass along the instrument fits as well as one without it, if its cost is no larger than by this.
-_AS_GOOD = 20.0
+#: A pass along the instrument fits as well as one without it, if its cost is no larger than by this; by the second
+#: where one has been no better before.
+_AS_GOOD, _TRIED = 20.0, 3.0
 #: A parameter of which the samples leave more than this share of it was not seen.
 _UNSEEN_SHARE = 0.7
 #: A pass that moves nothing by more than these, in standard deviations and as a share of one unit, was the last.
@@ -197,9 +198,9 @@ class SecondLook:
             self._ekf.restore(best)
             follows = bool((moved < allowed + _FOLLOWS_SHARE).all())
         self._ekf.restore(best)
-        if not follows and best_fit.outliers == 0:
-            # Not tried yet, and along its own states a filter learns from the colour of its noise.
-            best_follows = self._follow(look, best_fit.cost + _AS_GOOD)
+        if not best_follows and best_fit.outliers == 0:
+            # Along its own states a filter learns from the colour of its noise, and fits a little better by it.
+            best_follows = self._follow(look, best_fit.cost + (_TRIED if follows else _AS_GOOD))
         return best_fit.outliers, best_follows
 
     def _follow(self, look: _Look, limit: float) -> bool:

@@ -209,7 +209,7 @@ def test_an_inductance_between_two_samples_is_not_learned_from_the_colour_of_the
     assert not start.on_the_way, start
 
 
-@pytest.mark.parametrize("number", [156, 317, 478, 678, 737, 839])
+@pytest.mark.parametrize("number", [156, 317, 478, 737, 839])
 def test_noise_that_was_taken_for_another_is_not_information(number: int) -> None:
     """Starts of the large motor whose voltage noise was thought a third of what it is: R, L, J or B 5 to 18 % off at 5
     to 8 σ within the first seconds."""
