@@ -153,6 +153,11 @@ class DaemonProgram(Program):
         """Kinds of events, oldest first."""
         return [e["kind"] for e in self.get(f"/drives/{drive}/events")["events"]]
 
+    def foreground_events(self, drive: str = "axis1") -> list[str]:
+        """Those that follow from what happens to the drive: an RF+GRNN model is trained or loaded in a thread of its
+        own, and says so before or after anything that a test does."""
+        return [kind for kind in self.events(drive) if kind not in ("model_learned", "refreshed")]
+
     def until(
         self, ok: Callable[[dict[str, Any]], object], what: str, drive: str = "axis1", limit_s: float = PATIENCE_S
     ) -> dict[str, Any]:

@@ -87,7 +87,7 @@ def test_missing_unplugged_and_back_while_another_drive_goes_on(tmp_path: Path) 
             assert missing["health"]["connection"] == "connecting"
             assert statuses(missing) == {"estimating"} and missing["time"] is None
             assert {p["value"] == p["nominal"] for p in missing["parameters"].values()} == {True}
-            assert program.events(name) == ["unavailable"]
+            assert program.foreground_events(name) == ["unavailable"]
         other = program.until(all_tracking, "the other drive tracks", "other")
         assert program.get("/ready")["ready"] is True  # one drive is enough
         assert program.get("/health")["status"] == "ok"  # a missing port is no trouble of the daemon
@@ -109,7 +109,7 @@ def test_missing_unplugged_and_back_while_another_drive_goes_on(tmp_path: Path) 
                 assert_close(back, PAPER_MOTOR)  # at once: parameters outlive the line
                 assert back["samples"] > before[name]["samples"]
                 assert back["samples"] <= back["health"]["samples"]
-                kinds = [k for k in program.events(name) if k != "device_restarted"]
+                kinds = [k for k in program.foreground_events(name) if k != "device_restarted"]
                 assert kinds == ["unavailable", "connected", "filter_started", "disconnected", "connected"]
             for name in links:
                 assert program.said(f"WARNING drive {name}: ") in (2, 3)  # missing, gone, and perhaps restarted
@@ -120,7 +120,7 @@ def test_missing_unplugged_and_back_while_another_drive_goes_on(tmp_path: Path) 
         end = program.estimates("other")
         assert all_tracking(end) and end["samples"] > other["samples"]
         assert end["health"]["samples_lost"] == 0 and end["health"]["reconnects"] == 0
-        assert set(program.events("other")) == {"connected", "filter_started"}
+        assert set(program.foreground_events("other")) == {"connected", "filter_started"}
         status = program.get("/drives/other/history?parameter=R&points=20000")["status"]
         first = status.index("tracking")
         assert set(status[first:]) == {"tracking"}, "the other drive tracks without a break"
@@ -153,7 +153,7 @@ def test_every_fault_of_a_serial_line(tmp_path: Path) -> None:
         assert statuses(silent) == {"invalid"}
         assert {"no samples for" in p["reason"] for p in silent["parameters"].values()} == {True}
         assert_close(silent, PAPER_MOTOR)
-        assert program.events()[-1] == "silent"
+        assert program.foreground_events()[-1] == "silent"
         assert program.said("sends no samples") == 1
 
 
@@ -228,7 +228,7 @@ def test_a_drive_that_falls_silent_and_speaks_again(tmp_path: Path) -> None:
         back = program.until(all_tracking, "tracks again")
         assert back["health"]["connection"] == "connected" and back["health"]["reconnects"] == 0
         assert_close(back, PAPER_MOTOR)
-        assert program.events() == ["connected", "filter_started", "silent", "speaking"]
+        assert program.foreground_events() == ["connected", "filter_started", "silent", "speaking"]
         assert program.said("sends no samples") == 1 and program.said("sends samples again") == 1
 
 

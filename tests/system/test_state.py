@@ -35,7 +35,7 @@ def test_the_next_run_starts_from_what_the_last_one_knew(tmp_path: Path) -> None
         first = program.until(lambda d: statuses(d) != {"estimating"}, "the first estimates")
         assert first["samples"] < 1000, "sooner than a regression could have found anything"
         assert_close(program.until(all_tracking, "tracks"), PAPER_MOTOR)
-        assert program.events() == ["connected", "state_restored", "filter_started"]
+        assert program.foreground_events() == ["connected", "state_restored", "filter_started"]
         assert program.said("estimates of the last run restored") == 1
         assert program.said("filter started from the saved state") == 1
         program.stop()
