@@ -15,7 +15,7 @@ from servo_daemon.estimators.fusion import KNOWS, LOST, QUALIFIED, Qualification
 from servo_daemon.estimators.motor_rls import MotorRls
 from servo_daemon.estimators.regression_estimate import RegressionEstimate
 from servo_daemon.estimators.roster import Mask, Roster
-from servo_daemon.estimators.sampling import Sampling, blind_std, coarse
+from servo_daemon.estimators.sampling import Sampling, blind_std, coarse, settles_between
 from servo_daemon.estimators.starter import NUISANCE_SHARE
 from servo_daemon.estimators.vouching import Vouching
 from servo_daemon.plant.parameters import Parameter
@@ -323,8 +323,8 @@ class ParameterJudge:
 
     @staticmethod
     def _is_blind(name: str, values: Mapping[str, float], tick: Tick) -> bool:
-        """Between two samples the current has settled: integrals over samples cannot show what it did meanwhile."""
-        return name == "L" and values["L"] < tick.sampling.period_s * values["R"]
+        """See `settles_between`."""
+        return name == "L" and settles_between(values["R"], values["L"], tick.sampling.period_s)
 
     def _confirmed_by_regression(self, values: Mapping[str, float], tick: Tick) -> Mask:
         """Parameters whose value the regression confirms, or cannot judge at all because it is in none."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.estimators.base import natural_values
+from servo_daemon.estimators.sampling import settles_between
 from servo_daemon.estimators.settings import TrackerSettings
 from servo_daemon.estimators.signals import SignalPlan
 from servo_daemon.plant.parameters import Parameter
@@ -76,8 +77,8 @@ class Roster:
         between sensor and voltage colours them, too (L 26 % off at 11 σ, and 37 % at 23)."""
         if self._winding is None:
             return self.free
-        R, L = self._winding  # logarithms
-        return self._without_L if coordinates[L] - coordinates[R] < math.log(max(period_s, 1e-12)) else self.free
+        R, L = (math.exp(coordinates[k]) for k in self._winding)
+        return self._without_L if settles_between(R, L, period_s) else self.free
 
     def values(self, coordinates: F64) -> dict[str, float]:
         """Natural units."""

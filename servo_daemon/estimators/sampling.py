@@ -36,6 +36,12 @@ class Sampling:
         return self.samples_per_count * self.period_s >= SPAN_S["shaft"]
 
 
+def settles_between(R: float, L: float, period_s: float) -> bool:
+    """Whether the current of such a winding has settled from one sample to the next: what it did meanwhile no integral
+    over samples shows."""
+    return period_s * R > L
+
+
 def blind_std(name: str, value: Mapping[str, float], period_s: float) -> float:
     """1 σ of a logarithm that a regression over samples may be off by, whatever its rows say: what the current does
     between two of them it does not see.

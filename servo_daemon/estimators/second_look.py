@@ -68,11 +68,15 @@ class _Look:
 
     Attributes:
         start: of the filter.
+        index: of the start's parameters among the filter's.
+        vague: which of these are logarithms that were guessed.
         walk_var_per_s: process noise of each coordinate, 1/s.
         period_s: usual distance of two samples.
     """
 
     start: Gaussian
+    index: list[int]
+    vague: Mask
     walk_var_per_s: F64
     period_s: float
 
@@ -124,7 +128,9 @@ class SecondLook:
         self._leaps += tick not in _TICKS
         usable = self._filtering.complete and self._filtering.kept <= _MOST_SAMPLES
         self.pending = False
-        look = _Look(self._start.parameters, self._judge.walk(self._roster.free), period_s)
+        start = self._start.parameters
+        walk = self._judge.walk(self._roster.free)
+        look = _Look(start, self._index(start), self._vague(start), walk, period_s)
         follows = self._go_over(look, white) if usable else None
         self._left_at = self._ekf.coordinates.copy()
         if tick >= _TICKS[-1]:
@@ -142,7 +148,7 @@ class SecondLook:
         if self._start is None or tick < _TICKS[0] or self._leaps == _MOST_LEAPS:
             return False
         start = self._start.parameters
-        index = np.array([self._roster.names.index(name) for name in start.names])[self._vague(start)]
+        index = np.array(self._index(start))[self._vague(start)]
         leapt = (np.abs(self._ekf.coordinates - self._left_at) > _LEAP) & (self._ekf.coordinate_std < _VAGUE_STD)
         return bool(leapt[index].any())
 
@@ -168,7 +174,7 @@ class SecondLook:
             if noise is not None and not white:
                 self._noise.put_of_current(*noise)
             return None
-        self._widen(look.start)
+        self._widen(look)
         return follows
 
     def _is_white(self) -> bool:
@@ -253,23 +259,23 @@ class SecondLook:
         """
         roster, found, start = self._roster, self._ekf.coordinates, look.start
         free = roster.free if follows else roster.free_without_instrument(found, look.period_s)
-        index = [roster.names.index(name) for name in start.names]
-        begins = np.where(self._vague(start) & ~(free[index] & guessed), found[index], start.mean)
+        begins = np.where(look.vague & ~(free[look.index] & guessed), found[look.index], start.mean)
         self._ekf.use_instrument(follows)
         self._ekf.set_active(free, look.walk_var_per_s)
         spread = np.diag(np.minimum(start.std, _WIDEST_STD) ** 2)
         return self._filtering.again(Gaussian(start.names, begins, spread))
 
-    def _widen(self, start: Gaussian) -> None:
+    def _widen(self, look: _Look) -> None:
         """What the samples have not shown is known no better than at the start."""
-        index = [self._roster.names.index(name) for name in start.names]
         before = np.zeros(len(self._roster.names))
-        before[index] = start.std
+        before[look.index] = look.start.std
         unseen = (before > _WIDEST_STD) & (self._ekf.coordinate_std > _UNSEEN_SHARE * _WIDEST_STD)
         self._ekf.widen_parameters(np.where(unseen, np.square(before), 0.0))
+
+    def _index(self, start: Gaussian) -> list[int]:
+        return [self._roster.names.index(name) for name in start.names]
 
     def _vague(self, start: Gaussian) -> Mask:
         """Of the start's parameters: logarithms that were guessed, shape (parameters of the start,)."""
         logarithmic = self._roster.published & self._roster.logarithmic
-        own = np.array([logarithmic[self._roster.names.index(name)] for name in start.names])
-        return np.asarray(own & (start.std > _VAGUE_STD))
+        return np.asarray(logarithmic[self._index(start)] & (start.std > _VAGUE_STD))

@@ -137,9 +137,8 @@ class InnovationWatch:
         Args:
             input_rms, input_lsb: of the held input, in its unit.
         """
-        factor = var / noise.input_variance(input_rms, input_lsb)
-        if factor > self._of("current_A").factor:
-            self._process["current_A"] = ProcessNoise(min(factor, noise.FACTOR_MOST))
+        if var / noise.input_variance(input_rms, input_lsb) > self._of("current_A").factor:
+            self.put_input(var, input_rms, input_lsb)
 
     def put_sensor(self, name: str, var: float) -> None:
         """A channel's noise is this, in its unit squared, as far as its resolution allows."""

@@ -129,9 +129,10 @@ class StepBuilder:
         if two is not None:
             middle_x[n - 1] = angle
         middle = self.terms(middle_x, u, t + h / 2, h)
-        known = middle if self._factors_follow_motion() else ahead
-        if known is middle:
-            core = self._core(begin, middle, h)
+        known = ahead
+        if self._factors_follow_motion():
+            known = middle
+            core = self._core(begin, known, h)
         held = _Held(mean, rise, middle)
         whole = core
         if two is not None:

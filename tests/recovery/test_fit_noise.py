@@ -7,12 +7,13 @@ benchmarks/identification_montecarlo.py.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from servo_daemon.estimators.output_error import FitOptions, fit_output_error
+from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, fit_output_error
 from servo_daemon.estimators.output_error.outcome import NoiseOption, Outcome, conclude
 from servo_daemon.estimators.output_error.setup import Recording, make_problem
 from servo_daemon.estimators.output_error.solver import solve
@@ -23,11 +24,26 @@ pytestmark = [pytest.mark.usefixtures("generator_built"), pytest.mark.slow]
 NAMES = ("R", "L", "K", "J", "B")
 
 
+def capture(motor: Motor, scenario: Scenario) -> Recording:
+    made = generate(motor, scenario)
+    signals = {"voltage_V": made.voltage_V, "current_A": made.current_A, "position_rad": made.position_rad}
+    return Recording("capture", make_block(made.time_s, **signals))
+
+
+def assert_within_3_std(found: OutputErrorFit, truth: Mapping[str, float], known_to: float = np.inf) -> None:
+    """Args: known_to: bound of the standard deviation, as a share of the truth."""
+    for name, true in truth.items():
+        p = found.parameters[name]
+        assert p.value is not None
+        assert p.std is not None
+        assert abs(p.value - true) < 3 * p.std, (name, p)
+        assert p.std < known_to * true, (name, p)
+
+
 def outcome(motor: Motor, scenario: Scenario, noise_model: NoiseOption = "auto") -> Outcome:
     """One capture, fitted."""
-    made = generate(motor, scenario)
-    block = make_block(made.time_s, voltage_V=made.voltage_V, current_A=made.current_A, position_rad=made.position_rad)
-    problem = make_problem([Recording("capture", block)], (), {})
+    made = capture(motor, scenario)
+    problem = make_problem([made], (), {})
     plain = solve(problem, problem.start({name: np.log(1.02 * getattr(motor, name)) for name in NAMES}))
     assert plain is not None
     return conclude(problem, plain, np.ones(len(NAMES)), noise_model, motor.working_torque_Nm, np.inf)
@@ -80,18 +96,12 @@ def test_heat_within_a_sample_is_counted(seed: int) -> None:
     """A winding that settles within a sample loses more than the square of its mean current (R_th was 7 % high at 3 to
     13 σ)."""
     heat = {"R_th": 0.9697, "C_th": 6.875}
-    made = generate(RE40, Scenario("multisine", 20.0, seed=seed, effects={"winding_heating": heat}))
-    block = make_block(made.time_s, voltage_V=made.voltage_V, current_A=made.current_A, position_rad=made.position_rad)
+    made = capture(RE40, Scenario("multisine", 20.0, seed=seed, effects={"winding_heating": heat}))
     nominal = {name: float(getattr(RE40, name)) for name in NAMES} | heat
     options = FitOptions(nominal=nominal, thorough=False)
-    found = fit_output_error([Recording("capture", block)], ("winding_heating",), options)
+    found = fit_output_error([made], ("winding_heating",), options)
     assert found.white
-    for name, true in heat.items():
-        p = found.parameters[name]
-        assert p.value is not None
-        assert p.std is not None
-        assert abs(p.value - true) < 3 * p.std, (name, p)
-        assert p.std < 0.1 * true
+    assert_within_3_std(found, heat, known_to=0.1)
 
 
 def test_the_deviance_of_a_needless_parameter_is_chance() -> None:
@@ -99,15 +109,10 @@ def test_the_deviance_of_a_needless_parameter_is_chance() -> None:
     value of the free runs, which add up the noise, changes by hundreds."""
     fallen, of_free_runs = [], []
     for seed in range(6):
-        made = generate(RE40, Scenario("pick_and_place", 4.0, seed=7200 + seed))
-        block = make_block(
-            made.time_s, voltage_V=made.voltage_V, current_A=made.current_A, position_rad=made.position_rad
-        )
+        made = capture(RE40, Scenario("pick_and_place", 4.0, seed=7200 + seed))
         nominal = {name: float(getattr(RE40, name)) for name in NAMES}
         options = FitOptions(nominal=nominal, thorough=False)
-        simple, rich = (
-            fit_output_error([Recording("capture", block)], effects, options) for effects in ((), ("quadratic_drag",))
-        )
+        simple, rich = (fit_output_error([made], effects, options) for effects in ((), ("quadratic_drag",)))
         assert simple.white
         assert simple.deviance is not None
         assert rich.deviance is not None
@@ -139,13 +144,12 @@ def test_a_current_sensor_without_noise_is_no_trouble() -> None:
 
 
 def test_a_fit_that_cannot_come_below_a_deviance_is_given_up() -> None:
-    made = generate(PAPER, Scenario("multisine", 4.0, seed=7300))
-    block = make_block(made.time_s, voltage_V=made.voltage_V, current_A=made.current_A, position_rad=made.position_rad)
+    made = capture(PAPER, Scenario("multisine", 4.0, seed=7300))
     options = FitOptions(nominal={name: float(getattr(PAPER, name)) for name in NAMES}, thorough=False)
-    whole = fit_output_error([Recording("capture", block)], (), options)
+    whole = fit_output_error([made], (), options)
     assert whole.polished is not None
     for below, reached in ((whole.polished.deviance + 1.0, True), (whole.polished.deviance - 30.0, False)):
-        again = fit_output_error([Recording("capture", block)], (), replace(options, deviance_below=below))
+        again = fit_output_error([made], (), replace(options, deviance_below=below))
         assert (again.polished is not None) == reached
         assert again.polished is None or again.values == whole.values
 
@@ -153,18 +157,13 @@ def test_a_fit_that_cannot_come_below_a_deviance_is_given_up() -> None:
 def test_an_inductance_that_a_free_run_drives_to_nothing_comes_back() -> None:
     """A free run adds up the hidden voltage, and fits that best without L; from there a logarithm has hardly a slope,
     and a clean capture was left without a noise model (a diagnosis called it unexplained)."""
-    made = generate(RE40, Scenario("pick_and_place", 20.0, seed=886858))
-    block = make_block(made.time_s, voltage_V=made.voltage_V, current_A=made.current_A, position_rad=made.position_rad)
+    made = capture(RE40, Scenario("pick_and_place", 20.0, seed=886858))
     nominal = {name: float(getattr(RE40, name)) for name in NAMES}
-    found = fit_output_error([Recording("capture", block)], (), FitOptions(nominal=nominal, thorough=False))
+    found = fit_output_error([made], (), FitOptions(nominal=nominal, thorough=False))
     plain = found.problem.coordinates(found.plain.point.unknowns, 0)
     assert np.exp(plain[found.problem.plant.parameter_names.index("L")]) < 0.1 * RE40.L  # that this test can fail
     assert found.white
-    for name in NAMES:
-        p = found.parameters[name]
-        assert p.value is not None
-        assert p.std is not None
-        assert abs(p.value - getattr(RE40, name)) < 3 * p.std, (name, p)
+    assert_within_3_std(found, {name: getattr(RE40, name) for name in NAMES})
     assert found.parameters["L"].std is not None
     assert found.parameters["L"].std < 0.05 * RE40.L
 
@@ -173,17 +172,12 @@ def test_a_step_of_the_resistance_is_put_where_it_happened() -> None:
     """By the derivative it stayed where no current flowed: 0.24 s late at 8 of its standard deviations, and the step
     itself 0.6 of them off; another instant made the data likelier by more than 1,000."""
     true = {"dR": 0.04 * PAPER.R, "t_R": 11.995}
-    made = generate(PAPER, Scenario("multisine", seconds=20.0, effects={"resistance_step": true}, seed=187841))
-    block = make_block(made.time_s, voltage_V=made.voltage_V, current_A=made.current_A, position_rad=made.position_rad)
+    made = capture(PAPER, Scenario("multisine", seconds=20.0, effects={"resistance_step": true}, seed=187841))
     nominal = {**{name: getattr(PAPER, name) for name in NAMES}, "dR": true["dR"], "t_R": 12.24}
     options = FitOptions(nominal=nominal, thorough=False)
-    fit = fit_output_error([Recording("capture", block)], ("resistance_step",), options)
+    fit = fit_output_error([made], ("resistance_step",), options)
     assert fit.white
-    for name, value in true.items():
-        p = fit.parameters[name]
-        assert p.value is not None
-        assert p.std is not None
-        assert abs(p.value - value) < 3 * p.std, (name, p)
+    assert_within_3_std(fit, true)
     instant = fit.parameters["t_R"].std
     assert instant is not None
     assert instant < 0.05

@@ -148,6 +148,7 @@ def test_what_healthy_motors_look_like_is_calibrated(model: LearnedModel) -> Non
     strange = [r for r in model.predict(windows.features).declined if "looks like" in r]
     assert len(strange) < 0.1 * known.sum()
     assert model.facts["accepted"] > 0.85
+    assert model.facts["accepted_faulty"] < 0.5
 
 
 def test_strange_windows_of_other_motors_are_declined(model: LearnedModel) -> None:

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from servo_daemon.estimators.output_error.instants import instants_of
 from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.output_error.rollout import TIME
 from servo_daemon.estimators.output_error.solver import Solution, solve
@@ -79,14 +80,10 @@ def from_nearby(problem: Problem, found: Solution, *, robust: bool) -> Solution 
     best = found
     spans_s = [float(s.rows[-1, TIME] - s.rows[0, TIME]) for s in problem.segments]
     apart_s = _NEARBY * float(np.median(spans_s))
-    for size, name in INSTANTS.items():
-        if name not in problem.free or size not in problem.free:
-            continue
-        column = problem.free.index(name)
+    for column in instants_of(problem):
         for _ in range(_CLOSER):
-            center = best.point.unknowns[column]
             before = best
-            for at_s in center + apart_s * np.array([-4.0, -2.0, -1.0, 1.0, 2.0, 4.0]):
+            for at_s in before.point.unknowns[column] + apart_s * np.array([-4.0, -2.0, -1.0, 1.0, 2.0, 4.0]):
                 unknowns = before.point.unknowns.copy()
                 unknowns[column] = at_s
                 best = _better(problem, best, unknowns, robust=robust)
