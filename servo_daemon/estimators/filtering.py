@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,14 @@ class Fit:
     outliers: int
 
 
+@dataclass(frozen=True, slots=True)
+class _Forget:
+    """Samples are missing before these: the motion is unknown, or everything is."""
+
+    part: SampleBlock
+    everything: bool
+
+
 class Filtering:
     """One drive's.
 
@@ -40,7 +49,7 @@ class Filtering:
         self._kept: list[tuple[SampleBlock, float | None, float | None]] | None = None
         self._kept_from: tuple[SampleBlock, Marked] | None = None
         self.complete = True
-        self._cost: float | None = None  # of the samples that are gone over
+        self._laid_out: tuple[float, list[_Forget | F64]] | None = None  # the kept ones, since they were gone over
         self._gated: list[F64] = []  # of each run of samples since they were last asked for; (n, channels)
 
     def take(self, block: SampleBlock, last_s: float | None, period_s: float | None) -> None:
@@ -55,11 +64,20 @@ class Filtering:
             return
         if self._kept is not None:
             self._kept.append((block, last_s, period_s))
+            self._laid_out = None
+        for piece in self._pieces(block, last_s, period_s):
+            if isinstance(piece, _Forget):
+                self._forget(piece)
+            else:
+                self._gated.append(self._ekf.update(piece).gated)
+
+    def _pieces(self, block: SampleBlock, last_s: float | None, period_s: float | None) -> Iterator[_Forget | F64]:
+        """Samples as the filter takes them, and what it forgets in between."""
         before, self._before = self._before, block.slice(len(block) - 1, len(block))
         cuts = breaks(block, last_s)
         holes = gaps(block, last_s, period_s)
         if not cuts and not holes:
-            self._update(block)
+            yield self._rows(block)
             return
         edges = sorted({*cuts, *(k for k, short in holes.items() if not short)})
         self.complete = self.complete and not edges
@@ -69,13 +87,20 @@ class Filtering:
             part = block.slice(a, b)
             if a in edges:
                 self.layout.last_s = float(part.time_s[0])  # begins at this sample: no prediction up to it
-                forget = self._ekf.forget_state if a in cuts else self._ekf.forget_motion
-                forget(self.first_state(part))
+                yield _Forget(part, everything=a in cuts)
             short = [k - a for k, is_short in holes.items() if is_short and a <= k < b and k not in cuts]
             if short and period_s is not None:
-                self._update(*filled(part, before if a == 0 else None, short, period_s))
+                yield self._rows(*filled(part, before if a == 0 else None, short, period_s))
             else:
-                self._update(part)
+                yield self._rows(part)
+
+    def _rows(self, part: SampleBlock, new: Mask | None = None) -> F64:
+        """Args: new: samples of the part that were put in."""
+        return self.layout.rows(part, self._levels.input_square, new, LINE_VAR * self._levels.input_step_square)
+
+    def _forget(self, at: _Forget) -> None:
+        forget = self._ekf.forget_state if at.everything else self._ekf.forget_motion
+        forget(self.first_state(at.part))
 
     @property
     def kept(self) -> int:
@@ -90,33 +115,47 @@ class Filtering:
         """
         self._kept = None if last is None else []
         self._kept_from = None if last is None else (last, self.layout.mark())
+        self._laid_out = None
         self.complete = True
 
     def again(self, parameters: Gaussian) -> Fit:
         """Start the filter from these parameters and give it the samples that were kept."""
-        assert self._kept is not None and self._kept_from is not None
-        kept, (last, marked) = self._kept, self._kept_from
-        self.layout.back_to(marked)
-        self._ekf.start(parameters, held_input=self.layout.last_input)
+        assert self._kept_from is not None
+        last, _ = self._kept_from
+        if self._laid_out is None:
+            self._laid_out = self._lay_out()
+        held_input, pieces = self._laid_out
+        self._ekf.start(parameters, held_input=held_input)
         self._ekf.forget_state(self.first_state(last))
-        self._kept, self._cost, before = None, 0.0, self._before
-        self._before = last
-        for samples in kept:
-            self.take(*samples)
-        fit = Fit(self._cost, int(sum(np.count_nonzero(gated) for gated in self._gated)))
-        self._kept, self._cost, self._before = kept, None, before
+        cost, outliers = 0.0, 0
+        for piece in pieces:
+            if isinstance(piece, _Forget):
+                self._forget(piece)
+                continue
+            innovations = self._ekf.update(piece)
+            square = np.minimum(np.square(innovations.innovation) / innovations.variance, GATE**2)
+            cost += float(np.sum(square + np.log(innovations.variance)))
+            outliers += int(np.count_nonzero(innovations.gated))
         self.forget_outliers()
-        return fit
+        return Fit(cost, outliers)
 
-    def _update(self, part: SampleBlock, new: Mask | None = None) -> None:
-        """Args: new: samples of the part that were put in."""
-        line_var = LINE_VAR * self._levels.input_step_square
-        innovations = self._ekf.update(self.layout.rows(part, self._levels.input_square, new, line_var))
-        self._gated.append(innovations.gated)
-        if self._cost is not None:
-            variance = innovations.variance
-            square = np.minimum(np.square(innovations.innovation) / variance, GATE**2)
-            self._cost += float(np.sum(square + np.log(variance)))
+    def _lay_out(self) -> tuple[float, list[_Forget | F64]]:
+        """The input before the samples that were kept, and these in as few pieces as can be: a drive sends ten at a
+        time, and many passes go over them."""
+        assert self._kept is not None and self._kept_from is not None
+        last, marked = self._kept_from
+        self.layout.back_to(marked)
+        held_input, before, self._before = self.layout.last_input, self._before, last
+        out: list[_Forget | F64] = []
+        run: list[F64] = []
+        for piece in (piece for samples in self._kept for piece in self._pieces(*samples)):
+            if isinstance(piece, _Forget):
+                out += [np.concatenate(run), piece] if run else [piece]
+                run = []
+            else:
+                run.append(piece)
+        self._before = before
+        return held_input, [*out, np.concatenate(run)] if run else out
 
     def first_state(self, block: SampleBlock) -> F64:
         """Plant states at the first sample of a block: what is measured; the last known where that is no measurement

@@ -324,5 +324,6 @@ def test_the_measured_speed_is_the_slope_of_the_angle() -> None:
 def test_with_every_parameter_given_only_states_are_fitted() -> None:
     fit = fit_output_error([Recording("a", block_of(linear_recording(), *FULL))], (), FitOptions(fixed=MOTOR))
     assert all(p.status == "fixed" and p.std is None for p in fit.parameters.values())
+    assert {name: p.value for name, p in fit.parameters.items()} == MOTOR  # to the last digit
     assert fit.white
     assert fit.null_directions == ()

@@ -191,7 +191,7 @@ def fit_output_error(
     if with_friction is not None:
         lost = after.undetermined | with_friction.undetermined
         after = replace(after, undetermined=lost, exact=with_friction.exact)
-    parameters, offsets = fitted_parameters(problem, solution, after, options.nominal)
+    parameters, offsets = fitted_parameters(problem, solution, after, options.nominal, options.fixed)
     return OutputErrorFit(
         problem=problem,
         solution=solution,

@@ -46,8 +46,17 @@ class FittedParameter:
 
 
 def fitted_parameters(
-    problem: Problem, solution: Solution, info: Information, nominal: Mapping[str, float]
+    problem: Problem,
+    solution: Solution,
+    info: Information,
+    nominal: Mapping[str, float],
+    fixed: Mapping[str, float],
 ) -> tuple[dict[str, FittedParameter], tuple[Mapping[str, FittedParameter], ...]]:
+    """All of them, and per recording its own offsets.
+
+    Args:
+        nominal, fixed: as given, natural units.
+    """
     table = {p.name: p for p in problem.plant.parameters}
     std = np.sqrt(np.maximum(np.diag(info.covariance), 0.0))
     lost = _lost(problem, info, std)
@@ -70,7 +79,7 @@ def fitted_parameters(
         else:
             offsets[(column - problem.n_shared) // len(problem.local)][name] = fitted(column)
     for name, coordinate in problem.given.items():
-        value, _ = from_coordinate(table[name], coordinate, 0.0)
+        value = fixed.get(name, from_coordinate(table[name], coordinate, 0.0)[0])  # not by way of its logarithm
         out[name] = FittedParameter(value, None, table[name].unit, "fixed", False)
     for name in problem.local:
         out[name] = _mean([o[name] for o in offsets])
