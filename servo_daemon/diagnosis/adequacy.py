@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from servo_daemon.diagnosis.dependence import Dependence, dependences
-from servo_daemon.diagnosis.everything import WholeFits, exactness, fit_everything, fit_runs
+from servo_daemon.diagnosis.everything import WholeFits, by_predictions, exactness, fit_everything, fit_runs
 from servo_daemon.diagnosis.evidence import LEAST_OWN, LEAST_TOGETHER, is_what_it_is_called, working_shares
 from servo_daemon.diagnosis.lacking import longest_missing
 from servo_daemon.diagnosis.likelihood import as_likely, plainly_worse
@@ -81,6 +81,9 @@ def believed(selection: Selection, whole_fits: WholeFits) -> Believed:
         follows = [d.relative for d in depends if d.on != "moments"]
         if follows and max(follows) > _LEFT * _explained(selection, before, missing):
             break
+        better = by_predictions(data, extended)
+        if better is not extended:
+            extended, missing, depends = better, longest_missing(data, better), ()
         return Believed(selection, extended, missing, depends)
     return Believed(replace(selection, chosen=selection.base, added=(), equivalent={}), None, None, ())
 

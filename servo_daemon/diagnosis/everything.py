@@ -13,6 +13,7 @@ from servo_daemon.diagnosis.trial import Data, Trial
 from servo_daemon.errors import NumericalError
 from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, fit_output_error
 from servo_daemon.estimators.output_error.parameters import FittedParameter
+from servo_daemon.estimators.prediction_error import predicted_fit
 
 #: How exact a parameter can be said to be, however long the data: what dry friction or a brush drop does within a
 #: sample, noise that goes through it, edges of the encoder. Measured on hidden effects: errors of 0.1 to 0.7 % where
@@ -82,10 +83,21 @@ def fit_runs(
     options = FitOptions(nominal=values, fixed={**data.fixed, **trial.held}, thorough=False, deviance_below=below)
     if runs_s is not None:
         options = replace(options, segment_s=runs_s, noise_model="none")
-    return _honest(fit_output_error(data.recordings, trial.effects, options))
+    return honest(fit_output_error(data.recordings, trial.effects, options))
 
 
-def _honest(fit: OutputErrorFit) -> OutputErrorFit:
+def by_predictions(data: Data, fit: OutputErrorFit) -> OutputErrorFit:
+    """The fit, or, where dry friction may hold the shaft and whole recordings are not explained to their noise, the
+    same model as each sample is predicted best from those before it: noise of the voltage decides when the shaft lets
+    go, and bends what is fitted to free runs."""
+    in_pieces = len(fit.problem.segments) > len(data.recordings)
+    if (fit.white and not in_pieces) or not fit.problem.plant.may_stick:
+        return fit
+    better = predicted_fit(fit, data.recordings)
+    return fit if better is None else honest(better)
+
+
+def honest(fit: OutputErrorFit) -> OutputErrorFit:
     """With standard deviations that hold what no length of data makes smaller: a simulation from sample to sample is
     exact to a share of a parameter, and to as much of a radian of a phase; where within a count the encoder's zero
     lies is not known."""

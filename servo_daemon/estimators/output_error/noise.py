@@ -18,6 +18,7 @@ import numpy as np
 
 from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.output_error.rollout import INPUT
+from servo_daemon.estimators.output_error.scoring import Axes, deviance, fisher_scoring
 from servo_daemon.estimators.output_error.whitening import SOURCES, Prepared, Tangent, prepare
 from servo_daemon.samples import F64
 
@@ -31,7 +32,8 @@ _LEAST, _MOST = 1e-6, 1.0
 _TINY = 1e-100
 #: σ of a source against its signal that are tried as a start.
 _STARTS = (1e-4, 1e-3, 1e-2, 1e-1)
-_DIFFERENCE, _LONGEST, _ENOUGH, _ROUNDS = 1e-3, 3.0, 1e-2, 30
+#: Of a log-variance: for derivatives, and the longest step.
+_DIFFERENCE, _LONGEST = 1e-3, 3.0
 #: Share of differences that must be multiples of the smallest for it to be the channel's step.
 _STEPPED = 0.99
 #: The smallest difference is at most so many steps; how near to a whole number counts as one.
@@ -86,7 +88,7 @@ class NoiseLikelihood:
         )
 
     def value(self, log_variance: F64) -> float:
-        return _value(*self.innovations(log_variance))
+        return deviance(self.innovations(log_variance))
 
     def sensors_alone(self) -> F64:
         """Log-variances where no noise enters the motor."""
@@ -113,48 +115,10 @@ class NoiseLikelihood:
         Returns:
             the log-variances and −2 log p there.
         """
-        a, damping = start.copy(), 0.0
-        here = self.innovations(a)
-        for _ in range(_ROUNDS):
-            g, H = self._derivatives(a, here, free)
-            held = (a[free] <= self.low[free]) & (g > 0) | (a[free] >= self.high[free]) & (g < 0)
-            open_ = np.flatnonzero(~held)
-            if not len(open_):
-                break
-            A = H[np.ix_(open_, open_)]
-            step = np.zeros(len(free))
-            ridge = (damping + 1e-9) * np.maximum(np.diag(A), 1e-9)
-            step[open_] = -np.linalg.solve(A + np.diag(ridge), g[open_])
-            step *= min(1.0, _LONGEST / max(float(np.max(np.abs(step))), 1e-300))
-            if -float(g @ step) < _ENOUGH:
-                break
-            trial = a.copy()
-            trial[free] = np.clip(a[free] + step, self.low[free], self.high[free])
-            there = self.innovations(trial)
-            if _value(*there) < _value(*here):
-                a, here, damping = trial, there, damping / 10
-            else:
-                damping = max(10 * damping, 1e-2)
-                if damping > 1e6:
-                    break
-        return a, _value(*here)
-
-    def _derivatives(self, a: F64, here: tuple[F64, F64], free: Sequence[int]) -> tuple[F64, F64]:
-        """Gradient and expected Hessian of −2 log p."""
-        e, logs = here
-        d_e, d_logs = np.empty((len(free), len(e))), np.empty((len(free), len(e)))
-        for row, k in enumerate(free):
-            moved = a.copy()
-            moved[k] += _DIFFERENCE
-            e1, logs1 = self.innovations(moved)
-            d_e[row], d_logs[row] = (e1 - e) / _DIFFERENCE, (logs1 - logs) / _DIFFERENCE
-        g = np.sum(d_logs + 2 * d_e * e, axis=1)
-        raw = d_e + 0.5 * e * d_logs  # of the innovation itself, in units of √s
-        return g, np.einsum("an,bn->ab", d_logs, d_logs) + 2 * np.einsum("an,bn->ab", raw, raw)
-
-
-def _value(e: F64, logs: F64) -> float:
-    return float(np.sum(logs + e * e))
+        k = len(start)
+        axes = Axes(self.low, self.high, np.full(k, _DIFFERENCE), np.full(k, _LONGEST))
+        found = fisher_scoring(self.innovations, start, free, axes)
+        return found.at, found.value
 
 
 def bounds(problem: Problem, torque_size: float) -> tuple[F64, F64]:

@@ -1,0 +1,237 @@
+"""A fit whose free runs noise bends, made again by what each sample is predicted to be.
+
+Where dry friction may hold the shaft, a voltage noise that no recording shows does not average out: it decides when the
+shaft lets go, and free runs through such moments are no smooth function of anything. Fitted to them the parameters of
+friction near standstill are off by percents at several of their standard deviations. The likelihood of the predictions
+(`predictor`) is maximised over parameters and noise together, from where the free runs have led.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from servo_daemon.estimators.output_error.fit import OutputErrorFit
+from servo_daemon.estimators.output_error.information import Information
+from servo_daemon.estimators.output_error.lost_runs import settled
+from servo_daemon.estimators.output_error.noise import INPUT_NOISE, NoiseModel, bounds, resolution
+from servo_daemon.estimators.output_error.parameters import correlation_of, fitted_parameters
+from servo_daemon.estimators.output_error.problem import Linearisation, Problem
+from servo_daemon.estimators.output_error.residual import ResidualTest, innovation_tests, residual_tests
+from servo_daemon.estimators.output_error.scoring import Axes, Found, deviance, fisher_scoring
+from servo_daemon.estimators.output_error.setup import Recording, make_problem
+from servo_daemon.estimators.output_error.solver import Point, Solution, point_of
+from servo_daemon.estimators.output_error.whitening import SOURCES, moving
+from servo_daemon.estimators.prediction_error.predictor import Predictions, Predictor, predictor
+from servo_daemon.samples import F64
+
+#: Share of a standard deviation by which a parameter is moved for a derivative; bounds of that, and the longest step,
+#: of a logarithm.
+_MOVED, _LEAST, _MOST, _LONGEST = 0.03, 1e-6, 1e-3, 0.3
+#: The same of a log-variance.
+_NOISE_MOVED, _NOISE_LONGEST = 1e-3, 3.0
+#: From so many standard deviations (of the free runs) to either side a search must come back to the same place: within
+#: so many of the predictions' own, or a share of one unit. No logarithm begins further away than the second.
+_AWAY, _FAR, _SAME_STDS, _SAME_SHARE = 2.0, 1.0, 3.0, 5e-3
+#: 1 σ of the noises against their signals, to begin with.
+_INPUT_SHARE, _SENSOR_SHARE = 5e-3, 5e-3
+
+
+def predicted_fit(fit: OutputErrorFit, recordings: Sequence[Recording]) -> OutputErrorFit | None:
+    """The same model with the parameters that predict best; None where these do not explain the data to their noise.
+
+    Args:
+        fit: of voltage-driven motors with a measured current; where it begins, and what is not determined stays there.
+        recordings: the same.
+    """
+    if fit.problem.plant.drive != "voltage" or "current_A" not in fit.problem.channels:
+        return None
+    problem, unknowns = _uncut(fit, recordings)
+    at = predictor(problem, unknowns, _weights(fit, problem))
+    columns = _open_columns(fit)
+    found = _most_likely(fit, at, unknowns, columns)
+    if found is None:
+        return None
+    n = len(problem.parameter_of_column)
+    moved = unknowns.copy()
+    moved[columns] = found.at[columns]
+    a = found.at[n:]
+    tests = _tests(at, at.run(moved, a), moved)
+    if not all(test.white for test in tests.values()):
+        return None
+    known = _information(fit.after, found, columns)
+    for away in (-_AWAY, _AWAY):
+        other = _most_likely(fit, at, _elsewhere(fit, moved, away), columns)
+        if other is None or not _agree(known, moved[columns], other.at[columns], columns):
+            return None
+    return _published(fit, known, moved, a, tests)
+
+
+def _elsewhere(fit: OutputErrorFit, unknowns: F64, away: float) -> F64:
+    """Along what the free runs know least, as far as they leave it open: each time that the shaft lets go a sample
+    earlier or later the likelihood has a step, and where the data say little such steps are all that it shows."""
+    root = fit.after.root
+    size = np.maximum(np.sqrt(np.diag(fit.after.covariance)), 1e-300)
+    u, spread, _ = np.linalg.svd(root / size[:, None], full_matrices=False)
+    way = away * spread[0] * size * u[:, 0]
+    way *= min(
+        1.0, _LONGEST / max(float(np.max(np.abs(way[fit.problem.logarithmic[: len(way)]]), initial=0.0)), 1e-300)
+    )
+    out = unknowns.copy()
+    out[: len(way)] += way
+    return out
+
+
+def _agree(known: Information, one: F64, other: F64, columns: list[int]) -> bool:
+    """Whether two searches came to the same place."""
+    std = np.sqrt(np.diag(known.covariance))[columns]
+    return bool((np.abs(one - other) <= np.hypot(_SAME_STDS * std, _SAME_SHARE)).all())
+
+
+def _uncut(fit: OutputErrorFit, recordings: Sequence[Recording]) -> tuple[Problem, F64]:
+    """The problem in as few segments as the recordings allow, and the fit's unknowns there."""
+    own = fit.problem
+    problem = make_problem(recordings, own.plant.effects, {})
+    problem = replace(problem, free=own.free, local=own.local, given=own.given)
+    unknowns = problem.start(dict.fromkeys(problem.parameter_of_column, 0.0))
+    n = len(problem.parameter_of_column)
+    unknowns[:n] = fit.solution.point.unknowns[:n]
+    first = [s.recording for s in own.segments]
+    for k, segment in enumerate(problem.segments):
+        unknowns[problem.columns(k)[-len(own.plant.states) :]] = own.initial_state(
+            fit.solution.point.unknowns, first.index(segment.recording)
+        )
+    return problem, unknowns
+
+
+def _weights(fit: OutputErrorFit, problem: Problem) -> tuple[F64, ...]:
+    """The samples' weights in the fit, per segment of the uncut problem."""
+    pieces = list(zip(fit.problem.segments, fit.solution.point.weights, strict=True))
+    out = []
+    for segment in problem.segments:
+        weights = np.ones(segment.measured.shape)
+        end = segment.begin + len(weights)
+        for piece, w in pieces:
+            if piece.recording == segment.recording and segment.begin <= piece.begin < end:
+                weights[piece.begin - segment.begin :][: len(w)] = w
+        out.append(weights)
+    return tuple(out)
+
+
+def _open_columns(fit: OutputErrorFit) -> list[int]:
+    """Parameters that the data determine and that are at no bound."""
+    lost = fit.after.undetermined
+    return [k for k in range(len(fit.problem.parameter_of_column)) if not lost[k] and k not in fit.solution.at_bound]
+
+
+def _most_likely(fit: OutputErrorFit, at: Predictor, unknowns: F64, columns: Sequence[int]) -> Found | None:
+    """Noise first, then parameters and noise; None: it does not come to rest."""
+    problem = at.problem
+    n = len(problem.parameter_of_column)
+    low, high = (b[:n] for b in problem.bounds)
+    noise_low, noise_high = _noise_bounds(problem)
+    std = np.sqrt(np.maximum(np.diag(fit.after.covariance), 0.0))
+    logs = problem.logarithmic[:n]
+    moved = np.where(logs, np.clip(_MOVED * std, _LEAST, _MOST), np.maximum(_MOVED * std, 1e-12))
+    c = len(noise_low)
+    axes = Axes(
+        low=np.concatenate([low, noise_low]),
+        high=np.concatenate([high, noise_high]),
+        difference=np.concatenate([moved, np.full(c, _NOISE_MOVED)]),
+        longest=np.concatenate([np.where(logs, _LONGEST, np.inf), np.full(c, _NOISE_LONGEST)]),
+    )
+
+    def innovations(z: F64) -> tuple[F64, F64]:
+        there = unknowns.copy()
+        there[:n] = z[:n]
+        out = at.run(there, z[n:])
+        return np.concatenate([e.ravel() for e in out.innovations]), np.concatenate(
+            [v.ravel() for v in out.log_variance]
+        )
+
+    start = np.concatenate([unknowns[:n], _first_noise(fit, noise_low, noise_high)])
+    if not np.isfinite(deviance(innovations(start))):
+        return None
+    noise = list(range(n, n + c))
+    begun = fisher_scoring(innovations, start, noise, axes)
+    found = fisher_scoring(innovations, begun.at, [*columns, *noise], axes)
+    return found if found.converged and np.isfinite(found.value) else None
+
+
+def _noise_bounds(problem: Problem) -> tuple[F64, F64]:
+    """Of the log-variances of voltage and sensors."""
+    low, high = bounds(problem, 1.0)
+    keep = [INPUT_NOISE, *range(SOURCES, len(low))]
+    return low[keep], high[keep]
+
+
+def _first_noise(fit: OutputErrorFit, low: F64, high: F64) -> F64:
+    """As the fit has found it, or a share of the signals."""
+    if fit.polished is not None:
+        a = fit.polished.log_variance
+        return np.asarray(np.clip(np.concatenate([a[[INPUT_NOISE]], a[SOURCES:]]), low, high))
+    shares = np.concatenate([[_INPUT_SHARE], np.full(len(low) - 1, _SENSOR_SHARE)])
+    return np.asarray(np.clip(high + 2 * np.log(shares), low, high))
+
+
+def _tests(at: Predictor, out: Predictions, unknowns: F64) -> dict[str, ResidualTest]:
+    """Of the innovations' whiteness."""
+    problem = at.problem
+    counts = problem.counts
+    squares = np.sum(
+        [(e * e * np.exp(v)).sum(axis=0) for e, v in zip(out.innovations, out.log_variance, strict=True)], axis=0
+    )
+    ones = tuple(np.ones_like(e) for e in out.innovations)
+    sse = np.sum([(e * e).sum(axis=0) for e in out.innovations], axis=0)
+    none = tuple(np.zeros((*e.shape, 0)) for e in out.innovations)
+    linear = Linearisation(out.innovations, none, True)
+    whitened = Point(unknowns, linear, ones, sse, np.ones(len(counts)), out.deviance)
+    return innovation_tests(problem, whitened, np.sqrt(squares / counts), moving(problem), resolution(problem))
+
+
+def _published(
+    fit: OutputErrorFit, known: Information, found: F64, log_variance: F64, tests: dict[str, ResidualTest]
+) -> OutputErrorFit:
+    """The fit with these parameters: free runs from the states that suit them."""
+    problem = fit.problem
+    n = len(problem.parameter_of_column)
+    unknowns = fit.solution.point.unknowns.copy()
+    unknowns[:n] = found[:n]
+    if not problem.local:
+        given = dict(problem.given) | dict(zip(problem.parameter_of_column, unknowns[:n].tolist(), strict=True))
+        states = settled(replace(problem, free=(), given=given))
+        if states is not None:
+            unknowns[n:] = states.point.unknowns
+    point = point_of(problem, unknowns, problem.linearise(unknowns), fit.solution.point.weights)
+    solution: Solution = replace(fit.solution, point=point)
+    nominal = {
+        name: p.value for name, p in fit.parameters.items() if p.status == "undetermined" and p.value is not None
+    }
+    fixed = {name: p.value for name, p in fit.parameters.items() if p.status == "fixed" and p.value is not None}
+    parameters, offsets = fitted_parameters(problem, solution, known, nominal, fixed)
+    sigma = np.exp(log_variance / 2).tolist()
+    noise = NoiseModel(sigma[0], dict(zip(problem.channels, sigma[1:], strict=True)), 0.0)
+    return replace(
+        fit,
+        solution=solution,
+        parameters=parameters,
+        offsets=offsets,
+        correlation=correlation_of(known, problem.n_shared),
+        after=known,
+        residual=residual_tests(problem, point),
+        innovation=tests,
+        noise=noise,
+    )
+
+
+def _information(before: Information, found: Found, columns: Sequence[int]) -> Information:
+    """What the predictions tell of these columns, the noise being unknown as well."""
+    size = np.sqrt(np.maximum(np.diag(found.hessian), 1e-300))
+    covariance = 2.0 * np.linalg.pinv(found.hessian / np.outer(size, size)) / np.outer(size, size)
+    k = len(columns)
+    values, vectors = np.linalg.eigh(covariance[:k, :k])
+    root = np.zeros((len(before.names), k))
+    root[list(columns)] = vectors * np.sqrt(np.maximum(values, 0.0))
+    return replace(before, root=root)
