@@ -14,17 +14,19 @@ from dataclasses import replace
 import numpy as np
 
 from servo_daemon.estimators.output_error.fit import OutputErrorFit
-from servo_daemon.estimators.output_error.information import Information
+from servo_daemon.estimators.output_error.information import Information, wider
 from servo_daemon.estimators.output_error.lost_runs import settled
 from servo_daemon.estimators.output_error.noise import INPUT_NOISE, NoiseModel, bounds, resolution
 from servo_daemon.estimators.output_error.parameters import correlation_of, fitted_parameters
 from servo_daemon.estimators.output_error.problem import Linearisation, Problem
 from servo_daemon.estimators.output_error.residual import ResidualTest, innovation_tests, residual_tests
+from servo_daemon.estimators.output_error.rollout import STEP
 from servo_daemon.estimators.output_error.scoring import Axes, Found, deviance, fisher_scoring
 from servo_daemon.estimators.output_error.setup import Recording, make_problem
 from servo_daemon.estimators.output_error.solver import Point, Solution, point_of
 from servo_daemon.estimators.output_error.whitening import SOURCES, moving
 from servo_daemon.estimators.prediction_error.predictor import Predictions, Predictor, predictor
+from servo_daemon.estimators.sampling import settles_between
 from servo_daemon.samples import F64
 
 #: Share of a standard deviation by which a parameter is moved for a derivative; bounds of that, and the longest step,
@@ -66,7 +68,22 @@ def predicted_fit(fit: OutputErrorFit, recordings: Sequence[Recording]) -> Outpu
         other = _most_likely(fit, at, _elsewhere(fit, moved, away), columns)
         if other is None or not _agree(known, moved[columns], other.at[columns], columns):
             return None
+    known = wider(known, _hidden_by_sampling(fit, moved))
     return _published(fit, known, moved, a, tests)
+
+
+def _hidden_by_sampling(fit: OutputErrorFit, unknowns: F64) -> dict[int, float]:
+    """1 σ that the inductance of a winding much faster than the sampling has at least, by column: it shows in the
+    colour of the noise alone, which a shaft that sticks changes, and is known no better than free runs and predictions
+    agree on it."""
+    names, problem = fit.problem.parameter_of_column, fit.problem
+    if not {"R", "L"} <= set(names):
+        return {}
+    period_s = float(np.median(np.concatenate([s.rows[:, STEP] for s in problem.segments])))
+    R, column = np.exp(unknowns[names.index("R")]), names.index("L")
+    if not settles_between(float(R), float(np.exp(unknowns[column])), period_s):
+        return {}
+    return {column: abs(float(unknowns[column] - fit.solution.point.unknowns[column]))}
 
 
 def _elsewhere(fit: OutputErrorFit, unknowns: F64, away: float) -> F64:
