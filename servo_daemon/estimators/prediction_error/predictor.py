@@ -92,7 +92,8 @@ class Predictor:
     samples: tuple[F64, ...]
 
     def run(self, unknowns: F64, log_variance: F64) -> Predictions:
-        """
+        """Go over all samples with these parameters and noises.
+
         Args:
             unknowns: of which the parameters are taken.
             log_variance: of the voltage, held over a step, and of each channel's noise, shape (1 + c,).
@@ -125,7 +126,8 @@ def _alike(measured: F64) -> F64:
 
 
 def predictor(problem: Problem, unknowns: F64, weights: tuple[F64, ...]) -> Predictor:
-    """
+    """Lay the problem's samples out for the filter.
+
     Args:
         unknowns: effects' states begin as these have them.
         weights: per segment, shape (n, c); a channel's variance is divided by it, 0: not valid.

@@ -35,8 +35,8 @@ _MOVED, _LEAST, _MOST, _LONGEST = 0.03, 1e-6, 1e-3, 0.3
 #: The same of a log-variance.
 _NOISE_MOVED, _NOISE_LONGEST = 1e-3, 3.0
 #: From so many standard deviations (of the free runs) to either side a search must come back to the same place: within
-#: so many of the predictions' own, or a share of one unit. No logarithm begins further away than the second.
-_AWAY, _FAR, _SAME_STDS, _SAME_SHARE = 2.0, 1.0, 3.0, 5e-3
+#: so many of the predictions' own, or a share of one unit. No logarithm begins further away than by the longest step.
+_AWAY, _SAME_STDS, _SAME_SHARE = 2.0, 3.0, 5e-3
 #: 1 σ of the noises against their signals, to begin with.
 _INPUT_SHARE, _SENSOR_SHARE = 5e-3, 5e-3
 
@@ -93,9 +93,8 @@ def _elsewhere(fit: OutputErrorFit, unknowns: F64, away: float) -> F64:
     size = np.maximum(np.sqrt(np.diag(fit.after.covariance)), 1e-300)
     u, spread, _ = np.linalg.svd(root / size[:, None], full_matrices=False)
     way = away * spread[0] * size * u[:, 0]
-    way *= min(
-        1.0, _LONGEST / max(float(np.max(np.abs(way[fit.problem.logarithmic[: len(way)]]), initial=0.0)), 1e-300)
-    )
+    furthest = float(np.max(np.abs(way[fit.problem.logarithmic[: len(way)]]), initial=0.0))
+    way *= min(1.0, _LONGEST / max(furthest, 1e-300))
     out = unknowns.copy()
     out[: len(way)] += way
     return out
@@ -115,11 +114,11 @@ def _uncut(fit: OutputErrorFit, recordings: Sequence[Recording]) -> tuple[Proble
     unknowns = problem.start(dict.fromkeys(problem.parameter_of_column, 0.0))
     n = len(problem.parameter_of_column)
     unknowns[:n] = fit.solution.point.unknowns[:n]
-    first = [s.recording for s in own.segments]
+    first = {s.recording: k for k, s in reversed(list(enumerate(own.segments)))}
     for k, segment in enumerate(problem.segments):
-        unknowns[problem.columns(k)[-len(own.plant.states) :]] = own.initial_state(
-            fit.solution.point.unknowns, first.index(segment.recording)
-        )
+        if segment.recording in first:  # else all its pieces were too short
+            state = own.initial_state(fit.solution.point.unknowns, first[segment.recording])
+            unknowns[problem.columns(k)[-len(own.plant.states) :]] = state
     return problem, unknowns
 
 
