@@ -6,7 +6,6 @@ from collections.abc import Mapping
 
 from servo_daemon.commands.units import shown_column, shown_unit
 from servo_daemon.estimators.output_error import OutputErrorFit
-from servo_daemon.estimators.output_error.input_error import sample_period_s
 from servo_daemon.identification.drift import SEGMENT_S, Drift
 from servo_daemon.plant.parameters import spaced
 
@@ -76,4 +75,4 @@ def _held_voltage(fit: OutputErrorFit) -> float | None:
     if fit.problem.plant.drive != "current" or K is None or J is None or J.std is None:
         return None
     assert J.value is not None
-    return None if K.value is None else sample_period_s(fit.problem) * K.value**2 / (2.0 * J.value)
+    return None if K.value is None else fit.problem.sample_period_s * K.value**2 / (2.0 * J.value)

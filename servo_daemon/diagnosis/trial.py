@@ -16,7 +16,6 @@ from servo_daemon.estimators.base import natural_values, to_coordinate
 from servo_daemon.estimators.output_error import Recording
 from servo_daemon.estimators.output_error.lost_runs import ENOUGH, begun_again
 from servo_daemon.estimators.output_error.problem import Problem, Segment
-from servo_daemon.estimators.output_error.rollout import STEP
 from servo_daemon.estimators.output_error.setup import carrying, make_problem
 from servo_daemon.estimators.output_error.solver import Solution, solve
 from servo_daemon.estimators.output_error.starts import starting_points
@@ -187,8 +186,10 @@ def _lifted(values: Mapping[str, float], problem: Problem) -> dict[str, float]:
     no slope, and whatever else the model gets, it would stay there."""
     if not {"R", "L", "K", "B"} <= set(values):
         return {}
-    period = float(np.median(np.concatenate([s.rows[:, STEP] for s in problem.segments])))
-    least = {"L": _SEEN_LAG * period * values["R"], "B": _SEEN_BRAKING * values["K"] ** 2 / values["R"]}
+    least = {
+        "L": _SEEN_LAG * problem.sample_period_s * values["R"],
+        "B": _SEEN_BRAKING * values["K"] ** 2 / values["R"],
+    }
     return {name: low for name, low in least.items() if name in problem.free and values[name] < low}
 
 

@@ -15,19 +15,13 @@ import pytest
 
 from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, fit_output_error
 from servo_daemon.estimators.output_error.outcome import NoiseOption, Outcome, conclude
-from servo_daemon.estimators.output_error.setup import Recording, make_problem
+from servo_daemon.estimators.output_error.setup import make_problem
 from servo_daemon.estimators.output_error.solver import solve
-from servo_daemon.samples import make_block
-from tests.recovery.generator import GEAR_MOTOR, PAPER, RE40, Motor, Scenario, Sensors, generate
+from tests.recovery.captures import capture
+from tests.recovery.generator import GEAR_MOTOR, PAPER, RE40, Motor, Scenario, Sensors
 
 pytestmark = [pytest.mark.usefixtures("generator_built"), pytest.mark.slow]
 NAMES = ("R", "L", "K", "J", "B")
-
-
-def capture(motor: Motor, scenario: Scenario) -> Recording:
-    made = generate(motor, scenario)
-    signals = {"voltage_V": made.voltage_V, "current_A": made.current_A, "position_rad": made.position_rad}
-    return Recording("capture", make_block(made.time_s, **signals))
 
 
 def assert_within_3_std(found: OutputErrorFit, truth: Mapping[str, float], known_to: float = np.inf) -> None:

@@ -11,8 +11,8 @@ from servo_daemon.diagnosis.everything import honest
 from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, fit_output_error
 from servo_daemon.estimators.output_error.setup import Recording
 from servo_daemon.estimators.prediction_error import predicted_fit
-from servo_daemon.samples import make_block
-from tests.recovery.generator import GEAR_MOTOR, PAPER, Motor, Scenario, generate
+from tests.recovery.captures import capture
+from tests.recovery.generator import GEAR_MOTOR, PAPER, Motor, Scenario
 from tests.recovery.generator.effects import EffectValues
 
 pytestmark = [pytest.mark.usefixtures("generator_built"), pytest.mark.slow]
@@ -23,9 +23,7 @@ def free_runs(
     motor: Motor, motion: str, effects: Mapping[str, EffectValues], seed: int
 ) -> tuple[Recording, OutputErrorFit]:
     """A capture of 20 s, and its fit over free runs of half a second, begun 2 % beside the truth."""
-    made = generate(motor, Scenario(motion, seconds=20.0, effects=dict(effects), seed=seed))
-    signals = {"voltage_V": made.voltage_V, "current_A": made.current_A, "position_rad": made.position_rad}
-    recording = Recording("capture", make_block(made.time_s, **signals))
+    recording = capture(motor, Scenario(motion, seconds=20.0, effects=dict(effects), seed=seed))
     nominal = {n: v * (1.02 if k % 2 else 0.98) for k, (n, v) in enumerate(truth_of(motor, effects).items())}
     options = FitOptions(nominal=nominal, thorough=False, segment_s=0.5, noise_model="none")
     return recording, honest(fit_output_error([recording], tuple(effects), options))
@@ -73,9 +71,7 @@ def test_what_the_data_hardly_tell_is_not_taken_from_predictions() -> None:
 def test_a_model_that_lacks_something_is_not_explained_by_predictions() -> None:
     """A filter follows what is missing; its innovations say so."""
     effects = {"coulomb_friction": {"Tc": 0.09}, "gravity_load": {"Tg": 0.09, "phi_g": 0.3}}
-    made = generate(GEAR_MOTOR, Scenario("multisine", seconds=20.0, effects=effects, seed=5))
-    signals = {"voltage_V": made.voltage_V, "current_A": made.current_A, "position_rad": made.position_rad}
-    recording = Recording("capture", make_block(made.time_s, **signals))
+    recording = capture(GEAR_MOTOR, Scenario("multisine", seconds=20.0, effects=effects, seed=5))
     options = FitOptions(nominal=truth_of(GEAR_MOTOR, {}), thorough=False, segment_s=0.5, noise_model="none")
     lacking = fit_output_error([recording], ("coulomb_friction",), options)
     assert predicted_fit(lacking, [recording]) is None
@@ -83,9 +79,7 @@ def test_a_model_that_lacks_something_is_not_explained_by_predictions() -> None:
 
 def test_without_friction_it_is_the_likelihood_of_free_runs() -> None:
     """Where nothing sticks both are the same estimate."""
-    made = generate(PAPER, Scenario("multisine", seconds=10.0, seed=7400))
-    signals = {"voltage_V": made.voltage_V, "current_A": made.current_A, "position_rad": made.position_rad}
-    recording = Recording("capture", make_block(made.time_s, **signals))
+    recording = capture(PAPER, Scenario("multisine", seconds=10.0, seed=7400))
     fit = fit_output_error([recording], (), FitOptions(nominal=truth_of(PAPER, {}), thorough=False))
     assert fit.white
     assert fit.noise is not None

@@ -25,7 +25,6 @@ from servo_daemon.diagnosis.screen import ScreenedCandidate
 from servo_daemon.diagnosis.trial import _lifted
 from servo_daemon.estimators.base import to_coordinate
 from servo_daemon.estimators.output_error.parameters import FittedParameter
-from servo_daemon.estimators.output_error.rollout import STEP
 from servo_daemon.plant.build import build_plant
 
 
@@ -137,9 +136,7 @@ def test_a_cause_whose_size_the_user_gives_is_fitted_whatever_screening_sees() -
 
 
 def test_what_was_driven_to_nothing_is_lifted_to_where_it_is_seen() -> None:
-    rows = np.zeros((100, 3))
-    rows[:, STEP] = 1e-3
-    problem: Any = SimpleNamespace(segments=(SimpleNamespace(rows=rows),), free=("R", "L", "K", "J", "B"))
+    problem: Any = SimpleNamespace(sample_period_s=1e-3, free=("R", "L", "K", "J", "B"))
     motor = {"R": 2.0, "L": 1e-8, "K": 0.3, "J": 1e-3, "B": 1e-7}
     assert _lifted(motor, problem) == pytest.approx({"L": 0.1 * 1e-3 * 2.0, "B": 0.01 * 0.3**2 / 2.0})
     assert _lifted({**motor, "L": 1e-3, "B": 1e-3}, problem) == {}

@@ -11,7 +11,7 @@ import pytest
 
 from servo_daemon.estimators.output_error.instants import profile
 from servo_daemon.estimators.output_error.problem import Problem
-from servo_daemon.estimators.output_error.rollout import INPUT, STEP, TIME
+from servo_daemon.estimators.output_error.rollout import INPUT, TIME
 from servo_daemon.samples import F64
 
 PERIOD_S, N = 1e-3, 20_000
@@ -19,9 +19,9 @@ PERIOD_S, N = 1e-3, 20_000
 
 def problem() -> Problem:
     rows = np.zeros((N, INPUT + 1))
-    rows[:, TIME], rows[:, STEP] = np.arange(N) * PERIOD_S, PERIOD_S
-    bounds = np.array([0.0]), np.array([1e9])
-    return cast(Problem, SimpleNamespace(bounds=bounds, segments=(SimpleNamespace(rows=rows),)))
+    rows[:, TIME] = np.arange(N) * PERIOD_S
+    bounds, segments = (np.array([0.0]), np.array([1e9])), (SimpleNamespace(rows=rows),)
+    return cast(Problem, SimpleNamespace(bounds=bounds, segments=segments, sample_period_s=PERIOD_S))
 
 
 def change(true_s: float, size: F64, seed: int) -> Callable[[float], float]:

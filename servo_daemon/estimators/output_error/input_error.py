@@ -31,7 +31,6 @@ import numpy as np
 
 from servo_daemon.estimators.output_error.information import Information
 from servo_daemon.estimators.output_error.problem import Linearisation, Problem
-from servo_daemon.estimators.output_error.rollout import STEP
 from servo_daemon.estimators.output_error.setup import STRAIGHT
 from servo_daemon.estimators.output_error.solver import Point, normal_equations
 from servo_daemon.samples import F64
@@ -85,10 +84,6 @@ def _share_settled(period_s: float, values: Mapping[str, float]) -> float:
     return 0.5 + x / 12.0 if x < 1e-3 else float(-1.0 / np.expm1(-x) - 1.0 / x)
 
 
-def sample_period_s(problem: Problem) -> float:
-    return float(np.median(np.concatenate([s.rows[:, STEP] for s in problem.segments])))
-
-
 def _shift_by_held_voltage(problem: Problem, point: Point, known: Mapping[str, float]) -> F64:
     """1 σ of the parameters' coordinates from not knowing whether the drive held its voltage, shape (k,); zero where R
     is not known.
@@ -100,7 +95,7 @@ def _shift_by_held_voltage(problem: Problem, point: Point, known: Mapping[str, f
     out = np.zeros(len(names))
     if problem.plant.drive == "current" and "R" in known and "J" in names:
         q = dict(zip(problem.plant.parameter_names, problem.coordinates(point.unknowns, 0), strict=True))
-        h = sample_period_s(problem)
+        h = problem.sample_period_s
         delta = (_share_settled(h, known) - 0.5) * h * np.exp(2 * q["K"]) / known["R"]
         out[names.index("J")] = delta / np.exp(q["J"])
     return out

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.integrate import trapezoid
 
 from servo_daemon.estimators.output_error.problem import Problem
-from servo_daemon.estimators.output_error.rollout import STEP, TIME
+from servo_daemon.estimators.output_error.rollout import TIME
 from servo_daemon.plant.effects import INSTANTS
 from servo_daemon.samples import F64
 
@@ -44,7 +44,7 @@ def profile(problem: Problem, column: int, at_s: float, deviance: Callable[[floa
         both in s; the standard deviation is that of the likelihood about the likeliest instant.
     """
     low, high = problem.bounds[0][column], min(float(problem.bounds[1][column]), _end_s(problem))
-    period_s = float(np.median(np.concatenate([s.rows[:, STEP] for s in problem.segments])))
+    period_s = problem.sample_period_s
     count = int(np.log(max((high - low) / period_s, _GROWTH)) / np.log(_GROWTH)) + 1
     distances = period_s * _GROWTH ** np.arange(count)
     known: dict[float, float] = {at_s: deviance(at_s)}

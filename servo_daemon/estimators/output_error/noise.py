@@ -32,8 +32,8 @@ _LEAST, _MOST = 1e-6, 1.0
 _TINY = 1e-100
 #: σ of a source against its signal that are tried as a start.
 _STARTS = (1e-4, 1e-3, 1e-2, 1e-1)
-#: Of a log-variance: for derivatives, and the longest step.
-_DIFFERENCE, _LONGEST = 1e-3, 3.0
+#: By which a log-variance is moved for a derivative, and its longest step.
+DIFFERENCE, LONGEST = 1e-3, 3.0
 #: Share of differences that must be multiples of the smallest for it to be the channel's step.
 _STEPPED = 0.99
 #: The smallest difference is at most so many steps; how near to a whole number counts as one.
@@ -116,7 +116,7 @@ class NoiseLikelihood:
             the log-variances and −2 log p there.
         """
         k = len(start)
-        axes = Axes(self.low, self.high, np.full(k, _DIFFERENCE), np.full(k, _LONGEST))
+        axes = Axes(self.low, self.high, np.full(k, DIFFERENCE), np.full(k, LONGEST))
         found = fisher_scoring(self.innovations, start, free, axes)
         return found.at, found.value
 

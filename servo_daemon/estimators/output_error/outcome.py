@@ -68,7 +68,8 @@ def conclude(
         polished = polish(problem, plain.point, torque_size, below)
     if polished is None:
         return _plain(problem, plain, scale, None)
-    tests = innovation_tests(problem, polished.whitened, polished.innovation_rms, moving(problem), resolution(problem))
+    innovations, rms = polished.whitened.linearisation.residuals, polished.innovation_rms
+    tests = innovation_tests(problem, innovations, rms, moving(problem), resolution(problem))
     explained = polished.torque_gain < WORTH and "current_A" in problem.channels
     if not explained or not all(test.white for test in tests.values()):
         return _plain(problem, plain, scale, polished)

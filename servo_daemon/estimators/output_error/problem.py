@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.estimators.output_error.lazy import Differenced, Lazy
-from servo_daemon.estimators.output_error.rollout import free_run
+from servo_daemon.estimators.output_error.rollout import STEP, free_run
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.samples import F64
 
@@ -224,6 +224,11 @@ class Problem:
             mean[where] = segment.x0
             weight[where] = 1.0 / (_STATE_PRIOR * segment.x0_scale) ** 2
         return mean, weight
+
+    @cached_property
+    def sample_period_s(self) -> float:
+        """The usual one."""
+        return float(np.median(np.concatenate([s.rows[:, STEP] for s in self.segments])))
 
     @cached_property
     def counts(self) -> F64:

@@ -79,7 +79,7 @@ def _input_correlation(parts: list[F64], inputs: list[F64]) -> float:
 
 
 def innovation_tests(
-    problem: Problem, whitened: Point, rms: F64, counted: Sequence[NDArray[np.bool_]], resolution: F64
+    problem: Problem, innovations: Sequence[F64], rms: F64, counted: Sequence[NDArray[np.bool_]], resolution: F64
 ) -> dict[str, ResidualTest]:
     """The same for whitened residuals.
 
@@ -89,6 +89,7 @@ def innovation_tests(
     live, than elsewhere.
 
     Args:
+        innovations: over their standard deviations, per segment, shape (n, c).
         rms: shape (c,), of the innovations in the channels' units.
         counted: per segment, shape (n, c): samples that are a sample of the noise; a standing encoder's are not.
         resolution: shape (c,), step of each channel's values, or 0.
@@ -96,10 +97,8 @@ def innovation_tests(
     out = {}
     inputs = [s.rows[:, INPUT] for s in problem.segments]
     for c, name in enumerate(problem.channels):
-        parts = [
-            np.where(u[:, c], r[:, c], 0.0) for r, u in zip(whitened.linearisation.residuals, counted, strict=True)
-        ]
-        every, n = [r[:, c] for r in whitened.linearisation.residuals], sum(int(u[:, c].sum()) for u in counted)
+        parts = [np.where(u[:, c], r[:, c], 0.0) for r, u in zip(innovations, counted, strict=True)]
+        every, n = [r[:, c] for r in innovations], sum(int(u[:, c].sum()) for u in counted)
         auto, cross = _autocorrelation(parts), _past_input_correlation(parts, inputs)
         limit = max(RELEVANT, _SIGNIFICANT / np.sqrt(max(n, 1)))
         rounding = resolution[c] ** 2 / 12.0 > 0.5 * rms[c] ** 2

@@ -37,13 +37,6 @@ class Predictions:
     innovations: tuple[F64, ...]
     log_variance: tuple[F64, ...]
 
-    @property
-    def deviance(self) -> float:
-        """−2 log p, but for a constant; inf where it is no number."""
-        parts = zip(self.innovations, self.log_variance, strict=True)
-        value = float(sum(np.sum(e * e + logs) for e, logs in parts))
-        return value if np.isfinite(value) else np.inf
-
 
 @cache
 def _loop(plant: PlantModel, channels: tuple[str, ...]) -> SampleLoop:

@@ -16,14 +16,13 @@ import numpy as np
 from servo_daemon.estimators.output_error.fit import OutputErrorFit
 from servo_daemon.estimators.output_error.information import Information, wider
 from servo_daemon.estimators.output_error.lost_runs import settled
-from servo_daemon.estimators.output_error.noise import INPUT_NOISE, NoiseModel, bounds, resolution
+from servo_daemon.estimators.output_error.noise import DIFFERENCE, INPUT_NOISE, LONGEST, NoiseModel, bounds, resolution
 from servo_daemon.estimators.output_error.parameters import correlation_of, fitted_parameters
-from servo_daemon.estimators.output_error.problem import Linearisation, Problem
+from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.output_error.residual import ResidualTest, innovation_tests, residual_tests
-from servo_daemon.estimators.output_error.rollout import STEP
 from servo_daemon.estimators.output_error.scoring import Axes, Found, deviance, fisher_scoring
 from servo_daemon.estimators.output_error.setup import Recording, make_problem
-from servo_daemon.estimators.output_error.solver import Point, Solution, point_of
+from servo_daemon.estimators.output_error.solver import Solution, point_of
 from servo_daemon.estimators.output_error.whitening import SOURCES, moving
 from servo_daemon.estimators.prediction_error.predictor import Predictions, Predictor, predictor
 from servo_daemon.estimators.sampling import settles_between
@@ -32,8 +31,6 @@ from servo_daemon.samples import F64
 #: Share of a standard deviation by which a parameter is moved for a derivative; bounds of that, and the longest step,
 #: of a logarithm.
 _MOVED, _LEAST, _MOST, _LONGEST = 0.03, 1e-6, 1e-3, 0.3
-#: The same of a log-variance.
-_NOISE_MOVED, _NOISE_LONGEST = 1e-3, 3.0
 #: From so many standard deviations (of the free runs) to either side a search must come back to the same place: within
 #: so many of the predictions' own, or a share of one unit. No logarithm begins further away than by the longest step.
 _AWAY, _SAME_STDS, _SAME_SHARE = 2.0, 3.0, 5e-3
@@ -53,19 +50,20 @@ def predicted_fit(fit: OutputErrorFit, recordings: Sequence[Recording]) -> Outpu
     problem, unknowns = _uncut(fit, recordings)
     at = predictor(problem, unknowns, _weights(fit, problem))
     columns = _open_columns(fit)
-    found = _most_likely(fit, at, unknowns, columns)
+    axes = _axes(fit, problem)
+    found = _most_likely(fit, at, axes, unknowns, columns)
     if found is None:
         return None
     n = len(problem.parameter_of_column)
     moved = unknowns.copy()
     moved[columns] = found.at[columns]
     a = found.at[n:]
-    tests = _tests(at, at.run(moved, a), moved)
+    tests = _tests(problem, at.run(moved, a))
     if not all(test.white for test in tests.values()):
         return None
     known = _information(fit.after, found, columns)
     for away in (-_AWAY, _AWAY):
-        other = _most_likely(fit, at, _elsewhere(fit, moved, away), columns)
+        other = _most_likely(fit, at, axes, _elsewhere(fit, moved, away), columns)
         if other is None or not _agree(known, moved[columns], other.at[columns], columns):
             return None
     known = wider(known, _hidden_by_sampling(fit, moved))
@@ -79,9 +77,8 @@ def _hidden_by_sampling(fit: OutputErrorFit, unknowns: F64) -> dict[int, float]:
     names, problem = fit.problem.parameter_of_column, fit.problem
     if not {"R", "L"} <= set(names):
         return {}
-    period_s = float(np.median(np.concatenate([s.rows[:, STEP] for s in problem.segments])))
     R, column = np.exp(unknowns[names.index("R")]), names.index("L")
-    if not settles_between(float(R), float(np.exp(unknowns[column])), period_s):
+    if not settles_between(float(R), float(np.exp(unknowns[column])), problem.sample_period_s):
         return {}
     return {column: abs(float(unknowns[column] - fit.solution.point.unknowns[column]))}
 
@@ -142,45 +139,41 @@ def _open_columns(fit: OutputErrorFit) -> list[int]:
     return [k for k in range(len(fit.problem.parameter_of_column)) if not lost[k] and k not in fit.solution.at_bound]
 
 
-def _most_likely(fit: OutputErrorFit, at: Predictor, unknowns: F64, columns: Sequence[int]) -> Found | None:
-    """Noise first, then parameters and noise; None: it does not come to rest."""
-    problem = at.problem
+def _axes(fit: OutputErrorFit, problem: Problem) -> Axes:
+    """Parameters, then the log-variances of the voltage and of each channel."""
     n = len(problem.parameter_of_column)
     low, high = (b[:n] for b in problem.bounds)
-    noise_low, noise_high = _noise_bounds(problem)
+    noises = [INPUT_NOISE, *range(SOURCES, SOURCES + len(problem.channels))]
+    noise_low, noise_high = (b[noises] for b in bounds(problem, 1.0))  # no torque is among them
     std = np.sqrt(np.maximum(np.diag(fit.after.covariance), 0.0))
     logs = problem.logarithmic[:n]
     moved = np.where(logs, np.clip(_MOVED * std, _LEAST, _MOST), np.maximum(_MOVED * std, 1e-12))
-    c = len(noise_low)
-    axes = Axes(
+    return Axes(
         low=np.concatenate([low, noise_low]),
         high=np.concatenate([high, noise_high]),
-        difference=np.concatenate([moved, np.full(c, _NOISE_MOVED)]),
-        longest=np.concatenate([np.where(logs, _LONGEST, np.inf), np.full(c, _NOISE_LONGEST)]),
+        difference=np.concatenate([moved, np.full(len(noises), DIFFERENCE)]),
+        longest=np.concatenate([np.where(logs, _LONGEST, np.inf), np.full(len(noises), LONGEST)]),
     )
+
+
+def _most_likely(fit: OutputErrorFit, at: Predictor, axes: Axes, unknowns: F64, columns: Sequence[int]) -> Found | None:
+    """Noise first, then parameters and noise; None: it does not come to rest."""
+    n = len(at.problem.parameter_of_column)
 
     def innovations(z: F64) -> tuple[F64, F64]:
         there = unknowns.copy()
         there[:n] = z[:n]
         out = at.run(there, z[n:])
-        return np.concatenate([e.ravel() for e in out.innovations]), np.concatenate(
-            [v.ravel() for v in out.log_variance]
-        )
+        e, logs = ([part.ravel() for part in parts] for parts in (out.innovations, out.log_variance))
+        return np.concatenate(e), np.concatenate(logs)
 
-    start = np.concatenate([unknowns[:n], _first_noise(fit, noise_low, noise_high)])
+    start = np.concatenate([unknowns[:n], _first_noise(fit, axes.low[n:], axes.high[n:])])
     if not np.isfinite(deviance(innovations(start))):
         return None
-    noise = list(range(n, n + c))
+    noise = list(range(n, len(start)))
     begun = fisher_scoring(innovations, start, noise, axes)
     found = fisher_scoring(innovations, begun.at, [*columns, *noise], axes)
     return found if found.converged and np.isfinite(found.value) else None
-
-
-def _noise_bounds(problem: Problem) -> tuple[F64, F64]:
-    """Of the log-variances of voltage and sensors."""
-    low, high = bounds(problem, 1.0)
-    keep = [INPUT_NOISE, *range(SOURCES, len(low))]
-    return low[keep], high[keep]
 
 
 def _first_noise(fit: OutputErrorFit, low: F64, high: F64) -> F64:
@@ -192,19 +185,12 @@ def _first_noise(fit: OutputErrorFit, low: F64, high: F64) -> F64:
     return np.asarray(np.clip(high + 2 * np.log(shares), low, high))
 
 
-def _tests(at: Predictor, out: Predictions, unknowns: F64) -> dict[str, ResidualTest]:
+def _tests(problem: Problem, out: Predictions) -> dict[str, ResidualTest]:
     """Of the innovations' whiteness."""
-    problem = at.problem
-    counts = problem.counts
-    squares = np.sum(
-        [(e * e * np.exp(v)).sum(axis=0) for e, v in zip(out.innovations, out.log_variance, strict=True)], axis=0
-    )
-    ones = tuple(np.ones_like(e) for e in out.innovations)
-    sse = np.sum([(e * e).sum(axis=0) for e in out.innovations], axis=0)
-    none = tuple(np.zeros((*e.shape, 0)) for e in out.innovations)
-    linear = Linearisation(out.innovations, none, True)
-    whitened = Point(unknowns, linear, ones, sse, np.ones(len(counts)), out.deviance)
-    return innovation_tests(problem, whitened, np.sqrt(squares / counts), moving(problem), resolution(problem))
+    parts = zip(out.innovations, out.log_variance, strict=True)
+    squares = np.sum([(e * e * np.exp(v)).sum(axis=0) for e, v in parts], axis=0)
+    rms = np.sqrt(squares / problem.counts)
+    return innovation_tests(problem, out.innovations, rms, moving(problem), resolution(problem))
 
 
 def _published(
