@@ -125,6 +125,15 @@ class Ekf:
         r = tuple(self._constants[self._lay.r].tolist())
         return NoiseLevels(float(self._constants[0]), float(self._constants[1]), r)
 
+    @property
+    def constants(self) -> F64:
+        """A copy of what the filter is told: noise, walks, which parameters may move, whether it has an instrument."""
+        return self._constants.copy()
+
+    def put_constants(self, constants: F64) -> None:
+        """As they were."""
+        self._constants[:] = constants
+
     def set_active(self, active: NDArray[np.bool_] | F64, walk_var_per_s: F64) -> None:
         """How the parameters may move.
 
@@ -246,6 +255,12 @@ class Ekf:
     def widen_parameters(self, var: F64) -> None:
         """Add to the variances of the coordinates, shape (n_q,)."""
         self._state[self._parameter_variances] += var
+
+    def open_parameter(self, k: int, coordinate: float, var: float) -> None:
+        """Coordinate k is somewhere else than it was, near this and with so much more variance; its errors before are
+        none of what it is now, and nothing else moves."""
+        self._state[self._lay.n_x + k] = coordinate
+        self._state[self._parameter_variances[k]] += var
 
     def is_plausible(self) -> bool:
         """Everything finite and every variance positive; cheap."""

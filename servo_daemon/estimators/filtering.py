@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from servo_daemon.estimators.base import Gaussian
 from servo_daemon.estimators.ekf import Ekf
 from servo_daemon.estimators.ekf_model import GATE
+from servo_daemon.estimators.ekf_records import Innovations
 from servo_daemon.estimators.filled import LINE_VAR, filled
 from servo_daemon.estimators.layout import Layout, Marked, Mask, breaks, channel, gaps
 from servo_daemon.estimators.levels import Levels
@@ -27,7 +28,7 @@ class Fit:
 
 
 @dataclass(frozen=True, slots=True)
-class _Forget:
+class Forget:
     """Samples are missing before these: the motion is unknown, or everything is."""
 
     part: SampleBlock
@@ -49,7 +50,8 @@ class Filtering:
         self._kept: list[tuple[SampleBlock, float | None, float | None]] | None = None
         self._kept_from: tuple[SampleBlock, Marked] | None = None
         self.complete = True
-        self._laid_out: tuple[float, list[_Forget | F64]] | None = None  # the kept ones, since they were gone over
+        self._laid_out: tuple[float, list[Forget | F64]] | None = None  # the kept ones, since they were gone over
+        self._passed: list[Forget | F64] = []  # what the filter took since it was last asked for
         self._gated: list[F64] = []  # of each run of samples since they were last asked for; (n, channels)
 
     def take(self, block: SampleBlock, last_s: float | None, period_s: float | None) -> None:
@@ -66,12 +68,24 @@ class Filtering:
             self._kept.append((block, last_s, period_s))
             self._laid_out = None
         for piece in self._pieces(block, last_s, period_s):
-            if isinstance(piece, _Forget):
-                self._forget(piece)
-            else:
-                self._gated.append(self._ekf.update(piece).gated)
+            self._passed.append(piece)
+            innovations = self.run(piece)
+            if innovations is not None:
+                self._gated.append(innovations.gated)
 
-    def _pieces(self, block: SampleBlock, last_s: float | None, period_s: float | None) -> Iterator[_Forget | F64]:
+    def run(self, piece: Forget | F64) -> Innovations | None:
+        """The filter over samples as they are laid out, or what it forgets between some."""
+        if isinstance(piece, Forget):
+            self._forget(piece)
+            return None
+        return self._ekf.update(piece)
+
+    def take_passed(self) -> list[Forget | F64]:
+        """What the filter took since the last call."""
+        taken, self._passed = self._passed, []
+        return taken
+
+    def _pieces(self, block: SampleBlock, last_s: float | None, period_s: float | None) -> Iterator[Forget | F64]:
         """Samples as the filter takes them, and what it forgets in between."""
         before, self._before = self._before, block.slice(len(block) - 1, len(block))
         cuts = breaks(block, last_s)
@@ -87,7 +101,7 @@ class Filtering:
             part = block.slice(a, b)
             if a in edges:
                 self.layout.last_s = float(part.time_s[0])  # begins at this sample: no prediction up to it
-                yield _Forget(part, everything=a in cuts)
+                yield Forget(part, everything=a in cuts)
             short = [k - a for k, is_short in holes.items() if is_short and a <= k < b and k not in cuts]
             if short and period_s is not None:
                 yield self._rows(*filled(part, before if a == 0 else None, short, period_s))
@@ -98,7 +112,7 @@ class Filtering:
         """Args: new: samples of the part that were put in."""
         return self.layout.rows(part, self._levels.input_square, new, LINE_VAR * self._levels.input_step_square)
 
-    def _forget(self, at: _Forget) -> None:
+    def _forget(self, at: Forget) -> None:
         forget = self._ekf.forget_state if at.everything else self._ekf.forget_motion
         forget(self.first_state(at.part))
 
@@ -129,7 +143,7 @@ class Filtering:
         self._ekf.forget_state(self.first_state(last))
         cost, outliers = 0.0, 0
         for piece in pieces:
-            if isinstance(piece, _Forget):
+            if isinstance(piece, Forget):
                 self._forget(piece)
                 continue
             innovations = self._ekf.update(piece)
@@ -139,17 +153,17 @@ class Filtering:
         self.forget_outliers()
         return Fit(cost, outliers)
 
-    def _lay_out(self) -> tuple[float, list[_Forget | F64]]:
+    def _lay_out(self) -> tuple[float, list[Forget | F64]]:
         """The input before the samples that were kept, and these in as few pieces as can be: a drive sends ten at a
         time, and many passes go over them."""
         assert self._kept is not None and self._kept_from is not None
         last, marked = self._kept_from
         self.layout.back_to(marked)
         held_input, before, self._before = self.layout.last_input, self._before, last
-        out: list[_Forget | F64] = []
+        out: list[Forget | F64] = []
         run: list[F64] = []
         for piece in (piece for samples in self._kept for piece in self._pieces(*samples)):
-            if isinstance(piece, _Forget):
+            if isinstance(piece, Forget):
                 out += [np.concatenate(run), piece] if run else [piece]
                 run = []
             else:

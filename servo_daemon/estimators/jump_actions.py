@@ -7,6 +7,7 @@ import numpy as np
 from servo_daemon.estimators import jumps
 from servo_daemon.estimators.base import Gaussian
 from servo_daemon.estimators.ekf import Ekf
+from servo_daemon.estimators.jump_search import Found, JumpSearch
 from servo_daemon.estimators.jumps import JumpWatch, Known
 from servo_daemon.estimators.motor_rls import MotorRls
 from servo_daemon.estimators.parameter_judge import ParameterJudge
@@ -18,18 +19,30 @@ from servo_daemon.samples import F64
 class JumpActions:
     """One drive's. `watch` decides, `remember` is called after every tick that is quiet."""
 
-    def __init__(self, roster: Roster, ekf: Ekf, rls: MotorRls, judge: ParameterJudge) -> None:
+    def __init__(self, roster: Roster, ekf: Ekf, rls: MotorRls, judge: ParameterJudge, search: JumpSearch) -> None:
         self._roster, self._ekf, self._rls, self._judge = roster, ekf, rls, judge
         self.watch = JumpWatch()
+        self.search = search
         self._before: tuple[F64, float] | None = None
 
     def reset(self) -> None:
         self.watch.reset()
+        self.search.clear()
         self._before = None
+
+    @property
+    def quiet(self) -> bool:
+        """Nothing is being looked into."""
+        return self.watch.quiet and not self.search.running
+
+    @property
+    def is_open(self) -> bool:
+        """Something has changed, and it is not certain yet what."""
+        return self.watch.is_open or self.search.promising
 
     def remember(self, time_s: float) -> None:
         """What is known now, unless something is being looked into."""
-        if self.watch.quiet:
+        if self.quiet:
             self._before = self._ekf.snapshot(), time_s
 
     def act(self, action: jumps.Action, time_s: float) -> list[Message]:
@@ -50,6 +63,31 @@ class JumpActions:
             return self._report(before, time_s)
         return []
 
+    def take_over(self, found: Found, time_s: float) -> list[Message]:
+        """A parameter has stepped: the filter goes on with it.
+
+        Args:
+            time_s: the tick's end.
+        """
+        self._ekf.restore(found.state)
+        self._ekf.take_statistics()
+        self._ekf.take_information()
+        self.watch.explain()
+        self._rls.forget()
+        self._judge.stepped(found.k)
+        before = Known(self._roster.names, found.mean, found.covariance, found.before_s)
+        candidates = (self._roster.published & self._judge.qualification.qualified) | self._roster.nuisance
+        alone = np.zeros_like(candidates)
+        alone[found.k] = candidates[found.k]
+        scales = self._judge.excitation.scales
+        moved = jumps.jumped(before, self._ekf.coordinates, self._ekf.coordinate_std, scales, alone)
+        after = self._ekf.coordinates
+        return [
+            jumps.message(self._roster.parameters[k], before, float(after[k]), time_s)
+            for k in moved
+            if self._roster.published[k]
+        ]
+
     def _known_before(self) -> Known:
         """What was known of the parameters before something happened."""
         assert self._before is not None
@@ -66,7 +104,7 @@ class JumpActions:
         excitation, qualified = self._judge.excitation, self._judge.qualification.qualified
         candidates = (self._roster.published & qualified & excitation.excited) | self._roster.nuisance
         moved = jumps.jumped(before, self._ekf.coordinates, self._ekf.coordinate_std, excitation.scales, candidates)
-        self._rls.window.clear()
+        self._rls.forget()
         stayed = self._roster.free.copy()
         stayed[moved] = False
         self._ekf.recall(stayed, before.mean, before.covariance)
@@ -84,7 +122,7 @@ class JumpActions:
         if not self._ekf.started:
             return None
         balance = np.square(self._judge.mismatch_std)
-        if self._before is None or not self.watch.is_open:
+        if self._before is None or not self.is_open:
             g = self._ekf.estimate()
             return Gaussian(g.names, g.mean, _widened(g.covariance, balance))
         before = self._known_before()

@@ -54,7 +54,7 @@ class JumpWatch:
     """
 
     def __init__(self) -> None:
-        self._usual = 0.0  # running share of unexplained ticks
+        self._usual = self._usual_before = 0.0  # running share of unexplained ticks, and before the last ones
         self.sudden = True
         self.reset()
 
@@ -62,6 +62,11 @@ class JumpWatch:
         self._score = 0.0
         self._open_ticks = self._settled = self._rest = 0
         self.is_open = False
+
+    def explain(self) -> None:
+        """It is known what the unexplained ticks were."""
+        self._usual = self._usual_before
+        self.reset()
 
     @property
     def quiet(self) -> bool:
@@ -76,15 +81,16 @@ class JumpWatch:
     def observe(self, unexplained: bool) -> None:
         """Every tick, also those that are not judged."""
         if self.quiet:
-            self.sudden = self.calm
+            self.sudden, self._usual_before = self.calm, self._usual
         self._usual += (float(unexplained) - self._usual) / _USUAL_TICKS
 
-    def judge(self, unexplained: bool, settled: bool) -> Action:
+    def judge(self, unexplained: bool, settled: bool, searched: bool = False) -> Action:
         """Take a tick.
 
         Args:
             unexplained: its innovations are beyond what the noise explains.
             settled: they are as the noise has them.
+            searched: which parameter it was is still being looked for (`jump_search`): nothing is opened meanwhile.
         """
         if self.is_open:
             return self._judge_open(settled)
@@ -95,6 +101,8 @@ class JumpWatch:
             self._score = max(0.0, self._score - 0.25)
             return "learn"
         self._score += 1.0
+        if searched:
+            self._score = min(self._score, _TICKS_TO_OPEN - 1.0)
         if self._score < _TICKS_TO_OPEN:
             return "undo"
         self.is_open, self._open_ticks, self._settled = True, 0, 0

@@ -143,6 +143,13 @@ class MotorRls:
         self._estimate = self._compute()
         return True
 
+    def forget(self) -> None:
+        """What was seen is of another motor: a parameter has stepped."""
+        self.window.clear()
+        self._armature = self._shaft = self._estimate = None
+        self._pending = []
+        self._plausible = {which: Plausible() for which in SPAN_S}
+
     def follow_lag(self, lag_s: float) -> None:
         """What the filter has found of the drive's lag, which no regression finds."""
         if self._lag is not None:

@@ -207,6 +207,12 @@ class ParameterJudge:
         coordinate, var = float(self._last[0][k]), float(self._last[1][k])
         return None if math.isnan(var) else Trusted(coordinate, math.sqrt(var))
 
+    def stepped(self, k: int) -> None:
+        """Parameter k is another one: what it was when it was last known it is no more."""
+        coordinate, var = self._last
+        if not math.isnan(var[k]):
+            coordinate[k], var[k] = self._ekf.coordinates[k], self._ekf.coordinate_std[k] ** 2
+
     def _remember(self, relative_std: F64, duration_s: float, tick: Tick) -> None:
         """What is known well enough to qualify is kept; what was is of a motor that may have drifted since.
 

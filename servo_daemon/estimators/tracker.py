@@ -19,6 +19,7 @@ from servo_daemon.estimators.filtering import Filtering
 from servo_daemon.estimators.fusion import QUALIFIED, Qualification, Trusted
 from servo_daemon.estimators.heritage import Heritage, trusted_mask
 from servo_daemon.estimators.jump_actions import JumpActions
+from servo_daemon.estimators.jump_search import Found, JumpSearch
 from servo_daemon.estimators.layout import Stretches
 from servo_daemon.estimators.levels import Levels
 from servo_daemon.estimators.motor_rls import MotorRls
@@ -97,13 +98,14 @@ class Tracker:
         self.rls = MotorRls(plant, self.plan.known, self.plan.nuisance, self.nominal, sees_angle=sees_angle)
         self._roster = make_roster(self.plan, self.settings, self.rls.in_regression)
         self._judge = ParameterJudge(self._roster, self.ekf, self.rls)
-        self._jumps = JumpActions(self._roster, self.ekf, self.rls, self._judge)
         self._telling = Telling(self._roster, self.ekf, self.watch, lambda: self.excitation.scales)
         self._stretches = Stretches()
         self._starter = Starter(self.plan, self.nominal, self.rls.names)
         self._levels = Levels(plant)
         self._noise = NoiseSetting(self._roster, self.ekf, self.rls, self.watch, self._levels)
         self._filtering = Filtering(self.ekf, self._levels)
+        self._search = JumpSearch(self._roster, self.ekf, self._filtering, self._judge, self.watch)
+        self._jumps = JumpActions(self._roster, self.ekf, self.rls, self._judge, self._search)
         self._second_look = SecondLook(self._roster, self.ekf, self._filtering, self._judge, self._noise)
         self._suspicious_ticks = self._ticks = self._begun_better = 0
 
@@ -135,7 +137,7 @@ class Tracker:
     @property
     def examines_jump(self) -> bool:
         """Whether something unexplained is being looked into: the filter may yet be set back."""
-        return self.plan.plant is not None and self._jumps.watch.is_open
+        return self.plan.plant is not None and self._jumps.is_open
 
     @property
     def jump_is_sudden(self) -> bool:
@@ -155,6 +157,7 @@ class Tracker:
         assimilate(self.ekf, known, widen_std)
         if self.examines_jump and widen_std.any():
             self._jumps.reset()
+        self._search.clear()
 
     @property
     def _prior_is_whole(self) -> bool:
@@ -279,8 +282,12 @@ class Tracker:
         self._jumps.watch.observe(verdict.unexplained)
         action: jumps.Action = "learn"
         if self._ticks > _TICKS_TO_WATCH and stretch.complete:
-            action = self._jumps.watch.judge(verdict.unexplained, verdict.settled)
+            action = self._jumps.watch.judge(verdict.unexplained, verdict.settled, self._search.running)
         messages = self._jumps.act(action, self._tick_end_s or 0.0)
+        found = self._search_jump(verdict, complete=stretch.complete)
+        if found is not None:
+            messages += self._jumps.take_over(found, self._tick_end_s or 0.0)
+            action = "accept"
         fresh = self.rls.update(self._believed(stretch, action), self._noise_var())
         if action == "learn" and stretch.complete:
             self.watch.learn(statistics, duration_s, rests=self._levels.rests)
@@ -299,10 +306,20 @@ class Tracker:
         if self._second_look.look(self._ticks, self.watch.white, self.sample_period_s or 0.0):
             self._jumps.reset()
             self.watch.learn_anew()
+        self._search.mark()
         known = (self.qualification.qualified | self.excitation.excited)[self._roster.published]
         seen = self._ticks >= _TICKS_TO_JUDGE and bool(known.any())
         messages += self._telling.whether_white(seen=seen) + self._telling.whether_frozen(stretch, alike_s)
         return messages + (self._judge_divergence(verdict) or self._begin_better(fresh))
+
+    def _search_jump(self, verdict: TickVerdict, *, complete: bool) -> Found | None:
+        """Whether one parameter alone has stepped."""
+        self._search.take(self._tick_end_s or 0.0)
+        watch = self._jumps.watch
+        settled = self._ticks >= _TICKS_TO_JUDGE and not self._second_look.pending
+        known = bool((self.qualification.qualified & self._roster.published).any())
+        may_begin = settled and known and complete and watch.sudden and not watch.is_open
+        return self._search.look(verdict.unexplained, may_begin)
 
     def _believed(self, stretch: Stretch, action: jumps.Action) -> Stretch:
         """What the filter does not believe, the regressions are not told either. Where that is the rule it is the model
@@ -317,7 +334,7 @@ class Tracker:
     def _tick(self) -> Tick:
         return Tick(
             settled=self._ticks >= _TICKS_TO_WATCH and not self._second_look.pending,
-            open=self._jumps.watch.is_open,
+            open=self._jumps.is_open,
             explained=self._jumps.watch.calm,
             white=self.watch.white,
             inductance_std=self._noise.inductance_std(self.sample_period_s or 0.0),
@@ -377,7 +394,7 @@ class Tracker:
         if self.ekf is None or not self.ekf.started or not self.ekf.is_sound() or self._suspicious_ticks:
             return None
         known = self._roster.published & self.qualification.qualified
-        if not self._jumps.watch.quiet or not known.any():
+        if not self._jumps.quiet or not known.any():
             return None
         g, kept = self.ekf.estimate(), np.flatnonzero(known | ~self._roster.free)
         covariance = g.covariance + np.diag(np.square(_SAVED_STD * self.excitation.scales))

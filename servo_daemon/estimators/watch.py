@@ -44,6 +44,36 @@ class TickVerdict:
     settled: bool
 
 
+def judged(statistics: Mapping[str, ChannelStatistics]) -> TickVerdict:
+    """What a tick's innovations look like."""
+    worst, unexplained, settled = 0.0, False, True
+    for s in statistics.values():
+        if s.count < 1:
+            unexplained |= s.gated >= _FEWEST_GATED
+            continue
+        correlation, nis = s.correlation, s.nis
+        worst = max(worst, nis)
+        spread = math.sqrt(2.0 / s.count)  # of the mean square of as many white innovations
+        drifts = nis > 1.0 + _UNEXPLAINED_NIS * spread and correlation > max(0.2, 3.0 / math.sqrt(s.count))
+        unexplained |= drifts or s.gated >= max(_FEWEST_GATED, _GATED_SHARE * s.count)
+        settled &= nis < 1.0 + _SETTLED_NIS * spread and s.gated < _FEWEST_GATED
+    return TickVerdict(worst, unexplained, settled)
+
+
+@dataclass(frozen=True, slots=True)
+class WatchMark:
+    """What a watch had learned at some time; see `InnovationWatch`."""
+
+    channel: Mapping[str, ChannelNoise]
+    process: Mapping[str, ProcessNoise]
+    pool: Mapping[str, tuple[ChannelStatistics, float]]
+    whiteness: Mapping[str, Whiteness]
+    updates: Mapping[str, int]
+    crossed: float
+    too_much: bool
+    white: bool
+
+
 class InnovationWatch:
     """Fed the innovations of each tick.
 
@@ -78,6 +108,17 @@ class InnovationWatch:
         self._process = {}
         self._pool, self._updates, self._crossed = {}, {}, 0.0
         self._too_much = False
+
+    def mark(self) -> WatchMark:
+        """What has been learned, for `back_to`."""
+        state = (self._channel, self._process, self._pool, self.whiteness, self._updates)
+        return WatchMark(*(dict(d) for d in state), self._crossed, self._too_much, self.white)  # type: ignore[arg-type]
+
+    def back_to(self, mark: WatchMark) -> None:
+        """What has been learned since is forgotten."""
+        self._channel, self._process = dict(mark.channel), dict(mark.process)
+        self._pool, self.whiteness, self._updates = dict(mark.pool), dict(mark.whiteness), dict(mark.updates)
+        self._crossed, self._too_much, self.white = mark.crossed, mark.too_much, mark.white
 
     def learn_anew(self) -> None:
         """The filter's values are others now: of a slow drive, whose first samples say little of its sensors, what the
@@ -156,19 +197,8 @@ class InnovationWatch:
 
     def judge(self, statistics: Mapping[str, ChannelStatistics]) -> TickVerdict:
         """Look at the innovations of a tick; nothing is learned yet."""
-        worst, unexplained, settled = 0.0, False, True
-        for s in statistics.values():
-            self.gated += int(s.gated)
-            if s.count < 1:
-                unexplained |= s.gated >= _FEWEST_GATED
-                continue
-            correlation, nis = s.correlation, s.nis
-            worst = max(worst, nis)
-            spread = math.sqrt(2.0 / s.count)  # of the mean square of as many white innovations
-            drifts = nis > 1.0 + _UNEXPLAINED_NIS * spread and correlation > max(0.2, 3.0 / math.sqrt(s.count))
-            unexplained |= drifts or s.gated >= max(_FEWEST_GATED, _GATED_SHARE * s.count)
-            settled &= nis < 1.0 + _SETTLED_NIS * spread and s.gated < _FEWEST_GATED
-        return TickVerdict(worst, unexplained, settled)
+        self.gated += sum(int(s.gated) for s in statistics.values())
+        return judged(statistics)
 
     def learn(self, statistics: Mapping[str, ChannelStatistics], duration_s: float, *, rests: bool = False) -> None:
         """Let a tick's innovations move noise levels and whiteness.
