@@ -20,6 +20,8 @@ from .follow import Flags, Told, Track, nominal_of, sampled, tracked
 
 #: How long after a step a value may still be on its way, s.
 FOLLOW_S = 5.0
+#: Longer than a sample of these recordings and its jitter, s.
+SAMPLE_S = 2e-3
 #: Beyond this many standard deviations a value contradicts its interval.
 BEYOND = 3.0
 #: Datasheet values are wrong by this factor.
@@ -127,7 +129,8 @@ def _scale_of(case: Case, track: Track) -> F64:
 def _counted(case: Case, track: Track) -> Flags:
     if not case.stepped or case.change_s is None:
         return np.ones(len(track.time_s), dtype=bool)
-    return np.asarray((track.time_s <= case.change_s) | (track.time_s > case.change_s + FOLLOW_S))
+    # (A tick that ends with the step may hold its first sample.)
+    return np.asarray((track.time_s < case.change_s - SAMPLE_S) | (track.time_s > case.change_s + FOLLOW_S))
 
 
 def _is_of_the_step(told: Told, case: Case) -> bool:

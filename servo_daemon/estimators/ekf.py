@@ -144,6 +144,10 @@ class Ekf:
         self._constants[self._lay.walk] = walk_var_per_s
         self._constants[self._lay.active] = active
 
+    def hold(self) -> None:
+        """No parameter moves."""
+        self._constants[self._lay.active] = 0.0
+
     def use_instrument(self, use: bool) -> None:
         """Whether derivatives are taken along the instrument (`ekf_model`); for parameters that are nearly right."""
         self._constants[-1] = INSTRUMENT_S if use else NO_INSTRUMENT_S
@@ -217,6 +221,10 @@ class Ekf:
         """The parameters' coordinates (n_q,) and their covariance (n_q, n_q) in a snapshot."""
         return snapshot[self._lay.q].copy(), snapshot[self._parameter_elements]
 
+    def moments_of(self, snapshot: F64) -> tuple[F64, F64]:
+        """The parameters' coordinates and their variances in a snapshot, shape (n_q,) each."""
+        return snapshot[self._lay.q], snapshot[self._parameter_variances]
+
     def put_parameters(self, mean: F64, covariance: F64) -> None:
         """Replace what is known of the parameters; the plant's states stay and are no longer correlated with them.
 
@@ -256,11 +264,9 @@ class Ekf:
         """Add to the variances of the coordinates, shape (n_q,)."""
         self._state[self._parameter_variances] += var
 
-    def open_parameter(self, k: int, coordinate: float, var: float) -> None:
-        """Coordinate k is somewhere else than it was, near this and with so much more variance; its errors before are
-        none of what it is now, and nothing else moves."""
+    def put_coordinate(self, k: int, coordinate: float) -> None:
+        """Coordinate k is somewhere else; nothing else moves."""
         self._state[self._lay.n_x + k] = coordinate
-        self._state[self._parameter_variances[k]] += var
 
     def is_plausible(self) -> bool:
         """Everything finite and every variance positive; cheap."""

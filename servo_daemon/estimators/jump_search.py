@@ -1,36 +1,34 @@
-"""Which parameter stepped, when and by how much: generalised likelihood ratios over the last seconds (Willsky & Jones,
-*IEEE Trans. Autom. Control* 21, 1976).
+"""Which parameter stepped, when and by how much.
 
-A filter that has been sure of its parameters for long does not follow one of them that steps: it shares out what it sees
-among all of them, and is sure of that as well. So the samples of the last seconds are kept. When they are no longer as
-they should be, each parameter in turn is supposed to have stepped, alone, at each of some moments: from what the filter
-knew at that moment it runs over the samples since with that one parameter unknown and all others as they were. What is
-likeliest by far, and leaves innovations as the noise has them, has happened, and the filter goes on from there: the other
-parameters have never been told anything else.
+A filter that has been sure of its parameters for long does not follow one of them that steps: it shares out what it
+sees among all of them, and is sure of that as well. So the samples of the last seconds are kept. When they are no
+longer as they should be, each parameter in turn is supposed to have stepped, alone, in each of some moments
+(`jump_trials`). What is likeliest by far, and leaves innovations as the noise has them, has happened, and the filter
+goes on from there: the other parameters have never been told anything else. Where something that has passed by, with no
+parameter changed, is as likely, none has.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from servo_daemon.estimators.ekf import Ekf
-from servo_daemon.estimators.ekf_records import ChannelStatistics
 from servo_daemon.estimators.filtering import Filtering, Forget
+from servo_daemon.estimators.jump_trials import ALL, MOMENT, Section, Trial, Trials, sections_of
 from servo_daemon.estimators.parameter_judge import ParameterJudge
 from servo_daemon.estimators.roster import Roster
-from servo_daemon.estimators.watch import InnovationWatch, WatchMark, judged
+from servo_daemon.estimators.watch import InnovationWatch, WatchMark
 from servo_daemon.samples import F64
 
 #: So many ticks are kept, and no more samples than these.
 _TICKS, _SAMPLES = 31, 20_000
 #: A change that is seen as one came at most so many ticks before; one that only shows in where the filter has gone.
 _BACK_SUDDEN, _BACK_SLOW = 10, 30
-#: First it is looked for so many ticks before it was seen, and then around where it is likeliest by these steps.
-_COARSE, _STEPS = (0, 2, 5, 10, 20, 30), (4, 2, 1)
+#: First it is looked for so many ticks before it was seen, and then around where it is likeliest.
+_COARSE = (0, 2, 5, 10, 20, 30)
 #: In the tick in which it was seen and the one before it is looked for in so many parts of them.
 _PARTS = 5
 #: It is looked for at these ticks after it was seen; the last time is the last.
@@ -39,41 +37,16 @@ _LOOKS = (3, 6, 10, 13, 16, 20, 25, 30)
 _CONFIRM = 10
 #: After one that was not found no other is looked for, ticks.
 _REST = 50
-#: 1 σ by which the parameter in question may have stepped, over its scale: a logarithm, a signed parameter.
-_STEP_STD, _SIGNED_STEP_STD = 0.3, 1.0
-#: Twice the logarithm of the likelihood ratio to no change; to the next likeliest parameter; and what a change of all
-#: parameters may be likelier by.
+#: Twice the logarithm of the likelihood ratio to no change, and to one that has only passed by; to the next likeliest
+#: parameter; and what a change of all parameters may be likelier by.
 _CHANGED, _MARGIN, _OF_ALL = 60.0, 20.0, 30.0
-#: Passes until none moves the value by more than this (standard deviations, share of the scale).
-_PASSES, _SETTLED_STDS, _SETTLED_SHARE = 4, 0.5, 0.01
+#: A parameter has stepped by this many standard deviations of what was known of it before and after.
+_STEPPED_STDS = 6.0
 #: The filter's estimate has moved by more of its own standard deviations than its information allows, and by this share
 #: of the scale.
 _MOVED_STDS, _MOVED_SHARE = 6.0, 0.01
 #: Of a variance this much is believed to be no better known than that.
 _CERTAIN = 0.1
-#: Innovations over all ticks since are white below this correlation, and below this mean of ν²/s over what it usually is;
-#: standard deviations that chance may make.
-_WHITE, _NIS_MORE, _CHANCE = 0.25, 3.0, 4.0
-#: All parameters at once, 1 σ over the scale.
-_ALL_STD = 0.13
-#: ν²/s at which an outlier counts.
-_OUTLIER_SQUARE = 25.0
-
-_ALL = -1
-
-
-@dataclass(frozen=True, slots=True)
-class _Section:
-    """Samples in a row as the filter takes them, within a tick.
-
-    Attributes:
-        tick: its number among those that are examined.
-        coarse: a change is looked for at its begin first.
-    """
-
-    pieces: tuple[Forget | F64, ...]
-    tick: int
-    coarse: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,25 +58,8 @@ class _Tick:
     constants: F64
     noise: WatchMark
     pieces: tuple[Forget | F64, ...]
+    samples: int
     end_s: float
-
-    @property
-    def samples(self) -> int:
-        return sum(0 if isinstance(p, Forget) else len(p) for p in self.pieces)
-
-
-@dataclass(frozen=True, slots=True)
-class _Trial:
-    """A supposed change and what the samples say of it: −2 log p of all of them, the parameter's coordinate and its
-    1 σ, the filter's state at the end, and whether the innovations after it are as the noise has them."""
-
-    k: int
-    section: int
-    cost: float
-    coordinate: float
-    std: float
-    state: F64
-    explained: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,9 +84,8 @@ class JumpSearch:
     """One drive's.
 
     Attributes:
-        running: a change is being looked for.
-        promising: one has been found that explains the samples, and is not certain yet; or nothing is known yet of what
-            was seen.
+        promising: a change has been found that explains the samples, and is not certain yet; or nothing is known yet of
+            what was seen.
     """
 
     def __init__(
@@ -140,19 +95,25 @@ class JumpSearch:
         self._judge, self._watch = judge, watch
         self.clear()
 
+    @property
+    def running(self) -> bool:
+        """A change is being looked for."""
+        return self._trials is not None
+
     def clear(self) -> None:
         """What was kept is of another filter."""
+        self._filtering.take_passed()
         self._ticks: list[_Tick] = []
         self._begins: tuple[F64, F64, WatchMark] | None = None
         self._rest = 0
         self._end()
 
     def _end(self) -> None:
-        self.running = self.promising = False
-        self._slow, self._age = False, 0
-        self._sections: list[_Section] = []
-        self._best: dict[int, _Trial] = {}
-        self._var: list[list[F64]] = []
+        self.promising = False
+        self._age = 0
+        self._trials: Trials | None = None
+        self._new: list[Section] = []  # not gone over yet
+        self._best: dict[int, Trial] = {}
 
     def mark(self) -> None:
         """A tick begins, and the filter is as it is."""
@@ -167,7 +128,8 @@ class JumpSearch:
         pieces = self._filtering.take_passed()
         if self._begins is None:
             return
-        self._ticks.append(_Tick(*self._begins, tuple(pieces), end_s))
+        samples = sum(0 if isinstance(p, Forget) else len(p) for p in pieces)
+        self._ticks.append(_Tick(*self._begins, tuple(pieces), samples, end_s))
         if not self.running:
             while len(self._ticks) > _TICKS or sum(t.samples for t in self._ticks) > _SAMPLES:
                 del self._ticks[0]
@@ -179,46 +141,49 @@ class JumpSearch:
             unexplained: its innovations are beyond what the noise explains.
             may_begin: a change may be looked for at all.
         """
-        if not self.running:
+        if self._trials is None:
             self._rest = max(self._rest - 1, 0)
             if not may_begin or self._rest or len(self._ticks) < 2:
                 return None
-            if unexplained:
-                self._begin(_BACK_SUDDEN, _PARTS)
-            elif self._has_moved():
-                self._begin(_BACK_SLOW, 1)
-                self._slow, self._age = True, _CONFIRM - 1
-            else:
+            if not unexplained and not self._has_moved():
                 return None
-            self.promising = unexplained
+            self._trials = self._begin(slow=not unexplained)
         else:
-            self._sections += _sections(self._ticks[-1], self._sections[-1].tick + 1, 1, coarse=False)
+            self._new += sections_of(self._ticks[-1].pieces, len(self._ticks) - 1, 1, coarse=False)
         self._age += 1
-        if self._age not in _LOOKS:
-            return None
+        return self._look(self._trials) if self._age in _LOOKS else None
+
+    def _begin(self, *, slow: bool) -> Trials:
+        self._end()
+        self._ticks = self._ticks[-(_BACK_SLOW if slow else _BACK_SUDDEN) - 1 :]
+        last = len(self._ticks) - 1
+        for number, tick in enumerate(self._ticks):
+            fine = _PARTS if number >= last - 1 and not slow else 1
+            self._new += sections_of(tick.pieces, number, fine, coarse=fine > 1 or (last - number) in _COARSE)
+        self.promising, self._age = not slow, _CONFIRM - 1 if slow else 0
+        begin = self._ticks[0]
+        scales, whiteness = self._judge.excitation.scales, begin.noise.whiteness
+        return Trials(self._roster, self._ekf, self._filtering, scales, begin.state, dict(whiteness), slow=slow)
+
+    def _look(self, trials: Trials) -> Found | None:
+        """Over the samples, and back to where the filter was."""
         before = self._ekf.snapshot(), self._ekf.constants
         self._ekf.put_constants(self._ticks[0].constants)
-        found = self._examine()
+        trials.extend(self._new)
+        self._new = []
+        found, passed_by = self._examine(trials)
         self._ekf.restore(before[0])
         self._ekf.put_constants(before[1])
         too_many = sum(t.samples for t in self._ticks) > _SAMPLES
-        if found is not None or self._age == _LOOKS[-1] or too_many:
+        if found is not None or passed_by:  # from here on another motor is seen, or the same one
+            if found is not None:
+                self._watch.back_to(self._ticks[0].noise)
+            self._end()
+            self._ticks = []
+        elif self._age == _LOOKS[-1] or too_many or self._is_hopeless():
             self._end()
             self._rest = _REST
-            if found is not None:  # from here on another motor is seen
-                self._watch.back_to(self._ticks[0].noise)
-                self._ticks, self._rest = [], 0
         return found
-
-    def _begin(self, back: int, parts: int) -> None:
-        self._end()
-        self._ticks = self._ticks[-back - 1 :]
-        last = len(self._ticks) - 1
-        for number, tick in enumerate(self._ticks):
-            fine = parts if number >= last - 1 else 1
-            coarse = fine > 1 or (last - number) in _COARSE
-            self._sections += _sections(tick, number, fine, coarse)
-        self.running = bool(self._sections)
 
     def _has_moved(self) -> bool:
         """Whether the filter has gone further than what it has learned allows: an estimate's change has the variance by
@@ -231,8 +196,7 @@ class JumpSearch:
             if len(self._ticks) <= back:
                 break
             then = self._ticks[-back]
-            mean, covariance = self._ekf.parameters_of(then.state)
-            before = covariance.diagonal()
+            mean, before = self._ekf.moments_of(then.state)
             added = walk * (self._ticks[-1].end_s - then.end_s)
             allowed = np.maximum(before + added - var, 0.0) + _CERTAIN * before
             moved = np.abs(now - mean)
@@ -240,151 +204,39 @@ class JumpSearch:
                 return True
         return False
 
-    # -- over the samples ------------------------------------------------------------------------------------
-
-    def _examine(self) -> Found | None:
-        nulls, null_cost = self._without_change()
-        free = [int(k) for k in np.flatnonzero(self._roster.free)]
-        for k in free:
-            self._best[k] = self._improved(k, nulls)
-        ranked = sorted(self._best.values(), key=lambda t: t.cost)
-        for trial in ranked[:2]:
-            self._best[trial.k] = self._elsewhere(trial, nulls)
-        ranked = sorted(self._best.values(), key=lambda t: t.cost)
+    def _examine(self, trials: Trials) -> tuple[Found | None, bool]:
+        """What has stepped, if it is certain; and whether something has only passed by."""
+        for k in (MOMENT, *map(int, np.flatnonzero(self._roster.free))):
+            self._best[k] = trials.likeliest(k, self._best.get(k))
+        ranked = self._ranked()
+        for trial in (self._best[MOMENT], *ranked[:2]):
+            self._best[trial.k] = trials.elsewhere(trial)
+        ranked, moment = self._ranked(), self._best[MOMENT]
         best = ranked[0]
-        self.promising = best.explained and null_cost - best.cost > _CHANGED
-        after = self._sections[-1].tick - self._sections[best.section].tick
+        if moment.explained and moment.cost - best.cost < _CHANGED:
+            return None, True
+        unlike = min(trials.cost, moment.cost) - best.cost > _CHANGED
+        self.promising = best.explained and unlike and self._has_stepped(trials, best)
+        after = trials.sections[-1].tick - trials.sections[best.section].tick
         if not self.promising or after < _CONFIRM or (len(ranked) > 1 and ranked[1].cost - best.cost < _MARGIN):
-            return None
-        everything = self._run(_ALL, best.section, 0.0, nulls)
-        if best.cost - everything.cost > _OF_ALL:
-            return None
-        tick = self._sections[best.section].tick
-        mean, covariance = self._ekf.parameters_of(nulls[best.section][0])
-        before_s = self._ticks[tick - 1].end_s if tick > 0 else self._ticks[0].end_s
-        return Found(best.k, before_s, mean, covariance, best.state)
+            return None, False
+        if best.cost - trials.run(ALL, best.section).cost > _OF_ALL:
+            return None, False
+        tick = trials.sections[best.section].tick
+        mean, covariance = trials.known_before(best.section)
+        return Found(best.k, self._ticks[max(tick - 1, 0)].end_s, mean, covariance, best.state), False
 
-    def _without_change(self) -> tuple[dict[int, tuple[F64, float]], float]:
-        """The filter's state and −2 log p so far at each section's begin, and −2 log p of all."""
-        self._ekf.restore(self._ticks[0].state)
-        nulls: dict[int, tuple[F64, float]] = {}
-        cost = 0.0
-        self._var = []
-        for number, section in enumerate(self._sections):
-            nulls[number] = self._ekf.snapshot(), cost
-            cost += self._over(number)
-        return nulls, cost
+    def _is_hopeless(self) -> bool:
+        """Whether no parameter is likelier to have stepped than something to have passed by, whatever that was."""
+        return self._age >= _CONFIRM and self._best[MOMENT].cost - self._ranked()[0].cost < _CHANGED
 
-    def _improved(self, k: int, nulls: dict[int, tuple[F64, float]]) -> _Trial:
-        """The likeliest change of parameter k: where it was likeliest the last time, or looked for everywhere."""
-        known = self._best.get(k)
-        if known is None:
-            coarse = [number for number, section in enumerate(self._sections) if section.coarse]
-            trials = [self._run(k, number, self._coordinate(k, nulls[number][0]), nulls) for number in coarse]
-            known = min(trials, key=lambda t: t.cost)
-        return self._settled(known, nulls)
+    def _ranked(self) -> list[Trial]:
+        """Of each parameter the likeliest change, the likeliest parameter first."""
+        return sorted((t for t in self._best.values() if t.k >= 0), key=lambda t: t.cost)
 
-    def _settled(self, trial: _Trial, nulls: dict[int, tuple[F64, float]]) -> _Trial:
-        """Begun again at the value that was found, until that is where it ends."""
-        scale = self._judge.excitation.scales[trial.k]
-        best = trial
-        for _ in range(_PASSES):
-            again = self._run(trial.k, trial.section, trial.coordinate, nulls)
-            moved = abs(again.coordinate - trial.coordinate)
-            if not np.isfinite(again.cost):
-                break
-            trial = again
-            if moved < _SETTLED_STDS * again.std + _SETTLED_SHARE * scale:
-                return again
-            best = min(best, again, key=lambda t: t.cost)
-        return best
-
-    def _elsewhere(self, trial: _Trial, nulls: dict[int, tuple[F64, float]]) -> _Trial:
-        """The same change at another moment, if it is likelier then: by smaller and smaller steps."""
-        best = trial
-        for step in _STEPS:
-            for number in (best.section - step, best.section + step):
-                if number in nulls:
-                    best = min(best, self._run(trial.k, number, best.coordinate, nulls), key=lambda t: t.cost)
-        return trial if best is trial else self._settled(best, nulls)
-
-    def _run(self, k: int, number: int, coordinate: float, nulls: dict[int, tuple[F64, float]]) -> _Trial:
-        """From a section on with parameter k (or all) unknown."""
-        state, cost = nulls[number]
-        self._ekf.restore(state)
-        step_std = np.where(self._roster.logarithmic, _STEP_STD, _SIGNED_STEP_STD) * self._judge.excitation.scales
-        if k == _ALL:
-            self._ekf.widen_parameters(np.where(self._roster.free, np.square(_ALL_STD / _STEP_STD * step_std), 0.0))
-        else:
-            self._ekf.open_parameter(k, coordinate, float(step_std[k]) ** 2)
-        self._ekf.take_statistics()
-        begins, tick = self._sections[number].tick, self._sections[number].tick
-        explained = True
-        pooled: dict[str, ChannelStatistics] = {}
-        for at in range(number, len(self._sections) + 1):
-            section = self._sections[at] if at < len(self._sections) else None
-            if section is None or section.tick != tick:
-                statistics = self._ekf.take_statistics()
-                if tick > begins:
-                    explained &= not judged(statistics).unexplained
-                    pooled = {c: s.joined(pooled[c]) if c in pooled else s for c, s in statistics.items()}
-            if section is not None:
-                tick = section.tick
-                cost += self._over(at)
-        explained &= bool(pooled) and all(self._as_usual(c, s) for c, s in pooled.items())
-        cost = cost if self._ekf.is_plausible() else np.inf
-        found, std = self._ekf.coordinates, self._ekf.coordinate_std
-        return _Trial(k, number, cost, float(found[k]), float(std[k]), self._ekf.snapshot(), explained)
-
-    def _as_usual(self, channel: str, s: ChannelStatistics) -> bool:
-        """Larger innovations that are white are noise that has grown, as that of a drive does with its current."""
-        usual = self._ticks[0].noise.whiteness.get(channel)
-        nis = max(1.0, usual.nis if usual is not None else 1.0) * _NIS_MORE
-        return s.count < 1 or (s.nis < nis and s.correlation < max(_WHITE, _CHANCE / math.sqrt(s.count)))
-
-    def _coordinate(self, k: int, state: F64) -> float:
-        return float(self._ekf.parameters_of(state)[0][k])
-
-    def _over(self, number: int) -> float:
-        """What a section's samples cost.
-
-        −2 log p, where something sudden was seen. Where nothing was, but the filter has gone on and on, Σ ν²/s with the
-        variances s of the filter without a change: with an R that is another one there should be more noise of the
-        voltage in the current or less, but whose that noise is the filter does not know for certain, and in seconds of
-        samples that adds up to more than the slow change itself.
-        """
-        first = self._slow and number == len(self._var)
-        if first:
-            self._var.append([])
-        cost, var = 0.0, iter(self._var[number] if self._slow else ())
-        for piece in self._sections[number].pieces:
-            innovations = self._filtering.run(piece)
-            if innovations is None:
-                continue
-            if first:
-                self._var[number].append(innovations.variance)
-            s = innovations.variance if first or not self._slow else next(var)
-            cost += float(np.sum(np.minimum(np.square(innovations.innovation) / s, _OUTLIER_SQUARE)))
-            if not self._slow:
-                cost += float(np.sum(np.log(s)))
-        return cost
-
-
-def _sections(tick: _Tick, number: int, parts: int, coarse: bool) -> list[_Section]:
-    """A tick's samples in as few pieces as can be, or in some parts of equal length."""
-    pieces: list[Forget | F64] = []
-    run: list[F64] = []
-    for piece in tick.pieces:
-        if isinstance(piece, Forget):
-            pieces += [*_joined(run), piece]
-            run = []
-        else:
-            run.append(piece)
-    pieces += _joined(run)
-    if parts > 1 and len(pieces) == 1 and not isinstance(pieces[0], Forget) and len(pieces[0]) >= parts:
-        return [_Section((part,), number, coarse) for part in np.array_split(pieces[0], parts)]
-    return [_Section(tuple(pieces), number, coarse)]
-
-
-def _joined(run: Sequence[F64]) -> list[F64]:
-    return [np.concatenate(run)] if run else []
+    @staticmethod
+    def _has_stepped(trials: Trials, best: Trial) -> bool:
+        """Whether the parameter is another one than it was, and not only free to follow what has passed by."""
+        mean, covariance = trials.known_before(best.section)
+        moved = abs(best.coordinate - float(mean[best.k]))
+        return moved > _STEPPED_STDS * math.sqrt(float(covariance[best.k, best.k]) + best.std**2)

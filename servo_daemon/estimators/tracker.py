@@ -314,6 +314,9 @@ class Tracker:
 
     def _search_jump(self, verdict: TickVerdict, *, complete: bool) -> Found | None:
         """Whether one parameter alone has stepped."""
+        if self._stretches.alike("current_A"):  # a frozen sensor: an offset would explain it best
+            self._search.clear()
+            return None
         self._search.take(self._tick_end_s or 0.0)
         watch = self._jumps.watch
         settled = self._ticks >= _TICKS_TO_JUDGE and not self._second_look.pending

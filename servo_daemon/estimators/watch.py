@@ -111,8 +111,16 @@ class InnovationWatch:
 
     def mark(self) -> WatchMark:
         """What has been learned, for `back_to`."""
-        state = (self._channel, self._process, self._pool, self.whiteness, self._updates)
-        return WatchMark(*(dict(d) for d in state), self._crossed, self._too_much, self.white)  # type: ignore[arg-type]
+        return WatchMark(
+            channel=dict(self._channel),
+            process=dict(self._process),
+            pool=dict(self._pool),
+            whiteness=dict(self.whiteness),
+            updates=dict(self._updates),
+            crossed=self._crossed,
+            too_much=self._too_much,
+            white=self.white,
+        )
 
     def back_to(self, mark: WatchMark) -> None:
         """What has been learned since is forgotten."""
