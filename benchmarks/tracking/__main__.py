@@ -14,6 +14,7 @@ from .models import report_models
 from .rivals import report_rivals
 from .scenarios import report_scenarios
 from .starts import report_starts
+from .steps import report_steps
 
 Part = Callable[[argparse.Namespace], None]
 
@@ -24,6 +25,7 @@ def _parts() -> Mapping[str, Part]:
         "realistic": lambda a: report_realistic(a.runs or 20, a.seconds or 600.0),
         "ageing": lambda a: report_ageing(a.runs or 5, a.seconds or 300.0),
         "scenarios": lambda a: report_scenarios(a.runs or 1, a.seconds or 60.0, a.only, a.plots),
+        "steps": lambda a: report_steps(a.runs or 2, a.seconds or 40.0),
         "starts": lambda a: report_starts(a.first, a.runs or 1000, a.seconds or 20.0),
         "models": lambda a: report_models(a.motion),
         "rivals": lambda a: report_rivals(a.seconds or 60.0),
