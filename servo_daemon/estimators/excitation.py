@@ -61,14 +61,22 @@ class Excitation:
         self._updates = 0
         self._systematic_std: F64 = np.zeros(n)
         self._alone: NDArray[np.bool_] = np.ones(n, dtype=bool)  # in no direction that several share
-        self.excited: NDArray[np.bool_] = np.zeros(n, dtype=bool)
+        self._mark(np.zeros(n, dtype=bool))
+
+    def _mark(self, excited: NDArray[np.bool_]) -> None:
+        """Which are excited, and what from now on is enough to be."""
+        self.excited = excited
+        self._limits = (
+            np.where(excited, LEAVE, ENTER),
+            np.where(excited, SYSTEMATIC_LEAVE, SYSTEMATIC_ENTER),
+        )
 
     def reset(self) -> None:
         n = len(self.scales)
         self._window.clear()
         self._sum, self._sum_s = np.zeros(n), 0.0
         self._systematic_std, self._alone = np.zeros(n), np.ones(n, dtype=bool)
-        self.excited = np.zeros(n, dtype=bool)
+        self._mark(np.zeros(n, dtype=bool))
 
     def forget(self) -> None:
         """What was gained so far is counted anew, all at once, with the next tick."""
@@ -105,8 +113,10 @@ class Excitation:
         self._updates += 1
         if self._updates % _SUM_ANEW == 0:  # rounding must not gather
             self._sum = np.sum([gained for _, gained in self._window], axis=0)
-        enough = self.std() < np.where(self.excited, LEAVE, ENTER)
-        self.excited = enough & (self._systematic_std < np.where(self.excited, SYSTEMATIC_LEAVE, SYSTEMATIC_ENTER))
+        most, systematic_most = self._limits
+        excited = (self.std() < most) & (self._systematic_std < systematic_most)
+        if np.count_nonzero(excited != self.excited):
+            self._mark(excited)
 
     @property
     def systematic_std(self) -> F64:
