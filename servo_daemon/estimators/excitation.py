@@ -18,6 +18,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_daemon.estimators.small_matrices import eigen
 from servo_daemon.samples import F64
 
 WINDOW_S = 5.0
@@ -91,13 +92,14 @@ class Excitation:
             covered: which parameters it can say anything of, shape (n,).
         """
         index = np.flatnonzero(covered)
-        scaled = (information * np.outer(self.scales, self.scales))[np.ix_(index, index)]
-        eigenvalues, vectors = np.linalg.eigh(scaled)
+        scaled = (information * (self.scales[:, None] * self.scales))[index[:, None], index]
+        eigenvalues, vectors = eigen(scaled)
         eigenvalues = np.maximum(eigenvalues, 0.0) + _NOTHING_STD**-2  # rounding may leave a zero a little below
+        squares = np.square(vectors)
         self._systematic_std = np.zeros(len(self.scales))
-        self._systematic_std[index] = np.sqrt(np.sum(vectors**2 / eigenvalues, axis=1))
+        self._systematic_std[index] = np.sqrt(np.add.reduce(squares / eigenvalues, axis=1))
         undetermined = eigenvalues < SYSTEMATIC_LEAVE**-2
-        share = np.sum(vectors[:, undetermined] ** 2, axis=1)
+        share = np.add.reduce(squares[:, undetermined], axis=1)
         self._alone = np.ones(len(self.scales), dtype=bool)
         self._alone[index] = (share > _INSIDE) | (share < 1.0 - _INSIDE)
 

@@ -100,8 +100,7 @@ def channel(block: SampleBlock, name: str) -> tuple[F64, NDArray[np.bool_] | Non
     limit = _IMPOSSIBLE[name]
     # The usual cases; a NaN compares to nothing. The sum of squares is told sooner, and no square is larger.
     if block.all_good and (
-        values @ values < 0.5 * limit**2
-        or (np.maximum.reduce(values) <= limit and np.minimum.reduce(values) >= -limit)
+        values @ values < 0.5 * limit**2 or (np.maximum.reduce(values) <= limit and np.minimum.reduce(values) >= -limit)
     ):
         return values, None
     valid = np.abs(values) <= limit

@@ -178,8 +178,7 @@ class ParameterJudge:
         self._ekf.use_instrument(self._follows)
 
     def _follow(self, settled: bool, needed: Mask, std: F64) -> None:
-        """Whether derivatives are taken along the instrument from now on: where all that is shown without it is known.
-        """
+        """Whether derivatives are taken along the instrument from now on: where all that is needed is known."""
         limit = _LED_ASTRAY_STD if self._follows else QUALIFIED
         follows = settled and not np.count_nonzero(needed & ~(std < limit))
         self.begins_to_follow = follows and not self._follows and not self._followed
