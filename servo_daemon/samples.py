@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntFlag
 
 import numpy as np
@@ -65,6 +65,9 @@ class SampleBlock:
     velocity_rad_s: F64 | None = None
     temperature_C: F64 | None = None
     torque_Nm: F64 | None = None
+    # Asked for several times of each block; looked up once.
+    _all_good: bool | None = field(default=None, init=False, repr=False, compare=False)
+    _longest_step_s: float | None = field(default=None, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         n = self.time_s.shape[0]
@@ -81,9 +84,29 @@ class SampleBlock:
         return int(self.time_s.shape[0])
 
     @property
+    def all_good(self) -> bool:
+        """Whether no sample has any flag: the usual case."""
+        if self._all_good is None:
+            object.__setattr__(self, "_all_good", not self.quality.any())
+        return bool(self._all_good)
+
+    @property
+    def longest_step_s(self) -> float:
+        """The largest distance from one sample to the next; 0 of a single sample."""
+        if self._longest_step_s is None:
+            steps = self.time_s[1:] - self.time_s[:-1]
+            object.__setattr__(self, "_longest_step_s", float(steps.max()) if len(steps) else 0.0)
+        return self._longest_step_s or 0.0
+
+    @property
     def channels(self) -> tuple[str, ...]:
         """Names of the channels this block carries, in the order of `CHANNELS`."""
         return tuple(name for name in CHANNELS if getattr(self, name) is not None)
+
+    @property
+    def end(self) -> SampleBlock:
+        """The last sample."""
+        return self.slice(len(self) - 1, len(self))
 
     def slice(self, start: int, stop: int) -> SampleBlock:
         """Samples start..stop-1 as a block of their own (views, no copy)."""

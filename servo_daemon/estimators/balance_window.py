@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,6 +42,23 @@ _HIDES = 0.5
 _CHANCE_STDS = 4.0
 #: Noise levels are known to this factor (in squares).
 _NOISE_KNOWN = 2.0
+_ONE = np.ones(1)
+
+
+@dataclass(frozen=True, slots=True)
+class _Linear:
+    """A balance at the filter's values.
+
+    Attributes:
+        value, per_current: at which.
+        theta: the coefficients of Φ's columns, shape (n,).
+        slopes: d residual / d coordinate, as weights on the columns.
+    """
+
+    value: Mapping[str, float]
+    per_current: bool
+    theta: F64
+    slopes: dict[str, F64]
 
 
 class BalanceWindow:
@@ -60,6 +77,7 @@ class BalanceWindow:
         self._grams = {which: GramWindow(WINDOW_S) for which in self._columns}
         self._new: list[tuple[str, float, Sums]] = []
         self._confronted: dict[str, deque[tuple[float, Confronted]]] = {which: deque() for which in self._columns}
+        self._last: dict[str, _Linear] = {}
         self._end_s = 0.0
 
     def clear(self) -> None:
@@ -105,7 +123,7 @@ class BalanceWindow:
                 continue
             noise_var = of_standing_counts(sampling, which, _COUNTS_IN_MARGIN)
             noise = noise_gram(columns, total.weight_squares, noise_var, self._y_channel(which))
-            out += information(total.gram, noise, self._slopes(which, value), names, self._size(which, value))
+            out += information(total.gram, noise, self._linear(which, value).slopes, names, self._size(which, value))
         return out
 
     def mismatch(self, value: Mapping[str, float], sampling: Sampling) -> dict[str, float]:
@@ -122,7 +140,7 @@ class BalanceWindow:
             if total is None:
                 continue
             size = self._size(which, value)
-            slopes = {name: slope / size for name, slope in self._slopes(which, value).items()}
+            slopes = {name: slope / size for name, slope in self._linear(which, value).slopes.items()}
             noise = self._noise(which, total, value, sampling) * self._by_chance(which, total)
             found = closure.mismatch_std(total.gram, noise, slopes, self._followed(which, total))
             out |= {name: std for name, std in found.items() if name not in out}
@@ -184,7 +202,7 @@ class BalanceWindow:
         for which, time_s, part in self._new:
             columns = self._columns[which]
             noise = noise_squares(columns[:-1], part.weight_squares, noise_var)
-            theta = _coefficients(columns[:-1], value, self._size(which, value))
+            theta = self._linear(which, value).theta
             self._confronted[which].append((time_s, Confronted.of(part, theta, noise)))
         self._new = []
 
@@ -215,7 +233,7 @@ class BalanceWindow:
                 if which == "armature" and self._per_current:
                     return {}  # without K the shaft's coefficients are quotients only
                 continue
-            theta = _coefficients(columns[:-1], value, self._size(which, value))
+            theta = self._linear(which, value).theta.tolist()
             for k, name in enumerate(columns[:-1]):
                 if name in ("R", "L", "K", "J", "B", "Tc"):
                     scale, blind = 1.0 / theta[k], blind_std(name, value, period_s)
@@ -236,10 +254,17 @@ class BalanceWindow:
         """The balance's size per unit of its last column."""
         return value["K"] if which == "shaft" and self._per_current else 1.0
 
-    def _slopes(self, which: str, value: Mapping[str, float]) -> dict[str, F64]:
-        if which == "armature":
-            return armature_slopes(self._columns[which], value)
-        return shaft_slopes(self._columns[which], value, self._per_current)
+    def _linear(self, which: str, value: Mapping[str, float]) -> _Linear:
+        """Looked up once for the same values: one judgement asks several times."""
+        per_current, last = self._per_current, self._last.get(which)
+        if last is None or last.value is not value or last.per_current != per_current:
+            columns = self._columns[which]
+            theta = _coefficients(columns[:-1], value, self._size(which, value))
+            slopes = (
+                armature_slopes(columns, value) if which == "armature" else shaft_slopes(columns, value, per_current)
+            )
+            last = self._last[which] = _Linear(value, per_current, theta, slopes)
+        return last
 
     def _noise(self, which: str, total: Sums, value: Mapping[str, float], sampling: Sampling) -> float:
         """The sum of squares that noise and sampling leave of the best fit."""
@@ -247,9 +272,9 @@ class BalanceWindow:
         if "current_A" in noise_var:
             noise_var["current_A"] += between_samples(sampling, which)
         noise = noise_squares(columns, total.weight_squares, noise_var, self._y_channel(which))
-        theta = _coefficients(columns[:-1], value, self._size(which, value))
+        theta = self._linear(which, value).theta
         inexact = (_COARSE_CLOSES * coarse(which, sampling.period_s)) ** 2 * float(total.gram[-1, -1])
-        return _NOISE_KNOWN * float(np.square(np.append(theta, 1.0)) @ noise) + inexact
+        return _NOISE_KNOWN * float(np.square(np.concatenate([theta, _ONE])) @ noise) + inexact
 
 
 def _coefficients(columns: Sequence[str], value: Mapping[str, float], size: float) -> F64:

@@ -54,7 +54,8 @@ class Sums:
     @classmethod
     def of(cls, Phi: F64, y: F64, weight_squares: F64) -> Sums:
         """Phi shape (m, n), y shape (m,)."""
-        rows = np.column_stack([Phi, y])
+        rows = np.empty((len(y), Phi.shape[1] + 1))
+        rows[:, :-1], rows[:, -1] = Phi, y
         return cls(rows.T @ rows, weight_squares, len(rows))
 
     @classmethod
@@ -173,7 +174,10 @@ def information(gram: F64, noise: F64, slopes: Mapping[str, F64], names: Sequenc
     energy = float(gram[-1, -1]) * size_per_y**2
     if not energy > 0:
         return np.zeros((len(names), len(names)))
-    S = np.column_stack([slopes.get(name, np.zeros(len(gram))) / ALIGNED.get(name, 1.0) for name in names])
+    S = np.zeros((len(gram), len(names)))
+    for k, name in enumerate(names):
+        if name in slopes:
+            S[:, k] = slopes[name] / ALIGNED.get(name, 1.0)
     return np.asarray(S.T @ (gram - noise) @ S / (SYSTEMATIC**2 * energy))
 
 

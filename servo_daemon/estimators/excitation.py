@@ -18,6 +18,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_daemon.estimators.small_matrices import eigen
 from servo_daemon.samples import F64
 
 WINDOW_S = 5.0
@@ -61,14 +62,22 @@ class Excitation:
         self._updates = 0
         self._systematic_std: F64 = np.zeros(n)
         self._alone: NDArray[np.bool_] = np.ones(n, dtype=bool)  # in no direction that several share
-        self.excited: NDArray[np.bool_] = np.zeros(n, dtype=bool)
+        self._mark(np.zeros(n, dtype=bool))
+
+    def _mark(self, excited: NDArray[np.bool_]) -> None:
+        """Which are excited, and what from now on is enough to be."""
+        self.excited = excited
+        self._limits = (
+            np.where(excited, LEAVE, ENTER),
+            np.where(excited, SYSTEMATIC_LEAVE, SYSTEMATIC_ENTER),
+        )
 
     def reset(self) -> None:
         n = len(self.scales)
         self._window.clear()
         self._sum, self._sum_s = np.zeros(n), 0.0
         self._systematic_std, self._alone = np.zeros(n), np.ones(n, dtype=bool)
-        self.excited = np.zeros(n, dtype=bool)
+        self._mark(np.zeros(n, dtype=bool))
 
     def forget(self) -> None:
         """What was gained so far is counted anew, all at once, with the next tick."""
@@ -83,13 +92,14 @@ class Excitation:
             covered: which parameters it can say anything of, shape (n,).
         """
         index = np.flatnonzero(covered)
-        scaled = (information * np.outer(self.scales, self.scales))[np.ix_(index, index)]
-        eigenvalues, vectors = np.linalg.eigh(scaled)
+        scaled = (information * (self.scales[:, None] * self.scales))[index[:, None], index]
+        eigenvalues, vectors = eigen(scaled)
         eigenvalues = np.maximum(eigenvalues, 0.0) + _NOTHING_STD**-2  # rounding may leave a zero a little below
+        squares = np.square(vectors)
         self._systematic_std = np.zeros(len(self.scales))
-        self._systematic_std[index] = np.sqrt(np.sum(vectors**2 / eigenvalues, axis=1))
+        self._systematic_std[index] = np.sqrt(np.add.reduce(squares / eigenvalues, axis=1))
         undetermined = eigenvalues < SYSTEMATIC_LEAVE**-2
-        share = np.sum(vectors[:, undetermined] ** 2, axis=1)
+        share = np.add.reduce(squares[:, undetermined], axis=1)
         self._alone = np.ones(len(self.scales), dtype=bool)
         self._alone[index] = (share > _INSIDE) | (share < 1.0 - _INSIDE)
 
@@ -105,8 +115,10 @@ class Excitation:
         self._updates += 1
         if self._updates % _SUM_ANEW == 0:  # rounding must not gather
             self._sum = np.sum([gained for _, gained in self._window], axis=0)
-        enough = self.std() < np.where(self.excited, LEAVE, ENTER)
-        self.excited = enough & (self._systematic_std < np.where(self.excited, SYSTEMATIC_LEAVE, SYSTEMATIC_ENTER))
+        most, systematic_most = self._limits
+        excited = (self.std() < most) & (self._systematic_std < systematic_most)
+        if np.count_nonzero(excited != self.excited):
+            self._mark(excited)
 
     @property
     def systematic_std(self) -> F64:

@@ -46,7 +46,7 @@ class Filtering:
     def __init__(self, ekf: Ekf, levels: Levels) -> None:
         self._ekf, self._levels = ekf, levels
         self.layout = Layout(ekf.plant.drive, ekf.channels)
-        self._before: SampleBlock | None = None  # the last sample
+        self._before: SampleBlock | None = None  # the last samples
         self._kept: list[tuple[SampleBlock, float | None, float | None]] | None = None
         self._kept_from: tuple[SampleBlock, Marked] | None = None
         self.complete = True
@@ -87,7 +87,7 @@ class Filtering:
 
     def _pieces(self, block: SampleBlock, last_s: float | None, period_s: float | None) -> Iterator[Forget | F64]:
         """Samples as the filter takes them, and what it forgets in between."""
-        before, self._before = self._before, block.slice(len(block) - 1, len(block))
+        before, self._before = self._before, block
         cuts = breaks(block, last_s)
         holes = gaps(block, last_s, period_s)
         if not cuts and not holes:
@@ -104,7 +104,7 @@ class Filtering:
                 yield Forget(part, everything=a in cuts)
             short = [k - a for k, is_short in holes.items() if is_short and a <= k < b and k not in cuts]
             if short and period_s is not None:
-                yield self._rows(*filled(part, before if a == 0 else None, short, period_s))
+                yield self._rows(*filled(part, before.end if a == 0 and before is not None else None, short, period_s))
             else:
                 yield self._rows(part)
 

@@ -46,11 +46,6 @@ INPUT: dict[Drive, str] = {"voltage": "voltage_V", "current": "current_A", "torq
 _RESTART, _GAP = int(Quality.TIME_RESTART), int(Quality.GAP_BEFORE)
 
 
-def _all_good(block: SampleBlock) -> bool:
-    """Whether no sample has any flag: the usual case, asked for often."""
-    return bool(np.count_nonzero(block.quality) == 0)
-
-
 def distances(time_s: F64, last_s: float) -> F64:
     """Of each sample from the one before it, s, shape (n,)."""
     out = np.empty(len(time_s))
@@ -59,10 +54,14 @@ def distances(time_s: F64, last_s: float) -> F64:
     return out
 
 
+def _longest_distance(block: SampleBlock, last_s: float | None) -> float:
+    """Of a sample from the one before it, s."""
+    return block.longest_step_s if last_s is None else max(float(block.time_s[0]) - last_s, block.longest_step_s)
+
+
 def breaks(block: SampleBlock, last_s: float | None) -> list[int]:
     """Indices of samples before which the plant's state is lost: restarts and long gaps."""
-    first = last_s is None or float(block.time_s[0]) - last_s <= LONG_GAP_S
-    if first and float(block.time_s[-1] - block.time_s[0]) <= LONG_GAP_S and _all_good(block):
+    if block.all_good and _longest_distance(block, last_s) <= LONG_GAP_S:
         return []  # the usual case, without looking closer
     previous = np.concatenate([[block.time_s[0] if last_s is None else last_s], block.time_s[:-1]])
     lost = (block.time_s - previous > LONG_GAP_S) | ((block.quality & _RESTART) != 0)
@@ -79,25 +78,31 @@ def gaps(block: SampleBlock, last_s: float | None, period_s: float | None) -> di
     """
     if period_s is None:
         return dict.fromkeys(np.flatnonzero(block.quality & _GAP).tolist(), False)
-    distance = distances(block.time_s, float(block.time_s[0]) if last_s is None else last_s)
-    if _all_good(block) and float(np.maximum.reduce(distance)) <= _GAP_PERIODS * period_s:
+    if block.all_good and _longest_distance(block, last_s) <= _GAP_PERIODS * period_s:
         return {}  # the usual case
+    distance = distances(block.time_s, float(block.time_s[0]) if last_s is None else last_s)
     missing = ((block.quality & _GAP) != 0) | (distance > _GAP_PERIODS * period_s)
     return {k: bool(distance[k] <= _SHORT_GAP_PERIODS * period_s) for k in np.flatnonzero(missing).tolist()}
 
 
 def short_gaps(block: SampleBlock, last_s: float | None, period_s: float | None) -> list[int]:
     """Indices of samples before which so few are missing that others can be put in their place."""
+    holes = gaps(block, last_s, period_s)
+    if not holes:
+        return []
     cuts = breaks(block, last_s)
-    return [k for k, short in gaps(block, last_s, period_s).items() if short and k not in cuts]
+    return [k for k, short in holes.items() if short and k not in cuts]
 
 
 def channel(block: SampleBlock, name: str) -> tuple[F64, NDArray[np.bool_] | None]:
     """Values (0 where they are no measurement) and validity of a channel; None where all are valid."""
     values: F64 = getattr(block, name)
     limit = _IMPOSSIBLE[name]
-    if _all_good(block) and np.maximum.reduce(values) <= limit and np.minimum.reduce(values) >= -limit:
-        return values, None  # the usual case; a NaN compares to nothing
+    # The usual cases; a NaN compares to nothing. The sum of squares is told sooner, and no square is larger.
+    if block.all_good and (
+        values @ values < 0.5 * limit**2 or (np.maximum.reduce(values) <= limit and np.minimum.reduce(values) >= -limit)
+    ):
+        return values, None
     valid = np.abs(values) <= limit
     valid &= (block.quality & _INVALID_BIT[name]) == 0
     return np.where(valid, values, 0.0), valid
@@ -216,7 +221,7 @@ class Layout:
         samples[:, 0] = block.time_s
         for k, name in enumerate(self._names):
             samples[:, 1 + 2 * k] = getattr(block, name)
-        if not _all_good(block):
+        if not block.all_good:
             for k, name in enumerate(self._names):
                 samples[:, 2 + 2 * k] = (block.quality & _INVALID_BIT[name]) == 0
         if new is not None:
@@ -235,16 +240,18 @@ class Stretches:
 
     def __init__(self) -> None:
         self._frozen = {name: Repetition(_FEWEST_ALIKE) for name in ("current_A", "velocity_rad_s")}
-        self._last: SampleBlock | None = None
+        self._last: SampleBlock | None = None  # the block before
 
     def alike(self, name: str) -> int:
         """For how many samples the channel has shown one value; 0 while it flickers."""
         return self._frozen[name].alike
 
     def _without_short_gaps(self, block: SampleBlock, last_s: float | None, period_s: float | None) -> SampleBlock:
-        last, self._last = self._last, block.slice(len(block) - 1, len(block))
+        last, self._last = self._last, block
         short = [] if period_s is None else short_gaps(block, last_s, period_s)
-        return filled(block, last, short, period_s)[0] if short and period_s is not None else block
+        if not short or period_s is None:
+            return block
+        return filled(block, None if last is None else last.end, short, period_s)[0]
 
     def of(self, block: SampleBlock, origin_s: float, last_s: float | None, period_s: float | None) -> Stretch:
         """The block for the regressions, its short gaps filled. Samples after a long gap, with an invalid channel or a
@@ -255,7 +262,7 @@ class Stretches:
             last_s, period_s: as for `gaps`.
         """
         block = self._without_short_gaps(block, last_s, period_s)
-        usable = np.ones(len(block), dtype=bool) if _all_good(block) else (block.quality & _RESTART) == 0
+        usable = np.ones(len(block), dtype=bool) if block.all_good else (block.quality & _RESTART) == 0
         holes = gaps(block, last_s, period_s)
         gap = None
         if holes:

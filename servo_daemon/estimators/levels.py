@@ -80,7 +80,7 @@ class Levels:
         """
         self.rests = self._at_rest(tick, position_lsb, noise_var)
         fall = 1.0 if self.rests else _FALL
-        held = {"voltage": tick.voltage, "current": tick.current, "torque": tick.torque}[self._plant.drive]
+        held = self._held(tick)
         if held is not None and len(held):
             self.input_square = max(float(held @ held) / len(held), fall * self.input_square)
             self.input_step_square = max(_step_square(held), fall * self.input_step_square)
@@ -96,17 +96,25 @@ class Levels:
             self._counts.add(float(tick.time_s[-1]), len(tick.position), moved)
             self.samples_per_count = self._counts.number / max(self._counts.total, 1.0)
 
+    def _held(self, tick: Stretch) -> F64 | None:
+        """The input."""
+        if self._plant.drive == "voltage":
+            return tick.voltage
+        return tick.current if self._plant.drive == "current" else tick.torque
+
     def _at_rest(self, tick: Stretch, position_lsb: float, noise_var: Mapping[str, float]) -> bool:
         """Whether the tick shows an encoder that stands and a winding that nothing happens in: whatever is missing from
         the model, it is not to be seen there, and the noise of the drive is all that is."""
         if tick.position is None or position_lsb == 0.0 or len(tick.position) == 0:
             return False
-        counts = float(np.ptp(tick.position)) / position_lsb
-        if counts > max(_REST_COUNTS, len(tick.position) / _CREEP_SAMPLES):
+        most = max(_REST_COUNTS, len(tick.position) / _CREEP_SAMPLES)
+        if abs(float(tick.position[-1] - tick.position[0])) / position_lsb > most:
+            return False  # the usual case, without looking at all of them
+        if float(np.ptp(tick.position)) / position_lsb > most:
             return False
         if tick.current is not None and "current_A" in noise_var:
             return float(np.var(tick.current)) < _REST_VARIANCES * noise_var["current_A"]
-        held = {"voltage": tick.voltage, "current": tick.current, "torque": tick.torque}[self._plant.drive]
+        held = self._held(tick)
         return held is None or float(np.var(held)) < _REST_SHARE**2 * self.input_square
 
     def current_A(self, values: Mapping[str, float]) -> float:

@@ -55,7 +55,7 @@ class Windows:
 
     def held(self, signal: F64) -> F64:
         """∫φ signal for a signal held between samples, shape (w,)."""
-        return np.asarray(np.einsum("wm,wm->w", self.held_weight, signal[self.index]))
+        return np.asarray(np.einsum("wm,wm->w", self.held_weight, signal.take(self.index)))
 
     def integral(self, signal: F64, derivative: int = 0) -> F64:
         """∫φ^(derivative) signal for a continuous signal, shape (w,)."""
@@ -63,7 +63,7 @@ class Windows:
 
     def integrals(self, signal: F64, *derivatives: int) -> list[F64]:
         """The same for several derivatives, with one look at the signal."""
-        samples = signal[self.index]
+        samples = signal.take(self.index)
         return [np.asarray(np.einsum("wm,wm->w", self.weights[k], samples)) for k in derivatives]
 
     @property
@@ -80,7 +80,7 @@ def make_windows(time_s: F64, first: NDArray[np.intp], length: int) -> Windows:
         first: shape (w,).
     """
     index = first[:, None] + np.arange(length)
-    t = time_s[index]
+    t = time_s.take(index)
     span = t[:, -1:] - t[:, :1]
     s = (t - t[:, :1]) / span
     trapezoid = np.empty_like(t)
@@ -108,4 +108,10 @@ def _phi_and_derivatives(s: F64) -> tuple[F64, F64, F64]:
 def _phi_integral(s: F64) -> F64:
     """∫φ from 0 to s."""
     square = s * s
-    return np.asarray(poly.polyval(s, _INTEGRAL_OVER_S6) * (square * square * square))
+    total = np.full_like(s, _INTEGRAL_OVER_S6[-1])
+    for coefficient in _INTEGRAL_OVER_S6[-2::-1].tolist():  # Horner
+        total *= s
+        total += coefficient
+    square *= square * square
+    total *= square
+    return total

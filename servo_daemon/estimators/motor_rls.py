@@ -38,6 +38,7 @@ from servo_daemon.estimators.regression_terms import (
 )
 from servo_daemon.estimators.rls import DirectionalRls, LinearEstimate
 from servo_daemon.estimators.sampling import FEWEST_SAMPLES, SPAN_S
+from servo_daemon.estimators.small_matrices import in_columns
 from servo_daemon.estimators.stretch import Stretch, between_samples, joined, last, median, motion, speed_sign
 from servo_daemon.estimators.stretch import speed as speed_of
 from servo_daemon.plant.build import PlantModel
@@ -196,9 +197,10 @@ class MotorRls:
         if len(first) == 0:
             return None
         self._next[which] = float(s.time_s[first[-1] + (1 if broken else hop)])
-        before = np.concatenate([[0], np.cumsum(bad)])
-        # A gap before a window's first sample does no harm, one inside does.
-        first = first[before[first + length] - before[first + 1] == 0]
+        if np.count_nonzero(bad):
+            before = np.concatenate([[0], np.cumsum(bad)])
+            # A gap before a window's first sample does no harm, one inside does.
+            first = first[before[first + length] - before[first + 1] == 0]
         if broken:
             first = _apart(first, hop)
         return make_windows(s.time_s, first, length) if len(first) else None
@@ -223,7 +225,7 @@ class MotorRls:
             columns.append(w.integral(direction))
         if "rip_sin" in self._armature_columns:
             columns += self._rippled_speed(w, s)
-        Phi, y = np.column_stack(columns), w.held(s.voltage)
+        Phi, y = in_columns(columns), w.held(s.voltage)
         self._take("armature", self._armature, float(s.time_s[-1]), Phi, y, w)
 
     def _shaft_rows(self, s: Stretch, period: float) -> None:
@@ -243,14 +245,14 @@ class MotorRls:
             columns += self._effect_columns(effect, w, s)
         y = self._driving_torque(w, s, speed, acceleration)
         if y is not None:
-            Phi = np.column_stack(columns)
+            Phi = in_columns(columns)
             self._take("shaft", self._shaft, float(s.time_s[-1]), Phi, y, w)
 
     def _take(self, which: str, rls: DirectionalRls, time_s: float, Phi: F64, y: F64, w: Windows) -> None:
         """Rows for a regression and for the window, without those that wrong samples have spoilt."""
         if rls.rows > 2 * Phi.shape[1]:
             good = self._plausible[which].rows(y - Phi @ rls.value, y)
-            if not good.all():
+            if np.count_nonzero(good) < len(good):
                 Phi, y, w = Phi[good], y[good], w.only(good)
         if len(y) == 0:
             return
@@ -300,7 +302,9 @@ class MotorRls:
         if found is None:
             return None
         index = [self._armature_columns.index(c) for c in self._armature_named]
-        value, covariance = found.value[index], found.covariance[np.ix_(index, index)]
+        value, covariance = found.value, found.covariance
+        if index != list(range(len(value))):
+            value, covariance = value[index], covariance[np.ix_(index, index)]
         names = tuple(self._armature_named.values())
         if "i0" in names:
             value, covariance = as_current(value, covariance, names.index("i0"))

@@ -56,7 +56,8 @@ class Tick:
         open: a jump is being looked for.
         explained: ticks that the noise does not explain are the exception.
         white: innovations are.
-        inductance_std: 1 σ of ln L that the steps of the recorded voltage leave open.
+        inductance_std: 1 σ of ln L that the steps of the recorded voltage leave open; looked up when the regressions
+            have been worked off.
         sampling: noise and what else integrals over samples are off by.
     """
 
@@ -141,7 +142,8 @@ class ParameterJudge:
                 self._rls.window.determined(self._roster.names, values, tick.sampling), self._roster.covered
             )
         self.excitation.update(self._ekf.take_information(), duration_s)
-        excited, std = self.excitation.excited, self._ekf.coordinate_std / self.excitation.scales
+        excited, own_std = self.excitation.excited, self._ekf.coordinate_std
+        std = own_std / self.excitation.scales
         if fresh:
             self.confirmed = self._confirmed_by_regression(values, tick)
             if tick.open:
@@ -157,14 +159,17 @@ class ParameterJudge:
             self.qualification.qualified &= self.confirmed
         settled = tick.settled or bool(self._trusted.all())
         confirmed = self.confirmed if settled and not self._unjudged else np.zeros_like(self.confirmed)
-        self.qualification.update(np.hypot(std, self.mismatch_std), excited, confirmed)
+        whole_std = np.hypot(std, self.mismatch_std)
+        self.qualification.update(whole_std, excited, confirmed)
         self.qualification.qualified &= self._claimable(tick)
         self._no_R_without_K()
         self._no_L_without_R(tick.sampling.period_s)
-        self._remember(np.hypot(std, self.mismatch_std), duration_s, tick)
+        walk = self.walk(roster.free)
+        self._remember(whole_std, own_std, walk * duration_s, tick)
         shown = roster.published & excited
-        self._follow(settled, shown, std, tick)
-        self._moves = self._moving(tick), self.walk(shown | (roster.free & (std < self._idle_std)))
+        seen = roster.free_without_instrument(self._ekf.coordinates, tick.sampling.period_s)
+        self._follow(settled, shown & seen, std)
+        self._moves = self._moving(seen, tick), walk * (shown | (std < self._idle_std))
         self.resume()
 
     def resume(self) -> None:
@@ -172,10 +177,9 @@ class ParameterJudge:
         self._ekf.set_active(*self._moves)
         self._ekf.use_instrument(self._follows)
 
-    def _follow(self, settled: bool, shown: Mask, std: F64, tick: Tick) -> None:
-        """Whether derivatives are taken along the instrument from now on: where all that is shown is known."""
+    def _follow(self, settled: bool, needed: Mask, std: F64) -> None:
+        """Whether derivatives are taken along the instrument from now on: where all that is needed is known."""
         limit = _LED_ASTRAY_STD if self._follows else QUALIFIED
-        needed = shown & self._roster.free_without_instrument(self._ekf.coordinates, tick.sampling.period_s)
         follows = settled and not np.count_nonzero(needed & ~(std < limit))
         self.begins_to_follow = follows and not self._follows and not self._followed
         self._followed |= follows
@@ -192,14 +196,14 @@ class ParameterJudge:
     def _no_R_without_K(self) -> None:
         """Where R and K lie on one line the one is as wrong as the other."""
         names, qualified = self._roster.names, self.qualification.qualified
-        if {"R", "K"} <= set(names):
+        if "R" in names and "K" in names:
             R, K = names.index("R"), names.index("K")
             qualified[R] &= qualified[K] or abs(self._ekf.correlation(R, K)) < _ONE_LINE
 
     def _no_L_without_R(self, period_s: float) -> None:
         """Over few samples a current shows L/R: with a wrong R the filter is sure of a wrong L."""
         names, qualified = self._roster.names, self.qualification.qualified
-        if {"R", "L"} <= set(names) and coarse("armature", period_s) == 1.0:
+        if coarse("armature", period_s) == 1.0 and "R" in names and "L" in names:
             qualified[names.index("L")] &= qualified[names.index("R")]
 
     def last_known(self, k: int) -> Trusted | None:
@@ -213,27 +217,33 @@ class ParameterJudge:
         if not math.isnan(var[k]):
             coordinate[k], var[k] = self._ekf.coordinates[k], self._ekf.coordinate_std[k] ** 2
 
-    def _remember(self, relative_std: F64, duration_s: float, tick: Tick) -> None:
+    def _remember(self, relative_std: F64, own_std: F64, drift_var: F64, tick: Tick) -> None:
         """What is known well enough to qualify is kept; what was is of a motor that may have drifted since.
 
         Args:
             relative_std: over the scales, shape (n,).
+            own_std: the filter's, of the coordinates, shape (n,).
+            drift_var: what the tick adds to the coordinates' variances, shape (n,).
         """
-        well = self.qualification.qualified & (relative_std < QUALIFIED) & (not tick.open)
+        well = self.qualification.qualified & (relative_std < QUALIFIED)
+        if tick.open:
+            well[:] = False
         coordinate, var = self._last
         # Held at a value of once: by now no surer than the present estimate has ever been since.
-        drifted = np.maximum(var + self.walk(self._roster.free) * duration_s, np.square(self._ekf.coordinate_std))
+        drifted = np.maximum(var + drift_var, np.square(own_std))
         self._last = (
             np.where(well, self._ekf.coordinates, coordinate),
             np.where(well, np.square(relative_std * self.excitation.scales), drifted),
         )
 
-    def _moving(self, tick: Tick) -> Mask:
-        """Which parameters are not held."""
+    def _moving(self, seen: Mask, tick: Tick) -> Mask:
+        """Which parameters are not held.
+
+        Args:
+            seen: what may be estimated without the instrument.
+        """
         roster = self._roster
-        free = roster.free
-        if not self._follows:
-            free = roster.free_without_instrument(self._ekf.coordinates, tick.sampling.period_s)
+        free = roster.free if self._follows else seen
         if tick.open:
             return free
         # What no regression can judge is free until it has been seen once: there is nothing to hold yet.

@@ -78,6 +78,9 @@ _GIVES: Mapping[str, str] = {
 #: Effects that are a constant in the armature's balance, and their parameters.
 ARMATURE_OFFSETS = {"current_sensor_offset": "i0", "voltage_sensor_offset": "v0"}
 
+#: Columns whose coefficient is not the parameter itself.
+_CHANGED = frozenset({*(w.sine for w in WAVES.values()), "boundary", *_ALONG})
+
 
 def columns_of(effect: str, effects: Sequence[str]) -> tuple[str, ...]:
     """What an effect adds to the shaft's regression.
@@ -158,6 +161,8 @@ def as_parameters(columns: Sequence[str], value: F64, covariance: F64) -> tuple[
         columns: what stands behind the values; those of the armature may be among them.
         value, covariance: shapes (n,), (n, n), in natural units.
     """
+    if not _CHANGED.intersection(columns):
+        return value, covariance
     out, by = value.copy(), np.eye(len(value))
     at = {name: k for k, name in enumerate(columns)}
     for wave in WAVES.values():

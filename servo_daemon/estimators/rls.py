@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dsyevd, dsygst  # a tick's matrices are too small for NumPy's own wrappers
 
+from servo_daemon.estimators.small_matrices import eigen, eigenvalues, solved
 from servo_daemon.samples import F64
 
 #: Information of the start, relative to the first rows: enough for a Cholesky factor, too little to pull.
@@ -128,11 +129,11 @@ class DirectionalRls:
         if scale.min() < _INVISIBLE * max(scale.max(), 1e-7):  # a regressor that is (all but) zero
             return None
         square = scale[:, None] * scale
-        eigenvalues, vectors = np.linalg.eigh(self._A / square)
-        if eigenvalues[-1] > _WORST_CONDITION * eigenvalues[0]:
+        values, vectors = eigen(self._A / square)
+        if values[-1] > _WORST_CONDITION * values[0]:
             return None
         variance = self._residual_sum / (self._weight - self._n)
-        inverse = (vectors / eigenvalues) @ vectors.T / square
+        inverse = (vectors / values) @ vectors.T / square
         covariance = inverse * (variance + SYSTEMATIC**2 * self._energy)
         return LinearEstimate(self._compensated(), covariance, variance)
 
@@ -142,9 +143,9 @@ class DirectionalRls:
         part = self._noise.diagonal() / np.maximum(squares, 1e-300)
         scale = np.sqrt(squares)
         signal = (self._A - self._noise) / (scale[:, None] * scale)
-        if part.max() > _MOST_NOISE or np.linalg.eigvalsh(signal)[0] <= 1e-8:
+        if part.max() > _MOST_NOISE or eigenvalues(signal)[0] <= 1e-8:
             return self._value.copy()
-        return np.asarray(np.linalg.solve(signal, self._A @ self._value / scale) / scale)
+        return np.asarray(solved(signal, self._A @ self._value / scale) / scale)
 
 
 def _least_step(A: F64, gradient: F64) -> F64:
@@ -153,7 +154,7 @@ def _least_step(A: F64, gradient: F64) -> F64:
     scale = np.sqrt(A.diagonal())
     shown = scale > _INVISIBLE * scale.max()
     inverse = np.where(shown, 1.0 / np.maximum(scale, 1e-300), 0.0)
-    eigenvalues, V, _ = dsyevd(A * (inverse[:, None] * inverse), lower=1)
-    kept = eigenvalues > _ROUNDING * eigenvalues[-1]
+    values, V = eigen(A * (inverse[:, None] * inverse))
+    kept = values > _ROUNDING * values[-1]
     V = V[:, kept]
-    return np.asarray(inverse * (V @ ((V.T @ (inverse * gradient)) / eigenvalues[kept])))
+    return np.asarray(inverse * (V @ ((V.T @ (inverse * gradient)) / values[kept])))

@@ -69,6 +69,9 @@ class Telling:
 
     def _large_offsets(self) -> list[int]:
         """Indices of the nuisance parameters too large to be one."""
-        value, std, scales = self._ekf.coordinates, self._ekf.coordinate_std, self._scales()
+        if not self._roster.offsets:
+            return []
+        value, std = self._ekf.coordinates.tolist(), self._ekf.coordinate_std.tolist()
+        scales = self._scales().tolist()
         share = _OFFSET_OUT if self.explained else _OFFSET_IN
         return [k for k in self._roster.offsets if abs(value[k]) > share * scales[k] + 3.0 * std[k]]

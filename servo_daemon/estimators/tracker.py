@@ -6,6 +6,7 @@ only ticks change anything but the filter's own recursion.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -211,12 +212,13 @@ class Tracker:
         duration = max((self.sample_period_s or 0.0) * len(tick), 1e-6)
         assert self.first_s is not None
         stretch = self._stretches.of(tick, self.first_s, before_s, period_s)
-        self._levels.take(stretch, self._filtering.layout.position_lsb, self._noise_var())
+        noise_var = self._noise_var()
+        self._levels.take(stretch, self._filtering.layout.position_lsb, noise_var)
         if not self.ekf.started:
-            self.rls.update(stretch, self._noise_var())
+            self.rls.update(stretch, noise_var)
             return self._try_start(tick)
         self._noise.take(stretch, self.sample_period_s or 0.0)
-        return self._watch(stretch, duration)
+        return self._watch(stretch, duration, noise_var)
 
     def _see_period(self, tick: SampleBlock) -> None:
         """The usual distance of two samples, from within the tick. A drive that is slower than the ticks has one in
@@ -270,8 +272,12 @@ class Tracker:
             self._heritage.hand_states_to(self.ekf)
         self._second_look.begin(start, trusted=self._prior_is_whole or self._heritage is not None)
 
-    def _watch(self, stretch: Stretch, duration_s: float) -> list[Message]:
-        """Noise, whiteness, jumps, excitation, soundness: after each tick of the running filter."""
+    def _watch(self, stretch: Stretch, duration_s: float, noise_var: Mapping[str, float]) -> list[Message]:
+        """Noise, whiteness, jumps, excitation, soundness: after each tick of the running filter.
+
+        Args:
+            noise_var: of the measured channels, as far as it was known before.
+        """
         assert self.ekf is not None and self.rls is not None
         self._ticks += 1
         sound = self.ekf.is_sound if self._ticks % _SOUNDNESS_EVERY == 0 else self.ekf.is_plausible
@@ -288,13 +294,14 @@ class Tracker:
         if found is not None:
             messages += self._jumps.take_over(found, self._tick_end_s or 0.0)
             action = "accept"
-        fresh = self.rls.update(self._believed(stretch, action), self._noise_var())
+        fresh = self.rls.update(self._believed(stretch, action), noise_var)
         if action == "learn" and stretch.complete:
             self.watch.learn(statistics, duration_s, rests=self._levels.rests)
+        sampling = self._sampling()
         if fresh:
-            self.excitation.scales = self._noise.rescale(self._sampling())
+            self.excitation.scales = self._noise.rescale(sampling)
         self._noise.set()
-        self._judge.update(duration_s, fresh, self._tick())
+        self._judge.update(duration_s, fresh, self._tick(sampling, fresh))
         if self._judge.begins_to_follow and not self._prior_is_whole:
             # What was learned without the instrument (from a start that was guessed, partly from the colour of the
             # noise) is taken for less.
@@ -334,14 +341,14 @@ class Tracker:
             return stretch
         return replace(stretch, usable=stretch.usable & ~outliers)
 
-    def _tick(self) -> Tick:
+    def _tick(self, sampling: Sampling, fresh: bool) -> Tick:
         return Tick(
             settled=self._ticks >= _TICKS_TO_WATCH and not self._second_look.pending,
             open=self._jumps.is_open,
             explained=self._jumps.watch.calm,
             white=self.watch.white,
-            inductance_std=self._noise.inductance_std(self.sample_period_s or 0.0),
-            sampling=self._sampling(),
+            inductance_std=self._noise.inductance_std(sampling.period_s) if fresh else 0.0,
+            sampling=sampling,
         )
 
     def _sampling(self) -> Sampling:

@@ -27,6 +27,8 @@ _UNEXPLAINED = (10.0, 200.0)
 _UNEXPLAINED_NIS, _SETTLED_NIS = 7.0, 4.0
 _FEWEST_GATED, _GATED_SHARE = 3, 0.03
 
+_NONE = ProcessNoise()
+
 
 @dataclass(frozen=True, slots=True)
 class TickVerdict:
@@ -255,7 +257,7 @@ class InnovationWatch:
         return self._of(name).after(s.correlation, s.nis, follow, too_much=name == motion and self._too_much)
 
     def _of(self, name: str) -> ProcessNoise:
-        return self._process.get(name, ProcessNoise())
+        return self._process.get(name, _NONE)
 
     def _judge(self) -> None:
         if not self.whiteness:

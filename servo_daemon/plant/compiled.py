@@ -139,6 +139,13 @@ def _dense(function: ca.Function) -> ca.Function:
     return ca.Function("step", arguments, [ca.densify(result) for result in function(*arguments)])
 
 
+def _address(array: F64) -> int:
+    """Of the first element. (`array.ctypes.data` takes four times as long, and serves what may not be written.)"""
+    if array.size and array.flags.writeable:
+        return ctypes.addressof(ctypes.c_double.from_buffer(array))
+    return int(array.ctypes.data)
+
+
 class SampleLoop:
     """A step function run over blocks of samples; the state is the caller's.
 
@@ -200,7 +207,7 @@ class SampleLoop:
         self._check(samples, (n, self._n_sample), "samples")
         outputs = np.empty((n, self._n_output))
         if self._library is not None:
-            failed = self._call(n, state.ctypes.data, constants.ctypes.data, samples.ctypes.data, outputs.ctypes.data)
+            failed = self._call(n, *map(_address, (state, constants, samples, outputs)))
             if failed:
                 raise RuntimeError("the compiled step reported an error")
         else:
