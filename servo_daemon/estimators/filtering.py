@@ -134,6 +134,24 @@ class Filtering:
 
     def again(self, parameters: Gaussian) -> Fit:
         """Start the filter from these parameters and give it the samples that were kept."""
+        cost, outliers = 0.0, 0
+        for innovations in self._over_kept(parameters):
+            square = np.minimum(np.square(innovations.innovation) / innovations.variance, GATE**2)
+            cost += float(np.sum(square + np.log(innovations.variance)))
+            outliers += int(np.count_nonzero(innovations.gated))
+        return Fit(cost, outliers)
+
+    def predictions(self, parameters: Gaussian) -> Innovations:
+        """As `again`; what the filter says of all of them, in one piece."""
+        runs = list(self._over_kept(parameters))
+        return Innovations(
+            np.concatenate([r.innovation for r in runs]),
+            np.concatenate([r.variance for r in runs]),
+            np.concatenate([r.gated for r in runs]),
+        )
+
+    def _over_kept(self, parameters: Gaussian) -> Iterator[Innovations]:
+        """The filter, started from these parameters, over the samples that were kept."""
         assert self._kept_from is not None
         last, _ = self._kept_from
         if self._laid_out is None:
@@ -141,17 +159,11 @@ class Filtering:
         held_input, pieces = self._laid_out
         self._ekf.start(parameters, held_input=held_input)
         self._ekf.forget_state(self.first_state(last))
-        cost, outliers = 0.0, 0
         for piece in pieces:
-            if isinstance(piece, Forget):
-                self._forget(piece)
-                continue
-            innovations = self._ekf.update(piece)
-            square = np.minimum(np.square(innovations.innovation) / innovations.variance, GATE**2)
-            cost += float(np.sum(square + np.log(innovations.variance)))
-            outliers += int(np.count_nonzero(innovations.gated))
+            innovations = self.run(piece)
+            if innovations is not None:
+                yield innovations
         self.forget_outliers()
-        return Fit(cost, outliers)
 
     def _lay_out(self) -> tuple[float, list[Forget | F64]]:
         """The input before the samples that were kept, and these in as few pieces as can be: a drive sends ten at a

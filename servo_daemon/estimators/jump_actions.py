@@ -13,6 +13,7 @@ from servo_daemon.estimators.motor_rls import MotorRls
 from servo_daemon.estimators.parameter_judge import ParameterJudge
 from servo_daemon.estimators.roster import Roster
 from servo_daemon.estimators.settings import Message
+from servo_daemon.estimators.watch import TickVerdict
 from servo_daemon.samples import F64
 
 
@@ -45,7 +46,33 @@ class JumpActions:
         if self.quiet:
             self._before = self._ekf.snapshot(), time_s
 
-    def act(self, action: jumps.Action, time_s: float) -> list[Message]:
+    def take(
+        self, verdict: TickVerdict, end_s: float, *, judged: bool, searched: bool | None
+    ) -> tuple[jumps.Action, list[Message]]:
+        """The tick that has just passed: what is done with it, and what is to be told.
+
+        Args:
+            verdict: of its innovations.
+            end_s: of device time.
+            judged: it is complete, and the filter has run for long enough.
+            searched: which parameter has stepped may be looked for; None: nothing that is seen now says anything of it.
+        """
+        self.watch.observe(verdict.unexplained)
+        action: jumps.Action = "learn"
+        if judged:
+            action = self.watch.judge(verdict.unexplained, verdict.settled, self.search.running)
+        messages = self._act(action, end_s)
+        if searched is None:
+            self.search.clear()
+            return action, messages
+        self.search.take(end_s)
+        may_begin = searched and self.watch.sudden and not self.watch.is_open
+        found = self.search.look(verdict.unexplained, may_begin)
+        if found is None:
+            return action, messages
+        return "accept", messages + self._take_over(found, end_s)
+
+    def _act(self, action: jumps.Action, time_s: float) -> list[Message]:
         """Do with the last tick what the watch for jumps has decided.
 
         Args:
@@ -63,7 +90,7 @@ class JumpActions:
             return self._report(before, time_s)
         return []
 
-    def take_over(self, found: Found, time_s: float) -> list[Message]:
+    def _take_over(self, found: Found, time_s: float) -> list[Message]:
         """A parameter has stepped: the filter goes on with it.
 
         Args:

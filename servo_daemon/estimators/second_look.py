@@ -135,7 +135,6 @@ class SecondLook:
         self._left_at = self._ekf.coordinates.copy()
         if tick >= _TICKS[-1]:
             self._start = None
-            self._filtering.keep(None)
         if follows is None:
             self._judge.resume()
             return False

@@ -20,9 +20,10 @@ from servo_daemon.estimators.filtering import Filtering
 from servo_daemon.estimators.fusion import QUALIFIED, Qualification, Trusted
 from servo_daemon.estimators.heritage import Heritage, trusted_mask
 from servo_daemon.estimators.jump_actions import JumpActions
-from servo_daemon.estimators.jump_search import Found, JumpSearch
+from servo_daemon.estimators.jump_search import JumpSearch
 from servo_daemon.estimators.layout import Stretches
 from servo_daemon.estimators.levels import Levels
+from servo_daemon.estimators.likelihood_look import LikelihoodLook
 from servo_daemon.estimators.motor_rls import MotorRls
 from servo_daemon.estimators.noise_setting import NoiseSetting
 from servo_daemon.estimators.parameter_judge import ParameterJudge, Tick
@@ -35,6 +36,7 @@ from servo_daemon.estimators.start import well_known
 from servo_daemon.estimators.starter import Start, Starter
 from servo_daemon.estimators.stretch import Stretch, median
 from servo_daemon.estimators.telling import Telling
+from servo_daemon.estimators.vouching import on_one_line
 from servo_daemon.estimators.watch import InnovationWatch, TickVerdict
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.plant.parameters import LINEAR, Parameter
@@ -105,9 +107,10 @@ class Tracker:
         self._levels = Levels(plant)
         self._noise = NoiseSetting(self._roster, self.ekf, self.rls, self.watch, self._levels)
         self._filtering = Filtering(self.ekf, self._levels)
-        self._search = JumpSearch(self._roster, self.ekf, self._filtering, self._judge, self.watch)
-        self._jumps = JumpActions(self._roster, self.ekf, self.rls, self._judge, self._search)
+        search = JumpSearch(self._roster, self.ekf, self._filtering, self._judge, self.watch)
+        self._jumps = JumpActions(self._roster, self.ekf, self.rls, self._judge, search)
         self._second_look = SecondLook(self._roster, self.ekf, self._filtering, self._judge, self._noise)
+        self._likelihood_look = LikelihoodLook(self._roster, self.ekf, self._filtering, self._noise)
         self._suspicious_ticks = self._ticks = self._begun_better = 0
 
     def inherit(self, heritage: Heritage) -> None:
@@ -158,7 +161,7 @@ class Tracker:
         assimilate(self.ekf, known, widen_std)
         if self.examines_jump and widen_std.any():
             self._jumps.reset()
-        self._search.clear()
+        self._jumps.search.clear()
 
     @property
     def _prior_is_whole(self) -> bool:
@@ -270,7 +273,9 @@ class Tracker:
         if self._heritage is not None:
             self.qualification.qualified |= trusted
             self._heritage.hand_states_to(self.ekf)
-        self._second_look.begin(start, trusted=self._prior_is_whole or self._heritage is not None)
+        sure = self._prior_is_whole or self._heritage is not None
+        self._second_look.begin(start, trusted=sure)
+        self._likelihood_look.begin(asked=not sure)
 
     def _watch(self, stretch: Stretch, duration_s: float, noise_var: Mapping[str, float]) -> list[Message]:
         """Noise, whiteness, jumps, excitation, soundness: after each tick of the running filter.
@@ -285,15 +290,8 @@ class Tracker:
             return self._restart("its covariance or state is no longer sound")
         statistics = self.ekf.take_statistics()
         verdict = self.watch.judge(statistics)
-        self._jumps.watch.observe(verdict.unexplained)
-        action: jumps.Action = "learn"
-        if self._ticks > _TICKS_TO_WATCH and stretch.complete:
-            action = self._jumps.watch.judge(verdict.unexplained, verdict.settled, self._search.running)
-        messages = self._jumps.act(action, self._tick_end_s or 0.0)
-        found = self._search_jump(verdict, complete=stretch.complete)
-        if found is not None:
-            messages += self._jumps.take_over(found, self._tick_end_s or 0.0)
-            action = "accept"
+        end_s, judged = self._tick_end_s or 0.0, self._ticks > _TICKS_TO_WATCH and stretch.complete
+        action, messages = self._jumps.take(verdict, end_s, judged=judged, searched=self._may_search(stretch))
         fresh = self.rls.update(self._believed(stretch, action), noise_var)
         if action == "learn" and stretch.complete:
             self.watch.learn(statistics, duration_s, rests=self._levels.rests)
@@ -308,28 +306,38 @@ class Tracker:
             self.ekf.widen_parameters(
                 np.where(self._roster.published, np.square(_SECOND_START_STD * self.excitation.scales), 0)
             )
-        self._jumps.remember(self._tick_end_s or 0.0)
+        self._jumps.remember(end_s)
         alike_s = self._stretches.alike("current_A") * (self.sample_period_s or 0.0)
         if self._second_look.look(self._ticks, self.watch.white, self.sample_period_s or 0.0):
             self._jumps.reset()
             self.watch.learn_anew()
-        self._search.mark()
+        elif self._likelihood_look.look(self._ticks, self.excitation.scales, doubtful=self._is_doubtful()):
+            self._judge.begin_anew(follows=True)
+            self._judge.vouch()
+            self._jumps.reset()
+            self.watch.learn_anew()
+        self._jumps.search.mark()
         known = (self.qualification.qualified | self.excitation.excited)[self._roster.published]
         seen = self._ticks >= _TICKS_TO_JUDGE and bool(known.any())
         messages += self._telling.whether_white(seen=seen) + self._telling.whether_frozen(stretch, alike_s)
         return messages + (self._judge_divergence(verdict) or self._begin_better(fresh))
 
-    def _search_jump(self, verdict: TickVerdict, *, complete: bool) -> Found | None:
-        """Whether one parameter alone has stepped."""
-        if self._stretches.alike("current_A"):  # a frozen sensor: an offset would explain it best
-            self._search.clear()
+    def _is_doubtful(self) -> bool:
+        """Whether the filter has not found its values on a motion that should show them, or goes along a line on which
+        it hardly can."""
+        assert self.rls is not None
+        core = [self._roster.names.index(p.name) for p in self.free if p in LINEAR and p.name != "L"]
+        known, found = self.qualification.qualified[core], self.rls.estimate()
+        lost = bool((known | self.excitation.excited[core]).any() and not known.all())
+        return lost or (found is not None and bool(on_one_line(found)))
+
+    def _may_search(self, stretch: Stretch) -> bool | None:
+        """Whether it may be looked for a parameter that has stepped; None: a sensor is frozen, and an offset would
+        explain that best."""
+        if self._stretches.alike("current_A"):
             return None
-        self._search.take(self._tick_end_s or 0.0)
-        watch = self._jumps.watch
         settled = self._ticks >= _TICKS_TO_JUDGE and not self._second_look.pending
-        known = bool((self.qualification.qualified & self._roster.published).any())
-        may_begin = settled and known and complete and watch.sudden and not watch.is_open
-        return self._search.look(verdict.unexplained, may_begin)
+        return settled and stretch.complete and bool((self.qualification.qualified & self._roster.published).any())
 
     def _believed(self, stretch: Stretch, action: jumps.Action) -> Stretch:
         """What the filter does not believe, the regressions are not told either. Where that is the rule it is the model

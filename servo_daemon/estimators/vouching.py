@@ -50,7 +50,7 @@ class Vouching:
             std: of their logarithms.
             blind: 1 σ of the logarithms that the regression may be off by between samples.
         """
-        line = () if self.done else _on_one_line(found)
+        line = () if self.done else on_one_line(found)
         if not line:
             return frozenset()
         self.done = all(
@@ -63,7 +63,7 @@ class Vouching:
         return frozenset(found.names)
 
 
-def _on_one_line(found: RegressionEstimate) -> tuple[tuple[str, int], ...]:
+def on_one_line(found: RegressionEstimate) -> tuple[tuple[str, int], ...]:
     """K, R, and what is on the line with them, with their indices; empty where R and K are told apart."""
     if not {"R", "K"} <= set(found.names):
         return ()
