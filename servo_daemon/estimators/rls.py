@@ -154,7 +154,7 @@ def _least_step(A: F64, gradient: F64) -> F64:
     scale = np.sqrt(A.diagonal())
     shown = scale > _INVISIBLE * scale.max()
     inverse = np.where(shown, 1.0 / np.maximum(scale, 1e-300), 0.0)
-    values, V = eigen(A * (inverse[:, None] * inverse))
+    values, V, _ = dsyevd(A * (inverse[:, None] * inverse), lower=1)
     kept = values > _ROUNDING * values[-1]
     V = V[:, kept]
     return np.asarray(inverse * (V @ ((V.T @ (inverse * gradient)) / values[kept])))

@@ -18,7 +18,7 @@ def eigen(symmetric: F64) -> tuple[F64, F64]:
     """Eigenvalues, the smallest first, shape (n,), and eigenvectors as columns, shape (n, n)."""
     values, vectors, failed = dsyevd(symmetric, lower=1)
     _check(failed)
-    return values, vectors
+    return values, np.ascontiguousarray(vectors)  # as NumPy has them: sums over rows keep their order
 
 
 def eigenvalues(symmetric: F64) -> F64:
