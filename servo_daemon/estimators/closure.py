@@ -27,7 +27,7 @@ import numpy as np
 
 from servo_daemon.estimators.balances import Sums, added
 from servo_daemon.estimators.rls import SYSTEMATIC
-from servo_daemon.estimators.small_matrices import eigenvalues, inverse
+from servo_daemon.estimators.small_matrices import eigenvalues
 from servo_daemon.samples import F64
 
 #: A balance that closes to this share (rms) closes: its parameters change while it is summed up, and integrals over
@@ -47,9 +47,9 @@ def residual_square(gram: F64) -> float:
     return _residual_square(gram, scale, _inverse(gram, scale))
 
 
-def _residual_square(gram: F64, scale: F64, of_gram: F64) -> float:
+def _residual_square(gram: F64, scale: F64, inverse: F64) -> float:
     b = gram[:-1, -1] / scale
-    return max(0.0, float(gram[-1, -1] - b @ of_gram @ b))
+    return max(0.0, float(gram[-1, -1] - b @ inverse @ b))
 
 
 def structure(gram: F64, expected: float, usual: float = 0.0) -> float:
@@ -78,11 +78,11 @@ def mismatch_std(gram: F64, expected: float, slopes: Mapping[str, F64], followed
             closes its balance with those, and with no constant ones.
     """
     scale = _scale(gram)
-    of_gram = _inverse(gram, scale)
-    left = _structure(gram, min(_residual_square(gram, scale, of_gram), followed), expected)
+    inverse = _inverse(gram, scale)
+    left = _structure(gram, min(_residual_square(gram, scale, inverse), followed), expected)
     weights = np.abs(np.array(list(slopes.values()))[:, :-1])
     own = weights.argmax(axis=1)
-    std = (np.sqrt(left * of_gram.diagonal()) / scale)[own].tolist()
+    std = (np.sqrt(left * inverse.diagonal()) / scale)[own].tolist()
     sizes = weights.max(axis=1).tolist()
     return {name: s / size for name, s, size in zip(slopes, std, sizes, strict=True) if size > 0.0}
 
@@ -130,12 +130,12 @@ def verdict(parts: list[Confronted]) -> Verdict | None:
     signal = (sums.gram[:-1, :-1] - np.diag(added([p.noise for p in parts]))) / square
     if sums.rows <= 2 * n or eigenvalues(signal)[0] < 1e-8:
         return None
-    spread_by = inverse(signal) / square
+    inverse = np.linalg.inv(signal) / square
     score = added([p.score for p in parts])
-    error = spread_by @ score
+    error = inverse @ score
     left = max(0.0, sum(p.square for p in parts) - float(error @ score))
     spread = OVERLAP * left / (sums.rows - n) + SYSTEMATIC**2 * float(sums.gram[-1, -1])
-    return Verdict(error, spread_by * spread)
+    return Verdict(error, inverse * spread)
 
 
 def doubt_var(error: float, var: float) -> float:
@@ -156,4 +156,4 @@ def _inverse(gram: F64, scale: F64) -> F64:
     """Of ΦᵀΦ over its scale, slightly ridged."""
     scaled = gram[:-1, :-1] / (scale[:, None] * scale)
     scaled.flat[:: len(scale) + 1] += 1e-9
-    return inverse(scaled)
+    return np.asarray(np.linalg.inv(scaled))

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dsyevd, dsygst  # a tick's matrices are too small for NumPy's own wrappers
 
-from servo_daemon.estimators.small_matrices import eigen, eigenvalues, solved
+from servo_daemon.estimators.small_matrices import eigen, eigenvalues
 from servo_daemon.samples import F64
 
 #: Information of the start, relative to the first rows: enough for a Cholesky factor, too little to pull.
@@ -145,7 +145,7 @@ class DirectionalRls:
         signal = (self._A - self._noise) / (scale[:, None] * scale)
         if part.max() > _MOST_NOISE or eigenvalues(signal)[0] <= 1e-8:
             return self._value.copy()
-        return np.asarray(solved(signal, self._A @ self._value / scale) / scale)
+        return np.asarray(np.linalg.solve(signal, self._A @ self._value / scale) / scale)
 
 
 def _least_step(A: F64, gradient: F64) -> F64:
@@ -154,7 +154,7 @@ def _least_step(A: F64, gradient: F64) -> F64:
     scale = np.sqrt(A.diagonal())
     shown = scale > _INVISIBLE * scale.max()
     inverse = np.where(shown, 1.0 / np.maximum(scale, 1e-300), 0.0)
-    values, V = eigen(A * (inverse[:, None] * inverse))
+    values, V, _ = dsyevd(A * (inverse[:, None] * inverse), lower=1)
     kept = values > _ROUNDING * values[-1]
     V = V[:, kept]
     return np.asarray(inverse * (V @ ((V.T @ (inverse * gradient)) / values[kept])))

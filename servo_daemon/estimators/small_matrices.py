@@ -1,6 +1,7 @@
 """Linear algebra of matrices of a few rows, where NumPy's wrappers take several times as long as LAPACK itself.
 
-The same routines as NumPy's of the same purpose (`gesv`, `syevd`), called through SciPy: the same numbers.
+The same routine as NumPy's (`syevd`), called through SciPy: the same numbers, bit for bit. (`gesv` is not: from six
+rows on SciPy's library rounds differently, and the gain is below one per cent of a tick.)
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg.lapack import dgesv, dsyevd
+from scipy.linalg.lapack import dsyevd
 
 from servo_daemon.samples import F64
 
@@ -17,7 +18,7 @@ def eigen(symmetric: F64) -> tuple[F64, F64]:
     """Eigenvalues, the smallest first, shape (n,), and eigenvectors as columns, shape (n, n)."""
     values, vectors, failed = dsyevd(symmetric, lower=1)
     _check(failed)
-    return values, vectors
+    return values, np.ascontiguousarray(vectors)  # as NumPy has them: sums over rows keep their order
 
 
 def eigenvalues(symmetric: F64) -> F64:
@@ -25,18 +26,6 @@ def eigenvalues(symmetric: F64) -> F64:
     values, _, failed = dsyevd(symmetric, compute_v=0, lower=1)
     _check(failed)
     return np.asarray(values)
-
-
-def solved(matrix: F64, right: F64) -> F64:
-    """x of `matrix` x = `right`; right: shape (n,) or (n, m)."""
-    _, _, x, failed = dgesv(matrix, right)
-    _check(failed)
-    return np.asarray(x)
-
-
-def inverse(matrix: F64) -> F64:
-    """Shape (n, n)."""
-    return np.ascontiguousarray(solved(matrix, np.eye(len(matrix))))
 
 
 def in_columns(columns: Sequence[F64]) -> F64:
