@@ -113,15 +113,15 @@ def tracked(
     for a, b in zip([0, *edges], [*edges, len(recording.time_s)], strict=True):
         if b <= a:
             continue
-        estimates += pipeline.process(_block(recording, a, b))
+        estimates += pipeline.process(block_of(recording, a, b))
         told += [Told(float(recording.time_s[b - 1]), *m) for m in pipeline.messages[len(told) :]]
     last = pipeline.finish()
     told += [Told(float(recording.time_s[-1]), *m) for m in pipeline.messages[len(told) :]]
     return _as_track(estimates if last is None else [*estimates, last], tuple(told))
 
 
-def _block(recording: Recording, a: int, b: int) -> SampleBlock:
-    """Samples a to b - 1; copies, as a block makes its arrays read-only."""
+def block_of(recording: Recording, a: int = 0, b: int | None = None) -> SampleBlock:
+    """Samples a to b - 1, or to the last; copies, as a block makes its arrays read-only."""
     return make_block(
         recording.time_s[a:b].copy(),
         voltage_V=recording.voltage_V[a:b].copy(),

@@ -4,7 +4,8 @@ Where R and K lie along a line on which the balances hardly change (slow motion 
 L along one (a winding that settles between two samples), an extended Kalman filter is led astray by its derivatives at
 wrong values, and the regressions, which are not, hardly know. The samples do: an ordinary Kalman filter with given
 parameters predicts each of them from those before it, and its likelihood, maximised over parameters and noise together,
-is as exact as any estimate can be (Åström, *Automatica* 16, 1980). By Fisher's scoring: with ν the innovations, s their variances, and derivatives by differences of whole passes,
+is as exact as any estimate can be (Åström, *Automatica* 16, 1980). By Fisher's scoring: with ν the innovations, s their
+variances, and derivatives by differences of whole passes,
 
     g_j = Σ ν ν_j / s − ½ (ν²/s − 1) s_j / s,     H_jk = Σ ν_j ν_k / s + ½ s_j s_k / s²,     θ ← θ − H⁻¹ g
 
