@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from servo_daemon.diagnosis.dependence import Dependence, dependences
-from servo_daemon.diagnosis.everything import WholeFits, by_predictions, exactness, fit_everything, fit_runs
+from servo_daemon.diagnosis.everything import WholeFits, by_predictions, exactness, fit_everything, fit_runs, over_a_gap
 from servo_daemon.diagnosis.evidence import LEAST_OWN, LEAST_TOGETHER, is_what_it_is_called, working_shares
 from servo_daemon.diagnosis.lacking import longest_missing
 from servo_daemon.diagnosis.likelihood import as_likely, plainly_worse
@@ -84,7 +84,7 @@ def believed(selection: Selection, whole_fits: WholeFits) -> Believed:
         better = by_predictions(data, extended)
         if better is not extended:
             extended, missing, depends = better, longest_missing(data, better), ()
-        return Believed(selection, extended, missing, depends)
+        return Believed(selection, over_a_gap(extended), missing, depends)
     return Believed(replace(selection, chosen=selection.base, added=(), equivalent={}), None, None, ())
 
 

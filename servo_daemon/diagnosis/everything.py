@@ -12,6 +12,8 @@ import numpy as np
 from servo_daemon.diagnosis.trial import Data, Trial
 from servo_daemon.errors import NumericalError
 from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, fit_output_error
+from servo_daemon.estimators.output_error.disjoint import spread_std
+from servo_daemon.estimators.output_error.information import wider
 from servo_daemon.estimators.output_error.parameters import FittedParameter
 from servo_daemon.estimators.prediction_error import predicted_fit
 
@@ -95,6 +97,25 @@ def by_predictions(data: Data, fit: OutputErrorFit) -> OutputErrorFit:
         return fit
     better = predicted_fit(fit, data.recordings)
     return fit if better is None else honest(better)
+
+
+def over_a_gap(fit: OutputErrorFit) -> OutputErrorFit:
+    """The fit, or, where free runs cross a gap and do not explain the data to their noise, the same with standard
+    deviations that hold how far parts of the data disagree: the sum of squares is rough there, and its slopes know
+    nothing of it."""
+    if fit.white or "gap" not in fit.problem.free:
+        return fit
+    spread = spread_std(fit.problem, fit.solution.point)
+    if spread is None:
+        return fit
+    columns = {k: float(s) for k, s in enumerate(spread) if not fit.after.undetermined[k]}
+    parameters = dict(fit.parameters)
+    for k, s in columns.items():
+        p = parameters[fit.problem.free[k]]
+        if p.std is not None and p.value is not None:
+            unit = abs(p.value) if fit.problem.logarithmic[k] else 1.0
+            parameters[fit.problem.free[k]] = replace(p, std=max(p.std, unit * s))
+    return replace(fit, after=wider(fit.after, columns), parameters=parameters)
 
 
 def honest(fit: OutputErrorFit) -> OutputErrorFit:

@@ -75,7 +75,7 @@ def information(problem: Problem, point: Point, scale: F64) -> Information:
     if not names:  # every parameter is given
         none = np.zeros((0, 0))
         return Information(names, none, np.zeros(0, dtype=bool), (), none)
-    _, s, directions = np.linalg.svd(_reduced(problem, point)[:, : len(names)] * scale)
+    _, s, directions = np.linalg.svd(reduced(problem, point)[:, : len(names)] * scale)
     exact = s < _RANK * max(float(s[0]), 1e-300)
     with np.errstate(divide="ignore"):
         spread = np.where(exact, 0.0, 1.0 / np.where(exact, 1.0, s))
@@ -113,7 +113,7 @@ def _components(names: tuple[str, ...], direction: F64) -> dict[str, float]:
     return out
 
 
-def _reduced(problem: Problem, point: Point) -> F64:
+def reduced(problem: Problem, point: Point) -> F64:
     """R over (parameters), initial states eliminated; shape (at least k, k)."""
     n_x, n_q = len(problem.plant.states), len(problem.parameter_of_column)
     _, prior = problem.state_prior
