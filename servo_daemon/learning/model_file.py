@@ -32,7 +32,7 @@ from servo_daemon.learning.targets import TARGET_KINDS
 from servo_daemon.learning.training import TARGETS
 from servo_daemon.plant.build import build_plant
 
-SCHEMA = 3
+SCHEMA = 4
 _KIND = "servo-daemon learned model"
 _MANIFEST, _MODEL = "manifest.json", "model.skops"
 #: No model is larger, bytes; a zip can promise anything.

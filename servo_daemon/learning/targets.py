@@ -30,6 +30,11 @@ _MOST_CORRECTION = 5.0
 _LEAST_STD, _MOST_STD, _SHARE_STD = 3e-3, 0.3, 0.02
 #: P_regression counts as far as this factor beyond nominal · or / spread.
 _BEYOND = 3.0
+#: Where in the features stand what the regression found, its std, and what a brush drop changes of it: J and B were
+#: found per unit of K.
+_FOUND, _STD = ([catalogue.NAMES.index(f"reg_{n}{end}") for n in TARGETS[:_LOGS]] for end in ("", "_std"))
+_DROP = [catalogue.NAMES.index(f"arm_drop_{n if n in 'RL' else 'K'}") for n in TARGETS[:_LOGS]]
+_TC_SHARE, _RMS_I = catalogue.NAMES.index("reg_Tc_share"), catalogue.NAMES.index("rms_i")
 #: No parameter's logarithm is larger: the ends of an interval that says nothing stay numbers.
 _LARGEST_LOG = 200.0
 
@@ -60,22 +65,16 @@ class Baseline:
 
 def baseline(features: F64, nominal: Mapping[str, float], spread: float) -> Baseline:
     """Of windows' features, shape (n, features), in their units."""
-    column = {name: features[:, k] for k, name in enumerate(catalogue.NAMES)}
-    drop_K = np.nan_to_num(column["arm_drop_K"])
-    drops = {"R": np.nan_to_num(column["arm_drop_R"]), "L": np.nan_to_num(column["arm_drop_L"])}
-    limit = np.log(spread * _BEYOND)
-    centre, scale = [], []
+    found, std, drop = features[:, _FOUND], features[:, _STD], features[:, _DROP]
+    limit, usual = np.log(spread * _BEYOND), _log_nominal(nominal)
+    centre, scale = np.empty((len(features), len(TARGETS))), np.empty((len(features), len(TARGETS)))
     with np.errstate(invalid="ignore", divide="ignore"):
-        for name in TARGETS[:_LOGS]:
-            value = np.where(column[f"reg_{name}"] > 0.0, np.log(column[f"reg_{name}"]), np.nan)
-            # J and B were found per unit of K
-            value = value + drops.get(name, drop_K) - np.log(nominal[name])
-            centre.append(np.log(nominal[name]) + np.clip(value, -limit, limit))
-            scale.append(np.clip(column[f"reg_{name}_std"], _LEAST_STD, _MOST_STD))
-        centre.append(column["reg_Tc_share"])
-        scale.append(np.full(len(features), _SHARE_STD))
-        torque = column["reg_K"] * column["rms_i"]
-    return Baseline(np.column_stack(centre), np.column_stack(scale), torque)
+        away = np.where(found > 0.0, np.log(found), np.nan) + np.where(np.isfinite(drop), drop, 0.0) - usual
+    centre[:, :_LOGS] = usual + np.minimum(np.maximum(away, -limit), limit)
+    centre[:, _LOGS] = features[:, _TC_SHARE]
+    scale[:, :_LOGS] = np.minimum(np.maximum(std, _LEAST_STD), _MOST_STD)
+    scale[:, _LOGS] = _SHARE_STD
+    return Baseline(centre, scale, features[:, _FOUND[TARGETS.index("K")]] * features[:, _RMS_I])
 
 
 def encode(kind: Target, truth: F64, base: Baseline, nominal: Mapping[str, float]) -> F64:
