@@ -34,14 +34,17 @@ class Windows:
     """Weights that turn samples into modulated integrals; w windows of m samples each.
 
     Attributes:
-        first: shape (w,), the first sample of each window; with `moved` it may lie outside the recording.
+        first: shape (w,), the first sample of each window.
         hop: samples from one window's first to the next one's; 0: not the same for all.
+        index: shape (w, m), the samples of each window, some beyond the recording's ends where they are `moved`; None:
+            as `first` and `hop` have it.
         held_weight: shape (w, m): for ∫φ of a signal held from each sample to the next; None: not asked for.
         weights: shape (3, w, m): for ∫φ, ∫φ', ∫φ'' of a continuous signal.
     """
 
     first: NDArray[np.intp]
     hop: int
+    index: NDArray[np.intp] | None
     held_weight: F64 | None
     weights: F64
 
@@ -54,11 +57,14 @@ class Windows:
     def only(self, which: NDArray[np.bool_]) -> Windows:
         """Some of the windows; which: shape (w,)."""
         held = None if self.held_weight is None else self.held_weight[which]
-        return Windows(self.first[which], _hop(self.first[which]), held, self.weights[:, which])
+        first = self.first[which]
+        hop = _hop(first) if self.index is None else 0
+        index = None if hop else self._all()[which]
+        return Windows(first, hop, index, held, self.weights[:, which])
 
     def moved(self, k: int) -> Windows:
         """The same weights on what comes k samples later (k < 0: earlier), the recording's ends held."""
-        return replace(self, first=self.first + k)
+        return replace(self, index=self._all() + k)
 
     def held(self, signal: F64) -> F64:
         """∫φ signal for a signal held between samples, shape (w,)."""
@@ -75,7 +81,13 @@ class Windows:
         return [np.asarray(np.einsum("wm,wm->w", self.weights[k], samples)) for k in derivatives]
 
     def _samples(self, signal: F64) -> F64:
-        return _cut(signal, self.first, self.hop, self.weights.shape[2])
+        """Shape (w, m), not to be written to."""
+        if self.index is None and signal.flags.c_contiguous:
+            return _view(signal, self.first, self.hop, self.weights.shape[2])
+        return signal.take(self._all(), mode="clip")
+
+    def _all(self) -> NDArray[np.intp]:
+        return _index(self.first, self.weights.shape[2]) if self.index is None else self.index
 
     @property
     def of_one(self) -> F64:
@@ -83,20 +95,22 @@ class Windows:
         return np.asarray(self.weights[0].sum(axis=1))
 
 
-def _cut(signal: F64, first: NDArray[np.intp], hop: int, length: int) -> F64:
-    """The signal's samples in windows, shape (w, length), not to be written to: of evenly spaced windows a view, which
-    is had in no time; looking each sample up takes as long as the integral over it."""
-    inside = len(first) > 0 and first[0] >= 0 and first[-1] + length <= len(signal)
-    if hop and inside and signal.flags.c_contiguous and signal.dtype == np.float64:
-        step = signal.itemsize
-        return np.ndarray((len(first), length), np.float64, signal, int(first[0]) * step, (hop * step, step))
-    return signal.take(first[:, None] + np.arange(length), mode="clip")
+def _view(signal: F64, first: NDArray[np.intp], hop: int, length: int) -> F64:
+    """The signal's samples in evenly spaced windows, shape (w, length), had in no time: looking each sample up takes as
+    long as the integral over it."""
+    step = signal.itemsize
+    return np.ndarray((len(first), length), signal.dtype, signal, int(first[0]) * step, (hop * step, step))
+
+
+def _index(first: NDArray[np.intp], length: int) -> NDArray[np.intp]:
+    return first[:, None] + np.arange(length)
 
 
 def _hop(first: NDArray[np.intp]) -> int:
+    """The distance of windows that are evenly spaced; 0 where they are not."""
     steps = first[1:] - first[:-1]
     if len(steps) == 0:
-        return 1
+        return len(first)
     return int(steps[0]) if (steps == steps[0]).all() else 0
 
 
@@ -109,7 +123,11 @@ def make_windows(time_s: F64, first: NDArray[np.intp], length: int, *, held: boo
         held: with the weights for a signal that is held between samples.
     """
     hop = _hop(first)
-    t = _cut(time_s, first, hop, length).copy()
+    index = None if hop else _index(first, length)
+    if index is None and time_s.flags.c_contiguous:
+        t = _view(time_s, first, hop, length).copy()
+    else:
+        t = time_s[_index(first, length)]
     begin = t[:, :1].copy()
     span = t[:, -1:] - begin
     # In place throughout: fresh arrays of a window's 20,000 samples cost more than what is computed in them.
@@ -125,7 +143,7 @@ def make_windows(time_s: F64, first: NDArray[np.intp], length: int, *, held: boo
     for k in range(3):
         weights[k] *= trapezoid
         trapezoid /= span  # d/dt = d/ds / span
-    return Windows(first, hop, held_weight, weights)
+    return Windows(first, hop, index, held_weight, weights)
 
 
 def _held_weight(s: F64, span: F64) -> F64:
