@@ -9,14 +9,20 @@ import numpy as np
 from servo_daemon.estimators.modulating import Windows, make_windows
 from servo_daemon.estimators.motor_rls import MotorRls
 from servo_daemon.estimators.regression_estimate import RegressionEstimate
-from servo_daemon.estimators.stretch import Stretch, motion, speed, speed_sign
+from servo_daemon.estimators.stretch import Stretch, median, motion, speed, speed_sign
 from servo_daemon.learning.balance_fits import Case, Fits, fit
 from servo_daemon.learning.window import Window
 from servo_daemon.plant.build import build_plant
 from servo_daemon.samples import F64
 
-#: What the regression has beside R, L, K, J, B.
+#: What the regression has beside R, L, K, J, B; the drop of the brushes only where the current flows both ways, which
+#: tells it from an offset: each for this share of the samples at least.
 _EFFECTS = ("coulomb_friction", "constant_load_torque", "current_sensor_offset")
+_DROP, _EACH_WAY = "brush_voltage_drop", 0.02
+#: Of white noise: the median of magnitudes over 1 σ, and the square's gain in third differences.
+_MEDIAN_TO_STD, _THIRD_DIFFERENCE_GAIN = 0.6745, 20.0
+#: A current has a direction beyond so many standard deviations of its noise.
+_DIRECTED = 3.0
 #: The regression corrects what the current does between samples once it has an estimate: from this first share.
 _FIRST = 0.3
 _CORE = ("R", "L", "K", "J", "B")
@@ -27,13 +33,35 @@ _SPAN_S = {"armature": 0.02, "armature long": 0.1, "shaft": 0.1, "shaft long": 0
 
 
 def regression(w: Window) -> RegressionEstimate | None:
-    """R, L, K, J, B, Tc, TL by the daemon's own regression over this window; None where it has no answer."""
-    rls = MotorRls(build_plant(_EFFECTS), {})
-    noise = {"position_rad": w.position_lsb**2 / 12.0}
+    """R, L, K, J, B, Tc, TL, Vb by the daemon's own regression over this window; None where it has no answer.
+
+    It knows the current's noise, takes what that adds to the regressors out, and takes no sample for the drop's sake in
+    which the noise may have made the current's sign: where an axis stands between moves that is most of them.
+    """
+    s = w.stretch
+    assert s.current is not None
+    noise = {"position_rad": w.position_lsb**2 / 12.0, "current_A": _noise_var(s.current)}
+    least = _DIRECTED * noise["current_A"] ** 0.5
+    ways = min(np.count_nonzero(s.current > least), np.count_nonzero(s.current < -least))
+    if ways > _EACH_WAY * len(s.current) and (found := _regression(w, (*_EFFECTS, _DROP), noise)) is not None:
+        return found
+    return _regression(w, _EFFECTS, noise)  # a drop is an offset, or too few samples are left
+
+
+def _regression(w: Window, effects: tuple[str, ...], noise: Mapping[str, float]) -> RegressionEstimate | None:
     s, cut = w.stretch, round(_FIRST * len(w.stretch.time_s))
+    rls = MotorRls(build_plant(effects), {})
     for part in (_cut(s, 0, cut), _cut(s, cut, len(s.time_s))):
         rls.update(part, noise)
-    return rls.estimate()
+    found = rls.estimate()
+    return found if found is not None and set(_CORE) <= set(found.names) else None
+
+
+def _noise_var(signal: F64) -> float:
+    """Variance of the white part of a signal: as `estimators.noise.white_noise_var`, from a quarter of the third
+    differences, which tells it to a few percent."""
+    a, b, c, d = signal[: len(signal) // 4 * 4].reshape(-1, 4).T
+    return (median(np.abs(d - a + 3.0 * (b - c))) / _MEDIAN_TO_STD) ** 2 / _THIRD_DIFFERENCE_GAIN
 
 
 def _cut(s: Stretch, a: int, b: int) -> Stretch:
@@ -44,18 +72,18 @@ def _cut(s: Stretch, a: int, b: int) -> Stretch:
     return Stretch(s.time_s[a:b], s.usable[a:b], v, i, torque, angle, omega, s.complete, gap)
 
 
-def regression_features(found: RegressionEstimate | None, rms_i: float) -> dict[str, float]:
-    """The features `catalogue.REGRESSION`."""
+def regression_features(found: RegressionEstimate | None, rms_v: float, rms_i: float) -> dict[str, float]:
+    """The features `catalogue.REGRESSION`; rms: of voltage and current."""
     if found is None:
         return {}
     value = dict(zip(found.names, found.value.tolist(), strict=True))
     std = dict(zip(found.names, found.std.tolist(), strict=True))
-    if any(n not in value for n in _CORE):
-        return {}
     out = {f"reg_{n}": value[n] for n in _CORE}
     out |= {f"reg_{n}_std": std[n] / max(abs(value[n]), 1e-300) for n in _CORE}
     R, L, K, J, B = (value[n] for n in _CORE)
     torque = K * rms_i
+    if rms_v > 0.0:
+        out["reg_Vb_share"] = value.get("Vb", 0.0) / rms_v
     if torque > 0.0:
         out["reg_Tc_share"], out["reg_TL_share"] = value.get("Tc", 0.0) / torque, value.get("TL", 0.0) / torque
     load = R * B + K * K
@@ -112,7 +140,8 @@ def _armature(w: Windows, s: Stretch, reg: dict[str, float], rms_v: float, shift
     fits = Fits(columns)
     plain, beside_drop, *shifted = fits.solve(list(cases.values()))
     theta = beside_drop.theta
-    out = _against(theta, reg, "arm_drop", "RLK") | {"arm_drop": theta[4] / rms_v}
+    out = _against(theta, reg, "arm_drop", "RLK") | _against(plain.theta, reg, "arm_plain", "RLK")
+    out["arm_drop"] = theta[4] / rms_v
     out |= {"arm_offset": plain.theta[3] / rms_v, "arm_left": plain.left, "arm_rejected": fits.rejected(with_drop, v)}
     names = list(cases)[2:]
     return out | {f"arm_{n}": _log_ratio(f.left, beside_drop.left) for n, f in zip(names, shifted, strict=True)}

@@ -34,7 +34,7 @@ def features_of(w: Window) -> F64:
     """The same, of a window that is prepared already."""
     rms = np.sqrt(np.mean(np.square(w.even), axis=1))
     found = regression(w) if w.stretch.voltage is not None and w.stretch.current is not None else None
-    values = regression_features(found, float(rms[1]))
+    values = regression_features(found, float(rms[0]), float(rms[1]))
     values |= balance_features(w, values, rms)
     values |= spectrum_features(w)
     values |= statistics_features(w, rms)

@@ -2,8 +2,7 @@
 
 Two targets. "value" is the paper's: log(P / P_nominal). "correction" is log(P / P_regression) in units of what the
 regression says of its own error: windows in which it is poor and windows in which it is good are then alike, and no few
-poor ones rule the fit. P_regression is the regression beside a voltage drop V sgn i (`arm_drop_…` of the catalogue):
-brushes and dead time bend the plain one most. Dry friction may be nothing, so it is learned as a share of the torque at
+poor ones rule the fit. Dry friction may be nothing, so it is learned as a share of the torque at
 the current's RMS, not as a logarithm.
 """
 
@@ -30,10 +29,8 @@ _MOST_CORRECTION = 5.0
 _LEAST_STD, _MOST_STD, _SHARE_STD = 3e-3, 0.3, 0.02
 #: P_regression counts as far as this factor beyond nominal · or / spread.
 _BEYOND = 3.0
-#: Where in the features stand what the regression found, its std, and what a brush drop changes of it: J and B were
-#: found per unit of K.
+#: Where in the features stand what the regression found, and its std.
 _FOUND, _STD = ([catalogue.NAMES.index(f"reg_{n}{end}") for n in TARGETS[:_LOGS]] for end in ("", "_std"))
-_DROP = [catalogue.NAMES.index(f"arm_drop_{n if n in 'RL' else 'K'}") for n in TARGETS[:_LOGS]]
 _TC_SHARE, _RMS_I = catalogue.NAMES.index("reg_Tc_share"), catalogue.NAMES.index("rms_i")
 #: No parameter's logarithm is larger: the ends of an interval that says nothing stay numbers.
 _LARGEST_LOG = 200.0
@@ -65,11 +62,11 @@ class Baseline:
 
 def baseline(features: F64, nominal: Mapping[str, float], spread: float) -> Baseline:
     """Of windows' features, shape (n, features), in their units."""
-    found, std, drop = features[:, _FOUND], features[:, _STD], features[:, _DROP]
+    found, std = features[:, _FOUND], features[:, _STD]
     limit, usual = np.log(spread * _BEYOND), _log_nominal(nominal)
     centre, scale = np.empty((len(features), len(TARGETS))), np.empty((len(features), len(TARGETS)))
     with np.errstate(invalid="ignore", divide="ignore"):
-        away = np.where(found > 0.0, np.log(found), np.nan) + np.where(np.isfinite(drop), drop, 0.0) - usual
+        away = np.where(found > 0.0, np.log(found), np.nan) - usual
     centre[:, :_LOGS] = usual + np.minimum(np.maximum(away, -limit), limit)
     centre[:, _LOGS] = features[:, _TC_SHARE]
     scale[:, :_LOGS] = np.minimum(np.maximum(std, _LEAST_STD), _MOST_STD)

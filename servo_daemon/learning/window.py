@@ -89,6 +89,7 @@ def _even(s: Stretch, period: float) -> F64:
     at = np.minimum(_last_before(time, grid), len(time) - 2)
     since = np.minimum(grid, time[-1]) - time.take(at)
     step = np.diff(time)
+    step[step <= 0.0] = np.inf  # a time stamp told twice: the later sample counts
     for k, values in ((1, s.current), (2, speed_of(s))):
         if values is not None:
             known = values[good]
