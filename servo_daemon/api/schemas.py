@@ -97,7 +97,7 @@ class EstimatesDocument(_Document):
         description="Current (A), speed (rad/s), position (rad), and voltage (V) where it is known."
     )
     estimators: dict[str, EstimatorDocument] = Field(
-        description="The estimators behind the estimate, by name: `ekf`, `rls`, later `grnn`."
+        description="The estimators behind the estimate, by name: `ekf`, `rls`, with a learned model `grnn`."
     )
     health: dict[str, Scalar] = Field(
         description="How well it goes: `connection` and its reason, `innovation_white`, `samples_lost` and the other "

@@ -3,39 +3,65 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from servo_daemon.estimators.modulating import Windows, make_windows
 from servo_daemon.estimators.motor_rls import MotorRls
 from servo_daemon.estimators.regression_estimate import RegressionEstimate
-from servo_daemon.estimators.stretch import Stretch, motion, speed, speed_sign
+from servo_daemon.estimators.stretch import Stretch, median, motion, speed, speed_sign
+from servo_daemon.learning.balance_fits import Case, Fits, fit
 from servo_daemon.learning.window import Window
 from servo_daemon.plant.build import build_plant
 from servo_daemon.samples import F64
 
-#: What the regression has beside R, L, K, J, B.
+#: What the regression has beside R, L, K, J, B; the drop of the brushes only where the current flows both ways, which
+#: tells it from an offset: each for this share of the samples at least.
 _EFFECTS = ("coulomb_friction", "constant_load_torque", "current_sensor_offset")
+_DROP, _EACH_WAY = "brush_voltage_drop", 0.02
+#: Of white noise: the median of magnitudes over 1 σ, and the square's gain in third differences.
+_MEDIAN_TO_STD, _THIRD_DIFFERENCE_GAIN = 0.6745, 20.0
+#: A current has a direction beyond so many standard deviations of its noise.
+_DIRECTED = 3.0
 #: The regression corrects what the current does between samples once it has an estimate: from this first share.
 _FIRST = 0.3
 _CORE = ("R", "L", "K", "J", "B")
 _FEWEST = 12
-#: Of what happened once: beyond six robust standard deviations, found in so many rounds.
-_REJECT, _REJECTIONS = 6.0 * 1.4826, 3
 #: Signals are shifted against each other by this much, s.
 _SHIFT_S = 0.004
 _SPAN_S = {"armature": 0.02, "armature long": 0.1, "shaft": 0.1, "shaft long": 0.4}
 
 
 def regression(w: Window) -> RegressionEstimate | None:
-    """R, L, K, J, B, Tc, TL by the daemon's own regression over this window; None where it has no answer."""
-    rls = MotorRls(build_plant(_EFFECTS), {})
-    noise = {"position_rad": w.position_lsb**2 / 12.0}
+    """R, L, K, J, B, Tc, TL, Vb by the daemon's own regression over this window; None where it has no answer.
+
+    It knows the current's noise, takes what that adds to the regressors out, and takes no sample for the drop's sake in
+    which the noise may have made the current's sign: where an axis stands between moves that is most of them.
+    """
+    s = w.stretch
+    assert s.current is not None
+    noise = {"position_rad": w.position_lsb**2 / 12.0, "current_A": _noise_var(s.current)}
+    least = _DIRECTED * noise["current_A"] ** 0.5
+    ways = min(np.count_nonzero(s.current > least), np.count_nonzero(s.current < -least))
+    if ways > _EACH_WAY * len(s.current) and (found := _regression(w, (*_EFFECTS, _DROP), noise)) is not None:
+        return found
+    return _regression(w, _EFFECTS, noise)  # a drop is an offset, or too few samples are left
+
+
+def _regression(w: Window, effects: tuple[str, ...], noise: Mapping[str, float]) -> RegressionEstimate | None:
     s, cut = w.stretch, round(_FIRST * len(w.stretch.time_s))
+    rls = MotorRls(build_plant(effects), {})
     for part in (_cut(s, 0, cut), _cut(s, cut, len(s.time_s))):
         rls.update(part, noise)
-    return rls.estimate()
+    found = rls.estimate()
+    return found if found is not None and set(_CORE) <= set(found.names) else None
+
+
+def _noise_var(signal: F64) -> float:
+    """Variance of the white part of a signal: as `estimators.noise.white_noise_var`, from a quarter of the third
+    differences, which tells it to a few percent."""
+    a, b, c, d = signal[: len(signal) // 4 * 4].reshape(-1, 4).T
+    return (median(np.abs(d - a + 3.0 * (b - c))) / _MEDIAN_TO_STD) ** 2 / _THIRD_DIFFERENCE_GAIN
 
 
 def _cut(s: Stretch, a: int, b: int) -> Stretch:
@@ -46,18 +72,18 @@ def _cut(s: Stretch, a: int, b: int) -> Stretch:
     return Stretch(s.time_s[a:b], s.usable[a:b], v, i, torque, angle, omega, s.complete, gap)
 
 
-def regression_features(found: RegressionEstimate | None, rms_i: float) -> dict[str, float]:
-    """The features `catalogue.REGRESSION`."""
+def regression_features(found: RegressionEstimate | None, rms_v: float, rms_i: float) -> dict[str, float]:
+    """The features `catalogue.REGRESSION`; rms: of voltage and current."""
     if found is None:
         return {}
     value = dict(zip(found.names, found.value.tolist(), strict=True))
     std = dict(zip(found.names, found.std.tolist(), strict=True))
-    if any(n not in value for n in _CORE):
-        return {}
     out = {f"reg_{n}": value[n] for n in _CORE}
     out |= {f"reg_{n}_std": std[n] / max(abs(value[n]), 1e-300) for n in _CORE}
     R, L, K, J, B = (value[n] for n in _CORE)
     torque = K * rms_i
+    if rms_v > 0.0:
+        out["reg_Vb_share"] = value.get("Vb", 0.0) / rms_v
     if torque > 0.0:
         out["reg_Tc_share"], out["reg_TL_share"] = value.get("Tc", 0.0) / torque, value.get("TL", 0.0) / torque
     load = R * B + K * K
@@ -74,69 +100,58 @@ def balance_features(w: Window, reg: dict[str, float], rms: F64) -> dict[str, fl
     out: dict[str, float] = {}
     short, long = _windows(w, "armature"), _windows(w, "armature long")
     if short is not None:
-        out |= _armature(short, s, reg, float(rms[0])) | _armature_shifted(short, s, _shift(w))
+        out |= _armature(short, s, reg, float(rms[0]), _shift(w))
     if long is not None:
-        fit = _fit(_armature_columns(long, s), long.held(s.voltage))
-        out |= _against(fit.theta, reg, "arm_long", "R") | {"arm_left_long": fit.left}
+        found = fit(_armature_columns(long, s), long.held(s.voltage))
+        out |= _against(found.theta, reg, "arm_long", "R") | {"arm_left_long": found.left}
     return out | _shaft(w, reg, rms)
 
 
 def _armature_columns(w: Windows, s: Stretch) -> list[F64]:
     assert s.current is not None
     current, rate = w.integrals(s.current, 0, 1)
-    return [current, -rate, motion(w, s)[0], w.of_one]
+    return [current, -rate, _speed_integral(w, s), w.of_one]
 
 
-def _armature(w: Windows, s: Stretch, reg: dict[str, float], rms_v: float) -> dict[str, float]:
+def _speed_integral(w: Windows, s: Stretch, origin: int = 0) -> F64:
+    """∫φ ω, from the position if there is one, counted from that of the sample `origin`."""
+    if s.position is not None:
+        return -w.integral(s.position - s.position[origin], 1)
+    assert s.velocity is not None
+    return w.integral(s.velocity)
+
+
+def _armature(w: Windows, s: Stretch, reg: dict[str, float], rms_v: float, shift: int) -> dict[str, float]:
     assert s.voltage is not None
     assert s.current is not None
-    columns, y = _armature_columns(w, s), w.held(s.voltage)
-    plain = _fit(columns, y)
-    with_drop = [*columns, w.integral(np.sign(s.current))]
-    drop = _fit(with_drop, y)
-    out = _against(drop.theta, reg, "arm_drop", "RLK")
-    out |= {"arm_drop": drop.theta[4] / rms_v, "arm_offset": plain.theta[3] / rms_v}
-    return out | {"arm_left": plain.left, "arm_rejected": _rejected(with_drop, y)}
+    direction = np.sign(s.current)
+    columns = [*_armature_columns(w, s), w.integral(direction), w.held(s.voltage)]
+    i, di, speed_, one, drop, v = range(6)
+    with_drop = (i, di, speed_, one, drop)
+    cases: dict[str, Case] = {"plain": (with_drop[:4], v), "drop": (with_drop, v)}
+    for when, k in (("late", shift), ("early", -shift)):
+        moved, at = w.moved(k), len(columns)
+        current, rate = moved.integrals(s.current, 0, 1)
+        columns += [current, -rate, moved.integral(direction), moved.held(s.voltage)]
+        columns += [_speed_integral(moved, s, max(k, 0))]
+        cases[f"{when}_v"] = with_drop, at + 3
+        cases[f"{when}_i"] = (at, at + 1, speed_, one, at + 2), v
+        cases[f"{when}_w"] = (i, di, at + 4, one, drop), v
+    fits = Fits(columns)
+    plain, beside_drop, *shifted = fits.solve(list(cases.values()))
+    theta = beside_drop.theta
+    out = _against(theta, reg, "arm_drop", "RLK") | _against(plain.theta, reg, "arm_plain", "RLK")
+    out["arm_drop"] = theta[4] / rms_v
+    out |= {"arm_offset": plain.theta[3] / rms_v, "arm_left": plain.left, "arm_rejected": fits.rejected(with_drop, v)}
+    names = list(cases)[2:]
+    return out | {f"arm_{n}": _log_ratio(f.left, beside_drop.left) for n, f in zip(names, shifted, strict=True)}
 
 
 def _shift(w: Window) -> int:
-    """By so many samples signals are shifted against each other, to see whether the balances then close better."""
+    """By so many samples signals are shifted against each other, to see whether the balances then close better: the log
+    of what is left with one signal shifted to what is left without is below 0 where that signal came late (`late`, it
+    is moved ahead) or early."""
     return max(1, round(_SHIFT_S / w.period_s))
-
-
-def _armature_shifted(w: Windows, s: Stretch, shift: int) -> dict[str, float]:
-    """log of what is left with one signal shifted to what is left without: below 0 where that signal came late
-    (`late`, it is moved ahead) or early."""
-    assert s.voltage is not None
-    assert s.current is not None
-    columns, v = _armature_columns(w, s), w.held(s.voltage)
-    drop = w.integral(np.sign(s.current))
-    plain = _fit([*columns, drop], v).left
-    out: dict[str, float] = {}
-    for name, k in (("late", shift), ("early", -shift)):
-        current, angle = _moved(s.current, k), _motion_moved(s, k)
-        i, di = w.integrals(current, 0, 1)
-        cases = {
-            "v": _fit([*columns, drop], w.held(_moved(s.voltage, k))),
-            "i": _fit([i, -di, columns[2], w.of_one, w.integral(np.sign(current))], v),
-            "w": _fit([*columns[:2], motion(w, angle)[0], w.of_one, drop], v),
-        }
-        out |= {f"arm_{name}_{c}": _log_ratio(fit.left, plain) for c, fit in cases.items()}
-    return out
-
-
-def _motion_moved(s: Stretch, k: int) -> Stretch:
-    if s.position is not None:
-        return replace(s, position=_moved(s.position, k))
-    assert s.velocity is not None
-    return replace(s, velocity=_moved(s.velocity, k))
-
-
-def _moved(x: F64, k: int) -> F64:
-    """What comes k samples later (k < 0: earlier), the ends held."""
-    if k > 0:
-        return np.concatenate([x[k:], np.full(k, x[-1])])
-    return np.concatenate([np.full(-k, x[0]), x[:k]])
 
 
 def _log_ratio(a: float, b: float) -> float:
@@ -152,9 +167,9 @@ def _shaft(w: Window, reg: dict[str, float], rms: F64) -> dict[str, float]:
     if short is not None:
         out |= _shaft_short(short, s, reg, rms, direction, _shift(w))
     if long is not None:
-        fit = _fit([*_shaft_columns(long, s), long.integral(direction)], long.integral(s.current))
-        out |= _against(K * fit.theta, reg, "shaft_long", "JB")
-        out |= {"shaft_left_long": fit.left, "shaft_long_Tc": fit.theta[3] / float(rms[1])}
+        found = fit([*_shaft_columns(long, s), long.integral(direction)], long.integral(s.current))
+        out |= _against(K * found.theta, reg, "shaft_long", "JB")
+        out |= {"shaft_left_long": found.left, "shaft_long_Tc": found.theta[3] / float(rms[1])}
     return out
 
 
@@ -162,21 +177,20 @@ def _shaft_short(
     w: Windows, s: Stretch, reg: dict[str, float], rms: F64, direction: F64, shift: int
 ) -> dict[str, float]:
     assert s.current is not None
-    K, rms_i, rms_w = reg["reg_K"], float(rms[1]), float(rms[2])
-    y, minus_rate = w.integrals(s.current, 0, 1)
-    columns = _shaft_columns(w, s)
-    linear = _fit(columns, y)
-    out = _against(K * linear.theta, reg, "shaft_linear", "JB") | {"shaft_left_linear": linear.left}
-    columns.append(w.integral(direction))
-    rough = _fit(columns, y)
-    out |= {"shaft_left": rough.left, "shaft_rejected": _rejected(columns, y)}
-    omega = speed(s)
-    drag = _fit([*columns, w.integral(omega * np.abs(omega))], y).theta
-    out |= _against(K * drag, reg, "shaft_drag", "JB") | {"shaft_drag": drag[4] * rms_w**2 / rms_i}
-    out["shaft_delay"] = float(_fit([*columns, minus_rate], y).theta[4])
-    for name, k in (("late", shift), ("early", -shift)):
-        out[f"shaft_{name}"] = _log_ratio(_fit(columns, w.integral(_moved(s.current, k))).left, rough.left)
-    return out
+    K, omega = reg["reg_K"], speed(s)
+    current, minus_rate = w.integrals(s.current, 0, 1)
+    columns = [*_shaft_columns(w, s), w.integral(direction), w.integral(omega * np.abs(omega)), minus_rate, current]
+    columns += [w.moved(k).integral(s.current) for k in (shift, -shift)]
+    linear, rough, dragged, delay, y, late, early = (0, 1, 2), (0, 1, 2, 3), (0, 1, 2, 3, 4), (0, 1, 2, 3, 5), 6, 7, 8
+    fits = Fits(columns)
+    cases = [(linear, y), (rough, y), (dragged, y), (delay, y), (rough, late), (rough, early)]
+    plain, beside_friction, beside_drag, delayed, *shifted = fits.solve(cases)
+    left, drag = beside_friction.left, float(beside_drag.theta[4] * rms[2] ** 2 / rms[1])
+    out = _against(K * plain.theta, reg, "shaft_linear", "JB") | {"shaft_left_linear": plain.left}
+    out |= {"shaft_left": left, "shaft_rejected": fits.rejected(rough, y)}
+    out |= _against(K * beside_drag.theta, reg, "shaft_drag", "JB") | {"shaft_drag": drag}
+    out["shaft_delay"] = float(delayed.theta[4])
+    return out | {f"shaft_{when}": _log_ratio(f.left, left) for when, f in zip(("late", "early"), shifted, strict=True)}
 
 
 def _shaft_columns(w: Windows, s: Stretch) -> list[F64]:
@@ -211,7 +225,7 @@ def closure(w: Window, value: Mapping[str, float]) -> tuple[float, float] | None
 
 
 def _left(residual: F64, free: list[F64], y: F64) -> float:
-    left = _fit(free, residual).left * np.sqrt(residual @ residual)
+    left = fit(free, residual).left * np.sqrt(residual @ residual)
     return float(left / np.sqrt(max(float(y @ y), 1e-300)))
 
 
@@ -219,47 +233,6 @@ def _against(fit: F64, reg: dict[str, float], prefix: str, names: Sequence[str])
     """log of the first coefficients to those of the regression; nothing for what is not positive."""
     pairs = ((n, float(fit[k]), reg[f"reg_{n}"]) for k, n in enumerate(names))
     return {f"{prefix}_{n}": float(np.log(a / b)) for n, a, b in pairs if a > 0.0 and b > 0.0}
-
-
-@dataclass(frozen=True, slots=True)
-class _Fit:
-    """Coefficients, and |residual| / |y|; NaN where there are too few rows."""
-
-    theta: F64
-    left: float
-
-
-def _fit(columns: list[F64], y: F64) -> _Fit:
-    """Least squares with columns of size 1."""
-    if len(y) <= 2 * len(columns):
-        return _Fit(np.full(len(columns), np.nan), float("nan"))
-    Phi = np.column_stack(columns)
-    size = np.sqrt(np.square(Phi).sum(axis=0))
-    size[size == 0.0] = 1.0
-    A = Phi / size
-    gram = A.T @ A
-    gram.flat[:: len(gram) + 1] += 1e-10
-    theta = np.linalg.solve(gram, A.T @ y)
-    left = y - A @ theta
-    return _Fit(theta / size, float(np.sqrt((left @ left) / max(float(y @ y), 1e-300))))
-
-
-def _rejected(columns: list[F64], y: F64) -> float:
-    """What rows leave that a fit to the others rejects, as a share of |y|: large where something happened once (a
-    voltage lost, a count slipped), which a fit to all rows would spread over all of them.
-
-    Rows beyond 6 robust standard deviations (1.4826 × the median magnitude) are left out, three times.
-    """
-    Phi, kept = np.column_stack(columns), np.ones(len(y), dtype=bool)
-    left = np.zeros(len(y))
-    for _ in range(_REJECTIONS):
-        theta = _fit([c[kept] for c in columns], y[kept]).theta
-        if not np.isfinite(theta).all():
-            return float("nan")
-        left = np.abs(y - Phi @ theta)
-        kept = left <= _REJECT * float(np.median(left)) + 1e-300
-    away = left[~kept]
-    return float(np.sqrt((away @ away) / max(float(y @ y), 1e-300)))
 
 
 def _windows(w: Window, which: str) -> Windows | None:
@@ -271,4 +244,4 @@ def _windows(w: Window, which: str) -> Windows | None:
     first = np.arange(0, len(s.time_s) - length + 1, length if side_by_side else length // 2, dtype=np.intp)
     before = np.concatenate([[0], np.cumsum(bad)])
     first = first[before[first + length] - before[first + 1] == 0]
-    return make_windows(s.time_s, first, length) if len(first) else None
+    return make_windows(s.time_s, first, length, held=which.startswith("armature")) if len(first) else None

@@ -38,12 +38,14 @@ def _linear(name: str, unit: str, text: str) -> Feature:
 
 _UNITS = {"R": "Ω", "L": "H", "K": "N·m/A", "J": "kg·m²", "B": "N·m·s/rad"}
 
-#: The motor's own regression (`estimators/motor_rls.py`), with dry friction, load and offset beside the five.
+#: The motor's own regression (`estimators/motor_rls.py`), with dry friction, load, offset and, where the current flows
+#: both ways, a brush drop beside the five.
 REGRESSION: tuple[Feature, ...] = (
     *(_log(f"reg_{n}", unit, f"{n} by regression") for n, unit in _UNITS.items()),
     *(_log(f"reg_{n}_std", "1", f"its 1 σ over {n}") for n in _UNITS),
     _linear("reg_Tc_share", "1", "dry friction by regression over K times the current's RMS"),
     _linear("reg_TL_share", "1", "load torque by regression over K times the current's RMS"),
+    _linear("reg_Vb_share", "1", "brush drop by regression over the voltage's RMS"),
     _log("reg_tau_e", "s", "L/R by regression"),
     _log("reg_tau_m", "s", "J R/(R B + K²) by regression"),
     _log("reg_gain", "rad/(s·V)", "K/(R B + K²) by regression"),
@@ -52,7 +54,8 @@ REGRESSION: tuple[Feature, ...] = (
 #: The same balances with other columns and over other spans: what changes tells what the model lacks.
 BALANCES: tuple[Feature, ...] = (
     _linear("arm_long_R", "1", "log of R over spans of 0.1 s to reg_R"),
-    *(_linear(f"arm_drop_{n}", "1", f"log of {n} beside a voltage V sgn i to reg_{n}") for n in "RLK"),
+    *(_linear(f"arm_plain_{n}", "1", f"log of {n} by plain least squares to reg_{n}") for n in "RLK"),
+    *(_linear(f"arm_drop_{n}", "1", f"the same beside a voltage V sgn i, to reg_{n}") for n in "RLK"),
     _linear("arm_drop", "1", "that voltage over the voltage's RMS"),
     _linear("arm_offset", "1", "constant voltage of the armature's balance over the voltage's RMS"),
     _log("arm_left", "1", "what the armature's balance leaves, over the voltage, spans of 0.02 s"),
@@ -128,4 +131,4 @@ MOTION: tuple[Feature, ...] = (
 FEATURES: tuple[Feature, ...] = (*REGRESSION, *BALANCES, *SPECTRUM, *STATISTICS, *MOTION)
 NAMES: tuple[str, ...] = tuple(f.name for f in FEATURES)
 #: Changes when any feature is computed otherwise: part of a model file's identity.
-VERSION = 2
+VERSION = 3

@@ -48,6 +48,9 @@ class Familiarity(BaseEstimator):  # type: ignore[misc]  # scikit-learn is untyp
 
     def _tests(self, z: F64) -> tuple[F64, F64]:
         """Each the smaller the less familiar, shapes (n,)."""
-        scores = self._components.transform(z)
-        outside = np.square(z - self._components.inverse_transform(scores)).sum(axis=1)
-        return self._kernel.familiarity(scores), -outside
+        # What PCA's own `transform` and `inverse_transform` do, without their checks.
+        p = self._components
+        away = z - p.mean_
+        along = away @ p.components_.T
+        outside = np.square(away - along @ p.components_).sum(axis=1)
+        return self._kernel.mass(along / np.sqrt(p.explained_variance_)), -outside

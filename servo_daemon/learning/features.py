@@ -15,6 +15,7 @@ from servo_daemon.samples import F64, SampleBlock
 
 #: No feature is larger: what overflows is no number.
 _LARGEST = 1e30
+_POSITIVE = np.array([f.scale == "log" for f in catalogue.FEATURES])
 
 
 def compute_features(block: SampleBlock) -> F64:
@@ -33,7 +34,7 @@ def features_of(w: Window) -> F64:
     """The same, of a window that is prepared already."""
     rms = np.sqrt(np.mean(np.square(w.even), axis=1))
     found = regression(w) if w.stretch.voltage is not None and w.stretch.current is not None else None
-    values = regression_features(found, float(rms[1]))
+    values = regression_features(found, float(rms[0]), float(rms[1]))
     values |= balance_features(w, values, rms)
     values |= spectrum_features(w)
     values |= statistics_features(w, rms)
@@ -46,9 +47,8 @@ def features_of(w: Window) -> F64:
 def transformed(features: F64) -> F64:
     """As they are learned: logarithms of the positive ones; NaN where one is not positive. Shape (…, features)."""
     out = np.array(features, dtype=np.float64)
-    positive = np.array([f.scale == "log" for f in catalogue.FEATURES])
-    logs = out[..., positive]
+    logs = out[..., _POSITIVE]
     with np.errstate(invalid="ignore", divide="ignore"):
         logs = np.where(logs > 0.0, np.log(np.maximum(logs, 1e-12)), np.nan)
-    out[..., positive] = logs
+    out[..., _POSITIVE] = logs
     return out

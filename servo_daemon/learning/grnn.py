@@ -41,6 +41,7 @@ class GRNN(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         bandwidth_: shape (d,), in standard deviations of the features.
         n_iter_: iterations of their fit.
         centers_: shape (c, d), in units of the bandwidths.
+        size_: shape (c,), their squares' sums: half of what a distance to them takes.
         count_: shape (c,), windows behind each centre.
         mean_, square_: shape (c, m): means of their outputs and of the squares of these.
     """
@@ -90,6 +91,7 @@ class GRNN(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         self._origin, self._unit = X.mean(axis=0), _spread(X)
         self.bandwidth_ = self._bandwidths((X - self._origin) / self._unit, targets, label, random)
         self._place(self._scaled(X), targets, random)
+        self.size_ = np.square(self.centers_).sum(axis=1)
         return self
 
     def _bandwidths(self, X: F64, y: F64, groups: NDArray[np.int64], random: np.random.RandomState) -> F64:
@@ -143,16 +145,22 @@ class GRNN(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
             ValueError: X does not have the features of the training.
         """
         check_is_fitted(self)
-        Z = self._scaled(validate_data(self, X, dtype=np.float64, reset=False))
-        value, std = np.empty((len(Z), self.mean_.shape[1])), np.empty((len(Z), self.mean_.shape[1]))
-        for rows in _pieces(len(Z)):
-            w = kernel(square_distances(Z[rows], self.centers_)) * self.count_
-            w /= w.sum(axis=1, keepdims=True)
-            value[rows] = w @ self.mean_
-            std[rows] = np.sqrt(np.maximum(w @ self.square_ - np.square(value[rows]), 0.0))
+        value, std = self.answer(validate_data(self, X, dtype=np.float64, reset=False))
         if self._flat:
             value, std = value[:, 0], std[:, 0]
         return (value, std) if return_std else value
+
+    def answer(self, X: F64) -> tuple[F64, F64]:
+        """ŷ and its standard deviation, both of shape (n, m), for features known to be finite and those of the
+        training: scikit-learn's checks of one window take as long as the answer."""
+        Z = self._scaled(X)
+        value, std = np.empty((len(Z), self.mean_.shape[1])), np.empty((len(Z), self.mean_.shape[1]))
+        for rows in _pieces(len(Z)):
+            w = kernel(square_distances(Z[rows], self.centers_, self.size_)) * self.count_
+            w /= w.sum(axis=1, keepdims=True)
+            value[rows] = w @ self.mean_
+            std[rows] = np.sqrt(np.maximum(w @ self.square_ - np.square(value[rows]), 0.0))
+        return value, std
 
     def familiarity(self, X: Any) -> F64:
         """log Σ_j n_j exp(−½ D_j²), shape (n,): of how many training windows this one is a neighbour, as a logarithm.
@@ -162,10 +170,14 @@ class GRNN(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
             ValueError: X does not have the features of the training.
         """
         check_is_fitted(self)
-        Z = self._scaled(validate_data(self, X, dtype=np.float64, reset=False))
+        return self.mass(validate_data(self, X, dtype=np.float64, reset=False))
+
+    def mass(self, X: F64) -> F64:
+        """The same for features known to be finite and those of the training."""
+        Z = self._scaled(X)
         out = np.empty(len(Z))
         for rows in _pieces(len(Z)):
-            d2 = square_distances(Z[rows], self.centers_)
+            d2 = square_distances(Z[rows], self.centers_, self.size_)
             nearest = d2.min(axis=1)
             out[rows] = np.log(kernel(d2) @ self.count_) - 0.5 * nearest
         return out

@@ -40,21 +40,23 @@ class LeaveOneOut:
         """Mean squared error per output, and its gradient by log h, shape (d,)."""
         X, y = self._X, self._y
         Z = X * np.exp(-log_h)
-        p = kernel(square_distances(Z, Z), self._own)
+        squares = np.square(Z)
+        p = kernel(square_distances(Z, Z, squares.sum(axis=1)), self._own)
         p /= p.sum(axis=1, keepdims=True)
         f = p @ y
         r = y - f
         A = p * (r @ y.T - np.einsum("im,im->i", r, f)[:, None])
         rows, columns = A.sum(axis=1), A.sum(axis=0)
-        squares = np.square(Z)
         # Σ_ij A_ij (z_ik − z_jk)², by the three terms of the square
         spread = rows @ squares + columns @ squares - 2.0 * np.einsum("ik,ik->k", Z, A @ Z)
         return float(np.sum(r * r)) / r.size, -2.0 * spread / r.size
 
 
-def square_distances(a: F64, b: F64) -> F64:
-    """|a_i − b_j|², shape (len(a), len(b))."""
-    d = np.square(a).sum(axis=1)[:, None] + np.square(b).sum(axis=1)[None, :] - 2.0 * (a @ b.T)
+def square_distances(a: F64, b: F64, b_square: F64) -> F64:
+    """|a_i − b_j|², shape (len(a), len(b)), with |b_j|², shape (len(b),)."""
+    d = (-2.0 * a) @ b.T
+    d += np.square(a).sum(axis=1)[:, None]
+    d += b_square
     return np.asarray(np.maximum(d, 0.0, out=d))
 
 

@@ -32,11 +32,13 @@ from servo_daemon.learning.targets import TARGET_KINDS
 from servo_daemon.learning.training import TARGETS
 from servo_daemon.plant.build import build_plant
 
-SCHEMA = 3
+SCHEMA = 4
 _KIND = "servo-daemon learned model"
 _MANIFEST, _MODEL = "manifest.json", "model.skops"
 #: No model is larger, bytes; a zip can promise anything.
 _LARGEST = 500_000_000
+#: Of a SHA-256 hash, as text.
+_DIGITS = 64
 #: Types a model may be made of, beside those that skops itself knows to be harmless.
 _TYPES = frozenset(
     {
@@ -86,19 +88,26 @@ def save_model(model: LearnedModel, path: Path) -> None:
     }
     numbers = skops.io.dumps(parts)
     manifest = _manifest(model, hashlib.sha256(numbers).hexdigest())
-    packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr(_MANIFEST, json.dumps(manifest, indent=1, ensure_ascii=False))
-        archive.writestr(_MODEL, numbers)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-            file.write(packed.getvalue())
+            file.write(_packed(manifest, numbers))
             file.flush()
             os.fsync(file.fileno())
         Path(file.name).replace(path)
     except OSError as error:
         raise BadInputError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _packed(manifest: Mapping[str, Any], numbers: bytes) -> bytes:
+    """The file: a zip whose comment is the hash of all bytes before it, so that no byte can change unnoticed."""
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(_MANIFEST, json.dumps(manifest, indent=1, ensure_ascii=False))
+        archive.writestr(_MODEL, numbers)
+        archive.comment = bytes(_DIGITS)
+    content = packed.getvalue()[:-_DIGITS]
+    return content + hashlib.sha256(content).hexdigest().encode()
 
 
 def _manifest(model: LearnedModel, numbers_sha256: str) -> dict[str, Any]:
@@ -183,13 +192,17 @@ def trained_as(path: Path) -> tuple[TrainingSpec, str]:
 
 def _unpacked(path: Path) -> tuple[dict[str, Any], bytes]:
     try:
-        with zipfile.ZipFile(path) as archive:
+        packed = path.read_bytes()
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    try:
+        with zipfile.ZipFile(io.BytesIO(packed)) as archive:
             if sum(i.file_size for i in archive.infolist()) > _LARGEST:
                 raise BadInputError(f"{path}: larger than any model")
             manifest, numbers = json.loads(archive.read(_MANIFEST)), archive.read(_MODEL)
-    except OSError as error:
-        raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (zipfile.BadZipFile, KeyError, ValueError, EOFError, NotImplementedError) as error:
+    except BadInputError:
+        raise
+    except Exception as error:  # a byte that has changed leads anywhere: into zlib, a wrong offset, a password
         raise BadInputError(f"{path}: not a model of servo-daemon, or damaged: {error}") from error
     if not isinstance(manifest, dict) or manifest.get("kind") != _KIND:
         raise BadInputError(f"{path}: not a model of servo-daemon")
@@ -200,6 +213,8 @@ def _unpacked(path: Path) -> tuple[dict[str, Any], bytes]:
         raise BadInputError(f"{path}: its manifest has been altered: the content hash does not match")
     if manifest.get("model_sha256") != hashlib.sha256(numbers).hexdigest():
         raise BadInputError(f"{path}: the model has been altered: the content hash does not match")
+    if packed[-_DIGITS:] != hashlib.sha256(packed[:-_DIGITS]).hexdigest().encode():
+        raise BadInputError(f"{path}: the file has been altered: its hash does not match")
     return manifest, numbers
 
 

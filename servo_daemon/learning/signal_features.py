@@ -25,9 +25,8 @@ def spectrum_features(w: Window) -> dict[str, float]:
     S, frequency = _cross_spectra(w.even, size, 1.0 / w.period_s)
     edges = np.geomspace(_LOWEST_HZ, _HIGHEST_SHARE / w.period_s, BANDS + 1)
     band = np.searchsorted(edges, frequency * (1 + 1e-9)) - 1
-    inside = (band >= 0) & (band < BANDS)
-    sums = np.zeros((BANDS, 3, 3), dtype=np.complex128)
-    np.add.at(sums, band[inside], S[inside])
+    of_band = (band == np.arange(BANDS)[:, None]).astype(np.float64)
+    sums = (of_band @ S.reshape(len(S), 9)).reshape(BANDS, 3, 3)
     power = np.einsum("bkk->bk", sums).real
     out: dict[str, float] = {}
     total = power.sum(axis=0)
@@ -53,13 +52,14 @@ def _cross_spectra(x: F64, size: int, rate_hz: float) -> tuple[NDArray[np.comple
     hop = max(1, size // 2)
     first = np.arange(0, x.shape[1] - size + 1, hop)
     pieces = np.lib.stride_tricks.sliding_window_view(x, size, axis=1)[:, first]  # (3, segments, size)
-    pieces = pieces - pieces.mean(axis=2, keepdims=True)
+    pieces -= pieces.mean(axis=2, keepdims=True)
     pieces *= np.hanning(size)
     X = np.fft.rfft(pieces, axis=2)
+    other = X.conj()
     S = np.empty((X.shape[2], 3, 3), dtype=np.complex128)
     for a in range(3):
         for b in range(a, 3):
-            S[:, a, b] = np.sum(X[a].conj() * X[b], axis=0)
+            S[:, a, b] = np.einsum("sf,sf->f", other[a], X[b])
             S[:, b, a] = S[:, a, b].conj()
     return S, np.asarray(np.fft.rfftfreq(size, 1.0 / rate_hz), dtype=np.float64)
 
@@ -155,8 +155,8 @@ def _ripple(w: Window, rms: F64) -> dict[str, float]:
     k = max(2, round(0.5 * _ACROSS_S / w.period_s))
     if not (np.isfinite(rms[:2]).all() and (rms[:2] > 0.0).all()):
         return {}
-    fast = _fast(i, k)
-    X = np.stack([_fast(v, k)[1:-1], _fast(v, k)[:-2]])
+    fast, fast_v = _fast(i, k), _fast(v, k)
+    X = np.stack([fast_v[1:-1], fast_v[:-2]])
     gram = X @ X.T
     gram.flat[::3] += 1e-9 * max(float(np.trace(gram)), 1e-300)
     left = fast[1:-1] - np.linalg.solve(gram, X @ fast[1:-1]) @ X

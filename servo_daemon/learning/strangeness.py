@@ -17,7 +17,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 from sklearn.base import BaseEstimator
 
 from servo_daemon.learning.drawing import CORE, TrainingSpec
@@ -93,7 +92,8 @@ class Strangeness(BaseEstimator):  # type: ignore[misc]  # scikit-learn is untyp
     def judge(self, looks: Looks) -> tuple[F64, NDArray[np.int64]]:
         """How strange windows are, −log P(healthy), and what kind they would be if they were; shapes (n,)."""
         raw = self._trees.predict(self._inputs(looks))
-        log_p = raw - logsumexp(raw, axis=1, keepdims=True)
+        raw -= raw.max(axis=1, keepdims=True)
+        log_p = raw - np.log(np.exp(raw).sum(axis=1, keepdims=True))
         healthy = self.kinds_ == HEALTHY
         kind = self.kinds_[np.argmax(np.where(healthy, -np.inf, log_p), axis=1)]
         return -log_p[:, healthy][:, 0], kind

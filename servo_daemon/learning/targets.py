@@ -2,8 +2,7 @@
 
 Two targets. "value" is the paper's: log(P / P_nominal). "correction" is log(P / P_regression) in units of what the
 regression says of its own error: windows in which it is poor and windows in which it is good are then alike, and no few
-poor ones rule the fit. P_regression is the regression beside a voltage drop V sgn i (`arm_drop_…` of the catalogue):
-brushes and dead time bend the plain one most. Dry friction may be nothing, so it is learned as a share of the torque at
+poor ones rule the fit. Dry friction may be nothing, so it is learned as a share of the torque at
 the current's RMS, not as a logarithm.
 """
 
@@ -30,6 +29,9 @@ _MOST_CORRECTION = 5.0
 _LEAST_STD, _MOST_STD, _SHARE_STD = 3e-3, 0.3, 0.02
 #: P_regression counts as far as this factor beyond nominal · or / spread.
 _BEYOND = 3.0
+#: Where in the features stand what the regression found, and its std.
+_FOUND, _STD = ([catalogue.NAMES.index(f"reg_{n}{end}") for n in TARGETS[:_LOGS]] for end in ("", "_std"))
+_TC_SHARE, _RMS_I = catalogue.NAMES.index("reg_Tc_share"), catalogue.NAMES.index("rms_i")
 #: No parameter's logarithm is larger: the ends of an interval that says nothing stay numbers.
 _LARGEST_LOG = 200.0
 
@@ -60,22 +62,16 @@ class Baseline:
 
 def baseline(features: F64, nominal: Mapping[str, float], spread: float) -> Baseline:
     """Of windows' features, shape (n, features), in their units."""
-    column = {name: features[:, k] for k, name in enumerate(catalogue.NAMES)}
-    drop_K = np.nan_to_num(column["arm_drop_K"])
-    drops = {"R": np.nan_to_num(column["arm_drop_R"]), "L": np.nan_to_num(column["arm_drop_L"])}
-    limit = np.log(spread * _BEYOND)
-    centre, scale = [], []
+    found, std = features[:, _FOUND], features[:, _STD]
+    limit, usual = np.log(spread * _BEYOND), _log_nominal(nominal)
+    centre, scale = np.empty((len(features), len(TARGETS))), np.empty((len(features), len(TARGETS)))
     with np.errstate(invalid="ignore", divide="ignore"):
-        for name in TARGETS[:_LOGS]:
-            value = np.where(column[f"reg_{name}"] > 0.0, np.log(column[f"reg_{name}"]), np.nan)
-            # J and B were found per unit of K
-            value = value + drops.get(name, drop_K) - np.log(nominal[name])
-            centre.append(np.log(nominal[name]) + np.clip(value, -limit, limit))
-            scale.append(np.clip(column[f"reg_{name}_std"], _LEAST_STD, _MOST_STD))
-        centre.append(column["reg_Tc_share"])
-        scale.append(np.full(len(features), _SHARE_STD))
-        torque = column["reg_K"] * column["rms_i"]
-    return Baseline(np.column_stack(centre), np.column_stack(scale), torque)
+        away = np.where(found > 0.0, np.log(found), np.nan) - usual
+    centre[:, :_LOGS] = usual + np.minimum(np.maximum(away, -limit), limit)
+    centre[:, _LOGS] = features[:, _TC_SHARE]
+    scale[:, :_LOGS] = np.minimum(np.maximum(std, _LEAST_STD), _MOST_STD)
+    scale[:, _LOGS] = _SHARE_STD
+    return Baseline(centre, scale, features[:, _FOUND[TARGETS.index("K")]] * features[:, _RMS_I])
 
 
 def encode(kind: Target, truth: F64, base: Baseline, nominal: Mapping[str, float]) -> F64:

@@ -1,7 +1,8 @@
-"""Boosted trees as plain arrays: asked about one window in a third of a millisecond.
+"""Boosted trees as plain arrays: asked about one window in a tenth of a millisecond.
 
-scikit-learn walks the trees one by one from Python, 5 µs each, which is 3 ms for the six outputs of a model; here all
-trees go down one level at a time. The arrays are also all that a model file has to hold of them.
+scikit-learn walks the trees one by one from Python, 5 µs each, which is 3 ms for the six outputs of a model; here the
+question of every node is answered at once, then all trees go down together, one level at a time. The arrays are also
+all that a model file has to hold of them.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ from sklearn.base import BaseEstimator
 
 from servo_daemon.samples import F64
 
-#: Windows are worked off so many at a time: bounds the table of nodes.
-_ROWS = 256
+#: Windows are worked off so many at a time: bounds the table of answers.
+_ROWS = 64
 
 
 class BoostedTrees(BaseEstimator):  # type: ignore[misc]  # scikit-learn is untyped
@@ -46,12 +47,14 @@ class BoostedTrees(BaseEstimator):  # type: ignore[misc]  # scikit-learn is unty
         return np.concatenate([self._sums(X[k : k + _ROWS]) for k in range(0, max(len(X), 1), _ROWS)])
 
     def _sums(self, X: F64) -> F64:
-        node = np.broadcast_to(self.root_, (len(X), len(self.root_)))
-        window = np.arange(len(X))[:, None]
+        below = X[:, self.feature_] <= self.threshold_
+        onward = np.where(below, self.below_, self.above_)
+        window = np.arange(0, onward.size, onward.shape[1])[:, None]
+        onward += window
+        node = self.root_ + window
         for _ in range(self.depth_):
-            below = X[window, self.feature_[node]] <= self.threshold_[node]
-            node = np.where(below, self.below_[node], self.above_[node])
-        return np.asarray(self.value_[node] @ self.output_ + self.start_)
+            node = onward.take(node)
+        return np.asarray(self.value_[node - window] @ self.output_ + self.start_)
 
 
 def boosted_trees(fitted: Sequence[Any]) -> BoostedTrees:

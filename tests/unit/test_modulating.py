@@ -55,6 +55,33 @@ def test_an_offset_of_the_position_drops_out(jittered_time_s: np.ndarray) -> Non
 def test_the_modulating_functions_closed_forms_are_the_polynomials() -> None:
     s = np.linspace(0.0, 1.0, 101)
     phi = 1024.0 * Polynomial([0.0, 1.0, -1.0]) ** 5
-    for ours, theirs in zip(_phi_and_derivatives(s), (phi, phi.deriv(), phi.deriv(2)), strict=True):
+    out = np.empty((3, len(s)))
+    _phi_and_derivatives(s.copy(), out)
+    for ours, theirs in zip(out, (phi, phi.deriv(), phi.deriv(2)), strict=True):
         np.testing.assert_allclose(ours, theirs(s), atol=1e-10)
     np.testing.assert_allclose(_phi_integral(s), phi.integ()(s), atol=1e-12)
+
+
+@pytest.mark.parametrize("first", [[0, 40, 80, 120], [3, 40, 90], [17]])
+def test_windows_say_the_same_whatever_lies_between_them_and_however_the_signal_is_stored(
+    first: list[int], jittered_time_s: np.ndarray
+) -> None:
+    t = jittered_time_s
+    together, signal = make_windows(t, np.array(first), 60), np.random.default_rng(7).normal(size=len(t))
+    alone = [make_windows(t, np.array([k]), 60) for k in first]
+    every_second = np.repeat(signal, 2)[::2]
+    for x in (signal, every_second):
+        assert np.array_equal(together.integral(x, 1), np.concatenate([w.integral(x, 1) for w in alone]))
+        assert np.array_equal(together.held(x), np.concatenate([w.held(x) for w in alone]))
+    some = np.arange(len(first)) != 1
+    assert np.array_equal(together.only(some).held(signal), together.held(signal)[some])
+
+
+@pytest.mark.parametrize("k", [-4, 0, 4])
+def test_moved_windows_look_at_other_samples_and_hold_the_ends(k: int, jittered_time_s: np.ndarray) -> None:
+    t, signal = jittered_time_s, np.random.default_rng(8).normal(size=400)
+    w = make_windows(t, np.arange(0, 400 - 50 + 1, 50), 50)
+    moved = signal[np.clip(np.arange(400) + k, 0, 399)]
+    for derivative in range(3):
+        assert np.array_equal(w.moved(k).integral(signal, derivative), w.integral(moved, derivative))
+    assert np.array_equal(w.moved(k).held(signal), w.held(moved))
