@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from servo_daemon.estimators.base import Gaussian
+from servo_daemon.estimators.doubts import Doubts
 from servo_daemon.estimators.ekf import Ekf
 from servo_daemon.estimators.ekf_records import Innovations, NoiseLevels
 from servo_daemon.estimators.filtering import Filtering
@@ -82,17 +83,17 @@ class LikelihoodLook:
         self._at = _Point(np.zeros(0), np.zeros(0))
         self._least_log_var: F64 = np.zeros(0)
 
-    def look(self, tick: int, scales: F64, *, doubtful: bool) -> bool:
+    def look(self, tick: int, scales: F64, doubts: Doubts) -> bool:
         """After each tick. Returns whether the filter has been set to what was found.
 
         Args:
             tick: number of the running filter's.
             scales: one unit of each coordinate, shape (n,).
-            doubtful: the filter has not found its values, or they are of those that it hardly could find.
+            doubts: of what the filter has found.
         """
         if not self._waits or tick < _FIRST_TICK:
             return False
-        if not doubtful or not self._filtering.complete or self._filtering.kept > _MOST_SAMPLES:
+        if not doubts.of_its_start or not self._filtering.complete or self._filtering.kept > _MOST_SAMPLES:
             self._end()
             return False
         if tick in _TICKS:

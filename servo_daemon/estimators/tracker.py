@@ -14,10 +14,11 @@ import numpy as np
 from servo_daemon.estimators import jumps
 from servo_daemon.estimators.assimilation import assimilate
 from servo_daemon.estimators.base import Gaussian
+from servo_daemon.estimators.doubts import Doubts
 from servo_daemon.estimators.ekf import Ekf
 from servo_daemon.estimators.excitation import Excitation
 from servo_daemon.estimators.filtering import Filtering
-from servo_daemon.estimators.fusion import QUALIFIED, Qualification, Trusted
+from servo_daemon.estimators.fusion import Qualification, Trusted
 from servo_daemon.estimators.heritage import Heritage, trusted_mask
 from servo_daemon.estimators.jump_actions import JumpActions
 from servo_daemon.estimators.jump_search import JumpSearch
@@ -32,20 +33,16 @@ from servo_daemon.estimators.sampling import Sampling
 from servo_daemon.estimators.second_look import SecondLook
 from servo_daemon.estimators.settings import Message, Resolutions, TrackerSettings
 from servo_daemon.estimators.signals import SignalPlan, plan_signals
-from servo_daemon.estimators.start import well_known
 from servo_daemon.estimators.starter import Start, Starter
 from servo_daemon.estimators.stretch import Stretch, median
 from servo_daemon.estimators.telling import Telling
-from servo_daemon.estimators.vouching import on_one_line
-from servo_daemon.estimators.watch import InnovationWatch, TickVerdict
+from servo_daemon.estimators.watch import InnovationWatch
 from servo_daemon.plant.build import PlantModel
-from servo_daemon.plant.parameters import LINEAR, Parameter
+from servo_daemon.plant.parameters import Parameter
 from servo_daemon.samples import F64, SampleBlock
 
 #: A saved state may be of yesterday's temperature and load: added 1 σ.
 _SAVED_STD = 0.03
-#: Diverged: innovations this many times larger than they should be, for as many ticks, while the regression is well.
-_DIVERGED_NIS, _DIVERGED_TICKS = 6.0, 20
 #: After so many ticks, no sooner than anything can be published, jumps are looked for; a Cholesky factor is tried this
 #: often.
 _TICKS_TO_WATCH, _SOUNDNESS_EVERY = 8, 20
@@ -53,8 +50,6 @@ _TICKS_TO_WATCH, _SOUNDNESS_EVERY = 8, 20
 _TICKS_TO_SETTLE = 10
 #: Before so many the innovations are of a filter that is still finding its values and noise: they refute no model.
 _TICKS_TO_JUDGE = 40
-#: A filter that started from little has this long to find out for itself, ticks.
-_TICKS_TO_BEGIN_BETTER = 50
 #: Beyond it, s, as long as a tick of the pipeline, a tick has one sample at the most.
 _SLOW_S = 0.1
 #: When the filter begins to use its instrument, the covariance is widened once, 1 σ over the scales.
@@ -111,7 +106,8 @@ class Tracker:
         self._jumps = JumpActions(self._roster, self.ekf, self.rls, self._judge, search)
         self._second_look = SecondLook(self._roster, self.ekf, self._filtering, self._judge, self._noise)
         self._likelihood_look = LikelihoodLook(self._roster, self.ekf, self._filtering, self._noise)
-        self._suspicious_ticks = self._ticks = self._begun_better = 0
+        self._doubts = Doubts(self._roster, self.ekf, self.rls, self._judge, self.watch)
+        self._ticks = 0
 
     def inherit(self, heritage: Heritage) -> None:
         """Begin with what another model's tracker knew; before the first samples."""
@@ -311,7 +307,7 @@ class Tracker:
         if self._second_look.look(self._ticks, self.watch.white, self.sample_period_s or 0.0):
             self._jumps.reset()
             self.watch.learn_anew()
-        elif self._likelihood_look.look(self._ticks, self.excitation.scales, doubtful=self._is_doubtful()):
+        elif self._likelihood_look.look(self._ticks, self.excitation.scales, self._doubts):
             self._judge.begin_anew(follows=True)
             self._judge.vouch()
             self._jumps.reset()
@@ -320,16 +316,11 @@ class Tracker:
         known = (self.qualification.qualified | self.excitation.excited)[self._roster.published]
         seen = self._ticks >= _TICKS_TO_JUDGE and bool(known.any())
         messages += self._telling.whether_white(seen=seen) + self._telling.whether_frozen(stretch, alike_s)
-        return messages + (self._judge_divergence(verdict) or self._begin_better(fresh))
-
-    def _is_doubtful(self) -> bool:
-        """Whether the filter has not found its values on a motion that should show them, or goes along a line on which
-        it hardly can."""
-        assert self.rls is not None
-        core = [self._roster.names.index(p.name) for p in self.free if p in LINEAR and p.name != "L"]
-        known, found = self.qualification.qualified[core], self.rls.estimate()
-        lost = bool((known | self.excitation.excited[core]).any() and not known.all())
-        return lost or (found is not None and bool(on_one_line(found)))
+        if self._doubts.has_diverged(verdict.nis, self._jumps.watch.is_open):
+            messages += self._restart("its innovations do not fit while the regression does")
+        elif fresh and self._doubts.could_begin_better(self._ticks):
+            self._begin_again()
+        return messages
 
     def _may_search(self, stretch: Stretch) -> bool | None:
         """Whether it may be looked for a parameter that has stepped; None: a sensor is frozen, and an offset would
@@ -365,32 +356,6 @@ class Tracker:
             self._noise_var(), levels.current_step_square, self.sample_period_s or 0.0, levels.samples_per_count
         )
 
-    def _judge_divergence(self, verdict: TickVerdict) -> list[Message]:
-        assert self.ekf is not None and self.rls is not None
-        self._suspicious_ticks = self._suspicious_ticks + 1 if verdict.nis > _DIVERGED_NIS else 0
-        if self._suspicious_ticks >= _DIVERGED_TICKS and not self._jumps.watch.is_open:
-            found = self.rls.estimate()
-            if well_known(found, [p.name for p in self.free if p in LINEAR]):
-                return self._restart("its innovations do not fit while the regression does")
-        return []
-
-    def _begin_better(self, fresh: bool) -> list[Message]:
-        """The filter had to start from little and still does not know what the regression knows by now: begin from
-        that."""
-        if not fresh or self._ticks < _TICKS_TO_BEGIN_BETTER * 2**self._begun_better:
-            return []
-        assert self.rls is not None and self.ekf is not None
-        core = [p for p in self.free if p in LINEAR]
-        # (L is not claimed by a model that lacks something: beginning again would not help it.)
-        index = [self._roster.names.index(p.name) for p in core if p.name != "L" or self.watch.white]
-        std = self.ekf.coordinate_std[index] / self.excitation.scales[index]
-        lost = ~self.qualification.qualified[index] & ((std > QUALIFIED) | ~self._judge.confirmed[index])
-        if not lost.any() or not well_known(self.rls.estimate(), [p.name for p in core]):
-            return []
-        self._begun_better += 1  # what did not help is tried less and less often
-        self._begin_again()
-        return []
-
     def _restart(self, why: str) -> list[Message]:
         """Something went wrong, and whoever watches the daemon is to know of it."""
         self._begin_again()
@@ -403,13 +368,13 @@ class Tracker:
         self.ekf.reset()
         self._starter.reset()
         self._prior = self._heritage = None
-        self._suspicious_ticks = 0
+        self._doubts.reset()
         self._judge.reset()
 
     def worth_keeping(self) -> Gaussian | None:
         """Qualified parameters, and those that are held, for a later run, with what may have changed meanwhile; None
         where none is qualified or the filter is not well."""
-        if self.ekf is None or not self.ekf.started or not self.ekf.is_sound() or self._suspicious_ticks:
+        if self.ekf is None or not self.ekf.started or not self.ekf.is_sound() or self._doubts.suspicious_ticks:
             return None
         known = self._roster.published & self.qualification.qualified
         if not self._jumps.quiet or not known.any():
