@@ -45,6 +45,8 @@ _STEPPED_STDS = 6.0
 #: The filter's estimate has moved by more of its own standard deviations than its information allows, and by this share
 #: of the scale.
 _MOVED_STDS, _MOVED_SHARE = 6.0, 0.01
+#: Whether it has is asked every so many ticks.
+_LOOKED_AT_EVERY = 3
 #: Of a variance this much is believed to be no better known than that.
 _CERTAIN = 0.1
 
@@ -103,6 +105,7 @@ class JumpSearch:
     def clear(self) -> None:
         """What was kept is of another filter."""
         self._filtering.take_passed()
+        self._count = 0
         self._ticks: list[_Tick] = []
         self._begins: tuple[F64, F64, WatchMark] | None = None
         self._rest = 0
@@ -128,6 +131,7 @@ class JumpSearch:
         pieces = self._filtering.take_passed()
         if self._begins is None:
             return
+        self._count += 1
         samples = sum(0 if isinstance(p, Forget) else len(p) for p in pieces)
         self._ticks.append(_Tick(*self._begins, tuple(pieces), samples, end_s))
         if not self.running:
@@ -145,7 +149,7 @@ class JumpSearch:
             self._rest = max(self._rest - 1, 0)
             if not may_begin or self._rest or len(self._ticks) < 2:
                 return None
-            if not unexplained and not self._has_moved():
+            if not unexplained and (self._count % _LOOKED_AT_EVERY or not self._has_moved()):
                 return None
             self._trials = self._begin(slow=not unexplained)
         else:
