@@ -221,6 +221,7 @@ def test_a_start_that_the_filter_does_not_find_is_found_by_likelihood(number: in
     assert not start.on_the_way, start
 
 
+@pytest.mark.slow
 def test_the_greatest_likelihood_is_right_where_derivatives_lead_astray() -> None:
     """Slow reversals of the paper's motor: along the line of R and K the filter was 4 % off with K (rms of 12 draws, at
     1.6 of its standard deviations). What is likeliest is as far off as it says, and says 2 %."""

@@ -196,6 +196,7 @@ def test_the_one_parameter_that_stepped_is_named_and_no_other_is_told(
     assert track.tracking[-1].all(), "all is known again"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motor", list(MOTORS))
 def test_what_passes_by_is_no_step_of_any_parameter(motor: str) -> None:
     """Single wrong samples of the voltage: a parameter that is free to move explains what follows one better than none,
