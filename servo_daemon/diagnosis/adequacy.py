@@ -84,7 +84,7 @@ def believed(selection: Selection, whole_fits: WholeFits) -> Believed:
         better = by_predictions(data, extended)
         if better is not extended:
             extended, missing, depends = better, longest_missing(data, better), ()
-        return Believed(selection, over_a_gap(extended), missing, depends)
+        return Believed(selection, over_a_gap(data, extended, selection.chosen.values), missing, depends)
     return Believed(replace(selection, chosen=selection.base, added=(), equivalent={}), None, None, ())
 
 

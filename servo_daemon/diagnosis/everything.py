@@ -16,6 +16,7 @@ from servo_daemon.estimators.output_error.disjoint import spread_std
 from servo_daemon.estimators.output_error.information import wider
 from servo_daemon.estimators.output_error.parameters import FittedParameter
 from servo_daemon.estimators.prediction_error import predicted_fit
+from servo_daemon.estimators.short_runs import by_short_runs
 
 #: How exact a parameter can be said to be, however long the data: what dry friction or a brush drop does within a
 #: sample, noise that goes through it, edges of the encoder. Measured on hidden effects: errors of 0.1 to 0.7 % where
@@ -99,12 +100,19 @@ def by_predictions(data: Data, fit: OutputErrorFit) -> OutputErrorFit:
     return fit if better is None else honest(better)
 
 
-def over_a_gap(fit: OutputErrorFit) -> OutputErrorFit:
-    """The fit, or, where free runs cross a gap and do not explain the data to their noise, the same with standard
-    deviations that hold how far parts of the data disagree: the sum of squares is rough there, and its slopes know
-    nothing of it."""
+def over_a_gap(data: Data, fit: OutputErrorFit, begin: Mapping[str, float]) -> OutputErrorFit:
+    """The fit, or, where free runs cross a gap and do not explain the data to their noise, the same model as short runs
+    have it. Where these do not tell: with standard deviations that hold how far parts of the data disagree, as the sum
+    of squares is rough there, and its slopes know nothing of it.
+
+    Args:
+        begin: natural values that short runs begin with.
+    """
     if fit.white or "gap" not in fit.problem.free:
         return fit
+    short = by_short_runs(fit, data.recordings, begin)
+    if short is not None:
+        return honest(short)
     spread = spread_std(fit.problem, fit.solution.point)
     if spread is None:
         return fit

@@ -14,6 +14,7 @@ from servo_daemon.diagnosis.evidence import LEAST_BIC, NESTED_GAIN, convinces, n
 from servo_daemon.diagnosis.split import shorter_s
 from servo_daemon.diagnosis.trial import Data, Trial, fit_trial
 from servo_daemon.diagnosis.twins import lag_twin
+from servo_daemon.estimators.short_runs import begun_short_runs
 
 #: Iterations that every candidate gets, and the share of the best one's gain that earns it the rest.
 _FIRST_ITERATIONS, _KEPT = 5, 0.3
@@ -57,7 +58,10 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: in
 
     def end(pair: tuple[Proposal, Trial]) -> Candidate | None:
         p, trial = pair
-        if gained(trial) >= max(_KEPT * most, _HOPELESS * float(trial.fitted.counts.sum())):
+        little = _HOPELESS * float(trial.fitted.counts.sum())
+        if "gap" in trial.problem.free and "gap" not in current.problem.free and loads >= little:
+            trial = _over_the_gap(data, p, trial) or trial
+        elif gained(trial) >= max(_KEPT * most, little):
             trial = fit_trial(data, p.effects, trial.values, like=trial) or trial
             if not trial.solution.converged and gained(trial) >= _KEPT * most:
                 trial = fit_trial(data, p.effects, trial.values, like=trial, careful=True) or trial
@@ -76,18 +80,27 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: in
     with ThreadPoolExecutor(workers) as pool:
         begun = [(p, t) for p, t in zip(proposed, pool.map(begin, proposed), strict=True) if t is not None]
         most = max((gained(t) for _, t in begun), default=0.0)
+        loads = max((gained(t) for p, t in begun if "J_l" in p.start), default=0.0)
         found = [c for c in pool.map(end, begun) if c is not None]
     return tuple(sorted(found, key=lambda c: -c.against.gain))
+
+
+def _over_the_gap(data: Data, p: Proposal, trial: Trial) -> Trial | None:
+    """The model fitted from where short runs put it, whatever the free runs say to that: with the load in the wrong
+    place they prefer another motor. None: short runs do not tell."""
+    begin = begun_short_runs(trial.fitted, p.start, p.other["J"])
+    return None if begin is None else fit_trial(data, trial.effects, begin)
 
 
 def closer(data: Data, trial: Trial) -> Trial:
     """The model fitted once more from where shorter free runs put it, if what it leaves is not noise and that helps.
 
     A run with dry friction is no smooth function of the parameters: a shaft that stops a little earlier sticks. Over
-    short runs there are few such edges for a fit to be caught at.
+    short runs there are few such edges for a fit to be caught at. (Behind a gap there is one at every run's begin; see
+    `_over_the_gap`.)
     """
     shorter = shorter_s(data.recordings, data.split.segment_s)
-    if shorter is None or trial.independent >= COLOURED:
+    if shorter is None or trial.independent >= COLOURED or "gap" in trial.problem.free:
         return trial
     short = fit_trial(data.cut(trial.effects, shorter), trial.effects, trial.values)
     again = None if short is None else fit_trial(data, trial.effects, short.values)

@@ -133,6 +133,8 @@ def _round(search: _Search, missing: Missing, progress: Progress, workers: int) 
     proposed = proposals(current, screened, missing, given=search.data.fixed)
     progress(0.1, "fitting " + ", ".join(p.name for p in proposed))
     found = _against_the_best_chance(search, _worthy(search, missing, proposed, workers))
+    if "gap" in current.values:  # what is left is where the load was within the runs
+        return found
     if found[2] is None and (_promised(screened) > _PROMISING or current.independent < COLOURED):
         # It is not noise that is left. Screening is linear in what may be far from it, and what it sees depends on what
         # it took for noise: what it thought little of gets a fit as well.

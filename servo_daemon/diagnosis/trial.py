@@ -19,9 +19,10 @@ from servo_daemon.estimators.output_error.problem import Problem, Segment
 from servo_daemon.estimators.output_error.setup import carrying, make_problem
 from servo_daemon.estimators.output_error.solver import Solution, solve
 from servo_daemon.estimators.output_error.starts import starting_points
+from servo_daemon.estimators.short_runs.placed import is_placed, placed
 from servo_daemon.plant.build import build_plant
 from servo_daemon.plant.effects import effects_by_name
-from servo_daemon.plant.effects.base import LATE_STEPS
+from servo_daemon.plant.effects.base import LATE_STEPS, TWIST
 from servo_daemon.plant.parameters import Parameter
 from servo_daemon.samples import F64
 
@@ -95,8 +96,9 @@ class Trial:
 
     @property
     def free(self) -> int:
-        """How many parameters were fitted."""
-        return len(self.problem.parameter_of_column)
+        """How many parameters were fitted; a load's place in every run is two."""
+        own = len(TWIST) * len(self.fitted.segments) if is_placed(self.fitted) else 0
+        return len(self.problem.parameter_of_column) + own
 
     def coordinates(self, recording: int = 0) -> F64:
         """The plant's parameter vector in coordinates, shape (np,)."""
@@ -134,7 +136,8 @@ class Trial:
             zip(self.problem.plant.parameter_names, self.mean_coordinates, strict=True)
         )
         segments = tuple(self.problem.segments[int(k)] for k in chosen)
-        return replace(self.problem, segments=segments, free=(), local=(), given=given)
+        problem = replace(self.problem, segments=segments, free=(), local=(), given=given)
+        return placed(problem, {}) if is_placed(self.fitted) else problem
 
     @cached_property
     def mean_coordinates(self) -> F64:
@@ -174,6 +177,8 @@ def fit_trial(
     chosen = data.split.of(*parts)
     problem = _begun_like(problem, like, chosen)
     fitted = replace(problem, segments=tuple(problem.segments[int(k)] for k in chosen))
+    if max_iterations >= _MOST_ITERATIONS:  # else it is only looked at
+        fitted = placed(fitted, values)
     start_at = fitted.start({p.name: to_coordinate(p, values[p.name]) for p in problem.plant.parameters})
     found = _solved(fitted, start_at, max_iterations, careful)
     if found is None:

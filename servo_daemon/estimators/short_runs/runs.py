@@ -1,0 +1,190 @@
+"""Free runs of one length over a recording, all simulated at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_daemon.estimators.output_error.problem import MOTOR_STATES, Problem, Segment
+from servo_daemon.estimators.output_error.rollout import TIME, free_run
+from servo_daemon.plant.build import PlantModel
+from servo_daemon.samples import F64
+
+#: States of a load's own, see `plant.effects.base.TWIST`.
+RATE, TWIST = "twist_rate_rad_s", "twist_rad"
+#: Differences: of a motor's state as a share of its size, of the twist of the gap, of its rate of the load's speeds.
+_OF_MOTOR, _OF_GAP, _OF_RATE = 1e-6, 1e-4, 1e-3
+#: The fastest that a load moves against its motor, as a share of the motor's speeds (a tenth is usual).
+_FASTEST = 0.3
+#: Samples from which a run's first speed is guessed.
+_SLOPE_SAMPLES = 15
+
+
+def can_be_searched(problem: Problem) -> bool:
+    """Whether there is a gap that is not given, in one recording, and no state but motor's and load's (what is slow
+    goes on from run to run)."""
+    names = problem.plant.state_names
+    return (
+        "gap" in problem.plant.parameter_names
+        and set(names) <= {*MOTOR_STATES, RATE, TWIST}
+        and (problem.recordings == 1)
+    )
+
+
+@dataclass(frozen=True)
+class Runs:
+    """k free runs of n samples each, c channels.
+
+    Attributes:
+        plant: with a load behind a spring or a gap, and no other states than the motor's.
+        channels: measured ones.
+        rows: per run, shape (n, 3), see `rollout`.
+        measured: shape (k, n, c).
+        valid: the same.
+        guessed: shape (k, nx), initial states with the load at rest against the motor.
+        scale: shape (nx,), size of each state.
+    """
+
+    plant: PlantModel
+    channels: tuple[str, ...]
+    rows: tuple[F64, ...]
+    measured: F64
+    valid: NDArray[np.bool_]
+    guessed: F64
+    scale: F64
+
+    @classmethod
+    def of(cls, problem: Problem, length_s: float, most_samples: int, fewest: int) -> Runs | None:
+        """A problem's segments cut into runs of this length, of which some are taken, evenly over the recording, that
+        have no more samples than that; None: there are none, or the model has states that runs so short do not show.
+        """
+        if not can_be_searched(problem):
+            return None
+        n = max(round(length_s / problem.sample_period_s), fewest)
+        cuts = [(s, b) for s in problem.segments for b in range(0, len(s.rows) - n + 1, n)]
+        cuts = [(s, b) for s, b in cuts if s.valid[b : b + n].any(axis=0).all()]
+        if not cuts:
+            return None
+        return cls._cut(problem, cuts, n).some(most_samples)
+
+    @classmethod
+    def over(cls, problem: Problem) -> Runs:
+        """Each of a problem's segments one run, as long as the shortest."""
+        return cls._cut(problem, [(s, 0) for s in problem.segments], min(len(s.rows) for s in problem.segments))
+
+    @classmethod
+    def _cut(cls, problem: Problem, cuts: Sequence[tuple[Segment, int]], n: int) -> Runs:
+        return cls(
+            problem.plant,
+            problem.channels,
+            tuple(np.ascontiguousarray(s.rows[b : b + n]) for s, b in cuts),
+            np.stack([np.nan_to_num(s.measured[b : b + n]) for s, b in cuts]),
+            np.stack([s.valid[b : b + n] for s, b in cuts]),
+            np.stack([_guess(problem, s, b) for s, b in cuts]),
+            problem.segments[0].x0_scale,
+        )
+
+    def some(self, most_samples: int) -> Runs:
+        """Evenly chosen ones of them with no more samples than that."""
+        if self.measured.shape[0] * self.measured.shape[1] <= most_samples:
+            return self
+        count = max(most_samples // self.measured.shape[1], 1)
+        chosen = np.linspace(0, len(self.rows) - 1, count).astype(int)
+        return replace(
+            self,
+            rows=tuple(self.rows[int(k)] for k in chosen),
+            measured=self.measured[chosen],
+            valid=self.valid[chosen],
+            guessed=self.guessed[chosen],
+        )
+
+    @cached_property
+    def counts(self) -> F64:
+        """Valid values of each run, shape (k,)."""
+        return np.asarray(self.valid.sum(axis=(1, 2)), dtype=np.float64)
+
+    @cached_property
+    def load_states(self) -> tuple[int, int]:
+        """Which states are the twist and its rate."""
+        names = self.plant.state_names
+        return names.index(TWIST), names.index(RATE)
+
+    @cached_property
+    def motor_states(self) -> list[int]:
+        """Which are the motor's."""
+        return [k for k in range(len(self.plant.states)) if k not in self.load_states]
+
+    def residuals(self, q: F64, states: F64, sigma: F64) -> F64:
+        """Measured minus simulated over σ, shape (k, n·c); 0 where not valid.
+
+        Args:
+            q: shape (np,), the plant's parameters in coordinates.
+            states: shape (k, nx).
+            sigma: shape (c,).
+        """
+        shown = np.empty_like(self.measured)
+        with np.errstate(over="ignore", invalid="ignore"):
+            for k, (x0, rows) in enumerate(zip(states, self.rows, strict=True)):
+                shown[k] = free_run(self.plant, self.channels, q, x0, rows)[0]
+            out = np.where(self.valid, (self.measured - shown) / sigma, 0.0)
+        return out.reshape(len(states), -1)
+
+    def by_states(self, q: F64, states: F64, sigma: F64, here: F64, which: Sequence[int] | None = None) -> F64:
+        """Derivatives of what is shown over σ by the initial states, shape (k, n·c, len(which)).
+
+        Args:
+            here: `residuals` there.
+            which: of the states; None: all.
+        """
+        which = range(states.shape[1]) if which is None else which
+        steps = self._steps(q)
+        out = np.empty((*here.shape, len(which)))
+        for column, k in enumerate(which):
+            ahead = states.copy()
+            ahead[:, k] += steps[k]
+            out[:, :, column] = (here - self.residuals(q, ahead, sigma)) / steps[k]
+        return out
+
+    def by_parameters(self, q: F64, states: F64, sigma: F64, here: F64, columns: Sequence[int], step: float) -> F64:
+        """The same by parameters' coordinates, shape (k, n·c, len(columns))."""
+        out = np.empty((*here.shape, len(columns)))
+        for column, k in enumerate(columns):
+            ahead = q.copy()
+            ahead[k] += step
+            out[:, :, column] = (here - self.residuals(ahead, states, sigma)) / step
+        return out
+
+    def gap_rad(self, q: F64) -> float:
+        """The gap at these coordinates."""
+        return float(np.exp(q[self.plant.parameter_names.index("gap")]))
+
+    @cached_property
+    def fastest_rad_s(self) -> float:
+        """The fastest that a load moves against the motor."""
+        return _FASTEST * float(self.scale[self.plant.state_names.index("velocity_rad_s")])
+
+    def _steps(self, q: F64) -> F64:
+        out = _OF_MOTOR * self.scale
+        twist, rate = self.load_states
+        out[twist], out[rate] = _OF_GAP * self.gap_rad(q), _OF_RATE * self.fastest_rad_s
+        return np.asarray(out)
+
+
+def _guess(problem: Problem, segment: Segment, begin: int) -> F64:
+    """Current and angle as measured, speed from the slope, the load with the motor."""
+    names, x0 = problem.plant.state_names, np.array([s.initial for s in problem.plant.states])
+    few = slice(begin, begin + _SLOPE_SAMPLES)
+    for c, name in enumerate(problem.channels):
+        good = segment.valid[few, c]
+        values, t = segment.measured[few, c][good], segment.rows[few, TIME][good]
+        if name not in names or not len(values):
+            continue
+        x0[names.index(name)] = values[0]
+        if name == "position_rad" and len(values) > 1:
+            slope, first = np.polyfit(t - segment.rows[begin, TIME], values, 1)
+            x0[names.index("velocity_rad_s")], x0[names.index("position_rad")] = slope, first
+    return x0
