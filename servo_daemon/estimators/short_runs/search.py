@@ -52,7 +52,7 @@ class _Scan:
 
 _FAR, _NEAR, _NEAREST = (
     _Scan(2.4, 13, 0.05, _FEW_SAMPLES),
-    _Scan(0.2, 5, 0.03, _FEW_SAMPLES),
+    _Scan(0.3, 7, 0.03, _MOST_SAMPLES),
     _Scan(0.06, 5, 6e-3, _MOST_SAMPLES),
 )
 
@@ -127,18 +127,15 @@ def fit_short_runs(problem: Problem, start: Mapping[str, float]) -> ShortRunFit 
     """Fit from values that are about right; None: the model or the data are none for it. See `begun_short_runs`."""
     if "gap" not in problem.free or not can_be_searched(problem):
         return None
-    q, gap_std = coordinates_of(problem, start), np.inf
+    q, found, gap_std = coordinates_of(problem, start), None, np.inf
     for scan in (_NEAR, _NEAREST):  # a gap a little wrong bends the teeth, and these the gap
-        few = _runs(problem, q, _SHORT, _FEW_SAMPLES)
-        if few is None:
+        q, gap_std = _other_gap(problem, q, scan)
+        runs = _runs(problem, q, _SHORT, _MOST_SAMPLES)
+        if runs is None:
             return None
-        q, gap_std = _other_gap(problem, _search(few, q, _but_the_gap(problem), _BEGINNING_ROUNDS).q, scan)
-    runs = _runs(problem, q, _SHORT, _MOST_SAMPLES)
-    if runs is None:
-        return None
-    return _search(runs, q, _but_the_gap(problem), _ROUNDS).with_gap(
-        problem.plant.parameter_names.index("gap"), gap_std
-    )
+        found = _search(runs, q, _but_the_gap(problem), _ROUNDS)
+        q = found.q
+    return None if found is None else found.with_gap(problem.plant.parameter_names.index("gap"), gap_std)
 
 
 def likelier(problem: Problem, one: F64, other: F64) -> bool:
