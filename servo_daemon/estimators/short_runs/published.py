@@ -14,7 +14,9 @@ from servo_daemon.estimators.output_error.parameters import correlation_of, fitt
 from servo_daemon.estimators.output_error.residual import residual_tests
 from servo_daemon.estimators.output_error.setup import Recording, make_problem
 from servo_daemon.estimators.output_error.solver import point_of
-from servo_daemon.estimators.short_runs.search import ShortRunFit, coordinates_of, fit_short_runs, likelier
+from servo_daemon.estimators.short_runs.fit import coordinates_of, fit_short_runs
+from servo_daemon.estimators.short_runs.gap import likelier
+from servo_daemon.estimators.short_runs.search import ShortRunFit
 
 
 def by_short_runs(

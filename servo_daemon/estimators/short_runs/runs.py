@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_daemon.estimators.base import natural_values
 from servo_daemon.estimators.output_error.problem import MOTOR_STATES, Problem, Segment
 from servo_daemon.estimators.output_error.rollout import TIME, free_run
 from servo_daemon.plant.build import PlantModel
@@ -20,6 +21,11 @@ RATE, TWIST = "twist_rate_rad_s", "twist_rad"
 _OF_MOTOR, _OF_GAP, _OF_RATE = 1e-6, 1e-4, 1e-3
 #: The fastest that a load moves against its motor, as a share of the motor's speeds (a tenth is usual).
 _FASTEST = 0.3
+#: Runs, in times of the teeth's own swing (2π/ω): so short that a load meets its teeth about once, for what the teeth
+#: are like; so long that it crosses the gap, for how wide that is. Never fewer samples.
+SHORT, LONG, FEWEST = 4.0, 16.0, 30
+#: Samples that are searched in the end, and those to begin with.
+MOST_SAMPLES, FEW_SAMPLES = 12_000, 5_000
 #: Samples from which a run's first speed is guessed.
 _SLOPE_SAMPLES = 15
 
@@ -58,18 +64,25 @@ class Runs:
     scale: F64
 
     @classmethod
-    def of(cls, problem: Problem, length_s: float, most_samples: int, fewest: int) -> Runs | None:
+    def of(cls, problem: Problem, length_s: float, most_samples: int) -> Runs | None:
         """A problem's segments cut into runs of this length, of which some are taken, evenly over the recording, that
         have no more samples than that; None: there are none, or the model has states that runs so short do not show.
         """
         if not can_be_searched(problem):
             return None
-        n = max(round(length_s / problem.sample_period_s), fewest)
+        n = max(round(length_s / problem.sample_period_s), FEWEST)
         cuts = [(s, b) for s in problem.segments for b in range(0, len(s.rows) - n + 1, n)]
         cuts = [(s, b) for s, b in cuts if s.valid[b : b + n].any(axis=0).all()]
         if not cuts:
             return None
         return cls._cut(problem, cuts, n).some(most_samples)
+
+    @classmethod
+    def in_swings(cls, problem: Problem, q: F64, swings: float, most_samples: int) -> Runs | None:
+        """Runs of so many of the teeth's own swings, with the load and the teeth of these coordinates. See `of`."""
+        p = natural_values(problem.plant.parameters, q)
+        mu = p["J"] * p["J_l"] / (p["J"] + p["J_l"])
+        return cls.of(problem, swings * 2 * np.pi * float(np.sqrt(mu / p["k_s"])), most_samples)
 
     @classmethod
     def over(cls, problem: Problem) -> Runs:

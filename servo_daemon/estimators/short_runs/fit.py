@@ -1,0 +1,94 @@
+"""From start values, right or not, to the parameters of a motor with a load behind a gap."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from servo_daemon.estimators.base import to_coordinate
+from servo_daemon.estimators.output_error.problem import Problem
+from servo_daemon.estimators.short_runs.gap import FAR, NEAR, NEAREST, with_other_gap
+from servo_daemon.estimators.short_runs.runs import FEW_SAMPLES, MOST_SAMPLES, SHORT, Runs, can_be_searched
+from servo_daemon.estimators.short_runs.search import ShortRunFit, search, within
+from servo_daemon.samples import F64
+
+#: Loads as shares of all inertia, on teeth that swing like this, so damped, that a search begins at, and samples that
+#: tell which of them is best.
+_SHARES, _TEETH_RAD_S, _TEETH_DAMPING, _FEWEST_SAMPLES = (0.15, 0.4), (200.0, 450.0), 0.15, 2_500
+#: Searches from start values, and rounds of these and of the last ones.
+_TIMES, _BEGINNING_ROUNDS, _ROUNDS = 2, 2, 2
+
+
+def begun_short_runs(problem: Problem, start: Mapping[str, float], rigid_J: float) -> dict[str, float] | None:
+    """Where a fit is to begin, natural units: from values that may be several times too large or too small. None: the
+    model or the data are none for it.
+
+    Args:
+        problem: of one recording; its segments are cut up, its free parameters searched for.
+        start: of all parameters; loads and teeth of other sizes are tried as well.
+        rigid_J: motor and load together.
+    """
+    if "gap" not in problem.free or not can_be_searched(problem):
+        return None
+    columns = _columns(problem)
+    q = _best_begun(problem, coordinates_of(problem, start), columns, rigid_J)
+    for _ in range(_TIMES):  # how long a run is to be hangs on what is searched for
+        short = Runs.in_swings(problem, q, SHORT, FEW_SAMPLES)
+        if short is None:
+            return None
+        q = search(short, q, columns, _BEGINNING_ROUNDS).q
+    q, _ = with_other_gap(problem, q, FAR)
+    short = Runs.in_swings(problem, q, SHORT, FEW_SAMPLES)
+    return None if short is None else search(short, q, _but_the_gap(problem), 1).values
+
+
+def fit_short_runs(problem: Problem, start: Mapping[str, float]) -> ShortRunFit | None:
+    """Fit from values that are about right; None: the model or the data are none for it. See `begun_short_runs`."""
+    if "gap" not in problem.free or not can_be_searched(problem):
+        return None
+    q, found, gap_std = coordinates_of(problem, start), None, np.inf
+    for scan in (NEAR, NEAREST):  # a gap a little wrong bends the teeth, and these the gap
+        q, gap_std = with_other_gap(problem, q, scan)
+        runs = Runs.in_swings(problem, q, SHORT, MOST_SAMPLES)
+        if runs is None:
+            return None
+        found = search(runs, q, _but_the_gap(problem), _ROUNDS)
+        q = found.q
+    return None if found is None else found.with_gap(problem.plant.parameter_names.index("gap"), gap_std)
+
+
+def coordinates_of(problem: Problem, values: Mapping[str, float]) -> F64:
+    """Of natural values, shape (np,)."""
+    return np.array([to_coordinate(p, values[p.name]) for p in problem.plant.parameters])
+
+
+def _columns(problem: Problem) -> tuple[int, ...]:
+    """Which of the plant's parameters are free."""
+    return tuple(problem.plant.parameter_names.index(n) for n in problem.free)
+
+
+def _but_the_gap(problem: Problem) -> tuple[int, ...]:
+    """The same without the gap: short runs hardly cross it, and a descent moves it by little."""
+    names = problem.plant.parameter_names
+    return tuple(k for k in _columns(problem) if names[k] != "gap")
+
+
+def _best_begun(problem: Problem, q: F64, columns: Sequence[int], rigid_J: float) -> F64:
+    """The best of a few steps from here and from other loads on other teeth."""
+    names = problem.plant.parameter_names
+    runs = Runs.of(problem, SHORT * 2 * np.pi / max(_TEETH_RAD_S), _FEWEST_SAMPLES)
+    if runs is None:
+        return q
+    starts = [q]
+    for share in _SHARES:
+        for omega in _TEETH_RAD_S:
+            other = q.copy()
+            J, J_l = (1.0 - share) * rigid_J, share * rigid_J
+            k_s = J * share * omega**2  # against the reduced inertia
+            for name, value in {"J": J, "J_l": J_l, "k_s": k_s, "c_s": 2 * _TEETH_DAMPING * k_s / omega}.items():
+                if name in problem.free:
+                    other[names.index(name)] = np.log(value)
+            starts.append(within(runs, other))
+    found = [search(runs, s, columns, 1) for s in starts]
+    return min(found, key=lambda f: f.value).q

@@ -1,0 +1,126 @@
+"""A load that rattles in its play, by short runs whose load is searched for: against what the generator hides."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from servo_daemon.estimators.base import to_coordinate
+from servo_daemon.estimators.output_error.lost_runs import settled
+from servo_daemon.estimators.output_error.problem import Problem
+from servo_daemon.estimators.output_error.setup import Recording, make_problem
+from servo_daemon.estimators.short_runs import begun_short_runs, fit_short_runs, is_placed, placed
+from servo_daemon.estimators.short_runs.runs import LONG, Runs
+from tests.recovery.captures import capture
+from tests.recovery.generator import LARGE_SERVO, PAPER, Motor, Scenario, generate, typical
+from tests.recovery.hidden import Case, judge
+
+pytestmark = pytest.mark.usefixtures("generator_built")
+
+_SHARE, _SEED = 0.2, 5
+
+
+def scenario(motor: Motor, motion: str, seconds: float) -> Scenario:
+    play = typical("backlash", motor, _SHARE, seconds=seconds, rng=np.random.default_rng(_SEED))
+    return Scenario(motion, seconds=seconds, effects=play, seed=_SEED)
+
+
+def truth(motor: Motor, of: Scenario) -> dict[str, float]:
+    values = {name: float(getattr(motor, name)) for name in ("R", "L", "K", "J", "B")}
+    return values | {name: float(v) for name, v in of.effects["backlash"].items()}
+
+
+def problem_of(recording: Recording, segment_s: float | None = None) -> Problem:
+    return make_problem([recording], ("backlash",), {}, segment_s=segment_s)
+
+
+def test_a_load_is_found_where_it_is() -> None:
+    """At the true parameters: of runs of 0.1 s that begin with the load found, little is left; with the load beside
+    the motor, much."""
+    made = scenario(LARGE_SERVO, "multisine", 4.0)
+    values = truth(LARGE_SERVO, made)
+    cut = problem_of(capture(LARGE_SERVO, made), 0.1)
+    given = {p.name: to_coordinate(p, values[p.name]) for p in cut.plant.parameters}
+    known = replace(cut, free=(), local=(), given=given, exact=False, own_states=cut.plant.state_names)
+    found = placed(known, {})
+    assert is_placed(found)
+    beside, there = settled(known), settled(found)
+    assert beside is not None
+    assert there is not None
+    angle = cut.channels.index("position_rad")
+    assert there.point.sse[angle] < 0.3 * beside.point.sse[angle]
+    twist = cut.plant.state_names.index("twist_rad")
+    true = generate(LARGE_SERVO, made).truth
+    apart = np.abs(
+        [found.initial_state(there.point.unknowns, k)[twist] for k in range(len(cut.segments))]
+        - (true.position_rad - true.load_position_rad)[[s.begin for s in cut.segments]]
+    )
+    assert np.median(apart) < 0.1 * values["gap"]
+
+
+def test_runs_are_of_one_length_and_spread_over_the_recording() -> None:
+    made = scenario(PAPER, "multisine", 4.0)
+    problem = problem_of(capture(PAPER, made))
+    q = np.array([to_coordinate(p, truth(PAPER, made)[p.name]) for p in problem.plant.parameters])
+    runs = Runs.in_swings(problem, q, LONG, 1_000)
+    assert runs is not None
+    assert runs.measured.shape[0] * runs.measured.shape[1] <= 1_000
+    begins = [float(rows[0, 0]) for rows in runs.rows]
+    assert begins == sorted(begins)
+    assert begins[0] == 0.0
+    assert begins[-1] > 3.0
+
+
+def test_without_a_gap_to_be_found_there_is_nothing_to_search() -> None:
+    made = scenario(PAPER, "multisine", 2.0)
+    recording = capture(PAPER, made)
+    values = truth(PAPER, made)
+    spring = make_problem([recording], ("shaft_compliance",), {})
+    held = make_problem([recording], ("backlash",), {"gap": values["gap"]})
+    twice = make_problem([recording, recording], ("backlash",), {})
+    for problem in (spring, held, twice):
+        assert begun_short_runs(problem, values, values["J"] + values["J_l"]) is None
+        assert fit_short_runs(problem, values) is None
+    assert placed(spring, values) is spring
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_from_values_several_times_wrong_to_those_that_are_hidden() -> None:
+    made = scenario(LARGE_SERVO, "multisine", 12.0)
+    values = truth(LARGE_SERVO, made)
+    problem = problem_of(capture(LARGE_SERVO, made))
+    wrong = {"gap": 0.4, "k_s": 0.3, "c_s": 3.0, "J_l": 0.5}
+    begin = begun_short_runs(
+        problem, {n: v * wrong.get(n, 1.0) for n, v in values.items()}, values["J"] + values["J_l"]
+    )
+    assert begin is not None
+    assert begin["gap"] == pytest.approx(values["gap"], rel=0.15)
+    assert begin["k_s"] == pytest.approx(values["k_s"], rel=0.1)
+    fit = fit_short_runs(problem, begin)
+    assert fit is not None
+    std = dict(zip(fit.columns, np.sqrt(np.diag(fit.covariance)), strict=True))
+    for p in problem.plant.parameters:
+        k = problem.plant.parameter_names.index(p.name)
+        error = fit.q[k] - to_coordinate(p, values[p.name])
+        assert abs(error) < 4.0 * np.hypot(std[k], 5e-3), p.name
+    assert fit.values["gap"] == pytest.approx(values["gap"], rel=0.03)
+    assert fit.values["J_l"] == pytest.approx(values["J_l"], rel=0.03)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize(
+    ("strength", "motor", "motion", "seed"),
+    [
+        ("clear", "paper", "multisine", 521086),  # free runs with the load elsewhere prefer a spring
+        ("clear", "gear", "reversals", 726115),  # … a motor without a load
+        ("clear", "large", "pick_and_place", 467195),
+    ],
+)
+def test_a_play_is_named_and_what_is_said_of_it_holds(strength: str, motor: str, motion: str, seed: int) -> None:
+    judgement = judge(Case("backlash", strength, motor, motion, seed))
+    assert judgement.found == ("backlash",), judgement
+    assert judgement.outside == ()
