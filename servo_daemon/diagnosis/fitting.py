@@ -14,7 +14,7 @@ from servo_daemon.diagnosis.evidence import LEAST_BIC, NESTED_GAIN, convinces, n
 from servo_daemon.diagnosis.split import shorter_s
 from servo_daemon.diagnosis.trial import Data, Trial, fit_trial
 from servo_daemon.diagnosis.twins import lag_twin
-from servo_daemon.estimators.short_runs import begun_short_runs
+from servo_daemon.estimators.short_runs import begun_short_runs, is_placed
 
 #: Iterations that every candidate gets, and the share of the best one's gain that earns it the rest.
 _FIRST_ITERATIONS, _KEPT = 5, 0.3
@@ -59,8 +59,9 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: in
     def end(pair: tuple[Proposal, Trial]) -> Candidate | None:
         p, trial = pair
         little = _HOPELESS * float(trial.fitted.counts.sum())
-        if "gap" in trial.problem.free and "gap" not in current.problem.free and loads >= little:
-            trial = _over_the_gap(data, p, trial) or trial
+        over = _over_the_gap(data, current, p, trial) if loads >= little else None
+        if over is not None:
+            trial = over
         elif gained(trial) >= max(_KEPT * most, little):
             trial = fit_trial(data, p.effects, trial.values, like=trial) or trial
             if not trial.solution.converged and gained(trial) >= _KEPT * most:
@@ -85,10 +86,18 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: in
     return tuple(sorted(found, key=lambda c: -c.against.gain))
 
 
-def _over_the_gap(data: Data, p: Proposal, trial: Trial) -> Trial | None:
-    """The model fitted from where short runs put it, whatever the free runs say to that: with the load in the wrong
-    place they prefer another motor. None: short runs do not tell."""
-    begin = begun_short_runs(trial.fitted, p.start, p.other["J"])
+def _over_the_gap(data: Data, current: Trial, p: Proposal, trial: Trial) -> Trial | None:
+    """A model with a gap that the current one does not have, fitted from where short runs put it, whatever the free
+    runs say to that: with the load in the wrong place they prefer another motor. None: it is none, or short runs do not
+    tell.
+
+    Args:
+        trial: as it has begun.
+    """
+    if "gap" not in trial.problem.free or "gap" in current.values:
+        return None
+    rigid_J = current.values["J"] + current.values.get("J_l", 0.0)
+    begin = begun_short_runs(trial.fitted, p.start, rigid_J)
     return None if begin is None else fit_trial(data, trial.effects, begin)
 
 
@@ -100,7 +109,7 @@ def closer(data: Data, trial: Trial) -> Trial:
     `_over_the_gap`.)
     """
     shorter = shorter_s(data.recordings, data.split.segment_s)
-    if shorter is None or trial.independent >= COLOURED or "gap" in trial.problem.free:
+    if shorter is None or trial.independent >= COLOURED or is_placed(trial.fitted):
         return trial
     short = fit_trial(data.cut(trial.effects, shorter), trial.effects, trial.values)
     again = None if short is None else fit_trial(data, trial.effects, short.values)

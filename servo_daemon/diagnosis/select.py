@@ -31,6 +31,7 @@ from servo_daemon.diagnosis.screen import ScreenedCandidate, screen
 from servo_daemon.diagnosis.split import TRAIN, shorter_s
 from servo_daemon.diagnosis.trial import Data, Trial, fit_trial, model_exists
 from servo_daemon.errors import NumericalError
+from servo_daemon.estimators.short_runs.placed import is_placed
 from servo_daemon.plant.effects import effects_by_name
 
 #: At most so many effects are taken.
@@ -133,7 +134,7 @@ def _round(search: _Search, missing: Missing, progress: Progress, workers: int) 
     proposed = proposals(current, screened, missing, given=search.data.fixed)
     progress(0.1, "fitting " + ", ".join(p.name for p in proposed))
     found = _against_the_best_chance(search, _worthy(search, missing, proposed, workers))
-    if "gap" in current.values:  # what is left is where the load was within the runs
+    if is_placed(current.fitted):  # what is left is how the load went on within the runs
         return found
     if found[2] is None and (_promised(screened) > _PROMISING or current.independent < COLOURED):
         # It is not noise that is left. Screening is linear in what may be far from it, and what it sees depends on what

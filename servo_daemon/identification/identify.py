@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from servo_daemon.captures import Capture
 from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, Recording, fit_output_error
 from servo_daemon.identification.drift import Drift, drift_of
+from servo_daemon.identification.play import fit_with_play
 from servo_daemon.identification.validate import Validation, validated
 
 
@@ -55,7 +56,10 @@ def identify(captures: Sequence[Capture], validation: Sequence[Capture], options
         NumericalError: the model cannot be simulated over them.
     """
     recordings = [Recording(str(c.path), c.block()) for c in captures]
-    fit = fit_output_error(recordings, options.effects, options.fit)
+    fit = None
+    if "backlash" in options.effects:
+        fit = fit_with_play(recordings, options.effects, options.fit)
+    fit = fit or fit_output_error(recordings, options.effects, options.fit)
     baseline = None
     if validation and set(options.effects) != set(options.baseline):
         baseline = fit_output_error(recordings, options.baseline, options.fit)

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from servo_daemon.estimators.base import to_coordinate
+from servo_daemon.estimators.output_error import FitOptions
 from servo_daemon.estimators.output_error.lost_runs import settled
 from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.output_error.setup import Recording, make_problem
 from servo_daemon.estimators.short_runs import begun_short_runs, fit_short_runs, is_placed, placed
 from servo_daemon.estimators.short_runs.runs import LONG, Runs
+from servo_daemon.identification.play import fit_with_play
 from tests.recovery.captures import capture
 from tests.recovery.generator import LARGE_SERVO, PAPER, Motor, Scenario, generate, typical
 from tests.recovery.hidden import Case, judge
@@ -117,10 +119,24 @@ def test_from_values_several_times_wrong_to_those_that_are_hidden() -> None:
     [
         ("clear", "paper", "multisine", 521086),  # free runs with the load elsewhere prefer a spring
         ("clear", "gear", "reversals", 726115),  # … a motor without a load
-        ("clear", "large", "pick_and_place", 467195),
     ],
 )
 def test_a_play_is_named_and_what_is_said_of_it_holds(strength: str, motor: str, motion: str, seed: int) -> None:
     judgement = judge(Case("backlash", strength, motor, motion, seed))
     assert judgement.found == ("backlash",), judgement
     assert judgement.outside == ()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_a_fit_finds_a_play_that_nothing_is_known_of() -> None:
+    made = scenario(LARGE_SERVO, "pick_and_place", 12.0)
+    fit = fit_with_play([capture(LARGE_SERVO, made)], ("backlash",), FitOptions())
+    assert fit is not None
+    for name, true in truth(LARGE_SERVO, made).items():
+        p = fit.parameters[name]
+        assert p.value is not None, name
+        assert p.std, name
+        assert abs(p.value - true) < 3.0 * np.hypot(p.std, 5e-3 * true), name
+    assert fit.parameters["gap"].std < 0.05 * fit.parameters["gap"].value
+    assert fit.parameters["J_l"].std < 0.05 * fit.parameters["J_l"].value
