@@ -117,6 +117,7 @@ def test_from_values_several_times_wrong_to_those_that_are_hidden() -> None:
 @pytest.mark.parametrize(
     ("strength", "motor", "motion", "seed"),
     [
+        ("clear", "large", "pick_and_place", 467195),
         ("faint", "gear", "pick_and_place", 361076),  # k_s was 25 % off at 80 standard deviations
     ],
 )
