@@ -9,7 +9,7 @@ from servo_daemon.estimators.base import natural_values, to_coordinate
 from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, Recording, fit_output_error
 from servo_daemon.estimators.output_error.setup import acceleration_size, make_problem
 from servo_daemon.estimators.output_error.solver import solve
-from servo_daemon.estimators.short_runs import begun_short_runs, by_short_runs, placed
+from servo_daemon.estimators.short_runs import begun_short_runs, by_short_runs, can_be_fitted, placed
 
 #: Length of the free runs, s, where none is asked for.
 _RUNS_S = 0.4
@@ -23,16 +23,20 @@ def fit_with_play(
     recordings: Sequence[Recording], effects: tuple[str, ...], options: FitOptions
 ) -> OutputErrorFit | None:
     """The fit of a model with `backlash`; None where the load cannot be searched for (several recordings, a given gap,
-    other effects with states of their own): then free runs decide.
+    other effects with states of their own, an inertia that the data do not show): then free runs decide.
 
     Raises:
         as `fit_output_error`.
     """
     runs_s = options.segment_s or _RUNS_S
     problem = make_problem(recordings, effects, options.fixed)
+    if not can_be_fitted(problem):
+        return None
     rigid = fit_output_error(
         recordings, tuple(e for e in effects if e != "backlash"), replace(options, segment_s=runs_s, noise_model="none")
     ).values
+    if "J" not in rigid:
+        return None
     J_l = _SHARE * rigid["J"]
     k_s = (1.0 - _SHARE) * J_l * _TEETH_RAD_S**2
     guessed = {

@@ -86,6 +86,7 @@ def test_without_a_gap_to_be_found_there_is_nothing_to_search() -> None:
         assert begun_short_runs(problem, values, values["J"] + values["J_l"]) is None
         assert fit_short_runs(problem, values) is None
     assert placed(spring, values) is spring
+    assert fit_with_play([recording, recording], ("backlash",), FitOptions()) is None
 
 
 @pytest.mark.slow

@@ -15,14 +15,12 @@ import numpy as np
 
 from servo_daemon.estimators.output_error.fit import OutputErrorFit
 from servo_daemon.estimators.output_error.information import Information, wider
-from servo_daemon.estimators.output_error.lost_runs import settled
 from servo_daemon.estimators.output_error.noise import DIFFERENCE, INPUT_NOISE, LONGEST, NoiseModel, bounds, resolution
-from servo_daemon.estimators.output_error.parameters import correlation_of, fitted_parameters
 from servo_daemon.estimators.output_error.problem import Problem
-from servo_daemon.estimators.output_error.residual import ResidualTest, innovation_tests, residual_tests
+from servo_daemon.estimators.output_error.republished import republished, uncut, with_settled_states
+from servo_daemon.estimators.output_error.residual import ResidualTest, innovation_tests
 from servo_daemon.estimators.output_error.scoring import Axes, Found, deviance, fisher_scoring
-from servo_daemon.estimators.output_error.setup import Recording, make_problem
-from servo_daemon.estimators.output_error.solver import Solution, point_of
+from servo_daemon.estimators.output_error.setup import Recording
 from servo_daemon.estimators.output_error.whitening import SOURCES, moving
 from servo_daemon.estimators.prediction_error.predictor import Predictions, Predictor, predictor
 from servo_daemon.estimators.sampling import settles_between
@@ -106,8 +104,7 @@ def _agree(known: Information, one: F64, other: F64, columns: list[int]) -> bool
 def _uncut(fit: OutputErrorFit, recordings: Sequence[Recording]) -> tuple[Problem, F64]:
     """The problem in as few segments as the recordings allow, and the fit's unknowns there."""
     own = fit.problem
-    problem = make_problem(recordings, own.plant.effects, {})
-    problem = replace(problem, free=own.free, local=own.local, given=own.given)
+    problem = uncut(own, recordings)
     unknowns = problem.start(dict.fromkeys(problem.parameter_of_column, 0.0))
     n = len(problem.parameter_of_column)
     unknowns[:n] = fit.solution.point.unknowns[:n]
@@ -201,31 +198,11 @@ def _published(
     n = len(problem.parameter_of_column)
     unknowns = fit.solution.point.unknowns.copy()
     unknowns[:n] = found[:n]
-    if not problem.local:
-        given = dict(problem.given) | dict(zip(problem.parameter_of_column, unknowns[:n].tolist(), strict=True))
-        states = settled(replace(problem, free=(), given=given))
-        if states is not None:
-            unknowns[n:] = states.point.unknowns
-    point = point_of(problem, unknowns, problem.linearise(unknowns), fit.solution.point.weights)
-    solution: Solution = replace(fit.solution, point=point)
-    nominal = {
-        name: p.value for name, p in fit.parameters.items() if p.status == "undetermined" and p.value is not None
-    }
-    fixed = {name: p.value for name, p in fit.parameters.items() if p.status == "fixed" and p.value is not None}
-    parameters, offsets = fitted_parameters(problem, solution, known, nominal, fixed)
+    if not problem.local and (states := with_settled_states(problem, unknowns)) is not None:
+        unknowns = states
     sigma = np.exp(log_variance / 2).tolist()
     noise = NoiseModel(sigma[0], dict(zip(problem.channels, sigma[1:], strict=True)), 0.0)
-    return replace(
-        fit,
-        solution=solution,
-        parameters=parameters,
-        offsets=offsets,
-        correlation=correlation_of(known, problem.n_shared),
-        after=known,
-        residual=residual_tests(problem, point),
-        innovation=tests,
-        noise=noise,
-    )
+    return replace(republished(fit, unknowns, known), innovation=tests, noise=noise)
 
 
 def _information(before: Information, found: Found, columns: Sequence[int]) -> Information:

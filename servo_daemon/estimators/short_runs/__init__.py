@@ -10,6 +10,15 @@ projection: Golub & Pereyra, *SIAM J. Numer. Anal.* 10, 1973; Kaufman, *BIT* 15,
 from servo_daemon.estimators.short_runs.fit import begun_short_runs, fit_short_runs
 from servo_daemon.estimators.short_runs.placed import is_placed, placed
 from servo_daemon.estimators.short_runs.published import by_short_runs
+from servo_daemon.estimators.short_runs.runs import can_be_fitted
 from servo_daemon.estimators.short_runs.search import ShortRunFit
 
-__all__ = ["ShortRunFit", "begun_short_runs", "by_short_runs", "fit_short_runs", "is_placed", "placed"]
+__all__ = [
+    "ShortRunFit",
+    "begun_short_runs",
+    "by_short_runs",
+    "can_be_fitted",
+    "fit_short_runs",
+    "is_placed",
+    "placed",
+]

@@ -9,7 +9,7 @@ import numpy as np
 from servo_daemon.estimators.base import to_coordinate
 from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.short_runs.gap import FAR, NEAR, NEAREST, with_other_gap
-from servo_daemon.estimators.short_runs.runs import FEW_SAMPLES, MOST_SAMPLES, SHORT, Runs, can_be_searched
+from servo_daemon.estimators.short_runs.runs import FEW_SAMPLES, MOST_SAMPLES, SHORT, Runs, can_be_fitted
 from servo_daemon.estimators.short_runs.search import ShortRunFit, search, within
 from servo_daemon.samples import F64
 
@@ -29,7 +29,7 @@ def begun_short_runs(problem: Problem, start: Mapping[str, float], rigid_J: floa
         start: of all parameters; loads and teeth of other sizes are tried as well.
         rigid_J: motor and load together.
     """
-    if "gap" not in problem.free or not can_be_searched(problem):
+    if not can_be_fitted(problem):
         return None
     columns = _columns(problem)
     q = _best_begun(problem, coordinates_of(problem, start), columns, rigid_J)
@@ -45,7 +45,7 @@ def begun_short_runs(problem: Problem, start: Mapping[str, float], rigid_J: floa
 
 def fit_short_runs(problem: Problem, start: Mapping[str, float]) -> ShortRunFit | None:
     """Fit from values that are about right; None: the model or the data are none for it. See `begun_short_runs`."""
-    if "gap" not in problem.free or not can_be_searched(problem):
+    if not can_be_fitted(problem):
         return None
     q, found, gap_std = coordinates_of(problem, start), None, np.inf
     for scan in (NEAR, NEAREST):  # a gap a little wrong bends the teeth, and these the gap

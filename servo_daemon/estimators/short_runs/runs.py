@@ -31,14 +31,19 @@ _SLOPE_SAMPLES = 15
 
 
 def can_be_searched(problem: Problem) -> bool:
-    """Whether there is a gap that is not given, in one recording, and no state but motor's and load's (what is slow
-    goes on from run to run)."""
+    """Whether there is a gap, in one recording, and no state but motor's and load's (what is slow goes on from run to
+    run)."""
     names = problem.plant.state_names
     return (
         "gap" in problem.plant.parameter_names
         and set(names) <= {*MOTOR_STATES, RATE, TWIST}
         and (problem.recordings == 1)
     )
+
+
+def can_be_fitted(problem: Problem) -> bool:
+    """Whether the load can be searched for and the gap is to be found, too."""
+    return "gap" in problem.free and can_be_searched(problem)
 
 
 @dataclass(frozen=True)

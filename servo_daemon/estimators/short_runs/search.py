@@ -36,18 +36,15 @@ class ShortRunFit:
         q: shape (np,), the plant's coordinates.
         columns: which of them were free.
         covariance: of these, from how far the runs disagree.
-        sigma: shape (c,), what the best quarter of the runs leaves.
         value: −2 log p of the runs with a variance for each, but for a constant.
-        runs, settled: the runs and their states.
+        runs: what was searched.
     """
 
     q: F64
     columns: tuple[int, ...]
     covariance: F64
-    sigma: F64
     value: float
     runs: Runs
-    settled: Settled
 
     def with_gap(self, column: int, std: float) -> ShortRunFit:
         """The same, the gap known to 1 σ of its logarithm."""
@@ -83,7 +80,7 @@ def search(runs: Runs, q: F64, columns: Sequence[int], rounds: int) -> ShortRunF
         place, covariance = _moved(runs, _Place(q, settled, cost(runs, settled)), columns, sigma)
         q, settled = place.q, place.settled
         value = place.cost + 2.0 * float(runs.valid.sum(axis=(0, 1)) @ np.log(sigma))
-        result = ShortRunFit(q, tuple(columns), covariance, sigma, value, runs, settled)
+        result = ShortRunFit(q, tuple(columns), covariance, value, runs)
         moved = np.abs(q - before)[list(columns)]
         if (moved <= np.maximum(_STILL_STDS * np.sqrt(np.diag(covariance)), _STILL)).all():
             break
