@@ -14,7 +14,7 @@ from servo_daemon.diagnosis.evidence import LEAST_BIC, NESTED_GAIN, convinces, n
 from servo_daemon.diagnosis.split import shorter_s
 from servo_daemon.diagnosis.trial import Data, Trial, fit_trial
 from servo_daemon.diagnosis.twins import lag_twin
-from servo_daemon.estimators.short_runs import begun_short_runs, is_placed
+from servo_daemon.estimators.short_runs import begun_short_runs, is_placed, with_all_inertia
 
 #: Iterations that every candidate gets, and the share of the best one's gain that earns it the rest.
 _FIRST_ITERATIONS, _KEPT = 5, 0.3
@@ -96,8 +96,7 @@ def _over_the_gap(data: Data, current: Trial, p: Proposal, trial: Trial) -> Tria
     """
     if "gap" not in trial.problem.free or "gap" in current.values:
         return None
-    rigid_J = current.values["J"] + current.values.get("J_l", 0.0)
-    begin = begun_short_runs(trial.fitted, p.start, rigid_J)
+    begin = begun_short_runs(trial.fitted, p.start, with_all_inertia(current.values))
     return None if begin is None else fit_trial(data, trial.effects, begin)
 
 

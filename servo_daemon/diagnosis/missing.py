@@ -19,10 +19,12 @@ from numpy.typing import NDArray
 from servo_daemon.diagnosis.noise_levels import NoiseLevels, Stretch, alive, fit_levels, resolution
 from servo_daemon.diagnosis.smoother import Augmented, backward, forward
 from servo_daemon.errors import NumericalError
+from servo_daemon.estimators.base import natural_values
 from servo_daemon.estimators.output_error import Recording
 from servo_daemon.estimators.output_error.problem import Problem, Segment
 from servo_daemon.estimators.output_error.rollout import INPUT, STEP, TIME
 from servo_daemon.estimators.output_error.setup import make_problem
+from servo_daemon.estimators.short_runs import is_placed, placed_in_short_runs, placed_within
 from servo_daemon.plant.build import PlantModel, build_plant
 from servo_daemon.samples import F64, SampleBlock
 
@@ -125,13 +127,14 @@ def missing_inputs(
         BadInputError: signals or samples are missing.
         NumericalError: the passes left the range of numbers.
     """
-    problem = make_problem([Recording("capture", block)], fit.problem.plant.effects, {})
     plant = _with_load(fit.problem.plant)
+    q = coordinates_with_load(fit, recording)[1] if coordinates is None else coordinates
+    problem = _in_runs(block, fit.problem.plant, q)
     disturbances, visible = _unknown(plant, problem.channels)
     a = Augmented(plant, problem.channels, disturbances)
-    q = coordinates_with_load(fit, recording)[1] if coordinates is None else coordinates
     size = _sizes(plant, q, problem.segments)
-    stretches = [_stretch(a, s, size) for s in problem.segments]
+    near = placed_within(problem, q) if is_placed(problem) else None
+    stretches = [_stretch(a, s, size, near) for s in problem.segments]
     steps = {
         c: resolution(np.concatenate([s.measured[:, k] for s in problem.segments])) for k, c in enumerate(a.channels)
     }
@@ -158,6 +161,16 @@ def missing_inputs(
         resolution=steps,
         unseen=np.zeros(len(time), dtype=bool),
     )
+
+
+def _in_runs(block: SampleBlock, plant: PlantModel, q: F64) -> Problem:
+    """The whole capture at once; where there is a load behind a gap, in short runs that begin where the load is: a
+    filter that comes to an impact early or late has lost it for good."""
+    recordings = [Recording("capture", block)]
+    short = placed_in_short_runs(
+        recordings, plant.effects, natural_values(plant.parameters, q[: len(plant.parameters)])
+    )
+    return short or make_problem(recordings, plant.effects, {})
 
 
 def coordinates_with_load(fit: Fitted, recording: int = 0) -> tuple[tuple[str, ...], F64]:
@@ -201,18 +214,24 @@ def _sizes(plant: PlantModel, q: F64, segments: tuple[Segment, ...]) -> dict[str
     return {"torque": float(np.exp(p["K"])) * current, "voltage": rms}
 
 
-def _stretch(a: Augmented, segment: Segment, size: Mapping[str, float]) -> Stretch:
+def _stretch(a: Augmented, segment: Segment, size: Mapping[str, float], near: F64 | None) -> Stretch:
+    """A segment for the passes.
+
+    Args:
+        near: shape (nx,), 1 σ of the state that it begins in; None: little is known of that.
+    """
     rows = np.ascontiguousarray(
         np.hstack([segment.rows, np.where(segment.valid, segment.measured, 0.0), segment.valid.astype(float)])
     )
     n_d = len(a.disturbances)
     z0 = np.concatenate([segment.x0, np.zeros(n_d)])
-    spread = np.concatenate([_STATE_PRIOR * segment.x0_scale, [_PRIOR * size[d] for d in a.disturbances]])
+    states = _STATE_PRIOR * segment.x0_scale if near is None else near
+    spread = np.concatenate([states, [_PRIOR * size[d] for d in a.disturbances]])
     counted = segment.valid.copy()
     for k in range(len(a.channels)):
         if resolution(segment.measured[:, k]) > 0:
             counted[:, k] &= alive(segment.measured[:, k])
-    return Stretch(rows, z0, np.diag(spread**2), counted)
+    return Stretch(rows, z0, np.diag(spread**2), counted, known=near is not None)
 
 
 def _start(

@@ -52,12 +52,14 @@ class Stretch:
         rows: shape (n, 3 + 2 c): t, h, input, channels, whether each is a measurement.
         z0, P0: shapes (n_z,), (n_z, n_z): state before the first sample.
         counted: shape (n, c): which innovations the likelihood takes.
+        known: the state before the first sample is known as P0 says: nothing has to settle.
     """
 
     rows: F64
     z0: F64
     P0: F64
     counted: NDArray[np.bool_]
+    known: bool = False
 
     def begin(self) -> F64:
         """State of the forward pass."""
@@ -130,8 +132,11 @@ def fit_levels(a: Augmented, q: F64, stretches: Sequence[Stretch], start: NoiseL
 
 
 def _pieces(a: Augmented, stretches: Sequence[Stretch]) -> list[Stretch]:
-    """Some of the data, spread evenly; each begins at its measured state, widely uncertain."""
+    """Some of the data, spread evenly; each begins at its measured state, widely uncertain, or where it is known to."""
     total = sum(len(s.rows) for s in stretches)
+    if all(s.known for s in stretches):
+        count = min(-(-PIECES * PIECE_SAMPLES * len(stretches) // total), len(stretches))
+        return [stretches[int(k)] for k in np.linspace(0, len(stretches) - 1, count).astype(int)]
     if total <= PIECES * PIECE_SAMPLES * 1.5:
         chosen = [(s, 0, len(s.rows)) for s in stretches]
     else:

@@ -31,7 +31,7 @@ from servo_daemon.diagnosis.screen import ScreenedCandidate, screen
 from servo_daemon.diagnosis.split import TRAIN, shorter_s
 from servo_daemon.diagnosis.trial import Data, Trial, fit_trial, model_exists
 from servo_daemon.errors import NumericalError
-from servo_daemon.estimators.short_runs.placed import is_placed
+from servo_daemon.estimators.short_runs import is_placed
 from servo_daemon.plant.effects import effects_by_name
 
 #: At most so many effects are taken.

@@ -49,7 +49,7 @@ def fit_with_play(
     nominal = {p.name: p.nominal for p in problem.plant.parameters}
     known = {name: value for name, value in options.nominal.items() if name not in rigid}
     start = {**nominal, **rigid, **guessed, **known, **options.fixed}
-    begin = begun_short_runs(problem, start, rigid["J"])
+    begin = begun_short_runs(problem, start, rigid)
     if begin is None:
         return None
     runs = placed(make_problem(recordings, effects, options.fixed, segment_s=runs_s), begin)

@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
+from servo_daemon.diagnosis.missing import missing_inputs
 from servo_daemon.estimators.base import to_coordinate
 from servo_daemon.estimators.output_error import FitOptions
 from servo_daemon.estimators.output_error.lost_runs import settled
 from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.output_error.setup import Recording, make_problem
-from servo_daemon.estimators.short_runs import begun_short_runs, fit_short_runs, is_placed, placed
+from servo_daemon.estimators.short_runs import (
+    RunSource,
+    begun_short_runs,
+    fit_short_runs,
+    is_placed,
+    placed,
+    with_all_inertia,
+)
 from servo_daemon.estimators.short_runs.runs import LONG, Runs
 from servo_daemon.identification.play import fit_with_play
+from servo_daemon.samples import F64
 from tests.recovery.captures import capture
-from tests.recovery.generator import LARGE_SERVO, PAPER, Motor, Scenario, generate, typical
+from tests.recovery.generator import GEAR_MOTOR, LARGE_SERVO, PAPER, Motor, Scenario, generate, typical
 from tests.recovery.hidden import Case, judge
 
 pytestmark = pytest.mark.usefixtures("generator_built")
@@ -66,13 +76,61 @@ def test_runs_are_of_one_length_and_spread_over_the_recording() -> None:
     made = scenario(PAPER, "multisine", 4.0)
     problem = problem_of(capture(PAPER, made))
     q = np.array([to_coordinate(p, truth(PAPER, made)[p.name]) for p in problem.plant.parameters])
-    runs = Runs.in_swings(problem, q, LONG, 1_000)
+    runs = RunSource(problem, with_all_inertia(truth(PAPER, made))).in_swings(q, LONG, 1_000)
     assert runs is not None
     assert runs.measured.shape[0] * runs.measured.shape[1] <= 1_000
     begins = [float(rows[0, 0]) for rows in runs.rows]
     assert begins == sorted(begins)
-    assert begins[0] == 0.0
+    assert begins[0] < 1.0
     assert begins[-1] > 3.0
+
+
+def test_of_slow_reversals_the_runs_are_taken_in_which_the_load_crosses_its_gap() -> None:
+    made = scenario(GEAR_MOTOR, "reversals", 12.0)
+    problem = problem_of(capture(GEAR_MOTOR, made))
+    runs = RunSource(problem, with_all_inertia(truth(GEAR_MOTOR, made))).runs(0.05, 10**9)
+    every = Runs.of(problem, 0.05)
+    assert runs is not None
+    assert every is not None
+    true = generate(GEAR_MOTOR, made).truth
+    twist = true.position_rad - true.load_position_rad
+    crosses = np.array([np.ptp(twist[k * 50 : (k + 1) * 50]) for k in range(len(every.rows))])
+    crosses = crosses > 0.5 * truth(GEAR_MOTOR, made)["gap"]
+    begins = {float(rows[0, 0]) for rows in runs.rows}
+    taken = np.array([float(rows[0, 0]) in begins for rows in every.rows])
+    assert 0 < crosses.sum() < 0.25 * len(crosses)
+    assert taken[crosses].mean() > 0.8
+    assert taken.mean() < 0.6
+
+
+@dataclass(frozen=True)
+class _Known:
+    """A model with these parameters."""
+
+    problem: Problem
+    values: Mapping[str, float]
+
+    def coordinates(self, recording: int = 0) -> F64:
+        assert recording == 0
+        return np.array([to_coordinate(p, self.values[p.name]) for p in self.problem.plant.parameters])
+
+
+def test_with_the_load_in_its_place_nothing_is_missing_but_what_is() -> None:
+    """A torque that the model does not hold is seen through the play, and little beside it; an eighth of it is taken
+    for how the runs begin, whose states are searched for without it."""
+    made = scenario(PAPER, "multisine", 6.0)
+    pulled = 0.1 * PAPER.K * PAPER.rated_current_A
+    both = replace(made, effects={**made.effects, "constant_load_torque": {"TL": pulled}})
+    nothing, torque = (_missing_torque(hidden, truth(PAPER, made)) for hidden in (made, both))
+    assert np.median(np.abs(nothing)) < 0.1 * pulled
+    assert np.median(torque) == pytest.approx(pulled, abs=0.2 * pulled)
+
+
+def _missing_torque(hidden: Scenario, values: Mapping[str, float]) -> F64:
+    recording = capture(PAPER, hidden)
+    missing = missing_inputs(_Known(problem_of(recording), values), recording.block)
+    assert len(missing.stretches) > 20
+    return missing.series["torque"]
 
 
 def test_without_a_gap_to_be_found_there_is_nothing_to_search() -> None:
@@ -83,7 +141,7 @@ def test_without_a_gap_to_be_found_there_is_nothing_to_search() -> None:
     held = make_problem([recording], ("backlash",), {"gap": values["gap"]})
     twice = make_problem([recording, recording], ("backlash",), {})
     for problem in (spring, held, twice):
-        assert begun_short_runs(problem, values, values["J"] + values["J_l"]) is None
+        assert begun_short_runs(problem, values, with_all_inertia(values)) is None
         assert fit_short_runs(problem, values) is None
     assert placed(spring, values) is spring
     assert fit_with_play([recording, recording], ("backlash",), FitOptions()) is None
@@ -96,9 +154,7 @@ def test_from_values_several_times_wrong_to_those_that_are_hidden() -> None:
     values = truth(LARGE_SERVO, made)
     problem = problem_of(capture(LARGE_SERVO, made))
     wrong = {"gap": 0.4, "k_s": 0.3, "c_s": 3.0, "J_l": 0.5}
-    begin = begun_short_runs(
-        problem, {n: v * wrong.get(n, 1.0) for n, v in values.items()}, values["J"] + values["J_l"]
-    )
+    begin = begun_short_runs(problem, {n: v * wrong.get(n, 1.0) for n, v in values.items()}, with_all_inertia(values))
     assert begin is not None
     assert begin["gap"] == pytest.approx(values["gap"], rel=0.15)
     assert begin["k_s"] == pytest.approx(values["k_s"], rel=0.1)
@@ -120,6 +176,8 @@ def test_from_values_several_times_wrong_to_those_that_are_hidden() -> None:
     [
         ("clear", "large", "pick_and_place", 467195),
         ("faint", "gear", "pick_and_place", 361076),  # k_s was 25 % off at 80 standard deviations
+        ("clear", "gear", "reversals", 726115),  # tells for a few percent of the time; was unexplained
+        ("clear", "paper", "multisine", 521086),  # what the smoother lost of the load was taken for a step
     ],
 )
 def test_a_play_is_named_and_what_is_said_of_it_holds(strength: str, motor: str, motion: str, seed: int) -> None:

@@ -8,12 +8,14 @@ projection: Golub & Pereyra, *SIAM J. Numer. Anal.* 10, 1973; Kaufman, *BIT* 15,
 """
 
 from servo_daemon.estimators.short_runs.fit import begun_short_runs, fit_short_runs
-from servo_daemon.estimators.short_runs.placed import is_placed, placed
+from servo_daemon.estimators.short_runs.placed import is_placed, placed, placed_in_short_runs, placed_within
 from servo_daemon.estimators.short_runs.published import by_short_runs
 from servo_daemon.estimators.short_runs.runs import can_be_fitted
 from servo_daemon.estimators.short_runs.search import ShortRunFit
+from servo_daemon.estimators.short_runs.telling import RunSource, with_all_inertia
 
 __all__ = [
+    "RunSource",
     "ShortRunFit",
     "begun_short_runs",
     "by_short_runs",
@@ -21,4 +23,7 @@ __all__ = [
     "fit_short_runs",
     "is_placed",
     "placed",
+    "placed_in_short_runs",
+    "placed_within",
+    "with_all_inertia",
 ]

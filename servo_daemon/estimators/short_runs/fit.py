@@ -9,8 +9,9 @@ import numpy as np
 from servo_daemon.estimators.base import to_coordinate
 from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.short_runs.gap import FAR, NEAR, NEAREST, with_other_gap
-from servo_daemon.estimators.short_runs.runs import FEW_SAMPLES, MOST_SAMPLES, SHORT, Runs, can_be_fitted
+from servo_daemon.estimators.short_runs.runs import FEW_SAMPLES, MOST_SAMPLES, SHORT, can_be_fitted
 from servo_daemon.estimators.short_runs.search import ShortRunFit, search, within
+from servo_daemon.estimators.short_runs.telling import RunSource, with_all_inertia
 from servo_daemon.samples import F64
 
 #: Loads as shares of all inertia, on teeth that swing like this, so damped, that a search begins at, and samples that
@@ -20,26 +21,28 @@ _SHARES, _TEETH_RAD_S, _TEETH_DAMPING, _FEWEST_SAMPLES = (0.15, 0.4), (200.0, 45
 _TIMES, _BEGINNING_ROUNDS, _ROUNDS = 2, 2, 2
 
 
-def begun_short_runs(problem: Problem, start: Mapping[str, float], rigid_J: float) -> dict[str, float] | None:
+def begun_short_runs(
+    problem: Problem, start: Mapping[str, float], rigid: Mapping[str, float]
+) -> dict[str, float] | None:
     """Where a fit is to begin, natural units: from values that may be several times too large or too small. None: the
     model or the data are none for it.
 
     Args:
         problem: of one recording; its segments are cut up, its free parameters searched for.
         start: of all parameters; loads and teeth of other sizes are tried as well.
-        rigid_J: motor and load together.
+        rigid: of the motor that turns with all its load, as fitted.
     """
     if not can_be_fitted(problem):
         return None
-    columns = _columns(problem)
-    q = _best_begun(problem, coordinates_of(problem, start), columns, rigid_J)
+    columns, source = _columns(problem), RunSource(problem, {**start, **rigid})
+    q = _best_begun(source, coordinates_of(problem, start), columns)
     for _ in range(_TIMES):  # how long a run is to be hangs on what is searched for
-        short = Runs.in_swings(problem, q, SHORT, FEW_SAMPLES)
+        short = source.in_swings(q, SHORT, FEW_SAMPLES)
         if short is None:
             return None
         q = search(short, q, columns, _BEGINNING_ROUNDS).q
-    q, _ = with_other_gap(problem, q, FAR)
-    short = Runs.in_swings(problem, q, SHORT, FEW_SAMPLES)
+    q, _ = with_other_gap(source, q, FAR)
+    short = source.in_swings(q, SHORT, FEW_SAMPLES)
     return None if short is None else search(short, q, _but_the_gap(problem), 1).values
 
 
@@ -47,10 +50,11 @@ def fit_short_runs(problem: Problem, start: Mapping[str, float]) -> ShortRunFit 
     """Fit from values that are about right; None: the model or the data are none for it. See `begun_short_runs`."""
     if not can_be_fitted(problem):
         return None
+    source = RunSource(problem, with_all_inertia(start))
     q, found, gap_std = coordinates_of(problem, start), None, np.inf
     for scan in (NEAR, NEAREST):  # a gap a little wrong bends the teeth, and these the gap
-        q, gap_std = with_other_gap(problem, q, scan)
-        runs = Runs.in_swings(problem, q, SHORT, MOST_SAMPLES)
+        q, gap_std = with_other_gap(source, q, scan)
+        runs = source.in_swings(q, SHORT, MOST_SAMPLES)
         if runs is None:
             return None
         found = search(runs, q, _but_the_gap(problem), _ROUNDS)
@@ -74,10 +78,10 @@ def _but_the_gap(problem: Problem) -> tuple[int, ...]:
     return tuple(k for k in _columns(problem) if names[k] != "gap")
 
 
-def _best_begun(problem: Problem, q: F64, columns: Sequence[int], rigid_J: float) -> F64:
+def _best_begun(source: RunSource, q: F64, columns: Sequence[int]) -> F64:
     """The best of a few steps from here and from other loads on other teeth."""
-    names = problem.plant.parameter_names
-    runs = Runs.of(problem, SHORT * 2 * np.pi / max(_TEETH_RAD_S), _FEWEST_SAMPLES)
+    names, rigid_J = source.problem.plant.parameter_names, source.motor["J"]
+    runs = source.runs(SHORT * 2 * np.pi / max(_TEETH_RAD_S), _FEWEST_SAMPLES)
     if runs is None:
         return q
     starts = [q]
@@ -87,7 +91,7 @@ def _best_begun(problem: Problem, q: F64, columns: Sequence[int], rigid_J: float
             J, J_l = (1.0 - share) * rigid_J, share * rigid_J
             k_s = J * share * omega**2  # against the reduced inertia
             for name, value in {"J": J, "J_l": J_l, "k_s": k_s, "c_s": 2 * _TEETH_DAMPING * k_s / omega}.items():
-                if name in problem.free:
+                if name in source.problem.free:
                     other[names.index(name)] = np.log(value)
             starts.append(within(runs, other))
     found = [search(runs, s, columns, 1) for s in starts]

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from servo_daemon.estimators.output_error.problem import Problem
-from servo_daemon.estimators.short_runs.runs import FEW_SAMPLES, LONG, MOST_SAMPLES, Runs
+from servo_daemon.estimators.short_runs.runs import FEW_SAMPLES, LONG, MOST_SAMPLES
 from servo_daemon.estimators.short_runs.search import cost, costs, settled_runs, within
 from servo_daemon.estimators.short_runs.states import searched
+from servo_daemon.estimators.short_runs.telling import RunSource
 from servo_daemon.samples import F64
 
 #: Groups of runs, each left out once.
@@ -34,15 +34,15 @@ FAR, NEAR, NEAREST = (
 )
 
 
-def with_other_gap(problem: Problem, q: F64, scan: Scan) -> tuple[F64, float]:
+def with_other_gap(source: RunSource, q: F64, scan: Scan) -> tuple[F64, float]:
     """The coordinates with the gap, of many, that suits longer runs best, and 1 σ of its logarithm by how far it would
     be another one for some of the runs (delete-group jackknife). Only runs in which the load crosses a gap tell how
     wide it is, each with edges of its own: a descent moves it by little at a time."""
-    runs = Runs.in_swings(problem, q, LONG, scan.samples)
+    runs = source.in_swings(q, LONG, scan.samples)
     if runs is None:
         return q, np.inf
     settled, sigma = settled_runs(runs, q)
-    at = problem.plant.parameter_names.index("gap")
+    at = source.problem.plant.parameter_names.index("gap")
     known: dict[float, F64] = {}
 
     def of_runs(log_factor: float) -> F64:
@@ -70,9 +70,9 @@ def with_other_gap(problem: Problem, q: F64, scan: Scan) -> tuple[F64, float]:
     return within(runs, out), float(np.hypot(spread, apart))
 
 
-def likelier(problem: Problem, one: F64, other: F64) -> bool:
+def likelier(source: RunSource, one: F64, other: F64) -> bool:
     """Whether runs in which the load crosses its gap are likelier with these coordinates than with the others."""
-    runs = Runs.in_swings(problem, other, LONG, MOST_SAMPLES)
+    runs = source.in_swings(other, LONG, MOST_SAMPLES)
     if runs is None:
         return False
     settled, sigma = settled_runs(runs, other)

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from servo_daemon.estimators.base import to_coordinate
 from servo_daemon.estimators.output_error.problem import Problem
-from servo_daemon.estimators.short_runs.runs import TWIST, Runs, can_be_searched
+from servo_daemon.estimators.output_error.setup import Recording, make_problem
+from servo_daemon.estimators.short_runs.runs import FEWEST, SHORT, TWIST, Runs, can_be_searched, swing_s
 from servo_daemon.estimators.short_runs.search import settled_runs
 from servo_daemon.estimators.short_runs.states import searched
+from servo_daemon.samples import F64
 
+#: How exact a place is: a motor's state as a share of its size, a load's twist of the gap, its rate of the fastest.
+_OF_MOTOR, _OF_GAP, _OF_RATE = 1e-3, 0.02, 0.02
 #: Samples that tell the noise.
 _FEW_SAMPLES = 5_000
 
@@ -40,6 +44,34 @@ def placed(problem: Problem, values: Mapping[str, float]) -> Problem:
     return replace(problem, segments=segments, exact=False, own_states=plant.state_names, whole=())
 
 
+def placed_in_short_runs(
+    recordings: Sequence[Recording], effects: tuple[str, ...], values: Mapping[str, float]
+) -> Problem | None:
+    """A model's free runs in which the load meets its teeth about once, placed; None: there is no such load.
+
+    Args:
+        values: natural units, of every parameter.
+    """
+    whole = make_problem(recordings, effects, {})
+    if not can_be_searched(whole):
+        return None
+    length_s = max(SHORT * swing_s(values), FEWEST * whole.sample_period_s)
+    return placed(make_problem(recordings, effects, {}, segment_s=length_s), values)
+
+
 def is_placed(problem: Problem) -> bool:
     """Whether its segments begin with a load of their own."""
     return TWIST in problem.own_states
+
+
+def placed_within(problem: Problem, q: F64) -> F64:
+    """1 σ of the states that a placed problem's segments begin in, shape (nx,).
+
+    Args:
+        q: shape (np,) or longer, the plant's coordinates.
+    """
+    runs = Runs.over(problem)
+    twist, rate = runs.load_states
+    out = _OF_MOTOR * runs.scale
+    out[twist], out[rate] = _OF_GAP * runs.gap_rad(q), _OF_RATE * runs.fastest_rad_s
+    return np.asarray(out)

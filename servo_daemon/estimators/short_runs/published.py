@@ -14,6 +14,7 @@ from servo_daemon.estimators.output_error.setup import Recording
 from servo_daemon.estimators.short_runs.fit import coordinates_of, fit_short_runs
 from servo_daemon.estimators.short_runs.gap import likelier
 from servo_daemon.estimators.short_runs.search import ShortRunFit
+from servo_daemon.estimators.short_runs.telling import RunSource, with_all_inertia
 
 
 def by_short_runs(
@@ -33,7 +34,7 @@ def by_short_runs(
         return None
     names, free = whole.plant.parameter_names, fit.problem.free
     begun = coordinates_of(whole, begin)
-    best = begun if likelier(whole, begun, short.q) else short.q
+    best = begun if likelier(RunSource(whole, with_all_inertia(begin)), begun, short.q) else short.q
     apart = np.abs(begun - short.q)
     unknowns = fit.solution.point.unknowns.copy()
     unknowns[: len(free)] = [best[names.index(name)] for name in free]

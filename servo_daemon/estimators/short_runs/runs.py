@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_daemon.estimators.base import natural_values
 from servo_daemon.estimators.output_error.problem import MOTOR_STATES, Problem, Segment
 from servo_daemon.estimators.output_error.rollout import TIME, free_run
 from servo_daemon.plant.build import PlantModel
@@ -28,6 +27,16 @@ SHORT, LONG, FEWEST = 4.0, 16.0, 30
 MOST_SAMPLES, FEW_SAMPLES = 12_000, 5_000
 #: Samples from which a run's first speed is guessed.
 _SLOPE_SAMPLES = 15
+
+
+def swing_s(values: Mapping[str, float]) -> float:
+    """Time of a swing of the load on its teeth, both free, s.
+
+    Args:
+        values: natural units.
+    """
+    mu = values["J"] * values["J_l"] / (values["J"] + values["J_l"])
+    return 2.0 * np.pi * float(np.sqrt(mu / values["k_s"]))
 
 
 def can_be_searched(problem: Problem) -> bool:
@@ -69,25 +78,16 @@ class Runs:
     scale: F64
 
     @classmethod
-    def of(cls, problem: Problem, length_s: float, most_samples: int) -> Runs | None:
-        """A problem's segments cut into runs of this length, of which some are taken, evenly over the recording, that
-        have no more samples than that; None: there are none, or the model has states that runs so short do not show.
+    def of(cls, problem: Problem, length_s: float) -> Runs | None:
+        """A problem's segments cut into runs of this length; None: there are none, or the model has states that runs so
+        short do not show.
         """
         if not can_be_searched(problem):
             return None
         n = max(round(length_s / problem.sample_period_s), FEWEST)
         cuts = [(s, b) for s in problem.segments for b in range(0, len(s.rows) - n + 1, n)]
         cuts = [(s, b) for s, b in cuts if s.valid[b : b + n].any(axis=0).all()]
-        if not cuts:
-            return None
-        return cls._cut(problem, cuts, n).some(most_samples)
-
-    @classmethod
-    def in_swings(cls, problem: Problem, q: F64, swings: float, most_samples: int) -> Runs | None:
-        """Runs of so many of the teeth's own swings, with the load and the teeth of these coordinates. See `of`."""
-        p = natural_values(problem.plant.parameters, q)
-        mu = p["J"] * p["J_l"] / (p["J"] + p["J_l"])
-        return cls.of(problem, swings * 2 * np.pi * float(np.sqrt(mu / p["k_s"])), most_samples)
+        return cls._cut(problem, cuts, n) if cuts else None
 
     @classmethod
     def over(cls, problem: Problem) -> Runs:
@@ -111,13 +111,22 @@ class Runs:
         if self.measured.shape[0] * self.measured.shape[1] <= most_samples:
             return self
         count = max(most_samples // self.measured.shape[1], 1)
-        chosen = np.linspace(0, len(self.rows) - 1, count).astype(int)
+        return self.only(np.linspace(0, len(self.rows) - 1, count).astype(int))
+
+    def only(self, chosen: NDArray[np.int_]) -> Runs:
+        """These of them."""
         return replace(
             self,
             rows=tuple(self.rows[int(k)] for k in chosen),
             measured=self.measured[chosen],
             valid=self.valid[chosen],
             guessed=self.guessed[chosen],
+        )
+
+    def of_motor(self, plant: PlantModel) -> Runs:
+        """The same with a plant that has no state of the load's own."""
+        return replace(
+            self, plant=plant, guessed=self.guessed[:, self.motor_states], scale=self.scale[self.motor_states]
         )
 
     @cached_property
@@ -187,8 +196,9 @@ class Runs:
 
     def _steps(self, q: F64) -> F64:
         out = _OF_MOTOR * self.scale
-        twist, rate = self.load_states
-        out[twist], out[rate] = _OF_GAP * self.gap_rad(q), _OF_RATE * self.fastest_rad_s
+        if TWIST in self.plant.state_names:
+            twist, rate = self.load_states
+            out[twist], out[rate] = _OF_GAP * self.gap_rad(q), _OF_RATE * self.fastest_rad_s
         return np.asarray(out)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from servo_daemon.estimators.base import natural_values, to_coordinate
 from servo_daemon.estimators.short_runs.runs import Runs
-from servo_daemon.estimators.short_runs.states import Settled, descended, eliminated, floor, searched
+from servo_daemon.estimators.short_runs.states import Settled, descended, eliminated, first_sigma, floor, searched
 from servo_daemon.samples import F64
 
 #: Steps in a round, tries of a step.
@@ -20,8 +20,6 @@ _FIRST_DAMPING, _LEAST_DAMPING, _HARDER = 1e-2, 1e-6, 8.0
 #: A step that gains less is the last of its round, and a round that moves nothing by so many standard deviations, or
 #: by this share, the last.
 _LITTLE, _STILL_STDS, _STILL = 2.0, 0.3, 1e-4
-#: Noise of a sensor to begin with, as a share of its signal.
-_FINE = 1e-4
 #: Of its curvature a parameter has at least this share of the largest.
 _FLAT = 1e-12
 #: A run's slopes count for no more than so many times those of the steepest tenth.
@@ -90,7 +88,7 @@ def search(runs: Runs, q: F64, columns: Sequence[int], rounds: int) -> ShortRunF
 
 def settled_runs(runs: Runs, q: F64) -> tuple[Settled, F64]:
     """States that suit the runs, and the noise of the best of these."""
-    sigma = _FINE * runs.scale[[runs.plant.state_names.index(c) for c in runs.channels]]
+    sigma = first_sigma(runs)
     settled = searched(runs, q, runs.guessed, sigma)
     sigma = floor(runs, settled, sigma)
     return searched(runs, q, settled.states, sigma), sigma

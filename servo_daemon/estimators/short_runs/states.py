@@ -15,6 +15,8 @@ _ITERATIONS, _ENOUGH = 4, 1e-3
 _TRIES, _HARDER, _FIRST_DAMPING, _LEAST_DAMPING = 3, 10.0, 1e-3, 1e-6
 #: Places of the load that are tried, as shares of the gap and of the fastest rate, and how many of them descend.
 _PLACES, _RATES, _DESCEND = np.linspace(-0.5, 0.5, 5), np.array([-1, -0.5, -0.25, -0.1, 0, 0.1, 0.25, 0.5, 1]), 2
+#: Noise of a sensor to begin with, as a share of its signal.
+_FINE = 1e-4
 #: Curvature that counts as none.
 _FLAT = 1e-12
 
@@ -132,6 +134,11 @@ def eliminated(J: F64, columns: F64, residuals: F64) -> tuple[F64, F64]:
     return np.asarray(columns - np.einsum("kni,kij->knj", Q, np.einsum("kni,knj->kij", Q, columns))), _without(
         Q, residuals
     )
+
+
+def first_sigma(runs: Runs) -> F64:
+    """σ of each channel to begin with, shape (c,)."""
+    return np.asarray(_FINE * runs.scale[[runs.plant.state_names.index(c) for c in runs.channels]])
 
 
 def floor(runs: Runs, settled: Settled, sigma: F64) -> F64:
