@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -34,12 +34,14 @@ class Candidate:
         trial: the model of that round with it.
         against: its advantage over the model of that round.
         taken: whether it was.
+        start: where screening put it, natural values; None: not screened.
     """
 
     name: str
     trial: Trial
     against: Advantage
     taken: bool = False
+    start: Mapping[str, float] | None = None
 
 
 def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: int) -> tuple[Candidate, ...]:
@@ -73,7 +75,7 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: in
                 trial = _better(trial, fit_trial(data, p.effects, twin)) or trial
         if not np.isfinite(trial.choice.squares).all():
             return None
-        return Candidate(p.name, trial, advantage(current, trial))
+        return Candidate(p.name, trial, advantage(current, trial), start=p.start)
 
     def gained(trial: Trial) -> float:
         return current.solution.point.value - trial.solution.point.value

@@ -60,16 +60,16 @@ def as_likely(without: Trial, extended: OutputErrorFit, whole: Whole) -> bool:
 
 def far_likelier(rich: OutputErrorFit, simple: OutputErrorFit) -> bool:
     """Whether the data are likelier under the richer model by much more than its parameters cost (Schwarz 1978); not
-    where either deviance is not known."""
-    if rich.deviance is None or simple.deviance is None:
+    where either deviance is not known. That of the simpler one counts as the best that it may be."""
+    if rich.deviance is None:
         return False
     return rich.deviance <= far_below(simple, len(rich.problem.free))
 
 
 def far_below(simple: OutputErrorFit, free: int) -> float:
-    """The deviance that a model with so many free parameters must not exceed to be far likelier; infinite where the
-    simpler one's is not known."""
-    if simple.deviance is None:
-        return math.inf
+    """The deviance that a model with so many free parameters must not exceed to be far likelier; none is low enough
+    where the simpler one's is not known."""
+    if simple.deviance_at_best is None:
+        return -math.inf
     cost = (free - len(simple.problem.free)) * math.log(max(float(simple.problem.counts.sum()), 2.0))
-    return simple.deviance - cost - _LIKELIER
+    return simple.deviance_at_best - cost - _LIKELIER

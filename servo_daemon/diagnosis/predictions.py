@@ -77,7 +77,7 @@ def found_by_predictions(
     before = _predicted(whole, _unseeing(few, base, whole, held) or whole, held)
     if after is None or before is None or bootstrapped_sum(before.deviance - after.deviance)[0] <= 0.0:
         return None
-    published = extended if few is data else _fitted(whole_fits, best.trial)
+    published = extended if few is data else _fitted(whole_fits, best)
     if published is None or not published.white:
         return None
     floor = _floor(after)
@@ -95,7 +95,7 @@ def found_by_predictions(
         ci95=ci95,
         candidates=_marked(candidates, best, base),
         after=longest_missing(data, published),
-        deviance_gain=(whole.deviance or 0.0) - (extended.deviance or 0.0),
+        deviance_gain=(whole.deviance_at_best or 0.0) - (extended.deviance or 0.0),
     )
 
 
@@ -124,7 +124,7 @@ def _likely(
     tried = sorted({c.name: c for c in reversed(single)}.values(), key=lambda c: c.against.delta_bic)[:_TRIED]
     if not base.white:
         tried += _unscreened(selection, {c.name for c in tried})
-    fits = [(c, _fitted(whole_fits, c.trial, far_below(base, len(c.trial.problem.free)))) for c in tried]
+    fits = [(c, _fitted(whole_fits, c, far_below(base, len(c.trial.problem.free)))) for c in tried]
     likely = [(c, fit) for c, fit in fits if fit is not None and fit.white and far_likelier(fit, base)]
     return sorted(likely, key=lambda f: f[1].deviance or math.inf)
 
@@ -143,11 +143,15 @@ def _unscreened(selection: Selection, tried: Collection[str]) -> list[Candidate]
     return out
 
 
-def _fitted(whole_fits: WholeFits, trial: Trial, below: float = math.inf) -> OutputErrorFit | None:
+def _fitted(whole_fits: WholeFits, c: Candidate, below: float = math.inf) -> OutputErrorFit | None:
     """To everything, as far as the deviance may come below this; of two lags in a row in the order that the data
-    prefer."""
-    fit = whole_fits.of(trial, below=below)
-    return None if fit is None else told_from_twin(fit, partial(whole_fits.of, trial, below=below))
+    prefer. Free runs that follow a drift may have bent a spring to follow it, too: if the data are not white with what
+    the search has come to, from where screening put it."""
+    fit = whole_fits.of(c.trial, below=below)
+    if (fit is None or not fit.white) and c.start is not None:
+        other = whole_fits.of(c.trial, c.start, below)
+        fit = other if other is not None and other.white else fit
+    return None if fit is None else told_from_twin(fit, partial(whole_fits.of, c.trial, below=below))
 
 
 def _simplest(likely: Sequence[tuple[Candidate, OutputErrorFit]]) -> tuple[Candidate, OutputErrorFit]:
@@ -193,7 +197,7 @@ def _unseeing(data: Data, trial: Trial, fit: OutputErrorFit, held: _Held) -> Out
     """The model fitted without the times held out, from where the fit to everything has come to."""
     seen = tuple(replace(r, seen=runs < 0) for r, runs in zip(data.recordings, held, strict=True))
     part = fit_whole(replace(data, recordings=seen), trial, fit.values)
-    return part if part is not None and part.polished is not None else None
+    return part if part is not None and part.likeliest is not None else None
 
 
 def _predicted(fit: OutputErrorFit, part: OutputErrorFit | None, held: _Held) -> _Predicted | None:
@@ -204,14 +208,15 @@ def _predicted(fit: OutputErrorFit, part: OutputErrorFit | None, held: _Held) ->
         part: whose parameters hold.
     """
     n = max(int(runs.max()) for runs in held) + 1
-    if part is None or part.polished is None or n == 0:
+    likeliest = None if part is None else part.likeliest
+    if part is None or likeliest is None or n == 0:
         return None
     problem, channels = _with_all(part.problem, fit.problem), fit.problem.channels
-    unknowns = part.polished.point.unknowns
+    unknowns = likeliest.point.unknowns
     residuals = problem.linearise(unknowns).residuals
     deviance, squares, expected, counts = np.zeros(n), *(np.zeros((n, len(channels))) for _ in range(3))
     for segment, model, r in zip(problem.segments, tangents(problem, unknowns), residuals, strict=True):
-        out = whiten(model, segment.valid.astype(float), r[:, :, None], np.exp(part.polished.log_variance))
+        out = whiten(model, segment.valid.astype(float), r[:, :, None], np.exp(likeliest.log_variance))
         white, variance = out.values[:, :, 0], np.where(segment.valid, np.exp(out.log_variance), 0.0)
         runs = held[segment.recording][segment.begin : segment.begin + len(segment.rows)]
         use, at = runs >= 0, runs[runs >= 0]

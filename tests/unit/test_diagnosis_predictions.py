@@ -52,6 +52,10 @@ class Fit:
     free: int
 
     @property
+    def deviance_at_best(self) -> float:
+        return self.deviance
+
+    @property
     def problem(self) -> SimpleNamespace:
         return SimpleNamespace(free=range(self.free), counts=np.array([20_000.0, 20_000.0]))
 

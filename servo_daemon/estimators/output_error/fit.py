@@ -96,6 +96,7 @@ class OutputErrorFit:
             of largest likelihood under it. None: plain output error.
         polished: the estimate of largest likelihood under noise of the voltage, whether it is the published one or not;
             None: it was not asked for, none was seen, or it did not settle.
+        unsettled: where a search for it ended that did not.
         plain: the plain output-error solution, whatever was published; `iterations` are its own.
         start: which start won.
         seconds: time taken.
@@ -114,6 +115,7 @@ class OutputErrorFit:
     innovation: Mapping[str, ResidualTest] | None
     noise: NoiseModel | None
     polished: Polished | None
+    unsettled: Polished | None
     plain: Solution
     start: str
     seconds: float
@@ -140,6 +142,16 @@ class OutputErrorFit:
         if self.polished is not None:
             return self.polished.deviance
         return self.solution.point.value + float(self.problem.counts.sum()) if self.white else None
+
+    @property
+    def likeliest(self) -> Polished | None:
+        """Where the search for the largest likelihood ended, settled or not."""
+        return self.polished or self.unsettled
+
+    @property
+    def deviance_at_best(self) -> float | None:
+        """What the deviance is, or may be at the best where the search for it did not settle; None: not known."""
+        return self.unsettled.at_best if self.unsettled is not None else self.deviance
 
     def cost(self, iteration: Iteration) -> float:
         """Mean squared residual over the mean square of the measured signal about its mean; over several channels the
@@ -206,6 +218,7 @@ def fit_output_error(
         innovation=outcome.innovation,
         noise=outcome.noise,
         polished=outcome.polished,
+        unsettled=outcome.unsettled,
         plain=plain,
         start=start.source,
         seconds=time.perf_counter() - began,

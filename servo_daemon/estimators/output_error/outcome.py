@@ -42,7 +42,7 @@ class Outcome:
         residual: of the free run there, by channel.
         innovation: of the filter, by channel; None without a noise model.
         noise: the noise model the estimate is for; None: plain output error.
-        polished: see `OutputErrorFit`.
+        polished, unsettled: see `OutputErrorFit`.
     """
 
     solution: Solution
@@ -51,6 +51,7 @@ class Outcome:
     innovation: Mapping[str, ResidualTest] | None
     noise: NoiseModel | None
     polished: Polished | None
+    unsettled: Polished | None = None
 
 
 def conclude(
@@ -68,6 +69,8 @@ def conclude(
         polished = polish(problem, plain.point, torque_size, below)
     if polished is None:
         return _plain(problem, plain, scale, None)
+    if not polished.at_rest:
+        return replace(_plain(problem, plain, scale, None), unsettled=polished)
     innovations, rms = polished.whitened.linearisation.residuals, polished.innovation_rms
     tests = innovation_tests(problem, innovations, rms, moving(problem), resolution(problem))
     explained = polished.torque_gain < WORTH and "current_A" in problem.channels

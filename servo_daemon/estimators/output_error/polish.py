@@ -73,6 +73,7 @@ class Polished:
         innovation_rms: shape (c,), in the channels' units.
         at_bound: columns of parameters that ended at a bound.
         instant_std: of the columns of instants, s: what no derivative tells.
+        remaining: what a further step promises −2 log p to fall by.
     """
 
     point: Point
@@ -84,10 +85,23 @@ class Polished:
     innovation_rms: F64
     at_bound: frozenset[int]
     instant_std: Mapping[int, float]
+    remaining: float
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the search came to its end. Under a model that is far off its valley is bent so much that no step
+        along its slope is better."""
+        return self.remaining < _CLOSE
+
+    @property
+    def at_best(self) -> float:
+        """What −2 log p is, or may come to at the best."""
+        return self.deviance if self.at_rest else self.deviance - _REACH * self.remaining
 
 
 def polish(problem: Problem, point: Point, torque_size: float, below: float = np.inf) -> Polished | None:
-    """From the plain output-error estimate; None where no noise but the sensors' is seen, or no estimate is found.
+    """From the plain output-error estimate, to where its search ends; None where no noise but the sensors' is seen, or
+    it was given up.
 
     Args:
         torque_size: N·m, what the motor typically exerts.
@@ -99,39 +113,44 @@ def polish(problem: Problem, point: Point, torque_size: float, below: float = np
     plain = at.value(alone)
     a, value = at.with_source(alone, INPUT_NOISE)
     end = _settle(problem, point, a, limits, below) if value < plain - WORTH else None
-    if end is not None and instants_of(problem):
+    instant_std: dict[int, float] = {}
+    if end is not None and end.remaining < _CLOSE and instants_of(problem):
         end, instant_std = _settle_instants(problem, end, limits, below)
-    else:
-        instant_std = {}
     if end is None:
         return None
-    point, whitened, a = end
+    point, a = end.point, end.log_variance
     deviance = _likelihood(problem, point, limits).value(a)
     whitened, rms = whiten_point(problem, point, a)
-    torque = _torque_gain(problem, point, a, limits)
+    torque = _torque_gain(problem, point, a, limits) if end.remaining < _CLOSE else np.inf
     noise = noise_model(problem, a, plain - deviance)
-    return Polished(point, whitened, noise, a, deviance, torque, rms, _at_bound(problem, whitened), instant_std)
+    at_bound = _at_bound(problem, whitened)
+    return Polished(point, whitened, noise, a, deviance, torque, rms, at_bound, instant_std, end.remaining)
 
 
-#: Free run, whitened, log variances.
-_End = tuple[Point, Point, F64]
+@dataclass(frozen=True, slots=True)
+class _End:
+    """Free run, the same whitened, log variances; see `Polished`."""
+
+    point: Point
+    whitened: Point
+    log_variance: F64
+    remaining: float
 
 
 def _settle_instants(
     problem: Problem, end: _End, limits: tuple[F64, F64], below: float
-) -> tuple[_End | None, dict[int, float]]:
+) -> tuple[_End, dict[int, float]]:
     """From the likeliest instants of the steps that the model holds, and how well these are known."""
     std: dict[int, float] = {}
     for column in instants_of(problem):
         for _ in range(_INSTANT_ROUNDS):
-            point, whitened, a = end
-            here = float(point.unknowns[column])
+            here = float(end.point.unknowns[column])
             there, std[column] = profile(problem, column, here, partial(_deviance_at, problem, end, column))
             if there == here:
                 break
-            moved = _moved(problem, point, column, there)
-            again = _settle(problem, moved, a, limits, below)
-            if again is None or again[1].value > whitened.value:
+            moved = _moved(problem, end.point, column, there)
+            again = _settle(problem, moved, end.log_variance, limits, below)
+            if again is None or again.remaining >= _CLOSE or again.whitened.value > end.whitened.value:
                 break
             end = again
     return end, std
@@ -146,9 +165,8 @@ def _moved(problem: Problem, point: Point, column: int, at_s: float) -> Point:
 
 def _deviance_at(problem: Problem, end: _End, column: int, at_s: float) -> float:
     """−2 log p with one instant elsewhere and all else as it is."""
-    point, _, a = end
-    moved = _moved(problem, point, column, at_s)
-    return whiten_point(problem, moved, a)[0].value if moved.linearisation.finite else np.inf
+    moved = _moved(problem, end.point, column, at_s)
+    return whiten_point(problem, moved, end.log_variance)[0].value if moved.linearisation.finite else np.inf
 
 
 def _torque_gain(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64]) -> float:
@@ -161,7 +179,7 @@ def _torque_gain(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64]
 
 
 def _settle(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64], below: float) -> _End | None:
-    """Steps of the parameters and of the noise in turn, until neither moves; None if they do not come to rest, or not
+    """Steps of the parameters and of the noise in turn, until neither moves or none is better; None if they do not come
     below the value.
 
     In turn, because the noise as seen from a poor estimate leads astray where the data say little.
@@ -186,7 +204,7 @@ def _settle(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64], bel
             before, (a, _) = a, _likelihood(problem, point, limits).refine(a)
             settled = bool(np.allclose(np.exp(a), np.exp(before), rtol=_SAME, atol=0.0))
             whitened, _ = whiten_point(problem, point, a)
-    return (point, whitened, a) if _step(problem, whitened)[1] < _CLOSE else None
+    return _End(point, whitened, a, _step(problem, whitened)[1])
 
 
 def _step(problem: Problem, whitened: Point) -> tuple[F64, float]:
