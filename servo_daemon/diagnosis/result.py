@@ -127,7 +127,7 @@ class Diagnosis:
         validation: scores on captures that were not diagnosed.
         seconds: time taken.
         judged_by: see `JudgedBy`; the held-out errors are of that.
-        deviance_gain: by how much −2 log p falls with what predictions have named; else None.
+        deviance_gain: by how much −2 log p falls, at least, with what predictions have named; else None.
     """
 
     captures: tuple[Capture, ...]
