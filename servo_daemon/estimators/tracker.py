@@ -304,12 +304,7 @@ class Tracker:
             )
         self._jumps.remember(end_s)
         alike_s = self._stretches.alike("current_A") * (self.sample_period_s or 0.0)
-        if self._second_look.look(self._ticks, self.watch.white, self.sample_period_s or 0.0):
-            self._jumps.reset()
-            self.watch.learn_anew()
-        elif self._likelihood_look.look(self._ticks, self.excitation.scales, self._doubts):
-            self._judge.begin_anew(follows=True)
-            self._judge.vouch()
+        if self._has_looked_again():
             self._jumps.reset()
             self.watch.learn_anew()
         self._jumps.search.mark()
@@ -321,6 +316,16 @@ class Tracker:
         elif fresh and self._doubts.could_begin_better(self._ticks):
             self._begin_again()
         return messages
+
+    def _has_looked_again(self) -> bool:
+        """Whether the first samples have just been gone over again, and the filter goes on from what that came to."""
+        if self._second_look.look(self._ticks, self.watch.white, self.sample_period_s or 0.0):
+            return True
+        if not self._likelihood_look.look(self._ticks, self.excitation.scales, self._doubts):
+            return False
+        self._judge.begin_anew(follows=True)
+        self._judge.vouch()
+        return True
 
     def _may_search(self, stretch: Stretch) -> bool | None:
         """Whether it may be looked for a parameter that has stepped; None: a sensor is frozen, and an offset would
