@@ -1,15 +1,24 @@
 """What a voltage that is recorded in coarse steps leaves open of the inductance.
 
-The winding answers to changes of the voltage within its time constant L/R. Recorded in steps q, each change is off by
-q²/6 (two roundings of q²/12); where the changes Δv are not large against q, the share
+A filter allows for noise that is in the applied voltage and not in the record: it is independent of what is recorded,
+and averages out. Rounding is the other way round. The error e of steps q, σ_e² = q²/12, stands in the record and not in
+the motor, so that it is in the innovations *and* in their derivatives by the parameters (errors in variables): the
+filter solves Σ S ε = 0, and E S ε is not 0. Two limits:
 
-    s = (q²/6) / E Δv²,   Δv over L/R or one sample, whichever is longer,
+A winding that is slow against the sampling. One current with a = exp(−x), b = (1 − a)/R, x = h R/L, the filter's gain κ
+and F = a (1 − κ) has of the rounding
 
-of their power is rounding that the current does not follow. It is no noise that averages out: it stands in the
-regressor, and attenuates (errors in variables). The response 1 − exp(−x) that is seen of a change after one sample,
-x = h R/L, is too small by s, so that L comes out too large by
+    x̃⁺ = F x̃ − b e                       (error of the current)
+    S⁺ = F S − ∂a (1 − κ) x̃ + ∂b e       (what of it is in the derivative by ln L; ∂a = x a, ∂b = −x a/R)
 
-    δ ln L = s (exp(x) − 1)/x.
+    C = E S x̃ = (x a/R b σ_e² − x a (1 − κ) F P_e)/(1 − F²),   P_e = b² σ_e²/(1 − F²)
+
+and L comes out too large by δ ln L = C/s over what a sample tells of ln L; s is the innovation's variance.
+
+A winding that settles between samples answers to changes of the voltage, each of which is off by q²/6 (two roundings).
+Where the changes Δv are not large against q, the share s = (q²/6)/E Δv² of their power is rounding that the current
+does not follow. The response 1 − exp(−x) that is seen of a change is too small by s: δ ln L = s (exp(x) − 1)/x. As that
+grows faster than L falls, it is looked up where L is less this much.
 
 What goes with L in the filter's covariance is off with it.
 """
@@ -18,6 +27,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,6 +37,23 @@ from servo_daemon.samples import F64
 _TICKS = 50.0
 #: Beyond this, L is not known at all.
 _MOST_STD = 3.0
+#: Where the winding settles in fewer samples than its lag is long, h R/L.
+_MOST_PERIODS = 50.0
+
+
+@dataclass(frozen=True, slots=True)
+class CurrentNoise:
+    """What the filter takes a current's noise for.
+
+    Attributes:
+        sensor_A2: variance of its sensor.
+        input_V2: of the held voltage beyond what is recorded.
+        information: that a sample gives on ln L.
+    """
+
+    sensor_A2: float
+    input_V2: float
+    information: float
 
 
 class CoarseInput:
@@ -55,13 +82,39 @@ class CoarseInput:
             self._change_square = square
         self._change_square += (square - self._change_square) / _TICKS
 
-    def inductance_std(self, period_s: float, value: Mapping[str, float]) -> float:
-        """1 σ of ln L."""
+    def inductance_std(self, period_s: float, value: Mapping[str, float], noise: CurrentNoise | None) -> float:
+        """1 σ of ln L: the larger of both limits.
+
+        Args:
+            value: of R and L, natural units, as estimated.
+            noise: None: no current is measured, or nothing is known of it.
+        """
         if self.lsb_V == 0.0 or self._change_square is None:
             return 0.0
+        periods = min(period_s * value["R"] / value["L"], _MOST_PERIODS)
         share = self.lsb_V**2 / 6.0 / max(self._change_square, self.lsb_V**2 / 6.0)
-        periods = min(period_s * value["R"] / value["L"], 50.0)
-        return min(share * math.expm1(periods) / max(periods, 1e-9), _MOST_STD)
+        seen = min(share * _lost_of_change(periods), _MOST_STD)
+        fast = share * _lost_of_change(min(periods * math.exp(seen), _MOST_PERIODS))
+        slow = 0.0 if noise is None else _shift(periods, value["R"], self.lsb_V**2 / 12.0, noise)
+        return min(max(fast, slow), _MOST_STD)
+
+
+def _lost_of_change(periods: float) -> float:
+    """δ ln L over the share of the changes' power that is rounding."""
+    return math.expm1(periods) / max(periods, 1e-9)
+
+
+def _shift(x: float, R: float, rounding_V2: float, noise: CurrentNoise) -> float:
+    """δ ln L of the first limit."""
+    a, b = math.exp(-x), -math.expm1(-x) / R
+    driven, r = b**2 * noise.input_V2, noise.sensor_A2
+    half = driven - r * (1.0 - a**2)
+    s = r + 0.5 * (half + math.sqrt(half**2 + 4.0 * driven * r))  # of the filter in its steady state
+    keeps = r / s  # 1 − κ
+    F = a * keeps
+    P_e = b**2 * rounding_V2 / (1.0 - F**2)
+    C = x * a * (b / R * rounding_V2 - keeps * F * P_e) / (1.0 - F**2)
+    return C / s / max(noise.information, 1e-300)
 
 
 def along(covariance: F64, k: int, std: float) -> F64:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from servo_daemon.estimators.coarse_input import CoarseInput
+from servo_daemon.estimators.coarse_input import CoarseInput, CurrentNoise
 from servo_daemon.estimators.ekf import Ekf
 from servo_daemon.estimators.levels import Levels
 from servo_daemon.estimators.motor_rls import MotorRls
@@ -91,6 +91,14 @@ class NoiseSetting:
         self._watch.put_input(voltage_V2, self._levels.input_square**0.5, self._input_lsb)
         self.set()
 
-    def inductance_std(self, period_s: float) -> float:
-        """1 σ of ln L that the steps of the recorded voltage leave open."""
-        return self._coarse.inductance_std(period_s, self._value) if "L" in self._value else 0.0
+    def inductance_std(self, period_s: float, information: F64) -> float:
+        """1 σ of ln L that the steps of the recorded voltage leave open.
+
+        Args:
+            information: gained of each coordinate in a second, shape (n,).
+        """
+        if "L" not in self._roster.names:
+            return 0.0
+        gained, known = float(information[self._roster.names.index("L")]) * period_s, self.of_current
+        noise = CurrentNoise(*known, gained) if known is not None and gained > 0.0 else None
+        return self._coarse.inductance_std(period_s, self._value, noise)

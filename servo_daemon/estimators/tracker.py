@@ -351,7 +351,7 @@ class Tracker:
             open=self._jumps.is_open,
             explained=self._jumps.watch.calm,
             white=self.watch.white,
-            inductance_std=self._noise.inductance_std(sampling.period_s) if fresh else 0.0,
+            inductance_std=self._noise.inductance_std(sampling.period_s, self.excitation.rate) if fresh else 0.0,
             sampling=sampling,
         )
 

@@ -6,10 +6,12 @@ import math
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
+from scipy.signal import lfilter
 
 from servo_daemon.estimators.balances import Sums
 from servo_daemon.estimators.closure import Confronted, doubt_var, structure, verdict
-from servo_daemon.estimators.coarse_input import CoarseInput, along
+from servo_daemon.estimators.coarse_input import CoarseInput, CurrentNoise, along
 from servo_daemon.estimators.noise import ProcessNoise
 from servo_daemon.estimators.plausible import Plausible
 from servo_daemon.estimators.rls import SYSTEMATIC
@@ -88,16 +90,55 @@ def coarse(lsb: float, change_rms: float, R: float, L: float, period_s: float = 
     value = {"R": R, "L": L}
     for _ in range(500):
         found.take(rng.normal(size=100) * change_rms / math.sqrt(2.0), period_s, value)
-    return found.inductance_std(period_s, value)
+    return found.inductance_std(period_s, value, None)
 
 
 def test_steps_leave_of_L_what_rounding_is_of_the_changes() -> None:
-    """A winding that is slow against the sampling: the share itself; a fast one: (exp x − 1)/x times as much."""
+    """A winding that is slow against the sampling: the share itself; a fast one: (exp x − 1)/x times as much, for the
+    smaller L that makes this one seen."""
     share = 0.1**2 / 6 / 0.2**2
-    assert coarse(0.1, 0.2, 1.0, 0.01) == pytest.approx(share * (math.exp(0.1) - 1) / 0.1, rel=0.1)
-    assert coarse(0.1, 0.2, 1.0, 5e-4) == pytest.approx(share * (math.exp(2.0) - 1) / 2.0, rel=0.1)
-    assert coarse(0.1, 0.01, 1.0, 0.01) == pytest.approx((math.exp(0.1) - 1) / 0.1), "all of it is rounding"
+
+    def lost(x: float) -> float:
+        return share * math.expm1(x) / x
+
+    assert coarse(0.1, 0.2, 1.0, 0.01) == pytest.approx(lost(0.1), rel=0.1)
+    assert coarse(0.1, 0.2, 1.0, 5e-4) == pytest.approx(lost(2.0 * math.exp(lost(2.0))), rel=0.15)
+    assert coarse(0.1, 0.01, 1.0, 0.01) == pytest.approx(math.expm1(0.3) / 0.3, rel=0.1), "all of it is rounding"
     assert coarse(0.0, 0.2, 1.0, 5e-4) == 0.0, "no steps"
+
+
+@pytest.mark.parametrize(("R", "L"), [(1.0, 0.02), (1.0, 0.005), (1.0, 0.0015)])
+def test_what_steps_leave_of_L_is_what_a_filter_of_the_current_is_off_by(R: float, L: float) -> None:
+    """A winding is simulated with noise of voltage and sensor, its voltage recorded with rounding, and
+    L is where the mean of derivative times innovation of a steady Kalman filter vanishes."""
+    h, lsb, hidden, sensor, n = 1e-3, 0.1, 0.05, 0.01, 400_000
+    rng = np.random.default_rng(7)
+    w = lfilter([1.0], [1.0, -0.9], rng.normal(size=n) * 0.08)  # smoother than the rounding
+    current = lfilter([0.0, -math.expm1(-h * R / L) / R], [1.0, -math.exp(-h * R / L)], w + hidden * rng.normal(size=n))
+    y, u = current + sensor * rng.normal(size=n), w + lsb / math.sqrt(12.0) * rng.normal(size=n)
+    noise_V2 = hidden**2 + lsb**2 / 12
+    x = h * R / L
+    P = sensor**2
+    for _ in range(2000):
+        P = math.exp(-2 * x) * P * sensor**2 / (P + sensor**2) + (math.expm1(-x) / R) ** 2 * noise_V2
+    kappa, s = P / (P + sensor**2), P + sensor**2
+
+    def innovations(log_L: float) -> F64:
+        a = math.exp(-h * R / math.exp(log_L))
+        predicted = lfilter([0.0, a * kappa], [1.0, -a * (1 - kappa)], y)
+        return np.asarray(y - predicted - lfilter([0.0, (1 - a) / R], [1.0, -a * (1 - kappa)], u))
+
+    def derivative(log_L: float) -> F64:
+        return (innovations(log_L - 1e-4) - innovations(log_L + 1e-4)) / 2e-4
+
+    off = brentq(lambda d: float(derivative(math.log(L) + d) @ innovations(math.log(L) + d)), -0.5, 0.5)
+    information = float(np.mean(np.square(derivative(math.log(L))))) / s
+    found = CoarseInput()
+    found.lsb_V = lsb
+    found.take(u[:100] * 1e3, h, {"R": R, "L": L})  # changes so large that rounding is nothing of them
+    said = found.inductance_std(h, {"R": R, "L": L}, CurrentNoise(sensor**2, noise_V2, information))
+    assert off > 0.005
+    assert said == pytest.approx(off, rel=0.25)
 
 
 def test_what_goes_with_L_is_off_with_it() -> None:
