@@ -30,6 +30,7 @@ def rows(layout: EkfLayout, seconds: int) -> np.ndarray:
     out[:, 0] = block.time_s - block.time_s[0]
     out[:, 1] = np.diff(block.time_s, prepend=block.time_s[0])
     out[:, 2], out[:, 3], out[:, 4], out[:, 7] = block.voltage_V, 0.0, block.current_A, block.position_rad
+    out[:, -1] = 0.0
     return out
 
 

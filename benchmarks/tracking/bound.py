@@ -68,7 +68,7 @@ def rows(recording: Recording, layout: EkfLayout) -> F64:
     out = np.ones((len(recording.time_s), layout.n_sample))
     out[:, 0] = recording.time_s
     out[:, 1] = np.diff(recording.time_s, prepend=recording.time_s[0])
-    out[:, 2], out[:, 3] = recording.voltage_V, 0.0
+    out[:, 2], out[:, 3], out[:, -1] = recording.voltage_V, 0.0, 0.0
     out[:, 4], out[:, 7] = recording.current_A, recording.position_rad
     return out
 

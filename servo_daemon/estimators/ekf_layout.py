@@ -28,7 +28,8 @@ class EkfLayout:
     constants: var_input | torque_psd | walk per parameter (1/s) | active per parameter | r per channel | time
     constant of
                the instrument
-    sample:    t | h | input | extra variance of the input | (y, valid, doubt) per channel; doubt multiplies r
+    sample:    t | h | input | extra variance of the input | (y, valid, doubt) per channel; doubt multiplies r |
+               correction of the input before, which is then as uncertain as that is large
     output:    (innovation, its variance, gated) per channel
     """
 
@@ -61,7 +62,7 @@ class EkfLayout:
 
     @cached_property
     def n_sample(self) -> int:
-        return 4 + 3 * len(self.channels)
+        return 5 + 3 * len(self.channels)
 
     @cached_property
     def n_output(self) -> int:

@@ -167,8 +167,9 @@ def build_ekf_step(plant: PlantModel, channels: tuple[str, ...]) -> tuple[EkfLay
     if plant.drive != "voltage" and "current_A" in channels:
         raise ValueError("current is the input of this plant, it cannot be measured as well")
     lay = EkfLayout(plant, channels)
-    state, const = ca.SX.sym("state", lay.n_state), ca.SX.sym("const", lay.n_constants)
+    given, const = ca.SX.sym("state", lay.n_state), ca.SX.sym("const", lay.n_constants)
     sample = ca.SX.sym("sample", lay.n_sample)
+    state = _corrected(lay, given, sample)
     z, P, modelled = _time_update(lay, state, const, sample)
     z, P, sums, output = _measurement_update(lay, z, P, state, const, sample)
     held = ca.vertcat(sample[2], const[0] + sample[3])
@@ -179,7 +180,18 @@ def build_ekf_step(plant: PlantModel, channels: tuple[str, ...]) -> tuple[EkfLay
     outlier = sum((output[3 * k + 2] for k in range(len(channels))), start=ca.SX(0)) > 0
     age = ca.if_else(outlier, SAMPLES_TO_FIND_SPEED * sample[1], state[-1] + sample[1])
     next_state = ca.vertcat(z, pack(P), held, sums, instrument, age)
-    return lay, ca.Function("step", [state, const, sample], ca.cse([next_state, output]))
+    return lay, ca.Function("step", [given, const, sample], ca.cse([next_state, output]))
+
+
+def _corrected(lay: EkfLayout, state: ca.SX, sample: ca.SX) -> ca.SX:
+    """The state with the held input as what came after it shows it. (Between two samples of a current or torque there
+    is a line, and what is wrong with one of them was taken before.)"""
+    if lay.plant.drive != "voltage":
+        return state
+    out = ca.SX(state)
+    out[lay.held_input] += sample[-1]
+    out[lay.held_variance] += sample[-1] ** 2
+    return out
 
 
 def slowness(h: ca.SX, age_s: ca.SX, time_constant_s: ca.SX) -> ca.SX:
@@ -245,15 +257,16 @@ def _measurement_update(
         information = information + valid * reduction / (p_qq * (p_qq - reduction))
         z = z + gain * innovation
         P = P - gain @ PHt.T - PHt @ gain.T + s * (gain @ gain.T)
-        outputs += [valid * innovation, s0, extra > 0]
+        gated = ca.logic_or(extra > 0, valid * sample[-1] != 0) if k == 0 else extra > 0  # a misread input is one, too
+        outputs += [valid * innovation, s0, gated]
         counts = valid * (doubt <= 1.0) * (state[lay.held_variance] <= UNUSUAL_INPUT * const[0])
-        statistics.append(_counted(state[lay.statistics], k, innovation, s0, counts, extra))
+        statistics.append(_counted(state[lay.statistics], k, innovation, s0, counts, gated))
     bounds = [_bounds(p.lower, p.upper, p.transform) for p in lay.plant.parameters]
     q = [ca.fmax(ca.fmin(z[n_x + k], high), low) for k, (low, high) in enumerate(bounds)]
     return ca.vertcat(z[:n_x], *q), P, ca.vertcat(information, *statistics), ca.vertcat(*outputs)
 
 
-def _counted(before: ca.SX, k: int, innovation: ca.SX, s0: ca.SX, counts: ca.SX, extra: ca.SX) -> ca.SX:
+def _counted(before: ca.SX, k: int, innovation: ca.SX, s0: ca.SX, counts: ca.SX, outlier: ca.SX) -> ca.SX:
     """Channel k's `STATISTICS` with one more sample, if it `counts`."""
     n = len(STATISTICS)
     count, nis, excess, lagged, last, gated, crossed = ca.vertsplit(before[k * n : (k + 1) * n])
@@ -264,7 +277,7 @@ def _counted(before: ca.SX, k: int, innovation: ca.SX, s0: ca.SX, counts: ca.SX,
         excess + counts * s0 * (ca.fmin(normalised**2, CLIP**2) - 1.0),
         lagged + counts * normalised * last,
         ca.if_else(counts > 0, normalised, last),
-        gated + (extra > 0),
+        gated + outlier,
         crossed + counts * normalised * before[STATISTICS.index("last")],
     )
 

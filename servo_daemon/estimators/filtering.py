@@ -110,7 +110,9 @@ class Filtering:
 
     def _rows(self, part: SampleBlock, new: Mask | None = None) -> F64:
         """Args: new: samples of the part that were put in."""
-        return self.layout.rows(part, self._levels.input_square, new, LINE_VAR * self._levels.input_step_square)
+        levels = self._levels
+        line_var = LINE_VAR * levels.input_step_square
+        return self.layout.rows(part, levels.input_square, new, line_var, levels.largest_leap)
 
     def _forget(self, at: Forget) -> None:
         forget = self._ekf.forget_state if at.everything else self._ekf.forget_motion

@@ -72,6 +72,9 @@ class FilterpyLoop:
 
     def _time_update(self, ekf: Any, state: F64, constants: F64, sample: F64) -> None:
         lay, h = self._lay, max(sample[1], _SHORTEST_STEP_S)
+        if lay.plant.drive == "voltage":
+            state[lay.held_input] += sample[-1]
+            state[lay.held_variance] += sample[-1] ** 2
         u, var_u = state[lay.held_input], state[lay.held_variance]
         if lay.plant.drive != "voltage":
             u, var_u = (u + sample[2]) / 2, (var_u + constants[0] + sample[3]) / 4
@@ -98,6 +101,7 @@ class FilterpyLoop:
         s0 = float((H @ ekf.P @ H.T)[0, 0]) + r
         innovation = float(y - predicted)
         extra = valid * max(innovation**2 / GATE**2 - s0, 0.0)
+        gated = extra > 0 or bool(k == 0 and valid * sample[-1] != 0)
         if valid > 0:
             own = lay.plant.state_names.index(lay.channels[k])
             ekf.P[own, own] += extra / 2
@@ -105,11 +109,11 @@ class FilterpyLoop:
             reduction, p_qq = PHt[lay.q] ** 2 / (s0 + extra), np.diag(ekf.P)[lay.q]
             state[lay.information] += reduction / (p_qq * (p_qq - reduction))
             usual = state[lay.held_variance] <= UNUSUAL_INPUT * constants[0]
-            self._count(state, k, innovation, s0, bool(doubt <= 1.0 and usual), extra)
+            self._count(state, k, innovation, s0, bool(doubt <= 1.0 and usual), gated)
             self._update(ekf, H, innovation, s0 + extra, r + extra / 2, constants)
-        return valid * innovation, s0, float(extra > 0)
+        return valid * innovation, s0, float(gated)
 
-    def _count(self, state: F64, k: int, innovation: float, s0: float, counts: bool, extra: float) -> None:
+    def _count(self, state: F64, k: int, innovation: float, s0: float, counts: bool, outlier: bool) -> None:
         n = len(STATISTICS)
         sums = state[self._lay.statistics][k * n : (k + 1) * n]
         earlier = self._earlier
@@ -119,7 +123,7 @@ class FilterpyLoop:
             sums[:4] += (1.0, normalised**2, s0 * (clipped - 1.0), normalised * sums[4])
             sums[4] = normalised
             sums[6] += normalised * earlier
-        sums[5] += extra > 0
+        sums[5] += outlier
 
     def _update(self, ekf: Any, H: F64, innovation: float, s: float, r: float, constants: F64) -> None:
         lay = self._lay

@@ -171,7 +171,7 @@ class Layout:
         self._lay = LayoutStep(len(measured))
         self._loop = SampleLoop(build_layout_step(len(measured)))
         self._state, self._constants = np.zeros(self._lay.n_state), np.zeros(self._lay.n_constants)
-        self._constants[3::3] = [_IMPOSSIBLE[name] for name in self._names]
+        self._constants[4::3] = [_IMPOSSIBLE[name] for name in self._names]
         self.last_s: float | None = None
         self.origin_s = 0.0
         self.position_lsb = 0.0
@@ -205,17 +205,25 @@ class Layout:
     def _doubt(self, least: tuple[float, ...], position_lsb: float, input_step_var: float) -> None:
         """From how many values alike on each channel is doubted; no value has been seen yet."""
         self._constants[1] = input_step_var
-        self._constants[4::3] = [0.5 * position_lsb if name == "position_rad" else 0.0 for name in self._names]
-        self._constants[5::3] = least
-        self._state[2::2], self._state[3::2] = NO_VALUE, 0.0
+        self._constants[5::3] = [0.5 * position_lsb if name == "position_rad" else 0.0 for name in self._names]
+        self._constants[6::3] = least
+        self._state[2::2], self._state[3:-1:2] = NO_VALUE, 0.0  # (the input before the one held among them)
 
-    def rows(self, block: SampleBlock, unknown_input_var: float, new: Mask | None = None, new_var: float = 0.0) -> F64:
-        """shape (n, 4 + 3 channels): t, h, input, extra variance, (y, valid, doubt)…
+    def rows(
+        self,
+        block: SampleBlock,
+        unknown_input_var: float,
+        new: Mask | None = None,
+        new_var: float = 0.0,
+        largest_leap: float = math.inf,
+    ) -> F64:
+        """shape (n, 5 + 3 channels): t, h, input, extra variance, (y, valid, doubt)…, correction of the input before
 
         Args:
             unknown_input_var: added variance where the input is not known and the last one is held.
             new: samples that were put in (`filled`), of which nothing was measured; shape (n,); None: none were.
             new_var: added variance of their input.
+            largest_leap: by which the input leaps and leaps back in a sample; beyond, it was misread.
         """
         samples = np.ones((len(block), self._lay.n_sample))
         samples[:, 0] = block.time_s
@@ -227,7 +235,7 @@ class Layout:
         if new is not None:
             samples[new, 4::2] = 0.0
         self._state[0] = block.time_s[0] if self.last_s is None else self.last_s
-        self._constants[0], self._constants[2] = self.origin_s, unknown_input_var
+        self._constants[0], self._constants[2:4] = self.origin_s, (unknown_input_var, largest_leap)
         out = self._loop.run(self._state, self._constants, samples)
         if new is not None:
             out[new, 3] += new_var

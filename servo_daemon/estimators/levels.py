@@ -21,6 +21,9 @@ _REST_VARIANCES, _REST_SHARE = 4.0, 1e-2
 #: An encoder at rest flickers between two counts; one that creeps shows a new one in every so many samples at most, and
 #: its steps are no white noise.
 _REST_COUNTS, _CREEP_SAMPLES = 1.5, 20.0
+#: Fewer of a tick's changes of the input are wrong ones (two for a sample); a leap is so many times the largest of the
+#: others.
+_WRONG_STEPS, _LEAP = 5, 4.0
 #: Used where neither data nor nominal values say anything yet.
 _R, _K = 1.0, 0.1
 
@@ -65,6 +68,7 @@ class Levels:
         self._plant, self.rests = plant, False
         self.input_square = 0.0  # V², A² or (N·m)²
         self.input_step_square = 0.0  # of the change from one sample to the next
+        self._usual_step: float | None = None  # the largest change but for such as a few wrong samples make
         # Over the seconds that the balances are summed over:
         self.current_step_square = 0.0  # the same of the current
         self.samples_per_count = 1.0  # for how long the angle has shown one value, on average
@@ -84,6 +88,9 @@ class Levels:
         if held is not None and len(held):
             self.input_square = max(float(held @ held) / len(held), fall * self.input_square)
             self.input_step_square = max(_step_square(held), fall * self.input_step_square)
+            if len(held) > 2 * _WRONG_STEPS:
+                usual = float(np.partition(np.abs(held[1:] - held[:-1]), -_WRONG_STEPS)[-_WRONG_STEPS])
+                self._usual_step = max(usual, fall * (self._usual_step or 0.0))
         if tick.current is not None and len(tick.current):
             steps = tick.current[1:] - tick.current[:-1]
             # A tick alone may happen to be a quiet one, or the first of a rest after a window of motion.
@@ -95,6 +102,11 @@ class Levels:
             moved = float(np.count_nonzero(tick.position[1:] != tick.position[:-1]))
             self._counts.add(float(tick.time_s[-1]), len(tick.position), moved)
             self.samples_per_count = self._counts.number / max(self._counts.total, 1.0)
+
+    @property
+    def largest_leap(self) -> float:
+        """By how much the input leaps and leaps back within a sample; infinite where that is not known."""
+        return math.inf if self._usual_step is None else _LEAP * self._usual_step
 
     def _held(self, tick: Stretch) -> F64 | None:
         """The input."""

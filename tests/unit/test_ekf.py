@@ -24,10 +24,11 @@ def record(seconds: float, seed: int = 1, **settings: object) -> SampleBlock:
 
 
 def rows(block: SampleBlock) -> np.ndarray:
-    out = np.ones((len(block), 10))
+    out = np.ones((len(block), 11))
     out[:, 0] = block.time_s - block.time_s[0]
     out[:, 1] = np.diff(block.time_s, prepend=block.time_s[0])
     out[:, 2], out[:, 3], out[:, 4], out[:, 7] = block.voltage_V, 0.0, block.current_A, block.position_rad
+    out[:, 10] = 0.0
     return out
 
 
@@ -59,6 +60,23 @@ def test_finds_the_motor_and_its_intervals_hold() -> None:
     assert (found.std < 0.01).all()
 
 
+def test_a_misread_input_that_is_put_right_costs_no_more_than_one_that_is_not_known() -> None:
+    clean = rows(record(4.0))
+    wrong, unknown = clean.copy(), clean.copy()
+    leap = np.where(np.arange(len(clean)) % 300 == 299, 40.0, 0.0)
+    wrong[:, 2] += leap
+    wrong[1:, 10] -= leap[:-1]
+    unknown[:, 3] = np.square(leap)
+    found = []
+    for samples in (wrong, unknown):
+        ekf = started(wrong=0.1)
+        gated = ekf.update(samples).gated[3:]
+        assert gated.any(axis=1).tolist() == (samples[3:, 10] != 0).tolist(), "the misread ones count as outliers"
+        found.append(ekf.estimate())
+    np.testing.assert_allclose(found[0].mean, found[1].mean, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found[0].covariance, found[1].covariance, rtol=1e-9)
+
+
 @pytest.mark.parametrize("effects", [(), ("coulomb_friction", "gravity_load", "winding_heating")])
 def test_compiled_and_filterpy_agree(effects: tuple[str, ...]) -> None:
     """Also where a parameter is held, a channel is missing, a sample is an outlier and time stamps repeat."""
@@ -67,6 +85,7 @@ def test_compiled_and_filterpy_agree(effects: tuple[str, ...]) -> None:
     samples[200, 7] += 0.02  # an encoder glitch
     samples[300, 1] = 0.0  # the same time stamp twice
     samples[400, 3] = 4.0  # voltage hardly known
+    samples[450, 2], samples[451, 10] = samples[450, 2] + 20.0, -20.0  # one that was misread, and put right
     plant = build_plant(effects)
     results = []
     for engine in ("compiled", "filterpy"):
@@ -218,7 +237,8 @@ def test_the_instrument_takes_no_noise_for_excitation() -> None:
     for k in range(n):
         shown[k] = x[0] + 9e-3 * rng.normal(), x[2] + 4e-4 * rng.normal()
         x = np.asarray(plant.step(x, voltage[k] + noise_V * rng.normal(), p, 0.0, h)).reshape(-1)
-    samples = np.ones((n, 10))
+    samples = np.ones((n, 11))
+    samples[:, 10] = 0.0
     samples[:, 0], samples[:, 1], samples[:, 2], samples[:, 3] = np.arange(n) * h, h, voltage, 0.0
     samples[:, 4], samples[:, 7] = shown[:, 0], shown[:, 1]
     std = []

@@ -90,6 +90,23 @@ def test_an_input_that_is_no_measurement_is_held_and_uncertain() -> None:
     assert layout.last_input == 6.0
 
 
+def test_an_input_that_leaps_and_leaps_back_is_put_right_by_the_next_sample() -> None:
+    """Wherever blocks end; a step is none, nor is what the input does all the time."""
+    u = np.array([1.0, 1.0, 9.0, 2.0, 2.0, 12.0, 12.0, 12.0, 11.0, 12.0, -8.0, -8.0, 0.0, -9.0])
+    zero = np.zeros(len(u))
+    block = make_block(np.arange(len(u)) * 1e-3, voltage_V=u, current_A=zero, position_rad=zero)
+    expected = np.zeros(len(u))
+    expected[3], expected[13] = 1.5 - 9.0, -8.5 - 0.0
+    for cut in range(1, len(u)):
+        layout = Layout("voltage", ("current_A", "position_rad"))
+        parts = (block.slice(0, cut), block.slice(cut, len(u)))
+        rows = np.concatenate([layout.rows(part, 0.0, largest_leap=2.0) for part in parts])
+        np.testing.assert_array_equal(rows[:, -1], expected)
+        np.testing.assert_array_equal(rows[:, 2], u)
+    layout = Layout("voltage", ("current_A", "position_rad"))
+    assert not layout.rows(block, 0.0)[:, -1].any()
+
+
 def test_a_measurement_that_is_none_is_marked() -> None:
     layout = Layout("voltage", ("current_A", "position_rad"))
     i, zero = np.array([1.0, np.inf, -2e5, 2.0]), np.zeros(4)
