@@ -174,8 +174,6 @@ def test_from_values_several_times_wrong_to_those_that_are_hidden() -> None:
 @pytest.mark.parametrize(
     ("strength", "motor", "motion", "seed"),
     [
-        ("clear", "large", "pick_and_place", 467195),
-        ("faint", "gear", "pick_and_place", 361076),  # k_s was 25 % off at 80 standard deviations
         ("clear", "gear", "reversals", 726115),  # tells for a few percent of the time; was unexplained
         ("clear", "paper", "multisine", 521086),  # what the smoother lost of the load was taken for a step
     ],
