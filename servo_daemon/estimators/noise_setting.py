@@ -18,6 +18,9 @@ from servo_daemon.estimators.stretch import Stretch
 from servo_daemon.estimators.watch import InnovationWatch
 from servo_daemon.samples import F64
 
+#: Looks at the information on L that its mean is over, about one a second.
+_LOOKS = 30.0
+
 
 class NoiseSetting:
     """One drive's. A filter whose noise is set too low learns the wrong thing for certain, and what it learned stays:
@@ -28,6 +31,7 @@ class NoiseSetting:
         self._coarse = CoarseInput()
         self._input_lsb = self._torque_Nm = 0.0
         self._value: dict[str, float] = {}
+        self._information, self._looks = 0.0, 0.0  # that a sample gave on ln L, on average, and looks at that
 
     def begin(self, start: Start, sampling: Sampling) -> F64:
         """A filter has started. Returns one unit of each coordinate, shape (n,)."""
@@ -100,5 +104,8 @@ class NoiseSetting:
         if "L" not in self._roster.names:
             return 0.0
         gained, known = float(information[self._roster.names.index("L")]) * period_s, self.of_current
-        noise = CurrentNoise(*known, gained) if known is not None and gained > 0.0 else None
+        # What L is off by was learned for longer than the window that is looked at, in moves and between them.
+        self._looks = min(self._looks + 1.0, _LOOKS)
+        self._information += (gained - self._information) / self._looks
+        noise = CurrentNoise(*known, self._information) if known is not None and self._information > 0.0 else None
         return self._coarse.inductance_std(period_s, self._value, noise)
