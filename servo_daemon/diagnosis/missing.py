@@ -167,10 +167,8 @@ def _in_runs(block: SampleBlock, plant: PlantModel, q: F64) -> Problem:
     """The whole capture at once; where there is a load behind a gap, in short runs that begin where the load is: a
     filter that comes to an impact early or late has lost it for good."""
     recordings = [Recording("capture", block)]
-    short = placed_in_short_runs(
-        recordings, plant.effects, natural_values(plant.parameters, q[: len(plant.parameters)])
-    )
-    return short or make_problem(recordings, plant.effects, {})
+    values = natural_values(plant.parameters, q[: len(plant.parameters)])
+    return placed_in_short_runs(make_problem(recordings, plant.effects, {}), recordings, values)
 
 
 def coordinates_with_load(fit: Fitted, recording: int = 0) -> tuple[tuple[str, ...], F64]:

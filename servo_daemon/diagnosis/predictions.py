@@ -65,7 +65,7 @@ def found_by_predictions(
     few = _begun(data, base.effects)
     fits = whole_fits if few is data else WholeFits(few)
     whole = fits.of(base)
-    if whole is None:
+    if whole is None or whole.deviance_at_best is None:  # nothing can be told to be far likelier
         return None
     likely = _likely(fits, selection, whole)
     if not likely:

@@ -27,33 +27,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from servo_daemon.samples import F64
 
-#: The changes are averaged over so many ticks.
-_TICKS = 50.0
+#: The changes are averaged over so many ticks, the information over so many looks at it (about one a second).
+_TICKS, _LOOKS = 50.0, 30.0
 #: Beyond this, L is not known at all.
 _MOST_STD = 3.0
 #: Where the winding settles in fewer samples than its lag is long, h R/L.
 _MOST_PERIODS = 50.0
-
-
-@dataclass(frozen=True, slots=True)
-class CurrentNoise:
-    """What the filter takes a current's noise for.
-
-    Attributes:
-        sensor_A2: variance of its sensor.
-        input_V2: of the held voltage beyond what is recorded.
-        information: that a sample gives on ln L.
-    """
-
-    sensor_A2: float
-    input_V2: float
-    information: float
 
 
 class CoarseInput:
@@ -66,6 +50,7 @@ class CoarseInput:
     def __init__(self) -> None:
         self.lsb_V = 0.0
         self._change_square: float | None = None  # V²
+        self._information, self._looks = 0.0, 0.0  # that a sample gives on ln L, on average, and looks at that
 
     def take(self, voltage_V: F64, period_s: float, value: Mapping[str, float]) -> None:
         """A tick's samples.
@@ -82,12 +67,19 @@ class CoarseInput:
             self._change_square = square
         self._change_square += (square - self._change_square) / _TICKS
 
-    def inductance_std(self, period_s: float, value: Mapping[str, float], noise: CurrentNoise | None) -> float:
+    def learned(self, information: float) -> None:
+        """What a sample of the last window gave on ln L. What L is off by was learned for longer than that, in moves
+        and between them."""
+        self._looks = min(self._looks + 1.0, _LOOKS)
+        self._information += (information - self._information) / self._looks
+
+    def inductance_std(self, period_s: float, value: Mapping[str, float], noise: tuple[float, float] | None) -> float:
         """1 σ of ln L: the larger of both limits.
 
         Args:
             value: of R and L, natural units, as estimated.
-            noise: None: no current is measured, or nothing is known of it.
+            noise: variances that the filter takes the current's sensor, A², and the held voltage, V², to have; None:
+                no current is measured.
         """
         if self.lsb_V == 0.0 or self._change_square is None:
             return 0.0
@@ -95,7 +87,9 @@ class CoarseInput:
         share = self.lsb_V**2 / 6.0 / max(self._change_square, self.lsb_V**2 / 6.0)
         seen = min(share * _lost_of_change(periods), _MOST_STD)
         fast = share * _lost_of_change(min(periods * math.exp(seen), _MOST_PERIODS))
-        slow = 0.0 if noise is None else _shift(periods, value["R"], self.lsb_V**2 / 12.0, noise)
+        slow = 0.0
+        if noise is not None and self._information > 0.0:
+            slow = _score(periods, value["R"], self.lsb_V**2 / 12.0, *noise) / self._information
         return min(max(fast, slow), _MOST_STD)
 
 
@@ -104,17 +98,17 @@ def _lost_of_change(periods: float) -> float:
     return math.expm1(periods) / max(periods, 1e-9)
 
 
-def _shift(x: float, R: float, rounding_V2: float, noise: CurrentNoise) -> float:
-    """δ ln L of the first limit."""
+def _score(x: float, R: float, rounding_V2: float, sensor_A2: float, input_V2: float) -> float:
+    """C/s of the first limit."""
     a, b = math.exp(-x), -math.expm1(-x) / R
-    driven, r = b**2 * noise.input_V2, noise.sensor_A2
+    driven, r = b**2 * input_V2, sensor_A2
     half = driven - r * (1.0 - a**2)
     s = r + 0.5 * (half + math.sqrt(half**2 + 4.0 * driven * r))  # of the filter in its steady state
     keeps = r / s  # 1 − κ
     F = a * keeps
     P_e = b**2 * rounding_V2 / (1.0 - F**2)
     C = x * a * (b / R * rounding_V2 - keeps * F * P_e) / (1.0 - F**2)
-    return C / s / max(noise.information, 1e-300)
+    return C / s
 
 
 def along(covariance: F64, k: int, std: float) -> F64:

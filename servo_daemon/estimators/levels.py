@@ -87,9 +87,11 @@ class Levels:
         held = self._held(tick)
         if held is not None and len(held):
             self.input_square = max(float(held @ held) / len(held), fall * self.input_square)
-            self.input_step_square = max(_step_square(held), fall * self.input_step_square)
+            steps = held[1:] - held[:-1]
+            square = float(steps @ steps) / max(len(steps), 1)
+            self.input_step_square = max(square, fall * self.input_step_square)
             if len(held) > 2 * _WRONG_STEPS:
-                usual = float(np.partition(np.abs(held[1:] - held[:-1]), -_WRONG_STEPS)[-_WRONG_STEPS])
+                usual = float(np.partition(np.abs(steps), -_WRONG_STEPS)[-_WRONG_STEPS])
                 self._usual_step = max(usual, fall * (self._usual_step or 0.0))
         if tick.current is not None and len(tick.current):
             steps = tick.current[1:] - tick.current[:-1]
@@ -150,9 +152,3 @@ class Levels:
             "V": math.sqrt(self.input_square),
         }
         return [1.0 if p.transform == "log" else max(typical.get(p.unit, 1.0), 1e-12) for p in self._plant.parameters]
-
-
-def _step_square(values: F64) -> float:
-    """Mean square of the change from one sample to the next."""
-    steps = values[1:] - values[:-1]
-    return float(steps @ steps) / max(len(steps), 1)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from servo_daemon.estimators.coarse_input import CoarseInput, CurrentNoise
+from servo_daemon.estimators.coarse_input import CoarseInput
 from servo_daemon.estimators.ekf import Ekf
 from servo_daemon.estimators.levels import Levels
 from servo_daemon.estimators.motor_rls import MotorRls
@@ -17,9 +17,6 @@ from servo_daemon.estimators.starter import Start
 from servo_daemon.estimators.stretch import Stretch
 from servo_daemon.estimators.watch import InnovationWatch
 from servo_daemon.samples import F64
-
-#: Looks at the information on L that its mean is over, about one a second.
-_LOOKS = 30.0
 
 
 class NoiseSetting:
@@ -31,7 +28,6 @@ class NoiseSetting:
         self._coarse = CoarseInput()
         self._input_lsb = self._torque_Nm = 0.0
         self._value: dict[str, float] = {}
-        self._information, self._looks = 0.0, 0.0  # that a sample gave on ln L, on average, and looks at that
 
     def begin(self, start: Start, sampling: Sampling) -> F64:
         """A filter has started. Returns one unit of each coordinate, shape (n,)."""
@@ -95,17 +91,11 @@ class NoiseSetting:
         self._watch.put_input(voltage_V2, self._levels.input_square**0.5, self._input_lsb)
         self.set()
 
-    def inductance_std(self, period_s: float, information: F64) -> float:
-        """1 σ of ln L that the steps of the recorded voltage leave open.
+    def learned(self, information: F64, period_s: float) -> None:
+        """What the filter gained of each coordinate in a second of the last window, shape (n,)."""
+        if "L" in self._roster.names:
+            self._coarse.learned(float(information[self._roster.names.index("L")]) * period_s)
 
-        Args:
-            information: gained of each coordinate in a second, shape (n,).
-        """
-        if "L" not in self._roster.names:
-            return 0.0
-        gained, known = float(information[self._roster.names.index("L")]) * period_s, self.of_current
-        # What L is off by was learned for longer than the window that is looked at, in moves and between them.
-        self._looks = min(self._looks + 1.0, _LOOKS)
-        self._information += (gained - self._information) / self._looks
-        noise = CurrentNoise(*known, self._information) if known is not None and self._information > 0.0 else None
-        return self._coarse.inductance_std(period_s, self._value, noise)
+    def inductance_std(self, period_s: float) -> float:
+        """1 σ of ln L that the steps of the recorded voltage leave open."""
+        return self._coarse.inductance_std(period_s, self._value, self.of_current) if "L" in self._value else 0.0

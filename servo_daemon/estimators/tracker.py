@@ -294,6 +294,7 @@ class Tracker:
         sampling = self._sampling()
         if fresh:
             self.excitation.scales = self._noise.rescale(sampling)
+            self._noise.learned(self.excitation.rate, sampling.period_s)
         self._noise.set()
         self._judge.update(duration_s, fresh, self._tick(sampling, fresh))
         if self._judge.begins_to_follow and not self._prior_is_whole:
@@ -351,7 +352,7 @@ class Tracker:
             open=self._jumps.is_open,
             explained=self._jumps.watch.calm,
             white=self.watch.white,
-            inductance_std=self._noise.inductance_std(sampling.period_s, self.excitation.rate) if fresh else 0.0,
+            inductance_std=self._noise.inductance_std(sampling.period_s) if fresh else 0.0,
             sampling=sampling,
         )
 

@@ -142,7 +142,7 @@ def test_without_a_gap_to_be_found_there_is_nothing_to_search() -> None:
     twice = make_problem([recording, recording], ("backlash",), {})
     for problem in (spring, held, twice):
         assert begun_short_runs(problem, values, with_all_inertia(values)) is None
-        assert fit_short_runs(problem, values) is None
+        assert fit_short_runs(RunSource(problem, with_all_inertia(values)), values) is None
     assert placed(spring, values) is spring
     assert fit_with_play([recording, recording], ("backlash",), FitOptions()) is None
 
@@ -158,7 +158,7 @@ def test_from_values_several_times_wrong_to_those_that_are_hidden() -> None:
     assert begin is not None
     assert begin["gap"] == pytest.approx(values["gap"], rel=0.15)
     assert begin["k_s"] == pytest.approx(values["k_s"], rel=0.1)
-    fit = fit_short_runs(problem, begin)
+    fit = fit_short_runs(RunSource(problem, with_all_inertia(begin)), begin)
     assert fit is not None
     std = dict(zip(fit.columns, np.sqrt(np.diag(fit.covariance)), strict=True))
     for p in problem.plant.parameters:

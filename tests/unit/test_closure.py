@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from servo_daemon.estimators.balances import Sums
 from servo_daemon.estimators.closure import Confronted, doubt_var, structure, verdict
-from servo_daemon.estimators.coarse_input import CoarseInput, CurrentNoise, along
+from servo_daemon.estimators.coarse_input import CoarseInput, along
 from servo_daemon.estimators.noise import ProcessNoise
 from servo_daemon.estimators.plausible import Plausible
 from servo_daemon.estimators.rls import SYSTEMATIC
@@ -136,7 +136,8 @@ def test_what_steps_leave_of_L_is_what_a_filter_of_the_current_is_off_by(R: floa
     found = CoarseInput()
     found.lsb_V = lsb
     found.take(u[:100] * 1e3, h, {"R": R, "L": L})  # changes so large that rounding is nothing of them
-    said = found.inductance_std(h, {"R": R, "L": L}, CurrentNoise(sensor**2, noise_V2, information))
+    found.learned(information)
+    said = found.inductance_std(h, {"R": R, "L": L}, (sensor**2, noise_V2))
     assert off > 0.005
     assert said == pytest.approx(off, rel=0.25)
 

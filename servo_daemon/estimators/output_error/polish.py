@@ -114,14 +114,14 @@ def polish(problem: Problem, point: Point, torque_size: float, below: float = np
     a, value = at.with_source(alone, INPUT_NOISE)
     end = _settle(problem, point, a, limits, below) if value < plain - WORTH else None
     instant_std: dict[int, float] = {}
-    if end is not None and end.remaining < _CLOSE and instants_of(problem):
+    if end is not None and end.at_rest and instants_of(problem):
         end, instant_std = _settle_instants(problem, end, limits, below)
     if end is None:
         return None
     point, a = end.point, end.log_variance
     deviance = _likelihood(problem, point, limits).value(a)
     whitened, rms = whiten_point(problem, point, a)
-    torque = _torque_gain(problem, point, a, limits) if end.remaining < _CLOSE else np.inf
+    torque = _torque_gain(problem, point, a, limits) if end.at_rest else np.inf
     noise = noise_model(problem, a, plain - deviance)
     at_bound = _at_bound(problem, whitened)
     return Polished(point, whitened, noise, a, deviance, torque, rms, at_bound, instant_std, end.remaining)
@@ -135,6 +135,10 @@ class _End:
     whitened: Point
     log_variance: F64
     remaining: float
+
+    @property
+    def at_rest(self) -> bool:
+        return self.remaining < _CLOSE
 
 
 def _settle_instants(
@@ -150,7 +154,7 @@ def _settle_instants(
                 break
             moved = _moved(problem, end.point, column, there)
             again = _settle(problem, moved, end.log_variance, limits, below)
-            if again is None or again.remaining >= _CLOSE or again.whitened.value > end.whitened.value:
+            if again is None or not again.at_rest or again.whitened.value > end.whitened.value:
                 break
             end = again
     return end, std

@@ -11,7 +11,7 @@ from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.short_runs.gap import FAR, NEAR, NEAREST, with_other_gap
 from servo_daemon.estimators.short_runs.runs import FEW_SAMPLES, MOST_SAMPLES, SHORT, can_be_fitted
 from servo_daemon.estimators.short_runs.search import ShortRunFit, search, within
-from servo_daemon.estimators.short_runs.telling import RunSource, with_all_inertia
+from servo_daemon.estimators.short_runs.telling import RunSource
 from servo_daemon.samples import F64
 
 #: Loads as shares of all inertia, on teeth that swing like this, so damped, that a search begins at, and samples that
@@ -46,11 +46,11 @@ def begun_short_runs(
     return None if short is None else search(short, q, _but_the_gap(problem), 1).values
 
 
-def fit_short_runs(problem: Problem, start: Mapping[str, float]) -> ShortRunFit | None:
+def fit_short_runs(source: RunSource, start: Mapping[str, float]) -> ShortRunFit | None:
     """Fit from values that are about right; None: the model or the data are none for it. See `begun_short_runs`."""
+    problem = source.problem
     if not can_be_fitted(problem):
         return None
-    source = RunSource(problem, with_all_inertia(start))
     q, found, gap_std = coordinates_of(problem, start), None, np.inf
     for scan in (NEAR, NEAREST):  # a gap a little wrong bends the teeth, and these the gap
         q, gap_std = with_other_gap(source, q, scan)

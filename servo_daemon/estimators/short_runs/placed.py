@@ -10,7 +10,7 @@ import numpy as np
 from servo_daemon.estimators.base import to_coordinate
 from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.output_error.setup import Recording, make_problem
-from servo_daemon.estimators.short_runs.runs import FEWEST, SHORT, TWIST, Runs, can_be_searched, swing_s
+from servo_daemon.estimators.short_runs.runs import FEWEST, SHORT, TWIST, Runs, can_be_searched, of_states, swing_s
 from servo_daemon.estimators.short_runs.search import settled_runs
 from servo_daemon.estimators.short_runs.states import searched
 from servo_daemon.samples import F64
@@ -44,19 +44,17 @@ def placed(problem: Problem, values: Mapping[str, float]) -> Problem:
     return replace(problem, segments=segments, exact=False, own_states=plant.state_names, whole=())
 
 
-def placed_in_short_runs(
-    recordings: Sequence[Recording], effects: tuple[str, ...], values: Mapping[str, float]
-) -> Problem | None:
-    """A model's free runs in which the load meets its teeth about once, placed; None: there is no such load.
+def placed_in_short_runs(problem: Problem, recordings: Sequence[Recording], values: Mapping[str, float]) -> Problem:
+    """A model in free runs in which the load meets its teeth about once, placed; as it was where there is no such load.
 
     Args:
+        problem: of these recordings, uncut, nothing of it given.
         values: natural units, of every parameter.
     """
-    whole = make_problem(recordings, effects, {})
-    if not can_be_searched(whole):
-        return None
-    length_s = max(SHORT * swing_s(values), FEWEST * whole.sample_period_s)
-    return placed(make_problem(recordings, effects, {}, segment_s=length_s), values)
+    if not can_be_searched(problem):
+        return problem
+    length_s = max(SHORT * swing_s(values), FEWEST * problem.sample_period_s)
+    return placed(make_problem(recordings, problem.plant.effects, {}, segment_s=length_s), values)
 
 
 def is_placed(problem: Problem) -> bool:
@@ -70,8 +68,4 @@ def placed_within(problem: Problem, q: F64) -> F64:
     Args:
         q: shape (np,) or longer, the plant's coordinates.
     """
-    runs = Runs.over(problem)
-    twist, rate = runs.load_states
-    out = _OF_MOTOR * runs.scale
-    out[twist], out[rate] = _OF_GAP * runs.gap_rad(q), _OF_RATE * runs.fastest_rad_s
-    return np.asarray(out)
+    return of_states(problem.plant, problem.segments[0].x0_scale, q, (_OF_MOTOR, _OF_GAP, _OF_RATE))

@@ -29,12 +29,13 @@ def by_short_runs(
             no better known than both agree on it, and the likelier of them is published.
     """
     whole = uncut(fit.problem, recordings)
-    short = fit_short_runs(whole, begin)
+    source = RunSource(whole, with_all_inertia(begin))
+    short = fit_short_runs(source, begin)
     if short is None or not (np.isfinite(short.q).all() and np.isfinite(short.covariance).all()):
         return None
     names, free = whole.plant.parameter_names, fit.problem.free
     begun = coordinates_of(whole, begin)
-    best = begun if likelier(RunSource(whole, with_all_inertia(begin)), begun, short.q) else short.q
+    best = begun if likelier(source, begun, short.q) else short.q
     apart = np.abs(begun - short.q)
     unknowns = fit.solution.point.unknowns.copy()
     unknowns[: len(free)] = [best[names.index(name)] for name in free]

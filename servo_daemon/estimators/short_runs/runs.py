@@ -39,6 +39,26 @@ def swing_s(values: Mapping[str, float]) -> float:
     return 2.0 * np.pi * float(np.sqrt(mu / values["k_s"]))
 
 
+def of_states(plant: PlantModel, scale: F64, q: F64, shares: tuple[float, float, float]) -> F64:
+    """Shares of what the states are large against, shape (nx,).
+
+    Args:
+        scale: shape (nx,), size of each state.
+        q: shape (np,) or longer, the plant's coordinates.
+        shares: of a motor's state its size, of a load's twist the gap, of its rate the fastest.
+    """
+    out = shares[0] * scale
+    if TWIST in plant.state_names:
+        out[plant.state_names.index(TWIST)] = shares[1] * float(np.exp(q[plant.parameter_names.index("gap")]))
+        out[plant.state_names.index(RATE)] = shares[2] * fastest_rad_s(plant, scale)
+    return np.asarray(out)
+
+
+def fastest_rad_s(plant: PlantModel, scale: F64) -> float:
+    """The fastest that a load moves against the motor; `scale` as for `of_states`."""
+    return _FASTEST * float(scale[plant.state_names.index("velocity_rad_s")])
+
+
 def can_be_searched(problem: Problem) -> bool:
     """Whether there is a gap, in one recording, and no state but motor's and load's (what is slow goes on from run to
     run)."""
@@ -168,7 +188,7 @@ class Runs:
             which: of the states; None: all.
         """
         which = range(states.shape[1]) if which is None else which
-        steps = self._steps(q)
+        steps = of_states(self.plant, self.scale, q, (_OF_MOTOR, _OF_GAP, _OF_RATE))
         out = np.empty((*here.shape, len(which)))
         for column, k in enumerate(which):
             ahead = states.copy()
@@ -192,14 +212,7 @@ class Runs:
     @cached_property
     def fastest_rad_s(self) -> float:
         """The fastest that a load moves against the motor."""
-        return _FASTEST * float(self.scale[self.plant.state_names.index("velocity_rad_s")])
-
-    def _steps(self, q: F64) -> F64:
-        out = _OF_MOTOR * self.scale
-        if TWIST in self.plant.state_names:
-            twist, rate = self.load_states
-            out[twist], out[rate] = _OF_GAP * self.gap_rad(q), _OF_RATE * self.fastest_rad_s
-        return np.asarray(out)
+        return fastest_rad_s(self.plant, self.scale)
 
 
 def _guess(problem: Problem, segment: Segment, begin: int) -> F64:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servo_daemon.estimators.base import natural_values, to_coordinate
 from servo_daemon.estimators.output_error.problem import Problem
@@ -85,7 +86,7 @@ def with_all_inertia(values: Mapping[str, float]) -> dict[str, float]:
     return {**values, "J": values["J"] + values.get("J_l", 0.0)}
 
 
-def _telling(left: F64, least: int) -> np.ndarray[tuple[int], np.dtype[np.int_]]:
+def _telling(left: F64, least: int) -> NDArray[np.int_]:
     """Of runs that leave so much, shape (k,), the numbers of those that tell, so many at least, in their order."""
     beyond = np.maximum(left - np.quantile(left, _QUIET), 0.0)
     order = np.argsort(-beyond, kind="stable")
