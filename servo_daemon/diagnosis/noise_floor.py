@@ -32,9 +32,8 @@ def noise_floor(fit: OutputErrorFit, trial: Trial, part: int = HELD_OUT) -> Scor
     sensor = np.array([_sensor_std(fit, name, k) for k, name in enumerate(problem.channels)])
     found = solve(problem, problem.start({}), robust=False, max_iterations=8, curved=False)
     unknowns = problem.start({}) if found is None else found.point.unknowns
-    segments, carried = [], problem.carried(unknowns)
-    for k, segment in enumerate(problem.segments):
-        x0 = problem.start_of(unknowns, k, carried[k])
+    segments, starts = [], problem.starts(unknowns, problem.carried(unknowns))
+    for segment, x0 in zip(problem.segments, starts, strict=True):
         rows = segment.rows.copy()
         if input_std:
             rows[:, INPUT] += rng.normal(0.0, input_std, len(rows))

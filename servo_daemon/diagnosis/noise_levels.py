@@ -92,7 +92,7 @@ def fit_levels(a: Augmented, q: F64, stretches: Sequence[Stretch], start: NoiseL
     """
     from scipy.optimize import minimize
 
-    pieces = _pieces(a, stretches)
+    pieces = _of_one_length(_pieces(a, stretches))
     n_d = len(a.disturbances)
     typical = np.log(
         [*(start.walk[d] for d in a.disturbances), start.input_var, *(start.channel_var[c] for c in a.channels)]
@@ -103,10 +103,9 @@ def fit_levels(a: Augmented, q: F64, stretches: Sequence[Stretch], start: NoiseL
     def cost(x: F64) -> float:
         constants = np.concatenate([q, np.exp(x)])
         total = 0.0
-        for piece in pieces:
-            out = likelihood(a).run(piece.begin(), constants, piece.rows)
-            nu, precision = np.split(out, 2, axis=1)
-            use = piece.counted & (precision > 0)
+        for begin, rows, counted in pieces:
+            nu, precision = np.split(likelihood(a).run_many(begin.copy(), constants, rows), 2, axis=2)
+            use = counted & (precision > 0)
             total += float(np.sum(nu[use] ** 2 * precision[use] - np.log(precision[use])))
         return total if np.isfinite(total) else 1e12
 
@@ -147,6 +146,17 @@ def _pieces(a: Augmented, stretches: Sequence[Stretch]) -> list[Stretch]:
             starts = np.linspace(0, len(s.rows) - length, count).astype(int)
             chosen += [(s, int(k), int(k) + length) for k in starts]
     return [_piece(a, s, begin, end) for s, begin, end in chosen if end - begin > SETTLING]
+
+
+def _of_one_length(pieces: Sequence[Stretch]) -> list[tuple[F64, F64, NDArray[np.bool_]]]:
+    """Those of one length together: states to begin with, rows, which innovations are taken; k of each."""
+    kinds: dict[int, list[Stretch]] = {}
+    for piece in pieces:
+        kinds.setdefault(len(piece.rows), []).append(piece)
+    return [
+        (np.stack([p.begin() for p in same]), np.stack([p.rows for p in same]), np.stack([p.counted for p in same]))
+        for same in kinds.values()
+    ]
 
 
 def _piece(a: Augmented, s: Stretch, begin: int, end: int) -> Stretch:

@@ -14,6 +14,7 @@ import numpy as np
 
 from servo_daemon.diagnosis.missing import Missing
 from servo_daemon.diagnosis.smoother import BATCH, response_backward, response_forward
+from servo_daemon.plant.compiled import on_all_cores
 from servo_daemon.samples import F64
 
 
@@ -46,16 +47,18 @@ def smoothed(missing: Missing, traces: Sequence[Trace]) -> dict[str, F64]:
             if name in a.channels:
                 inputs[:, k, 2 + a.channels.index(name)] = values
     out = np.empty((n, inputs.shape[1], n_d))
-    at = 0
-    for stretch in missing.stretches:
-        end = at + len(stretch.passed)
-        for first in range(0, inputs.shape[1], BATCH):
+    forward, backward = response_forward(a), response_backward(a)
+
+    def batch(first: int) -> None:
+        at = 0
+        for stretch in missing.stretches:
+            end = at + len(stretch.passed)
             given = inputs[at:end, first : first + BATCH].reshape(end - at, -1)
-            ahead = response_forward(a).run(
-                np.zeros(BATCH * (a.n_x + a.n_z)), np.zeros(1), np.hstack([stretch.passed, given])
-            )
+            ahead = forward.run(np.zeros(BATCH * (a.n_x + a.n_z)), np.zeros(1), np.hstack([stretch.passed, given]))
             rows = np.hstack([stretch.passed, ahead])[::-1]
-            back = response_backward(a).run(np.zeros(BATCH * a.n_z), np.zeros(1), np.ascontiguousarray(rows))
+            back = backward.run(np.zeros(BATCH * a.n_z), np.zeros(1), np.ascontiguousarray(rows))
             out[at:end, first : first + BATCH] = back[::-1].reshape(end - at, BATCH, n_d)
-        at = end
+            at = end
+
+    on_all_cores(batch, range(0, inputs.shape[1], BATCH))
     return {name: out[:, : len(traces), k] for k, name in enumerate(a.disturbances)}

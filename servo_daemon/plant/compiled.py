@@ -19,8 +19,12 @@ import subprocess
 import tempfile
 import threading
 from collections import defaultdict
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
+from typing import TypeVar
 
 import casadi as ca
 import numpy as np
@@ -28,6 +32,9 @@ import numpy as np
 from servo_daemon.samples import F64
 
 log = logging.getLogger(__name__)
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
 
 #: Long steps (substeps, sensitivities) compile four times as fast this way and run as fast.
 _LONG_SOURCE, _LONG_FLAGS = 400_000, ("-O1",)
@@ -49,7 +56,18 @@ int servo_daemon_loop(long long n, double* state, const double* constants, const
   }
   return 0;
 }
+/* So many runs of n samples each, side by side in memory. */
+int servo_daemon_loops(long long runs, long long n, double* states, const double* constants, const double* samples,
+                       double* outputs) {
+  long long k;
+  for (k = 0; k < runs; ++k)
+    if (servo_daemon_loop(n, states + k * SD_STATE, constants, samples + k * n * SD_SAMPLE,
+                          outputs + k * n * SD_OUTPUT)) return 1;
+  return 0;
+}
 """
+#: Runs of fewer samples in all are not worth a second thread.
+_WORTH_A_THREAD = 2_000
 #: One for each function: threads that need the same code wait for it, others compile beside them.
 _build_locks: defaultdict[Path, threading.Lock] = defaultdict(threading.Lock)
 
@@ -159,6 +177,27 @@ def _address(array: F64) -> int:
     return int(array.ctypes.data)
 
 
+@cache
+def _threads() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(_threads(), "sample-loop")
+
+
+if hasattr(os, "register_at_fork"):  # a forked child has the pool, but none of its threads
+    os.register_at_fork(after_in_child=_pool.cache_clear)
+
+
+def on_all_cores(work: Callable[[_Item], _Result], items: Sequence[_Item]) -> list[_Result]:
+    """The work on each item, on all cores that this process may use. It should be a compiled pass, which does not hold
+    the interpreter, and must not call this itself: it would wait for its own place."""
+    return [work(items[0])] if len(items) == 1 else list(_pool().map(work, items))
+
+
 class SampleLoop:
     """A step function run over blocks of samples; the state is the caller's.
 
@@ -188,6 +227,9 @@ class SampleLoop:
                 self._call = self._library.servo_daemon_loop
                 self._call.restype = ctypes.c_int
                 self._call.argtypes = [ctypes.c_longlong] + [ctypes.c_void_p] * 4
+                self._call_many = self._library.servo_daemon_loops
+                self._call_many.restype = ctypes.c_int
+                self._call_many.argtypes = [ctypes.c_longlong] * 2 + [ctypes.c_void_p] * 4
             except (OSError, subprocess.SubprocessError) as error:
                 detail = getattr(error, "stderr", "") or ""
                 log.warning("C compilation failed (%s %s): using CasADi's virtual machine", error, detail.strip())
@@ -225,6 +267,42 @@ class SampleLoop:
                 raise RuntimeError("the compiled step reported an error")
         else:
             self._run_vm(state, constants, samples, outputs)
+        return outputs
+
+    def run_many(self, states: F64, constants: F64, samples: F64) -> F64:
+        """Advance many states in place, each over samples of its own: the numbers that `run` gives for each, without
+        a call for each, on all cores that this process may use (the interpreter is not held meanwhile).
+
+        Args:
+            states: shape (k, ns), C-contiguous, changed in place.
+            constants: shape (nc,).
+            samples: shape (k, n, ni), C-contiguous.
+
+        Returns:
+            outputs, shape (k, n, no).
+
+        Raises:
+            ValueError: wrong shape, dtype or memory layout.
+        """
+        k, n = samples.shape[:2]
+        self._check(states, (k, self._n_state), "states")
+        self._check(constants, (self._n_constants,), "constants")
+        self._check(samples, (k, n, self._n_sample), "samples")
+        outputs = np.empty((k, n, self._n_output))
+        if self._library is None:
+            for state, rows, shown in zip(states, samples, outputs, strict=True):
+                self._run_vm(state, constants, rows, shown)
+            return outputs
+
+        def part(runs: slice) -> int:
+            arrays = (states[runs], constants, samples[runs], outputs[runs])
+            return int(self._call_many(len(arrays[0]), n, *map(_address, arrays)))
+
+        threads = min(_threads(), k) if k * n >= _WORTH_A_THREAD else 1
+        edges = np.linspace(0, k, threads + 1).astype(int).tolist()
+        parts = [slice(a, b) for a, b in pairwise(edges)]
+        if any(on_all_cores(part, parts)):
+            raise RuntimeError("the compiled step reported an error")
         return outputs
 
     def _run_vm(self, state: F64, constants: F64, samples: F64, outputs: F64) -> None:

@@ -12,7 +12,7 @@ import pytest
 from servo_daemon.errors import BadInputError
 from servo_daemon.estimators.output_error import FitOptions, Recording, fit_output_error, lazy
 from servo_daemon.estimators.output_error.robust import sample_weights
-from servo_daemon.estimators.output_error.rollout import free_run, simulate
+from servo_daemon.estimators.output_error.rollout import free_run, simulate, simulate_many
 from servo_daemon.estimators.output_error.score import measured_speed, score
 from servo_daemon.estimators.output_error.setup import make_problem
 from servo_daemon.estimators.output_error.solver import solve
@@ -115,9 +115,9 @@ def test_derivatives_are_computed_only_where_a_search_goes_on_from(monkeypatch: 
 
     def counted(*arguments: Any) -> Any:
         calls.append(arguments)
-        return simulate(*arguments)
+        return simulate_many(*arguments)
 
-    monkeypatch.setattr(lazy, "simulate", counted)
+    monkeypatch.setattr(lazy, "simulate_many", counted)
     problem = make_problem([Recording("a", block_of(linear_recording(), *FULL))], (), {})
     far = {n: float(np.log(v * (5.0 if k % 2 else 0.2))) for k, (n, v) in enumerate(MOTOR.items())}
     solution = solve(problem, problem.start(far), robust=False)
@@ -125,6 +125,33 @@ def test_derivatives_are_computed_only_where_a_search_goes_on_from(monkeypatch: 
     assert solution.converged
     assert len(calls) == len(solution.iterations)
     assert solution.iterations[-1].evaluations > 1.5 * len(calls)
+
+
+def test_differences_are_the_derivatives_of_every_recording_and_length() -> None:
+    """Two recordings with offsets of their own, in segments of two lengths, with a warm winding that goes on through
+    them: one column for each unknown, of each segment its own."""
+    recordings = [
+        Recording("a", block_of(linear_recording(1.0), *FULL)),
+        Recording("b", block_of(linear_recording(0.7), *FULL)),
+    ]
+    effects = ("constant_load_torque", "current_sensor_offset", "winding_heating")
+    exact = make_problem(recordings, effects, {}, segment_s=0.3)
+    assert exact.local
+    assert len({len(s.rows) for s in exact.segments}) > 1
+    by_name = {p.name: np.log(p.nominal) if p.transform == "log" else p.nominal for p in exact.plant.parameters}
+    unknowns = exact.start({**by_name, **{n: float(np.log(v)) for n, v in MOTOR.items()}})
+    unknowns[exact.n_shared : len(exact.parameter_of_column)] += np.arange(len(exact.local) * 2) * 0.01
+    differenced = replace(exact, exact=False, own_states=exact.plant.state_names).linearise(unknowns)
+    here = exact.linearise(unknowns)
+    for true, close, r, segment in zip(
+        here.jacobian, differenced.jacobian, here.residuals, exact.segments, strict=True
+    ):
+        assert true.shape == close.shape == (*r.shape, true.shape[2])
+        assert len(r) == len(segment.rows)
+        scale = np.abs(true).max(axis=(0, 1))
+        assert (np.abs(true - close).max(axis=(0, 1)) < 1e-3 * scale + 1e-6).all()
+    for left, other in zip(here.residuals, differenced.residuals, strict=True):
+        np.testing.assert_array_equal(left, other)
 
 
 def test_without_a_current_three_combinations_of_five_are_left() -> None:

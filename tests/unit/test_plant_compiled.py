@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import logging
+import multiprocessing
 import stat
 import subprocess
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import casadi as ca
@@ -72,6 +75,65 @@ def test_blocks_do_not_matter(use_c: bool, size: int) -> None:
     whole = loop.run(x.copy(), p, rows)
     parts = [loop.run(x, p, np.ascontiguousarray(rows[k : k + size])) for k in range(0, 700, size)]
     np.testing.assert_array_equal(np.concatenate(parts), whole)
+
+
+def many(k: int, n: int) -> tuple[F64, F64, F64]:
+    """k runs of n samples, each from a state and with inputs of its own."""
+    x, p, rows = inputs(ALL, k * n)
+    return np.outer(np.arange(k), np.ones(len(x))) * 1e-3, p, rows.reshape(k, n, 3)
+
+
+@pytest.mark.parametrize("use_c", [pytest.param(True, marks=needs_compiler), False], ids=["c", "vm"])
+@pytest.mark.parametrize(("k", "n"), [(1, 40), (7, 30), (5, 900)], ids=["one", "few", "threads"])
+def test_many_runs_are_each_what_it_is_alone(use_c: bool, k: int, n: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled, "_threads", lambda: 3)
+    loop = SampleLoop(step_function(ALL), compiled=use_c)
+    states, p, rows = many(k, n)
+    alone = states.copy()
+    outputs = loop.run_many(states, p, rows)
+    assert outputs.shape == (k, n, len(states[0]))
+    for state, samples, shown in zip(alone, rows, outputs, strict=True):
+        np.testing.assert_array_equal(loop.run(state, p, samples), shown)
+    np.testing.assert_array_equal(states, alone)
+
+
+@pytest.mark.parametrize("use_c", [pytest.param(True, marks=needs_compiler), False], ids=["c", "vm"])
+def test_no_run_at_all_is_none(use_c: bool) -> None:
+    states, p, rows = many(2, 5)
+    loop = SampleLoop(step_function(ALL), compiled=use_c)
+    assert loop.run_many(states[:0], p, rows[:0]).shape == (0, 5, states.shape[1])
+
+
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        (lambda x, p, rows: (x[:-1], p, rows), "states"),
+        (lambda x, p, rows: (x, p[:-1], rows), "constants"),
+        (lambda x, p, rows: (x, p, rows[:, ::2]), "samples"),
+    ],
+    ids=["states", "constants", "samples"],
+)
+def test_many_wrong_arrays_are_refused(change: Callable[..., tuple[F64, F64, F64]], name: str) -> None:
+    with pytest.raises(ValueError, match=name):
+        SampleLoop(step_function(ALL)).run_many(*change(*many(3, 6)))
+
+
+@needs_compiler
+def test_a_forked_child_has_threads_of_its_own() -> None:
+    """The pool's threads do not come along, and who waits for them waits for ever."""
+    loop = SampleLoop(step_function(ALL))
+    states, p, rows = many(4, 1000)
+    here = loop.run_many(states.copy(), p, rows)
+    pool = compiled._pool()
+    assert loop.run_many(states.copy(), p, rows).tobytes() == here.tobytes()
+    assert compiled._pool() is pool
+    with ProcessPoolExecutor(1, multiprocessing.get_context("fork")) as processes:
+        there = processes.submit(in_child, states, p, rows).result(timeout=60)
+    np.testing.assert_array_equal(there, here)
+
+
+def in_child(states: F64, p: F64, rows: F64) -> F64:
+    return SampleLoop(step_function(ALL)).run_many(states, p, rows)
 
 
 @pytest.mark.parametrize("use_c", [pytest.param(True, marks=needs_compiler), False], ids=["c", "vm"])

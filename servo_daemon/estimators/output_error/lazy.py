@@ -6,13 +6,14 @@ cost ten times as much as the simulation itself.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servo_daemon.estimators.output_error.rollout import simulate
+from servo_daemon.estimators.output_error.rollout import simulate_many
 from servo_daemon.samples import F64
 
 if TYPE_CHECKING:
@@ -35,18 +36,18 @@ class Lazy:
     def jacobian(self) -> tuple[F64, ...]:
         """Per segment, shape (n, c, k); zero where a derivative leaves the range of numbers, which is the end of a way
         and no step."""
-        problem = self.problem
+        problem, starts = self.problem, self.problem.initial_states(self.unknowns)
         chosen = [problem.plant.parameter_names.index(n) for n in (*problem.free, *problem.local)]
-        out = []
-        for k, segment in enumerate(problem.segments):
-            q, x0 = problem.coordinates(self.unknowns, segment.recording), problem.initial_state(self.unknowns, k)
+        out = [np.empty(0)] * len(problem.segments)
+        for recording, which, rows in problem.alike:
+            q = problem.coordinates(self.unknowns, recording)
             with np.errstate(over="ignore", invalid="ignore"):
-                run = simulate(problem.plant, problem.channels, q, x0, segment.rows)
-            jacobian = np.concatenate([run.by_parameter[:, :, chosen], run.by_state], axis=2)
-            if not segment.valid.all():
-                jacobian = jacobian * segment.valid[:, :, None]
-            good = bool(np.isfinite(run.last).all() and np.isfinite(jacobian).all())
-            out.append(jacobian if good else np.zeros_like(jacobian))
+                runs = simulate_many(problem.plant, problem.channels, q, starts[which], rows)
+            slopes = np.concatenate([runs.by_parameter[..., chosen], runs.by_state], axis=3)
+            for k, last, slope in zip(which.tolist(), runs.last, slopes, strict=True):
+                jacobian = slope if problem.segments[k].valid.all() else slope * problem.segments[k].valid[:, :, None]
+                good = bool(np.isfinite(last).all() and np.isfinite(jacobian).all())
+                out[k] = jacobian if good else np.zeros_like(jacobian)
         return tuple(out)
 
 
@@ -64,28 +65,33 @@ class Differenced:
     def jacobian(self) -> tuple[F64, ...]:
         """Per segment, shape (n, c, k)."""
         problem = self.problem
-        out = [np.zeros((*r.shape, len(problem.columns(k)))) for k, r in enumerate(self.residuals)]
+        out = tuple(np.zeros((*r.shape, len(problem.columns(k)))) for k, r in enumerate(self.residuals))
         for k in range(len(problem.parameter_of_column)):
             size = 1.0 if problem.logarithmic[k] else abs(float(self.unknowns[k]))
-            self._difference(out, k, _DIFFERENCE * max(size, _LEAST_SIZE))
-        carried = problem.carried(self.unknowns)
-        for index, segment in enumerate(problem.segments):
-            where = problem.columns(index)
-            for state, name in enumerate(problem.plant.state_names):
-                if name in problem.own_states:
-                    column = len(where) - len(problem.plant.states) + state
-                    ahead, step = self.unknowns.copy(), _DIFFERENCE * float(segment.x0_scale[state])
-                    ahead[where[column]] += step
-                    slope = (self.residuals[index] - problem.residual(ahead, index, carried[index])) / step
-                    out[index][:, :, column] = slope
-        return tuple(out)
+            self._by_parameter(out, k, _DIFFERENCE * max(size, _LEAST_SIZE))
+        starts = problem.starts(self.unknowns, problem.carried(self.unknowns))
+        for state, name in enumerate(problem.plant.state_names):
+            if name in problem.own_states:
+                self._by_state(out, state, starts)
+        return out
 
-    def _difference(self, out: list[F64], k: int, step: float) -> None:
-        """One parameter's column of every segment."""
-        ahead = self.unknowns.copy()
+    def _by_parameter(self, out: Sequence[F64], k: int, step: float) -> None:
+        """One parameter's column of every segment that has it."""
+        problem, ahead = self.problem, self.unknowns.copy()
         ahead[k] += step
-        carried = self.problem.carried(ahead)
-        for index, here in enumerate(self.residuals):
-            column = np.flatnonzero(self.problem.columns(index) == k)
-            if len(column):
-                out[index][:, :, column[0]] = (here - self.problem.residual(ahead, index, carried[index])) / step
+        own = k >= problem.n_shared
+        recording = (k - problem.n_shared) // len(problem.local) if own else None
+        there = problem.residuals(ahead, problem.starts(ahead, problem.carried(ahead)), recording)
+        concerned = [i for i, s in enumerate(problem.segments) if recording in (None, s.recording)]
+        for index, moved in zip(concerned, there, strict=True):
+            column = np.flatnonzero(problem.columns(index) == k)[0]
+            out[index][:, :, column] = (self.residuals[index] - moved) / step
+
+    def _by_state(self, out: Sequence[F64], state: int, starts: F64) -> None:
+        """One initial state's column of every segment."""
+        problem, ahead = self.problem, starts.copy()
+        steps = [_DIFFERENCE * float(s.x0_scale[state]) for s in problem.segments]
+        ahead[:, state] += steps
+        for index, moved in enumerate(problem.residuals(self.unknowns, ahead)):
+            column = out[index].shape[2] - len(problem.plant.states) + state
+            out[index][:, :, column] = (self.residuals[index] - moved) / steps[index]

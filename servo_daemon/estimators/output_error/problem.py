@@ -9,7 +9,7 @@ in the parameters' coordinates (logarithms where positive). Nothing here decides
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.estimators.output_error.lazy import Differenced, Lazy
-from servo_daemon.estimators.output_error.rollout import STEP, free_run
+from servo_daemon.estimators.output_error.rollout import STEP, free_run, free_runs
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.samples import F64
 
@@ -193,25 +193,48 @@ class Problem:
             paths.append(free_run(self.plant, self.channels, self.coordinates(unknowns, recording), x0, rows)[1])
         return [paths[s.recording][s.begin] for s in self.segments]
 
-    def start_of(self, unknowns: F64, index: int, carried: F64 | None) -> F64:
-        """A segment's initial state, shape (nx,): its own, and what is carried."""
-        x0 = self.initial_state(unknowns, index)
-        if carried is None:
-            return x0
-        own = np.array([name in self.own_states for name in self.plant.state_names])
-        return np.where(own, x0, carried)
+    def initial_states(self, unknowns: F64) -> F64:
+        """Of all segments, shape (segments, nx)."""
+        return unknowns[len(self.parameter_of_column) :].reshape(len(self.segments), len(self.plant.states))
 
-    def residual(self, unknowns: F64, index: int, carried: F64 | None) -> F64:
-        """Measured minus simulated of a segment, shape (n, c); 0 where not valid."""
-        segment = self.segments[index]
-        q, x0 = self.coordinates(unknowns, segment.recording), self.start_of(unknowns, index, carried)
-        shown, _ = free_run(self.plant, self.channels, q, x0, segment.rows)
-        return np.where(segment.valid, segment.measured - shown, 0.0)
+    def starts(self, unknowns: F64, carried: Sequence[F64 | None]) -> F64:
+        """The segments' initial states, shape (segments, nx): their own, and what is carried."""
+        out = self.initial_states(unknowns).copy()
+        others = [k for k, name in enumerate(self.plant.state_names) if name not in self.own_states]
+        for x0, there in zip(out, carried, strict=True):
+            if there is not None:
+                x0[others] = there[others]
+        return out
+
+    @cached_property
+    def alike(self) -> tuple[tuple[int, NDArray[np.intp], F64], ...]:
+        """Segments that are simulated at once: of one recording and one length. Recording, numbers, rows, shape
+        (k, n, 3)."""
+        kinds: dict[tuple[int, int], list[int]] = {}
+        for k, s in enumerate(self.segments):
+            kinds.setdefault((s.recording, len(s.rows)), []).append(k)
+        return tuple(
+            (recording, np.array(which), np.stack([self.segments[k].rows for k in which]))
+            for (recording, _), which in kinds.items()
+        )
+
+    def residuals(self, unknowns: F64, starts: F64, recording: int | None = None) -> tuple[F64, ...]:
+        """Measured minus simulated, per segment, shape (n, c); 0 where not valid.
+
+        Args:
+            starts: see `starts`.
+            recording: only this one's segments; None: all.
+        """
+        out: dict[int, F64] = {}
+        for of, which, rows in self.alike:
+            if recording in (None, of):
+                shown = free_runs(self.plant, self.channels, self.coordinates(unknowns, of), starts[which], rows)
+                out |= dict(zip(which.tolist(), shown, strict=True))
+        return tuple(np.where(self.segments[k].valid, self.segments[k].measured - out[k], 0.0) for k in sorted(out))
 
     def linearise(self, unknowns: F64) -> Linearised:
         """Simulate every segment and differentiate."""
-        carried = self.carried(unknowns)
-        residuals = tuple(self.residual(unknowns, k, carried[k]) for k in range(len(self.segments)))
+        residuals = self.residuals(unknowns, self.starts(unknowns, self.carried(unknowns)))
         finite = all(bool(np.isfinite(r).all()) for r in residuals)
         return (Lazy if self.exact else Differenced)(self, unknowns, residuals, finite)
 

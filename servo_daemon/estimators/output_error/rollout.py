@@ -97,7 +97,34 @@ def simulate(plant: PlantModel, channels: tuple[str, ...], q: F64, x0: F64, rows
     return Simulated(out[:, :c], slopes[:, :, :n], slopes[:, :, n:], state[:n].copy())
 
 
+def simulate_many(plant: PlantModel, channels: tuple[str, ...], q: F64, x0: F64, rows: F64) -> Simulated:
+    """The same of many runs at once: everything has a first axis more, of length k.
+
+    Args:
+        x0: shape (k, nx).
+        rows: shape (k, n, 3), C-contiguous.
+    """
+    n, n_q, c = len(plant.states), len(plant.parameters), len(channels)
+    states = np.zeros((len(rows), n * (1 + n + n_q)))
+    states[:, :n] = x0
+    states[:, n : n + n * n] = np.eye(n).ravel()
+    out = _loop(plant, channels, True).run_many(states, q, rows)
+    slopes = out[:, :, c:].reshape(*rows.shape[:2], c, n + n_q)
+    return Simulated(out[:, :, :c], slopes[..., :n], slopes[..., n:], states[:, :n].copy())
+
+
 def free_run(plant: PlantModel, channels: tuple[str, ...], q: F64, x0: F64, rows: F64) -> tuple[F64, F64]:
     """Free run without sensitivities: what is shown, shape (n, c), and the plant's states, shape (n, nx)."""
     out = _loop(plant, channels, False).run(np.array(x0, dtype=np.float64), q, rows)
     return out[:, : len(channels)], out[:, len(channels) :]
+
+
+def free_runs(plant: PlantModel, channels: tuple[str, ...], q: F64, x0: F64, rows: F64) -> F64:
+    """Many free runs: what is shown, shape (k, n, c).
+
+    Args:
+        x0: shape (k, nx).
+        rows: shape (k, n, 3), C-contiguous.
+    """
+    out = _loop(plant, channels, False).run_many(np.array(x0, dtype=np.float64, order="C"), q, rows)
+    return out[:, :, : len(channels)]

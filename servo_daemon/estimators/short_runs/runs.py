@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.estimators.output_error.problem import MOTOR_STATES, Problem, Segment
-from servo_daemon.estimators.output_error.rollout import TIME, free_run
+from servo_daemon.estimators.output_error.rollout import TIME, free_runs
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.samples import F64
 
@@ -82,7 +82,7 @@ class Runs:
     Attributes:
         plant: with a load behind a spring or a gap, and no other states than the motor's.
         channels: measured ones.
-        rows: per run, shape (n, 3), see `rollout`.
+        rows: shape (k, n, 3), see `rollout`.
         measured: shape (k, n, c).
         valid: the same.
         guessed: shape (k, nx), initial states with the load at rest against the motor.
@@ -91,7 +91,7 @@ class Runs:
 
     plant: PlantModel
     channels: tuple[str, ...]
-    rows: tuple[F64, ...]
+    rows: F64
     measured: F64
     valid: NDArray[np.bool_]
     guessed: F64
@@ -119,7 +119,7 @@ class Runs:
         return cls(
             problem.plant,
             problem.channels,
-            tuple(np.ascontiguousarray(s.rows[b : b + n]) for s, b in cuts),
+            np.stack([s.rows[b : b + n] for s, b in cuts]),
             np.stack([np.nan_to_num(s.measured[b : b + n]) for s, b in cuts]),
             np.stack([s.valid[b : b + n] for s, b in cuts]),
             np.stack([_guess(problem, s, b) for s, b in cuts]),
@@ -133,11 +133,11 @@ class Runs:
         count = max(most_samples // self.measured.shape[1], 1)
         return self.only(np.linspace(0, len(self.rows) - 1, count).astype(int))
 
-    def only(self, chosen: NDArray[np.int_]) -> Runs:
+    def only(self, chosen: NDArray[np.int_] | NDArray[np.bool_]) -> Runs:
         """These of them."""
         return replace(
             self,
-            rows=tuple(self.rows[int(k)] for k in chosen),
+            rows=self.rows[chosen],
             measured=self.measured[chosen],
             valid=self.valid[chosen],
             guessed=self.guessed[chosen],
@@ -173,12 +173,10 @@ class Runs:
             states: shape (k, nx).
             sigma: shape (c,).
         """
-        shown = np.empty_like(self.measured)
         with np.errstate(over="ignore", invalid="ignore"):
-            for k, (x0, rows) in enumerate(zip(states, self.rows, strict=True)):
-                shown[k] = free_run(self.plant, self.channels, q, x0, rows)[0]
+            shown = free_runs(self.plant, self.channels, q, states, self.rows)
             out = np.where(self.valid, (self.measured - shown) / sigma, 0.0)
-        return out.reshape(len(states), -1)
+        return out.reshape(len(states), out.shape[1] * out.shape[2])
 
     def by_states(self, q: F64, states: F64, sigma: F64, here: F64, which: Sequence[int] | None = None) -> F64:
         """Derivatives of what is shown over σ by the initial states, shape (k, n·c, len(which)).

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servo_daemon.estimators.short_runs.runs import Runs
 from servo_daemon.samples import F64
@@ -41,6 +42,12 @@ class Settled:
         r = runs.residuals(q, states, sigma)
         return cls(states, r, _squares(r))
 
+    def with_some(self, which: NDArray[np.bool_], others: Settled) -> Settled:
+        """With these of the runs as the others have them."""
+        states, residuals, squares = self.states.copy(), self.residuals.copy(), self.squares.copy()
+        states[which], residuals[which], squares[which] = others.states, others.residuals, others.squares
+        return Settled(states, residuals, squares)
+
     def or_better(self, other: Settled) -> Settled:
         """Of each run the better."""
         take = other.squares < self.squares
@@ -54,20 +61,23 @@ class Settled:
 def descended(runs: Runs, q: F64, states: F64, sigma: F64, iterations: int = _ITERATIONS) -> Settled:
     """Each run's own Levenberg–Marquardt from these states, shape (k, nx)."""
     here = Settled.at(runs, q, states, sigma)
-    damping = np.full(len(states), _FIRST_DAMPING)
+    damping, moved = np.full(len(states), _FIRST_DAMPING), np.ones(len(states), dtype=bool)
+    J = np.empty((*here.residuals.shape, states.shape[1]))
     for _ in range(iterations):
-        J = runs.by_states(q, here.states, sigma, here.residuals)
-        J = np.where(np.isfinite(J), J, 0.0)
+        slopes = runs.only(moved).by_states(q, here.states[moved], sigma, here.residuals[moved])
+        J[moved] = np.where(np.isfinite(slopes), slopes, 0.0)
         H, g = np.einsum("kni,knj->kij", J, J), np.einsum("kni,kn->ki", J, _finite(here.residuals))
         before, todo = here.squares, np.ones(len(states), dtype=bool)
         for _ in range(_TRIES):
-            there = Settled.at(runs, q, np.where(todo[:, None], here.states + _step(H, g, damping), here.states), sigma)
+            ahead = here.states + _step(H, g, damping)
+            there = here.with_some(todo, Settled.at(runs.only(todo), q, ahead[todo], sigma))
             fell = todo & (there.squares < here.squares)
             damping = np.where(fell, np.maximum(damping / _HARDER, _LEAST_DAMPING), damping)
             here, todo = here.or_better(there), todo & ~fell
             damping = np.where(todo, damping * _HARDER, damping)
             if not todo.any():
                 break
+        moved = ~todo
         with np.errstate(invalid="ignore"):
             if float(np.nansum(before - here.squares)) < _ENOUGH * float(np.sum(here.squares)):
                 break

@@ -50,8 +50,8 @@ class RunSource:
         if runs is None or self._left is None:
             return runs
         time, left = self._left
-        begin = np.searchsorted(time, [rows[0, TIME] for rows in runs.rows])
-        end = np.searchsorted(time, [rows[-1, TIME] for rows in runs.rows], side="right")
+        begin = np.searchsorted(time, runs.rows[:, 0, TIME])
+        end = np.searchsorted(time, runs.rows[:, -1, TIME], side="right")
         return runs.only(_telling(left[end] - left[begin], _LEAST_SAMPLES // runs.measured.shape[1])).some(most_samples)
 
     def in_swings(self, q: F64, swings: float, most_samples: int) -> Runs | None:
@@ -78,7 +78,7 @@ class RunSource:
         with np.errstate(over="ignore"):
             squares = np.square(settled.residuals.reshape(runs.measured.shape))
         left = np.log1p(np.nan_to_num(squares, posinf=1e300)).sum(axis=2)
-        return np.concatenate([rows[:, TIME] for rows in runs.rows]), np.concatenate([[0.0], np.cumsum(left)])
+        return runs.rows[:, :, TIME].ravel(), np.concatenate([[0.0], np.cumsum(left)])
 
 
 def with_all_inertia(values: Mapping[str, float]) -> dict[str, float]:
