@@ -92,7 +92,8 @@ def fit_levels(a: Augmented, q: F64, stretches: Sequence[Stretch], start: NoiseL
     """
     from scipy.optimize import minimize
 
-    pieces = _of_one_length(_pieces(a, stretches))
+    spread = _pieces(a, stretches)
+    pieces, counted = _of_one_length(spread), [p.counted for p in spread]
     n_d = len(a.disturbances)
     typical = np.log(
         [*(start.walk[d] for d in a.disturbances), start.input_var, *(start.channel_var[c] for c in a.channels)]
@@ -102,11 +103,11 @@ def fit_levels(a: Augmented, q: F64, stretches: Sequence[Stretch], start: NoiseL
 
     def cost(x: F64) -> float:
         constants = np.concatenate([q, np.exp(x)])
-        total = 0.0
-        for begin, rows, counted in pieces:
-            nu, precision = np.split(likelihood(a).run_many(begin.copy(), constants, rows), 2, axis=2)
-            use = counted & (precision > 0)
-            total += float(np.sum(nu[use] ** 2 * precision[use] - np.log(precision[use])))
+        of = np.empty(sum(len(together) for together, *_ in pieces))
+        for together, begin, rows in pieces:
+            out = likelihood(a).run_many(begin.copy(), constants, rows)
+            of[together] = [_minus_two_log(*x) for x in zip((counted[k] for k in together), out, strict=True)]
+        total = float(sum(of.tolist()))
         return total if np.isfinite(total) else 1e12
 
     # Coarse first, coordinate by coordinate: the walks may be off by many orders of magnitude, where slopes are flat.
@@ -148,15 +149,22 @@ def _pieces(a: Augmented, stretches: Sequence[Stretch]) -> list[Stretch]:
     return [_piece(a, s, begin, end) for s, begin, end in chosen if end - begin > SETTLING]
 
 
-def _of_one_length(pieces: Sequence[Stretch]) -> list[tuple[F64, F64, NDArray[np.bool_]]]:
-    """Those of one length together: states to begin with, rows, which innovations are taken; k of each."""
-    kinds: dict[int, list[Stretch]] = {}
-    for piece in pieces:
-        kinds.setdefault(len(piece.rows), []).append(piece)
+def _of_one_length(pieces: Sequence[Stretch]) -> list[tuple[list[int], F64, F64]]:
+    """Those of one length together: their numbers, states to begin with, rows; k of each."""
+    kinds: dict[int, list[int]] = {}
+    for k, piece in enumerate(pieces):
+        kinds.setdefault(len(piece.rows), []).append(k)
     return [
-        (np.stack([p.begin() for p in same]), np.stack([p.rows for p in same]), np.stack([p.counted for p in same]))
+        (same, np.stack([pieces[k].begin() for k in same]), np.stack([pieces[k].rows for k in same]))
         for same in kinds.values()
     ]
+
+
+def _minus_two_log(counted: NDArray[np.bool_], out: F64) -> float:
+    """Of a piece, but for a constant; `out`: innovations and their inverse variances."""
+    nu, precision = np.split(out, 2, axis=1)
+    use = counted & (precision > 0)
+    return float(np.sum(nu[use] ** 2 * precision[use] - np.log(precision[use])))
 
 
 def _piece(a: Augmented, s: Stretch, begin: int, end: int) -> Stretch:
