@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import sys
 import tempfile
-import time
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
@@ -21,6 +20,7 @@ import numpy as np
 from servo_daemon.captures import read_capture
 from servo_daemon.diagnosis.diagnose import diagnose
 from servo_daemon.diagnosis.result import Diagnosis
+from tests.recovery.gain import of_true_structure
 from tests.recovery.generator import LISTED, MOTORS, UNLISTED, EffectValues, Scenario, generate, typical
 
 #: Shares of the working torque or voltage (see generator/sizes.py).
@@ -81,7 +81,8 @@ class Judgement:
         outside: parameters of effects named right that are more than 3 std from the truth.
         checked: how many of them there were.
         removed: share of the removable held-out error that went; None where nothing was named.
-        seconds: time taken.
+        of_true: what went as a share of what goes with the true causes fitted; see `gain`.
+        seconds: time taken by the diagnosis.
     """
 
     case: Case
@@ -92,6 +93,7 @@ class Judgement:
     outside: tuple[str, ...]
     checked: int
     removed: float | None
+    of_true: float | None
     seconds: float
 
     @property
@@ -107,13 +109,13 @@ class Judgement:
 
 def judge(case: Case, seconds: float = SECONDS) -> Judgement:
     """Make a capture of so many seconds, diagnose it, compare."""
-    effects, began = case.effects(seconds), time.perf_counter()
-    motor = MOTORS[case.motor]
+    effects, motor = case.effects(seconds), MOTORS[case.motor]
     recording = generate(motor, Scenario(case.motion, seconds=seconds, effects=effects, seed=case.seed))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "capture.csv"
         recording.write_csv(path)
-        diagnosis = diagnose([read_capture(path)])
+        capture = read_capture(path)
+    diagnosis = diagnose([capture])
     expected = tuple(name for name in effects if name in LISTED and name not in INVISIBLE)
     found = tuple(e.name for e in diagnosis.effects)
     outside, checked = _parameters(diagnosis, effects)
@@ -126,7 +128,8 @@ def judge(case: Case, seconds: float = SECONDS) -> Judgement:
         outside,
         checked,
         diagnosis.error_removed,
-        time.perf_counter() - began,
+        of_true_structure(capture, diagnosis, motor, effects) if set(expected) == set(effects) else None,
+        diagnosis.seconds,
     )
 
 

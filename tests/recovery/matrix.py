@@ -25,6 +25,8 @@ from tests.recovery.generator import LISTED
 from tests.recovery.hidden import INVISIBLE, UNNAMED, Case, cases, judge
 
 _Z = 1.959964
+#: Share of the error that the true causes remove, which what is named must remove.
+_OF_TRUE = 0.9
 
 
 def wilson(right: int, of: int) -> tuple[float, float]:
@@ -60,21 +62,21 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
     groups: defaultdict[str, list[Mapping[str, Any]]] = defaultdict(list)
     for row in rows:
         groups[kind(row)].append(row)
-    lines = []
-    for name, group in sorted(groups.items()):
-        good = sum(map(right, group))
-        low, high = wilson(good, len(group))
-        lines.append(f"{name:45s} {good:4d} of {len(group):4d}  {good / len(group):6.1%}  ({low:.1%} .. {high:.1%})")
+    lines = [_share(name, sum(map(right, group)), len(group)) for name, group in sorted(groups.items())]
     named = [r for r in rows if set(r["found"]) & set(r["expected"])]
-    inside = sum(r["checked"] - len(r["outside"]) for r in named)
     checked = sum(r["checked"] for r in named)
-    if checked:
-        low, high = wilson(inside, checked)
-        share = f"{inside / checked:6.1%}  ({low:.1%} .. {high:.1%})"
-        lines.append(f"{'parameters within 3 std':45s} {inside:4d} of {checked:4d}  {share}")
-    lines.append("")
-    lines += _confusions(rows)
-    return "\n".join(lines)
+    lines.append(_share("parameters within 3 std", sum(r["checked"] - len(r["outside"]) for r in named), checked))
+    compared = [g for r in rows if (g := r.get("of_true")) is not None]
+    lines.append(_share("90 % of what the true causes remove", sum(g >= _OF_TRUE for g in compared), len(compared)))
+    return "\n".join([*(line for line in lines if line), "", *_confusions(rows)])
+
+
+def _share(name: str, good: int, of: int) -> str:
+    """A line of the table; empty: there is none of it."""
+    if not of:
+        return ""
+    low, high = wilson(good, of)
+    return f"{name:45s} {good:4d} of {of:4d}  {good / of:6.1%}  ({low:.1%} .. {high:.1%})"
 
 
 def _confusions(rows: Iterable[Mapping[str, Any]]) -> list[str]:
