@@ -21,7 +21,7 @@ from servo_daemon.plant.effects.base import LAGGED, LATE, TWIST
 from servo_daemon.samples import F64
 
 _FACTORS = ("factor_R", "factor_K", "factor_B", "factor_dry")
-_SUMS = ("load_torque", "voltage_drop", "dry_drop", "viscous")
+_SUMS = ("load_torque", "voltage_drop", "dry_drop", "viscous", "moment_K")
 
 
 def linear_step(p: Mapping[str, float | F64], h: float) -> tuple[F64, F64]:
@@ -39,13 +39,22 @@ def linear_step(p: Mapping[str, float | F64], h: float) -> tuple[F64, F64]:
     return step[..., :3, :3], step[..., :3, 3:]
 
 
-def _driven_step(p: Mapping[str, float], h: float) -> tuple[F64, F64]:
-    """One motor's, with a third input: the rise of the voltage about its mean."""
+def _driven_step(p: Mapping[str, float], h: float, turning: tuple[float, float]) -> tuple[F64, F64]:
+    """One motor's, with a third input: the rise of the voltage about its mean.
+
+    Args:
+        turning: a torque constant that changes within the step, and the first moment of its change over it, s.
+    """
     R, L, K, J, B = (p[name] for name in ("R", "L", "K", "J", "B"))
     augmented = np.zeros((7, 7))
     augmented[:3, :3] = np.array([[-R / L, -K / L, 0.0], [K / J, -B / J, 0.0], [0.0, 1.0, 0.0]])
     augmented[0, 3], augmented[1, 4], augmented[0, 5], augmented[5, 6] = 1 / L, -1 / J, 1 / L, 1 / h
-    step = expm(augmented * h)
+    exponent = augmented * h
+    if turning[1]:
+        change, fades = np.zeros((7, 7)), 1 / (1 + (h * (R / L - B / J)) ** 2 / 40)
+        change[0, 1], change[1, 0] = -turning[0] / L, turning[0] / J
+        exponent -= turning[1] * h * fades * (augmented @ change - change @ augmented)
+    step = expm(exponent)
     rise = step[:3, 6] - step[:3, 5] / 2
     rise[2] = 0.0  # of third order in h, left out as in `core.py`
     return step[:3, :3], np.column_stack([step[:3, 3:5], rise])
@@ -87,7 +96,7 @@ class _Twin:
         """(i, ω, θ) after h without dry friction and drop, and the change per V, N·m and V of rise, shape (3, 3)."""
         scaled = {**self.p, "R": self.p["R"] * terms["factor_R"], "K": self.p["K"] * terms["factor_K"]}
         scaled["B"] = self.p["B"] * terms["factor_B"] + terms["viscous"]
-        Ad, Bd = _driven_step(scaled, h)
+        Ad, Bd = _driven_step(scaled, h, (self.p["K"], terms["moment_K"]))
         return Ad @ x[:3] + Bd @ [acting[0] - terms["voltage_drop"], terms["load_torque"], acting[1]], Bd
 
     def mean_square(self, x: F64, after: F64, terms: Mapping[str, float], acting: float, h: float) -> float:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 
 from servo_daemon.plant import flow
-from servo_daemon.plant.core import Core, Drive, homogeneous, linear_core
+from servo_daemon.plant.core import Core, Drive, Turning, homogeneous, linear_core
 from servo_daemon.plant.delay import Step, behind, kept, with_newest
 from servo_daemon.plant.dry import dry_levels, friction_over_step
 from servo_daemon.plant.effects import Effect, Signals, State, Terms
@@ -196,7 +196,9 @@ class StepBuilder:
             p["B"] = p["B"] * term.factor_B
         for term in terms:
             p["B"] = p["B"] + term.viscous
-        return linear_core(self.drive, x, p, h)
+        moment = sum((ca.SX(term.moment_K) for term in terms), start=ca.SX(0))
+        turning = None if moment.is_zero() else Turning(self.p["K"], moment)
+        return linear_core(self.drive, x, p, h, turning)
 
     def _solved(self, core: Core, held: _Held, speed: ca.SX | None, *, dry: bool = True) -> _Solved:
         """The core under what acts; blocked current and dry friction such that they stop and never drive.
@@ -238,7 +240,7 @@ class StepBuilder:
     def _factors_follow_motion(self) -> bool:
         """Whether R, K or B as scaled depends on current, speed or angle, whose midpoint needs a guess."""
         x, terms = self._probe()
-        names = ("factor_R", "factor_K", "factor_B", "viscous")
+        names = ("factor_R", "factor_K", "factor_B", "viscous", "moment_K")
         factors = ca.vertcat(*[ca.SX(getattr(term, name)) for term in terms for name in names])
         return bool(terms) and bool(ca.depends_on(factors, x[: self.core_states]))
 

@@ -88,6 +88,7 @@ class Terms:
         voltage_drop: subtracted from the applied voltage, V.
         dry_drop: level of a voltage that opposes the current and blocks it up to that level, V.
         factor_R, factor_K, factor_B: multiply R, K and B.
+        moment_K: first moment of factor_K over the step: mean of its change times the time from the middle, s.
         viscous: added to B, N·m·s/rad.
         rates: d/dt of the effect's states, those aside that shaft, lag and delay bring.
         sensed: added to what a sensor shows: "current_A", "position_rad".
@@ -105,6 +106,7 @@ class Terms:
     factor_R: ca.SX | float = 1.0
     factor_K: ca.SX | float = 1.0
     factor_B: ca.SX | float = 1.0
+    moment_K: ca.SX | float = 0.0
     viscous: ca.SX | float = 0.0
     rates: Mapping[str, ca.SX] = field(default_factory=dict)
     sensed: Mapping[str, ca.SX] = field(default_factory=dict)
@@ -152,6 +154,15 @@ def mean_sine(phase: ca.SX, change: ca.SX) -> ca.SX:
     small = ca.fabs(half) < _SMALL_ANGLE
     safe = ca.if_else(small, 1.0, half)
     return ca.sin(phase) * ca.if_else(small, 1 - half * half / 6, ca.sin(safe) / safe)
+
+
+def moment_of_sine(phase: ca.SX, change: ca.SX) -> ca.SX:
+    """Mean of the sine times the time from the middle, as a share of the step; see `mean_sine`."""
+    half = change / 2
+    small = ca.fabs(half) < _SMALL_ANGLE
+    safe = ca.if_else(small, 1.0, half)
+    slope = ca.if_else(small, half / 6 * (1 - half * half / 10), (ca.sin(safe) / safe - ca.cos(safe)) / (2 * safe))
+    return ca.cos(phase) * slope
 
 
 def share_after(t: ca.SX, h: ca.SX, event: ca.SX) -> ca.SX:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from servo_daemon.plant.effects.base import Effect, Signals, Terms, mean_sine
+from servo_daemon.plant.effects.base import Effect, Signals, Terms, mean_sine, moment_of_sine
 from servo_daemon.plant.parameters import Parameter, Scale
 
 K_RIP = Parameter(
@@ -36,7 +36,11 @@ PHI_RIP = Parameter(
 
 def _terms(s: Signals) -> Terms:
     phase = s.p["n_rip"] * s.theta + s.p["phi_rip"]
-    return Terms(factor_K=1 + s.p["k_rip"] * mean_sine(phase, s.p["n_rip"] * s.omega * s.h))
+    change = s.p["n_rip"] * s.omega * s.h
+    return Terms(
+        factor_K=1 + s.p["k_rip"] * mean_sine(phase, change),
+        moment_K=s.p["k_rip"] * moment_of_sine(phase, change) * s.h,
+    )
 
 
 EFFECT = Effect(
