@@ -11,7 +11,8 @@ converter that is held for long is one error as well, and its effect adds up.
 
 An input that leaps and leaps back within one sample, far beyond what it usually does, is rather misread than applied.
 With the next sample, which tells, comes the correction that puts it between its neighbours; the filter takes it for as
-uncertain as it leapt far. A reading that leaps like that is not believed at once: if it was none, the next says so.
+uncertain as it leapt far. A reading that leaps like that where the input does not is not believed at once: if it was no
+leap, the next says so.
 """
 
 from __future__ import annotations
@@ -69,6 +70,8 @@ def build_layout_step(channels: int) -> ca.Function:
     lay = LayoutStep(channels)
     state, const = ca.SX.sym("state", lay.n_state), ca.SX.sym("const", lay.n_constants)
     sample = ca.SX.sym("sample", lay.n_sample)
+    # The input has not leapt: not before this sample, nor with it, as its current may be sensed late.
+    calm = ca.fmax(ca.fabs(state[2] - state[4]), ca.fabs(sample[1] - state[2])) <= const[6]
     kept, shown = [], []
     for k in range(1 + channels):
         limit, half_step, least, most = ca.vertsplit(const[3 + 4 * k : 7 + 4 * k])
@@ -79,7 +82,7 @@ def build_layout_step(channels: int) -> ca.Function:
         # What is no measurement is passed over: the count that stood before it stands after it.
         kept += [ca.if_else(valid, new, old) for new, old in ((value, last), (alike, before), (last, earlier))]
         doubt = ca.if_else(alike >= least, ca.fmin(2.0 * alike * (alike - 1.0), _MOST_DOUBT), 1.0)
-        doubt = ca.if_else(_leaps(earlier, last, value, most), LEAPT, doubt)
+        doubt = ca.if_else(ca.logic_and(_leaps(earlier, last, value, most), calm), LEAPT, doubt)
         value -= _ahead(value - last, before, half_step) * (alike <= 1.0)
         shown.append((value, valid, doubt, alike))
     value, valid, _, alike = shown[0]

@@ -126,6 +126,18 @@ def test_a_current_that_leaps_is_not_believed_at_once() -> None:
     assert not (Layout("voltage", ("current_A", "position_rad")).rows(block, 0.0)[:, 6] > 1.0).any()
 
 
+@pytest.mark.parametrize("late", [0, 1], ids=["after it", "with it"])
+def test_a_current_that_leaps_with_the_voltage_is_believed(late: int) -> None:
+    """Few steps in a tick are no usual change, neither of the voltage nor of the current of a winding that settles
+    within a sample."""
+    u = np.array([0.0, 0.1, 0.0, 24.0, 24.1, 24.0, 24.0, 24.1, 24.0])
+    i = np.array([0.0, 0.0, 0.1, 0.0, 8.0, 8.1, 8.0, 0.5, 8.0])
+    block = make_block(np.arange(len(u)) * 1e-3, voltage_V=np.roll(u, late), current_A=i, position_rad=np.zeros(len(u)))
+    layout = Layout("voltage", ("current_A", "position_rad"))
+    rows = layout.rows(block, 0.0, largest_leap=1.0, largest_current_leap=1.0)
+    assert np.flatnonzero(rows[:, 6] >= LEAPT).tolist() == [7]
+
+
 def test_a_measurement_that_is_none_is_marked() -> None:
     layout = Layout("voltage", ("current_A", "position_rad"))
     i, zero = np.array([1.0, np.inf, -2e5, 2.0]), np.zeros(4)
