@@ -15,10 +15,6 @@ STATISTICS = ("count", "nis", "excess", "lagged", "last", "gated", "crossed")
 #: Innovations beyond this many standard deviations do not teach the noise level.
 CLIP = 4.0
 
-#: Variance of a reading that leaps and leaps back within a sample, beyond the noise's: it says nothing, and is counted
-#: as an outlier. Beyond what an encoder that stands is ever doubted.
-LEAPT = 1e9
-
 #: Channels the filter can take, in the order in which it takes them.
 MEASURABLE = ("current_A", "velocity_rad_s", "position_rad")
 
@@ -29,10 +25,11 @@ class EkfLayout:
 
     state:     x | q | lower triangle of P by columns | held input | its variance | information gained per parameter |
                `STATISTICS` per channel | instrument | its age (s)
-    constants: var_input | torque_psd | walk per parameter (1/s) | active per parameter | r per channel | time constant
-               of the instrument
-    sample:    t | h | input | extra variance of the input | (y, valid, doubt) per channel; doubt multiplies r, and one
-               of `LEAPT` is an outlier's | correction of the input before, which is then as uncertain as that is large
+    constants: var_input | torque_psd | walk per parameter (1/s) | active per parameter | r per channel | time
+    constant of
+               the instrument
+    sample:    t | h | input | extra variance of the input | (y, valid, doubt) per channel; doubt multiplies r |
+               correction of the input before, which is then as uncertain as that is large
     output:    (innovation, its variance, gated) per channel
     """
 

@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from servo_daemon.estimators.ekf_layout import CLIP, LEAPT, MEASURABLE, STATISTICS, EkfLayout
+from servo_daemon.estimators.ekf_layout import CLIP, MEASURABLE, STATISTICS, EkfLayout
 from servo_daemon.estimators.ekf_model import (
     _SHORTEST_STEP_S,
     DOUBTFUL_INPUT,
@@ -101,7 +101,7 @@ class FilterpyLoop:
         s0 = float((H @ ekf.P @ H.T)[0, 0]) + r
         innovation = float(y - predicted)
         extra = valid * max(innovation**2 / GATE**2 - s0, 0.0)
-        gated = extra > 0 or bool(valid * doubt >= LEAPT) or bool(k == 0 and valid * sample[-1] != 0)
+        gated = extra > 0 or bool(k == 0 and valid * sample[-1] != 0)
         if valid > 0:
             own = lay.plant.state_names.index(lay.channels[k])
             ekf.P[own, own] += extra / 2
