@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.diagnosis.smoother import Augmented, likelihood, packed
+from servo_daemon.plant.at_once import alike
 from servo_daemon.samples import F64
 
 #: Pieces and samples of each that the likelihood looks at; the first samples of a piece only find the state.
@@ -92,8 +93,11 @@ def fit_levels(a: Augmented, q: F64, stretches: Sequence[Stretch], start: NoiseL
     """
     from scipy.optimize import minimize
 
-    spread = _pieces(a, stretches)
-    pieces, counted = _of_one_length(spread), [p.counted for p in spread]
+    pieces = _pieces(a, stretches)
+    at_once = [
+        (which, np.stack([pieces[k].begin() for k in which]), np.stack([pieces[k].rows for k in which]))
+        for which in alike(len(p.rows) for p in pieces).values()
+    ]
     n_d = len(a.disturbances)
     typical = np.log(
         [*(start.walk[d] for d in a.disturbances), start.input_var, *(start.channel_var[c] for c in a.channels)]
@@ -103,11 +107,11 @@ def fit_levels(a: Augmented, q: F64, stretches: Sequence[Stretch], start: NoiseL
 
     def cost(x: F64) -> float:
         constants = np.concatenate([q, np.exp(x)])
-        of = np.empty(sum(len(together) for together, *_ in pieces))
-        for together, begin, rows in pieces:
-            out = likelihood(a).run_many(begin.copy(), constants, rows)
-            of[together] = [_minus_two_log(*x) for x in zip((counted[k] for k in together), out, strict=True)]
-        total = float(sum(of.tolist()))
+        of = [0.0] * len(pieces)
+        for which, begin, rows in at_once:
+            for k, out in zip(which, likelihood(a).run_many(begin.copy(), constants, rows), strict=True):
+                of[k] = _minus_two_log(pieces[k], out)
+        total = sum(of)
         return total if np.isfinite(total) else 1e12
 
     # Coarse first, coordinate by coordinate: the walks may be off by many orders of magnitude, where slopes are flat.
@@ -149,21 +153,10 @@ def _pieces(a: Augmented, stretches: Sequence[Stretch]) -> list[Stretch]:
     return [_piece(a, s, begin, end) for s, begin, end in chosen if end - begin > SETTLING]
 
 
-def _of_one_length(pieces: Sequence[Stretch]) -> list[tuple[list[int], F64, F64]]:
-    """Those of one length together: their numbers, states to begin with, rows; k of each."""
-    kinds: dict[int, list[int]] = {}
-    for k, piece in enumerate(pieces):
-        kinds.setdefault(len(piece.rows), []).append(k)
-    return [
-        (same, np.stack([pieces[k].begin() for k in same]), np.stack([pieces[k].rows for k in same]))
-        for same in kinds.values()
-    ]
-
-
-def _minus_two_log(counted: NDArray[np.bool_], out: F64) -> float:
+def _minus_two_log(piece: Stretch, out: F64) -> float:
     """Of a piece, but for a constant; `out`: innovations and their inverse variances."""
     nu, precision = np.split(out, 2, axis=1)
-    use = counted & (precision > 0)
+    use = piece.counted & (precision > 0)
     return float(np.sum(nu[use] ** 2 * precision[use] - np.log(precision[use])))
 
 

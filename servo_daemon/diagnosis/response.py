@@ -14,7 +14,7 @@ import numpy as np
 
 from servo_daemon.diagnosis.missing import Missing
 from servo_daemon.diagnosis.smoother import BATCH, response_backward, response_forward
-from servo_daemon.plant.compiled import on_all_cores
+from servo_daemon.plant.at_once import on_all_cores
 from servo_daemon.samples import F64
 
 

@@ -19,22 +19,17 @@ import subprocess
 import tempfile
 import threading
 from collections import defaultdict
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import TypeVar
 
 import casadi as ca
 import numpy as np
 
+from servo_daemon.plant.at_once import cores, on_all_cores
 from servo_daemon.samples import F64
 
 log = logging.getLogger(__name__)
-
-_Item = TypeVar("_Item")
-_Result = TypeVar("_Result")
 
 #: Long steps (substeps, sensitivities) compile four times as fast this way and run as fast.
 _LONG_SOURCE, _LONG_FLAGS = 400_000, ("-O1",)
@@ -177,27 +172,6 @@ def _address(array: F64) -> int:
     return int(array.ctypes.data)
 
 
-@cache
-def _threads() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-@cache
-def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(_threads(), "sample-loop")
-
-
-if hasattr(os, "register_at_fork"):  # a forked child has the pool, but none of its threads
-    os.register_at_fork(after_in_child=_pool.cache_clear)
-
-
-def on_all_cores(work: Callable[[_Item], _Result], items: Sequence[_Item]) -> list[_Result]:
-    """The work on each item, on all cores that this process may use. It should be a compiled pass, which does not hold
-    the interpreter, and must not call this itself: it would wait for its own place."""
-    return [work(items[0])] if len(items) == 1 else list(_pool().map(work, items))
-
-
 class SampleLoop:
     """A step function run over blocks of samples; the state is the caller's.
 
@@ -298,7 +272,7 @@ class SampleLoop:
             arrays = (states[runs], constants, samples[runs], outputs[runs])
             return int(self._call_many(len(arrays[0]), n, *map(_address, arrays)))
 
-        threads = min(_threads(), k) if k * n >= _WORTH_A_THREAD else 1
+        threads = min(cores(), k) if k * n >= _WORTH_A_THREAD else 1
         edges = np.linspace(0, k, threads + 1).astype(int).tolist()
         parts = [slice(a, b) for a, b in pairwise(edges)]
         if any(on_all_cores(part, parts)):

@@ -13,7 +13,7 @@ from servo_daemon.plant import equations, flow
 #: Square of h (R/L − B/J) at which the second term of Magnus' expansion is half of itself. Measured against 512
 #: substeps (an RE 40, 0.2 to 1.2 rad of a ripple in a substep): as exact as undamped, and where the winding settles
 #: within a substep no worse than without the term.
-_FADES = 40.0
+FADES = 40.0
 
 #: What is held over a step and drives the model. Without a voltage signal the measured current is the input.
 Drive = Literal["voltage", "current", "torque"]
@@ -109,7 +109,7 @@ def _turned(A: ca.SX, B: ca.SX, N: ca.SX, h: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX
     Args:
         N: change of A times its first moment over the step, shape (2, 2).
     """
-    fades = 1 / (1 + ((A[0, 0] - A[1, 1]) * h) ** 2 / _FADES)
+    fades = 1 / (1 + ((A[0, 0] - A[1, 1]) * h) ** 2 / FADES)
     N = N * fades
     return A + N @ A - A @ N, B + N @ B, ca.horzcat(-N[1, 0], 1 - N[1, 1])
 

@@ -16,6 +16,7 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from servo_daemon.plant.build import PlantModel
+from servo_daemon.plant.core import FADES
 from servo_daemon.plant.effects import Signals, State, effects_by_name
 from servo_daemon.plant.effects.base import LAGGED, LATE, TWIST
 from servo_daemon.samples import F64
@@ -51,7 +52,7 @@ def _driven_step(p: Mapping[str, float], h: float, turning: tuple[float, float])
     augmented[0, 3], augmented[1, 4], augmented[0, 5], augmented[5, 6] = 1 / L, -1 / J, 1 / L, 1 / h
     exponent = augmented * h
     if turning[1]:
-        change, fades = np.zeros((7, 7)), 1 / (1 + (h * (R / L - B / J)) ** 2 / 40)
+        change, fades = np.zeros((7, 7)), 1 / (1 + (h * (R / L - B / J)) ** 2 / FADES)
         change[0, 1], change[1, 0] = -turning[0] / L, turning[0] / J
         exponent -= turning[1] * h * fades * (augmented @ change - change @ augmented)
     step = expm(exponent)

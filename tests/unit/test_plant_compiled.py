@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from servo_daemon.plant import compiled
+from servo_daemon.plant import at_once, compiled
 from servo_daemon.plant.build import build_plant
 from servo_daemon.plant.compiled import SampleLoop, find_compiler
 from servo_daemon.plant.reference import reference_step
@@ -86,7 +86,7 @@ def many(k: int, n: int) -> tuple[F64, F64, F64]:
 @pytest.mark.parametrize("use_c", [pytest.param(True, marks=needs_compiler), False], ids=["c", "vm"])
 @pytest.mark.parametrize(("k", "n"), [(1, 40), (7, 30), (5, 900)], ids=["one", "few", "threads"])
 def test_many_runs_are_each_what_it_is_alone(use_c: bool, k: int, n: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiled, "_threads", lambda: 3)
+    monkeypatch.setattr(compiled, "cores", lambda: 3)
     loop = SampleLoop(step_function(ALL), compiled=use_c)
     states, p, rows = many(k, n)
     alone = states.copy()
@@ -124,9 +124,9 @@ def test_a_forked_child_has_threads_of_its_own() -> None:
     loop = SampleLoop(step_function(ALL))
     states, p, rows = many(4, 1000)
     here = loop.run_many(states.copy(), p, rows)
-    pool = compiled._pool()
+    pool = at_once._pool()
     assert loop.run_many(states.copy(), p, rows).tobytes() == here.tobytes()
-    assert compiled._pool() is pool
+    assert at_once._pool() is pool
     with ProcessPoolExecutor(1, multiprocessing.get_context("fork")) as processes:
         there = processes.submit(in_child, states, p, rows).result(timeout=60)
     np.testing.assert_array_equal(there, here)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from servo_daemon.estimators.output_error.lazy import Differenced, Lazy
 from servo_daemon.estimators.output_error.rollout import STEP, free_run, free_runs
+from servo_daemon.plant.at_once import alike
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.samples import F64
 
@@ -182,7 +183,7 @@ class Problem:
 
     def initial_state(self, unknowns: F64, index: int) -> F64:
         """Shape (nx,)."""
-        return unknowns[self.columns(index)[-len(self.plant.states) :]]
+        return np.array(self.initial_states(unknowns)[index])
 
     def carried(self, unknowns: F64) -> list[F64 | None]:
         """Per segment the states as a run over the whole recording has them at its first sample, shape (nx,)."""
@@ -210,9 +211,7 @@ class Problem:
     def alike(self) -> tuple[tuple[int, NDArray[np.intp], F64], ...]:
         """Segments that are simulated at once: of one recording and one length. Recording, numbers, rows, shape
         (k, n, 3)."""
-        kinds: dict[tuple[int, int], list[int]] = {}
-        for k, s in enumerate(self.segments):
-            kinds.setdefault((s.recording, len(s.rows)), []).append(k)
+        kinds = alike((s.recording, len(s.rows)) for s in self.segments)
         return tuple(
             (recording, np.array(which), np.stack([self.segments[k].rows for k in which]))
             for (recording, _), which in kinds.items()

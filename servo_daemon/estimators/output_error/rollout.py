@@ -88,13 +88,8 @@ def simulate(plant: PlantModel, channels: tuple[str, ...], q: F64, x0: F64, rows
         x0: shape (nx,), the state at the first sample.
         rows: shape (n, 3), C-contiguous: `TIME`, `STEP`, `INPUT`.
     """
-    n, n_q, c = len(plant.states), len(plant.parameters), len(channels)
-    state = np.zeros(n * (1 + n + n_q))
-    state[:n] = x0
-    state[n : n + n * n] = np.eye(n).ravel()
-    out = _loop(plant, channels, True).run(state, q, rows)
-    slopes = out[:, c:].reshape(len(rows), c, n + n_q)
-    return Simulated(out[:, :c], slopes[:, :, :n], slopes[:, :, n:], state[:n].copy())
+    one = simulate_many(plant, channels, q, x0[None], rows[None])
+    return Simulated(one.shown[0], one.by_state[0], one.by_parameter[0], one.last[0])
 
 
 def simulate_many(plant: PlantModel, channels: tuple[str, ...], q: F64, x0: F64, rows: F64) -> Simulated:
