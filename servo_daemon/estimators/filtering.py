@@ -40,7 +40,6 @@ class Filtering:
 
     Attributes:
         layout: how samples are laid out.
-        complete: of the samples that are kept none are missing, but for such as were put in.
     """
 
     def __init__(self, ekf: Ekf, levels: Levels) -> None:
@@ -49,7 +48,6 @@ class Filtering:
         self._before: SampleBlock | None = None  # the last samples
         self._kept: list[tuple[SampleBlock, float | None, float | None]] | None = None
         self._kept_from: tuple[SampleBlock, Marked] | None = None
-        self.complete = True
         self._laid_out: tuple[float, list[Forget | F64]] | None = None  # the kept ones, since they were gone over
         self._passed: list[Forget | F64] = []  # what the filter took since it was last asked for
         self._gated: list[F64] = []  # of each run of samples since they were last asked for; (n, channels)
@@ -94,7 +92,6 @@ class Filtering:
             yield self._rows(block)
             return
         edges = sorted({*cuts, *(k for k, short in holes.items() if not short)})
-        self.complete = self.complete and not edges
         for a, b in zip([0, *edges], [*edges, len(block)], strict=True):
             if b <= a:
                 continue
@@ -132,7 +129,6 @@ class Filtering:
         self._kept = None if last is None else []
         self._kept_from = None if last is None else (last, self.layout.mark())
         self._laid_out = None
-        self.complete = True
 
     def again(self, parameters: Gaussian) -> Fit:
         """Start the filter from these parameters and give it the samples that were kept."""

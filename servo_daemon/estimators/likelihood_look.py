@@ -93,7 +93,7 @@ class LikelihoodLook:
         """
         if not self._waits or tick < _FIRST_TICK:
             return False
-        if not doubts.of_its_start or not self._filtering.complete or self._filtering.kept > _MOST_SAMPLES:
+        if not doubts.of_its_start or self._filtering.kept > _MOST_SAMPLES:
             self._end()
             return False
         if tick in _TICKS:

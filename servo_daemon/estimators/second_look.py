@@ -126,7 +126,7 @@ class SecondLook:
         if self._start is None or not (tick in _TICKS or self._has_leapt(tick)):
             return False
         self._leaps += tick not in _TICKS
-        usable = self._filtering.complete and self._filtering.kept <= _MOST_SAMPLES
+        usable = self._filtering.kept <= _MOST_SAMPLES
         self.pending = False
         start = self._start.parameters
         walk = self._judge.walk(self._roster.free)
