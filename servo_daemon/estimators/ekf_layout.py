@@ -15,6 +15,9 @@ STATISTICS = ("count", "nis", "excess", "lagged", "last", "gated", "crossed")
 #: Innovations beyond this many standard deviations do not teach the noise level.
 CLIP = 4.0
 
+#: Marks a reading that leaps and leaps back within a sample: it is none, and is counted as an outlier.
+LEAPT = 1e9
+
 #: Channels the filter can take, in the order in which it takes them.
 MEASURABLE = ("current_A", "velocity_rad_s", "position_rad")
 
@@ -25,11 +28,11 @@ class EkfLayout:
 
     state:     x | q | lower triangle of P by columns | held input | its variance | information gained per parameter |
                `STATISTICS` per channel | instrument | its age (s)
-    constants: var_input | torque_psd | walk per parameter (1/s) | active per parameter | r per channel | time
-    constant of
-               the instrument
-    sample:    t | h | input | extra variance of the input | (y, valid, doubt) per channel; doubt multiplies r |
-               correction of the input before, which is then as uncertain as that is large
+    constants: var_input | torque_psd | walk per parameter (1/s) | active per parameter | r per channel | time constant
+               of the instrument
+    sample:    t | h | input | extra variance of the input | (y, valid, doubt) per channel; doubt multiplies r, and is
+               `LEAPT` where that made a reading not valid | correction of the input before, which is then as uncertain
+               as that is large
     output:    (innovation, its variance, gated) per channel
     """
 

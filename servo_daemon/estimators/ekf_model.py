@@ -32,7 +32,7 @@ from functools import cache
 
 import casadi as ca
 
-from servo_daemon.estimators.ekf_layout import CLIP, MEASURABLE, STATISTICS, EkfLayout
+from servo_daemon.estimators.ekf_layout import CLIP, LEAPT, MEASURABLE, STATISTICS, EkfLayout
 from servo_daemon.plant.build import PlantModel
 
 #: Standard deviations at which an innovation is weighted down: 1 in 1.7 million for a Gaussian.
@@ -257,8 +257,10 @@ def _measurement_update(
         information = information + valid * reduction / (p_qq * (p_qq - reduction))
         z = z + gain * innovation
         P = P - gain @ PHt.T - PHt @ gain.T + s * (gain @ gain.T)
-        gated = ca.logic_or(extra > 0, valid * sample[-1] != 0) if k == 0 else extra > 0  # a misread input is one, too
-        outputs += [valid * innovation, s0, gated]
+        gated = ca.logic_or(extra > 0, doubt >= LEAPT)
+        if k == 0:  # a misread input is one, too
+            gated = ca.logic_or(gated, valid * sample[-1] != 0)
+        outputs += [valid * innovation, ca.if_else(valid > 0, s0, 1.0), gated]
         counts = valid * (doubt <= 1.0) * (state[lay.held_variance] <= UNUSUAL_INPUT * const[0])
         statistics.append(_counted(state[lay.statistics], k, innovation, s0, counts, gated))
     bounds = [_bounds(p.lower, p.upper, p.transform) for p in lay.plant.parameters]

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from servo_daemon.samples import F64
 
 
@@ -25,11 +28,17 @@ class NoiseLevels:
 
 @dataclass(frozen=True, slots=True)
 class Innovations:
-    """What a run of samples had to say to the filter; shape (n, channels) each; invalid samples are 0."""
+    """What a run of samples had to say to the filter; shape (n, channels) each. What is no measurement says nothing:
+    innovation 0, variance 1, so that it is nothing in a likelihood."""
 
     innovation: F64
     variance: F64
     gated: F64
+
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """Which samples are measurements, shape (n, channels)."""
+        return np.asarray(self.innovation != 0.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -109,7 +109,8 @@ class Filtering:
         """Args: new: samples of the part that were put in."""
         levels = self._levels
         line_var = LINE_VAR * levels.input_step_square
-        return self.layout.rows(part, levels.input_square, new, line_var, levels.largest_leap)
+        leaps = levels.largest_leap, levels.largest_current_leap
+        return self.layout.rows(part, levels.input_square, new, line_var, *leaps)
 
     def _forget(self, at: Forget) -> None:
         forget = self._ekf.forget_state if at.everything else self._ekf.forget_motion

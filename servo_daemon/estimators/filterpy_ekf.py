@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from servo_daemon.estimators.ekf_layout import CLIP, MEASURABLE, STATISTICS, EkfLayout
+from servo_daemon.estimators.ekf_layout import CLIP, LEAPT, MEASURABLE, STATISTICS, EkfLayout
 from servo_daemon.estimators.ekf_model import (
     _SHORTEST_STEP_S,
     DOUBTFUL_INPUT,
@@ -101,17 +101,17 @@ class FilterpyLoop:
         s0 = float((H @ ekf.P @ H.T)[0, 0]) + r
         innovation = float(y - predicted)
         extra = valid * max(innovation**2 / GATE**2 - s0, 0.0)
-        gated = extra > 0 or bool(k == 0 and valid * sample[-1] != 0)
+        gated = extra > 0 or bool(doubt >= LEAPT) or bool(k == 0 and valid * sample[-1] != 0)
+        usual = state[lay.held_variance] <= UNUSUAL_INPUT * constants[0]
+        self._count(state, k, innovation, s0, bool(valid > 0 and doubt <= 1.0 and usual), gated)
         if valid > 0:
             own = lay.plant.state_names.index(lay.channels[k])
             ekf.P[own, own] += extra / 2
             PHt = (ekf.P @ H.T)[:, 0]
             reduction, p_qq = PHt[lay.q] ** 2 / (s0 + extra), np.diag(ekf.P)[lay.q]
             state[lay.information] += reduction / (p_qq * (p_qq - reduction))
-            usual = state[lay.held_variance] <= UNUSUAL_INPUT * constants[0]
-            self._count(state, k, innovation, s0, bool(doubt <= 1.0 and usual), gated)
             self._update(ekf, H, innovation, s0 + extra, r + extra / 2, constants)
-        return valid * innovation, s0, float(gated)
+        return (innovation, s0, float(gated)) if valid > 0 else (0.0, 1.0, float(gated))
 
     def _count(self, state: F64, k: int, innovation: float, s0: float, counts: bool, outlier: bool) -> None:
         n = len(STATISTICS)

@@ -171,7 +171,9 @@ class Layout:
         self._lay = LayoutStep(len(measured))
         self._loop = SampleLoop(build_layout_step(len(measured)))
         self._state, self._constants = np.zeros(self._lay.n_state), np.zeros(self._lay.n_constants)
-        self._constants[4::3] = [_IMPOSSIBLE[name] for name in self._names]
+        self._constants[3::4] = [_IMPOSSIBLE[name] for name in self._names]
+        self._constants[6::4] = math.inf
+        self._current = 10 + 4 * measured.index("current_A") if "current_A" in measured else None  # its largest leap
         self.last_s: float | None = None
         self.origin_s = 0.0
         self.position_lsb = 0.0
@@ -205,9 +207,9 @@ class Layout:
     def _doubt(self, least: tuple[float, ...], position_lsb: float, input_step_var: float) -> None:
         """From how many values alike on each channel is doubted; no value has been seen yet."""
         self._constants[1] = input_step_var
-        self._constants[5::3] = [0.5 * position_lsb if name == "position_rad" else 0.0 for name in self._names]
-        self._constants[6::3] = least
-        self._state[2::2], self._state[3:-1:2] = NO_VALUE, 0.0  # (the input before the one held among them)
+        self._constants[4::4] = [0.5 * position_lsb if name == "position_rad" else 0.0 for name in self._names]
+        self._constants[5::4] = least
+        self._state[2::3], self._state[3::3], self._state[4::3] = NO_VALUE, 0.0, NO_VALUE
 
     def rows(
         self,
@@ -216,6 +218,7 @@ class Layout:
         new: Mask | None = None,
         new_var: float = 0.0,
         largest_leap: float = math.inf,
+        largest_current_leap: float = math.inf,
     ) -> F64:
         """shape (n, 5 + 3 channels): t, h, input, extra variance, (y, valid, doubt)…, correction of the input before
 
@@ -224,6 +227,7 @@ class Layout:
             new: samples that were put in (`filled`), of which nothing was measured; shape (n,); None: none were.
             new_var: added variance of their input.
             largest_leap: by which the input leaps and leaps back in a sample; beyond, it was misread.
+            largest_current_leap: the same of a measured current.
         """
         samples = np.ones((len(block), self._lay.n_sample))
         samples[:, 0] = block.time_s
@@ -235,7 +239,10 @@ class Layout:
         if new is not None:
             samples[new, 4::2] = 0.0
         self._state[0] = block.time_s[0] if self.last_s is None else self.last_s
-        self._constants[0], self._constants[2:4] = self.origin_s, (unknown_input_var, largest_leap)
+        self._constants[0], self._constants[2] = self.origin_s, unknown_input_var
+        self._constants[6] = largest_leap
+        if self._current is not None:
+            self._constants[self._current] = largest_current_leap
         out = self._loop.run(self._state, self._constants, samples)
         if new is not None:
             out[new, 3] += new_var

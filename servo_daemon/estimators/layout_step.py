@@ -11,7 +11,8 @@ converter that is held for long is one error as well, and its effect adds up.
 
 An input that leaps and leaps back within one sample, far beyond what it usually does, is rather misread than applied.
 With the next sample, which tells, comes the correction that puts it between its neighbours; the filter takes it for as
-uncertain as it leapt far.
+uncertain as it leapt far. A reading that leaps like that where the input does not is not believed at once: if it was no
+leap, the next says so.
 """
 
 from __future__ import annotations
@@ -21,10 +22,14 @@ from functools import cache
 
 import casadi as ca
 
+from servo_daemon.estimators.ekf_layout import LEAPT
+
 #: So many samples on one step of the input's converter are counted as one error.
 _MOST_ALIKE = 100.0
 #: Most by which a standing encoder's variance is raised: 5000 samples on one count.
 _MOST_DOUBT = 5e7
+#: A leap is so many times the change before it.
+_APART = 4.0
 #: A channel whose repetitions nobody doubts, and a value that none is alike.
 NEVER, NO_VALUE = 1e300, 1e300
 
@@ -33,9 +38,9 @@ NEVER, NO_VALUE = 1e300, 1e300
 class LayoutStep:
     """Where everything is in the flat vectors; c measured channels, the input before them.
 
-    state:     time of the last sample | input held | (last value, how many alike) per channel | input before that held
-    constants: start of time | variance of the input's step | variance where the input is unknown | the largest leap
-               that is none | (largest possible value, half its step, from how many alike on it is doubted) per channel
+    state:     time of the last sample | input held | (last value, how many alike, value before) per channel
+    constants: start of time | variance of the input's step | variance where the input is unknown | (largest possible
+               value, half its step, from how many alike on it is doubted, the largest leap that is none) per channel
     sample:    time | (value, whether the drive calls it valid) per channel
     output:    a sample as `ekf_layout.EkfLayout` has it
     """
@@ -44,11 +49,11 @@ class LayoutStep:
 
     @property
     def n_state(self) -> int:
-        return 3 + 2 * (1 + self.channels)
+        return 2 + 3 * (1 + self.channels)
 
     @property
     def n_constants(self) -> int:
-        return 4 + 3 * (1 + self.channels)
+        return 3 + 4 * (1 + self.channels)
 
     @property
     def n_sample(self) -> int:
@@ -65,33 +70,48 @@ def build_layout_step(channels: int) -> ca.Function:
     lay = LayoutStep(channels)
     state, const = ca.SX.sym("state", lay.n_state), ca.SX.sym("const", lay.n_constants)
     sample = ca.SX.sym("sample", lay.n_sample)
+    # The input has not leapt: not before this sample, nor with it, as its current may be sensed late.
+    calm = ca.fmax(ca.fabs(state[2] - state[4]), ca.fabs(sample[1] - state[2])) <= const[6]
     kept, shown = [], []
     for k in range(1 + channels):
-        limit, half_step, least = ca.vertsplit(const[4 + 3 * k : 7 + 3 * k])
+        limit, half_step, least, most = ca.vertsplit(const[3 + 4 * k : 7 + 4 * k])
         valid = ca.logic_and(sample[2 + 2 * k] > 0, ca.fabs(sample[1 + 2 * k]) <= limit)  # which a NaN is not
         value = ca.if_else(valid, sample[1 + 2 * k], 0.0)
-        last, before = state[2 + 2 * k], state[3 + 2 * k]
+        last, before, earlier = ca.vertsplit(state[2 + 3 * k : 5 + 3 * k])
         alike = ca.if_else(ca.fabs(value - last) <= half_step, before + 1.0, 1.0)
         # What is no measurement is passed over: the count that stood before it stands after it.
-        kept += [ca.if_else(valid, value, last), ca.if_else(valid, alike, before)]
-        value -= _ahead(value - last, before, half_step) * (alike <= 1.0)
+        kept += [ca.if_else(valid, new, old) for new, old in ((value, last), (alike, before), (last, earlier))]
         doubt = ca.if_else(alike >= least, ca.fmin(2.0 * alike * (alike - 1.0), _MOST_DOUBT), 1.0)
-        shown.append((value, valid, doubt, alike))
-    value, valid, _, alike = shown[0]
+        value -= _ahead(value - last, before, half_step) * (alike <= 1.0)
+        leapt = ca.logic_and(ca.logic_and(_leaps(earlier, last, value, most), calm), valid)
+        shown.append((value, valid, doubt, alike, leapt))
+    value, valid, _, alike, _ = shown[0]
     held = ca.if_else(valid, value, state[1])
     extra = ca.if_else(valid, const[1] * ca.fmin(alike - 1.0, _MOST_ALIKE), const[2])
-    measured = [x for value, valid, doubt, _ in shown[1:] for x in (value, valid, doubt)]
-    row = ca.vertcat(sample[0] - const[0], sample[0] - state[0], held, extra, *measured, _misread(state, const, held))
-    return ca.Function("step", [state, const, sample], [ca.vertcat(sample[0], held, *kept, state[1]), row])
+    measured = [
+        x
+        for value, valid, doubt, _, leapt in shown[1:]
+        for x in (value, ca.logic_and(valid, ca.logic_not(leapt)), ca.if_else(leapt, LEAPT, doubt))
+    ]
+    row = ca.vertcat(
+        sample[0] - const[0], sample[0] - state[0], held, extra, *measured, _misread(state[2], state[4], held, const[6])
+    )
+    return ca.Function("step", [state, const, sample], [ca.vertcat(sample[0], held, *kept), row])
 
 
-def _misread(state: ca.SX, const: ca.SX, after: ca.SX) -> ca.SX:
+def _misread(last: ca.SX, before: ca.SX, after: ca.SX, most: ca.SX) -> ca.SX:
     """What is to be added to the input that was held until now; 0 where it was no lone leap."""
-    before, held = state[-1], state[1]
-    there, back = held - before, held - after
-    leapt = ca.fmin(ca.fabs(there), ca.fabs(back)) > const[3]
+    there, back = last - before, last - after
+    leapt = ca.fmin(ca.fabs(there), ca.fabs(back)) > most
     lone = ca.logic_and(ca.logic_and(leapt, there * back > 0), before < NO_VALUE)
-    return ca.if_else(lone, (before + after) / 2.0 - held, 0.0)
+    return ca.if_else(lone, (before + after) / 2.0 - last, 0.0)
+
+
+def _leaps(before: ca.SX, last: ca.SX, value: ca.SX, most: ca.SX) -> ca.SX:
+    """Whether a reading is far from both before it, which are close together: the one after a step is like one of them,
+    so is the one that comes back, and where a signal runs they are as far apart."""
+    near = ca.fmin(ca.fabs(value - last), ca.fabs(value - before))
+    return ca.logic_and(near > ca.fmax(most, _APART * ca.fabs(last - before)), before < NO_VALUE)
 
 
 def _ahead(moved: ca.SX, before: ca.SX, half_step: ca.SX) -> ca.SX:

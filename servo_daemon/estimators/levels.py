@@ -9,6 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from servo_daemon.estimators.excitation import WINDOW_S
+from servo_daemon.estimators.leaps import without_leaps
 from servo_daemon.estimators.stretch import Stretch
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.samples import F64
@@ -68,7 +69,9 @@ class Levels:
         self._plant, self.rests = plant, False
         self.input_square = 0.0  # V², A² or (N·m)²
         self.input_step_square = 0.0  # of the change from one sample to the next
-        self._usual_step: float | None = None  # the largest change but for such as a few wrong samples make
+        # The largest change but for such as a few wrong samples make:
+        self._usual_step: float | None = None
+        self._usual_current_step: float | None = None
         # Over the seconds that the balances are summed over:
         self.current_step_square = 0.0  # the same of the current
         self.samples_per_count = 1.0  # for how long the angle has shown one value, on average
@@ -90,14 +93,13 @@ class Levels:
             steps = held[1:] - held[:-1]
             square = float(steps @ steps) / max(len(steps), 1)
             self.input_step_square = max(square, fall * self.input_step_square)
-            if len(held) > 2 * _WRONG_STEPS:
-                usual = float(np.partition(np.abs(steps), -_WRONG_STEPS)[-_WRONG_STEPS])
-                self._usual_step = max(usual, fall * (self._usual_step or 0.0))
+            self._usual_step = _usual(steps, self._usual_step, fall)
         if tick.current is not None and len(tick.current):
             steps = tick.current[1:] - tick.current[:-1]
             # A tick alone may happen to be a quiet one, or the first of a rest after a window of motion.
             self._current_steps.add(float(tick.time_s[-1]), len(steps), float(steps @ steps))
             self.current_step_square = self._current_steps.total / max(self._current_steps.number, 1)
+            self._usual_current_step = _usual(steps, self._usual_current_step, fall)
             square = float(tick.current @ tick.current) / len(tick.current)
             self._current_square = max(square, fall * (self._current_square or 0.0))
         if tick.position is not None and len(tick.position):
@@ -109,6 +111,15 @@ class Levels:
     def largest_leap(self) -> float:
         """By how much the input leaps and leaps back within a sample; infinite where that is not known."""
         return math.inf if self._usual_step is None else _LEAP * self._usual_step
+
+    @property
+    def largest_current_leap(self) -> float:
+        """The same of a measured current."""
+        return math.inf if self._usual_current_step is None else _LEAP * self._usual_current_step
+
+    def without_leaps(self, tick: Stretch) -> Stretch:
+        """The tick without what was rather misread than measured; see `leaps`."""
+        return without_leaps(tick, self._held(tick), self.largest_leap, self.largest_current_leap)
 
     def _held(self, tick: Stretch) -> F64 | None:
         """The input."""
@@ -152,3 +163,10 @@ class Levels:
             "V": math.sqrt(self.input_square),
         }
         return [1.0 if p.transform == "log" else max(typical.get(p.unit, 1.0), 1e-12) for p in self._plant.parameters]
+
+
+def _usual(steps: F64, before: float | None, fall: float) -> float | None:
+    """The largest change but for such as a few wrong samples make, of a tick or of those before it."""
+    if len(steps) < 2 * _WRONG_STEPS:
+        return before
+    return max(float(np.partition(np.abs(steps), -_WRONG_STEPS)[-_WRONG_STEPS]), fall * (before or 0.0))

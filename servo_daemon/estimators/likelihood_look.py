@@ -185,9 +185,9 @@ class LikelihoodLook:
         z = base.innovation / np.sqrt(base.variance)
         if np.count_nonzero(np.abs(z) > np.sqrt(_OUTLIER_SQUARE)) > 0:
             return False
-        square = np.sum(np.square(z), axis=0)
+        square, number = np.sum(np.square(z), axis=0), np.maximum(np.sum(base.measured, axis=0), 1)
         correlation = np.sum(z[1:] * z[:-1], axis=0) / np.maximum(square, 1e-12)
-        return bool((np.abs(square / len(z) - 1.0) < _AS_EXPECTED).all() and (np.abs(correlation) < _WHITE).all())
+        return bool((np.abs(square / number - 1.0) < _AS_EXPECTED).all() and (np.abs(correlation) < _WHITE).all())
 
     def _go_on_from(self, covariance: F64) -> None:
         """The filter is at the last sample with what was found."""

@@ -215,7 +215,7 @@ class Tracker:
         noise_var = self._noise_var()
         self._levels.take(stretch, self._filtering.layout.position_lsb, noise_var)
         if not self.ekf.started:
-            self.rls.update(stretch, noise_var)
+            self.rls.update(self._levels.without_leaps(stretch), noise_var)
             return self._try_start(tick)
         self._noise.take(stretch, self.sample_period_s or 0.0)
         return self._watch(stretch, duration, noise_var)

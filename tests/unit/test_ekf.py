@@ -9,6 +9,7 @@ import pytest
 
 from servo_daemon.estimators.base import Gaussian
 from servo_daemon.estimators.ekf import Ekf
+from servo_daemon.estimators.ekf_layout import LEAPT
 from servo_daemon.estimators.ekf_records import NoiseLevels
 from servo_daemon.estimators.filterpy_ekf import FilterpyLoop
 from servo_daemon.plant.build import PlantModel, build_plant
@@ -77,6 +78,35 @@ def test_a_misread_input_that_is_put_right_costs_no_more_than_one_that_is_not_kn
     np.testing.assert_allclose(found[0].covariance, found[1].covariance, rtol=1e-9)
 
 
+def test_a_current_that_leapt_says_nothing_and_is_an_outlier() -> None:
+    clean = rows(record(4.0))
+    leapt, missing = clean.copy(), clean.copy()
+    where = np.arange(len(clean)) % 300 == 299
+    leapt[where, 4:7] = np.column_stack([clean[where, 4] + 40.0, np.zeros(where.sum()), np.full(where.sum(), LEAPT)])
+    missing[where, 4:6] = 0.0
+    found = []
+    for samples in (leapt, missing):
+        ekf = started(wrong=0.1)
+        gated = ekf.update(samples).gated[3:]
+        assert gated.any(axis=1).tolist() == (samples[3:, 6] > 1.0).tolist()
+        found.append(ekf.estimate())
+    np.testing.assert_allclose(found[0].mean, found[1].mean, rtol=0, atol=1e-4 * found[1].std.min())
+    np.testing.assert_allclose(found[0].std, found[1].std, rtol=1e-5)
+
+
+@pytest.mark.parametrize("engine", ["compiled", "filterpy"])
+def test_what_was_not_measured_is_nothing_in_a_likelihood(engine: str) -> None:
+    """Whatever the noise is taken for: the likelihood of filled gaps would have it smaller."""
+    samples = rows(record(0.3))
+    missing = np.arange(len(samples)) % 5 == 4
+    samples[missing, 5], samples[missing, 8] = 0.0, 0.0
+    samples[0, 5] = 0.0
+    found = started(wrong=0.1, engine=engine).update(samples)
+    assert (found.innovation[missing] == 0.0).all() and (found.variance[missing] == 1.0).all()
+    assert found.measured[~missing][1:].all() and not found.measured[missing].any()
+    assert (found.variance[~missing][1:] != 1.0).all()
+
+
 @pytest.mark.parametrize("effects", [(), ("coulomb_friction", "gravity_load", "winding_heating")])
 def test_compiled_and_filterpy_agree(effects: tuple[str, ...]) -> None:
     """Also where a parameter is held, a channel is missing, a sample is an outlier and time stamps repeat."""
@@ -86,6 +116,7 @@ def test_compiled_and_filterpy_agree(effects: tuple[str, ...]) -> None:
     samples[300, 1] = 0.0  # the same time stamp twice
     samples[400, 3] = 4.0  # voltage hardly known
     samples[450, 2], samples[451, 10] = samples[450, 2] + 20.0, -20.0  # one that was misread, and put right
+    samples[500, 4:7] = samples[500, 4] + 30.0, 0.0, LEAPT  # a current that leapt
     plant = build_plant(effects)
     results = []
     for engine in ("compiled", "filterpy"):

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from servo_daemon.estimators.ekf_layout import LEAPT
 from servo_daemon.estimators.layout import Layout
 from servo_daemon.samples import Quality, make_block
 
@@ -105,6 +106,37 @@ def test_an_input_that_leaps_and_leaps_back_is_put_right_by_the_next_sample() ->
         np.testing.assert_array_equal(rows[:, 2], u)
     layout = Layout("voltage", ("current_A", "position_rad"))
     assert not layout.rows(block, 0.0)[:, -1].any()
+
+
+def test_a_current_that_leaps_is_not_believed_at_once() -> None:
+    """Wherever blocks end, and with samples in between that are no measurement. A step is doubted for one sample, what
+    comes back from a leap is not, nor is a current that just runs, nor a reading of another channel."""
+    i = np.array([1.0, 1.1, 9.0, 1.0, 1.1, 6.0, 6.0, 6.1, -9.0, np.nan, 6.0, 9.0, 12.0, 15.0, 18.0, 18.1, 2.0])
+    leaps = np.array([0, 0, 1, 0, 0, 1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1], dtype=bool)
+    n = len(i)
+    columns = {"voltage_V": np.zeros(n), "current_A": i, "position_rad": np.nan_to_num(i)}
+    block = make_block(np.arange(n) * 1e-3, **columns)
+    for cut in range(1, n):
+        layout = Layout("voltage", ("current_A", "position_rad"))
+        parts = (block.slice(0, cut), block.slice(cut, n))
+        rows = np.concatenate([layout.rows(part, 0.0, largest_current_leap=2.0) for part in parts])
+        np.testing.assert_array_equal(rows[:, 6] >= LEAPT, leaps)
+        np.testing.assert_array_equal(rows[:, 5] > 0, ~leaps & np.isfinite(i))
+        np.testing.assert_array_equal(rows[~leaps, 6], 1.0)
+        np.testing.assert_array_equal(rows[:, 9], 1.0)
+    assert not (Layout("voltage", ("current_A", "position_rad")).rows(block, 0.0)[:, 6] > 1.0).any()
+
+
+@pytest.mark.parametrize("late", [0, 1], ids=["after it", "with it"])
+def test_a_current_that_leaps_with_the_voltage_is_believed(late: int) -> None:
+    """Few steps in a tick are no usual change, neither of the voltage nor of the current of a winding that settles
+    within a sample."""
+    u = np.array([0.0, 0.1, 0.0, 24.0, 24.1, 24.0, 24.0, 24.1, 24.0])
+    i = np.array([0.0, 0.0, 0.1, 0.0, 8.0, 8.1, 8.0, 0.5, 8.0])
+    block = make_block(np.arange(len(u)) * 1e-3, voltage_V=np.roll(u, late), current_A=i, position_rad=np.zeros(len(u)))
+    layout = Layout("voltage", ("current_A", "position_rad"))
+    rows = layout.rows(block, 0.0, largest_leap=1.0, largest_current_leap=1.0)
+    assert np.flatnonzero(rows[:, 6] >= LEAPT).tolist() == [7]
 
 
 def test_a_measurement_that_is_none_is_marked() -> None:

@@ -69,6 +69,23 @@ def test_steps_between_samples() -> None:
     assert found.current_step_square == pytest.approx(0.125)
 
 
+def test_a_few_wrong_samples_leap_and_change_nothing_of_what_a_leap_is() -> None:
+    """Far beyond the largest change but for theirs; nothing is one before there is anything to compare with."""
+    rng, found = np.random.default_rng(1), levels()
+    assert found.largest_leap == found.largest_current_leap == math.inf
+    noise = rng.normal(size=N)
+    take(found, tick(10.0 * noise, noise))
+    usual = found.largest_current_leap
+    assert 1.0 * np.abs(np.diff(noise)).max() < usual < 4.0 * np.abs(np.diff(noise)).max()
+    assert found.largest_leap == pytest.approx(10.0 * usual)
+    spiky = noise.copy()
+    spiky[[20, 60]] += 100.0
+    take(found, tick(10.0 * noise, spiky))
+    assert usual <= found.largest_current_leap <= 4.0 * np.abs(np.diff(noise)).max()
+    take(found, tick(10.0 * noise, 3.0 * noise))
+    assert found.largest_current_leap == pytest.approx(3.0 * usual)
+
+
 def test_without_a_current_sensor_ohms_law() -> None:
     found = levels()
     take(found, tick(np.full(N, 6.0)))
