@@ -34,6 +34,8 @@ from servo_daemon.samples import F64
 
 #: The changes are averaged over so many ticks, the information over so many looks at it (about one a second).
 _TICKS, _LOOKS = 50.0, 30.0
+#: The changes are those within the winding's time; they are averaged anew once it is another by this factor.
+_OTHER_LAG = 1.5
 #: Beyond this, L is not known at all.
 _MOST_STD = 3.0
 #: Where the winding settles in fewer samples than its lag is long, h R/L.
@@ -49,7 +51,8 @@ class CoarseInput:
 
     def __init__(self) -> None:
         self.lsb_V = 0.0
-        self._change_square: float | None = None  # V²
+        self._change_square, self._ticks = 0.0, 0.0  # V², on average, and ticks in it
+        self._lag = 1  # samples
         self._information, self._looks = 0.0, 0.0  # that a sample gives on ln L, on average, and looks at that
 
     def take(self, voltage_V: F64, period_s: float, value: Mapping[str, float]) -> None:
@@ -61,11 +64,12 @@ class CoarseInput:
         lag = min(max(1, round(value["L"] / value["R"] / max(period_s, 1e-9))), len(voltage_V) - 1)
         if lag < 1 or self.lsb_V == 0.0:
             return
+        if not 1.0 / _OTHER_LAG < lag / self._lag < _OTHER_LAG:
+            self._lag, self._ticks = lag, 0.0
         change = voltage_V[lag:] - voltage_V[:-lag]
         square = float(change @ change) / len(change)
-        if self._change_square is None:
-            self._change_square = square
-        self._change_square += (square - self._change_square) / _TICKS
+        self._ticks = min(self._ticks + 1.0, _TICKS)
+        self._change_square += (square - self._change_square) / self._ticks
 
     def learned(self, information: float) -> None:
         """What a sample of the last window gave on ln L. What L is off by was learned for longer than that, in moves
@@ -81,7 +85,7 @@ class CoarseInput:
             noise: variances that the filter takes the current's sensor, A², and the held voltage, V², to have; None:
                 no current is measured.
         """
-        if self.lsb_V == 0.0 or self._change_square is None:
+        if self.lsb_V == 0.0 or self._ticks == 0.0:
             return 0.0
         periods = min(period_s * value["R"] / value["L"], _MOST_PERIODS)
         share = self.lsb_V**2 / 6.0 / max(self._change_square, self.lsb_V**2 / 6.0)

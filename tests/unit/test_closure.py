@@ -107,6 +107,22 @@ def test_steps_leave_of_L_what_rounding_is_of_the_changes() -> None:
     assert coarse(0.0, 0.2, 1.0, 5e-4) == 0.0, "no steps"
 
 
+def test_changes_within_the_time_of_a_winding_that_was_none_are_forgotten() -> None:
+    """A filter that has just started may have L 25 times too large; a ramp changes more within so many samples."""
+    found, ramp = CoarseInput(), np.arange(100) * 0.1 + np.random.default_rng(5).normal(size=100) * 0.05
+    found.lsb_V = 0.1
+    right, wrong = {"R": 1.0, "L": 0.5e-3}, {"R": 1.0, "L": 12e-3}
+    for _ in range(3):
+        found.take(ramp, 1e-3, wrong)
+    assert found.inductance_std(1e-3, wrong, None) < 0.002
+    found.take(ramp, 1e-3, right)
+    after_one = found.inductance_std(1e-3, right, None)
+    for _ in range(100):
+        found.take(ramp, 1e-3, right)
+    assert after_one == pytest.approx(found.inductance_std(1e-3, right, None), rel=1e-6)
+    assert after_one > 0.2
+
+
 @pytest.mark.parametrize(("R", "L"), [(1.0, 0.02), (1.0, 0.005), (1.0, 0.0015)])
 def test_what_steps_leave_of_L_is_what_a_filter_of_the_current_is_off_by(R: float, L: float) -> None:
     """A winding is simulated with noise of voltage and sensor, its voltage recorded with rounding, and
