@@ -135,7 +135,7 @@ class JumpSearch:
         samples = sum(0 if isinstance(p, Forget) else len(p) for p in pieces)
         self._ticks.append(_Tick(*self._begins, tuple(pieces), samples, end_s))
         if not self.running:
-            while len(self._ticks) > _TICKS or sum(t.samples for t in self._ticks) > _SAMPLES:
+            while len(self._ticks) > _TICKS or sum([t.samples for t in self._ticks]) > _SAMPLES:
                 del self._ticks[0]
 
     def look(self, unexplained: bool, may_begin: bool) -> Found | None:

@@ -169,4 +169,7 @@ def _usual(steps: F64, before: float | None, fall: float) -> float | None:
     """The largest change but for such as a few wrong samples make, of a tick or of those before it."""
     if len(steps) < 2 * _WRONG_STEPS:
         return before
-    return max(float(np.partition(np.abs(steps), -_WRONG_STEPS)[-_WRONG_STEPS]), fall * (before or 0.0))
+    size, falls_to = np.abs(steps), fall * (before or 0.0)
+    if float(np.maximum.reduce(size)) <= falls_to:  # no need to sort them
+        return falls_to
+    return max(float(np.partition(size, -_WRONG_STEPS)[-_WRONG_STEPS]), falls_to)
