@@ -44,6 +44,7 @@ class Row:
         status: at the end.
         worst: largest |error| / std while tracking.
         beyond: share of the tracking time with an error beyond 3 std.
+        square: mean of (error / std)² over the tracking time.
         share: share of the time tracking.
         recognised_s: from the step to the event that names it; None: never.
         after: error of the stepped parameter 5 s after the step, relative; NaN without a step.
@@ -61,6 +62,7 @@ class Row:
     status: tuple[str, ...]
     worst: F64
     beyond: F64
+    square: F64
     share: F64
     stepped: str
     recognised_s: float | None
@@ -104,7 +106,8 @@ def judge(job: Job, case: Case, track: Track) -> Row:
         final=np.abs(error[-1]) / scale[-1],
         status=tuple(track.status[-1]),
         worst=np.max(np.where(counted, ratio, -np.inf), axis=0),
-        beyond=np.array([np.mean(ratio[c, p] > BEYOND) if c.any() else np.nan for p, c in enumerate(counted.T)]),
+        beyond=_over(counted, ratio > BEYOND),
+        square=_over(counted, np.square(ratio)),
         share=track.tracking.mean(axis=0),
         stepped=case.stepped,
         recognised_s=named[0].time_s - (case.change_s or 0.0) if named else None,
@@ -114,6 +117,11 @@ def judge(job: Job, case: Case, track: Track) -> Row:
         wrong_jumps=tuple(f"{t.data.get('parameter')}@{t.time_s:.1f}" for t in jumps if t not in named),
         events=_in_words(track),
     )
+
+
+def _over(counted: Flags, values: F64 | Flags) -> F64:
+    """Mean of each parameter's values where they are counted, shape (parameters,); NaN where none is."""
+    return np.array([np.mean(values[c, p]) if c.any() else np.nan for p, c in enumerate(counted.T)])
 
 
 def truth_of(case: Case, track: Track) -> F64:
@@ -206,6 +214,19 @@ def _number(value: float) -> str:
     return f"{min(value, 9999.0):7.1f}" if np.isfinite(value) else f"{'–':>7}"
 
 
+def _calibration(rows: list[Row]) -> None:
+    """How large the errors are beside what is said of them: a few draws may be far off by chance, all of them not."""
+    print("rms of error/std over the tracking time, all motors and runs (an offset that std allows for may make it 1):")
+    for name in dict.fromkeys(row.job[0] for row in rows):
+        of_case = [row for row in rows if row.job[0] == name]
+        squares = np.array([row.square for row in of_case])
+        cells = [
+            f"{p} {np.sqrt(np.mean(x[np.isfinite(x)])):.2f}" if np.isfinite(x).any() else f"{p} –"
+            for p, x in zip(of_case[0].names, squares.T, strict=True)
+        ]
+        print(f"  {name}: {'  '.join(cells)}")
+
+
 def _summary(rows: list[Row]) -> None:
     """The wrong values with a small std, what was asked and not seen, and what was seen and was not."""
     print(
@@ -219,6 +240,7 @@ def _summary(rows: list[Row]) -> None:
         ]
         if bad:
             print(f"  {row.job[0]}, {row.job[1]}: {'; '.join(bad)}")
+    _calibration(rows)
     print("steps not named within 2 s, or more than 3 % off after 5 s; mismatch that was not seen:")
     for row in rows:
         late = row.stepped and not (row.recognised_s is not None and 0 <= row.recognised_s <= 2.0 and row.after < 0.03)
