@@ -126,12 +126,14 @@ class SecondLook:
         if self._start is None or not (tick in _TICKS or self._has_leapt(tick)):
             return False
         self._leaps += tick not in _TICKS
-        usable = self._filtering.kept <= _MOST_SAMPLES
+        first, usable = self.pending, self._filtering.kept <= _MOST_SAMPLES
         self.pending = False
         start = self._start.parameters
         walk = self._judge.walk(self._roster.free)
         look = _Look(start, self._index(start), self._vague(start), walk, period_s)
         follows = self._go_over(look, white) if usable else None
+        if follows is None and not first:
+            self._doubt_leaps(look)
         self._left_at = self._ekf.coordinates.copy()
         if tick >= _TICKS[-1]:
             self._start = None
@@ -263,6 +265,14 @@ class SecondLook:
         self._ekf.set_active(free, look.walk_var_per_s)
         spread = np.diag(np.minimum(start.std, _WIDEST_STD) ** 2)
         return self._filtering.again(Gaussian(start.names, begins, spread))
+
+    def _doubt_leaps(self, look: _Look) -> None:
+        """The samples could not be gone over. What has leapt has leapt along derivatives that were taken elsewhere, and
+        is known no better than by as much."""
+        leap = np.minimum(np.abs(self._ekf.coordinates - self._left_at), _WIDEST_STD)
+        vague = np.zeros(len(leap), dtype=bool)
+        vague[look.index] = look.vague
+        self._ekf.widen_parameters(np.where(vague & (leap > _LEAP), np.square(leap), 0.0))
 
     def _widen(self, look: _Look) -> None:
         """What the samples have not shown is known no better than at the start."""

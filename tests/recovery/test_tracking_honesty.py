@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from benchmarks.tracking import faults
-from benchmarks.tracking.cases import always, coarse_voltage, quiet, slow_sampling
+from benchmarks.tracking.cases import always, coarse_voltage, quiet, reversals, slow_sampling
 from benchmarks.tracking.faults import Where
 from benchmarks.tracking.follow import NAMES, Flags, Track, block_of, deviations, info_of, nominal_of, sampled, tracked
+from benchmarks.tracking.scenarios import NOMINAL
 from benchmarks.tracking.starts import run_start
 from servo_daemon.config import DriveConfig
 from servo_daemon.samples import F64
@@ -219,6 +220,15 @@ def test_a_start_that_the_filter_does_not_find_is_found_by_likelihood(number: in
     assert (start.motor, start.motion) == ("re40", "reversals")
     assert not start.failure, start
     assert not start.on_the_way, start
+
+
+def test_what_has_leapt_and_cannot_be_gone_over_again_is_doubted() -> None:
+    """Slow reversals under friction: J went from −55 to −15 % with a σ of 3 %, along derivatives taken far off."""
+    case = reversals(MOTORS["paper"], 60.0, 123)
+    track = tracked(case.recording, nominal_of(MOTORS["paper"], NOMINAL), case.model)
+    found = worst(track, case.recording)
+    assert max(found.values()) < STDS, found
+    assert track.tracking[after(track, 12.0)].mean() > 0.8
 
 
 @pytest.mark.slow
