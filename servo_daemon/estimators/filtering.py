@@ -97,7 +97,7 @@ class Filtering:
                 continue
             part = block.slice(a, b)
             if a in edges:
-                self.layout.last_s = float(part.time_s[0])  # begins at this sample: no prediction up to it
+                self.layout.resume(float(part.time_s[0]))  # no prediction up to this sample
                 yield Forget(part, everything=a in cuts)
             short = [k - a for k, is_short in holes.items() if is_short and a <= k < b and k not in cuts]
             if short and period_s is not None:

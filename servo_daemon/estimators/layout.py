@@ -196,6 +196,11 @@ class Layout:
         least = tuple(standing if name == "position_rad" else _FEWEST_ALIKE for name in self._names[1:])
         self._doubt((NEVER, *least), position_lsb, input_lsb**2 / 12.0)
 
+    def resume(self, time_s: float) -> None:
+        """The next sample is the first one after a gap: nothing before it says whether it leaps."""
+        self.last_s = time_s
+        self._state[4::3] = NO_VALUE
+
     def mark(self) -> Marked:
         """Where it is now, to come `back_to`."""
         return Marked(self._state.copy(), self.last_s)

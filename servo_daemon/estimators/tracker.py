@@ -210,7 +210,7 @@ class Tracker:
             return []
         duration = max((self.sample_period_s or 0.0) * len(tick), 1e-6)
         assert self.first_s is not None
-        # (The first tick's gaps are as long as by its own period.)
+        # (In the first tick, of which nothing was known before it, gaps are told by its own period.)
         stretch = self._stretches.of(tick, self.first_s, before_s, period_s or self.sample_period_s)
         noise_var = self._noise_var()
         self._levels.take(stretch, self._filtering.layout.position_lsb, noise_var)

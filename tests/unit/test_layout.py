@@ -127,6 +127,18 @@ def test_a_current_that_leaps_is_not_believed_at_once() -> None:
     assert not (Layout("voltage", ("current_A", "position_rad")).rows(block, 0.0)[:, 6] > 1.0).any()
 
 
+def test_after_a_gap_nothing_leaps() -> None:
+    i = np.array([1.0, 1.1, 9.0, 9.1, 9.0, 1.0])
+    columns = {"voltage_V": i * 3.0, "current_A": i, "position_rad": i}
+    block = make_block(np.arange(6) * 1e-3, **columns)
+    layout = Layout("voltage", ("current_A", "position_rad"))
+    layout.rows(block.slice(0, 2), 0.0, largest_leap=2.0, largest_current_leap=2.0)
+    layout.resume(2e-3)
+    rows = layout.rows(block.slice(2, 6), 0.0, largest_leap=30.0, largest_current_leap=2.0)
+    assert (rows[:, 6] >= LEAPT).tolist() == [False, False, False, True]
+    assert rows[0, 1] == 0.0
+
+
 @pytest.mark.parametrize("late", [0, 1], ids=["after it", "with it"])
 def test_a_current_that_leaps_with_the_voltage_is_believed(late: int) -> None:
     """Few steps in a tick are no usual change, neither of the voltage nor of the current of a winding that settles
