@@ -55,6 +55,23 @@ def score(block: SampleBlock, plant: PlantModel, q: F64) -> Score:
     Raises:
         ValueError: a recording without the plant's input or without any measured state.
     """
+    found = errors(block, plant, q)
+    short, long = _rms(found.channels, found.short), _rms(found.channels, found.long)
+    return Score(found.channels, long, short, found.measured + found.long)
+
+
+@dataclass(frozen=True, slots=True)
+class Errors:
+    """Simulated − measured of one free run over everything, and of free runs of 1 s; shapes (n, c)."""
+
+    channels: tuple[str, ...]
+    measured: F64
+    long: F64
+    short: F64
+
+
+def errors(block: SampleBlock, plant: PlantModel, q: F64) -> Errors:
+    """As for `score`, sample by sample."""
     speed = measured_speed(block)
     truth: dict[str, F64] = {}
     if plant.drive == "voltage" and block.current_A is not None:
@@ -69,12 +86,8 @@ def score(block: SampleBlock, plant: PlantModel, q: F64) -> Score:
     measured = np.stack(list(truth.values()), axis=1)
     states = _measured_states(block, plant, q, truth)
     simulated, path = free_run(plant, channels, q, states[0], rows)
-    return Score(
-        channels,
-        _rms(channels, simulated - measured),
-        _rms(channels, _short_runs(block, plant, q, channels, rows, states, path) - measured),
-        simulated,
-    )
+    short = _short_runs(block, plant, q, channels, rows, states, path)
+    return Errors(channels, measured, simulated - measured, short - measured)
 
 
 def _measured_states(block: SampleBlock, plant: PlantModel, q: F64, truth: Mapping[str, F64]) -> F64:
