@@ -56,16 +56,16 @@ def score(block: SampleBlock, plant: PlantModel, q: F64) -> Score:
         ValueError: a recording without the plant's input or without any measured state.
     """
     found = errors(block, plant, q)
-    short, long = _rms(found.channels, found.short), _rms(found.channels, found.long)
-    return Score(found.channels, long, short, found.measured + found.long)
+    return Score(found.channels, _rms(found.channels, found.long), _rms(found.channels, found.short), found.simulated)
 
 
 @dataclass(frozen=True, slots=True)
 class Errors:
-    """Simulated − measured of one free run over everything, and of free runs of 1 s; shapes (n, c)."""
+    """Simulated − measured of one free run over everything, which is `simulated`, and of free runs of 1 s; shapes
+    (n, c)."""
 
     channels: tuple[str, ...]
-    measured: F64
+    simulated: F64
     long: F64
     short: F64
 
@@ -87,7 +87,7 @@ def errors(block: SampleBlock, plant: PlantModel, q: F64) -> Errors:
     states = _measured_states(block, plant, q, truth)
     simulated, path = free_run(plant, channels, q, states[0], rows)
     short = _short_runs(block, plant, q, channels, rows, states, path)
-    return Errors(channels, measured, simulated - measured, short - measured)
+    return Errors(channels, simulated, simulated - measured, short - measured)
 
 
 def _measured_states(block: SampleBlock, plant: PlantModel, q: F64, truth: Mapping[str, F64]) -> F64:
