@@ -21,10 +21,17 @@ from servo_daemon.samples import F64, SampleBlock
 @dataclass(frozen=True, slots=True)
 class Fit:
     """How badly samples fit: minus twice the logarithm of the innovations' likelihood, those of outliers as at the
-    gate; and how many outliers there are."""
+    gate; how many outliers there are, and samples."""
 
     cost: float
     outliers: int
+    samples: int
+
+    def with_more(self, i: Innovations) -> Fit:
+        """With those of another run of samples."""
+        square = np.minimum(np.square(i.innovation) / i.variance, GATE**2)
+        cost = self.cost + float(np.sum(square + np.log(i.variance)))
+        return Fit(cost, self.outliers + int(np.count_nonzero(i.gated)), self.samples + len(i.innovation))
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +47,7 @@ class Filtering:
 
     Attributes:
         layout: how samples are laid out.
+        own: how badly the samples fitted as they came, while they are kept and since this was last set.
     """
 
     def __init__(self, ekf: Ekf, levels: Levels) -> None:
@@ -49,6 +57,7 @@ class Filtering:
         self._kept: list[tuple[SampleBlock, float | None, float | None]] | None = None
         self._kept_from: tuple[SampleBlock, Marked] | None = None
         self._laid_out: tuple[float, list[Forget | F64]] | None = None  # the kept ones, since they were gone over
+        self.own = Fit(0.0, 0, 0)
         self._passed: list[Forget | F64] = []  # what the filter took since it was last asked for
         self._gated: list[F64] = []  # of each run of samples since they were last asked for; (n, channels)
 
@@ -70,6 +79,8 @@ class Filtering:
             innovations = self.run(piece)
             if innovations is not None:
                 self._gated.append(innovations.gated)
+                if self._kept is not None:
+                    self.own = self.own.with_more(innovations)
 
     def run(self, piece: Forget | F64) -> Innovations | None:
         """The filter over samples as they are laid out, or what it forgets between some."""
@@ -133,12 +144,10 @@ class Filtering:
 
     def again(self, parameters: Gaussian) -> Fit:
         """Start the filter from these parameters and give it the samples that were kept."""
-        cost, outliers = 0.0, 0
+        fit = Fit(0.0, 0, 0)
         for innovations in self._over_kept(parameters):
-            square = np.minimum(np.square(innovations.innovation) / innovations.variance, GATE**2)
-            cost += float(np.sum(square + np.log(innovations.variance)))
-            outliers += int(np.count_nonzero(innovations.gated))
-        return Fit(cost, outliers)
+            fit = fit.with_more(innovations)
+        return fit
 
     def predictions(self, parameters: Gaussian) -> Innovations:
         """As `again`; what the filter says of all of them, in one piece."""

@@ -24,7 +24,7 @@ from servo_daemon.estimators.base import Gaussian
 from servo_daemon.estimators.doubts import Doubts
 from servo_daemon.estimators.ekf import Ekf
 from servo_daemon.estimators.ekf_records import Innovations, NoiseLevels
-from servo_daemon.estimators.filtering import Filtering
+from servo_daemon.estimators.filtering import Filtering, Fit
 from servo_daemon.estimators.noise_setting import NoiseSetting
 from servo_daemon.estimators.roster import Roster
 from servo_daemon.samples import F64
@@ -80,6 +80,7 @@ class LikelihoodLook:
             asked: it may be asked for; a filter from a saved state knows enough.
         """
         self._waits, self._searches, self._iterations = asked, False, 0
+        self._compares = False
         self._at = _Point(np.zeros(0), np.zeros(0))
         self._least_log_var: F64 = np.zeros(0)
 
@@ -96,6 +97,8 @@ class LikelihoodLook:
         if not doubts.of_its_start or self._filtering.kept > _MOST_SAMPLES:
             self._end()
             return False
+        if not self._compares:
+            self._compares, self._filtering.own = True, Fit(0.0, 0, 0)
         if tick in _TICKS:
             self._searches, self._iterations, self._at = True, 0, self._here()
             self._least_log_var = self._at.log_var + _LEAST_NOISE
@@ -125,7 +128,7 @@ class LikelihoodLook:
         known = bool(np.all(np.sqrt(covariance.diagonal())[self._asked] < _KNOWN_STD))
         n = len(self._free)
         length = step[:n] @ np.linalg.pinv(covariance, hermitian=True) @ step[:n]
-        found = bool(known and 0.0 <= length < _SETTLED**2) and self._explains(base)
+        found = bool(known and 0.0 <= length < _SETTLED**2) and self._explains(base) and self._is_better(base)
         if found:
             self._go_on_from(covariance)
         else:
@@ -188,6 +191,13 @@ class LikelihoodLook:
         square, number = np.sum(np.square(z), axis=0), np.maximum(np.sum(base.measured, axis=0), 1)
         correlation = np.sum(z[1:] * z[:-1], axis=0) / np.maximum(square, 1e-12)
         return bool((np.abs(square / number - 1.0) < _AS_EXPECTED).all() and (np.abs(correlation) < _WHITE).all())
+
+    def _is_better(self, base: Innovations) -> bool:
+        """Whether these values predict what has come since the filter was through its start better than the filter did.
+        The likeliest constants of a motor that is none are wrong, and the filter, which follows it, is not."""
+        n = self._filtering.own.samples
+        last = Innovations(base.innovation[-n:], base.variance[-n:], base.gated[-n:])
+        return n > 0 and Fit(0.0, 0, 0).with_more(last).cost < self._filtering.own.cost
 
     def _go_on_from(self, covariance: F64) -> None:
         """The filter is at the last sample with what was found."""

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks.tracking import faults
+from benchmarks.tracking.ageing import ageing_recording
 from benchmarks.tracking.cases import always, coarse_voltage, quiet, reversals, slow_sampling
 from benchmarks.tracking.faults import Where
 from benchmarks.tracking.follow import NAMES, Flags, Track, block_of, deviations, info_of, nominal_of, sampled, tracked
@@ -220,6 +221,15 @@ def test_a_start_that_the_filter_does_not_find_is_found_by_likelihood(number: in
     assert (start.motor, start.motion) == ("re40", "reversals")
     assert not start.failure, start
     assert not start.on_the_way, start
+
+
+def test_the_likeliest_constants_of_a_motor_that_ages_are_not_taken() -> None:
+    """They predict worse than the filter that follows it (K, J, B and L 5 % off at 9 σ for half a minute)."""
+    recording = ageing_recording(MOTORS["paper"], "pick_and_place", 30.0, 11)
+    track = run(recording, "paper")
+    found = worst(track, recording)
+    assert max(found.values()) < STDS, found
+    assert track.tracking[after(track, 10.0)].all()
 
 
 def test_what_has_leapt_and_cannot_be_gone_over_again_is_doubted() -> None:
