@@ -23,9 +23,9 @@ class Fit:
     """How badly samples fit: minus twice the logarithm of the innovations' likelihood, those of outliers as at the
     gate; how many outliers there are, and samples."""
 
-    cost: float
-    outliers: int
-    samples: int
+    cost: float = 0.0
+    outliers: int = 0
+    samples: int = 0
 
     def with_more(self, i: Innovations) -> Fit:
         """With those of another run of samples."""
@@ -57,7 +57,7 @@ class Filtering:
         self._kept: list[tuple[SampleBlock, float | None, float | None]] | None = None
         self._kept_from: tuple[SampleBlock, Marked] | None = None
         self._laid_out: tuple[float, list[Forget | F64]] | None = None  # the kept ones, since they were gone over
-        self.own = Fit(0.0, 0, 0)
+        self.own = Fit()
         self._passed: list[Forget | F64] = []  # what the filter took since it was last asked for
         self._gated: list[F64] = []  # of each run of samples since they were last asked for; (n, channels)
 
@@ -144,7 +144,7 @@ class Filtering:
 
     def again(self, parameters: Gaussian) -> Fit:
         """Start the filter from these parameters and give it the samples that were kept."""
-        fit = Fit(0.0, 0, 0)
+        fit = Fit()
         for innovations in self._over_kept(parameters):
             fit = fit.with_more(innovations)
         return fit

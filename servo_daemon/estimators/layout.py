@@ -173,7 +173,8 @@ class Layout:
         self._state, self._constants = np.zeros(self._lay.n_state), np.zeros(self._lay.n_constants)
         self._constants[3::4] = [_IMPOSSIBLE[name] for name in self._names]
         self._constants[6::4] = math.inf
-        self._current = 10 + 4 * measured.index("current_A") if "current_A" in measured else None  # its largest leap
+        # Where the largest leap of a measured current is.
+        self._current = 6 + 4 * self._names.index("current_A") if "current_A" in measured else None
         self.last_s: float | None = None
         self.origin_s = 0.0
         self.position_lsb = 0.0

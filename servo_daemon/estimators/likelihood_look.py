@@ -98,7 +98,7 @@ class LikelihoodLook:
             self._end()
             return False
         if not self._compares:
-            self._compares, self._filtering.own = True, Fit(0.0, 0, 0)
+            self._compares, self._filtering.own = True, Fit()
         if tick in _TICKS:
             self._searches, self._iterations, self._at = True, 0, self._here()
             self._least_log_var = self._at.log_var + _LEAST_NOISE
@@ -197,7 +197,7 @@ class LikelihoodLook:
         The likeliest constants of a motor that is none are wrong, and the filter, which follows it, is not."""
         n = self._filtering.own.samples
         last = Innovations(base.innovation[-n:], base.variance[-n:], base.gated[-n:])
-        return n > 0 and Fit(0.0, 0, 0).with_more(last).cost < self._filtering.own.cost
+        return n > 0 and Fit().with_more(last).cost < self._filtering.own.cost
 
     def _go_on_from(self, covariance: F64) -> None:
         """The filter is at the last sample with what was found."""

@@ -191,7 +191,7 @@ class SecondLook:
             guessed: the first begins where the filter did.
         """
         published = self._roster.published
-        best, best_fit, follows, best_follows = self._ekf.snapshot(), Fit(np.inf, 0, 0), False, False
+        best, best_fit, follows, best_follows = self._ekf.snapshot(), Fit(np.inf), False, False
         for first in (guessed, *[False] * _PASSES):
             found = self._ekf.coordinates
             fit = self._pass_over(look, follows, first)
