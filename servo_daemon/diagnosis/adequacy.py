@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from servo_daemon.diagnosis.cuts import mean_over_cuts
 from servo_daemon.diagnosis.dependence import Dependence, dependences
 from servo_daemon.diagnosis.everything import WholeFits, by_predictions, exactness, fit_everything, fit_runs, over_a_gap
 from servo_daemon.diagnosis.evidence import LEAST_OWN, LEAST_TOGETHER, is_what_it_is_called, working_shares
@@ -74,6 +75,7 @@ def believed(selection: Selection, whole_fits: WholeFits) -> Believed:
             break
         straight = _unbent(data, selection.chosen, extended)
         straight = _told_from_twin(data, selection.chosen, straight, short=straight is not extended)
+        straight = mean_over_cuts(data, selection.chosen, straight)
         if straight is not extended:
             extended, missing = straight, longest_missing(data, straight)
         depends = () if extended.white else dependences(extended, missing)
@@ -93,10 +95,11 @@ def _unbent(data: Data, trial: Trial, fit: OutputErrorFit) -> OutputErrorFit:
 
     If the model and noise of the sensors were all there is, both would be right, and the longer runs tell more. Noise
     that enters the motor adds up along a run, at a reversal with dry friction or beside a detent without bound, and
-    bends what is fitted to it: where the two differ the shorter runs are to be believed.
+    bends what is fitted to it: where the two differ the shorter runs are to be believed. Of a given torque or current
+    nothing adds up: see `cuts`.
     """
     shorter = shorter_s(data.recordings, data.split.segment_s)
-    if fit.white or shorter is None:
+    if fit.white or shorter is None or fit.problem.plant.drive != "voltage":
         return fit
     begun = fit_trial(data.cut(trial.effects, shorter), trial.effects, trial.values) or trial
     with suppress(NumericalError):

@@ -26,10 +26,12 @@ def test_emps_friction_by_direction_and_along_the_screw(servo_data: Path) -> Non
     assert 0.97 < document["gain"]["error_removed"] <= 1.0
     mass = document["extended"]["parameters"]["J"]
     assert mass["unit"] == "kg"
-    assert 94.5 < mass["value"] < 95.7  # published: 95.1
+    # Published 95.1 ± 0.1 by inverse dynamics, 94.1 by output error: how free runs are cut moves it by so much.
+    assert abs(mass["value"] - 95.1) < 2.0 * mass["std"] < 3.0
     (free_runs,) = document["free_runs"]
-    assert 0.9e-3 < free_runs["extended"]["rmse_1s"]["velocity_m_s"] < 1.2e-3
-    assert 0.3e-3 < free_runs["extended"]["rmse_1s"]["position_m"] < 0.55e-3
+    assert 0.95e-3 < free_runs["extended"]["rmse"]["velocity_m_s"] < 1.1e-3  # no values have less than 1.01
+    assert 0.9e-3 < free_runs["extended"]["rmse_1s"]["velocity_m_s"] < 1.05e-3
+    assert 0.33e-3 < free_runs["extended"]["rmse_1s"]["position_m"] < 0.42e-3  # 0.38
 
 
 def test_xl330_lifts_a_pendulum(servo_data: Path) -> None:
