@@ -21,9 +21,11 @@ from servo_daemon.estimators.output_error.information import wider
 from servo_daemon.estimators.output_error.republished import republished, with_settled_states
 from servo_daemon.samples import F64
 
-#: Lengths of the free runs, in those of the search. Longer ones hold the slow part of an error, which short runs take
-#: for a part of their initial states.
-_LENGTHS = tuple(2.0 ** (k / 2) for k in range(5))
+#: So many lengths of the free runs, from that of the search to so many times it. Longer ones hold the slow part of an
+#: error, which short runs take for a part of their initial states.
+_CUTS, _LONGER = 5, 4.0
+#: No longer than this, s: a run of many seconds with dry friction has valleys of its own.
+_LONGEST_S = 4.0
 
 
 def mean_over_cuts(data: Data, trial: Trial, fit: OutputErrorFit) -> OutputErrorFit:
@@ -38,7 +40,7 @@ def mean_over_cuts(data: Data, trial: Trial, fit: OutputErrorFit) -> OutputError
         return fit
     known = [k for k in range(problem.n_shared) if not fit.after.undetermined[k]]
     estimates = _estimates(data, trial, fit)
-    if not known or len(estimates) < len(_LENGTHS):
+    if not known or len(estimates) < _CUTS:
         return fit
     unknowns = fit.solution.point.unknowns.copy()
     unknowns[known] = np.mean(estimates, axis=0)[known]
@@ -51,11 +53,11 @@ def mean_over_cuts(data: Data, trial: Trial, fit: OutputErrorFit) -> OutputError
 
 def _estimates(data: Data, trial: Trial, fit: OutputErrorFit) -> list[F64]:
     """Shape (n_shared,) each, of the lengths that could be fitted."""
-    begin = _values(fit)
+    begin, shortest = _values(fit), data.split.segment_s
     out = []
-    for length in _LENGTHS:
+    for length in np.geomspace(shortest, max(shortest, min(_LONGER * shortest, _LONGEST_S)), _CUTS).tolist():
         with suppress(NumericalError):
-            cut = fit_runs(data, trial, {**trial.values, **begin}, length * data.split.segment_s)
+            cut = fit_runs(data, trial, {**trial.values, **begin}, length)
             if cut.problem.free == fit.problem.free:
                 out.append(cut.solution.point.unknowns[: fit.problem.n_shared])
     return out
