@@ -8,7 +8,6 @@ lengths has less of that, and how far they lie apart is what a single one leaves
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from contextlib import suppress
 
 import numpy as np
@@ -53,15 +52,11 @@ def mean_over_cuts(data: Data, trial: Trial, fit: OutputErrorFit) -> OutputError
 
 def _estimates(data: Data, trial: Trial, fit: OutputErrorFit) -> list[F64]:
     """Shape (n_shared,) each, of the lengths that could be fitted."""
-    begin, shortest = _values(fit), data.split.segment_s
+    begin, shortest = {**trial.values, **fit.values}, data.split.segment_s
     out = []
     for length in np.geomspace(shortest, max(shortest, min(_LONGER * shortest, _LONGEST_S)), _CUTS).tolist():
         with suppress(NumericalError):
-            cut = fit_runs(data, trial, {**trial.values, **begin}, length)
+            cut = fit_runs(data, trial, begin, length)
             if cut.problem.free == fit.problem.free:
                 out.append(cut.solution.point.unknowns[: fit.problem.n_shared])
     return out
-
-
-def _values(fit: OutputErrorFit) -> Mapping[str, float]:
-    return {name: p.value for name, p in fit.parameters.items() if p.value is not None}

@@ -43,8 +43,7 @@ def test_the_mean_of_five_cuts_is_published_with_how_far_they_lie_apart() -> Non
     mean = mean_over_cuts(data, trial, fit)
     single = []
     for length in (1.0, 2**0.5, 2.0, 2**1.5, 4.0):
-        begin = {name: p.value for name, p in fit.parameters.items() if p.value is not None}
-        cut = fit_runs(data, trial, {**trial.values, **begin}, length * data.split.segment_s)
+        cut = fit_runs(data, trial, {**trial.values, **fit.values}, length * data.split.segment_s)
         single.append([np.log(cut.parameters[n].value or np.nan) for n in ("J", "B", "Tc")])
     truth = {"J": PAPER.J, "B": PAPER.B, "Tc": 0.1 * PAPER.working_torque_Nm}
     for name, logs in zip(truth, np.transpose(single), strict=True):
