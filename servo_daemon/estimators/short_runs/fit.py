@@ -51,15 +51,20 @@ def fit_short_runs(source: RunSource, start: Mapping[str, float]) -> ShortRunFit
     problem = source.problem
     if not can_be_fitted(problem):
         return None
-    q, found, gap_std = coordinates_of(problem, start), None, np.inf
-    for scan in (NEAR, NEAREST):  # a gap a little wrong bends the teeth, and these the gap
-        q, gap_std = with_other_gap(source, q, scan)
+    gap, columns = problem.plant.parameter_names.index("gap"), _but_the_gap(problem)
+
+    def of_short_runs(q: F64, rounds: int) -> ShortRunFit | None:
         runs = source.in_swings(q, SHORT, MOST_SAMPLES)
-        if runs is None:
+        return None if runs is None else search(runs, q, columns, rounds)
+
+    found, gap_std = of_short_runs(coordinates_of(problem, start), 1), np.inf
+    for scan in (NEAR, NEAREST):  # a gap a little wrong bends the teeth, and these the gap
+        if found is None:
             return None
-        found = search(runs, q, _but_the_gap(problem), _ROUNDS)
-        q = found.q
-    return None if found is None else found.with_gap(problem.plant.parameter_names.index("gap"), gap_std)
+        move = found.following(gap) if scan is NEAREST else None
+        q, gap_std = with_other_gap(source, found.q, scan, move)
+        found = of_short_runs(q, _ROUNDS)
+    return None if found is None else found.with_gap(gap, gap_std)
 
 
 def coordinates_of(problem: Problem, values: Mapping[str, float]) -> F64:

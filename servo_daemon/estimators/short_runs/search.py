@@ -24,6 +24,8 @@ _LITTLE, _STILL_STDS, _STILL = 2.0, 0.3, 1e-4
 _FLAT = 1e-12
 #: A run's slopes count for no more than so many times those of the steepest tenth.
 _STEEPEST, _TENTH = 3.0, 0.9
+#: No logarithm follows another by more times as much.
+_FOLLOWS = 5.0
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,8 @@ class ShortRunFit:
         covariance: of these, from how far the runs disagree.
         value: −2 log p of the runs with a variance for each, but for a constant.
         runs: what was searched.
+        settled: their states there.
+        sigma: shape (c,), the noise told from the best of them.
     """
 
     q: F64
@@ -43,13 +47,26 @@ class ShortRunFit:
     covariance: F64
     value: float
     runs: Runs
+    settled: Settled
+    sigma: F64
+
+    def following(self, column: int) -> F64:
+        """How all coordinates move where one that is not free is another by 1, the free ones suiting the runs, shape
+        (np,): runs that tell little of a gap have teeth as stiff as it lets them be."""
+        place, which = _Place(self.q, self.settled, cost(self.runs, self.settled)), list(self.columns)
+        H, _ = _information(self.runs, place, (*which, column), self.sigma)
+        move = np.zeros(len(self.q))
+        move[which] = np.clip(-np.linalg.pinv(H[:-1, :-1], hermitian=True) @ H[:-1, -1], -_FOLLOWS, _FOLLOWS)
+        move[column] = 1.0
+        return move
 
     def with_gap(self, column: int, std: float) -> ShortRunFit:
-        """The same, the gap known to 1 σ of its logarithm."""
-        n = len(self.columns)
-        covariance = np.zeros((n + 1, n + 1))
-        covariance[:n, :n], covariance[n, n] = self.covariance, std**2
-        return replace(self, columns=(*self.columns, column), covariance=covariance)
+        """The same, the gap known to 1 σ of its logarithm, and the others no better than that lets them be."""
+        columns = (*self.columns, column)
+        move = self.following(column)[list(columns)]
+        covariance = std**2 * np.outer(move, move)
+        covariance[:-1, :-1] += self.covariance
+        return replace(self, columns=columns, covariance=covariance)
 
     @property
     def values(self) -> dict[str, float]:
@@ -78,7 +95,7 @@ def search(runs: Runs, q: F64, columns: Sequence[int], rounds: int) -> ShortRunF
         place, covariance = _moved(runs, _Place(q, settled, cost(runs, settled)), columns, sigma)
         q, settled = place.q, place.settled
         value = place.cost + 2.0 * float(runs.valid.sum(axis=(0, 1)) @ np.log(sigma))
-        result = ShortRunFit(q, tuple(columns), covariance, value, runs)
+        result = ShortRunFit(q, tuple(columns), covariance, value, runs, settled, sigma)
         moved = np.abs(q - before)[list(columns)]
         if (moved <= np.maximum(_STILL_STDS * np.sqrt(np.diag(covariance)), _STILL)).all():
             break
