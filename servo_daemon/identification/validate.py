@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +26,8 @@ from servo_daemon.samples import F64, SampleBlock
 _WELL_SEEN = 0.1
 #: A dry friction that is not there any more leaves no trace by which it could be seen: then it has gone.
 _MAY_VANISH, _VANISHED = ("Tc", "Tc_neg", "Ts", "mu", "c2"), 0.3
+#: What settles on one half of that part makes the other half's errors no larger than by this factor.
+_NO_HARM = 1.1
 #: What changes from day to day: friction by temperature and grease, offsets of sensors and load.
 SETTLING = ("B", "B_neg", "Tc", "Tc_neg", "Ts", "mu", "c2", *OFFSETS)
 
@@ -103,22 +105,43 @@ def adapted_share(capture: Capture, fit: OutputErrorFit, share: float) -> tuple[
     check_input(capture, fit.problem.plant.drive)
     check_share(capture, share)
     block, cut = _comparable(capture, fit), round(share * len(capture))
-    values = natural_values(fit)
-    plant = fit.problem.plant
+    first, rest = block.slice(0, cut), block.slice(cut, len(block))
+    plant, values = fit.problem.plant, natural_values(fit)
     free = [name for name in values if name in SETTLING]
-    part = [Recording(str(capture.path), block.slice(0, cut))]
     while free:
-        held = {name: v for name, v in values.items() if name not in free}
-        found = fit_output_error(part, plant.effects, FitOptions(nominal=values, fixed=held))
+        found = _settled(first, fit, free)
         settled = natural_values(found)
         gone = [name for name in free if name in _MAY_VANISH and settled[name] < _VANISHED * values[name]]
         vague = {name: 0.0 if name in gone else _relative_std(found.parameters[name], values[name]) for name in free}
         worst = max(free, key=vague.__getitem__)
-        if vague[worst] < _WELL_SEEN:
-            rest = score(block.slice(cut, len(block)), found.problem.plant, _mean_coordinates(found))
-            return rest, {name: settled[name] for name in free}
+        if vague[worst] < _WELL_SEEN and _holds(first, fit, free):
+            return score(rest, plant, _mean_coordinates(found)), {name: settled[name] for name in free}
         free.remove(worst)  # what the first part cannot tell stays as it was
-    return score(block.slice(cut, len(block)), plant, _mean_coordinates(fit)), {}
+    return score(rest, plant, _mean_coordinates(fit)), {}
+
+
+def _settled(block: SampleBlock, fit: OutputErrorFit, free: Sequence[str]) -> OutputErrorFit:
+    """The same model with these of its parameters fitted to other samples."""
+    values = natural_values(fit)
+    held = {name: v for name, v in values.items() if name not in free}
+    return fit_output_error(
+        [Recording("first part", block)], fit.problem.plant.effects, FitOptions(nominal=values, fixed=held)
+    )
+
+
+def _holds(block: SampleBlock, fit: OutputErrorFit, free: Sequence[str]) -> bool:
+    """Whether what settles on one half of these samples does the other half no harm, both ways: of a motion or two,
+    frictions of both directions may be "seen" to a few percent and be several times wrong together."""
+    middle = len(block) // 2
+    halves = block.slice(0, middle), block.slice(middle, len(block))
+    if min(len(half) for half in halves) < FEWEST_SAMPLES:
+        return False
+    worse = 0.0
+    for one, other in (halves, halves[::-1]):
+        settled = _settled(one, fit, free)
+        before, after = (score(other, fit.problem.plant, _mean_coordinates(f)).rmse_1s for f in (fit, settled))
+        worse += sum(np.log(after[c] / before[c]) for c in before) / len(before)
+    return bool(worse / 2.0 < np.log(_NO_HARM))
 
 
 def _relative_std(p: FittedParameter, before: float) -> float:
