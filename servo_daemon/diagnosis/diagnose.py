@@ -88,7 +88,7 @@ def _diagnose(
     if not diagnosis.effects:
         with suppress(ServoDaemonError):  # then the free runs have the last word
             diagnosis = _otherwise(diagnosis, data, belief.selection, options.nominal, whole_fits)
-    scores = tuple(validated(c, baseline, diagnosis.extended, options.adapt) for c in validation)
+    scores = tuple(validated(c, baseline, diagnosis.extended, recordings, options.adapt) for c in validation)
     return replace(diagnosis, validation=scores, seconds=time.perf_counter() - began)
 
 

@@ -63,5 +63,6 @@ def identify(captures: Sequence[Capture], validation: Sequence[Capture], options
     baseline = None
     if validation and set(options.effects) != set(options.baseline):
         baseline = fit_output_error(recordings, options.baseline, options.fit)
-    scores = [validated(c, baseline or fit, None if baseline is None else fit, options.adapt) for c in validation]
+    extended = None if baseline is None else fit
+    scores = [validated(c, baseline or fit, extended, recordings, options.adapt) for c in validation]
     return Identification(tuple(captures), fit, baseline, tuple(scores), drift_of(fit, recordings, options.fit))
