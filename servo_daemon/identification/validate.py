@@ -123,7 +123,7 @@ def adapted_share(
     settles = fit.white or _is_another_day(first, fit, fitted)
     free = [name for name in values if settles and name in SETTLING]
     while free:
-        found = _settled(first, fit, free)
+        found = _settled(Recording(str(capture.path), first), fit, free)
         settled = natural_values(found)
         gone = [name for name in free if name in _MAY_VANISH and settled[name] < _VANISHED * values[name]]
         vague = {name: 0.0 if name in gone else _relative_std(found.parameters[name], values[name]) for name in free}
@@ -134,13 +134,11 @@ def adapted_share(
     return score(rest, plant, _mean_coordinates(fit)), {}
 
 
-def _settled(block: SampleBlock, fit: OutputErrorFit, free: Sequence[str]) -> OutputErrorFit:
+def _settled(part: Recording, fit: OutputErrorFit, free: Sequence[str]) -> OutputErrorFit:
     """The same model with these of its parameters fitted to other samples."""
     values = natural_values(fit)
     held = {name: v for name, v in values.items() if name not in free}
-    return fit_output_error(
-        [Recording("first part", block)], fit.problem.plant.effects, FitOptions(nominal=values, fixed=held)
-    )
+    return fit_output_error([part], fit.problem.plant.effects, FitOptions(nominal=values, fixed=held))
 
 
 def _is_another_day(first: SampleBlock, fit: OutputErrorFit, fitted: Sequence[Recording]) -> bool:

@@ -19,6 +19,8 @@ from servo_daemon.samples import F64
 _SHARES, _TEETH_RAD_S, _TEETH_DAMPING, _FEWEST_SAMPLES = (0.15, 0.4), (200.0, 450.0), 0.15, 2_500
 #: Searches from start values, and rounds of these and of the last ones.
 _TIMES, _BEGINNING_ROUNDS, _ROUNDS = 2, 2, 2
+#: No logarithm follows the gap's by more times as much while that is looked for: it does so along no straight line.
+_FOLLOWS = 5.0
 
 
 def begun_short_runs(
@@ -61,7 +63,7 @@ def fit_short_runs(source: RunSource, start: Mapping[str, float]) -> ShortRunFit
     for scan in (NEAR, NEAREST):  # a gap a little wrong bends the teeth, and these the gap
         if found is None:
             return None
-        move = found.following(gap) if scan is NEAREST else None
+        move = np.clip(found.following(gap), -_FOLLOWS, _FOLLOWS) if scan is NEAREST else None
         q, gap_std = with_other_gap(source, found.q, scan, move)
         found = of_short_runs(q, _ROUNDS)
     return None if found is None else found.with_gap(gap, gap_std)

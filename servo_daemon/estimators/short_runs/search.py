@@ -24,8 +24,6 @@ _LITTLE, _STILL_STDS, _STILL = 2.0, 0.3, 1e-4
 _FLAT = 1e-12
 #: A run's slopes count for no more than so many times those of the steepest tenth.
 _STEEPEST, _TENTH = 3.0, 0.9
-#: No logarithm follows another by more times as much.
-_FOLLOWS = 5.0
 
 
 @dataclass(frozen=True)
@@ -56,8 +54,7 @@ class ShortRunFit:
         place, which = _Place(self.q, self.settled, cost(self.runs, self.settled)), list(self.columns)
         H, _ = _information(self.runs, place, (*which, column), self.sigma)
         move = np.zeros(len(self.q))
-        move[which] = np.clip(-np.linalg.pinv(H[:-1, :-1], hermitian=True) @ H[:-1, -1], -_FOLLOWS, _FOLLOWS)
-        move[column] = 1.0
+        move[which], move[column] = -np.linalg.pinv(H[:-1, :-1], hermitian=True) @ H[:-1, -1], 1.0
         return move
 
     def with_gap(self, column: int, std: float) -> ShortRunFit:
