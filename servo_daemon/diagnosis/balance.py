@@ -17,6 +17,7 @@ from servo_daemon.diagnosis.noise_levels import NoiseLevels
 from servo_daemon.diagnosis.response import Trace, smoothed
 from servo_daemon.diagnosis.signals import motion_of
 from servo_daemon.errors import NumericalError
+from servo_daemon.estimators.base import to_coordinate
 from servo_daemon.estimators.output_error.starts import regression_values
 from servo_daemon.samples import F64, SampleBlock
 
@@ -92,9 +93,10 @@ def _regressed(fit: Fitted, block: SampleBlock) -> F64 | None:
     """The daemon's regression of both balances in the place of the fitted R, L, K, J and B: the winding's, which no
     load torque bends, tells K from a fit that followed a torque by another inertia."""
     found = regression_values(block, fit.problem.plant)
-    names, q = coordinates_with_load(fit)
-    for name in (n for n in found if n in names and n in fit.problem.free):
-        q[names.index(name)] = np.log(found[name])
+    _, q = coordinates_with_load(fit)
+    for k, p in enumerate(fit.problem.plant.parameters):  # with them what the regression says of offsets and loads
+        if p.name in found and p.name in fit.problem.free:
+            q[k] = to_coordinate(p, found[p.name])
     return q if found else None
 
 
