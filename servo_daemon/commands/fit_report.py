@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from servo_daemon.commands.fit_text import settled_words
 from servo_daemon.commands.units import shown_column
 from servo_daemon.estimators.output_error import OutputErrorFit
 from servo_daemon.identification import Identification
@@ -190,7 +191,8 @@ def score_table(caption: str, scores: Mapping[str, Any]) -> Table:
         for kind in ("baseline", "extended", "adapted")
         if scores[kind] is not None
     ]
-    return Table(caption, columns, tuple(rows))
+    adapted = scores["adapted"]
+    return Table(caption, columns, tuple(rows), note="" if adapted is None else f"Adapted: {settled_words(adapted)}.")
 
 
 def _correlation(document: Mapping[str, Any]) -> tuple[Section, ...]:

@@ -80,7 +80,17 @@ def validation_lines(document: Mapping[str, Any]) -> list[str]:
         for kind in ("baseline", "extended", "adapted"):
             if v[kind] is not None:
                 lines += [f"  {kind:>8} {_score(v[kind])}"]
+        if v["adapted"] is not None:
+            lines += [f"           {settled_words(v['adapted'])}"]
     return lines
+
+
+def settled_words(adapted: Mapping[str, Any]) -> str:
+    """What has settled on the first part of a capture, and at what."""
+    values = ", ".join(f"{name} {value:.4g}" for name, value in adapted["settled"].items())
+    if values:
+        return f"settled on the first part: {values}"
+    return "nothing settled: the first part is predicted as well as what was fitted, or does not tell"
 
 
 def _score(scores: Mapping[str, Any]) -> str:

@@ -71,3 +71,27 @@ def test_more_friction_on_another_day_settles(axis: F64, tmp_path: Path) -> None
     assert 2.5 < found["extended"]["speed"] < 6.0
     assert 0.8 < found["adapted"]["speed"] < 0.6 * found["extended"]["speed"]
     assert 0.2 < found["adapted"]["angle"] < 0.6 * found["extended"]["angle"]
+
+
+def test_what_has_settled_is_told(axis: F64, tmp_path: Path) -> None:
+    half = capture(tmp_path / "half.csv", np.array_split(axis, 2)[0])
+    other = capture(tmp_path / "other.csv", np.array_split(axis, 2)[1])
+    stiff = axis + np.column_stack([np.zeros(len(axis)), 0.03 * friction_N(axis), np.zeros(len(axis))])
+    day = capture(tmp_path / "day.csv", stiff)
+    words = (
+        "--effect",
+        "asymmetric_friction",
+        "--validate",
+        other,
+        day,
+        "--adapt",
+        "0.3",
+        "--out",
+        tmp_path / "report",
+    )
+    told = run_command("fit", half, *words).out
+    assert "nothing settled" in told
+    assert "settled on the first part: B " in told
+    page = (tmp_path / "report" / "report.html").read_text()
+    assert "Adapted: nothing settled" in page
+    assert "Adapted: settled on the first part: B " in page
