@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -15,12 +14,11 @@ from servo_daemon.diagnosis.missing import Missing, missing_inputs
 from servo_daemon.diagnosis.screen import screen
 from servo_daemon.diagnosis.split import segment_length_s
 from servo_daemon.diagnosis.trial import Data, first_trial, fit_trial
-from servo_daemon.estimators.base import to_coordinate
 from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, fit_output_error
 from servo_daemon.estimators.output_error import Recording as Capture
-from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.output_error.setup import make_problem
-from servo_daemon.samples import F64, SampleBlock, make_block
+from servo_daemon.samples import SampleBlock, make_block
+from tests.recovery.captures import Known
 from tests.recovery.generator import GEAR_MOTOR, LARGE_SERVO, PAPER, RE40, Motor, Recording, Scenario, generate, typical
 
 pytestmark = [pytest.mark.usefixtures("generator_built"), pytest.mark.slow]
@@ -60,18 +58,6 @@ def test_the_hidden_load_torque_lies_within_its_band() -> None:
     assert np.sqrt(m.levels.input_var) == pytest.approx(0.001 * PAPER.supply_V, rel=0.25)
 
 
-@dataclass(frozen=True)
-class _Bent:
-    """A fit that ended anywhere."""
-
-    problem: Problem
-    values: Mapping[str, float]
-
-    def coordinates(self, recording: int = 0) -> F64:
-        assert recording == 0
-        return np.array([to_coordinate(p, self.values[p.name]) for p in self.problem.plant.parameters])
-
-
 @pytest.mark.parametrize("load", [-0.3, 0.3])
 def test_beside_a_bent_fit_the_regression_says_what_the_load_is(load: float) -> None:
     """A load may pull either way: it has no logarithm."""
@@ -80,7 +66,7 @@ def test_beside_a_bent_fit_the_regression_says_what_the_load_is(load: float) -> 
     _, block = _captured(PAPER, scenario)
     problem = make_problem([Capture("test", block)], ("constant_load_torque",), {})
     bent = {"R": 3 * PAPER.R, "L": PAPER.L, "K": PAPER.K / 3, "J": 10 * PAPER.J, "B": PAPER.B, "TL": 0.0}
-    m = balanced_missing_inputs(_Bent(problem, bent), block)
+    m = balanced_missing_inputs(Known(problem, bent), block)
     found = dict(zip(m.augmented.plant.parameter_names, m.coordinates, strict=True))
     assert found["TL"] == pytest.approx(pulled, rel=0.1)
     assert np.exp(found["K"]) == pytest.approx(PAPER.K, rel=0.05)

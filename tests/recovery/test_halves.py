@@ -39,6 +39,13 @@ def friction_N(rows: F64) -> F64:
     return np.asarray(np.where(np.abs(speed) > _STANDS_M_S, np.sign(speed) * dry + viscous * speed, 0.0))
 
 
+def another_day(rows: F64) -> F64:
+    """The same motion with 3 % more friction: it has taken so much more force."""
+    day = rows.copy()
+    day[:, 1] += 0.03 * friction_N(rows)
+    return day
+
+
 def scores(fitted: Path, other: Path) -> Mapping[str, Mapping[str, float]]:
     """By kind: mm/s of one free run, mm of free runs of 1 s."""
     effects = ("--effect", "asymmetric_friction", "--effect", "position_dependent_friction")
@@ -64,32 +71,19 @@ def test_friction_of_the_same_day_does_not_settle_anew(axis: F64, tmp_path: Path
 
 
 def test_more_friction_on_another_day_settles(axis: F64, tmp_path: Path) -> None:
-    """The same motion with 3 % more friction has taken so much more force."""
     half = np.array_split(axis, 2)[0]
-    day = axis + np.column_stack([np.zeros(len(axis)), 0.03 * friction_N(axis), np.zeros(len(axis))])
-    found = scores(capture(tmp_path / "half.csv", half), capture(tmp_path / "day.csv", day))
+    found = scores(capture(tmp_path / "half.csv", half), capture(tmp_path / "day.csv", another_day(axis)))
     assert 2.5 < found["extended"]["speed"] < 6.0
     assert 0.8 < found["adapted"]["speed"] < 0.6 * found["extended"]["speed"]
     assert 0.2 < found["adapted"]["angle"] < 0.6 * found["extended"]["angle"]
 
 
 def test_what_has_settled_is_told(axis: F64, tmp_path: Path) -> None:
-    half = capture(tmp_path / "half.csv", np.array_split(axis, 2)[0])
-    other = capture(tmp_path / "other.csv", np.array_split(axis, 2)[1])
-    stiff = axis + np.column_stack([np.zeros(len(axis)), 0.03 * friction_N(axis), np.zeros(len(axis))])
-    day = capture(tmp_path / "day.csv", stiff)
-    words = (
-        "--effect",
-        "asymmetric_friction",
-        "--validate",
-        other,
-        day,
-        "--adapt",
-        "0.3",
-        "--out",
-        tmp_path / "report",
-    )
-    told = run_command("fit", half, *words).out
+    first, second = np.array_split(axis, 2)
+    half, other = capture(tmp_path / "half.csv", first), capture(tmp_path / "other.csv", second)
+    day = capture(tmp_path / "day.csv", another_day(axis))
+    words = ("--effect", "asymmetric_friction", "--validate", other, day, "--adapt", "0.3", "--out")
+    told = run_command("fit", half, *words, tmp_path / "report").out
     assert "nothing settled" in told
     assert "settled on the first part: B " in told
     page = (tmp_path / "report" / "report.html").read_text()

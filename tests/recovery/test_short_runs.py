@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ from servo_daemon.estimators.short_runs.runs import LONG, MOST_SAMPLES, SHORT, R
 from servo_daemon.estimators.short_runs.search import search
 from servo_daemon.identification.play import fit_with_play
 from servo_daemon.samples import F64
-from tests.recovery.captures import capture
+from tests.recovery.captures import Known, capture
 from tests.recovery.generator import GEAR_MOTOR, LARGE_SERVO, PAPER, Motor, Scenario, generate, typical
 from tests.recovery.hidden import Case, judge
 
@@ -78,7 +78,7 @@ def test_a_load_is_found_where_it_is() -> None:
 def test_runs_are_of_one_length_and_spread_over_the_recording() -> None:
     made = scenario(PAPER, "multisine", 4.0)
     problem = problem_of(capture(PAPER, made))
-    q = np.array([to_coordinate(p, truth(PAPER, made)[p.name]) for p in problem.plant.parameters])
+    q = coordinates_of(problem, truth(PAPER, made))
     runs = RunSource(problem, with_all_inertia(truth(PAPER, made))).in_swings(q, LONG, 1_000)
     assert runs is not None
     assert runs.measured.shape[0] * runs.measured.shape[1] <= 1_000
@@ -106,18 +106,6 @@ def test_of_slow_reversals_the_runs_are_taken_in_which_the_load_crosses_its_gap(
     assert taken.mean() < 0.6
 
 
-@dataclass(frozen=True)
-class _Known:
-    """A model with these parameters."""
-
-    problem: Problem
-    values: Mapping[str, float]
-
-    def coordinates(self, recording: int = 0) -> F64:
-        assert recording == 0
-        return np.array([to_coordinate(p, self.values[p.name]) for p in self.problem.plant.parameters])
-
-
 def test_with_the_load_in_its_place_nothing_is_missing_but_what_is() -> None:
     """A torque that the model does not hold is seen through the play, and little beside it; an eighth of it is taken
     for how the runs begin, whose states are searched for without it."""
@@ -131,7 +119,7 @@ def test_with_the_load_in_its_place_nothing_is_missing_but_what_is() -> None:
 
 def _missing_torque(hidden: Scenario, values: Mapping[str, float]) -> F64:
     recording = capture(PAPER, hidden)
-    missing = missing_inputs(_Known(problem_of(recording), values), recording.block)
+    missing = missing_inputs(Known(problem_of(recording), values), recording.block)
     assert len(missing.stretches) > 20
     return missing.series["torque"]
 
