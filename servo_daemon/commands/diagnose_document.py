@@ -15,6 +15,7 @@ from servo_daemon.commands.fit_inputs import Inputs
 from servo_daemon.commands.fit_notes import result_notes
 from servo_daemon.commands.units import shown_column, shown_unit
 from servo_daemon.diagnosis.dependence import Dependence
+from servo_daemon.diagnosis.missing import Missing
 from servo_daemon.diagnosis.result import Diagnosis, HeldOut, NamedEffect, OwnModel, Spread
 from servo_daemon.estimators.output_error import OutputErrorFit
 from servo_daemon.plant.effects import effects_by_name, parameter_table
@@ -55,7 +56,7 @@ def diagnosis_document(d: Diagnosis, inputs: Inputs, evidence: Evidence) -> dict
         "drive": inputs.drive.name,
         "input": final.problem.plant.drive,
         "measured": [shown_column(c, linear=linear) for c in final.problem.channels],
-        "missing": _missing_rows(d, linear=linear),
+        "missing": _missing_rows(d, evidence.left, linear=linear),
         "differences": [_difference_row(s, linear=linear) for s in d.differences],
         "own_models": [_own_row(m, linear=linear) for m in d.own_models],
         "free_runs": [
@@ -155,15 +156,17 @@ def _dependence_row(x: Dependence, *, linear: bool) -> dict[str, Any]:
     }
 
 
-def _missing_rows(d: Diagnosis, *, linear: bool) -> dict[str, Any]:
-    """RMS of the missing torque and voltage over the longest capture, before and after."""
+def _missing_rows(d: Diagnosis, left: Missing | None, *, linear: bool) -> dict[str, Any]:
+    """RMS of the missing torque and voltage over the longest capture, of both models smoothed alike, and what either
+    model's motor works with."""
     rows = {}
     for series, before in d.before.series.items():
-        after = None if d.after is None else d.after.series.get(series)
+        after = None if left is None else left.series.get(series)
         rows[_series_name(series, linear=linear)] = {
             "unit": _series_unit(series, linear=linear),
             "working_rms": d.before.size.get(series),
             "before_rms": float(np.sqrt(np.mean(before**2))),
+            "after_working_rms": None if left is None else left.size.get(series),
             "after_rms": None if after is None else float(np.sqrt(np.mean(after**2))),
             "std": float(np.median(d.before.std[series])),
         }

@@ -28,31 +28,31 @@ class Evidence:
         asked: what is missing when the baseline has the motor of the extended model: what the named effects have to
             answer for. The baseline's own fit hides a part of it in bent parameters. None: nothing was named, or it
             cannot be simulated.
+        left: what is missing beside the named effects, smoothed as it was for the baseline. With its own intensities
+            an extended model that errs everywhere a little calls that noise, and what is missing comes out as nothing.
     """
 
     free_runs: tuple[tuple[Score, Score | None], ...]
     longest: int
     asked: Missing | None
+    left: Missing | None
 
 
 def gather_evidence(d: Diagnosis) -> Evidence:
     """Run the models over the captures once more."""
     runs = tuple((scored(c, d.baseline), None if d.extended is None else scored(c, d.extended)) for c in d.captures)
     longest = int(np.argmax([len(c) for c in d.captures]))
-    return Evidence(runs, longest, _asked(d, longest))
+    if d.extended is None or d.after is None:
+        return Evidence(runs, longest, None, None)
+    asked = _smoothed_alike(d, longest, d.baseline, _motor_of_extended(d, d.extended))
+    return Evidence(runs, longest, asked, _smoothed_alike(d, longest, d.extended, d.after.coordinates) or d.after)
 
 
-def _asked(d: Diagnosis, longest: int) -> Missing | None:
-    if d.extended is None:
-        return None
+def _smoothed_alike(d: Diagnosis, longest: int, fit: OutputErrorFit, coordinates: F64) -> Missing | None:
+    """What a model misses, with the baseline's intensities; None where it cannot be simulated."""
+    block, levels = d.captures[longest].block(), d.before.levels
     try:
-        return missing_inputs(
-            d.baseline,
-            d.captures[longest].block(),
-            recording=longest,
-            coordinates=_motor_of_extended(d, d.extended),
-            levels=d.before.levels,
-        )
+        return missing_inputs(fit, block, recording=longest, coordinates=coordinates, levels=levels)
     except ServoDaemonError:  # a picture less
         return None
 

@@ -43,8 +43,11 @@ class _Series:
 
     @property
     def working(self) -> str:
-        """What the motor works with, with its unit."""
-        return f"{number_text(next(iter(self.passes.values())).size[self.key], 3)} {self.unit}"
+        """What the motor works with, with its unit, of each model whose motor is another."""
+        sizes = {who: f"{number_text(m.size[self.key], 3)} {self.unit} rms" for who, m in self.passes.items()}
+        if len(set(sizes.values())) == 1:
+            return next(iter(sizes.values()))
+        return ", ".join(f"{size} ({who})" for who, size in sizes.items())
 
     @property
     def axis(self) -> Axis:
@@ -64,7 +67,7 @@ def missing_figures(d: Diagnosis, evidence: Evidence, marks: Sequence[Mark]) -> 
     """All figures of what is missing in the longest capture."""
     capture = d.captures[evidence.longest]
     linear = capture.axis == "linear"
-    extended = {} if d.after is None else {"extended": d.after}
+    extended = {} if evidence.left is None else {"extended": evidence.left}
     left_out = {"baseline": d.before} if evidence.asked is None else {"effects left out": evidence.asked}
     gap, group = 5.0 * capture.sample_period_s, str(capture.path)
     figures = list[Block]()
@@ -86,7 +89,7 @@ def _over_time(s: _Series, begin: float, gap: float, group: str, marks: Sequence
         s.passes["baseline"].time_s - begin,
         lines,
         s.axis,
-        f"The band is one standard deviation of the estimate on either side. The motor works with {s.working} rms.",
+        f"The band is one standard deviation of the estimate on either side. The motor works with {s.working}.",
         group=group,
         gap=gap,
         marks=tuple(marks),
@@ -124,7 +127,7 @@ def _over(s: _Series, x: _Quantity, m: Missing) -> Scatter:
         x.axis,
         s.axis,
         curves=tuple(c for c in curves if c is not None),
-        caption=f"The motor works with {s.working} rms. One standard deviation of a point: about {std} {s.unit}.",
+        caption=f"The motor works with {s.working}. One standard deviation of a point: about {std} {s.unit}.",
     )
 
 

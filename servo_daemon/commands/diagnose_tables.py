@@ -85,7 +85,7 @@ def effect_blocks(effect: Mapping[str, Any]) -> tuple[Block, ...]:
     ]
     blocks += [
         Verdict(
-            "neutral",
+            "warn",
             f"These data cannot tell it from {' + '.join(names)}",
             (f"To tell: {experiment(effect['name'], names)}",),
         )
@@ -122,9 +122,10 @@ def remaining_blocks(document: Mapping[str, Any]) -> tuple[Block, ...]:
     rows = tuple(
         (
             name,
-            m["working_rms"],
             m["before_rms"],
+            m["working_rms"],
             m["after_rms"],
+            m["after_working_rms"],
             m["std"],
             m["unit"],
         )
@@ -132,9 +133,10 @@ def remaining_blocks(document: Mapping[str, Any]) -> tuple[Block, ...]:
     )
     columns = (
         Column("missing", text=True),
-        Column("the motor works with", digits=3),
         Column("baseline", digits=3),
+        Column("its motor works with", digits=3),
         Column("extended", digits=3),
+        Column("its motor works with", digits=3),
         Column("std of the estimate", digits=2),
         Column("unit", text=True),
     )

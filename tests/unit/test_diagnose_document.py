@@ -9,12 +9,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from servo_daemon.captures import read_capture
 from servo_daemon.commands.diagnose_document import diagnosis_document
 from servo_daemon.commands.diagnose_evidence import Evidence, gather_evidence
 from servo_daemon.commands.diagnose_hints import experiment
+from servo_daemon.commands.diagnose_missing import missing_figures
 from servo_daemon.commands.diagnose_report import diagnosis_report
 from servo_daemon.commands.diagnose_tables import difference_sections
 from servo_daemon.commands.diagnose_text import diagnosis_lines
@@ -26,7 +28,7 @@ from servo_daemon.diagnosis.dependence import Dependence
 from servo_daemon.diagnosis.diagnose import diagnose
 from servo_daemon.diagnosis.result import Diagnosis, NamedEffect, OwnModel, Spread
 from servo_daemon.plant.effects import effects_by_name, parameter_table
-from servo_daemon.report import Report, make_provenance, render_report
+from servo_daemon.report import Report, TimeSeries, make_provenance, render_report
 from tests.unit.commands import run_command
 
 KEYS = {
@@ -84,7 +86,7 @@ def _unexplained(d: Diagnosis) -> Diagnosis:
 
 
 def _without_extension(e: Evidence) -> Evidence:
-    return replace(e, free_runs=tuple((before, None) for before, _ in e.free_runs), asked=None)
+    return replace(e, free_runs=tuple((before, None) for before, _ in e.free_runs), asked=None, left=None)
 
 
 def test_found_has_every_key_of_the_contract(found: tuple[Diagnosis, Evidence]) -> None:
@@ -110,6 +112,32 @@ def test_found_has_every_key_of_the_contract(found: tuple[Diagnosis, Evidence]) 
     assert document["gain"].keys() == {"error_removed", "ci95"}
     assert all(c.keys() >= {"name", "heldout_nrmse", "delta_bic"} for c in document["candidates"])
     assert document["remaining"].keys() >= {"white", "depends_on"}
+
+
+def test_what_is_left_is_smoothed_like_what_was_missing(found: tuple[Diagnosis, Evidence]) -> None:
+    """By its own intensities a model that errs a little everywhere misses nothing at all."""
+    d, evidence = found
+    assert d.after is not None
+    assert evidence.left is not None
+    calm = replace(d, after=replace(d.after, series={name: 0.0 * x for name, x in d.after.series.items()}))
+    again = gather_evidence(calm)
+    assert again.left is not None
+    assert again.left.levels == d.before.levels
+    (row,) = [document_of(calm, again)["missing"][name] for name in ("torque",)]
+    assert 0 < row["after_rms"] < 0.5 * row["before_rms"]
+    assert row["after_rms"] == pytest.approx(float(np.sqrt(np.mean(again.left.series["torque"] ** 2))))
+
+
+def test_captions_say_which_models_motor_works_with_how_much(found: tuple[Diagnosis, Evidence]) -> None:
+    d, evidence = found
+    assert evidence.left is not None
+    for factor, words in ((2.0, ["(baseline)", "(extended)"]), (1.0, [])):
+        left = replace(evidence.left, size={name: factor * size for name, size in d.before.size.items()})
+        figures = missing_figures(d, replace(evidence, left=left), ())
+        captions = [f.caption for f in figures if isinstance(f, TimeSeries)]
+        assert captions
+        for caption in captions:
+            assert [word for word in ("(baseline)", "(extended)") if word in caption] == words
 
 
 def test_none_has_neither_gain_nor_extended_model(found: tuple[Diagnosis, Evidence]) -> None:
