@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from servo_daemon.diagnosis.missing import Missing, missing_inputs
+from servo_daemon.diagnosis.missing import Missing, NoiseLevels, missing_inputs
 from servo_daemon.diagnosis.result import Diagnosis
 from servo_daemon.errors import ServoDaemonError
 from servo_daemon.estimators.base import to_coordinate
@@ -15,6 +15,9 @@ from servo_daemon.estimators.output_error import OutputErrorFit
 from servo_daemon.estimators.output_error.score import Score
 from servo_daemon.identification.validate import natural_values, scored
 from servo_daemon.samples import F64
+
+#: Working torques (voltages) are alike within this factor.
+_ANOTHER = 1.5
 
 
 @dataclass(frozen=True)
@@ -28,8 +31,8 @@ class Evidence:
         asked: what is missing when the baseline has the motor of the extended model: what the named effects have to
             answer for. The baseline's own fit hides a part of it in bent parameters. None: nothing was named, or it
             cannot be simulated.
-        left: what is missing beside the named effects, smoothed as it was for the baseline. With its own intensities
-            an extended model that errs everywhere a little calls that noise, and what is missing comes out as nothing.
+        left: what is missing beside the named effects, smoothed like `asked`. With intensities of its own a model that
+            errs everywhere a little calls that noise, and what is missing comes out as nothing.
     """
 
     free_runs: tuple[tuple[Score, Score | None], ...]
@@ -44,17 +47,30 @@ def gather_evidence(d: Diagnosis) -> Evidence:
     longest = int(np.argmax([len(c) for c in d.captures]))
     if d.extended is None or d.after is None:
         return Evidence(runs, longest, None, None)
-    asked = _smoothed_alike(d, longest, d.baseline, _motor_of_extended(d, d.extended))
-    return Evidence(runs, longest, asked, _smoothed_alike(d, longest, d.extended, d.after.coordinates) or d.after)
+    asked = _smoothed(d, longest, d.baseline, _motor_of_extended(d, d.extended), _intensities(d, d.after))
+    if asked is None:
+        return Evidence(runs, longest, None, d.after)
+    left = _smoothed(d, longest, d.extended, d.after.coordinates, asked.levels)
+    return Evidence(runs, longest, asked, left or d.after)
 
 
-def _smoothed_alike(d: Diagnosis, longest: int, fit: OutputErrorFit, coordinates: F64) -> Missing | None:
-    """What a model misses, with the baseline's intensities; None where it cannot be simulated."""
-    block, levels = d.captures[longest].block(), d.before.levels
+def _smoothed(
+    d: Diagnosis, longest: int, fit: OutputErrorFit, coordinates: F64, levels: NoiseLevels | None
+) -> Missing | None:
+    """What a model misses; None where it cannot be simulated."""
     try:
-        return missing_inputs(fit, block, recording=longest, coordinates=coordinates, levels=levels)
+        return missing_inputs(
+            fit, d.captures[longest].block(), recording=longest, coordinates=coordinates, levels=levels
+        )
     except ServoDaemonError:  # a picture less
         return None
+
+
+def _intensities(d: Diagnosis, after: Missing) -> NoiseLevels | None:
+    """The baseline's, unless the extended model's motor works with quite another torque: where no current is measured
+    a fit's torques may be of any size, and intensities are torques. None: to be found anew."""
+    alike = all(1 / _ANOTHER < after.size[name] / size < _ANOTHER for name, size in d.before.size.items())
+    return d.before.levels if alike else None
 
 
 def _motor_of_extended(d: Diagnosis, extended: OutputErrorFit) -> F64:

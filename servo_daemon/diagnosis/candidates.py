@@ -17,6 +17,8 @@ from servo_daemon.plant.effects.cogging_torque import HARMONICS
 MOST_FITTED, WORTH_A_FIT, WORTH_A_PAIR = 6, 0.2, 0.1
 #: A motor is started from both ends where screening moves one of its parameters by more, in logarithms.
 _FAR = 0.5
+#: Of the winding's time constant so much is left to it where a late sensor is supposed to be the rest.
+_LEFT_TO_L = 0.2
 #: Of the proposals so many are tried in pairs.
 _IN_PAIRS = 4
 #: simpler → what contains it.
@@ -119,7 +121,7 @@ def _start(s: ScreenedCandidate, name: str, effects: Sequence[str], present: Map
     return start
 
 
-def pairs(proposed: Sequence[Proposal]) -> tuple[Proposal, ...]:
+def pairs(proposed: Sequence[Proposal], channels: Collection[str]) -> tuple[Proposal, ...]:
     """Two of the most promising at once: what hides each other (dry friction seen through an eccentric encoder) helps
     neither alone. And a dry friction with what only scales it, which is no model by itself."""
     out = []
@@ -132,21 +134,47 @@ def pairs(proposed: Sequence[Proposal]) -> tuple[Proposal, ...]:
                 out.append(Proposal(f"{first.name} + {second.name}", effects, start, other, far))
     friction = next((p for p in proposed if p.name == "coulomb_friction"), None)
     if friction is not None:
-        scaled = scaled_friction(friction.effects, friction.start, friction.other)
+        scaled = scaled_friction(friction.effects, channels, friction.start, friction.other)
         out += [replace(p, name=f"{friction.name} + {p.name}", far=friction.far) for p in scaled]
     return tuple(out)
 
 
 def scaled_friction(
-    present: tuple[str, ...], start: Mapping[str, float], other: Mapping[str, float]
+    present: tuple[str, ...], channels: Collection[str], start: Mapping[str, float], other: Mapping[str, float]
 ) -> Iterator[Proposal]:
     """A model's dry friction with each effect that makes it more or less of itself, beginning at nothing: free runs
-    that stick where the shaft slides show screening little of it."""
+    that stick where the shaft slides show screening little of it. Where along the travel a run begins must be measured.
+    """
     for effect in effects_by_name().values():
         effects = (*present, effect.name)
+        if effect.name == "position_dependent_friction" and "position_rad" not in channels:
+            continue
         if effect.scales_friction and effect.name not in present and model_exists(effects):
             nothing = {p.name: p.nominal for p in effect.parameters}
             yield Proposal(effect.name, effects, {**nothing, **start}, {**nothing, **other}, far=False)
+
+
+def late_without_current(current: Trial) -> Iterator[Proposal]:
+    """Each late sensor and a lag of the drive, beginning where the fitted L/R would be theirs.
+
+    Without a current nothing else tells a dead time from the winding's time constant, which is in the model before it:
+    what is left then passes as noise of the sensor, since it lasts a sample or two, and screening sees none of it.
+    """
+    channels = current.problem.channels
+    if current.problem.plant.drive != "voltage" or "current_A" in channels:
+        return
+    known, values = effects_by_name(), current.values
+    period_s = current.problem.sample_period_s
+    late_s = max(values["L"] / values["R"], period_s / 2)
+    winding = {**values, "L": _LEFT_TO_L * late_s * values["R"]} if "L" in current.problem.free else dict(values)
+    choices = known["measurement_delay"].parameters[1].choices
+    for name, more in (
+        *(("measurement_delay", {"t_d": late_s, "channel": float(choices.index(c))}) for c in channels),
+        ("drive_lag", {"t_lag": late_s}),
+    ):
+        if name not in current.effects and (effects := extended(current.effects, name)) is not None:
+            nothing = {p.name: p.nominal for p in known[name].parameters}
+            yield Proposal(name, effects, {**winding, **more}, {**values, **nothing, **more}, far=True)
 
 
 def _far(value: float, before: float) -> bool:

@@ -105,7 +105,7 @@ def _moments(name: str, missing: Missing) -> list[Dependence]:
     largest = energy >= np.quantile(energy, 1.0 - _FEW)
     share = float(energy[largest].sum() / max(float(energy.sum()), 1e-300))
     rms = float(np.sqrt(np.mean(energy[largest])))
-    if share < _HELD_BY_FEW or np.abs(series / std).max() < _BEYOND_NOISE or rms < _MOMENT_SIZE * size:
+    if share < _HELD_BY_FEW or (np.abs(series) < _BEYOND_NOISE * std).all() or rms < _MOMENT_SIZE * size:
         return []
     k = int(np.argmax(energy))
     return [Dependence(name, "moments", share, rms, rms / size, {"time_s": float(missing.time_s[k])})]

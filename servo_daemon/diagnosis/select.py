@@ -17,6 +17,7 @@ from servo_daemon.diagnosis.candidates import (
     WORTH_A_PAIR,
     Proposal,
     as_simpler,
+    late_without_current,
     pairs,
     proposals,
     scaled_friction,
@@ -136,15 +137,8 @@ def _round(search: _Search, missing: Missing, progress: Progress, workers: int) 
     found = _against_the_best_chance(search, _worthy(search, missing, proposed, workers))
     if is_placed(current.fitted):  # what is left is how the load went on within the runs
         return found
-    if found[2] is None and (_promised(screened) > _PROMISING or current.independent < COLOURED):
-        # It is not noise that is left. Screening is linear in what may be far from it, and what it sees depends on what
-        # it took for noise: what it thought little of gets a fit as well.
-        rest = {p.name: p for p in scaled_friction(current.effects, current.values, current.values)}
-        rest |= {p.name: p for p in proposals(current, screened, missing, 0.0)}
-        rest = {name: p for name, p in rest.items() if name not in {q.name for q in proposed}}
-        more = tuple(
-            c for c in _worthy(search, missing, [*rest.values()], workers) if speaks_against_screening(c.against)
-        )
+    if found[2] is None and (rest := _thought_little_of(current, screened, missing, proposed)):
+        more = tuple(c for c in _worthy(search, missing, rest, workers) if speaks_against_screening(c.against))
         found = _against_the_best_chance(search, (*more, *found[1]))
     promised = _promised(s for s in screened if s.effect in _UNSTABLE)
     broken = promised > _PROMISING and not _kept_promise(found, missing, promised)
@@ -155,10 +149,28 @@ def _round(search: _Search, missing: Missing, progress: Progress, workers: int) 
     if best is not None or _promised(screened) <= _PROMISING:
         return found
     progress(0.3, "two causes at once")
-    proposed = pairs(proposals(search.current, screened, missing, WORTH_A_PAIR))
+    proposed = pairs(proposals(search.current, screened, missing, WORTH_A_PAIR), missing.augmented.channels)
     two = fitted(search.data, search.current, proposed, workers)
     two = tuple(c for c in two if worth_a_name(c.trial, search.current, search.base))
     return search, (*two, *candidates), best_of(two)
+
+
+def _thought_little_of(
+    current: Trial, screened: Sequence[ScreenedCandidate], missing: Missing, proposed: Sequence[Proposal]
+) -> list[Proposal]:
+    """What gets a fit although screening saw little of it. If it is not noise that is left, everything: screening is
+    linear in what may be far from it, and what it sees depends on what it took for noise. What is late, where no
+    current is measured, whatever is left."""
+    rest: list[Proposal] = []
+    if _promised(screened) > _PROMISING or current.independent < COLOURED:
+        by_name = {
+            p.name: p
+            for p in scaled_friction(current.effects, current.problem.channels, current.values, current.values)
+        }
+        by_name |= {p.name: p for p in proposals(current, screened, missing, 0.0)}
+        rest = [*by_name.values()]
+    rest += late_without_current(current)
+    return [p for p in rest if p.name not in {q.name for q in proposed}]
 
 
 def _worthy(search: _Search, missing: Missing, proposed: Sequence[Proposal], workers: int) -> tuple[Candidate, ...]:

@@ -59,6 +59,8 @@ def _stribeck(c: Context) -> Iterator[Basis]:
 
 
 def _along_travel(c: Context) -> Iterator[Basis]:
+    if "position_rad" not in c.channels:  # where a run begins along the travel nobody knows
+        return
     theta, Tc = c.motion.theta, c.motion.p.get("Tc", 0.0)
 
     def start(b: F64) -> dict[str, float] | None:

@@ -128,6 +128,18 @@ def test_what_is_left_is_smoothed_like_what_was_missing(found: tuple[Diagnosis, 
     assert row["after_rms"] == pytest.approx(float(np.sqrt(np.mean(again.left.series["torque"] ** 2))))
 
 
+def test_intensities_are_those_of_a_motor_of_that_size(found: tuple[Diagnosis, Evidence]) -> None:
+    """Without a current two fits may have torques of any size."""
+    d, _ = found
+    assert d.after is not None
+    weak = replace(d, after=replace(d.after, size={name: 0.1 * size for name, size in d.after.size.items()}))
+    again = gather_evidence(weak)
+    assert again.asked is not None
+    assert again.left is not None
+    assert again.asked.levels != d.before.levels
+    assert again.left.levels == again.asked.levels
+
+
 def test_captions_say_which_models_motor_works_with_how_much(found: tuple[Diagnosis, Evidence]) -> None:
     d, evidence = found
     assert evidence.left is not None

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from servo_daemon.errors import NumericalError
+from servo_daemon.errors import BadInputError, NumericalError
 from servo_daemon.estimators.base import natural_values
 from servo_daemon.estimators.output_error.combinations import (
     Combination,
@@ -31,7 +31,14 @@ from servo_daemon.estimators.output_error.parameters import (
 from servo_daemon.estimators.output_error.polish import Polished
 from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.output_error.residual import ResidualTest, residual_tests
-from servo_daemon.estimators.output_error.setup import Recording, carrying, current_size, make_problem
+from servo_daemon.estimators.output_error.setup import (
+    Recording,
+    carrying,
+    choose_signals,
+    common_channels,
+    current_size,
+    make_problem,
+)
 from servo_daemon.estimators.output_error.solver import Iteration, Point, Solution, solve
 from servo_daemon.estimators.output_error.starts import Start, coordinates, sizes, starting_points, torque_size
 from servo_daemon.plant.effects import effects_by_name
@@ -178,7 +185,7 @@ def fit_output_error(
     """
     options = options or FitOptions()
     began = time.perf_counter()
-    choices = {p.name: options.nominal.get(p.name, p.nominal) for p in _choices(effects)}
+    choices = _choices(effects, {**options.nominal, **options.fixed}, choose_signals(common_channels(recordings))[1])
     options = replace(options, fixed={**choices, **options.fixed})
     problem = make_problem(recordings, effects, options.fixed, segment_s=options.segment_s)
     if not options.thorough:
@@ -225,10 +232,21 @@ def fit_output_error(
     )
 
 
-def _choices(effects: Sequence[str]) -> list[Parameter]:
-    """Parameters of these effects that are no numbers."""
-    known = effects_by_name()
-    return [p for name in effects if name in known for p in known[name].parameters if p.held == "always"]
+def _choices(effects: Sequence[str], given: Mapping[str, float], measured: Sequence[str]) -> dict[str, float]:
+    """Parameters of these effects that are no numbers: as given, else the usual ones, of channels a measured one.
+
+    Raises:
+        BadInputError: a channel that is not measured was given.
+    """
+    known, out = effects_by_name(), dict[str, float]()
+    for p in (p for name in effects if name in known for p in known[name].parameters if p.held == "always"):
+        channels = [k for k, choice in enumerate(p.choices) if choice in measured]
+        usual = p.nominal if not channels or p.nominal in channels else float(channels[0])
+        out[p.name] = given.get(p.name, usual)
+        if channels and out[p.name] in range(len(p.choices)) and out[p.name] not in channels:
+            named = " or ".join(p.choices[k] for k in channels)
+            raise BadInputError(f"{p.name} = {p.choices[int(out[p.name])]} is not measured here, but {named}")
+    return out
 
 
 def _search(problem: Problem, starts: Sequence[Start], options: FitOptions) -> tuple[Solution, Start]:

@@ -23,8 +23,9 @@ from servo_daemon.samples import F64
 _RANK = 1e-7
 #: A direction along which the data leave more than a factor of e (1 σ) is not determined.
 _UNKNOWN = 1.0
-#: Components smaller than this have no part in a null direction; exact ones are clean to rounding.
-_COMPONENT = 1e-6
+#: Components smaller than this have no part in a null direction, nor do those that move a parameter by less than this
+#: share of its own 1 σ: a direction that the data show at 1e-8 of the others (L held at nearly nothing) is not clean.
+_COMPONENT, _OF_ITS_STD = 1e-6, 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +82,7 @@ def information(problem: Problem, point: Point, scale: F64) -> Information:
         spread = np.where(exact, 0.0, 1.0 / np.where(exact, 1.0, s))
     root = (directions.T * spread)[:, ~exact]
     std = np.linalg.norm(root, axis=1)
-    lost = (np.abs(directions[exact]) > _COMPONENT).any(axis=0) if exact.any() else np.zeros(len(names), dtype=bool)
+    lost = (np.abs(directions[exact]) > np.maximum(_COMPONENT, _OF_ITS_STD * std)).any(axis=0)
     null = [
         NullDirection(_components(names, v), bool(e))
         for v, e, d in zip(directions, exact, spread, strict=True)

@@ -1,0 +1,83 @@
+"""A sensor late by less than a sample, where no current is measured: it hides in the winding's time constant."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from servo_daemon.captures import read_capture
+from servo_daemon.diagnosis.diagnose import diagnose
+from servo_daemon.diagnosis.result import Diagnosis
+from servo_daemon.errors import BadInputError
+from servo_daemon.estimators.output_error import FitOptions, Recording, fit_output_error
+from servo_daemon.samples import make_block
+from tests.recovery.generator import GEAR_MOTOR, EffectValues, Plan, Scenario, generate
+from tests.recovery.generator import Recording as Made
+
+_RATE_HZ, _SECONDS, _HELD_S = 50.0, 60.0, 0.1
+_LATE_S = 0.015
+_DRY = {"coulomb_friction": {"Tc": 0.1 * GEAR_MOTOR.K * GEAR_MOTOR.rated_current_A}}
+_LATE = {"measurement_delay": {"t_d": _LATE_S, "channel": "position_rad"}}
+
+
+def recorded(effects: Mapping[str, EffectValues]) -> Made:
+    """Steps of voltage at random, every 0.1 s."""
+    n, held = round(_SECONDS * _RATE_HZ), round(_HELD_S * _RATE_HZ)
+    shares = np.random.default_rng(1).choice([-0.4, -0.2, 0.2, 0.4], size=n // held)
+    voltage = np.repeat(shares, held) * GEAR_MOTOR.supply_V
+    return generate(GEAR_MOTOR, Scenario(Plan("voltage", voltage), _SECONDS, _RATE_HZ, effects=effects, seed=1))
+
+
+def diagnosed(effects: Mapping[str, EffectValues], folder: Path) -> Diagnosis:
+    made, path = recorded(effects), folder / "capture.csv"
+    rows = np.column_stack([made.time_s, made.voltage_V, made.position_rad])
+    np.savetxt(path, rows, delimiter=",", header="time_s,voltage_V,position_rad", comments="", fmt="%.12g")
+    return diagnose([read_capture(path)])
+
+
+@pytest.mark.slow
+def test_a_late_angle_is_named_beside_dry_friction(tmp_path: Path) -> None:
+    found = diagnosed(_DRY | _LATE, tmp_path)
+    assert [e.name for e in found.effects] == ["coulomb_friction", "measurement_delay"]
+    late = found.final.parameters["t_d"]
+    assert late.value is not None
+    assert late.std is not None
+    # What is free beside it is L/R (0.6 ms): the two together are what the capture shows.
+    assert abs(late.value - _LATE_S) < 3 * late.std + GEAR_MOTOR.L / GEAR_MOTOR.R
+    assert late.std < 0.05 * _LATE_S
+
+
+@pytest.mark.parametrize(
+    ("effects", "names"), [({}, []), (_DRY, ["coulomb_friction"])], ids=["nothing", "dry friction"]
+)
+def test_nothing_is_late_where_nothing_is(
+    effects: Mapping[str, EffectValues], names: list[str], tmp_path: Path
+) -> None:
+    assert [e.name for e in diagnosed(effects, tmp_path).effects] == names
+
+
+def test_how_late_is_known_where_nothing_else_is() -> None:
+    """With L held at nearly nothing a direction of the motor is not quite without a trace: what it moves by a
+    hundred-thousandth is known all the same. The channel is the one that is measured."""
+    made = recorded(_LATE)
+    block = make_block(made.time_s, voltage_V=made.voltage_V, position_rad=made.position_rad)
+    fit = fit_output_error(
+        [Recording("capture", block)], ("measurement_delay",), FitOptions(fixed={"L": 1e-6}, nominal={"t_d": 0.01})
+    )
+    assert fit.parameters["R"].status == fit.parameters["J"].status == "undetermined"
+    late = fit.parameters["t_d"]
+    assert late.status == "estimated"
+    assert late.value == pytest.approx(_LATE_S + GEAR_MOTOR.L / GEAR_MOTOR.R, rel=0.05)
+
+
+def test_the_late_channel_is_one_that_is_measured() -> None:
+    made = recorded(_LATE)
+    speed = np.gradient(made.position_rad, made.time_s)
+    recordings = [Recording("capture", make_block(made.time_s, voltage_V=made.voltage_V, velocity_rad_s=speed))]
+    fit = fit_output_error(recordings, ("measurement_delay",), FitOptions(nominal={"t_d": 0.01}))
+    assert fit.parameters["channel"].value == 2.0
+    with pytest.raises(BadInputError, match="channel = position_rad is not measured here, but velocity_rad_s"):
+        fit_output_error(recordings, ("measurement_delay",), FitOptions(fixed={"channel": 1.0}))
