@@ -11,6 +11,7 @@ from servo_daemon.diagnosis.screen import ScreenedCandidate
 from servo_daemon.diagnosis.trial import Trial, model_exists
 from servo_daemon.estimators.base import natural_values
 from servo_daemon.plant.effects import effects_by_name
+from servo_daemon.plant.effects.base import LATE_STEPS
 from servo_daemon.plant.effects.cogging_torque import HARMONICS
 
 #: Of the screened candidates so many are fitted in each round, if they explain this share of what the best does.
@@ -163,18 +164,18 @@ def late_without_current(current: Trial) -> Iterator[Proposal]:
     channels = current.problem.channels
     if current.problem.plant.drive != "voltage" or "current_A" in channels:
         return
-    known, values = effects_by_name(), current.values
-    period_s = current.problem.sample_period_s
-    late_s = max(values["L"] / values["R"], period_s / 2)
-    winding = {**values, "L": _LEFT_TO_L * late_s * values["R"]} if "L" in current.problem.free else dict(values)
+    known, values, period_s = effects_by_name(), current.values, current.problem.sample_period_s
+    taken_s = max(values["L"] / values["R"], period_s / 2)
+    seen_s = min(taken_s, (LATE_STEPS - 1) * period_s)
     choices = known["measurement_delay"].parameters[1].choices
-    for name, more in (
-        *(("measurement_delay", {"t_d": late_s, "channel": float(choices.index(c))}) for c in channels),
-        ("drive_lag", {"t_lag": late_s}),
-    ):
-        if name not in current.effects and (effects := extended(current.effects, name)) is not None:
-            nothing = {p.name: p.nominal for p in known[name].parameters}
-            yield Proposal(name, effects, {**winding, **more}, {**values, **nothing, **more}, far=True)
+    late = [{"t_d": seen_s, "channel": float(choices.index(c))} for c in channels]
+    for name, more in (*(("measurement_delay", m) for m in late), ("drive_lag", {"t_lag": taken_s})):
+        effects = None if name in current.effects else extended(current.effects, name)
+        if effects is None:
+            continue
+        left_s = max(taken_s - next(iter(more.values())), _LEFT_TO_L * taken_s)
+        winding = {"L": left_s * values["R"]} if "L" in current.problem.free else {}
+        yield Proposal(name, effects, {**values, **more, **winding}, {**values, **more}, far=True)
 
 
 def _far(value: float, before: float) -> bool:

@@ -161,16 +161,12 @@ def _thought_little_of(
     """What gets a fit although screening saw little of it. If it is not noise that is left, everything: screening is
     linear in what may be far from it, and what it sees depends on what it took for noise. What is late, where no
     current is measured, whatever is left."""
-    rest: list[Proposal] = []
+    late, rest = [*late_without_current(current)], dict[str, Proposal]()
     if _promised(screened) > _PROMISING or current.independent < COLOURED:
-        by_name = {
-            p.name: p
-            for p in scaled_friction(current.effects, current.problem.channels, current.values, current.values)
-        }
-        by_name |= {p.name: p for p in proposals(current, screened, missing, 0.0)}
-        rest = [*by_name.values()]
-    rest += late_without_current(current)
-    return [p for p in rest if p.name not in {q.name for q in proposed}]
+        scaled = scaled_friction(current.effects, current.problem.channels, current.values, current.values)
+        rest = {p.name: p for p in (*scaled, *proposals(current, screened, missing, 0.0))}
+    others = [p for p in rest.values() if p.name not in {q.name for q in late}]
+    return [p for p in (*others, *late) if p.name not in {q.name for q in proposed}]
 
 
 def _worthy(search: _Search, missing: Missing, proposed: Sequence[Proposal], workers: int) -> tuple[Candidate, ...]:
