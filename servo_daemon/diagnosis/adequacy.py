@@ -87,6 +87,11 @@ def believed(selection: Selection, whole_fits: WholeFits) -> Believed:
         if better is not extended:
             extended, missing, depends = better, longest_missing(data, better), ()
         return Believed(selection, over_a_gap(data, extended, selection.chosen.values), missing, depends)
+    return nothing_believed(selection)
+
+
+def nothing_believed(selection: Selection) -> Believed:
+    """A search of which no name remains."""
     return Believed(replace(selection, chosen=selection.base, added=(), equivalent={}), None, None, ())
 
 

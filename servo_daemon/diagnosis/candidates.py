@@ -77,14 +77,15 @@ def proposals(
     worth: float = WORTH_A_FIT,
     given: Collection[str] = (),
 ) -> tuple[Proposal, ...]:
-    """The models of one round, the most promising first.
+    """The models of one round, the most promising first. Where no current is measured dry friction is one of them: the
+    linear motor bends R and K around it until it looks like a spring in the shaft.
 
     Args:
         worth: share of what the best explains that a cause must explain.
         given: parameters that the user holds. Who gives the weight of an arm has one: that cause is fitted, whatever
             screening sees of it beside a bent motor.
     """
-    known = effects_by_name()
+    known, hidden = effects_by_name(), has_no_current(current)
     values = natural_values(missing.augmented.plant.parameters, missing.coordinates)
     best = max((s.heldout_share for s in screened), default=0.0)
     out: list[Proposal] = []
@@ -93,11 +94,11 @@ def proposals(
         effects = extended(current.effects, name)
         if name not in known or effects is None:
             continue
-        held = any(p.name in given for p in known[name].parameters)
-        if s.heldout_share <= 0 and not held:
+        certain = any(p.name in given for p in known[name].parameters) or (hidden and s.effect == "coulomb_friction")
+        if s.heldout_share <= 0 and not certain:
             continue
         simpler = any(s.effect == small and p.name in large for small, large in NESTED.items() for p in out)
-        if (s.heldout_share < worth * best or len(out) >= MOST_FITTED) and not (simpler or held):
+        if (s.heldout_share < worth * best or len(out) >= MOST_FITTED) and not (simpler or certain):
             continue
         start = _start(s, name, effects, {n: values.get(n, v) for n, v in current.values.items()})
         far = any(_far(v, current.values[n]) for n, v in s.motor.items() if n in current.values)
@@ -155,15 +156,20 @@ def scaled_friction(
             yield Proposal(effect.name, effects, {**nothing, **start}, {**nothing, **other}, far=False)
 
 
+def has_no_current(trial: Trial) -> bool:
+    """Whether the voltage drives it and no current is measured: nothing then tells the winding from the shaft."""
+    return trial.problem.plant.drive == "voltage" and "current_A" not in trial.problem.channels
+
+
 def late_without_current(current: Trial) -> Iterator[Proposal]:
     """Each late sensor and a lag of the drive, beginning where the fitted L/R would be theirs.
 
     Without a current nothing else tells a dead time from the winding's time constant, which is in the model before it:
     what is left then passes as noise of the sensor, since it lasts a sample or two, and screening sees none of it.
     """
-    channels = current.problem.channels
-    if current.problem.plant.drive != "voltage" or "current_A" in channels:
+    if not has_no_current(current):
         return
+    channels = current.problem.channels
     known, values, period_s = effects_by_name(), current.values, current.problem.sample_period_s
     taken_s = max(values["L"] / values["R"], period_s / 2)
     seen_s = min(taken_s, (LATE_STEPS - 1) * period_s)

@@ -11,7 +11,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from servo_daemon.captures import Capture
-from servo_daemon.diagnosis.adequacy import Believed, believed
+from servo_daemon.diagnosis.adequacy import Believed, believed, nothing_believed
 from servo_daemon.diagnosis.compare import error_removed
 from servo_daemon.diagnosis.dependence import dependences, is_large
 from servo_daemon.diagnosis.differences import differences
@@ -96,9 +96,13 @@ def _by_free_runs(
     captures: Sequence[Capture], data: Data, belief: Believed, baseline: OutputErrorFit, progress: Progress
 ) -> Diagnosis:
     """What the search came to, scored; `validation` and `seconds` are yet to come."""
-    selection, final = belief.selection, belief.extended or baseline
     progress(0.0, "scoring on what was held out")
     outcome = _outcome(belief)
+    if outcome.removed is not None and outcome.removed <= 0.0:
+        # What fit and choice have seen speaks for it, what nothing has seen against it: a name needs both.
+        belief = nothing_believed(belief.selection)
+        outcome = _outcome(belief)
+    selection, final = belief.selection, belief.extended or baseline
     progress(0.33, "what is left")
     before = longest_missing(data, baseline)
     depends, remains = belief.depends_on, bool(belief.depends_on)

@@ -152,6 +152,17 @@ def test_captions_say_which_models_motor_works_with_how_much(found: tuple[Diagno
             assert [word for word in ("(baseline)", "(extended)") if word in caption] == words
 
 
+def test_what_makes_unseen_data_worse_gets_no_name(
+    found: tuple[Diagnosis, Evidence], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    d, _ = found
+    monkeypatch.setattr("servo_daemon.diagnosis.diagnose.error_removed", lambda *_: (-0.1, (-0.4, 0.2)))
+    refused = diagnose(d.captures)
+    assert refused.verdict == "unexplained"
+    assert refused.effects == ()
+    assert refused.extended is refused.error_removed is None
+
+
 def test_none_has_neither_gain_nor_extended_model(found: tuple[Diagnosis, Evidence]) -> None:
     d, evidence = found
     document = document_of(_nothing(d), _without_extension(evidence))

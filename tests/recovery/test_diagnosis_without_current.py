@@ -1,4 +1,5 @@
-"""A sensor late by less than a sample, where no current is measured: it hides in the winding's time constant."""
+"""Causes that hide where no current is measured: a sensor late by less than a sample in the winding's time constant,
+dry friction in R and K."""
 
 from __future__ import annotations
 
@@ -8,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from servo_daemon.captures import read_capture
+from servo_daemon.captures import Capture, read_capture
 from servo_daemon.diagnosis.diagnose import diagnose
 from servo_daemon.diagnosis.result import Diagnosis
 from servo_daemon.errors import BadInputError
 from servo_daemon.estimators.output_error import FitOptions, Recording, fit_output_error
 from servo_daemon.samples import make_block
-from tests.recovery.generator import GEAR_MOTOR, EffectValues, Plan, Scenario, generate
+from tests.recovery.generator import GEAR_MOTOR, RE40, EffectValues, Motor, Plan, Scenario, generate
 from tests.recovery.generator import Recording as Made
 
 _RATE_HZ, _SECONDS, _HELD_S = 50.0, 60.0, 0.1
@@ -32,10 +33,14 @@ def recorded(effects: Mapping[str, EffectValues]) -> Made:
 
 
 def diagnosed(effects: Mapping[str, EffectValues], folder: Path) -> Diagnosis:
-    made, path = recorded(effects), folder / "capture.csv"
-    rows = np.column_stack([made.time_s, made.voltage_V, made.position_rad])
+    return diagnose([written(recorded(effects), folder)])
+
+
+def written(made: Made, folder: Path) -> Capture:
+    """Voltage and angle of it, as a capture."""
+    rows, path = np.column_stack([made.time_s, made.voltage_V, made.position_rad]), folder / "capture.csv"
     np.savetxt(path, rows, delimiter=",", header="time_s,voltage_V,position_rad", comments="", fmt="%.12g")
-    return diagnose([read_capture(path)])
+    return read_capture(path)
 
 
 @pytest.mark.slow
@@ -57,6 +62,16 @@ def test_nothing_is_late_where_nothing_is(
     effects: Mapping[str, EffectValues], names: list[str], tmp_path: Path
 ) -> None:
     assert [e.name for e in diagnosed(effects, tmp_path).effects] == names
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("motor", [GEAR_MOTOR, RE40], ids=lambda m: m.name)
+def test_dry_friction_in_a_position_servo_is_no_spring(motor: Motor, tmp_path: Path) -> None:
+    """The linear motor bends R and K around it until what is left looks like a spring in the shaft."""
+    dry = {"coulomb_friction": {"Tc": 0.1 * motor.K * motor.rated_current_A}}
+    made = generate(motor, Scenario("pick_and_place", seconds=20.0, effects=dry, seed=902))
+    found = diagnose([written(made, tmp_path)])
+    assert [e.name for e in found.effects] == ["coulomb_friction"]
 
 
 def test_how_late_is_known_where_nothing_else_is() -> None:
