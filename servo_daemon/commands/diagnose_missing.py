@@ -69,6 +69,8 @@ def missing_figures(d: Diagnosis, evidence: Evidence, marks: Sequence[Mark]) -> 
     linear = capture.axis == "linear"
     extended = {} if evidence.left is None else {"extended": evidence.left}
     left_out = {"baseline": d.before} if evidence.asked is None else {"effects left out": evidence.asked}
+    # Where no current is measured the baseline's is that of a bent motor.
+    motor = evidence.asked or d.before
     gap, group = 5.0 * capture.sample_period_s, str(capture.path)
     figures = list[Block]()
     for key in d.before.series:
@@ -77,7 +79,7 @@ def missing_figures(d: Diagnosis, evidence: Evidence, marks: Sequence[Mark]) -> 
         fitted = _Series(name, key, unit, {"baseline": d.before} | extended)
         shaped = _Series(name, key, unit, left_out | extended)
         figures.append(_over_time(fitted, capture.time_s[0], gap, group, marks))
-        figures += [_over(shaped, x, d.before) for x in _quantities(d.before, linear=linear)]
+        figures += [_over(shaped, x, motor) for x in _quantities(motor, linear=linear)]
         figures += _spectrum(fitted)
     return tuple(figures)
 
