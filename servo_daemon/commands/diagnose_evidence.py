@@ -47,30 +47,52 @@ def gather_evidence(d: Diagnosis) -> Evidence:
     longest = int(np.argmax([len(c) for c in d.captures]))
     if d.extended is None or d.after is None:
         return Evidence(runs, longest, None, None)
-    asked = _smoothed(d, longest, d.baseline, _motor_of_extended(d, d.extended), _intensities(d, d.after))
-    if asked is None:
+    motor = _motor_of_extended(d, d.extended)
+    levels = _intensities(d, d.after, motor, longest)
+    if levels is None:
         return Evidence(runs, longest, None, d.after)
-    left = _smoothed(d, longest, d.extended, d.after.coordinates, asked.levels)
-    return Evidence(runs, longest, asked, left or d.after)
+    asked = _smoothed(d, longest, d.baseline, motor, levels)
+    return Evidence(runs, longest, asked, _smoothed(d, longest, d.extended, d.after.coordinates, levels) or d.after)
+
+
+def has_other_torques(d: Diagnosis, evidence: Evidence) -> bool:
+    """Whether the baseline's torques are of quite another size than the extended model's, so that nothing missing of
+    the one compares with the other."""
+    return evidence.asked is not None and evidence.asked.levels != d.before.levels
 
 
 def _smoothed(
     d: Diagnosis, longest: int, fit: OutputErrorFit, coordinates: F64, levels: NoiseLevels | None
 ) -> Missing | None:
     """What a model misses; None where it cannot be simulated."""
+    block = d.captures[longest].block()
     try:
-        return missing_inputs(
-            fit, d.captures[longest].block(), recording=longest, coordinates=coordinates, levels=levels
-        )
+        return missing_inputs(fit, block, recording=longest, coordinates=coordinates, levels=levels)
     except ServoDaemonError:  # a picture less
         return None
 
 
-def _intensities(d: Diagnosis, after: Missing) -> NoiseLevels | None:
+def _intensities(d: Diagnosis, after: Missing, motor: F64, longest: int) -> NoiseLevels | None:
     """The baseline's, unless the extended model's motor works with quite another torque: where no current is measured
-    a fit's torques may be of any size, and intensities are torques. None: to be found anew."""
-    alike = all(1 / _ANOTHER < after.size[name] / size < _ANOTHER for name, size in d.before.size.items())
-    return d.before.levels if alike else None
+    a fit's torques may be of any size, and intensities are torques. Then walks are no slower than the baseline's as
+    shares of what either motor works with, nor than what is likeliest with the effects left out; and noise is what the
+    model that needs less of it needs. None: they cannot be found.
+
+    Args:
+        motor: of the extended model, for the baseline's plant.
+    """
+    share = {name: after.size[name] / size for name, size in d.before.size.items()}
+    if all(1 / _ANOTHER < s < _ANOTHER for s in share.values()):
+        return d.before.levels
+    likeliest = _smoothed(d, longest, d.baseline, motor, None)
+    if likeliest is None:
+        return None
+    one, other = likeliest.levels, after.levels
+    return NoiseLevels(
+        {name: max(walk, share[name] ** 2 * d.before.levels.walk[name]) for name, walk in one.walk.items()},
+        min(one.input_var, other.input_var),
+        {name: min(var, other.channel_var[name]) for name, var in one.channel_var.items()},
+    )
 
 
 def _motor_of_extended(d: Diagnosis, extended: OutputErrorFit) -> F64:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_daemon.commands.diagnose_evidence import Evidence
+from servo_daemon.commands.diagnose_evidence import Evidence, has_other_torques
 from servo_daemon.commands.units import shown_unit
 from servo_daemon.diagnosis.missing import Missing
 from servo_daemon.diagnosis.result import Diagnosis
@@ -37,6 +37,10 @@ class _Series:
 
     def of(self, who: str) -> F64:
         return self.passes[who].series[self.key]
+
+    @property
+    def time_s(self) -> F64:
+        return next(iter(self.passes.values())).time_s
 
     def std(self, who: str) -> F64:
         return self.passes[who].std[self.key]
@@ -69,14 +73,15 @@ def missing_figures(d: Diagnosis, evidence: Evidence, marks: Sequence[Mark]) -> 
     linear = capture.axis == "linear"
     extended = {} if evidence.left is None else {"extended": evidence.left}
     left_out = {"baseline": d.before} if evidence.asked is None else {"effects left out": evidence.asked}
-    # Where no current is measured the baseline's is that of a bent motor.
-    motor = evidence.asked or d.before
+    motor = evidence.asked or d.before  # without a measured current the baseline's torque and current are a bent one's
     gap, group = 5.0 * capture.sample_period_s, str(capture.path)
     figures = list[Block]()
     for key in d.before.series:
         name = "force" if linear and key == "torque" else key
         unit = shown_unit({"torque": "N·m", "voltage": "V"}[key], linear=linear)
-        fitted = _Series(name, key, unit, {"baseline": d.before} | extended)
+        fitted = _Series(
+            name, key, unit, (left_out if has_other_torques(d, evidence) else {"baseline": d.before}) | extended
+        )
         shaped = _Series(name, key, unit, left_out | extended)
         figures.append(_over_time(fitted, capture.time_s[0], gap, group, marks))
         figures += [_over(shaped, x, motor) for x in _quantities(motor, linear=linear)]
@@ -88,7 +93,7 @@ def _over_time(s: _Series, begin: float, gap: float, group: str, marks: Sequence
     lines = tuple(Line(who, s.of(who), s.of(who) - s.std(who), s.of(who) + s.std(who)) for who in s.passes)
     return TimeSeries(
         f"Missing {s.name} over time",
-        s.passes["baseline"].time_s - begin,
+        s.time_s - begin,
         lines,
         s.axis,
         f"The band is one standard deviation of the estimate on either side. The motor works with {s.working}.",
@@ -154,7 +159,7 @@ def _spectrum(s: _Series) -> Iterator[Spectrum]:
     """Amplitudes of sines, by Welch's means over Hann-windowed pieces of an even time base."""
     from scipy.signal import welch
 
-    time = s.passes["baseline"].time_s
+    time = s.time_s
     period = float(np.median(np.diff(time))) if len(time) >= 2 * _SHORTEST_PIECE else 0.0
     if period <= 0:
         return

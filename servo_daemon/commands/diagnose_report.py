@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from servo_daemon.commands.diagnose_evidence import Evidence
+from servo_daemon.commands.diagnose_evidence import Evidence, has_other_torques
 from servo_daemon.commands.diagnose_figures import MOST_DRAWN, free_run_figures, needed_figures, signal_figures
 from servo_daemon.commands.diagnose_judge import by_balance
 from servo_daemon.commands.diagnose_missing import missing_figures
@@ -99,9 +99,10 @@ def _missing(d: Diagnosis, evidence: Evidence) -> Block:
     if len(d.captures) > 1:
         visible += f" Of {d.captures[evidence.longest].path.name}, the longest capture."
     if evidence.asked is not None:
+        where = "All figures here" if has_other_torques(d, evidence) else "Over speed, angle and current the figures"
         visible += (
             "\n\nA fit that lacks a cause bends its other parameters to make up for it, and what the baseline then "
-            "lacks has another shape than the cause. Over speed, angle and current the figures therefore show the "
+            f"lacks has another shape than the cause. {where} therefore show the "
             "extended model with its effects left out: what the effects answer for. “Extended” is what they leave."
         )
     return Text(visible)

@@ -28,7 +28,7 @@ from servo_daemon.diagnosis.dependence import Dependence
 from servo_daemon.diagnosis.diagnose import diagnose
 from servo_daemon.diagnosis.result import Diagnosis, NamedEffect, OwnModel, Spread
 from servo_daemon.plant.effects import effects_by_name, parameter_table
-from servo_daemon.report import Report, TimeSeries, make_provenance, render_report
+from servo_daemon.report import Report, Spectrum, TimeSeries, make_provenance, render_report
 from tests.unit.commands import run_command
 
 KEYS = {
@@ -138,6 +138,20 @@ def test_intensities_are_those_of_a_motor_of_that_size(found: tuple[Diagnosis, E
     assert again.left is not None
     assert again.asked.levels != d.before.levels
     assert again.left.levels == again.asked.levels
+    for name, walk in d.before.levels.walk.items():
+        share = 0.1 * d.after.size[name] / d.before.size[name]
+        assert again.asked.levels.walk[name] >= share**2 * walk
+    for channel, var in d.after.levels.channel_var.items():
+        assert again.asked.levels.channel_var[channel] <= var
+
+
+def test_what_cannot_be_compared_is_not_drawn_together(found: tuple[Diagnosis, Evidence]) -> None:
+    d, evidence = found
+    assert evidence.asked is not None
+    other = replace(evidence.asked, levels=replace(evidence.asked.levels, input_var=1.0))
+    for asked, first in ((evidence.asked, "baseline"), (other, "effects left out")):
+        figures = missing_figures(d, replace(evidence, asked=asked), ())
+        assert {f.lines[0].name for f in figures if isinstance(f, TimeSeries | Spectrum)} == {first}
 
 
 def test_captions_say_which_models_motor_works_with_how_much(found: tuple[Diagnosis, Evidence]) -> None:
