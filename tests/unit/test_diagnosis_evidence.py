@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from servo_daemon.diagnosis.adequacy import contradicts
-from servo_daemon.diagnosis.candidates import as_simpler, proposals
+from servo_daemon.diagnosis.candidates import as_simpler, late_without_current, proposals
 from servo_daemon.diagnosis.compare import Advantage
 from servo_daemon.diagnosis.dependence import _moments
 from servo_daemon.diagnosis.evidence import (
@@ -123,7 +123,8 @@ def test_a_cause_whose_size_the_user_gives_is_fitted_whatever_screening_sees() -
     """The weight of a pendulum is known; beside a motor that the linear fit has bent nothing of it shows."""
     plant = build_plant(())
     motor = {p.name: p.nominal for p in plant.parameters}
-    current: Any = SimpleNamespace(effects=(), values=motor)
+    problem = SimpleNamespace(plant=plant, channels=("current_A", "position_rad"))
+    current: Any = SimpleNamespace(effects=(), values=motor, problem=problem)
     coordinates = np.array([to_coordinate(p, p.nominal) for p in plant.parameters])
     missing: Any = SimpleNamespace(augmented=SimpleNamespace(plant=plant), coordinates=coordinates)
     screened = (
@@ -133,6 +134,40 @@ def test_a_cause_whose_size_the_user_gives_is_fitted_whatever_screening_sees() -
     assert [p.name for p in proposals(current, screened, missing)] == ["quadratic_drag"]
     given = proposals(current, screened, missing, given={"Tg": 0.48})
     assert [p.name for p in given] == ["quadratic_drag", "gravity_load"]
+
+
+def test_without_a_current_dry_friction_and_what_is_late_are_always_fitted() -> None:
+    plant = build_plant(())
+    motor = {p.name: p.nominal for p in plant.parameters} | {"R": 1.0, "L": 4e-3}
+    problem = SimpleNamespace(
+        plant=plant, channels=("position_rad", "velocity_rad_s"), free=plant.parameter_names, sample_period_s=1e-3
+    )
+    current: Any = SimpleNamespace(effects=(), values=motor, problem=problem)
+    coordinates = np.array([to_coordinate(p, p.nominal) for p in plant.parameters])
+    missing: Any = SimpleNamespace(augmented=SimpleNamespace(plant=plant), coordinates=coordinates)
+    screened = (
+        ScreenedCandidate("quadratic_drag", 0.4, {"c2": 1e-3}, 0.4, {}),
+        ScreenedCandidate("coulomb_friction", 0.0, {"Tc": 0.1}, -0.01, {}),
+    )
+    assert [p.name for p in proposals(current, screened, missing)] == ["quadratic_drag", "coulomb_friction"]
+    late = list(late_without_current(current))
+    assert [(p.name, p.start.get("channel")) for p in late] == [
+        ("measurement_delay", 1.0),
+        ("measurement_delay", 2.0),
+        ("drive_lag", None),
+    ]
+    # Begun where the fitted L/R is theirs, of which a fifth is left, or as it was.
+    assert late[0].start["t_d"] == late[2].start["t_lag"] == pytest.approx(4e-3)
+    assert late[0].start["L"] == pytest.approx(0.8e-3)
+    assert late[0].other["L"] == motor["L"]
+    # A late sensor goes no further back than so many steps: the rest stays with L.
+    problem.sample_period_s = 4e-4
+    (begun, *_) = late_without_current(current)
+    assert begun.start["t_d"] == pytest.approx(6 * 4e-4)
+    assert begun.start["L"] == pytest.approx(4e-3 - 6 * 4e-4)
+    problem.channels = ("current_A", "position_rad")
+    assert list(late_without_current(current)) == []
+    assert [p.name for p in proposals(current, screened, missing)] == ["quadratic_drag"]
 
 
 def test_what_was_driven_to_nothing_is_lifted_to_where_it_is_seen() -> None:
