@@ -73,15 +73,14 @@ def missing_figures(d: Diagnosis, evidence: Evidence, marks: Sequence[Mark]) -> 
     linear = capture.axis == "linear"
     extended = {} if evidence.left is None else {"extended": evidence.left}
     left_out = {"baseline": d.before} if evidence.asked is None else {"effects left out": evidence.asked}
+    beside = left_out if has_other_torques(d, evidence) else {"baseline": d.before}
     motor = evidence.asked or d.before  # without a measured current the baseline's torque and current are a bent one's
     gap, group = 5.0 * capture.sample_period_s, str(capture.path)
     figures = list[Block]()
     for key in d.before.series:
         name = "force" if linear and key == "torque" else key
         unit = shown_unit({"torque": "N·m", "voltage": "V"}[key], linear=linear)
-        fitted = _Series(
-            name, key, unit, (left_out if has_other_torques(d, evidence) else {"baseline": d.before}) | extended
-        )
+        fitted = _Series(name, key, unit, beside | extended)
         shaped = _Series(name, key, unit, left_out | extended)
         figures.append(_over_time(fitted, capture.time_s[0], gap, group, marks))
         figures += [_over(shaped, x, motor) for x in _quantities(motor, linear=linear)]
