@@ -20,7 +20,7 @@ import numpy as np
 
 from .effects import ALL, LISTED, UNLISTED, EffectValues, check_effects, setup_values
 from .motions import MOTIONS, Gains, Motion, Plan, Start, servo_gains
-from .motors import GEAR_MOTOR, LARGE_SERVO, MOTORS, PAPER, RE40, Motor
+from .motors import BELT_SERVO, GEAR_MOTOR, LARGE_SERVO, MOTORS, PAPER, RE40, Motor
 from .native import F64, CompilerMissingError, IntegrationError, find_compiler, run
 from .sensors import Sensors, hidden_voltage, recorded, sample_times, stream
 from .sizes import typical
@@ -28,6 +28,7 @@ from .step import inner_step_s
 
 __all__ = [
     "ALL",
+    "BELT_SERVO",
     "GEAR_MOTOR",
     "LARGE_SERVO",
     "LISTED",

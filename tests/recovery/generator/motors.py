@@ -1,4 +1,4 @@
-"""Four motors with their drives: from 60 mN·m/A to 1.2 N·m/A, electrical time constants from 0.3 to 16 ms."""
+"""Motors with their drives: from 60 mN·m/A to 1.2 N·m/A, electrical time constants from 0.3 to 16 ms."""
 
 from __future__ import annotations
 
@@ -105,5 +105,19 @@ LARGE_SERVO = Motor(
     counts_per_rev=10000,
     source="plausible: a large slow servo, complex pole pair at 57 rad/s",
 )
+BELT_SERVO = Motor(
+    name="belt",
+    R=1.2,
+    L=2.4e-3,
+    K=0.14,
+    J=1.6e-4,
+    B=2.0e-3,
+    supply_V=48.0,
+    rated_current_A=5.0,
+    current_limit_A=15.0,
+    counts_per_rev=4000,
+    source="plausible: a 48 V brushed servo of 57 mm on a belt axis with sealed bearings",
+)
 
+#: Those that the matrices draw from; `BELT_SERVO` stands beside them, so that no draw of theirs changes.
 MOTORS = {motor.name: motor for motor in (PAPER, RE40, GEAR_MOTOR, LARGE_SERVO)}
