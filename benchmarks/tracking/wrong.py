@@ -19,6 +19,8 @@ from .follow import Flags
 #: A value is wrong that is off by more than so many of its own std and by more than this share of the truth
 #: (issue 25: "beyond 4 σ and 3 %").
 WRONG_STDS, WRONG_SHARE = 4.0, 0.03
+#: Share of the time that a regression may be wrong (issue 25).
+WRONG_LIMIT = 0.01
 #: A parameter may be wrong for so long at a stretch, s (issue 25).
 WRONG_S = 5.0
 #: A value with a std beyond this share of it delivers nothing (issue 25).
