@@ -38,6 +38,7 @@ __all__ = [
     "RE40",
     "UNLISTED",
     "CompilerMissingError",
+    "EffectValues",
     "Gains",
     "IntegrationError",
     "Motion",
