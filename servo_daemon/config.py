@@ -72,6 +72,7 @@ class EstimationConfig(_Section):
     refresh: bool = True  # RF+GRNN beside the filter
     refresh_every_s: float = Field(10.0, ge=2, le=86400)
     refresh_window_s: float = Field(5.0, ge=2, le=10)
+    hold_s: float = Field(10.0, ge=0)  # longest that a value is held which the motion shows and nothing confirms
     ring_s: float = Field(60.0, ge=0, le=600)  # 0: no samples are kept, and no diagnosis is possible
     diagnose: Literal["on_mismatch", "on_request", "never"] = "on_mismatch"
     adopt: Literal["ask", "auto", "never"] = "ask"

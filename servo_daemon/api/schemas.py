@@ -47,6 +47,9 @@ class ParameterDocument(_Document):
         "`invalid`: do not use."
     )
     reason: str | None = Field(description="In words, why the status is not `tracking`.")
+    age_s: float | None = Field(
+        description="Device time since the motion last showed the parameter and it was known, in s; null: it never was."
+    )
 
 
 class EstimatorParameterDocument(_Document):

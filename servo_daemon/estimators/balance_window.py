@@ -11,9 +11,11 @@ import numpy as np
 
 from servo_daemon.estimators import closure
 from servo_daemon.estimators.balances import (
+    NOISE_KNOWN,
     GramWindow,
     Sums,
     armature_slopes,
+    expected_square,
     information,
     noise_gram,
     noise_squares,
@@ -22,7 +24,8 @@ from servo_daemon.estimators.balances import (
 from servo_daemon.estimators.closure import Confronted, Verdict
 from servo_daemon.estimators.excitation import WINDOW_S
 from servo_daemon.estimators.regression_terms import SHARES, armature_coefficient, coefficient
-from servo_daemon.estimators.sampling import Sampling, between_samples, blind_std, coarse, of_standing_counts
+from servo_daemon.estimators.rls import OVERLAP
+from servo_daemon.estimators.sampling import Sampling, between_samples, blind_std, of_standing_counts
 from servo_daemon.samples import F64
 
 #: Share of the window's rows that must have been held against the filter.
@@ -33,16 +36,10 @@ _RECENT_S = 1.5
 _ROWS_PER_COLUMN = 6
 #: The margin for the angle's noise (`balances`) allows for so many samples on one count.
 _COUNTS_IN_MARGIN = 4.0
-#: With so few samples in a window that φ itself is hardly followed a balance closes no better than to this share (at
-#: 100 Hz, L/R = 1 ms: 4 to 13 % on the four test motors).
-_COARSE_CLOSES = 0.15
 #: What the current does between samples, as a share of what a balance leaves: beyond, no noise can be told from it.
 _HIDES = 0.5
 #: A sum of squares that is larger than expected by no more than so many standard deviations is so by chance.
 _CHANCE_STDS = 4.0
-#: Noise levels are known to this factor (in squares).
-_NOISE_KNOWN = 2.0
-_ONE = np.ones(1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +70,7 @@ class BalanceWindow:
         self, armature_columns: tuple[str, ...], shaft_columns: tuple[str, ...], *, judges_mismatch: bool
     ) -> None:
         self._columns = {"armature": (*armature_columns, "y"), "shaft": (*shaft_columns, "y")}
-        self._judges_mismatch = judges_mismatch
+        self.judges_mismatch = judges_mismatch
         self._grams = {which: GramWindow(WINDOW_S) for which in self._columns}
         self._new: list[tuple[str, float, Sums]] = []
         self._confronted: dict[str, deque[tuple[float, Confronted]]] = {which: deque() for which in self._columns}
@@ -94,13 +91,12 @@ class BalanceWindow:
             while parts and time_s - parts[0][0] > WINDOW_S:
                 parts.popleft()
 
-    def add(self, which: str, time_s: float, Phi: F64, y: F64, weight_squares: F64) -> None:
-        """Rows that end at about `time_s`, as for `Sums.of`.
+    def add(self, which: str, time_s: float, part: Sums) -> None:
+        """Rows that end at about `time_s`.
 
         Args:
             which: "armature" or "shaft".
         """
-        part = Sums.of(Phi, y, weight_squares)
         self._grams[which].add(time_s, part)
         self._new.append((which, time_s, part))
 
@@ -122,7 +118,7 @@ class BalanceWindow:
             if total is None or (which == "shaft" and sampling.stands):
                 continue
             noise_var = of_standing_counts(sampling, which, _COUNTS_IN_MARGIN)
-            noise = noise_gram(columns, total.weight_squares, noise_var, self._y_channel(which))
+            noise = noise_gram(columns, total.weight_squares, noise_var, self.y_channel(which))
             out += information(total.gram, noise, self._linear(which, value).slopes, names, self._size(which, value))
         return out
 
@@ -133,7 +129,7 @@ class BalanceWindow:
             value: of all parameters, natural units.
         """
         out: dict[str, float] = {}
-        if not self._judges_mismatch:
+        if not self.judges_mismatch:
             return out
         for which in self._columns:
             total = self._grams[which].total(self._end_s)
@@ -162,7 +158,7 @@ class BalanceWindow:
             torque_Nm: typical motor torque, with which the balance need not close any better at a rest.
         """
         total, columns = self._grams["shaft"].total(self._end_s), self._columns["shaft"]
-        if total is None or not self._judges_mismatch:
+        if total is None or not self.judges_mismatch:
             return 0.0
         noise = self._noise("shaft", total, value, replace(sampling, noise_var=of_standing_counts(sampling, "shaft")))
         noise *= self._by_chance("shaft", total)
@@ -179,7 +175,7 @@ class BalanceWindow:
         total = self._grams["armature"].total(self._end_s)
         if total is None:
             return None
-        noise = self._noise("armature", total, value, sampling) / _NOISE_KNOWN
+        noise = self._noise("armature", total, value, sampling) / NOISE_KNOWN
         left = closure.residual_square(total.gram) - noise
         return max(left, 0.0) / max(float(total.weight_squares[0]), 1e-300)
 
@@ -224,7 +220,7 @@ class BalanceWindow:
             period_s: usual distance of two samples.
         """
         out: dict[str, tuple[float, float]] = {}
-        if not self._judges_mismatch:
+        if not self.judges_mismatch:
             return out
         K = (0.0, 0.0)
         for which, columns in self._columns.items():
@@ -245,9 +241,10 @@ class BalanceWindow:
     def _by_chance(self, which: str, total: Sums) -> float:
         """By how much larger than expected a sum of squares is that is so by chance."""
         free = max(total.rows - len(self._columns[which]), 1)
-        return 1.0 + _CHANCE_STDS * math.sqrt(2.0 * closure.OVERLAP / free)
+        return 1.0 + _CHANCE_STDS * math.sqrt(2.0 * OVERLAP / free)
 
-    def _y_channel(self, which: str) -> str | None:
+    def y_channel(self, which: str) -> str | None:
+        """The noisy channel that a balance's y is ∫φ of, if it is one."""
         return "current_A" if which == "shaft" and self._per_current else None
 
     def _size(self, which: str, value: Mapping[str, float]) -> float:
@@ -268,13 +265,8 @@ class BalanceWindow:
 
     def _noise(self, which: str, total: Sums, value: Mapping[str, float], sampling: Sampling) -> float:
         """The sum of squares that noise and sampling leave of the best fit."""
-        columns, noise_var = self._columns[which], dict(sampling.noise_var)
-        if "current_A" in noise_var:
-            noise_var["current_A"] += between_samples(sampling, which)
-        noise = noise_squares(columns, total.weight_squares, noise_var, self._y_channel(which))
         theta = self._linear(which, value).theta
-        inexact = (_COARSE_CLOSES * coarse(which, sampling.period_s)) ** 2 * float(total.gram[-1, -1])
-        return _NOISE_KNOWN * float(np.square(np.concatenate([theta, _ONE])) @ noise) + inexact
+        return expected_square(which, self._columns[which], total, theta, sampling, self.y_channel(which))
 
 
 def _coefficients(columns: Sequence[str], value: Mapping[str, float], size: float) -> F64:

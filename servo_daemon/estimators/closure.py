@@ -26,15 +26,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from servo_daemon.estimators.balances import Sums, added
-from servo_daemon.estimators.rls import SYSTEMATIC
+from servo_daemon.estimators.rls import CLOSES, OVERLAP, SYSTEMATIC
 from servo_daemon.estimators.small_matrices import eigenvalues
 from servo_daemon.samples import F64
 
-#: A balance that closes to this share (rms) closes: its parameters change while it is summed up, and integrals over
-#: samples are no more exact.
-_CLOSES = 0.01
-#: Windows overlap by half, so neighbouring rows share half their noise.
-OVERLAP = 2.0
 #: Integrals over samples (trapezoids, jitter, what the current does between samples) are no more exact than this, 1 σ.
 _EXACT_STD = 0.01
 #: A difference of so many standard deviations (squared) is chance.
@@ -59,11 +54,11 @@ def structure(gram: F64, expected: float, usual: float = 0.0) -> float:
         expected: how much of the fit's sum of squares noise explains.
         usual: sum of squares of y where the motion is as lively as it usually is.
     """
-    return max(0.0, _structure(gram, residual_square(gram), expected) - _CLOSES**2 * usual)
+    return max(0.0, _structure(gram, residual_square(gram), expected) - CLOSES**2 * usual)
 
 
 def _structure(gram: F64, left: float, expected: float) -> float:
-    return max(0.0, left - expected - _CLOSES**2 * float(gram[-1, -1]))
+    return max(0.0, left - expected - CLOSES**2 * float(gram[-1, -1]))
 
 
 def mismatch_std(gram: F64, expected: float, slopes: Mapping[str, F64], followed: float = np.inf) -> dict[str, float]:

@@ -22,6 +22,8 @@ Status = Literal["estimating", "tracking", "unexcited", "at_bound", "fixed", "in
 
 #: A parameter qualifies below this (1 σ, relative) and loses its qualification above the second: hysteresis.
 QUALIFIED, LOST = 0.05, 0.15
+#: A held value further than so many standard deviations from the running filter's is not held any longer.
+EXCLUDED_STDS = 4.0
 #: A regression knows a parameter when its std is below this share of it, and agrees within this share and 3 σ.
 KNOWS, AGREES = 0.25, 0.15
 
@@ -34,14 +36,22 @@ class Fused:
     std: float | None
     status: Status
     reason: str | None
+    age_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Trusted:
-    """A parameter when it was last known: its coordinate, and the 1 σ that its drift has made of it by now."""
+    """A parameter when it was last known: its coordinate, and the 1 σ that its drift has made of it by now.
+
+    Attributes:
+        age_s: time since then.
+        unconfirmed_s: how much of it the motion showed the parameter, and it was not known all the same.
+    """
 
     coordinate: float
     std: float
+    age_s: float
+    unconfirmed_s: float
 
 
 class Qualification:
@@ -100,19 +110,34 @@ def _not_yet(parameter: Parameter, value: float, std: float) -> str:
 
 
 def as_last_known(
-    parameter: Parameter, trusted: Trusted, why: str, present_std: float = 0.0, floor_std: float = 0.0
+    parameter: Parameter,
+    trusted: Trusted,
+    why: str,
+    present: tuple[float, float] | None = None,
+    floor_std: float = 0.0,
+    hold_s: float = math.inf,
 ) -> Fused:
     """A parameter that was known and is so no longer. It does not go back to a datasheet that it has once refuted: it
-    is held at what it was, as uncertain as the present estimate.
+    is held at what it was, as uncertain as the present estimate. Nor is it held against the running filter, or for long
+    on a motion that should show it: then there is no value.
 
     Args:
         why: in words.
-        present_std: 1 σ of the coordinate in the present estimate: it is no more certain than that.
+        present: the running filter's coordinate and its 1 σ: what is held is no more certain than that.
         floor_std: as for `fuse`.
+        hold_s: longest time for which it is held although the motion shows the parameter.
     """
-    spread = max(trusted.std, present_std if math.isfinite(present_std) else 0.0)
+    spread = trusted.std
+    if present is not None and math.isfinite(present[1]):
+        if abs(present[0] - trusted.coordinate) > EXCLUDED_STDS * math.hypot(trusted.std, present[1]):
+            reason = "what was last known no longer fits the data, and the present estimate is not confirmed yet"
+            return Fused(None, None, "estimating", reason, trusted.age_s)
+        spread = max(spread, present[1])
+    if trusted.unconfirmed_s > hold_s:
+        reason = f"{why}: no value has been confirmed for longer than hold_s = {hold_s:g} s"
+        return Fused(None, None, "estimating", reason, trusted.age_s)
     value, std = from_coordinate(parameter, trusted.coordinate, spread)
-    return Fused(value, math.hypot(std, floor_std), "unexcited", f"held as last known: {why}")
+    return Fused(value, math.hypot(std, floor_std), "unexcited", f"held as last known: {why}", trusted.age_s)
 
 
 def _percent(parameter: Parameter, value: float, std: float) -> str:

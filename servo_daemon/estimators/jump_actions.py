@@ -47,17 +47,18 @@ class JumpActions:
             self._before = self._ekf.snapshot(), time_s
 
     def take(
-        self, verdict: TickVerdict, end_s: float, *, judged: bool, searched: bool | None
+        self, verdict: TickVerdict, end_s: float, *, explained: bool, judged: bool, searched: bool | None
     ) -> tuple[jumps.Action, list[Message]]:
         """The tick that has just passed: what is done with it, and what is to be told.
 
         Args:
             verdict: of its innovations.
             end_s: of device time.
+            explained: the model has explained the samples before it.
             judged: it is complete, and the filter has run for long enough.
             searched: which parameter has stepped may be looked for; None: nothing that is seen now says anything of it.
         """
-        self.watch.observe(verdict.unexplained)
+        self.watch.observe(verdict.unexplained, explained)
         action: jumps.Action = "learn"
         if judged:
             action = self.watch.judge(verdict.unexplained, verdict.settled, self.search.running)
@@ -100,7 +101,7 @@ class JumpActions:
         self._ekf.take_statistics()
         self._ekf.take_information()
         self.watch.explain()
-        self._rls.forget()
+        self._rls.expect_change()
         self._judge.stepped(found.k)
         before = Known(self._roster.names, found.mean, found.covariance, found.before_s)
         candidates = (self._roster.published & self._judge.qualification.qualified) | self._roster.nuisance
@@ -131,7 +132,7 @@ class JumpActions:
         excitation, qualified = self._judge.excitation, self._judge.qualification.qualified
         candidates = (self._roster.published & qualified & excitation.excited) | self._roster.nuisance
         moved = jumps.jumped(before, self._ekf.coordinates, self._ekf.coordinate_std, excitation.scales, candidates)
-        self._rls.forget()
+        self._rls.expect_change()
         stayed = self._roster.free.copy()
         stayed[moved] = False
         self._ekf.recall(stayed, before.mean, before.covariance)

@@ -49,8 +49,9 @@ class JumpWatch:
 
     Attributes:
         is_open: the covariance is open.
-        sudden: what is being looked into came suddenly, after ticks that were explained. Where unexplained ticks are
-            the rule the model lacks something, and what moves then is no jump that could be named.
+        sudden: what is being looked into came suddenly, after samples that the model explained. Where unexplained
+            ticks are the rule, or innovations were not white, the model lacks something, and what moves then is no jump
+            that could be named.
     """
 
     def __init__(self) -> None:
@@ -78,10 +79,15 @@ class JumpWatch:
         """Unexplained ticks are the exception."""
         return self._usual < _RULE
 
-    def observe(self, unexplained: bool) -> None:
-        """Every tick, also those that are not judged."""
+    def observe(self, unexplained: bool, explained: bool) -> None:
+        """Every tick, also those that are not judged.
+
+        Args:
+            unexplained: as for `judge`.
+            explained: the model has explained the samples before this tick.
+        """
         if self.quiet:
-            self.sudden, self._usual_before = self.calm, self._usual
+            self.sudden, self._usual_before = self.calm and explained, self._usual
         self._usual += (float(unexplained) - self._usual) / _USUAL_TICKS
 
     def judge(self, unexplained: bool, settled: bool, searched: bool = False) -> Action:

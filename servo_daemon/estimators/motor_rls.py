@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.estimators.balance_window import BalanceWindow
-from servo_daemon.estimators.balances import column_noise
+from servo_daemon.estimators.balances import Sums, column_noise, expected_square
 from servo_daemon.estimators.lag import Lag
 from servo_daemon.estimators.modulating import Windows, make_windows
 from servo_daemon.estimators.plausible import Plausible
@@ -36,8 +36,8 @@ from servo_daemon.estimators.regression_terms import (
     given_by,
     shaft_columns,
 )
-from servo_daemon.estimators.rls import DirectionalRls, LinearEstimate
-from servo_daemon.estimators.sampling import FEWEST_SAMPLES, SPAN_S
+from servo_daemon.estimators.rls import MEMORIES_S, OVERLAP, AdaptiveRls, LinearEstimate
+from servo_daemon.estimators.sampling import FEWEST_SAMPLES, SPAN_S, Sampling
 from servo_daemon.estimators.small_matrices import in_columns
 from servo_daemon.estimators.stretch import Stretch, between_samples, joined, last, median, motion, speed_sign
 from servo_daemon.estimators.stretch import speed as speed_of
@@ -45,12 +45,8 @@ from servo_daemon.plant.build import PlantModel
 from servo_daemon.plant.effects import DRY
 from servo_daemon.samples import F64
 
-#: Excited directions forget with this time constant, s.
-_MEMORY_S = 20.0
 #: After the first updates (a tick each) so many are worked off together: fewer calls on longer arrays.
 _EAGER_UPDATES, _BATCH = 50, 10
-#: Windows overlap by half, so neighbouring rows share half their noise: their covariance is that much too small.
-_OVERLAP_INFLATION = 2.0
 
 _ARMATURE = ("R", "L", "K")
 #: A current has a direction beyond so many standard deviations of its noise.
@@ -68,6 +64,7 @@ class MotorRls:
         nuisance: parameters of the plant that nobody asks for: no offset of the armature is named that is one of them.
         nominal: what orders, frequencies and the like are held at, and what is not linear is taken at.
         sees_angle: the angle is measured, not only the speed.
+        memories_s: of the regressions, increasing (`rls`).
     """
 
     def __init__(
@@ -78,8 +75,9 @@ class MotorRls:
         nominal: Mapping[str, float] | None = None,
         *,
         sees_angle: bool = True,
+        memories_s: Sequence[float] = MEMORIES_S,
     ) -> None:
-        self._plant, self._known = plant, dict(known)
+        self._plant, self._known, self._memories_s = plant, dict(known), tuple(memories_s)
         self._taken_at = {p.name: p.nominal for p in plant.parameters} | dict(nominal or {})
         self._current_gain = self._taken_at.get("g_i", 1.0)
         self._lag = Lag(self._taken_at["t_lag"]) if "drive_lag" in plant.effects else None
@@ -96,10 +94,11 @@ class MotorRls:
         named = {c: c for c in (*_ARMATURE, "Vb")} | ({"one": self._offsets[0]} if asked else {})
         self._armature_named = {c: named[c] for c in self._armature_columns if c in named}
         self.window = BalanceWindow(self._armature_columns, self._shaft_columns, judges_mismatch=not given_torque)
-        self._armature: DirectionalRls | None = None
-        self._shaft: DirectionalRls | None = None
+        self._armature: AdaptiveRls | None = None
+        self._shaft: AdaptiveRls | None = None
         self._pending: list[Stretch] = []
         self._noise_var: dict[str, float] = {}
+        self._sampling: Sampling | None = None
         self._estimate: RegressionEstimate | None = None
         self._updates = 0
         self._sag = 0.0
@@ -112,16 +111,18 @@ class MotorRls:
         both = self._plant.drive == "voltage" and not self._known
         return (*(self._armature_named.values() if both else ()), *map(given_by, self._shaft_columns))
 
-    def update(self, new: Stretch, noise_var: Mapping[str, float]) -> bool:
+    def update(self, new: Stretch, noise_var: Mapping[str, float], sampling: Sampling | None = None) -> bool:
         """Take the samples of one tick; windows reach back into earlier ones. Returns whether they were worked off.
 
         Args:
             noise_var: of the measured channels, as far as it is known: what it adds to the regressors is taken out.
+            sampling: noise and what else integrals over samples are off by, once a filter has found it: what the
+                balances leave beyond it is no noise.
 
         The first ticks are worked off at once (the filter waits to start), later ones `_BATCH` at a time.
         """
         self._updates += 1
-        self._noise_var = dict(noise_var)
+        self._noise_var, self._sampling = dict(noise_var), sampling
         if self._current_gain != 1.0 and new.current is not None:
             new = replace(new, current=new.current / self._current_gain)
         if self._lag is not None and new.voltage is not None:
@@ -144,11 +145,10 @@ class MotorRls:
         self._estimate = self._compute()
         return True
 
-    def forget(self) -> None:
-        """What was seen is of another motor: a parameter has stepped."""
+    def expect_change(self) -> None:
+        """A parameter has stepped: rows that are far off what the regressions expect are no spoilt ones. (How much of
+        the old motor they still hold the regressions see by themselves.)"""
         self.window.clear()
-        self._armature = self._shaft = self._estimate = None
-        self._pending = []
         self._plausible = {which: Plausible() for which in SPAN_S}
 
     def follow_lag(self, lag_s: float) -> None:
@@ -215,7 +215,7 @@ class MotorRls:
             return
         if self._armature is None:
             rows_per_s = 2.0 / max(SPAN_S["armature"], FEWEST_SAMPLES * period)
-            self._armature = DirectionalRls(len(self._armature_columns), _MEMORY_S * rows_per_s)
+            self._armature = AdaptiveRls(len(self._armature_columns), rows_per_s, self._memories_s)
         speed, acceleration = motion(w, s)
         current, current_rate = w.integrals(s.current, 0, 1)
         columns = [current + self._sag * acceleration, -current_rate, speed]
@@ -236,7 +236,7 @@ class MotorRls:
             return
         if self._shaft is None:
             rows_per_s = 2.0 / max(SPAN_S["shaft"], FEWEST_SAMPLES * period)
-            self._shaft = DirectionalRls(len(self._shaft_columns), _MEMORY_S * rows_per_s)
+            self._shaft = AdaptiveRls(len(self._shaft_columns), rows_per_s, self._memories_s)
         speed, acceleration = motion(w, s)
         columns = [acceleration, speed]
         if "asymmetric_friction" in self._plant.effects:  # B is that of positive motion alone
@@ -248,19 +248,27 @@ class MotorRls:
             Phi = in_columns(columns)
             self._take("shaft", self._shaft, float(s.time_s[-1]), Phi, y, w)
 
-    def _take(self, which: str, rls: DirectionalRls, time_s: float, Phi: F64, y: F64, w: Windows) -> None:
+    def _take(self, which: str, rls: AdaptiveRls, time_s: float, Phi: F64, y: F64, w: Windows) -> None:
         """Rows for a regression and for the window, without those that wrong samples have spoilt."""
-        if rls.rows > 2 * Phi.shape[1]:
+        if rls.value is not None:
             good = self._plausible[which].rows(y - Phi @ rls.value, y)
             if np.count_nonzero(good) < len(good):
                 Phi, y, w = Phi[good], y[good], w.only(good)
         if len(y) == 0:
             return
         columns = self._armature_columns if which == "armature" else self._shaft_columns
-        weight_squares = w.weight_squares
-        rls.update(Phi, y, column_noise(columns, weight_squares, self._noise_var))
+        sums = Sums.of(Phi, y, w.weight_squares)
+        noise = column_noise(columns, sums.weight_squares, self._noise_var)
+        rls.update(sums.gram, sums.rows, noise, self._expected(which, rls, sums))
         if which == "armature" or not self._two_masses:  # of which the shaft's balance does not close
-            self.window.add(which, time_s, Phi, y, weight_squares)
+            self.window.add(which, time_s, sums)
+
+    def _expected(self, which: str, rls: AdaptiveRls, sums: Sums) -> float | None:
+        """The sum of squares that noise and sampling leave of new rows; None while it is not known."""
+        if self._sampling is None or rls.value is None or not self.window.judges_mismatch:
+            return None
+        columns = (*(self._armature_columns if which == "armature" else self._shaft_columns), "y")
+        return expected_square(which, columns, sums, rls.value, self._sampling, self.window.y_channel(which))
 
     def _effect_columns(self, effect: str, w: Windows, s: Stretch) -> list[F64]:
         if not columns_of(effect, self._shaft_effects):
@@ -308,7 +316,7 @@ class MotorRls:
         names = tuple(self._armature_named.values())
         if "i0" in names:
             value, covariance = as_current(value, covariance, names.index("i0"))
-        return LinearEstimate(value, covariance, found.residual_var)
+        return replace(found, value=value, covariance=covariance)
 
     def _compute(self) -> RegressionEstimate | None:
         armature = self._armature_estimate()
@@ -317,7 +325,7 @@ class MotorRls:
             return None  # without K the shaft's coefficients are quotients only
         blocks = [e for e in (armature, shaft) if e is not None]
         value = np.concatenate([e.value for e in blocks])
-        covariance = side_by_side([e.covariance for e in blocks]) * _OVERLAP_INFLATION
+        covariance = side_by_side([e.covariance for e in blocks]) * OVERLAP
         own = tuple(self._armature_named.values()) if armature is not None else ()
         columns = [*own, *(self._shaft_columns if shaft is not None else [])]
         if armature is not None and shaft is not None:
@@ -329,7 +337,8 @@ class MotorRls:
         if self._two_masses and shaft is not None:
             doubt = np.array([k >= len(own) for k in range(len(value))]) * _BOTH_MASSES_STD * value
             covariance = covariance + np.diag(doubt**2)
-        return RegressionEstimate((*own, *map(given_by, columns[len(own) :])), value, covariance)
+        memory_s = max(e.memory_s for e in blocks)
+        return RegressionEstimate((*own, *map(given_by, columns[len(own) :])), value, covariance, memory_s)
 
 
 def _apart(first: NDArray[np.intp], hop: int) -> NDArray[np.intp]:

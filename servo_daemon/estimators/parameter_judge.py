@@ -59,6 +59,7 @@ class Tick:
         inductance_std: 1 σ of ln L that the steps of the recorded voltage leave open; looked up when the regressions
             have been worked off.
         sampling: noise and what else integrals over samples are off by.
+        end_s: device time.
     """
 
     settled: bool
@@ -67,6 +68,7 @@ class Tick:
     white: bool
     inductance_std: float
     sampling: Sampling
+    end_s: float
 
 
 class ParameterJudge:
@@ -89,6 +91,8 @@ class ParameterJudge:
         self._unjudged = False  # by the balances, since the first samples were gone over
         self._idle_std: F64 = np.where(roster.nuisance, NUISANCE_SHARE, _IDLE_STD)
         self._last: tuple[F64, F64] = np.zeros(n), np.full(n, np.nan)
+        self._known_at_s, self._unconfirmed_s = np.zeros(n), np.zeros(n)
+        self._calm_s = 0.0  # for how long the filter's innovations have been as they should be
         self._trusted: Mask = np.zeros(n, dtype=bool)
         self._follows = self._followed = self.begins_to_follow = False
         self._moves: tuple[Mask, F64] = self._trusted, np.zeros(n)  # which may, and their process noise
@@ -101,6 +105,7 @@ class ParameterJudge:
             trusted: parameters from a saved state, or from another model's filter, where they were qualified; (n,).
         """
         self._unjudged = False
+        self._calm_s = 0.0
         self._trusted = trusted
         self._vouching = Vouching()
         self._follows = self._followed = self.begins_to_follow = False
@@ -138,6 +143,7 @@ class ParameterJudge:
             fresh: the regressions have been worked off.
         """
         roster, values = self._roster, self._roster.values(self._ekf.coordinates) if fresh else {}
+        self._calm_s = self._calm_s + duration_s if tick.white and tick.explained and not tick.open else 0.0
         if fresh:
             self._lags_alike = _are_alike(values)
             if "t_lag" in values and self._is_near_start("t_lag"):
@@ -170,6 +176,9 @@ class ParameterJudge:
         self._no_L_without_R(tick.sampling.period_s)
         walk = self.walk(roster.free)
         self._remember(whole_std, own_std, walk * duration_s, tick)
+        known = self.qualification.qualified & excited & ~np.array(tick.open)
+        self._known_at_s = np.where(known, tick.end_s, self._known_at_s)
+        self._unconfirmed_s = np.where(known, 0.0, self._unconfirmed_s + duration_s * excited)
         shown = roster.published & excited
         seen = roster.free_without_instrument(self._ekf.coordinates, tick.sampling.period_s)
         self._follow(settled, shown & seen, std)
@@ -210,10 +219,20 @@ class ParameterJudge:
         if coarse("armature", period_s) == 1.0 and "R" in names and "L" in names:
             qualified[names.index("L")] &= qualified[names.index("R")]
 
-    def last_known(self, k: int) -> Trusted | None:
-        """Parameter k as it was when it was last known; None: it never was."""
+    def last_known(self, k: int, now_s: float) -> Trusted | None:
+        """Parameter k as it was when it was last known; None: it never was.
+
+        Args:
+            now_s: device time.
+        """
         coordinate, var = float(self._last[0][k]), float(self._last[1][k])
-        return None if math.isnan(var) else Trusted(coordinate, math.sqrt(var))
+        if math.isnan(var):
+            return None
+        return Trusted(coordinate, math.sqrt(var), self.age_s(k, now_s), float(self._unconfirmed_s[k]))
+
+    def age_s(self, k: int, now_s: float) -> float:
+        """Time since parameter k was last seen and known; as `last_known`."""
+        return max(0.0, now_s - float(self._known_at_s[k]))
 
     def stepped(self, k: int) -> None:
         """Parameter k is another one: what it was when it was last known it is no more."""
@@ -320,7 +339,7 @@ class ParameterJudge:
         if name not in self._roster.names:
             return False
         k = self._roster.names.index(name)
-        return self.last_known(k) is None and float(self._ekf.coordinate_std[k]) > std
+        return math.isnan(self._last[1][k]) and float(self._ekf.coordinate_std[k]) > std
 
     def _carry_over_torque(self) -> None:
         """The shaft's balance sees J, B and friction only beside K i: what the armature's leaves open of K, it leaves
@@ -359,7 +378,7 @@ class ParameterJudge:
             blind = blind_std(name, values, tick.sampling.period_s)
             if self._roster.logarithmic[k] and not self._is_blind(name, values, tick) and blind < _BLIND:
                 spread = math.hypot(std * balances.ALIGNED.get(name, 1.0), blind * value)
-                out[k] = confirms(value, spread, values[name])
+                out[k] = confirms(value, spread, values[name]) or self._calm_s > found.memory_s
             else:
                 out[k] = name != "L" or tick.white
         for name in self._doubtful(found, values, tick):

@@ -13,11 +13,16 @@ from servo_daemon.samples import F64
 
 @dataclass(frozen=True, slots=True)
 class RegressionEstimate:
-    """Parameters in natural units: value shape (n,), covariance shape (n, n). Values may come out impossible."""
+    """Parameters in natural units: value shape (n,), covariance shape (n, n). Values may come out impossible.
+
+    Attributes:
+        memory_s: how far back the regressions look.
+    """
 
     names: tuple[str, ...]
     value: F64
     covariance: F64
+    memory_s: float
 
     @property
     def std(self) -> F64:

@@ -175,7 +175,14 @@ class Tracker:
 
     def last_known(self, name: str) -> Trusted | None:
         """A parameter of the plant as it was when it was last known; None: it never was."""
-        return None if self.plan.plant is None else self._judge.last_known(self._roster.names.index(name))
+        if self.plan.plant is None or self.last_s is None:
+            return None
+        return self._judge.last_known(self._roster.names.index(name), self.last_s)
+
+    def age_s(self, name: str) -> float | None:
+        """How long ago the motion last showed a parameter of the plant and it was known; None: it never was."""
+        last = self.last_known(name)
+        return None if last is None else last.age_s
 
     @property
     def free(self) -> tuple[Parameter, ...]:
@@ -288,8 +295,9 @@ class Tracker:
         statistics = self.ekf.take_statistics()
         verdict = self.watch.judge(statistics)
         end_s, judged = self._tick_end_s or 0.0, self._ticks > _TICKS_TO_WATCH and stretch.complete
-        action, messages = self._jumps.take(verdict, end_s, judged=judged, searched=self._may_search(stretch))
-        fresh = self.rls.update(self._believed(stretch, action), noise_var)
+        searched, explained = self._may_search(stretch), self._telling.explained
+        action, messages = self._jumps.take(verdict, end_s, explained=explained, judged=judged, searched=searched)
+        fresh = self.rls.update(self._believed(stretch, action), noise_var, self._sampling())
         if action == "learn" and stretch.complete:
             self.watch.learn(statistics, duration_s, rests=self._levels.rests)
         sampling = self._sampling()
@@ -355,6 +363,7 @@ class Tracker:
             white=self.watch.white,
             inductance_std=self._noise.inductance_std(sampling.period_s) if fresh else 0.0,
             sampling=sampling,
+            end_s=self._tick_end_s or 0.0,
         )
 
     def _sampling(self) -> Sampling:

@@ -68,6 +68,11 @@ class Recent:
             self._combine()
         return self._together.get(name)
 
+    @property
+    def last_s(self) -> float | None:
+        """Device time of the last window that counts."""
+        return self._windows[-1].time_s if self._windows else None
+
     def _combine(self) -> None:
         self._together = {}
         for name in self._windows[-1].mean if self._windows else ():

@@ -143,6 +143,7 @@ def _message(kind: str, limit: Limit, p: ParameterEstimate, value: float, time_s
         "value": value,
         "std": p.std,
         "limit": limit.value,
+        "age_s": p.age_s,
         "time_s": time_s,
     }
     return kind, text.rstrip(), data

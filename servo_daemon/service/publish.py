@@ -142,7 +142,14 @@ class Publisher:
         nominal = self._config.nominal
         out = [
             ParameterEstimate(
-                p.name, finite_or_none(f.value), finite_or_none(f.std), p.unit, nominal.get(p.name), f.status, f.reason
+                p.name,
+                finite_or_none(f.value),
+                finite_or_none(f.std),
+                p.unit,
+                nominal.get(p.name),
+                f.status,
+                f.reason,
+                finite_or_none(f.age_s),
             )
             for p, f in zip(self._parameters, fused, strict=True)
         ]
@@ -173,11 +180,14 @@ class Publisher:
                 last = None if qualified[k] else tracker.last_known(p.name)
                 if last is None:
                     found = fuse(p, mean[k], std[k], excited[k], qualified[k], nominal, floor)
+                    if qualified[k]:
+                        found = replace(found, age_s=tracker.age_s(p.name))
                     unclaimed = tracker.plan.unclaimed.get(p.name)
                     out.append(found if unclaimed is None else replace(found, reason=unclaimed))
                     continue
                 why = "the data no longer confirm a value" if excited[k] else excitation.reason(p.name)
-                out.append(as_last_known(p, last, why, std[k], floor))
+                hold_s = self._config.estimation.hold_s
+                out.append(as_last_known(p, last, why, (mean[k], std[k]), floor, hold_s))
         return out
 
     def _covariance(
@@ -273,7 +283,7 @@ def _load_inertia(config: DriveConfig, J: ParameterEstimate) -> ParameterEstimat
     J_m = config.nominal["J_m"]
     nominal = None if J.nominal is None else J.nominal - J_m
     value = None if J.value is None else J.value - J_m
-    return ParameterEstimate(J_D.name, value, J.std, J_D.unit, nominal, J.status, J.reason)
+    return ParameterEstimate(J_D.name, value, J.std, J_D.unit, nominal, J.status, J.reason, J.age_s)
 
 
 def _state(tracker: Tracker) -> dict[str, float | None]:

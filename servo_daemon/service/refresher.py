@@ -104,7 +104,8 @@ class Refresher:
         opened = self._examines and filtered.status == "tracking"
         if filtered.std is not None and name not in self._refresh.refuted and (filtered.std <= std or opened):
             return filtered
-        return Fused(value, std, "tracking", _WHY_TRACKING)
+        last_s = self._recent.last_s
+        return Fused(value, std, "tracking", _WHY_TRACKING, None if last_s is None else max(0.0, now_s - last_s))
 
     def _apply(self, found: RefreshEstimate, tracker: Tracker) -> list[Message]:
         # While a jump is examined the filter may be set back, and what entered it with it: only where it is wrong.

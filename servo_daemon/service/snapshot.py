@@ -21,7 +21,8 @@ def finite_or_none(value: float | None) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class ParameterEstimate:
-    """One parameter as published. `std` is 1 σ in `unit`; `reason` says in words why `status` is not tracking."""
+    """One parameter as published. `std` is 1 σ in `unit`; `reason` says in words why `status` is not tracking; `age_s`
+    is the device time since the motion last showed it and it was known (None: never)."""
 
     name: str
     value: float | None
@@ -30,6 +31,7 @@ class ParameterEstimate:
     nominal: float | None
     status: Status
     reason: str | None = None
+    age_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
