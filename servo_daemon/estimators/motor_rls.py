@@ -36,7 +36,7 @@ from servo_daemon.estimators.regression_terms import (
     given_by,
     shaft_columns,
 )
-from servo_daemon.estimators.rls import MEMORIES_S, OVERLAP, AdaptiveRls, LinearEstimate
+from servo_daemon.estimators.rls import OVERLAP, SPANS_S, LinearEstimate, SlidingRls
 from servo_daemon.estimators.sampling import FEWEST_SAMPLES, SPAN_S, Sampling
 from servo_daemon.estimators.small_matrices import in_columns
 from servo_daemon.estimators.stretch import Stretch, between_samples, joined, last, median, motion, speed_sign
@@ -64,7 +64,7 @@ class MotorRls:
         nuisance: parameters of the plant that nobody asks for: no offset of the armature is named that is one of them.
         nominal: what orders, frequencies and the like are held at, and what is not linear is taken at.
         sees_angle: the angle is measured, not only the speed.
-        memories_s: of the regressions, increasing (`rls`).
+        spans_s: lengths of the regressions' windows, increasing (`rls`).
     """
 
     def __init__(
@@ -75,9 +75,9 @@ class MotorRls:
         nominal: Mapping[str, float] | None = None,
         *,
         sees_angle: bool = True,
-        memories_s: Sequence[float] = MEMORIES_S,
+        spans_s: Sequence[float] = SPANS_S,
     ) -> None:
-        self._plant, self._known, self._memories_s = plant, dict(known), tuple(memories_s)
+        self._plant, self._known, self._spans_s = plant, dict(known), tuple(spans_s)
         self._taken_at = {p.name: p.nominal for p in plant.parameters} | dict(nominal or {})
         self._current_gain = self._taken_at.get("g_i", 1.0)
         self._lag = Lag(self._taken_at["t_lag"]) if "drive_lag" in plant.effects else None
@@ -94,8 +94,8 @@ class MotorRls:
         named = {c: c for c in (*_ARMATURE, "Vb")} | ({"one": self._offsets[0]} if asked else {})
         self._armature_named = {c: named[c] for c in self._armature_columns if c in named}
         self.window = BalanceWindow(self._armature_columns, self._shaft_columns, judges_mismatch=not given_torque)
-        self._armature: AdaptiveRls | None = None
-        self._shaft: AdaptiveRls | None = None
+        self._armature: SlidingRls | None = None
+        self._shaft: SlidingRls | None = None
         self._pending: list[Stretch] = []
         self._noise_var: dict[str, float] = {}
         self._sampling: Sampling | None = None
@@ -131,7 +131,11 @@ class MotorRls:
         if self._updates > _EAGER_UPDATES and self._updates % _BATCH:
             return False
         stretch = recorded = joined(self._pending)
-        self.window.advance(float(stretch.time_s[-1]))
+        end_s = float(stretch.time_s[-1])
+        self.window.advance(end_s)
+        for rls in (self._armature, self._shaft):
+            if rls is not None:
+                rls.advance(end_s)
         if len(stretch.time_s) >= FEWEST_SAMPLES:
             period = median(stretch.time_s[1:] - stretch.time_s[:-1])
             rest, self._sag = self._between_samples(period)
@@ -214,8 +218,7 @@ class MotorRls:
         if w is None or s.voltage is None or s.current is None:
             return
         if self._armature is None:
-            rows_per_s = 2.0 / max(SPAN_S["armature"], FEWEST_SAMPLES * period)
-            self._armature = AdaptiveRls(len(self._armature_columns), rows_per_s, self._memories_s)
+            self._armature = SlidingRls(len(self._armature_columns), self._spans_s)
         speed, acceleration = motion(w, s)
         current, current_rate = w.integrals(s.current, 0, 1)
         columns = [current + self._sag * acceleration, -current_rate, speed]
@@ -235,8 +238,7 @@ class MotorRls:
         if w is None:
             return
         if self._shaft is None:
-            rows_per_s = 2.0 / max(SPAN_S["shaft"], FEWEST_SAMPLES * period)
-            self._shaft = AdaptiveRls(len(self._shaft_columns), rows_per_s, self._memories_s)
+            self._shaft = SlidingRls(len(self._shaft_columns), self._spans_s)
         speed, acceleration = motion(w, s)
         columns = [acceleration, speed]
         if "asymmetric_friction" in self._plant.effects:  # B is that of positive motion alone
@@ -248,7 +250,7 @@ class MotorRls:
             Phi = in_columns(columns)
             self._take("shaft", self._shaft, float(s.time_s[-1]), Phi, y, w)
 
-    def _take(self, which: str, rls: AdaptiveRls, time_s: float, Phi: F64, y: F64, w: Windows) -> None:
+    def _take(self, which: str, rls: SlidingRls, time_s: float, Phi: F64, y: F64, w: Windows) -> None:
         """Rows for a regression and for the window, without those that wrong samples have spoilt."""
         if rls.value is not None:
             good = self._plausible[which].rows(y - Phi @ rls.value, y)
@@ -259,11 +261,11 @@ class MotorRls:
         columns = self._armature_columns if which == "armature" else self._shaft_columns
         sums = Sums.of(Phi, y, w.weight_squares)
         noise = column_noise(columns, sums.weight_squares, self._noise_var)
-        rls.update(sums.gram, sums.rows, noise, self._expected(which, rls, sums))
+        rls.update(time_s, sums.gram, sums.rows, noise, self._expected(which, rls, sums))
         if which == "armature" or not self._two_masses:  # of which the shaft's balance does not close
             self.window.add(which, time_s, sums)
 
-    def _expected(self, which: str, rls: AdaptiveRls, sums: Sums) -> float | None:
+    def _expected(self, which: str, rls: SlidingRls, sums: Sums) -> float | None:
         """The sum of squares that noise and sampling leave of new rows; None while it is not known."""
         if self._sampling is None or rls.value is None or not self.window.judges_mismatch:
             return None
@@ -337,8 +339,8 @@ class MotorRls:
         if self._two_masses and shaft is not None:
             doubt = np.array([k >= len(own) for k in range(len(value))]) * _BOTH_MASSES_STD * value
             covariance = covariance + np.diag(doubt**2)
-        memory_s = max(e.memory_s for e in blocks)
-        return RegressionEstimate((*own, *map(given_by, columns[len(own) :])), value, covariance, memory_s)
+        span_s = max(e.span_s for e in blocks)
+        return RegressionEstimate((*own, *map(given_by, columns[len(own) :])), value, covariance, span_s)
 
 
 def _apart(first: NDArray[np.intp], hop: int) -> NDArray[np.intp]:

@@ -378,7 +378,7 @@ class ParameterJudge:
             blind = blind_std(name, values, tick.sampling.period_s)
             if self._roster.logarithmic[k] and not self._is_blind(name, values, tick) and blind < _BLIND:
                 spread = math.hypot(std * balances.ALIGNED.get(name, 1.0), blind * value)
-                out[k] = confirms(value, spread, values[name]) or self._calm_s > found.memory_s
+                out[k] = confirms(value, spread, values[name]) or self._calm_s > found.span_s
             else:
                 out[k] = name != "L" or tick.white
         for name in self._doubtful(found, values, tick):

@@ -16,13 +16,13 @@ class RegressionEstimate:
     """Parameters in natural units: value shape (n,), covariance shape (n, n). Values may come out impossible.
 
     Attributes:
-        memory_s: how far back the regressions look.
+        span_s: how far back the regressions look.
     """
 
     names: tuple[str, ...]
     value: F64
     covariance: F64
-    memory_s: float
+    span_s: float
 
     @property
     def std(self) -> F64:

@@ -1,16 +1,16 @@
-"""Recursive least squares that says how old it is: y = Φ θ + e with several exponential memories side by side.
+"""Recursive least squares that says how old it is: y = Φ θ + e over several sliding windows side by side.
 
-Each memory M keeps the sums of its rows, weighted by exp(−age/M), in information form (A = Σ ΦᵀΦ, b = Σ Φᵀy, c = Σ y²):
+Blocks of rows enter in information form, and leave again when they are as old as the window is long:
 
-    θ = A⁻¹ b,   residual = c − bᵀ θ
+    A = Σ ΦᵀΦ,  b = Σ Φᵀy,  c = Σ y²:    θ = A⁻¹ b,   residual = c − bᵀ θ
 
-All directions forget alike, so nothing that is known is older than a few memories, however little of it the motion
-shows now (directional forgetting keeps what is not excited, and with it a motor of minutes ago).
+So nothing that is known of any direction is older than the longest window. (Exponential forgetting keeps what is not
+excited any more for as many memories as it was excited better than now; directional forgetting for ever.)
 
-A long memory averages noise, a short one follows a motor that changes. Which of them to believe the rows decide: a
-memory across which the motor has changed closes its balance worse than a shorter one. What it leaves beyond the noise
+A long window averages noise, a short one follows a motor that changes. Which of them to believe the rows decide: a
+window across which the motor has changed closes its balance worse than a shorter one. What it leaves beyond the noise
 may lie along any parameter's term (Cauchy–Schwarz: the bias is at most √((A⁻¹)ₖₖ Σ e²)), and stands in its covariance;
-the memory with the smallest standard deviations is the estimate, unless the shortest one excludes it (bias against
+the window with the smallest standard deviations is the estimate, unless the shortest one excludes it (bias against
 variance by the data themselves: Lepski, *Theory Probab. Appl.* 35, 1991; Goldenshluger & Nemirovski, *Math. Methods
 Statist.* 6, 1997). The newest rows by themselves are held against it as well, so that a step is doubted at once.
 """
@@ -18,6 +18,7 @@ Statist.* 6, 1997). The newest rows by themselves are held against it as well, s
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -26,18 +27,17 @@ import numpy as np
 from servo_daemon.estimators.small_matrices import eigen, eigenvalues
 from servo_daemon.samples import F64
 
-#: s. The longest averages what noise there is and spans a slow motion's period; the shortest still holds enough rows of
-#: the shaft (25) to tell five coefficients. `benchmarks.tracking witness`: with a fourth or fifth between them, or
-#: 1, 3 and 10 s, the errors under ageing are the same within a tenth.
-MEMORIES_S = (1.25, 5.0, 20.0)
+#: Lengths of the windows, s. The longest averages what noise there is and spans a slow motion's period; the shortest
+#: still holds enough rows of the shaft (50) to tell five coefficients. `benchmarks.tracking witness`: with five
+#: windows, or others by a factor of 1.5, the errors under ageing are the same within a tenth.
+SPANS_S = (2.5, 10.0, 40.0)
 #: By how much the model of a row may be off, as a share of y: dead time, ripple, friction that is not quite viscous.
 SYSTEMATIC = 1e-3
-#: No variance is smaller.
-_TINY = 1e-300
 #: A balance that closes to this share (rms) closes: its parameters change while it is summed up, and integrals over
 #: samples are no more exact.
 CLOSES = 0.01
-#: Windows overlap by half, so neighbouring rows share half their noise: covariances are that much too small.
+#: Windows of the modulating functions overlap by half, so neighbouring rows share half their noise: covariances are
+#: that much too small.
 OVERLAP = 2.0
 #: Noise is compensated only while it is a smaller part of every regressor than this.
 _MOST_NOISE = 0.3
@@ -48,11 +48,11 @@ _INVISIBLE = 1e-12
 _LEAST_SHARE = 1e-9
 #: Fewest rows for each coefficient.
 _ROWS_PER_COEFFICIENT = 2.0
-#: A sum of squares is larger than expected, and a memory excluded, beyond so many standard deviations of what chance
+#: A sum of squares is larger than expected, and a window excluded, beyond so many standard deviations of what chance
 #: makes of it.
 _CHANCE_STDS = 4.0
-#: A sum of squares is no smaller than this share of y's: rounding.
-_EXACT = 1e-15
+#: A sum of squares is no smaller than this share of y's: rounding. No variance is smaller than the second.
+_EXACT, _TINY = 1e-15, 1e-300
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,26 +65,42 @@ class LinearEstimate:
     is this that says so.
 
     Attributes:
-        memory_s: how far back the estimate looks.
+        span_s: how far back the estimate looks.
     """
 
     value: F64
     covariance: F64
     residual_var: float
-    memory_s: float
+    span_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """Rows that end at about `time_s`.
+
+    Attributes:
+        gram: of [Φ | y], shape (n + 1, n + 1).
+        noise: what of ΦᵀΦ is noise of the regressors, shape (n, n).
+        counts: rows; rows whose expected residual is known; that residual's Σ of squares: shape (3,).
+    """
+
+    time_s: float
+    gram: F64
+    noise: F64
+    counts: F64
 
 
 @dataclass(frozen=True, slots=True)
 class _Fit:
-    """Of one memory: value shape (n,), inverse and information shape (n, n).
+    """Over one window: value shape (n,), inverse and information shape (n, n).
 
     Attributes:
         left, energy: Σ of squares that the fit leaves of y, and of y.
-        rows: how many, as weighted.
+        rows: how many.
         expected: of what is left, what the sensors' noise explains; infinite where it is not known.
     """
 
-    memory_s: float
+    span_s: float
     value: F64
     inverse: F64
     information: F64
@@ -104,47 +120,45 @@ class _Fit:
         return _CHANCE_STDS * math.sqrt(2.0 * OVERLAP / (self.rows - len(self.value)))
 
 
-class AdaptiveRls:
+class SlidingRls:
     """Fed blocks of rows.
 
     Args:
         n: number of coefficients.
-        rows_per_s: how many a second has where none is missing: the memories count rows.
-        memories_s: increasing.
-
-    Attributes:
-        rows: how many there were.
+        spans_s: lengths of the windows, increasing.
     """
 
-    def __init__(self, n: int, rows_per_s: float, memories_s: Sequence[float] = MEMORIES_S) -> None:
-        self._n, self._memories_s = n, tuple(memories_s)
-        self._per_row = 1.0 / (rows_per_s * np.array(memories_s))
-        self._gram = np.zeros((len(memories_s), n + 1, n + 1))
-        self._noise = np.zeros((len(memories_s), n, n))
-        self._weight, self._told, self._expected = np.zeros((3, len(memories_s)))
+    def __init__(self, n: int, spans_s: Sequence[float] = SPANS_S) -> None:
+        self._n, self._spans_s = n, tuple(spans_s)
+        self._blocks: deque[_Block] = deque()
         self._estimate: LinearEstimate | None = None
-        self.rows = 0
 
-    def update(self, gram: F64, m: int, noise: F64 | None = None, expected: float | None = None) -> None:
-        """Take rows. Such as are not finite must not be among them.
+    def update(
+        self, time_s: float, gram: F64, rows: int, noise: F64 | None = None, expected: float | None = None
+    ) -> None:
+        """Take a block of rows. Such as are not finite must not be among them.
 
         Args:
+            time_s: when they end; increasing.
             gram: of [Φ | y], shape (n + 1, n + 1).
-            m: how many rows.
             noise: what of ΦᵀΦ is noise of the regressors, shape (n, n): compensated in the estimate (bias-compensated
                 least squares; Stoica & Söderström, *Automatica* 18, 1982), as far as it is the smaller part.
             expected: Σ of squares that the sensors' noise leaves of these rows at the most; None: not known.
         """
-        if m == 0:
+        if rows == 0:
             return
-        keep = np.exp(-m * self._per_row)
-        self._gram = keep[:, None, None] * self._gram + gram
-        self._noise = keep[:, None, None] * self._noise + (0.0 if noise is None else noise)
-        self._weight = keep * self._weight + m
-        self._told = keep * self._told + (0 if expected is None else m)
-        self._expected = keep * self._expected + (expected or 0.0)
-        self.rows += m
-        self._estimate = self._best(gram, m)
+        counts = np.array([rows, 0.0, 0.0] if expected is None else [rows, rows, expected])
+        self._blocks.append(_Block(time_s, gram, np.zeros((self._n, self._n)) if noise is None else noise, counts))
+        self.advance(time_s)
+        self._estimate = self._best()
+
+    def advance(self, time_s: float) -> None:
+        """The present: rows older than the longest window drop out, also where no new ones come."""
+        before = len(self._blocks)
+        while self._blocks and time_s - self._blocks[0].time_s >= self._spans_s[-1]:
+            self._blocks.popleft()
+        if len(self._blocks) < before:
+            self._estimate = self._best()
 
     @property
     def value(self) -> F64 | None:
@@ -155,56 +169,76 @@ class AdaptiveRls:
         """None until there are more rows than coefficients, and where some direction is not seen."""
         return self._estimate
 
-    def _best(self, newest: F64, m: int) -> LinearEstimate | None:
-        """Of the memory that is known best, with what it leaves unexplained.
-
-        Args:
-            newest: Gram matrix of the last m rows.
-        """
-        fits = [fit for k in range(len(self._memories_s)) if (fit := self._fit(k)) is not None]
+    def _best(self) -> LinearEstimate | None:
+        """Over the window that is known best, with what it leaves unexplained."""
+        fits = self._fits()
         if not fits:
             return None
-        quiet = min(fits, key=lambda fit: fit.residual_var)
+        newest = self._blocks[-1]
+        alone = self._fit(0.0, newest.gram, newest.noise, newest.counts)
+        quiet = min(fits if alone is None else (*fits, alone), key=lambda fit: fit.residual_var)
         best: LinearEstimate | None = None
         least = math.inf
         for fit in fits:
             if _excludes(fits[0], fit.value):
                 continue
-            covariance = _covariance(fit, quiet) + fits[0].inverse * _unexplained(newest, m, fit, fits[0], quiet)
+            covariance = _covariance(fit, quiet) + fits[0].inverse * _unexplained(newest, fit.value, fits[0], quiet)
             spread = float(np.log(np.maximum(covariance.diagonal(), _TINY)).sum())
             if spread < least:
-                least, best = spread, LinearEstimate(fit.value, covariance, fit.residual_var, fit.memory_s)
+                least, best = spread, LinearEstimate(fit.value, covariance, fit.residual_var, fit.span_s)
         return best
 
-    def _fit(self, k: int) -> _Fit | None:
-        n, weight = self._n, float(self._weight[k])
-        A, b, energy = self._gram[k, :n, :n], self._gram[k, :n, n], float(self._gram[k, n, n])
+    def _fits(self) -> list[_Fit]:
+        """Of each window that determines the coefficients, the shortest first."""
+        if not self._blocks:
+            return []
+        # Backwards from the newest: sums over each window stand at its oldest block.
+        blocks = list(reversed(self._blocks))
+        gram, noise, counts = (
+            np.cumsum([getattr(block, name) for block in blocks], axis=0) for name in ("gram", "noise", "counts")
+        )
+        age_s = blocks[0].time_s - np.array([block.time_s for block in blocks])
+        found = []
+        for span_s in self._spans_s:
+            last = int(np.searchsorted(age_s, span_s)) - 1
+            fit = self._fit(span_s, gram[last], noise[last], counts[last])
+            if fit is not None:
+                found.append(fit)
+        return found
+
+    def _fit(self, span_s: float, gram: F64, noise: F64, counts: F64) -> _Fit | None:
+        A, b, energy = gram[:-1, :-1], gram[:-1, -1], float(gram[-1, -1])
+        rows, told, expected = counts.tolist()
         scale = np.sqrt(A.diagonal())
         # A regressor that is (all but) zero: also one that was in the beginning and is dying away.
-        if weight <= _ROWS_PER_COEFFICIENT * n or scale.min() < _INVISIBLE * max(float(scale.max()), 1e-7):
+        if rows <= _ROWS_PER_COEFFICIENT * self._n or scale.min() < _INVISIBLE * max(float(scale.max()), 1e-7):
             return None
         square = scale[:, None] * scale
         values, vectors = eigen(A / square)
         inverse = (vectors / np.maximum(values, _LEAST_SHARE)) @ vectors.T / square
         biased = inverse @ b
         left = max(energy - float(b @ biased), _EXACT * energy)
-        known = self._told[k] > 0.5 * weight
-        expected = float(self._expected[k]) * weight / float(self._told[k]) if known else math.inf
-        value = self._compensated(k, biased, scale)
-        return _Fit(self._memories_s[k], value, inverse, A, left, energy, weight, expected)
+        expected = expected * rows / told if told > 0.5 * rows else math.inf
+        value = _compensated(gram, noise, biased, scale)
+        return _Fit(span_s, value, inverse, A, left, energy, rows, expected)
 
-    def _compensated(self, k: int, biased: F64, scale: F64) -> F64:
-        """The coefficients without the bias that noise in the regressors makes: (A − N) θ = b."""
-        A, noise = self._gram[k, :-1, :-1], self._noise[k]
-        part = noise.diagonal() / np.square(scale)
-        signal = (A - noise) / (scale[:, None] * scale)
-        if part.max() > _MOST_NOISE or eigenvalues(signal)[0] <= 1e-8:
-            return biased
-        return np.asarray(np.linalg.solve(signal, self._gram[k, :-1, -1] / scale) / scale)
+
+def _compensated(gram: F64, noise: F64, biased: F64, scale: F64) -> F64:
+    """The coefficients without the bias that noise in the regressors makes: (A − N) θ = b.
+
+    Args:
+        biased: the coefficients with it, shape (n,).
+        scale: root of A's diagonal, shape (n,).
+    """
+    part = noise.diagonal() / np.square(scale)
+    signal = (gram[:-1, :-1] - noise) / (scale[:, None] * scale)
+    if part.max() > _MOST_NOISE or eigenvalues(signal)[0] <= 1e-8:
+        return biased
+    return np.asarray(np.linalg.solve(signal, gram[:-1, -1] / scale) / scale)
 
 
 def _excludes(shortest: _Fit, value: F64) -> bool:
-    """Whether the shortest memory's rows cannot be of a motor with these coefficients: their cost rises by more than
+    """Whether the shortest window's rows cannot be of a motor with these coefficients: their cost rises by more than
     chance and an error of the model make of it."""
     n = len(value)
     off = value - shortest.value
@@ -214,10 +248,10 @@ def _excludes(shortest: _Fit, value: F64) -> bool:
 
 
 def _covariance(fit: _Fit, quiet: _Fit) -> F64:
-    """Of a memory's coefficients.
+    """Of a window's coefficients.
 
     Args:
-        quiet: the memory with the least residual: noise is no larger than there.
+        quiet: the rows with the least residual: noise is no larger than there.
     """
     by_noise = fit.rows * quiet.residual_var * (1.0 + quiet.chance)
     told = fit.expected * (1.0 + fit.chance) + CLOSES**2 * fit.energy
@@ -225,15 +259,12 @@ def _covariance(fit: _Fit, quiet: _Fit) -> F64:
     return fit.inverse * (fit.residual_var + SYSTEMATIC**2 * fit.energy + structure)
 
 
-def _unexplained(newest: F64, m: int, fit: _Fit, shortest: _Fit, quiet: _Fit) -> float:
-    """Σ of squares that coefficients leave of the newest rows beyond noise, as if all of the shortest memory's rows
-    were as far off: a motor that has changed a moment ago.
-
-    Args:
-        newest: Gram matrix of [Φ | y] over the last m rows.
-    """
-    weights = np.append(-fit.value, 1.0)
-    left = float(weights @ newest @ weights)
-    by_chance = m * quiet.residual_var * (1.0 + _CHANCE_STDS * math.sqrt(2.0 * OVERLAP / m))
-    exact = _CHANCE_STDS * SYSTEMATIC**2 * float(newest[-1, -1])
-    return max(0.0, left - by_chance - exact) * max(shortest.rows / m, 1.0)
+def _unexplained(newest: _Block, value: F64, shortest: _Fit, quiet: _Fit) -> float:
+    """Σ of squares that coefficients leave of the newest rows beyond noise, as if all of the shortest window's rows
+    were as far off: a motor that has changed a moment ago."""
+    rows = float(newest.counts[0])
+    weights = np.append(-value, 1.0)
+    left = float(weights @ newest.gram @ weights)
+    by_chance = rows * quiet.residual_var * (1.0 + _CHANCE_STDS * math.sqrt(2.0 * OVERLAP / rows))
+    exact = _CHANCE_STDS * SYSTEMATIC**2 * float(newest.gram[-1, -1])
+    return max(0.0, left - by_chance - exact) * max(shortest.rows / rows, 1.0)

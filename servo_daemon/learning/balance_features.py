@@ -9,7 +9,7 @@ import numpy as np
 from servo_daemon.estimators.modulating import Windows, make_windows
 from servo_daemon.estimators.motor_rls import MotorRls
 from servo_daemon.estimators.regression_estimate import RegressionEstimate
-from servo_daemon.estimators.rls import MEMORIES_S
+from servo_daemon.estimators.rls import SPANS_S
 from servo_daemon.estimators.stretch import Stretch, median, motion, speed, speed_sign
 from servo_daemon.learning.balance_fits import Case, Fits, fit
 from servo_daemon.learning.window import Window
@@ -51,7 +51,7 @@ def regression(w: Window) -> RegressionEstimate | None:
 
 def _regression(w: Window, effects: tuple[str, ...], noise: Mapping[str, float]) -> RegressionEstimate | None:
     s, cut = w.stretch, round(_FIRST * len(w.stretch.time_s))
-    rls = MotorRls(build_plant(effects), {}, memories_s=(MEMORIES_S[-1],))
+    rls = MotorRls(build_plant(effects), {}, spans_s=(SPANS_S[-1],))
     for part in (_cut(s, 0, cut), _cut(s, cut, len(s.time_s))):
         rls.update(part, noise)
     found = rls.estimate()

@@ -17,7 +17,7 @@ from servo_daemon.estimators.layout import Stretches
 from servo_daemon.estimators.motor_rls import MotorRls
 from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.output_error.setup import Recording, acceleration_size, current_size, speed_size
-from servo_daemon.estimators.rls import MEMORIES_S
+from servo_daemon.estimators.rls import SPANS_S
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.plant.parameters import LINEAR, Parameter
 from servo_daemon.samples import SampleBlock
@@ -140,7 +140,7 @@ def regression_values(block: SampleBlock, plant: PlantModel) -> dict[str, float]
         return {}
     if block.position_rad is None and block.velocity_rad_s is None:
         return {}
-    rls, stretches = MotorRls(plant, {}, memories_s=(MEMORIES_S[-1],)), Stretches()
+    rls, stretches = MotorRls(plant, {}, spans_s=(SPANS_S[-1],)), Stretches()
     period = float(np.median(np.diff(block.time_s)))
     for begin in range(0, len(block), _TICK):
         part = block.slice(begin, begin + _TICK)
