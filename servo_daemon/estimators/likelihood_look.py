@@ -95,7 +95,7 @@ class LikelihoodLook:
         if not self._waits or tick < _FIRST_TICK:
             return False
         if not doubts.of_its_start or self._filtering.kept > _MOST_SAMPLES:
-            self._end()
+            self.end()
             return False
         if not self._compares:
             self._compares, self._filtering.own = True, Fit()
@@ -108,10 +108,11 @@ class LikelihoodLook:
         found = self._iterate(scales)
         self._searches = not found and self._iterations < _MOST_ITERATIONS
         if not self._searches and tick >= _TICKS[-1]:
-            self._end()
+            self.end()
         return found
 
-    def _end(self) -> None:
+    def end(self) -> None:
+        """Nothing is asked any more: what is known is enough, or the motor is another one than in its first samples."""
         self._waits = self._searches = False
         self._filtering.keep(None)
 

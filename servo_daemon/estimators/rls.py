@@ -51,6 +51,9 @@ _ROWS_PER_COEFFICIENT = 2.0
 #: A sum of squares is larger than expected, and a window excluded, beyond so many standard deviations of what chance
 #: makes of it.
 _CHANCE_STDS = 4.0
+#: What the rows leave goes up and down with the motion by this factor (in squares; jitter, what the current does
+#: between samples): with 1 a steady motor's standard deviations were up to five times as large for no error.
+_LEVEL_VARIES = 2.0
 #: A sum of squares is no smaller than this share of y's: rounding. No variance is smaller than the second.
 _EXACT, _TINY = 1e-15, 1e-300
 
@@ -253,7 +256,7 @@ def _covariance(fit: _Fit, quiet: _Fit) -> F64:
     Args:
         quiet: the rows with the least residual: noise is no larger than there.
     """
-    by_noise = fit.rows * quiet.residual_var * (1.0 + quiet.chance)
+    by_noise = _LEVEL_VARIES * fit.rows * quiet.residual_var * (1.0 + quiet.chance)
     told = fit.expected * (1.0 + fit.chance) + CLOSES**2 * fit.energy
     structure = max(0.0, fit.left - min(by_noise, told))
     return fit.inverse * (fit.residual_var + SYSTEMATIC**2 * fit.energy + structure)
@@ -265,6 +268,6 @@ def _unexplained(newest: _Block, value: F64, shortest: _Fit, quiet: _Fit) -> flo
     rows = float(newest.counts[0])
     weights = np.append(-value, 1.0)
     left = float(weights @ newest.gram @ weights)
-    by_chance = rows * quiet.residual_var * (1.0 + _CHANCE_STDS * math.sqrt(2.0 * OVERLAP / rows))
+    by_chance = _LEVEL_VARIES * rows * quiet.residual_var * (1.0 + _CHANCE_STDS * math.sqrt(2.0 * OVERLAP / rows))
     exact = _CHANCE_STDS * SYSTEMATIC**2 * float(newest.gram[-1, -1])
     return max(0.0, left - by_chance - exact) * max(shortest.rows / rows, 1.0)

@@ -144,6 +144,10 @@ class SecondLook:
         self._judge.begin_anew(follows)
         return True
 
+    def end(self) -> None:
+        """The motor is another one than in its first samples."""
+        self._start, self.pending = None, False
+
     def _has_leapt(self, tick: int) -> bool:
         """Whether a guessed parameter that the filter has seen is elsewhere than the derivatives were taken at."""
         if self._start is None or tick < _TICKS[0] or self._leaps == _MOST_LEAPS:

@@ -297,6 +297,9 @@ class Tracker:
         end_s, judged = self._tick_end_s or 0.0, self._ticks > _TICKS_TO_WATCH and stretch.complete
         searched, explained = self._may_search(stretch), self._telling.explained
         action, messages = self._jumps.take(verdict, end_s, explained=explained, judged=judged, searched=searched)
+        if messages:  # a step was named
+            self._second_look.end()
+            self._likelihood_look.end()
         fresh = self.rls.update(self._believed(stretch, action), noise_var, self._sampling())
         if action == "learn" and stretch.complete:
             self.watch.learn(statistics, duration_s, rests=self._levels.rests)
