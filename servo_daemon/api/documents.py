@@ -61,6 +61,7 @@ def _parameters(parameters: Iterable[ParameterEstimate]) -> Document:
             "nominal": scalar(p.nominal),
             "status": p.status,
             "reason": p.reason,
+            "age_s": p.age_s,
         }
         for p in parameters
     }

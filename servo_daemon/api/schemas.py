@@ -20,6 +20,7 @@ _EXAMPLE_R = {
     "nominal": 0.4937,
     "status": "tracking",
     "reason": None,
+    "age_s": 0.0,
 }
 _TIME = "2026-11-21T12:45:21.103Z"
 

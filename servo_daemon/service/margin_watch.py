@@ -76,10 +76,10 @@ class MarginWatch:
         if not self._low and found:
             self._low = True
             text = "the controller's gains in use no longer suit the motor: " + "; ".join(w.text for w in found)
-            return [("margin_low", text, self._data(estimate.time_s))]
+            return [("margin_low", text, self._data(estimate))]
         if self._low and not weaknesses(now, nominal, setup.limits, RELIEF):
             self._low = False
-            return [("margin_restored", "the controller's margins are sufficient again", self._data(estimate.time_s))]
+            return [("margin_restored", "the controller's margins are sufficient again", self._data(estimate))]
         return []
 
     def forget(self, why: str) -> list[Message]:
@@ -111,15 +111,18 @@ class MarginWatch:
             self._nominal = rate_hz, margins
         return self._nominal[1]
 
-    def _data(self, time_s: float) -> Mapping[str, float | int | str | None]:
+    def _data(self, estimate: Estimate) -> Mapping[str, float | int | str | None]:
+        """Numbers of the event; its age is that of the oldest parameter that went into the margins."""
         now = self._now
         if now is None:
-            return {"time_s": time_s}
+            return {"time_s": estimate.time_s}
+        ages_s = [p.age_s for p in estimate.parameters if p.name in NEEDED and p.age_s is not None]
         return {
             "phase_margin_deg": now.phase_margin_deg,
             "gain_margin_dB": _gain_margin(now),
             "sensitivity_peak": now.sensitivity_peak,
-            "time_s": time_s,
+            "time_s": estimate.time_s,
+            "age_s": max(ages_s, default=None),
         }
 
 

@@ -27,7 +27,7 @@ def configuration(limits: Mapping[str, float | str], **more: Any) -> DriveConfig
 
 
 def one(value: float | None, std: float | None = 0.1, status: Status = "tracking", name: str = "R") -> Estimate:
-    return make_estimate(5.0, [ParameterEstimate(name, value, std, "Ω", 1.0, status)])
+    return make_estimate(5.0, [ParameterEstimate(name, value, std, "Ω", 1.0, status, age_s=0.4)])
 
 
 def kinds(alarms: Alarms, *estimates: Estimate) -> list[str]:
@@ -58,6 +58,7 @@ def test_what_is_told() -> None:
         "value": 1.55,
         "std": 0.1,
         "limit": pytest.approx(1.3),
+        "age_s": 0.4,
         "time_s": 5.0,
     }
     [(kind, text, _)] = alarms.update(one(1.0))

@@ -105,13 +105,32 @@ def test_status_and_reason() -> None:
 
 
 def test_what_was_known_is_held_as_uncertain_as_it_is_by_now() -> None:
-    last = Trusted(float(np.log(0.01)), 0.03)
-    kept, doubted = as_last_known(J, last, "why"), as_last_known(J, last, "why", present_std=0.5)
+    last = Trusted(float(np.log(0.01)), 0.03, age_s=7.0, unconfirmed_s=2.0)
+    here = last.coordinate
+    kept, doubted = as_last_known(J, last, "why"), as_last_known(J, last, "why", (here, 0.5))
     assert kept.value == doubted.value == pytest.approx(0.01)
     assert kept.std == pytest.approx(3e-4) and doubted.std == pytest.approx(5e-3)
     assert kept.status == "unexcited" and kept.reason == "held as last known: why"
-    assert as_last_known(J, last, "why", present_std=np.nan).std == pytest.approx(3e-4)
+    assert kept.age_s == 7.0
+    assert as_last_known(J, last, "why", (here, np.nan)).std == pytest.approx(3e-4)
     assert as_last_known(L, last, "why", floor_std=4e-4).std == pytest.approx(5e-4)
+
+
+def test_what_the_running_filter_excludes_is_not_held() -> None:
+    last = Trusted(float(np.log(0.01)), 0.03, age_s=7.0, unconfirmed_s=2.0)
+    inside, outside = ((last.coordinate + by, 0.04) for by in (0.19, 0.21))  # 0.05 together
+    assert as_last_known(J, last, "why", inside).value is not None
+    refuted = as_last_known(J, last, "why", outside)
+    assert (refuted.value, refuted.std, refuted.status) == (None, None, "estimating")
+    assert refuted.age_s == 7.0 and refuted.reason is not None and "no longer fits" in refuted.reason
+
+
+def test_nothing_is_held_for_long_on_a_motion_that_should_show_it() -> None:
+    last = Trusted(float(np.log(0.01)), 0.03, age_s=90.0, unconfirmed_s=10.5)
+    assert as_last_known(J, last, "why", hold_s=11.0).status == "unexcited"
+    given_up = as_last_known(J, last, "why", hold_s=10.0)
+    assert (given_up.value, given_up.status) == (None, "estimating")
+    assert given_up.reason is not None and "hold_s = 10 s" in given_up.reason
 
 
 def test_not_a_number_is_never_published() -> None:

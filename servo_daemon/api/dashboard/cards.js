@@ -27,6 +27,12 @@ function write(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
+/** Why a parameter is not tracked, and for how long it has not been. */
+function heldSince(p) {
+  if (!p.reason) return "";
+  return p.age_s >= 1 ? `${p.reason} (last known ${Math.round(p.age_s)} s ago)` : p.reason;
+}
+
 /** J_d as J with a subscript. */
 function symbol(name) {
   const [letter, ...below] = name.split("_");
@@ -118,7 +124,7 @@ export class ParameterCard extends Card {
     badge.dataset.status = p.status;
     this.element.dataset.status = p.status;
     write(badge, BADGES[p.status] ?? p.status);
-    write(this.find(".reason"), this.pointed ? this.#pointedText() : (p.reason ?? ""));
+    write(this.find(".reason"), this.pointed ? this.#pointedText() : heldSince(p));
   }
 
   #compare(p) {
