@@ -61,7 +61,7 @@ def _parameters(parameters: Iterable[ParameterEstimate]) -> Document:
             "nominal": scalar(p.nominal),
             "status": p.status,
             "reason": p.reason,
-            "age_s": p.age_s,
+            "age_s": scalar(p.age_s),
         }
         for p in parameters
     }

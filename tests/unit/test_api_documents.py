@@ -76,7 +76,7 @@ def test_estimates_are_the_contract() -> None:
     assert document["drive"] == "axis1"
     assert document["time"] == "2026-11-21T12:00:01.000Z"
     assert list(document["parameters"]) == ["R", "L", "K", "J", "B"]
-    assert list(document["parameters"]["R"]) == ["value", "std", "unit", "nominal", "status", "reason"]
+    assert list(document["parameters"]["R"]) == ["value", "std", "unit", "nominal", "status", "reason", "age_s"]
     assert document["parameters"]["R"]["unit"] == "Ω"
     assert document["parameters"]["R"]["nominal"] == NOMINAL["R"]
     assert set(document["state"]) == {"current_A", "velocity_rad_s", "position_rad"}
@@ -106,7 +106,7 @@ def test_before_the_first_samples_nominal_values_are_estimating() -> None:
 def test_what_is_not_finite_becomes_null(bad: float) -> None:
     daemon = fake_daemon()
     drive = daemon.drives["axis1"]
-    parameters = (ParameterEstimate("R", bad, bad, "Ω", bad, "invalid", "broken"),)
+    parameters = (ParameterEstimate("R", bad, bad, "Ω", bad, "invalid", "broken", bad),)
     estimate = make_estimate(
         2.0,
         parameters,
@@ -125,6 +125,7 @@ def test_what_is_not_finite_becomes_null(bad: float) -> None:
         "nominal": None,
         "status": "invalid",
         "reason": "broken",
+        "age_s": None,
     }
     assert document["sample_rate_hz"] is None
     assert document["state"] == {"current_A": None}
