@@ -1,8 +1,8 @@
 """`witness`: is the regression a second witness? Five motors of the independent generator, three motions, two seeds.
 
 R, K, B, in every second run J as well, rise by 15 to 67 % or fall by 15 to 35 % in 150 s; somewhere in the middle a
-step of R, J or the load torque by 15 to 35 % comes on top. Laboratory sensors, unknown noise, a datasheet up to 40 % off. The regression, the filter and what
-is published are compared with the truth at 10 Hz, from 20 s on.
+step of R, J or the load torque by 15 to 35 % comes on top. Laboratory sensors, unknown noise, a datasheet up to 40 %
+off. The regression, the filter and what is published are compared with the truth at 10 Hz, from 20 s on.
 
 `--slow`: 10 % an hour for ten minutes instead, without a step. Motors that do not change: `steady`.
 """
@@ -91,10 +91,9 @@ def _ageing(run: Run, motor: Motor, rng: np.random.Generator, time_s: F64) -> tu
         signs = {"R": 1, "K": -1, "J": 1, "B": 1}
         return {name: getattr(motor, name) * (1 + sign * share) for name, sign in signs.items()}, run.seconds
     # A winding gets hotter, magnets weaker, grease stiffer or softer, a load is put on or taken off.
-    up, down = (lambda: rng.uniform(*_UP)), (lambda: -rng.uniform(*_DOWN))
-    amount = {"R": up(), "K": down(), "B": up() if rng.uniform() < 0.5 else down()}
+    amount = {"R": rng.uniform(*_UP), "K": -rng.uniform(*_DOWN), "B": _either_way(rng)}
     if run.seed % 2:
-        amount["J"] = up() if rng.uniform() < 0.5 else down()
+        amount["J"] = _either_way(rng)
     values = {name: getattr(motor, name) * (1 + a * time_s / AGEING_SECONDS) for name, a in amount.items()}
     step_s, size = float(rng.uniform(0.4, 0.7)) * run.seconds, float(rng.uniform(0.15, 0.35))
     late = time_s >= step_s
@@ -104,6 +103,10 @@ def _ageing(run: Run, motor: Motor, rng: np.random.Generator, time_s: F64) -> tu
         before = values.get(run.stepped, np.full(len(time_s), getattr(motor, run.stepped)))
         values[run.stepped] = before * np.where(late, 1 + size, 1.0)
     return values, step_s
+
+
+def _either_way(rng: np.random.Generator) -> float:
+    return rng.uniform(*_UP) if rng.uniform() < 0.5 else -rng.uniform(*_DOWN)
 
 
 def run_witness(run: Run) -> dict[str, Any]:
