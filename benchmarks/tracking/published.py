@@ -23,8 +23,8 @@ from .servo import SHOWN, servo_heard
 from .voices import VOICES, Heard
 from .wrong import TICK_S, WRONG_S, Journal, chosen, each, longest_s, wrong
 
-#: Issue 25: share of the time tracking.
-TRACKING = 0.95
+#: Issue 25: share of the time tracking; age of a value that does not say so, s.
+TRACKING, STALE_S = 0.95, 10.0
 #: The case `frozen`.
 FROZEN = ("R=+40%/180s", "K=-15%/180s", "B=+80%/180s", "J_d=+0.003@60s")
 FROZEN_NOMINAL = {"R": 0.70, "L": 3.2e-3, "K": 0.20, "J": 0.0135, "J_m": DEFAULT_J_M, "B": 0.34}
@@ -82,19 +82,22 @@ def figures(heard: Heard, truth: F64) -> dict[str, Any]:
 
     Returns:
         "wrong_s": voice -> longest stretch wrong, s, (SHOWN,); "final": voice -> error of the last value; "tracking":
-        share of the time, (SHOWN,); "held_s": longest stretch with a value that is not tracked, (SHOWN,);
+        share of the time, (SHOWN,); "held_s": longest stretch with a value that is not tracked, (SHOWN,); "stale_s":
+        longest stretch in which a value that is called tracked does not move, (SHOWN,);
         "white": share of the time; "steps": those named, in words.
     """
     late = heard.time_s > BURN_IN_S
     off = {v: wrong(heard.value[v][late], heard.std[v][late], truth[late]) for v in VOICES}
     with np.errstate(invalid="ignore"):
         final = {v: heard.value[v][-1] / truth[-1] - 1 for v in VOICES}
-    has_value = np.isfinite(heard.std["published"])
+    value, has_value = heard.value["published"], np.isfinite(heard.std["published"])
+    still = np.diff(value, axis=0, prepend=np.nan) == 0.0
     return {
         "wrong_s": {v: longest_s(flags) for v, flags in off.items()},
         "final": final,
         "tracking": heard.tracking[late].mean(axis=0),
         "held_s": longest_s(has_value[late] & ~heard.tracking[late]),
+        "stale_s": longest_s(still[late] & heard.tracking[late]),
         "white": float(heard.white[late].mean()),
         "steps": [f"{t.message} at {t.time_s:.1f} s" for t in heard.steps],
     }
@@ -117,6 +120,10 @@ def faults_of(row: Mapping[str, Any]) -> list[str]:
     least = int(np.argmin(row["tracking"]))
     if row["tracking"][least] < TRACKING:
         out.append(f"{SHOWN[least]} tracking {100 * row['tracking'][least]:.0f} %, held {row['held_s'][least]:.1f} s")
+    if np.max(row["stale_s"]) > STALE_S:
+        out.append(
+            f"{SHOWN[int(np.argmax(row['stale_s']))]} tracking for {np.max(row['stale_s']):.1f} s without moving"
+        )
     return out
 
 
@@ -149,11 +156,12 @@ def print_table(rows: list[dict[str, Any]], *, explained: bool = True) -> None:
         stretches = np.array([row["wrong_s"][voice] for row in rows])
         beyond = int((stretches > WRONG_S).any(axis=1).sum())
         limit = f"{WRONG_S:g} s, {beyond} of {len(rows)}" if voice == "published" else f"–, {beyond} of {len(rows)}"
-        print(
-            f"  {voice + ': longest stretch wrong, s':44}"
-            + "".join(f"{x:8.1f}" for x in stretches.max(0))
-            + f"    {limit}"
+        # The estimators know nothing of J_m.
+        cells = "".join(
+            f"{'–':>8}" if name == "J_d" and voice != "published" else f"{worst:8.1f}"
+            for name, worst in zip(SHOWN, stretches.max(0), strict=True)
         )
+        print(f"  {voice + ': longest stretch wrong, s':44}{cells}    {limit}")
     tracking = np.array([row["tracking"] for row in rows])
     beyond = int((tracking < TRACKING).any(axis=1).sum())
     cells = "".join(f"{100 * x:8.1f}" for x in tracking.min(0))
@@ -161,5 +169,9 @@ def print_table(rows: list[dict[str, Any]], *, explained: bool = True) -> None:
     print(f"  {'least share of the time tracking, %':44}{cells}    {limit}, {beyond} of {len(rows)}")
     held = np.array([row["held_s"] for row in rows]).max(0)
     print(f"  {'oldest value held, s':44}" + "".join(f"{x:8.1f}" for x in held) + "    –")
+    stale = np.array([row["stale_s"] for row in rows])
+    beyond = int((stale > STALE_S).any(axis=1).sum())
+    cells = "".join(f"{x:8.1f}" for x in stale.max(0))
+    print(f"  {'tracking without moving, longest, s':44}{cells}    {STALE_S:g} s, {beyond} of {len(rows)}")
     cpu = [row["cpu_s"] for row in rows if "cpu_s" in row]
     print(f"  {sum(cpu) / len(cpu):.1f} s of one core a run, {sum(cpu) / 60:.1f} min in all; ticks of {TICK_S:g} s")

@@ -35,6 +35,15 @@ def wrong_s(heard: Heard, truth: F64, voice: str, after_s: float = BURN_IN_S) ->
     return {name: s for name, s in zip(heard.names, stretches.tolist(), strict=True) if s > WRONG_S}
 
 
+def test_what_counts_as_wrong() -> None:
+    """Beyond 4 std and beyond 3 %, where a value is said with a std; for how long at a stretch."""
+    value = np.array([[1.10], [1.10], [1.02], [1.10], [np.nan], [1.10], [0.90], [0.90]])
+    std = np.array([[0.02], [0.03], [0.001], [np.nan], [np.nan], [0.02], [0.02], [0.02]])
+    off = wrong(value, std, np.ones_like(value))
+    assert off[:, 0].tolist() == [True, False, False, False, False, True, True, True]
+    assert longest_s(off) == pytest.approx([0.3])
+
+
 # -- published values that stand still ---------------------------------------------------------------------------------
 
 
