@@ -1,4 +1,4 @@
-"""Which engine runs what: new samples the one that was asked for, everything that is gone over again the compiled one."""
+"""Which engine runs what: new samples the one that was asked for, what is gone over again the compiled one."""
 
 from __future__ import annotations
 
