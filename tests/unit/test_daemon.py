@@ -17,8 +17,8 @@ import pytest
 from servo_daemon.config import parse_config
 from servo_daemon.errors import DriverConfigError, DriverDisconnectedError
 from servo_daemon.samples import Quality, SampleBlock
-from servo_daemon.service import daemon as daemon_module
 from servo_daemon.service import reader as reader_module
+from servo_daemon.service import worker as worker_module
 from servo_daemon.service.daemon import Daemon
 from servo_daemon.simulate import DEFAULT_NOMINAL, PAPER_MOTOR, SimulatedDrive, make_settings
 from tests.can_tools import frames_of, new_channel, virtual_sender
@@ -55,7 +55,8 @@ def test_a_slow_worker_loses_the_oldest_and_says_how_many(
         rig.driver().feed(100)
     rig.until(lambda: rig.driver().fed == 10_000 and queue.samples + queue.dropped == 10_000, "all queued or dropped")
     assert queue.dropped == 7000
-    assert rig.runtime().work()
+    rounds = [rig.runtime().work() for _ in range(7)]
+    assert rounds == [True] * 6 + [False], "500 samples in a round"
     snapshot = rig.snapshot()
     assert snapshot.estimate is not None
     assert snapshot.counters["samples"] == 10_000
@@ -270,7 +271,7 @@ def test_wrong_options_keep_the_daemon_from_being_made() -> None:
 
 
 def test_a_worker_that_hangs_is_a_problem(start: Callable[..., Rig], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(daemon_module, "_STUCK_S", 0.2)
+    monkeypatch.setattr(worker_module, "STUCK_S", 0.2)
     rig = start()
     released = threading.Event()
     work = rig.runtime().work
@@ -290,7 +291,7 @@ def test_a_worker_that_hangs_is_a_problem(start: Callable[..., Rig], monkeypatch
 
 def test_stop_is_idempotent_and_ends_every_thread(start: Callable[..., Rig]) -> None:
     rig = start(configuration("one", "two"))
-    names = {"pipeline", "saver", "reader-one", "reader-two"}
+    names = {"pipeline-one", "pipeline-two", "watch", "saver", "reader-one", "reader-two"}
     assert names <= {t.name for t in threading.enumerate()}
     assert not rig.daemon.stopping()
     rig.daemon.begin_stop()
