@@ -1,10 +1,10 @@
-"""The daemon: a worker thread for each drive, reader threads, a saver, and what systemd wants to hear."""
+"""The daemon: the workers over all drives, reader threads, a saver, and what systemd wants to hear."""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from drivers.registry import make_driver
@@ -14,10 +14,10 @@ from servo_daemon.service.diagnosis_runner import DiagnosisRunner
 from servo_daemon.service.drive import DriveRuntime
 from servo_daemon.service.learned_desk import LearnedDesk
 from servo_daemon.service.notify import Notifier
-from servo_daemon.service.worker import Worker
+from servo_daemon.service.worker import Seat, Workers
 
-#: What systemd is to hear is looked at this often, s.
-_WATCH_S = 0.1
+#: The workers are looked after this often, s.
+_WATCH_S = 0.025
 #: READY is told to systemd after the first fresh samples, or this long after the start, s.
 START_TIMEOUT_S = 10.0
 #: A stop waits so long for threads that are busy (with the first model's equations, say), s: of the 2 s that a stop may
@@ -48,20 +48,24 @@ class Daemon:
         home = None if state_dir is None else state_dir / "diagnosis"
         self._diagnoses = DiagnosisRunner(d.command, d.time_limit_s, d.nice, home)
         self._learned = LearnedDesk(config.learning)
-        self._workers = {d.name: self._worker_for(d, state_dir) for d in config.drive}
+        self._workers = Workers(self._stop)
+        self._seats = {d.name: self._seat_for(d, state_dir) for d in config.drive}
         self._watcher = threading.Thread(target=self._watch, name="watch", daemon=True)
         self._saver = threading.Thread(target=self._save, name="saver", daemon=True)
 
-    def _worker_for(self, config: DriveConfig, state_dir: Path | None) -> Worker:
-        wake, seat = threading.Event(), self._learned.seat(config.name) if config.estimation.refresh else None
+    def _seat_for(self, config: DriveConfig, state_dir: Path | None) -> Seat:
         driver = make_driver(config.driver, config.name, config.options)
-        runtime = DriveRuntime(config, driver, state_dir, wake.set, self._diagnoses, seat)
-        return Worker(runtime, wake, self._stop, self.config.storage.save_interval_s, self._save_now.set)
+        model = self._learned.seat(config.name) if config.estimation.refresh else None
+
+        def make(wake: Callable[[], None]) -> DriveRuntime:
+            return DriveRuntime(config, driver, state_dir, wake, self._diagnoses, model)
+
+        return Seat(make, self._workers.call, self.config.storage.save_interval_s, self._save_now.set)
 
     @property
     def drives(self) -> Mapping[str, DriveRuntime]:
         """Drives by name, in the order of the configuration."""
-        return {name: worker.runtime for name, worker in self._workers.items()}
+        return {name: seat.runtime for name, seat in self._seats.items()}
 
     def stopping(self) -> bool:
         """The daemon has been told to stop."""
@@ -69,15 +73,17 @@ class Daemon:
 
     def problems(self) -> Sequence[str]:
         """What is wrong with the daemon itself, in words; empty when healthy."""
-        found = [p for w in self._workers.values() for p in (w.runtime.problem, w.problem)]
+        found = [seat.runtime.problem for seat in self._seats.values()]
+        found += [seat.problem for seat in self._seats.values() if self._workers.started]
         return [p for p in found if p is not None]
 
     def start(self) -> None:
-        for thread in (self._watcher, self._saver, *self._workers.values()):
-            thread.start()
+        self._workers.start(tuple(self._seats.values()))
+        self._watcher.start()
+        self._saver.start()
         self._learned.start()
-        for worker in self._workers.values():
-            worker.runtime.reader.start()
+        for runtime in self.drives.values():
+            runtime.reader.start()
 
     def begin_stop(self) -> None:
         """Ask everything to end without waiting: open streams see it at once."""
@@ -86,17 +92,17 @@ class Daemon:
             self._stop.set()
             self._diagnoses.kill()
             self._learned.begin_stop()
-            for worker in self._workers.values():
-                worker.runtime.reader.request_stop()
-                worker.wake()
+            for seat in self._seats.values():
+                seat.runtime.reader.request_stop()
+                seat.call()
 
     def stop(self, timeout_s: float = _STOP_S) -> None:
         """End readers, workers and saver; what was learned is saved once more. Idempotent."""
         self.begin_stop()
         deadline = time.monotonic() + timeout_s
-        for worker in self._workers.values():
-            worker.runtime.reader.stop(max(0.05, deadline - time.monotonic()))
-        for thread in (*self._workers.values(), self._watcher, self._saver):
+        for runtime in self.drives.values():
+            runtime.reader.stop(max(0.05, deadline - time.monotonic()))
+        for thread in (self._workers, self._watcher, self._saver):
             if thread.is_alive():
                 thread.join(max(0.05, deadline - time.monotonic()))
         self._diagnoses.stop(max(0.05, deadline - time.monotonic()))
@@ -107,17 +113,17 @@ class Daemon:
     def _save(self) -> None:
         last = False
         while not last:
-            last = self._stop.is_set() and not any(w.is_alive() for w in self._workers.values())
+            last = self._stop.is_set() and not self._workers.is_alive()
             self._save_now.wait(0.2)
             self._save_now.clear()
-            for worker in self._workers.values():
-                worker.runtime.save_offered()
+            for runtime in self.drives.values():
+                runtime.save_offered()
 
     def _watch(self) -> None:
         began = time.monotonic()
         while not self._stop.wait(_WATCH_S):
-            now = time.monotonic()
-            fresh = any(w.has_worked for w in self._workers.values())
+            self._workers.look()
+            now, fresh = time.monotonic(), any(seat.has_worked for seat in self._seats.values())
             if not self._ready and (fresh or now - began > START_TIMEOUT_S):
                 self._ready = True
                 self._notifier.ready(self._summary())
@@ -125,8 +131,8 @@ class Daemon:
                 self._tell_systemd(now)
 
     def _tell_systemd(self, now: float) -> None:
-        """That all workers turn, and how the drives are. (One that is overloaded turns; a restart would not help.)"""
-        if all(w.has_turned_since(self._told) for w in self._workers.values()):
+        """That all drives turn, and how the drives are. (One that is overloaded turns; a restart would not help.)"""
+        if all(seat.has_turned_since(self._told) for seat in self._seats.values()):
             self._told = now
             self._notifier.watchdog()
         if (summary := self._summary()) != self._said:

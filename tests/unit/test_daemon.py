@@ -291,7 +291,7 @@ def test_a_worker_that_hangs_is_a_problem(start: Callable[..., Rig], monkeypatch
 
 def test_stop_is_idempotent_and_ends_every_thread(start: Callable[..., Rig]) -> None:
     rig = start(configuration("one", "two"))
-    names = {"pipeline-one", "pipeline-two", "watch", "saver", "reader-one", "reader-two"}
+    names = {"pipeline", "watch", "saver", "reader-one", "reader-two"}
     assert names <= {t.name for t in threading.enumerate()}
     assert not rig.daemon.stopping()
     rig.daemon.begin_stop()
