@@ -35,8 +35,9 @@ RATE_HZ, REQUESTS_PER_S = 1000, 200
 
 
 def cpu_s(pid: int) -> float:
-    """Time its threads have run so far, s (nanoseconds from the scheduler, not clock ticks)."""
-    return sum(int(p.read_text().split()[0]) for p in Path(f"/proc/{pid}/task").glob("*/schedstat")) * 1e-9
+    """Time it has run so far, s, threads that have ended included."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def rss_MB(pid: int) -> float:

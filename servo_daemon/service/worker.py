@@ -16,14 +16,15 @@ from dataclasses import dataclass
 
 from servo_daemon.service.drive import DriveRuntime
 
-#: With several drives the shared thread waits so long for the others' blocks once one has come, s: fewer turns.
+#: With several drives the shared thread waits so long for the others' blocks once one has come, s: fewer turns. Not
+#: beside a drive that takes long: then it waits for the interpreter often enough.
 _GATHER_S = 0.015
 #: Without any block drives are turned all the same, to see that one has fallen silent and to carry out requests, s.
 _IDLE_TURN_S = 0.1
 #: A turn beyond this is long, s: with `daemon._WATCH_S` others wait for 45 ms at most.
 LONG_TURN_S = 0.02
 #: A drive without a long turn for so long goes back to the others, s.
-_QUICK_S = 5.0
+_QUICK_S = 1.0
 #: A drive that has not turned for this long is a problem the API reports, s.
 STUCK_S = 5.0
 
@@ -157,7 +158,7 @@ class Workers:
     def _work_for_all(self) -> None:
         while not self._stop.is_set():
             self._wake.wait(_IDLE_TURN_S)
-            if len(self.seats) > 1:
+            if len(self.seats) > 1 and all(seat.owner is None for seat in self.seats):
                 self._stop.wait(_GATHER_S)
             self._wake.clear()
             for seat in self.seats:
