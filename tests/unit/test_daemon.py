@@ -338,23 +338,25 @@ def test_what_takes_one_drive_long_holds_up_no_other(
 def test_no_drive_is_turned_by_two_threads_at_once_and_a_quick_one_shares_again(
     start: Callable[..., Rig], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Every turn with samples is a long one, every other is not: drives come and go between threads all the time."""
-    monkeypatch.setattr(worker_module, "LONG_TURN_S", 1e-4)
+    """Every turn is taken for a long one for a while, then none is: drives go to threads of their own and come back."""
     monkeypatch.setattr(worker_module, "_QUICK_S", 0.0)
     rig = start(configuration("one", "two", "three"))
-    inside, threads, crossed = dict.fromkeys(rig.daemon.drives, 0), set(), []
-    for name in rig.daemon.drives:
+    seats = rig.daemon._seats
+    inside, threads, crossed = dict.fromkeys(seats, 0), set(), []
+    for name in seats:
         monkeypatch.setattr(rig.runtime(name), "work", counted(rig.runtime(name).work, name, inside, threads, crossed))
-    for _ in range(60):
-        for name in rig.daemon.drives:
-            rig.driver(name).feed(50)
-    for name in rig.daemon.drives:
-        rig.until_samples(3000, name)
-        assert rig.snapshot(name).counters["samples_lost"] == 0
-    assert crossed == []
-    assert len(threads) > 3, "they did change threads"
-    monkeypatch.setattr(worker_module, "LONG_TURN_S", 60.0)
-    rig.until(lambda: all(seat.owner is None for seat in rig.daemon._seats.values()), "all share a thread again")
+    for k in range(1, 4):
+        monkeypatch.setattr(worker_module, "LONG_TURN_S", 0.0)
+        for _ in range(20):
+            for name in seats:
+                rig.driver(name).feed(50)
+        rig.until(lambda: any(seat.owner is not None for seat in seats.values()), "one has a thread of its own")
+        for name in seats:
+            rig.until_samples(k * 1000, name)
+        monkeypatch.setattr(worker_module, "LONG_TURN_S", 60.0)
+        rig.until(lambda: all(seat.owner is None for seat in seats.values()), "all share a thread again")
+    assert crossed == [] and len(threads) > 3
+    assert all(rig.snapshot(name).counters["samples_lost"] == 0 for name in seats)
 
 
 def counted(work: Any, name: str, inside: dict[str, int], threads: set[Any], crossed: list[str]) -> Any:
