@@ -17,7 +17,7 @@ from servo_daemon.service.notify import Notifier
 from servo_daemon.service.worker import Seat, Workers
 
 #: The workers are looked after this often, s.
-_WATCH_S = 0.025
+_WATCH_S = 0.02
 #: READY is told to systemd after the first fresh samples, or this long after the start, s.
 START_TIMEOUT_S = 10.0
 #: A stop waits so long for threads that are busy (with the first model's equations, say), s: of the 2 s that a stop may

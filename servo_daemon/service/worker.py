@@ -21,8 +21,8 @@ from servo_daemon.service.drive import DriveRuntime
 _GATHER_S = 0.015
 #: Without any block drives are turned all the same, to see that one has fallen silent and to carry out requests, s.
 _IDLE_TURN_S = 0.1
-#: A turn beyond this is long, s: with `daemon._WATCH_S` others wait for 45 ms at most.
-LONG_TURN_S = 0.02
+#: A turn beyond this is long, s: with `daemon._WATCH_S` others wait for 35 ms at most.
+LONG_TURN_S = 0.015
 #: A drive without a long turn for so long goes back to the others, s.
 _QUICK_S = 1.0
 #: A drive that has not turned for this long is a problem the API reports, s.

@@ -280,6 +280,34 @@ def test_a_block_larger_than_the_queue_is_kept() -> None:
     assert [int(b.sequence[0]) for b in queue.take()] == [50] and queue.dropped == 50
 
 
+def test_a_queue_gives_whole_blocks_of_about_so_many_samples() -> None:
+    queue = BlockQueue()
+    for first in range(0, 50, 10):
+        queue.put(block(first))
+    assert [[int(b.sequence[0]) for b in queue.take(15)] for _ in range(4)] == [[0, 10], [20, 30], [40], []]
+    assert queue.samples == 0 and queue.dropped == 0
+
+
+def test_a_source_that_can_wait_is_read_no_faster_than_it_is_worked_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reader_module, "_AHEAD_SAMPLES", 25)
+    driver = Scripted([block(first) for first in range(0, 1000, 10)])
+    monkeypatch.setattr(Scripted, "can_wait", True)
+    w = Watched(driver)
+    longest, taken = [0], []
+    monkeypatch.setattr(w.reader, "_wake", lambda: longest.append(w.reader.queue.samples))
+    w.reader.start()
+    try:
+        w.until(lambda: w.reader.queue.samples > 25, "ahead")
+        while len(taken) < 100:
+            taken += w.reader.queue.take(10)
+            time.sleep(0)
+        assert max(longest) == 30, "a block more than that at the most"
+        assert [int(b.sequence[0]) for b in taken] == list(range(0, 1000, 10))
+        assert w.reader.queue.dropped == 0
+    finally:
+        w.reader.stop(PATIENCE_S)
+
+
 def test_nothing_is_lost_between_two_threads() -> None:
     queue, taken, done = BlockQueue(capacity=200), [], threading.Event()
 
