@@ -35,8 +35,9 @@ RATE_HZ, REQUESTS_PER_S = 1000, 200
 
 
 def cpu_s(pid: int) -> float:
-    """Time its threads have run so far, s (nanoseconds from the scheduler, not clock ticks)."""
-    return sum(int(p.read_text().split()[0]) for p in Path(f"/proc/{pid}/task").glob("*/schedstat")) * 1e-9
+    """Time it has run so far, s, threads that have ended included."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def rss_MB(pid: int) -> float:
@@ -55,14 +56,19 @@ class Api:
         return json.loads(self._connection.getresponse().read())
 
 
+def table(number: int, link: Path, more: str = "") -> str:
+    """A drive on a serial link in a configuration."""
+    return f'[[drive]]\nname = "axis{number}"\ndriver = "serial"\n{more}[drive.options]\nport = "{link}"\n'
+
+
+def tables_of(links: list[Path]) -> list[str]:
+    return [table(k, link) for k, link in enumerate(links)]
+
+
 @contextlib.contextmanager
-def daemon(links: list[Path], folder: Path) -> Iterator[tuple[int, int]]:
-    """The daemon on these serial links: (pid, port)."""
+def daemon(tables: list[str], folder: Path) -> Iterator[tuple[int, int]]:
+    """The daemon with these drives: (pid, port)."""
     config = folder / "bench.toml"
-    tables = [
-        f'[[drive]]\nname = "axis{k}"\ndriver = "serial"\n[drive.options]\nport = "{link}"\n'
-        for k, link in enumerate(links)
-    ]
     config.write_text("\n".join(tables))
     command = [sys.executable, "-m", "servo_daemon", "run", "--config", str(config), "--port", "0", "--state-dir"]
     process = subprocess.Popen([*command, str(folder)], stderr=subprocess.PIPE, text=True)
@@ -124,7 +130,7 @@ def used_percent(pid: int, work: Callable[[], object]) -> float:
 
 def load(n: int, seconds: float, folder: Path) -> None:
     """CPU with n drives, alone and while the API answers; memory and losses over all of it."""
-    with simulated_drives(n, folder) as links, daemon(links, folder) as (pid, port):
+    with simulated_drives(n, folder) as links, daemon(tables_of(links), folder) as (pid, port):
         api = Api(port)
         wait_for_samples(api, n)
         before, memory = [api.get(f"/drives/axis{k}") for k in range(n)], rss_MB(pid)
@@ -170,7 +176,7 @@ def latency(seconds: float, folder: Path) -> None:
     device.start()
     answers: list[tuple[int, float]] = []
     try:
-        with daemon([link], folder) as (_, port):
+        with daemon([table(0, link)], folder) as (_, port):
             api = Api(port)
             wait_for_samples(api, 1)
             first = api.get("/drives/axis0")["counters"]
@@ -200,7 +206,7 @@ def first_estimate(folder: Path) -> None:
     """Start of the process to a tracked R, caches warm."""
     with simulated_drives(1, folder) as links:
         began = time.monotonic()
-        with daemon(links, folder) as (_, port):
+        with daemon(tables_of(links), folder) as (_, port):
             listening = time.monotonic() - began
             api, estimated = Api(port), None
             while time.monotonic() - began < 20:

@@ -70,6 +70,12 @@ class Driver(ABC):
         return self._is_open
 
     @property
+    def can_wait(self) -> bool:
+        """Whether samples that are not read yet wait without being lost (a file): then they are read no faster than
+        they are worked off."""
+        return False
+
+    @property
     @abstractmethod
     def info(self) -> DriveInfo:
         """What is known of the device now; more may be known after the first frames."""

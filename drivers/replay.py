@@ -155,6 +155,11 @@ class ReplayDriver(Driver):
         self._closing = threading.Event()
 
     @property
+    def can_wait(self) -> bool:
+        """At full speed; a capture that is played at a speed of its own is as a drive is."""
+        return self._options.speed == 0
+
+    @property
     def info(self) -> DriveInfo:
         """From the capture once it has been opened; metadata `identity` names the recorded device."""
         capture = self._capture

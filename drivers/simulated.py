@@ -85,6 +85,11 @@ class SimulatedDriver(Driver):
         self._has_failed = False
 
     @property
+    def can_wait(self) -> bool:
+        """Where it is not paced by the clock."""
+        return not self._pacing.realtime
+
+    @property
     def info(self) -> DriveInfo:
         return self._info
 

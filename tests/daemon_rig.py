@@ -19,6 +19,7 @@ from servo_daemon.service import daemon as daemon_module
 from servo_daemon.service import reader as reader_module
 from servo_daemon.service.daemon import Daemon
 from servo_daemon.service.drive import DriveRuntime
+from servo_daemon.service.notify import Notifier
 from servo_daemon.service.snapshot import Snapshot
 from servo_daemon.simulate import DEFAULT_NOMINAL, SimulatedDrive, make_settings
 
@@ -128,8 +129,14 @@ def starter(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Rig]]:
     monkeypatch.setattr(daemon_module, "make_driver", lambda kind, name, options: Fed(name, options))
     with contextlib.ExitStack() as stack:
 
-        def begin(config: Config | None = None, state: Path | None = None, *, run: bool = True) -> Rig:
-            daemon = Daemon(config or configuration(), state)
+        def begin(
+            config: Config | None = None,
+            state: Path | None = None,
+            *,
+            run: bool = True,
+            notifier: Notifier | None = None,
+        ) -> Rig:
+            daemon = Daemon(config or configuration(), state, notifier)
             stack.callback(daemon.stop, PATIENCE_S)
             if run:
                 daemon.start()

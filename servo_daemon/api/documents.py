@@ -73,6 +73,7 @@ def estimates_document(drive: DriveView, snapshot: Snapshot) -> Document:
     health: Document = {
         "connection": snapshot.connection,
         "connection_reason": snapshot.reason,
+        "overloaded": snapshot.overloaded,
         **_scalars(snapshot.counters),
     }
     common = {"drive": snapshot.drive, "time": _time_or_none(snapshot.time)}

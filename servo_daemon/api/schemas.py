@@ -86,6 +86,7 @@ class EstimatesDocument(_Document):
             "samples_lost": 0,
             "connection": "connected",
             "connection_reason": None,
+            "overloaded": False,
         },
     )
 
@@ -105,7 +106,8 @@ class EstimatesDocument(_Document):
     )
     health: dict[str, Scalar] = Field(
         description="How well it goes: `connection` and its reason, `innovation_white`, `samples_lost` and the other "
-        "counters of the line, step times; units in the names."
+        "counters of the line; `overloaded`: samples come faster than they are worked off, and the oldest are left out "
+        "(in `queue_dropped`, and so in `samples_lost`); units in the names."
     )
 
 

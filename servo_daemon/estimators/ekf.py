@@ -25,7 +25,7 @@ _LAST = STATISTICS.index("last")
 
 
 class Loop(Protocol):
-    """What runs the step: `SampleLoop`, or the readable one in `filterpy_ekf`."""
+    """What runs the step: `SampleLoop`, or the one in `filterpy_ekf`."""
 
     def run(self, state: F64, constants: F64, samples: F64) -> F64: ...
 
@@ -36,14 +36,15 @@ class Ekf:
     Args:
         plant: the model.
         channels: measured channels, some of `ekf_model.MEASURABLE`.
-        loop: engine; the compiled one if None.
+        loop: engine of the running recursion; the compiled one if None.
     """
 
     def __init__(self, plant: PlantModel, channels: tuple[str, ...], loop: Loop | None = None) -> None:
         self.plant, self.channels = plant, channels
         layout, function = build_ekf_step(plant, channels)
         self._lay: EkfLayout = layout
-        self._loop: Loop = SampleLoop(function) if loop is None else loop
+        self._compiled: Loop = SampleLoop(function)
+        self._running: Loop = self._compiled if loop is None else loop
         self._state = np.zeros(layout.n_state)
         self._constants = np.zeros(layout.n_constants)
         self.use_instrument(True)
@@ -152,9 +153,14 @@ class Ekf:
         """Whether derivatives are taken along the instrument (`ekf_model`); for parameters that are nearly right."""
         self._constants[-1] = INSTRUMENT_S if use else NO_INSTRUMENT_S
 
-    def update(self, samples: F64) -> Innovations:
-        """Run over samples laid out as `EkfLayout` says, shape (n, n_sample)."""
-        outputs = self._loop.run(self._state, self._constants, samples)
+    def update(self, samples: F64, *, again: bool = False) -> Innovations:
+        """Run over samples laid out as `EkfLayout` says, shape (n, n_sample).
+
+        Args:
+            again: they are gone over again: with the compiled step whatever the engine is, for these are a hundred
+                times as many as there are samples.
+        """
+        outputs = (self._compiled if again else self._running).run(self._state, self._constants, samples)
         return Innovations(outputs[:, 0::3], outputs[:, 1::3], outputs[:, 2::3])
 
     def take_information(self) -> F64:

@@ -76,18 +76,22 @@ class Filtering:
             self._laid_out = None
         for piece in self._pieces(block, last_s, period_s):
             self._passed.append(piece)
-            innovations = self.run(piece)
+            innovations = self.run(piece, again=False)
             if innovations is not None:
                 self._gated.append(innovations.gated)
                 if self._kept is not None:
                     self.own = self.own.with_more(innovations)
 
-    def run(self, piece: Forget | F64) -> Innovations | None:
-        """The filter over samples as they are laid out, or what it forgets between some."""
+    def run(self, piece: Forget | F64, *, again: bool = True) -> Innovations | None:
+        """The filter over samples as they are laid out, or what it forgets between some.
+
+        Args:
+            again: they have been taken before.
+        """
         if isinstance(piece, Forget):
             self._forget(piece)
             return None
-        return self._ekf.update(piece)
+        return self._ekf.update(piece, again=again)
 
     def take_passed(self) -> list[Forget | F64]:
         """What the filter took since the last call."""

@@ -1,37 +1,25 @@
-"""The daemon: one worker thread over all drives, reader threads, a saver, and what systemd wants to hear.
-
-The worker is woken by the readers' blocks, which come some 25 times a second, and takes whatever has queued up for
-each drive in one go: the cost of a turn is shared by its samples, and what the reader has just touched is still warm.
-"""
+"""The daemon: the workers over all drives, reader threads, a saver, and what systemd wants to hear."""
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from drivers.registry import make_driver
 from servo_daemon import __version__
-from servo_daemon.config import Config
+from servo_daemon.config import Config, DriveConfig
 from servo_daemon.service.diagnosis_runner import DiagnosisRunner
 from servo_daemon.service.drive import DriveRuntime
 from servo_daemon.service.learned_desk import LearnedDesk
 from servo_daemon.service.notify import Notifier
+from servo_daemon.service.worker import Seat, Workers
 
-log = logging.getLogger(__name__)
-
-#: With several drives the worker waits so long for the others' blocks once one has come, s: fewer turns.
-_GATHER_S = 0.015
-#: Without any block it turns all the same, to see that a drive has fallen silent and to feed the watchdog, s.
-_IDLE_TURN_S = 0.1
+#: The workers are looked after this often, s.
+_WATCH_S = 0.02
 #: READY is told to systemd after the first fresh samples, or this long after the start, s.
 START_TIMEOUT_S = 10.0
-#: The watchdog is not fed while more than this many samples wait: the pipeline does not keep up.
-_BACKLOG_SAMPLES = 50_000
-#: A worker that has not turned for this long is a problem the API reports, s.
-_STUCK_S = 5.0
 #: A stop waits so long for threads that are busy (with the first model's equations, say), s: of the 2 s that a stop may
 #: take the end of the server and of the interpreter need 0.5 on a slow machine.
 _STOP_S = 1.2
@@ -52,34 +40,32 @@ class Daemon:
         self.config = config
         self.version = __version__
         self.started = time.time()
-        self._wake = threading.Event()
         self._stop = threading.Event()
         self._save_now = threading.Event()
         self._notifier = Notifier.from_environment() if notifier is None else notifier
-        self._ready, self._said, self._tell_next = False, "", 0.0
-        self._turned = time.monotonic()
+        self._ready, self._said, self._told = False, "", time.monotonic()
         d = config.diagnosis
         home = None if state_dir is None else state_dir / "diagnosis"
         self._diagnoses = DiagnosisRunner(d.command, d.time_limit_s, d.nice, home)
         self._learned = LearnedDesk(config.learning)
-        self._runtimes = {
-            d.name: DriveRuntime(
-                d,
-                make_driver(d.driver, d.name, d.options),
-                state_dir,
-                self._wake.set,
-                self._diagnoses,
-                self._learned.seat(d.name) if d.estimation.refresh else None,
-            )
-            for d in config.drive
-        }
-        self._worker = threading.Thread(target=self._work, name="pipeline", daemon=True)
+        self._workers = Workers(self._stop)
+        self._seats = {d.name: self._seat_for(d, state_dir) for d in config.drive}
+        self._watcher = threading.Thread(target=self._watch, name="watch", daemon=True)
         self._saver = threading.Thread(target=self._save, name="saver", daemon=True)
+
+    def _seat_for(self, config: DriveConfig, state_dir: Path | None) -> Seat:
+        driver = make_driver(config.driver, config.name, config.options)
+        model = self._learned.seat(config.name) if config.estimation.refresh else None
+
+        def make(wake: Callable[[], None]) -> DriveRuntime:
+            return DriveRuntime(config, driver, state_dir, wake, self._diagnoses, model)
+
+        return Seat(make, self._workers.call, self.config.storage.save_interval_s, self._save_now.set)
 
     @property
     def drives(self) -> Mapping[str, DriveRuntime]:
         """Drives by name, in the order of the configuration."""
-        return self._runtimes
+        return {name: seat.runtime for name, seat in self._seats.items()}
 
     def stopping(self) -> bool:
         """The daemon has been told to stop."""
@@ -87,16 +73,16 @@ class Daemon:
 
     def problems(self) -> Sequence[str]:
         """What is wrong with the daemon itself, in words; empty when healthy."""
-        problems = [p for r in self._runtimes.values() if (p := r.problem) is not None]
-        if self._worker.ident is not None and time.monotonic() - self._turned > _STUCK_S:
-            problems.append(f"the pipeline has not turned for {time.monotonic() - self._turned:.0f} s")
-        return problems
+        found = [seat.runtime.problem for seat in self._seats.values()]
+        found += [seat.problem for seat in self._seats.values() if self._workers.started]
+        return [p for p in found if p is not None]
 
     def start(self) -> None:
-        self._worker.start()
+        self._workers.start(tuple(self._seats.values()))
+        self._watcher.start()
         self._saver.start()
         self._learned.start()
-        for runtime in self._runtimes.values():
+        for runtime in self.drives.values():
             runtime.reader.start()
 
     def begin_stop(self) -> None:
@@ -104,19 +90,19 @@ class Daemon:
         if not self._stop.is_set():
             self._notifier.stopping()
             self._stop.set()
-            self._wake.set()
             self._diagnoses.kill()
             self._learned.begin_stop()
-            for runtime in self._runtimes.values():
-                runtime.reader.request_stop()
+            for seat in self._seats.values():
+                seat.runtime.reader.request_stop()
+                seat.call()
 
     def stop(self, timeout_s: float = _STOP_S) -> None:
-        """End readers, worker and saver; what was learned is saved once more. Idempotent."""
+        """End readers, workers and saver; what was learned is saved once more. Idempotent."""
         self.begin_stop()
         deadline = time.monotonic() + timeout_s
-        for runtime in self._runtimes.values():
+        for runtime in self.drives.values():
             runtime.reader.stop(max(0.05, deadline - time.monotonic()))
-        for thread in (self._worker, self._saver):
+        for thread in (self._workers, self._watcher, self._saver):
             if thread.is_alive():
                 thread.join(max(0.05, deadline - time.monotonic()))
         self._diagnoses.stop(max(0.05, deadline - time.monotonic()))
@@ -124,44 +110,30 @@ class Daemon:
 
     # -- threads ---------------------------------------------------------------------------------------------
 
-    def _work(self) -> None:
-        began = next_save = time.monotonic()
-        while not self._stop.is_set():
-            self._wake.wait(_IDLE_TURN_S)
-            if len(self._runtimes) > 1:
-                self._stop.wait(_GATHER_S)
-            self._wake.clear()
-            fresh = [runtime.work() for runtime in self._runtimes.values()]
-            self._turned = now = time.monotonic()
-            self._tell_systemd(any(fresh), now - began)
-            if now >= next_save:
-                next_save = now + self.config.storage.save_interval_s
-                self._hand_to_saver()
-        self._hand_to_saver()
-
-    def _hand_to_saver(self) -> None:
-        """The pipelines belong to this thread; writing to a disk that may be slow does not."""
-        for runtime in self._runtimes.values():
-            runtime.offer_state()
-        self._save_now.set()
-
     def _save(self) -> None:
         last = False
         while not last:
-            last = self._stop.is_set() and not self._worker.is_alive()
+            last = self._stop.is_set() and not self._workers.is_alive()
             self._save_now.wait(0.2)
             self._save_now.clear()
-            for runtime in self._runtimes.values():
+            for runtime in self.drives.values():
                 runtime.save_offered()
 
-    def _tell_systemd(self, fresh: bool, running_s: float) -> None:
-        if not self._ready and (fresh or running_s > START_TIMEOUT_S):
-            self._ready = True
-            self._notifier.ready(self._summary())
-        if self._turned < self._tell_next:
-            return
-        self._tell_next = self._turned + min(1.0, self._notifier.watchdog_interval_s or 1.0)
-        if sum(r.reader.queue.samples for r in self._runtimes.values()) < _BACKLOG_SAMPLES:
+    def _watch(self) -> None:
+        began = time.monotonic()
+        while not self._stop.wait(_WATCH_S):
+            self._workers.look()
+            now, fresh = time.monotonic(), any(seat.has_worked for seat in self._seats.values())
+            if not self._ready and (fresh or now - began > START_TIMEOUT_S):
+                self._ready = True
+                self._notifier.ready(self._summary())
+            if now - self._told >= min(1.0, self._notifier.watchdog_interval_s or 1.0):
+                self._tell_systemd(now)
+
+    def _tell_systemd(self, now: float) -> None:
+        """That all drives turn, and how the drives are. (One that is overloaded turns; a restart would not help.)"""
+        if all(seat.has_turned_since(self._told) for seat in self._seats.values()):
+            self._told = now
             self._notifier.watchdog()
         if (summary := self._summary()) != self._said:
             self._said = summary
@@ -170,7 +142,7 @@ class Daemon:
     def _summary(self) -> str:
         """One line for `systemctl status`."""
         parts = []
-        for name, runtime in self._runtimes.items():
+        for name, runtime in self.drives.items():
             snapshot = runtime.snapshot()
             parameters = snapshot.estimate.parameters if snapshot.estimate is not None else ()
             tracking = sum(p.status == "tracking" for p in parameters)

@@ -23,6 +23,7 @@ from servo_daemon.service.event_log import EventLog
 from servo_daemon.service.history import HistoryRing
 from servo_daemon.service.knowledge import LoopFacts
 from servo_daemon.service.learned_desk import Seat
+from servo_daemon.service.load import LoadWatch
 from servo_daemon.service.model_change import ModelRequest, change_message, checked_request, describe_model
 from servo_daemon.service.model_desk import ModelDesk
 from servo_daemon.service.pipeline import Pipeline, all_finite
@@ -35,6 +36,9 @@ from servo_daemon.service.view import ModelChange, StartValues, initial_paramete
 
 log = logging.getLogger(__name__)
 
+#: Samples of a round, in whole blocks: half a second of a drive at a kilohertz. Between rounds it is seen whether the
+#: worker keeps up, and what was found is published.
+_ROUND_SAMPLES = 500
 #: A pipeline that fails again and again is told this often, s; every failure is counted.
 _FAILURE_SAID_EVERY_S = 60.0
 
@@ -81,6 +85,7 @@ class DriveRuntime:
         self._was_silent = False
         self._link: Link = self.reader.link
         self._warnings = DriveWarnings(config)
+        self._load = LoadWatch()
         self._diagnoses = DiagnosisDesk(self, self.ring, self.log, runner or DiagnosisRunner())
         self.log.tell(self._warnings.at_start)
         self._snapshot = self._make_snapshot()
@@ -146,20 +151,27 @@ class DriveRuntime:
 
     # -- worker thread ---------------------------------------------------------------------------------------
 
+    @property
+    def preparing(self) -> bool:
+        """An estimator is being made, its plant compiled: that may take ten seconds. Any thread."""
+        return self._pipeline is not None and self._pipeline.preparing
+
     def work(self) -> bool:
-        """Process what has arrived and publish. Returns whether there were samples."""
+        """Process what has arrived, so much in a round, and publish. Returns whether there were samples."""
         was_reset = self._reset_wanted
         if was_reset:
             self._reset()
         self._begin_model_change()
-        blocks = self.reader.queue.take_all()
+        told = [] if self.reader.driver.can_wait else self._load.relieve(self.reader.queue, time.monotonic())
+        self.log.tell(told)
+        blocks = self.reader.queue.take(_ROUND_SAMPLES)
         if blocks:
             self._sample_time = time.time()
             try:
                 self._process(blocks)
             except Exception:  # one drive's trouble must not stop the others
                 self._fail()
-        self._follow_link(bool(blocks) or was_reset)
+        self._follow_link(bool(blocks or told) or was_reset)
         if self._changed:  # now that the first estimate of the new model is published
             self._changed = False
             self._desk.done(self._sample_time)
@@ -321,4 +333,5 @@ class DriveRuntime:
             estimate=estimate,
             counters=line_counters(self.reader, self._repeated, self._failures),
             truth=self.reader.driver.truth(),
+            overloaded=self._load.overloaded,
         )

@@ -28,7 +28,7 @@ _COUNTER_HELP: Final = {
     "samples": "Samples received from the drive.",
     "samples_lost": "Samples lost: missing in the drive's own numbering, or dropped by a full queue.",
     "samples_repeated": "Samples or frames received twice and used once.",
-    "queue_dropped": "Samples dropped because the queue between reader and pipeline was full.",
+    "queue_dropped": "Samples dropped because the pipeline did not keep up.",
     "crc_errors": "Complete frames with a wrong checksum.",
     "framing_errors": "Bytes or frames that could not be read: garbage, half frames, wrong baud rate, bus errors.",
     "reconnects": "Times the device was opened again after it had gone away.",
@@ -84,6 +84,8 @@ def _add_drive(out: Exposition, drive: str, driver: str, snapshot: Snapshot) -> 
         snapshot.time,
         drive=drive,
     )
+    text = "1 while samples come faster than they are worked off: the oldest are left out."
+    out.add(_PREFIX + "overloaded", "gauge", text, snapshot.overloaded, drive=drive)
     for key, value in snapshot.counters.items():
         word = _clean(key)
         if _GAUGES_AMONG_COUNTERS.search(word):

@@ -79,6 +79,7 @@ class Pipeline:
         self._refresher: Refresher | None = None
         self._samples = 0
         self.samples_repeated = 0  # those without a time of their own
+        self.preparing = False  # a tracker is being made
         self.messages: list[Message] = []
 
     @property
@@ -215,7 +216,11 @@ class Pipeline:
         self._published = None
         self._tick = []
         self._cutter = TickCutter()
-        self._tracker = self._tracker_for(self._config, self._saved)
+        self.preparing = True
+        try:
+            self._tracker = self._tracker_for(self._config, self._saved)
+        finally:
+            self.preparing = False
         self._begin_refresher()
         if self._successor is not None or self._wanted is not None:
             config = self._successor.config if self._successor is not None else self._wanted[1]  # type: ignore[index]

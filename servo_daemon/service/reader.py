@@ -7,6 +7,7 @@ that is lost here is counted; nothing is dropped silently.
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from collections import deque
@@ -34,6 +35,9 @@ SILENT_AFTER_S = 2.0
 _BACKOFF_FIRST_S, _BACKOFF_LONGEST_S = 0.25, 5.0
 #: Samples the queue holds: 20 s at 10 kHz, 40 MB at worst.
 QUEUE_SAMPLES = 200_000
+#: Where the source can wait no more are read than so many ahead of the pipeline: a tenth of a second of work. Looked at
+#: again after so long, s.
+_AHEAD_SAMPLES, _LOOK_AGAIN_S = 10_000, 0.01
 
 
 class BlockQueue:
@@ -42,30 +46,51 @@ class BlockQueue:
     def __init__(self, capacity: int = QUEUE_SAMPLES) -> None:
         self._capacity = capacity
         self._lock = threading.Lock()
-        self._blocks: deque[SampleBlock] = deque()
+        self._blocks: deque[tuple[float, SampleBlock]] = deque()
         self.samples = 0
         self.dropped = 0
 
-    def put(self, block: SampleBlock) -> None:
-        """Append a block; where that is too much the oldest are dropped, counted, and the hole is flagged."""
-        with self._lock:
-            self._blocks.append(block)
-            self.samples += len(block)
-            if self.samples <= self._capacity:
-                return
-            while self.samples > self._capacity and len(self._blocks) > 1:
-                oldest = self._blocks.popleft()
-                self.samples -= len(oldest)
-                self.dropped += len(oldest)
-            self._blocks[0] = _after_a_gap(self._blocks[0])
+    def put(self, block: SampleBlock, arrived_s: float | None = None) -> None:
+        """Append a block; where that is too much the oldest are dropped, counted, and the hole is flagged.
 
-    def take_all(self) -> list[SampleBlock]:
-        """Everything that waits, oldest first."""
+        Args:
+            arrived_s: host monotonic; None: now.
+        """
         with self._lock:
-            blocks = list(self._blocks)
-            self._blocks.clear()
-            self.samples = 0
-        return blocks
+            self._blocks.append((time.monotonic() if arrived_s is None else arrived_s, block))
+            self.samples += len(block)
+            self._drop_while(lambda _: self.samples > self._capacity)
+
+    def take(self, most: float = math.inf) -> list[SampleBlock]:
+        """What waits, oldest first: whole blocks, no more of them than make this many samples."""
+        taken: list[SampleBlock] = []
+        with self._lock:
+            left = most
+            while self._blocks and left > 0:
+                taken.append(self._blocks.popleft()[1])
+                left -= len(taken[-1])
+            self.samples -= sum(map(len, taken))
+        return taken
+
+    def waited_s(self, now_s: float) -> float:
+        """How long the oldest block has waited; 0: none does."""
+        with self._lock:
+            return now_s - self._blocks[0][0] if self._blocks else 0.0
+
+    def drop_before(self, then_s: float) -> None:
+        """Drop what arrived before then; counted, and the hole is flagged. The last block stays."""
+        with self._lock:
+            self._drop_while(lambda arrived_s: arrived_s < then_s)
+
+    def _drop_while(self, too_old: Callable[[float], bool]) -> None:
+        before = self.dropped
+        while len(self._blocks) > 1 and too_old(self._blocks[0][0]):
+            _, oldest = self._blocks.popleft()
+            self.samples -= len(oldest)
+            self.dropped += len(oldest)
+        if self.dropped > before:
+            arrived_s, first = self._blocks[0]
+            self._blocks[0] = arrived_s, _after_a_gap(first)
 
 
 def _after_a_gap(block: SampleBlock) -> SampleBlock:
@@ -162,6 +187,9 @@ class Reader:
             self.driver.open()
             self._opened()
             while not self._stop.is_set():
+                if self.driver.can_wait and self.queue.samples > _AHEAD_SAMPLES:
+                    self._stop.wait(_LOOK_AGAIN_S)
+                    continue
                 block = self.driver.read(READ_TIMEOUT_S)
                 if block is not None:
                     self._take(block)
@@ -193,7 +221,7 @@ class Reader:
 
     def _take(self, block: SampleBlock) -> None:
         self.last_sample = time.monotonic()
-        self.queue.put(block)
+        self.queue.put(block, self.last_sample)
         self._brought, self._barren = True, False
         self._wake()
         if not self._said_up:

@@ -99,6 +99,7 @@ class Snapshot:
         reason: in words, when not connected.
         estimate: None until the first samples.
         counters: totals of driver and queue: samples, samples_lost, queue_dropped, crc_errors, reconnects, ...
+        overloaded: its samples come faster than they are worked off; the oldest are left out, and counted.
         truth: a simulated drive's true values at this moment; for display only.
     """
 
@@ -110,3 +111,4 @@ class Snapshot:
     estimate: Estimate | None
     counters: Mapping[str, int]
     truth: Mapping[str, float] | None = None
+    overloaded: bool = False

@@ -76,6 +76,7 @@ def read_all(driver: Driver) -> list[SampleBlock]:
 def test_every_sample_arrives_as_recorded(path: Path, speed: object, block_samples: int | None) -> None:
     options = {} if block_samples is None else {"block_samples": block_samples}
     with replay(path, speed=speed, **options) as driver:
+        assert driver.can_wait == (speed in (0, "max"))
         got = concatenate(read_all(driver))
         with pytest.raises(EndOfStreamError, match=r"axis1: end of .*bench\.csv\.gz"):
             driver.read(0.0)

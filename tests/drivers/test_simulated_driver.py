@@ -179,6 +179,7 @@ def test_samples_are_those_of_the_simulation_whatever_the_pace(clock: Clock) -> 
 
 def test_duration_ends_the_stream() -> None:
     driver = make_driver("simulated", "axis1", {"realtime": False, "duration_s": 2.5, "ageing": ["R=+40%"]})
+    assert driver.can_wait and not make_driver("simulated", "axis1", {}).can_wait
     with driver:
         blocks = read_until(driver, 10_000)
         assert sum(map(len, blocks)) == 2500

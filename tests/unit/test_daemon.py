@@ -17,9 +17,11 @@ import pytest
 from servo_daemon.config import parse_config
 from servo_daemon.errors import DriverConfigError, DriverDisconnectedError
 from servo_daemon.samples import Quality, SampleBlock
-from servo_daemon.service import daemon as daemon_module
 from servo_daemon.service import reader as reader_module
+from servo_daemon.service import worker as worker_module
 from servo_daemon.service.daemon import Daemon
+from servo_daemon.service.notify import Notifier
+from servo_daemon.service.pipeline import Pipeline
 from servo_daemon.simulate import DEFAULT_NOMINAL, PAPER_MOTOR, SimulatedDrive, make_settings
 from tests.can_tools import frames_of, new_channel, virtual_sender
 from tests.daemon_rig import PATIENCE_S, Rig, configuration, starter
@@ -55,7 +57,8 @@ def test_a_slow_worker_loses_the_oldest_and_says_how_many(
         rig.driver().feed(100)
     rig.until(lambda: rig.driver().fed == 10_000 and queue.samples + queue.dropped == 10_000, "all queued or dropped")
     assert queue.dropped == 7000
-    assert rig.runtime().work()
+    rounds = [rig.runtime().work() for _ in range(7)]
+    assert rounds == [True] * 6 + [False], "500 samples in a round"
     snapshot = rig.snapshot()
     assert snapshot.estimate is not None
     assert snapshot.counters["samples"] == 10_000
@@ -270,7 +273,7 @@ def test_wrong_options_keep_the_daemon_from_being_made() -> None:
 
 
 def test_a_worker_that_hangs_is_a_problem(start: Callable[..., Rig], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(daemon_module, "_STUCK_S", 0.2)
+    monkeypatch.setattr(worker_module, "STUCK_S", 0.2)
     rig = start()
     released = threading.Event()
     work = rig.runtime().work
@@ -288,9 +291,137 @@ def test_a_worker_that_hangs_is_a_problem(start: Callable[..., Rig], monkeypatch
     rig.until(lambda: not rig.daemon.problems(), "and over")
 
 
+class Gate:
+    """Holds up a call of one drive until it is opened, and notes who is in there."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, owner: Any, name: str) -> None:
+        self.opened, self.entered = threading.Event(), threading.Event()
+        original = getattr(owner, name)
+
+        def held(*args: Any, **how: Any) -> Any:
+            self.entered.set()
+            assert self.opened.wait(PATIENCE_S)
+            return original(*args, **how)
+
+        monkeypatch.setattr(owner, name, held)
+
+
+def test_what_takes_one_drive_long_holds_up_no_other(
+    start: Callable[..., Rig], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As long as the test likes: the neighbours work off all that comes, and both go on afterwards."""
+    rig = start(configuration("one", "two", "three"))
+    for name in ("one", "two", "three"):
+        rig.driver(name).feed(500)
+        rig.until_samples(500, name)
+    gates = [Gate(monkeypatch, rig.runtime(name)._pipeline, "process") for name in ("one", "two")]
+    try:
+        for name in ("one", "two", "three"):
+            rig.driver(name).feed(500)
+        for gate in gates:
+            assert gate.entered.wait(PATIENCE_S), "the second one is not held up by the first"
+        for _ in range(30):
+            rig.driver("three").feed(100)
+        rig.until_samples(4000, "three")
+        assert rig.statuses("three") == {"tracking"}
+        assert rig.snapshot("three").counters["samples_lost"] == 0
+        held = rig.snapshot("one").estimate
+        assert held is not None and held.samples == 500
+    finally:
+        for gate in gates:
+            gate.opened.set()
+    for name in ("one", "two"):
+        rig.driver(name).feed(500)
+        rig.until_samples(1500, name)
+
+
+def test_no_drive_is_turned_by_two_threads_at_once_and_a_quick_one_shares_again(
+    start: Callable[..., Rig], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every turn is taken for a long one for a while, then none is: drives go to threads of their own and come back."""
+    monkeypatch.setattr(worker_module, "_QUICK_S", 0.0)
+    rig = start(configuration("one", "two", "three"))
+    seats = rig.daemon._seats
+    inside, threads, crossed = dict.fromkeys(seats, 0), set(), []
+    for name in seats:
+        monkeypatch.setattr(rig.runtime(name), "work", counted(rig.runtime(name).work, name, inside, threads, crossed))
+    for k in range(1, 4):
+        monkeypatch.setattr(worker_module, "LONG_TURN_S", 0.0)
+        for _ in range(20):
+            for name in seats:
+                rig.driver(name).feed(50)
+        rig.until(lambda: any(seat.owner is not None for seat in seats.values()), "one has a thread of its own")
+        for name in seats:
+            rig.until_samples(k * 1000, name)
+        monkeypatch.setattr(worker_module, "LONG_TURN_S", 60.0)
+        rig.until(lambda: all(seat.owner is None for seat in seats.values()), "all share a thread again")
+    assert crossed == [] and len(threads) > 3
+    assert all(rig.snapshot(name).counters["samples_lost"] == 0 for name in seats)
+
+
+def counted(work: Any, name: str, inside: dict[str, int], threads: set[Any], crossed: list[str]) -> Any:
+    """`work` that notes which threads are in it, and whether two ever were."""
+
+    def noted() -> bool:
+        inside[name] += 1
+        threads.add(threading.current_thread())
+        if inside[name] > 1:
+            crossed.append(name)
+        try:
+            return bool(work())
+        finally:
+            inside[name] -= 1
+
+    return noted
+
+
+class Supervisor(Notifier):
+    """Counts how often it is told that the daemon is alive."""
+
+    fed = 0
+
+    def watchdog(self) -> None:
+        self.fed += 1
+
+
+def test_an_estimator_in_the_making_is_no_problem_and_a_pipeline_that_hangs_is(
+    start: Callable[..., Rig], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor does the one keep the watchdog from being fed, as the other does."""
+    monkeypatch.setattr(worker_module, "STUCK_S", 0.2)
+    supervisor = Supervisor(watchdog_s=0.02)
+    rig = start(configuration("one", "two"), notifier=supervisor)
+    seat = rig.daemon._seats["one"]
+
+    def problems() -> list[str]:  # (the machine may be too slow for the other one, at this limit)
+        return [p for p in rig.daemon.problems() if p.startswith("drive one: the pipeline has not turned")]
+
+    making = Gate(monkeypatch, Pipeline, "_tracker_for")
+    try:
+        rig.driver("one").feed(100)
+        assert making.entered.wait(PATIENCE_S)
+        fed = supervisor.fed
+        rig.until(lambda: time.monotonic() - seat.turned > 1.0 and supervisor.fed > fed + 3, "it takes long")
+        assert problems() == []
+    finally:
+        making.opened.set()
+    rig.until_samples(100, "one")
+    hangs = Gate(monkeypatch, rig.runtime("one")._pipeline, "process")
+    try:
+        rig.driver("one").feed(100)
+        assert hangs.entered.wait(PATIENCE_S)
+        rig.until(problems, "noticed")
+        fed = supervisor.fed
+        rig.until(lambda: time.monotonic() - seat.turned > 1.0, "it hangs")
+        assert supervisor.fed <= fed + 1, "systemd is not told that all is well"
+    finally:
+        hangs.opened.set()
+    rig.until(lambda: not problems() and supervisor.fed > fed + 2, "and over")
+
+
 def test_stop_is_idempotent_and_ends_every_thread(start: Callable[..., Rig]) -> None:
     rig = start(configuration("one", "two"))
-    names = {"pipeline", "saver", "reader-one", "reader-two"}
+    names = {"pipeline", "watch", "saver", "reader-one", "reader-two"}
     assert names <= {t.name for t in threading.enumerate()}
     assert not rig.daemon.stopping()
     rig.daemon.begin_stop()

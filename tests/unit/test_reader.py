@@ -133,9 +133,9 @@ def missing() -> DriverUnavailableError:
 def test_blocks_arrive_in_order(start: Callable[..., Watched]) -> None:
     w = start([block(0), None, block(10), block(20)])
     w.until(lambda: w.reader.queue.samples == 30, "all blocks")
-    taken = w.reader.queue.take_all()
+    taken = w.reader.queue.take()
     assert [int(b.sequence[0]) for b in taken] == [0, 10, 20]
-    assert w.reader.queue.samples == 0 and w.reader.queue.take_all() == []
+    assert w.reader.queue.samples == 0 and w.reader.queue.take() == []
     w.until(lambda: w.woken >= 4, "woken for the opened line and each block")
     assert w.said == [("connected", "device opened")]
     assert w.reader.link.connection == "connected" and w.reader.link.reason is None
@@ -262,13 +262,13 @@ def test_a_full_queue_drops_the_oldest_counts_them_and_flags_the_hole() -> None:
     queue = BlockQueue(capacity=25)
     for first in range(0, 60, 10):
         queue.put(block(first))
-    kept = queue.take_all()
+    kept = queue.take()
     assert [int(b.sequence[0]) for b in kept] == [40, 50]
     assert queue.dropped == 40 and sum(map(len, kept)) + queue.dropped == 60
     assert kept[0].quality[0] == Quality.GAP_BEFORE
     assert not kept[0].quality[1:].any() and not kept[1].quality.any()
     queue.put(block(60))
-    (after,) = queue.take_all()
+    (after,) = queue.take()
     assert not after.quality.any()
 
 
@@ -277,7 +277,35 @@ def test_a_block_larger_than_the_queue_is_kept() -> None:
     queue.put(block(0, 50))
     assert queue.samples == 50 and queue.dropped == 0
     queue.put(block(50, 50))
-    assert [int(b.sequence[0]) for b in queue.take_all()] == [50] and queue.dropped == 50
+    assert [int(b.sequence[0]) for b in queue.take()] == [50] and queue.dropped == 50
+
+
+def test_a_queue_gives_whole_blocks_of_about_so_many_samples() -> None:
+    queue = BlockQueue()
+    for first in range(0, 50, 10):
+        queue.put(block(first))
+    assert [[int(b.sequence[0]) for b in queue.take(15)] for _ in range(4)] == [[0, 10], [20, 30], [40], []]
+    assert queue.samples == 0 and queue.dropped == 0
+
+
+def test_a_source_that_can_wait_is_read_no_faster_than_it_is_worked_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reader_module, "_AHEAD_SAMPLES", 25)
+    driver = Scripted([block(first) for first in range(0, 1000, 10)])
+    monkeypatch.setattr(Scripted, "can_wait", True)
+    w = Watched(driver)
+    longest, taken = [0], []
+    monkeypatch.setattr(w.reader, "_wake", lambda: longest.append(w.reader.queue.samples))
+    w.reader.start()
+    try:
+        w.until(lambda: w.reader.queue.samples > 25, "ahead")
+        while len(taken) < 100:
+            taken += w.reader.queue.take(10)
+            time.sleep(0)
+        assert max(longest) == 30, "a block more than that at the most"
+        assert [int(b.sequence[0]) for b in taken] == list(range(0, 1000, 10))
+        assert w.reader.queue.dropped == 0
+    finally:
+        w.reader.stop(PATIENCE_S)
 
 
 def test_nothing_is_lost_between_two_threads() -> None:
@@ -285,7 +313,7 @@ def test_nothing_is_lost_between_two_threads() -> None:
 
     def consume() -> None:
         while not done.is_set() or queue.samples:
-            taken.extend(queue.take_all())
+            taken.extend(queue.take())
 
     consumer = threading.Thread(target=consume)
     consumer.start()

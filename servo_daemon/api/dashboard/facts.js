@@ -39,7 +39,7 @@ export function renderFacts(estimates) {
   write("rate", rate === null ? NOTHING : `${fixed(rate, rate < 100 ? 1 : 0)} Hz`);
   write("samples", count(health.samples ?? estimates.samples));
   const lost = health.samples_lost ?? 0;
-  write("lost", count(lost));
+  write("lost", health.overloaded ? `${count(lost)}, overloaded` : count(lost));
   byId("lost").classList.toggle("bad", lost > 0);
   const white = health.innovation_white;
   write("white", white === true ? "white" : white === false ? "not white" : NOTHING);
