@@ -201,11 +201,14 @@ def _line(row: Mapping[str, Any], limits: Mapping[str, float]) -> str:
     return f"  {row['key']:24}{step:7}{' |'.join(parts)} | {said or 'nothing short'}"
 
 
-def _table(rows: list[dict[str, Any]], limits: Mapping[str, float]) -> None:
-    def pooled(voice: str, what: str) -> F64:
-        values = np.array([row[voice][what] for row in rows])
-        return root_mean_square(values) if "rms" in what else mean(values)
+def pooled(rows: list[dict[str, Any]], voice: str, what: str) -> F64:
+    """A figure of R, K, J and B over all runs together, shape (4,): the root of the mean
+    square of errors, or the mean."""
+    values = np.array([row[voice][what] for row in rows])
+    return root_mean_square(values) if "rms" in what else mean(values)
 
+
+def _table(rows: list[dict[str, Any]], limits: Mapping[str, float]) -> None:
     print(f"{len(rows)} runs together" + "".join(f"{name:>9}" for name in _JUDGED) + "     limit")
     limit = "/".join(f"{100 * limits[name]:g}" for name in _JUDGED)
     for voice in VOICES:
@@ -216,7 +219,7 @@ def _table(rows: list[dict[str, Any]], limits: Mapping[str, float]) -> None:
             ("delivering", "delivering, % of the time", f"≥ {100 * DELIVERING:g} %" if voice == "rls" else "–"),
             ("std", "std (median), %", "–"),
         ):
-            cells = "".join(f"{100 * x:9.2f}" for x in pooled(voice, what))
+            cells = "".join(f"{100 * x:9.2f}" for x in pooled(rows, voice, what))
             print(f"  {voice:10}{title:30}{cells}     {bound}")
     for motion in MOTIONS:
         found = [row for row in rows if f"/{motion}/" in row["key"]]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.estimators.balance_window import BalanceWindow
-from servo_daemon.estimators.balances import Sums, column_noise, expected_square
+from servo_daemon.estimators.balances import Sums, expected_square, noise_squares
 from servo_daemon.estimators.lag import Lag
 from servo_daemon.estimators.modulating import Windows, make_windows
 from servo_daemon.estimators.plausible import Plausible
@@ -260,7 +260,7 @@ class MotorRls:
             return
         columns = self._armature_columns if which == "armature" else self._shaft_columns
         sums = Sums.of(Phi, y, w.weight_squares)
-        noise = column_noise(columns, sums.weight_squares, self._noise_var)
+        noise = noise_squares(columns, sums.weight_squares, self._noise_var)
         rls.update(time_s, sums.gram, sums.rows, noise, self._expected(which, rls, sums))
         if which == "armature" or not self._two_masses:  # of which the shaft's balance does not close
             self.window.add(which, time_s, sums)

@@ -79,6 +79,7 @@ class ParameterJudge:
         confirmed: parameters for which the regression speaks, or which it cannot judge, shape (n,).
         begins_to_follow: the filter uses its instrument for the first time.
         mismatch_std: 1 σ of the coordinates by which they may be off because the balances do not close, shape (n,).
+        calm_s: for how long the filter's innovations have been as they should be.
     """
 
     def __init__(self, roster: Roster, ekf: Ekf, rls: MotorRls) -> None:
@@ -92,7 +93,7 @@ class ParameterJudge:
         self._idle_std: F64 = np.where(roster.nuisance, NUISANCE_SHARE, _IDLE_STD)
         self._last: tuple[F64, F64] = np.zeros(n), np.full(n, np.nan)
         self._known_at_s, self._unconfirmed_s = np.zeros(n), np.zeros(n)
-        self._calm_s = 0.0  # for how long the filter's innovations have been as they should be
+        self.calm_s = 0.0
         self._trusted: Mask = np.zeros(n, dtype=bool)
         self._follows = self._followed = self.begins_to_follow = False
         self._moves: tuple[Mask, F64] = self._trusted, np.zeros(n)  # which may, and their process noise
@@ -105,7 +106,7 @@ class ParameterJudge:
             trusted: parameters from a saved state, or from another model's filter, where they were qualified; (n,).
         """
         self._unjudged = False
-        self._calm_s = 0.0
+        self.calm_s = 0.0
         self._trusted = trusted
         self._vouching = Vouching()
         self._follows = self._followed = self.begins_to_follow = False
@@ -143,7 +144,7 @@ class ParameterJudge:
             fresh: the regressions have been worked off.
         """
         roster, values = self._roster, self._roster.values(self._ekf.coordinates) if fresh else {}
-        self._calm_s = self._calm_s + duration_s if tick.white and tick.explained and not tick.open else 0.0
+        self.calm_s = self.calm_s + duration_s if tick.white and tick.explained and not tick.open else 0.0
         if fresh:
             self._lags_alike = _are_alike(values)
             if "t_lag" in values and self._is_near_start("t_lag"):
@@ -228,11 +229,13 @@ class ParameterJudge:
         coordinate, var = float(self._last[0][k]), float(self._last[1][k])
         if math.isnan(var):
             return None
-        return Trusted(coordinate, math.sqrt(var), self.age_s(k, now_s), float(self._unconfirmed_s[k]))
+        age_s = max(0.0, now_s - float(self._known_at_s[k]))
+        return Trusted(coordinate, math.sqrt(var), age_s, float(self._unconfirmed_s[k]))
 
-    def age_s(self, k: int, now_s: float) -> float:
-        """Time since parameter k was last seen and known; as `last_known`."""
-        return max(0.0, now_s - float(self._known_at_s[k]))
+    def ages_s(self, now_s: float) -> list[float]:
+        """Time since each parameter was last seen and known, shape (n,); as `last_known`."""
+        ages: list[float] = np.maximum(now_s - self._known_at_s, 0.0).tolist()
+        return ages
 
     def stepped(self, k: int) -> None:
         """Parameter k is another one: what it was when it was last known it is no more."""
@@ -378,7 +381,7 @@ class ParameterJudge:
             blind = blind_std(name, values, tick.sampling.period_s)
             if self._roster.logarithmic[k] and not self._is_blind(name, values, tick) and blind < _BLIND:
                 spread = math.hypot(std * balances.ALIGNED.get(name, 1.0), blind * value)
-                out[k] = confirms(value, spread, values[name]) or self._calm_s > found.span_s
+                out[k] = confirms(value, spread, values[name]) or self.calm_s > found.span_s
             else:
                 out[k] = name != "L" or tick.white
         for name in self._doubtful(found, values, tick):

@@ -39,8 +39,9 @@ CLOSES = 0.01
 #: Windows of the modulating functions overlap by half, so neighbouring rows share half their noise: covariances are
 #: that much too small.
 OVERLAP = 2.0
-#: Noise is compensated only while it is a smaller part of every regressor than this.
-_MOST_NOISE = 0.3
+#: Noise is compensated only while it is a smaller part of every regressor than the second, and a larger part of one
+#: than the first: what is less moves nothing.
+_LEAST_NOISE, _MOST_NOISE = 1e-12, 0.3
 #: A column this much smaller than the largest is zero: no units of motors differ by as much.
 _INVISIBLE = 1e-12
 #: Least information of a direction, each column over its own size: rounding is smaller, and two columns that are the
@@ -79,18 +80,32 @@ class LinearEstimate:
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """Rows that end at about `time_s`.
+    """Rows that end at about `time_s`, or sums over several blocks.
 
     Attributes:
         gram: of [Φ | y], shape (n + 1, n + 1).
-        noise: what of ΦᵀΦ is noise of the regressors, shape (n, n).
-        counts: rows; rows whose expected residual is known; that residual's Σ of squares: shape (3,).
+        noise: what of the diagonal of ΦᵀΦ is noise of the regressors, shape (n,).
+        rows, told: how many, and of how many the expected residual is known.
+        expected: that residual's Σ of squares.
     """
 
     time_s: float
     gram: F64
     noise: F64
-    counts: F64
+    rows: float
+    told: float
+    expected: float
+
+    @property
+    def packed(self) -> F64:
+        """All but the time in one array, so that blocks are summed in one go."""
+        return np.concatenate([self.gram.ravel(), self.noise, (self.rows, self.told, self.expected)])
+
+    @classmethod
+    def unpacked(cls, time_s: float, sums: F64, n: int) -> _Block:
+        """Of n coefficients."""
+        end = (n + 1) ** 2
+        return cls(time_s, sums[:end].reshape(n + 1, n + 1), sums[end : end + n], *sums[end + n :].tolist())
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,8 +148,10 @@ class SlidingRls:
 
     def __init__(self, n: int, spans_s: Sequence[float] = SPANS_S) -> None:
         self._n, self._spans_s = n, tuple(spans_s)
-        self._blocks: deque[_Block] = deque()
+        self._blocks: deque[tuple[float, F64]] = deque()  # time and `packed`
+        self._newest: _Block | None = None
         self._estimate: LinearEstimate | None = None
+        self._is_fresh = True
 
     def update(
         self, time_s: float, gram: F64, rows: int, noise: F64 | None = None, expected: float | None = None
@@ -144,41 +161,43 @@ class SlidingRls:
         Args:
             time_s: when they end; increasing.
             gram: of [Φ | y], shape (n + 1, n + 1).
-            noise: what of ΦᵀΦ is noise of the regressors, shape (n, n): compensated in the estimate (bias-compensated
-                least squares; Stoica & Söderström, *Automatica* 18, 1982), as far as it is the smaller part.
+            noise: what of the diagonal of ΦᵀΦ is noise of the regressors, shape (n,): compensated in the estimate
+                (bias-compensated least squares; Stoica & Söderström, *Automatica* 18, 1982), as far as it is the
+                smaller part.
             expected: Σ of squares that the sensors' noise leaves of these rows at the most; None: not known.
         """
         if rows == 0:
             return
-        counts = np.array([rows, 0.0, 0.0] if expected is None else [rows, rows, expected])
-        self._blocks.append(_Block(time_s, gram, np.zeros((self._n, self._n)) if noise is None else noise, counts))
+        told = 0.0 if expected is None else rows
+        self._newest = _Block(time_s, gram, np.zeros(self._n) if noise is None else noise, rows, told, expected or 0.0)
+        self._blocks.append((time_s, self._newest.packed))
+        self._is_fresh = False
         self.advance(time_s)
-        self._estimate = self._best()
 
     def advance(self, time_s: float) -> None:
         """The present: rows older than the longest window drop out, also where no new ones come."""
-        before = len(self._blocks)
-        while self._blocks and time_s - self._blocks[0].time_s >= self._spans_s[-1]:
+        while self._blocks and time_s - self._blocks[0][0] >= self._spans_s[-1]:
             self._blocks.popleft()
-        if len(self._blocks) < before:
-            self._estimate = self._best()
+            self._is_fresh = False
 
     @property
     def value(self) -> F64 | None:
-        """The coefficients so far, shape (n,); None as for `estimate`."""
+        """The coefficients as they were last asked for, shape (n,); None as for `estimate`."""
         return None if self._estimate is None else self._estimate.value
 
     def estimate(self) -> LinearEstimate | None:
         """None until there are more rows than coefficients, and where some direction is not seen."""
+        if not self._is_fresh:
+            self._estimate, self._is_fresh = self._best(), True
         return self._estimate
 
     def _best(self) -> LinearEstimate | None:
         """Over the window that is known best, with what it leaves unexplained."""
         fits = self._fits()
-        if not fits:
+        newest = self._newest
+        if not fits or newest is None:
             return None
-        newest = self._blocks[-1]
-        alone = self._fit(0.0, newest.gram, newest.noise, newest.counts)
+        alone = self._fit(0.0, newest)
         quiet = min(fits if alone is None else (*fits, alone), key=lambda fit: fit.residual_var)
         best: LinearEstimate | None = None
         least = math.inf
@@ -196,22 +215,17 @@ class SlidingRls:
         if not self._blocks:
             return []
         # Backwards from the newest: sums over each window stand at its oldest block.
-        blocks = list(reversed(self._blocks))
-        gram, noise, counts = (
-            np.cumsum([getattr(block, name) for block in blocks], axis=0) for name in ("gram", "noise", "counts")
-        )
-        age_s = blocks[0].time_s - np.array([block.time_s for block in blocks])
-        found = []
-        for span_s in self._spans_s:
-            last = int(np.searchsorted(age_s, span_s)) - 1
-            fit = self._fit(span_s, gram[last], noise[last], counts[last])
-            if fit is not None:
-                found.append(fit)
-        return found
+        times_s, packed = zip(*reversed(self._blocks), strict=True)
+        sums, ages_s = np.cumsum(packed, axis=0), times_s[0] - np.array(times_s)
+        last = (np.searchsorted(ages_s, self._spans_s) - 1).tolist()
+        fits = [
+            self._fit(span_s, _Block.unpacked(times_s[k], sums[k], self._n))
+            for span_s, k in zip(self._spans_s, last, strict=True)
+        ]
+        return [fit for fit in fits if fit is not None]
 
-    def _fit(self, span_s: float, gram: F64, noise: F64, counts: F64) -> _Fit | None:
-        A, b, energy = gram[:-1, :-1], gram[:-1, -1], float(gram[-1, -1])
-        rows, told, expected = counts.tolist()
+    def _fit(self, span_s: float, sums: _Block) -> _Fit | None:
+        A, b, energy, rows = sums.gram[:-1, :-1], sums.gram[:-1, -1], float(sums.gram[-1, -1]), sums.rows
         scale = np.sqrt(A.diagonal())
         # A regressor that is (all but) zero: also one that was in the beginning and is dying away.
         if rows <= _ROWS_PER_COEFFICIENT * self._n or scale.min() < _INVISIBLE * max(float(scale.max()), 1e-7):
@@ -221,23 +235,27 @@ class SlidingRls:
         inverse = (vectors / np.maximum(values, _LEAST_SHARE)) @ vectors.T / square
         biased = inverse @ b
         left = max(energy - float(b @ biased), _EXACT * energy)
-        expected = expected * rows / told if told > 0.5 * rows else math.inf
-        value = _compensated(gram, noise, biased, scale)
+        expected = sums.expected * rows / sums.told if sums.told > 0.5 * rows else math.inf
+        value = _compensated(sums, biased, scale)
         return _Fit(span_s, value, inverse, A, left, energy, rows, expected)
 
 
-def _compensated(gram: F64, noise: F64, biased: F64, scale: F64) -> F64:
+def _compensated(sums: _Block, biased: F64, scale: F64) -> F64:
     """The coefficients without the bias that noise in the regressors makes: (A − N) θ = b.
 
     Args:
         biased: the coefficients with it, shape (n,).
         scale: root of A's diagonal, shape (n,).
     """
-    part = noise.diagonal() / np.square(scale)
-    signal = (gram[:-1, :-1] - noise) / (scale[:, None] * scale)
-    if part.max() > _MOST_NOISE or eigenvalues(signal)[0] <= 1e-8:
+    part = sums.noise / np.square(scale)
+    most = float(part.max())
+    if not _LEAST_NOISE < most < _MOST_NOISE:
         return biased
-    return np.asarray(np.linalg.solve(signal, gram[:-1, -1] / scale) / scale)
+    signal = sums.gram[:-1, :-1] / (scale[:, None] * scale)
+    signal.flat[:: len(scale) + 1] -= part
+    if eigenvalues(signal)[0] <= 1e-8:
+        return biased
+    return np.asarray(np.linalg.solve(signal, sums.gram[:-1, -1] / scale) / scale)
 
 
 def _excludes(shortest: _Fit, value: F64) -> bool:
@@ -265,7 +283,7 @@ def _covariance(fit: _Fit, quiet: _Fit) -> F64:
 def _unexplained(newest: _Block, value: F64, shortest: _Fit, quiet: _Fit) -> float:
     """Σ of squares that coefficients leave of the newest rows beyond noise, as if all of the shortest window's rows
     were as far off: a motor that has changed a moment ago."""
-    rows = float(newest.counts[0])
+    rows = newest.rows
     weights = np.append(-value, 1.0)
     left = float(weights @ newest.gram @ weights)
     by_chance = _LEVEL_VARIES * rows * quiet.residual_var * (1.0 + _CHANCE_STDS * math.sqrt(2.0 * OVERLAP / rows))

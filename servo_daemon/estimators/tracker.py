@@ -50,6 +50,9 @@ _TICKS_TO_WATCH, _SOUNDNESS_EVERY = 8, 20
 _TICKS_TO_SETTLE = 10
 #: Before so many the innovations are of a filter that is still finding its values and noise: they refute no model.
 _TICKS_TO_JUDGE = 40
+#: A step is one of a motor that the model has explained for so long before, s (a filter that has just started on data
+#: with 30 % of dry friction that its model lacks looked white for 2 s, and then "K stepped").
+_CALM_S = 2.5
 #: Beyond it, s, as long as a tick of the pipeline, a tick has one sample at the most.
 _SLOW_S = 0.1
 #: When the filter begins to use its instrument, the covariance is widened once, 1 σ over the scales.
@@ -179,10 +182,10 @@ class Tracker:
             return None
         return self._judge.last_known(self._roster.names.index(name), self.last_s)
 
-    def age_s(self, name: str) -> float | None:
-        """How long ago the motion last showed a parameter of the plant and it was known; None: it never was."""
-        last = self.last_known(name)
-        return None if last is None else last.age_s
+    @property
+    def ages_s(self) -> list[float]:
+        """How long ago the motion last showed each parameter of the plant and it was known."""
+        return [] if self.plan.plant is None or self.last_s is None else self._judge.ages_s(self.last_s)
 
     @property
     def free(self) -> tuple[Parameter, ...]:
@@ -295,7 +298,8 @@ class Tracker:
         statistics = self.ekf.take_statistics()
         verdict = self.watch.judge(statistics)
         end_s, judged = self._tick_end_s or 0.0, self._ticks > _TICKS_TO_WATCH and stretch.complete
-        searched, explained = self._may_search(stretch), self._telling.explained
+        searched = self._may_search(stretch)
+        explained = self._telling.explained and self._judge.calm_s > _CALM_S
         action, messages = self._jumps.take(verdict, end_s, explained=explained, judged=judged, searched=searched)
         if messages:  # a step was named
             self._second_look.end()

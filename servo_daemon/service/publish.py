@@ -163,6 +163,7 @@ class Publisher:
         mean, std = ([], []) if g is None else (g.mean.tolist(), g.std.tolist())
         excited: list[bool] = []
         qualified: list[bool] = []
+        ages_s = tracker.ages_s
         if g is not None:
             excited, qualified = tracker.excitation.excited.tolist(), tracker.qualification.qualified.tolist()
         out = []
@@ -181,7 +182,7 @@ class Publisher:
                 if last is None:
                     found = fuse(p, mean[k], std[k], excited[k], qualified[k], nominal, floor)
                     if qualified[k]:
-                        found = replace(found, age_s=tracker.age_s(p.name))
+                        found = replace(found, age_s=ages_s[k])
                     unclaimed = tracker.plan.unclaimed.get(p.name)
                     out.append(found if unclaimed is None else replace(found, reason=unclaimed))
                     continue
