@@ -340,7 +340,8 @@ class MotorRls:
             doubt = np.array([k >= len(own) for k in range(len(value))]) * _BOTH_MASSES_STD * value
             covariance = covariance + np.diag(doubt**2)
         span_s = max(e.span_s for e in blocks)
-        return RegressionEstimate((*own, *map(given_by, columns[len(own) :])), value, covariance, span_s)
+        names = (*own, *map(given_by, columns[len(own) :]))
+        return RegressionEstimate(names, value, covariance, span_s, all(e.closes for e in blocks))
 
 
 def _apart(first: NDArray[np.intp], hop: int) -> NDArray[np.intp]:

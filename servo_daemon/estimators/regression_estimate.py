@@ -17,12 +17,14 @@ class RegressionEstimate:
 
     Attributes:
         span_s: how far back the regressions look.
+        closes: the balances leave nothing beyond their noise.
     """
 
     names: tuple[str, ...]
     value: F64
     covariance: F64
     span_s: float
+    closes: bool
 
     @property
     def std(self) -> F64:

@@ -70,12 +70,14 @@ class LinearEstimate:
 
     Attributes:
         span_s: how far back the estimate looks.
+        closes: the rows leave nothing beyond their noise.
     """
 
     value: F64
     covariance: F64
     residual_var: float
     span_s: float
+    closes: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,10 +206,13 @@ class SlidingRls:
         for fit in fits:
             if _excludes(fits[0], fit.value):
                 continue
-            covariance = _covariance(fit, quiet) + fits[0].inverse * _unexplained(newest, fit.value, fits[0], quiet)
+            structure, changed = _structure(fit, quiet), _unexplained(newest, fit.value, fits[0], quiet)
+            own = fit.residual_var + SYSTEMATIC**2 * fit.energy + structure
+            covariance = fit.inverse * own + fits[0].inverse * changed
             spread = float(np.log(np.maximum(covariance.diagonal(), _TINY)).sum())
             if spread < least:
-                least, best = spread, LinearEstimate(fit.value, covariance, fit.residual_var, fit.span_s)
+                closes = structure + changed == 0.0
+                least, best = spread, LinearEstimate(fit.value, covariance, fit.residual_var, fit.span_s, closes)
         return best
 
     def _fits(self) -> list[_Fit]:
@@ -268,16 +273,15 @@ def _excludes(shortest: _Fit, value: F64) -> bool:
     return cost > scale * (n + _CHANCE_STDS * math.sqrt(2.0 * n))
 
 
-def _covariance(fit: _Fit, quiet: _Fit) -> F64:
-    """Of a window's coefficients.
+def _structure(fit: _Fit, quiet: _Fit) -> float:
+    """Σ of squares that a window's best fit leaves beyond noise.
 
     Args:
         quiet: the rows with the least residual: noise is no larger than there.
     """
     by_noise = _LEVEL_VARIES * fit.rows * quiet.residual_var * (1.0 + quiet.chance)
     told = fit.expected * (1.0 + fit.chance) + CLOSES**2 * fit.energy
-    structure = max(0.0, fit.left - min(by_noise, told))
-    return fit.inverse * (fit.residual_var + SYSTEMATIC**2 * fit.energy + structure)
+    return max(0.0, fit.left - min(by_noise, told))
 
 
 def _unexplained(newest: _Block, value: F64, shortest: _Fit, quiet: _Fit) -> float:

@@ -12,7 +12,7 @@ from drivers.base import DriveInfo
 from servo_daemon.config import DriveConfig
 from servo_daemon.estimators import excitation
 from servo_daemon.estimators.base import Gaussian, from_coordinate
-from servo_daemon.estimators.fusion import Fused, as_last_known, fuse
+from servo_daemon.estimators.fusion import KNOWS, Fused, as_last_known, fuse
 from servo_daemon.estimators.regression_estimate import RegressionEstimate
 from servo_daemon.estimators.regression_terms import waves_per_turn
 from servo_daemon.estimators.settings import Resolutions, TrackerSettings
@@ -244,16 +244,20 @@ class Publisher:
             views["rls"] = EstimatorView({})
         else:
             if self._regression is None or self._regression[0] is not rls:  # it changes once a second or so
-                self._regression = rls, EstimatorView(self._possible(rls, hidden))
+                detail = {"window_s": rls.span_s, "balances_close": rls.closes}
+                self._regression = rls, EstimatorView(self._possible(rls, hidden), detail)
             views["rls"] = self._regression[1]
         return views
 
     def _possible(self, e: RegressionEstimate, hidden: tuple[str, ...]) -> Values:
-        """Possible values only: a negative resistance says that the regression does not know yet."""
+        """Possible values only, of positive parameters those that it knows: a negative resistance, or one that is known
+        to ± 40 %, says that the regression does not know it (yet, or with balances that do not close)."""
         return {
             name: (finite_or_none(value), finite_or_none(std))
             for name, value, std in zip(e.names, e.value.tolist(), e.std.tolist(), strict=True)
-            if name not in hidden and self._table[name].lower <= value <= self._table[name].upper
+            if name not in hidden
+            and self._table[name].lower <= value <= self._table[name].upper
+            and (self._table[name].transform != "log" or std < KNOWS * value)
         }
 
     def _natural(self, g: Gaussian, hidden: tuple[str, ...]) -> Values:

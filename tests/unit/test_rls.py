@@ -130,6 +130,7 @@ def test_a_step_is_doubted_at_once_and_followed_soon() -> None:
     for k, (e, theta) in enumerate(zip(found, truth, strict=True)):
         assert (np.abs(e.value - theta) < 4.0 * std_of(e)).all(), k
     assert (std_of(found[40]) > 10.0 * std_of(found[39])).all()
+    assert [e.closes for e in found[38:42]] == [True, True, False, False] and found[44].closes
     np.testing.assert_allclose(found[44].value, TRUE * 1.3, rtol=0.01)
 
 
@@ -161,6 +162,7 @@ def test_what_the_rows_leave_beyond_their_noise_is_no_noise() -> None:
     assert bent is not None and doubted is not None
     assert abs(bent.value[0] - 2.0) > 4.0 * std_of(bent)[0]
     assert abs(doubted.value[0] - 2.0) < 4.0 * std_of(doubted)[0]
+    assert bent.closes and not doubted.closes
 
 
 def test_alike_columns_leave_only_their_own_coefficients_unknown() -> None:

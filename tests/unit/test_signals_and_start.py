@@ -44,7 +44,7 @@ def test_effects_come_along() -> None:
 
 def estimate(value: list[float], relative: float | list[float]) -> RegressionEstimate:
     v = np.array(value)
-    return RegressionEstimate(NAMES, v, np.diag(np.square(np.abs(v) * relative)))
+    return RegressionEstimate(NAMES, v, np.diag(np.square(np.abs(v) * relative)), span_s=2.5, closes=True)
 
 
 def test_a_good_regression_starts_alone() -> None:
