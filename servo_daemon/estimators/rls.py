@@ -279,7 +279,7 @@ def _structure(fit: _Fit, quiet: _Fit) -> float:
     Args:
         quiet: the rows with the least residual: noise is no larger than there.
     """
-    by_noise = _LEVEL_VARIES * fit.rows * quiet.residual_var * (1.0 + quiet.chance)
+    by_noise = _noise(fit.rows, fit.energy, quiet, quiet.chance)
     told = fit.expected * (1.0 + fit.chance) + CLOSES**2 * fit.energy
     return max(0.0, fit.left - min(by_noise, told))
 
@@ -290,6 +290,15 @@ def _unexplained(newest: _Block, value: F64, shortest: _Fit, quiet: _Fit) -> flo
     rows = newest.rows
     weights = np.append(-value, 1.0)
     left = float(weights @ newest.gram @ weights)
-    by_chance = _LEVEL_VARIES * rows * quiet.residual_var * (1.0 + _CHANCE_STDS * math.sqrt(2.0 * OVERLAP / rows))
-    exact = _CHANCE_STDS * SYSTEMATIC**2 * float(newest.gram[-1, -1])
-    return max(0.0, left - by_chance - exact) * max(shortest.rows / rows, 1.0)
+    chance = _CHANCE_STDS * math.sqrt(2.0 * OVERLAP / rows)
+    return max(0.0, left - _noise(rows, float(newest.gram[-1, -1]), quiet, chance)) * max(shortest.rows / rows, 1.0)
+
+
+def _noise(rows: float, energy: float, quiet: _Fit, chance: float) -> float:
+    """Σ of squares that noise may leave of rows, and an error of the model that goes with their size.
+
+    Args:
+        energy: Σ y².
+        chance: how much more of it there may be, as a share.
+    """
+    return _LEVEL_VARIES * rows * quiet.residual_var * (1.0 + chance) + (2.0 * SYSTEMATIC) ** 2 * energy

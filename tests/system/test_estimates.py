@@ -48,7 +48,7 @@ def test_run_alone_follows_its_simulated_motor() -> None:
         assert estimates["sample_rate_hz"] == pytest.approx(1000, rel=0.02)
         assert list(estimates["parameters"]) == [*LINEAR, "J_d"]
         for name, p in estimates["parameters"].items():
-            assert set(p) == {"value", "std", "unit", "nominal", "status", "reason"}
+            assert set(p) == {"value", "std", "unit", "nominal", "status", "reason", "age_s"}
             assert 0 < p["std"] < 0.2 * p["value"], name
             assert p["nominal"] > 0 and p["unit"] and p["reason"] is None
         assert set(estimates["state"]) == {"current_A", "velocity_rad_s", "position_rad"}
