@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.diagnosis.balance import balanced_missing_inputs
+from servo_daemon.diagnosis.data import Data
 from servo_daemon.diagnosis.missing import Fitted, Missing, missing_inputs
 from servo_daemon.diagnosis.split import HELD_OUT
-from servo_daemon.diagnosis.trial import Data, Trial
+from servo_daemon.diagnosis.trial import Trial
 from servo_daemon.errors import NumericalError
 from servo_daemon.estimators.output_error.rollout import TIME
 
@@ -31,7 +32,8 @@ def longest_missing(data: Data, fit: Fitted) -> Missing:
         NumericalError: see `balanced_missing_inputs`.
     """
     number = data.longest
-    return balanced_missing_inputs(fit, data.recordings[number].block, recording=number)
+    longest = data.recordings[number]
+    return balanced_missing_inputs(fit, longest.block, recording=number, seen=longest.seen)
 
 
 def seen_missing(data: Data, trial: Trial) -> Missing:
@@ -52,6 +54,7 @@ def seen_missing(data: Data, trial: Trial) -> Missing:
             coordinates=missing.coordinates,
             levels=replace(levels, input_var=min(levels.input_var, most)),
             least_walk=least,
+            seen=data.recordings[number].seen,
         )
     return replace(missing, unseen=_unseen(data, trial, number, missing))
 

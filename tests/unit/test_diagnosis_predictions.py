@@ -9,10 +9,10 @@ from typing import cast
 import numpy as np
 import pytest
 
+from servo_daemon.diagnosis.data import Data
 from servo_daemon.diagnosis.fitting import Candidate
 from servo_daemon.diagnosis.predictions import _MOST_SAMPLES, _begun, _held_out, _simplest
 from servo_daemon.diagnosis.split import HELD_OUT
-from servo_daemon.diagnosis.trial import Data
 from servo_daemon.estimators.output_error import OutputErrorFit, Recording
 from servo_daemon.samples import make_block
 

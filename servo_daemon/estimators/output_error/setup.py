@@ -47,6 +47,11 @@ class Recording:
     block: SampleBlock
     seen: NDArray[np.bool_] | None = None
 
+    @property
+    def seen_block(self) -> SampleBlock:
+        """The samples that may be looked at."""
+        return self.block if self.seen is None else self.block.select(self.seen)
+
 
 def choose_signals(channels: Sequence[str]) -> tuple[Drive, tuple[str, ...]]:
     """The input and the channels that answer it. A position tells more than a speed derived from it.
@@ -130,7 +135,7 @@ def _segments(
     rows = input_rows(block, plant.drive, share)
     out = []
     for begin, end in _cuts(time, segment_s):
-        if end - begin >= FEWEST_SAMPLES:
+        if end - begin >= FEWEST_SAMPLES and (of.seen is None or of.seen[begin:end].any()):
             x0 = _initial_state(block, plant, begin, end)
             part, fitted = values[begin:end], valid[begin:end]
             out.append(Segment(recording, rows[begin:end].copy(), part, fitted, x0, scale, begin))
