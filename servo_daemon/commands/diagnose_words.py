@@ -88,7 +88,7 @@ def _gain_line(document: Mapping[str, Any]) -> str:
         return f"The gain over {baseline} could not be measured: noise alone would leave as much error."
     unseen = gain["measured_on"] == "unseen"
     where = "data that nothing has seen" if unseen else "the part that decided"
-    short = "" if unseen else " These data are too short for a part that nothing has seen: record more to have it there."
+    short = "" if unseen else " These data are too short for a part that nothing has seen: record more."
     return (
         f"On {where} this removes {percent(gain['error_removed'])}{_interval(gain)} of the error of "
         f"{baseline} that is not noise.{short}"
@@ -98,11 +98,11 @@ def _gain_line(document: Mapping[str, Any]) -> str:
 def _interval(gain: Mapping[str, Any]) -> str:
     """' (95 %: 91 % … 95 %)'; an open end has no number; nothing where both are open."""
     low, high = gain["ci95"] or (None, None)
-    if low is None and high is None:
-        return ""
-    if high is None:
+    if low is not None and high is not None:
+        return f" (95 %: {percent(low)} … {percent(high)})"
+    if low is not None:
         return f" (95 %: at least {percent(low)})"
-    return f" (95 %: at most {percent(high)})" if low is None else f" (95 %: {percent(low)} … {percent(high)})"
+    return "" if high is None else f" (95 %: at most {percent(high)})"
 
 
 def remaining_lines(document: Mapping[str, Any]) -> list[str]:

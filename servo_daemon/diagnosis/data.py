@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from servo_daemon.diagnosis.split import HELD_OUT, Split, divide, divide_seen
 from servo_daemon.estimators.output_error import Recording
 from servo_daemon.estimators.output_error.problem import Problem, Segment
-from servo_daemon.estimators.output_error.setup import make_problem
+from servo_daemon.estimators.output_error.setup import make_problem, state_scale
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,8 +77,9 @@ class Data:
             _unmarked(self.recordings), effects, {**self.fixed, **held}, segment_s=self.split.segment_s
         )
         marks = [np.ones(len(r.block), dtype=bool) if r.seen is None else r.seen for r in self.recordings]
+        scales = [state_scale(r.seen_block, every.plant) for r in self.recordings]
         segments = tuple(
-            replace(s, valid=s.valid & (_there(s, marks) != (part == HELD_OUT))[:, None])
+            replace(s, valid=s.valid & (_there(s, marks) != (part == HELD_OUT))[:, None], x0_scale=scales[s.recording])
             for s, part in zip(every.segments, self.split.part.tolist(), strict=True)
         )
         return replace(every, segments=segments)

@@ -131,7 +131,7 @@ def _segments(
     time = block.time_s - block.time_s[0]
     values = np.stack([_channel(block, name) for name in measured], axis=1)
     valid = np.isfinite(values) if of.seen is None else np.isfinite(values) & of.seen[:, None]
-    scale = state_scale(block, plant)
+    scale = state_scale(of.seen_block, plant)
     rows = input_rows(block, plant.drive, share)
     out = []
     for begin, end in _cuts(time, segment_s):
