@@ -166,6 +166,7 @@ def test_the_reported_gain_is_the_formula_of_the_reported_errors(data: Data) -> 
     b, e, n = found.baseline_score.nrmse, found.extended_score.nrmse, found.floor
     assert found.removed == pytest.approx((b**2 - e**2) / (b**2 - n**2))
     assert found.effects[0].gain == found.removed
+    assert 0.6 * e < n < 1.5 * e
     assert 0.97 < found.removed < 1.03, "the whole truth is in the model"
 
 
