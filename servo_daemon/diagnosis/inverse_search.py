@@ -17,8 +17,8 @@ from servo_daemon.diagnosis.basis import Context, phase
 from servo_daemon.diagnosis.compare import Advantage, bootstrapped
 from servo_daemon.diagnosis.evidence import LEAST_OWN, LEAST_SHARE, LEAST_TOGETHER, convinces, ties_with
 from servo_daemon.diagnosis.inverse_fit import OFFSET, OWN, Explained, Start, Torque, own_torques
-from servo_daemon.diagnosis.inverse_rows import NOWHERE, BalanceRows
-from servo_daemon.diagnosis.split import CHOICE, TRAIN
+from servo_daemon.diagnosis.inverse_rows import BalanceRows
+from servo_daemon.diagnosis.split import CHOICE, HELD_OUT, TRAIN
 from servo_daemon.diagnosis.torque_families import FAMILIES, HARMONICS
 from servo_daemon.plant.effects.cogging_torque import HARMONICS as COGGING
 from servo_daemon.samples import F64
@@ -69,7 +69,7 @@ class Found:
 def search_balance(rows: BalanceRows) -> Found | None:
     """Name what the balance lacks; None: nothing takes enough of it, or something does that has no name here."""
     base = current = Explained(rows, ())
-    parts = {TRAIN, CHOICE, *rows.part[rows.part != NOWHERE].tolist()}
+    parts = {TRAIN, CHOICE} | ({HELD_OUT} & set(rows.part.tolist()))
     if min(np.count_nonzero(rows.at(p)) for p in parts) <= len(OWN):
         return None
     rounds: list[tuple[Tried, ...]] = []

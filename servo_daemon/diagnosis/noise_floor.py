@@ -3,7 +3,7 @@ the signals show.
 
 A level comes from no simulation's residual. It is what a filter cannot follow in which torque and voltage that the
 model lacks walk as fast as the data want (`missing`): what is wrong in a model goes into these walks. No sensor is
-noisier than third differences of its channel allow, in which motion is hardly left, and nothing is more exact than its
+noisier than third differences of its channel allow, in which motion is hardly left, and none is more exact than its
 steps.
 """
 
@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from servo_daemon.diagnosis.missing import Missing
-from servo_daemon.diagnosis.noise_levels import NoiseLevels, resolution
+from servo_daemon.diagnosis.noise_levels import NoiseLevels
 from servo_daemon.diagnosis.scored import Scored, scored_states
 from servo_daemon.diagnosis.trial import Trial
 from servo_daemon.estimators.output_error.rollout import INPUT, free_run
@@ -45,8 +45,7 @@ def measured_levels(missing: Missing) -> NoiseLevels:
         least = missing.resolution[name] ** 2 / 12.0
         most = max(third_differences(values), least)
         variances[name] = float(np.clip(missing.levels.channel_var[name], least, most))
-    step = resolution(missing.input)
-    return replace(missing.levels, input_var=max(missing.levels.input_var, step**2 / 12.0), channel_var=variances)
+    return replace(missing.levels, channel_var=variances)
 
 
 def third_differences(parts: Sequence[F64]) -> float:

@@ -4,10 +4,11 @@ Recordings are cut into short free runs, each with an initial state of its own; 
 one decides and one is held out: neither a fit nor a choice sees it, and it only measures. Slow causes (a winding that
 gets warm) and events (a step of the load) are then in all three parts: none is a time of which the others know nothing.
 Which is which is drawn once, by a fixed seed: the same data get the same verdict, and no periodic motion shares the
-pattern. What a recording begins with is fitted: a model that runs through all of it begins there.
+pattern. What a recording begins with is never held out: a model that runs through all of it begins there, in what may
+be a start like no other time.
 
-Fewer than a dozen runs have no third part worth the name: what would be held out decides, too, and the gain is that of
-the deciding part.
+A dozen runs have no third part worth the name: what would be held out decides, too, and the gain is that of the
+deciding part.
 """
 
 from __future__ import annotations
@@ -28,11 +29,13 @@ _FEWEST = 40
 _SHORTER = 8.0
 _SEED = 20260
 TRAIN, CHOICE, HELD_OUT = 0, 1, 2
+#: In no part: seen by what runs through whole recordings, not by free runs.
+BEGUN = 3
 _PATTERN = (TRAIN, TRAIN, CHOICE, HELD_OUT)
 #: Fewer free runs leave a single one to decide: nothing to resample.
 _FEWEST_RUNS = 8
-#: Fewer leave less than three to measure with, of which resampling makes no interval.
-_FOR_THREE_PARTS = 12
+#: Of fewer that are held out resampling makes no interval.
+_FEWEST_MEASURED = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +44,7 @@ class Split:
 
     Attributes:
         segment_s: about the length of a segment, s.
-        part: shape (n,), TRAIN, CHOICE or HELD_OUT of each.
+        part: shape (n,), TRAIN, CHOICE, HELD_OUT or BEGUN of each.
     """
 
     segment_s: float
@@ -92,8 +95,8 @@ def divide(n: int, segment_s: float, begins: Sequence[int] = (0,)) -> Split:
             f"fit and to choose: {_FEWEST_RUNS * segment_s:.2g} s; record twice that or more"
         )
     part = _drawn(n, _PATTERN)
-    part[[k for k in begins if part[k] == HELD_OUT]] = TRAIN
-    if n < _FOR_THREE_PARTS:
+    part[[k for k in begins if part[k] == HELD_OUT]] = BEGUN
+    if np.count_nonzero(part == HELD_OUT) < _FEWEST_MEASURED:
         part[part == HELD_OUT] = CHOICE
     return Split(segment_s, part)
 
