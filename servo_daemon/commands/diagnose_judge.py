@@ -42,3 +42,8 @@ def why(document: Mapping[str, Any]) -> list[str]:
 def error_heading(document: Mapping[str, Any]) -> str:
     """What the held-out errors are of."""
     return f"{_ERROR_OF[document['judged_by']]}, of times {_TIMES[document['measured_on']]}"
+
+
+def measured_data(document: Mapping[str, Any]) -> str:
+    """What the errors and the gain are measured on."""
+    return "held-out data" if document["measured_on"] == "unseen" else "the data that decided"
