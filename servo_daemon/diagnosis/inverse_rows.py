@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_daemon.diagnosis.data import Data
 from servo_daemon.diagnosis.signals import Motion
-from servo_daemon.diagnosis.trial import Data
 from servo_daemon.estimators.idim_filter import Filter, FilterChoice, choose, rests
 from servo_daemon.estimators.idim_shaft import kinematics, speed_noise
 from servo_daemon.estimators.idim_signals import EvenStretch, even_stretch, pieces

@@ -112,6 +112,7 @@ def missing_inputs(
     coordinates: F64 | None = None,
     levels: NoiseLevels | None = None,
     least_walk: Mapping[str, float] | None = None,
+    seen: NDArray[np.bool_] | None = None,
 ) -> Missing:
     """Missing torque and voltage over a capture.
 
@@ -122,6 +123,7 @@ def missing_inputs(
         coordinates: parameters to use instead, as in `Missing.coordinates`.
         levels: intensities; None: by maximum likelihood from this capture.
         least_walk: the walks are not slower than this, unit²/s.
+        seen: shape (n,): where the measurements are used; None: everywhere.
 
     Raises:
         BadInputError: signals or samples are missing.
@@ -129,7 +131,7 @@ def missing_inputs(
     """
     plant = _with_load(fit.problem.plant)
     q = coordinates_with_load(fit, recording)[1] if coordinates is None else coordinates
-    problem = _in_runs(block, fit.problem.plant, q)
+    problem = _in_runs(Recording("capture", block, seen), fit.problem.plant, q)
     disturbances, visible = _unknown(plant, problem.channels)
     a = Augmented(plant, problem.channels, disturbances)
     size = _sizes(plant, q, problem.segments)
@@ -163,12 +165,11 @@ def missing_inputs(
     )
 
 
-def _in_runs(block: SampleBlock, plant: PlantModel, q: F64) -> Problem:
+def _in_runs(recording: Recording, plant: PlantModel, q: F64) -> Problem:
     """The whole capture at once; where there is a load behind a gap, in short runs that begin where the load is: a
     filter that comes to an impact early or late has lost it for good."""
-    recordings = [Recording("capture", block)]
     values = natural_values(plant.parameters, q[: len(plant.parameters)])
-    return placed_in_short_runs(make_problem(recordings, plant.effects, {}), recordings, values)
+    return placed_in_short_runs(make_problem([recording], plant.effects, {}), [recording], values)
 
 
 def coordinates_with_load(fit: Fitted, recording: int = 0) -> tuple[tuple[str, ...], F64]:
