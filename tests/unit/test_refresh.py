@@ -176,3 +176,20 @@ def test_a_filter_that_knows_all_of_it_better_is_left_alone(
     found = [e for e in run(model, recording, believed(1.0, 1e-3)) if not e.declined]
     assert found
     assert all(e.pseudo is None and "knows all of it better" in e.reason for e in found)
+
+
+class _Unproven(_Proven):
+    """The same, and the model is not trusted."""
+
+    trusted = False
+
+
+def test_what_has_not_proven_itself_does_not_enter(
+    model: LearnedModel, recording: SampleBlock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However near to the filter's values it is."""
+    monkeypatch.setattr(refresh_module, "Proof", _Unproven)
+    found = [e for e in run(model, recording, believed(1.0, 0.1)) if not e.declined]
+    assert found
+    assert all(e.pseudo is None and e.reason.startswith("shadow") for e in found)
+    assert any(e.distance is not None and e.distance**2 <= GATE for e in found)
