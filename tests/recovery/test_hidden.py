@@ -73,23 +73,6 @@ def test_a_brake_by_eddy_currents_is_no_stribeck_friction() -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize(
-    ("cause", "strength", "motor", "motion"),
-    [
-        ("coulomb_friction", "clear", "large", "steps"),
-        ("stribeck_friction", "faint", "paper", "steps"),
-        ("cogging_torque", "clear", "re40", "steps"),  # between detents: unstable, short free runs
-        ("winding_heating", "clear", "re40", "multisine"),  # slow: must survive the split
-        ("position_dependent_friction", "clear", "paper", "steps"),  # the richer friction must become the simpler one
-    ],
-)
-def test_harder_effects_are_named(cause: str, strength: str, motor: str, motion: str) -> None:
-    judgement = judge(Case(cause, strength, motor, motion, 11))
-    assert set(judgement.found) == set(judgement.expected), judgement
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-@pytest.mark.parametrize(
     ("cause", "strength", "motor", "motion", "seed"),
     [
         ("cogging_torque", "clear", "re40", "multisine", 248881),  # a few free runs turn the wrong way
