@@ -66,8 +66,8 @@ GROUPS: Mapping[str, Group] = {
             "servo_daemon/diagnosis/scored.py",
         ),
         (
-            "tests/unit/test_diagnos*.py",
-            "tests/recovery/test_diagnos*.py",
+            "tests/unit/test_diagnosis_*.py",
+            "tests/unit/test_diagnose_document.py",
             "tests/recovery/test_hidden.py",
         ),
     ),

@@ -10,7 +10,7 @@ FAMILIARITY = ("tests/unit/test_learning_familiarity.py",)
 STRANGENESS = ("tests/unit/test_learning_strangeness.py", "tests/unit/test_learning_model.py")
 REFRESH = ("tests/unit/test_refresh.py",)
 REGRESSION = ("tests/unit/test_rls*.py", "tests/recovery/test_tracking.py")
-GAIN = ("tests/unit/test_diagnos*.py", "tests/recovery/test_diagnos*.py")
+GAIN = ("tests/unit/test_diagnosis_*.py", "tests/recovery/test_hidden.py")
 
 
 @dataclass(frozen=True, slots=True)

@@ -100,7 +100,8 @@ class Workshop:
         """The first test that fails, "" if none does."""
         # One after the other, as they are listed: the likeliest to notice come first.
         command = [sys.executable, "-m", "pytest", "-x", "-q", "-m", self._markers]
-        command += ["-p", "no:randomly", "-p", "no:cacheprovider", "--no-header", "--tb=no", *tests]
+        # pytest's own limit is for a machine that does nothing else.
+        command += ["-o", "timeout=0", "-p", "no:randomly", "-p", "no:cacheprovider", "--no-header", "--tb=no", *tests]
         environment = {
             **os.environ,
             "PYTHONPATH": str(self._folder),

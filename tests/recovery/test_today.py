@@ -6,7 +6,7 @@ the names, and of these in one of fifty a parameter is not. Whatever of the thre
 
 Those that are right of n are binomial. P(48 of 56 or fewer) is 1.8 % for a share of 0.94 and 65 % for 0.9 · 0.94 (for
 0.95: 0.7 and 58 %): the bound fails a code that is as it was on one day in two months, one that is a tenth worse on two
-days of three. With half of the cases a bound that sees a tenth on every second day fails by itself on one day of ten.
+days of three. With half of the cases a bound that sees a tenth on every second day fails by itself on one of twelve.
 """
 
 from __future__ import annotations

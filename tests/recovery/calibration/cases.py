@@ -145,7 +145,7 @@ def run_case(case: CalibrationCase, seconds: float | None = None) -> Result:
         "tracker": ("servo_daemon.estimators",),
     }
     with watching(*packages[case.part]) as notes:
-        outcome, right = run(case, seconds)
+        outcome, right = run(case, seconds, notes)
     return Result(case, outcome, right, {name: _summary(n) for name, n in notes.items() if n.seen})
 
 
@@ -156,7 +156,7 @@ def _summary(notes: Notes) -> tuple[float, tuple[float, ...]]:
     return notes.value, tuple(float(f"{v:.4g}") for v in seen)
 
 
-def _diagnose(case: CalibrationCase, seconds: float | None) -> tuple[tuple[str, ...], bool]:
+def _diagnose(case: CalibrationCase, seconds: float | None, notes: Mapping[str, Notes]) -> tuple[tuple[str, ...], bool]:
     seconds = seconds or DIAGNOSED_S
     effects = case.effects(seconds)
     scenario = Scenario(MOTIONS[case.motion], seconds=seconds, effects=effects, seed=case.seed)
@@ -177,7 +177,9 @@ def _ageing(case: CalibrationCase, n: int) -> dict[str, F64]:
     return {}
 
 
-def _track(case: CalibrationCase, seconds: float | None) -> tuple[tuple[str, ...], None]:
+def _track(case: CalibrationCase, seconds: float | None, notes: Mapping[str, Notes]) -> tuple[tuple[str, ...], None]:
+    """What the filter compares while it finds its values says nothing of a running one: of each threshold the half
+    after the change counts, of those that have a say at the start only the first half."""
     own, seconds = motor(case.motor), seconds or TRACKED_S
     scenario = Scenario(
         MOTIONS[case.motion],
@@ -191,5 +193,12 @@ def _track(case: CalibrationCase, seconds: float | None) -> tuple[tuple[str, ...
     nominal = {name: by * float(getattr(own, name)) for name, by in _DATASHEET.items()}
     load = {"counts_per_rev": own.counts_per_rev}
     pipeline = Pipeline(DriveConfig.model_validate({"nominal": nominal, "load": load}))
-    pipeline.process(make_block(made.time_s, **signals), rows=False)
+    block = make_block(made.time_s, **signals)
+    pipeline.process(block.slice(0, len(block) // 2), rows=False)
+    early = {name: list(n.seen) for name, n in notes.items()}
+    for n in notes.values():
+        n.seen.clear()
+    pipeline.process(block.slice(len(block) // 2, len(block)), rows=False)
+    for name, n in notes.items():
+        n.seen.extend(() if n.seen else early[name])
     return tuple(sorted({kind for kind, _, _ in pipeline.messages})), None

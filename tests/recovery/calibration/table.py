@@ -3,6 +3,7 @@
 Of a threshold that decides whether something is there, each run counts by its most telling statistic: where nothing is
 to be found the share of runs beyond the threshold is that of false alarms, elsewhere the rest were missed by this
 threshold (others may have caught them, and an alarm needs several to agree). Of the others all comparisons are shown.
+The tracker's are those of the second half, when its filter has found its values (`cases._track`).
 """
 
 from __future__ import annotations
