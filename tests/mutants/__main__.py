@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
+import queue
 import random
 import secrets
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import asdict
 from pathlib import Path
 
@@ -41,24 +44,42 @@ def drawn_faults(group: str, wanted: int, seed: int, root: Path = ROOT) -> list[
         every += [(file, source, site) for site in sites(source)]
     drawn = random.Random(f"{seed}/{group}").sample(every, min(wanted, len(every)))
     tests = tests_of(root, GROUPS[group].tests)
-    return [Fault(group, f"line {s.line}: {s.title}", f, s.applied(source), tests) for f, source, s in drawn]
+    return [Fault(group, f"{s.line}:{s.column}: {s.title}", f, s.applied(source), tests) for f, source, s in drawn]
 
 
-def run(faults: Sequence[Fault], path: Path) -> list[Outcome]:
-    """Their outcomes, those in the file as they are there."""
+def run(faults: Sequence[Fault], path: Path, workers: int) -> list[Outcome]:
+    """Their outcomes, those in the file as they are there; so many copies of the tree beside each other."""
     done: dict[str, Outcome] = {}
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.exists():
         for line in path.read_text(encoding="utf-8").splitlines():
             outcome = Outcome(**json.loads(line))
             done[f"{outcome.group}: {outcome.file}: {outcome.title}"] = outcome
-    with tempfile.TemporaryDirectory() as folder, path.open("a", encoding="utf-8") as file:
-        workshop = Workshop(ROOT, Path(folder) / "tree")
-        for fault in faults:
-            if fault.key not in done:
-                done[fault.key] = outcome = workshop.judge(fault)
+    workshops: queue.Queue[Workshop] = queue.Queue()
+
+    def judged(fault: Fault) -> Outcome:
+        workshop = workshops.get()
+        try:
+            return workshop.judge(fault)
+        finally:
+            workshops.put(workshop)
+
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        path.open("a", encoding="utf-8") as file,
+        ThreadPoolExecutor(workers) as pool,
+    ):
+        for k in range(workers):
+            workshops.put(Workshop(ROOT, Path(folder) / f"tree{k}"))
+        futures = {pool.submit(judged, f): f.key for f in faults if f.key not in done}
+        try:
+            for future in as_completed(futures):
+                done[futures[future]] = outcome = future.result()
                 print(json.dumps(asdict(outcome), ensure_ascii=False), file=file, flush=True)
-                print(f"{outcome.outcome:9s}{outcome.seconds:5.0f} s  {fault.key}  {outcome.by}", file=sys.stderr)
+                print(f"{outcome.outcome:9s}{outcome.seconds:5.0f} s  {futures[future]}  {outcome.by}", file=sys.stderr)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)  # when it is stopped those that wait are not begun
+            raise
     return [done[f.key] for f in faults]
 
 
@@ -101,13 +122,14 @@ def main() -> int:
     parser.add_argument("--seed", type=int, help="of the draw; without it a fresh one")
     parser.add_argument("--file", type=Path, help="of the outcomes (build/mutants-SEED.jsonl)")
     parser.add_argument("--docs", type=Path, default=ROOT / "docs/mutants.md", help="where the table goes")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     asked = parser.parse_args()
     seed = secrets.randbelow(10**9) if asked.seed is None else asked.seed
     print(f"draw {seed}: go on with --seed {seed}", file=sys.stderr)
     faults = list(named_faults()) if _NAMED in asked.only else []
     for group in GROUPS:
         faults += drawn_faults(group, asked.sample, seed) if group in asked.only else []
-    outcomes = run(faults, asked.file or ROOT / f"build/mutants-{seed}.jsonl")
+    outcomes = run(faults, asked.file or ROOT / f"build/mutants-{seed}.jsonl", asked.workers)
     asked.docs.write_text(document(outcomes, seed), encoding="utf-8")
     killed = sum(o.outcome == "killed" for o in outcomes)
     print(f"{killed} of {len(outcomes)} killed ({killed / max(len(outcomes), 1):.0%}): {asked.docs}")

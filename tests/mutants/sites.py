@@ -31,12 +31,13 @@ class Site:
     """One change of one text.
 
     Attributes:
-        line: of the source, from 1.
+        line, column: in the source, from 1.
         start, end: bytes of the source that are replaced.
         old, new: what stood there, what stands there now.
     """
 
     line: int
+    column: int
     start: int
     end: int
     old: str
@@ -62,7 +63,7 @@ def sites(source: str) -> list[Site]:
     def at(node: ast.expr, new: str) -> Site:
         assert node.end_lineno is not None and node.end_col_offset is not None
         start, end = lines[node.lineno - 1] + node.col_offset, lines[node.end_lineno - 1] + node.end_col_offset
-        return Site(node.lineno, start, end, source.encode()[start:end].decode(), new)
+        return Site(node.lineno, node.col_offset + 1, start, end, source.encode()[start:end].decode(), new)
 
     found = [at(node, new) for node, new in _changes(ast.parse(source))]
     return sorted(found, key=lambda s: (s.start, s.end, s.new))
