@@ -44,8 +44,16 @@ test-slow: venv ## the slow ones, and those of the whole system (ARGS for pytest
 	$(PYTEST) -m slow $(ARGS)
 
 .PHONY: matrix
-matrix: venv ## hides every effect in hundreds of captures and prints what was found (an hour or two, can be resumed)
+matrix: venv ## hides every effect in hundreds of new captures and prints what was found (two hours; ARGS="--seed N" goes on)
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.recovery.matrix $(ARGS)
+
+.PHONY: calibrate
+calibrate: venv ## what every threshold is compared with, on motors that no test has (20 min, can be resumed; ARGS="tracker")
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.recovery.calibration $(ARGS)
+
+.PHONY: mutants
+mutants: venv ## puts faults into the code and writes to docs/mutants.md which of them a test notices (ARGS="--seed N" goes on)
+	$(BIN)/python -m tests.mutants $(ARGS)
 
 .PHONY: lint
 lint: venv ## ruff, its formatter, mypy --strict, the import contracts

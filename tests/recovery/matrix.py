@@ -1,7 +1,9 @@
-"""The whole matrix of hidden effects: `make matrix`, or `python -m tests.recovery.matrix [--file F] [--repeats N] …`.
+"""The whole matrix of hidden effects: `make matrix`, or `python -m tests.recovery.matrix [--seed N] [--repeats N] …`.
 
-Every case is a line of JSON in the file; what is there is not run again, so it may be stopped and gone on with. At the
-end it prints what was named for what was hidden, with Wilson's 95 % intervals (Wilson 1927).
+Without a seed the draw is one that nobody has seen. Its number is printed with the result, and with it (`--seed N`) the
+same captures are made again. Every case is a line of JSON in the draw's file; what is there is not run again, so a draw
+may be stopped and gone on with. At the end it prints what was named for what was hidden, with Wilson's 95 % intervals
+(Wilson 1927).
 """
 
 from __future__ import annotations
@@ -10,6 +12,7 @@ import argparse
 import json
 import os
 import random
+import secrets
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
@@ -26,7 +29,9 @@ from tests.recovery.hidden import INVISIBLE, UNNAMED, Case, cases, judge
 
 _Z = 1.959964
 #: Share of the error that the true causes remove, which what is named must remove.
-_OF_TRUE = 0.9
+OF_TRUE = 0.9
+#: Draws to choose from: short to write down, and none twice by chance.
+_DRAWS = 10**9
 
 
 def wilson(right: int, of: int) -> tuple[float, float]:
@@ -67,7 +72,7 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
     checked = sum(r["checked"] for r in named)
     lines.append(_share("parameters within 3 std", sum(r["checked"] - len(r["outside"]) for r in named), checked))
     compared = [g for r in rows if (g := r.get("of_true")) is not None]
-    lines.append(_share("90 % of what the true causes remove", sum(g >= _OF_TRUE for g in compared), len(compared)))
+    lines.append(_share("90 % of what the true causes remove", sum(g >= OF_TRUE for g in compared), len(compared)))
     return "\n".join([*(line for line in lines if line), "", *_confusions(rows)])
 
 
@@ -110,23 +115,36 @@ def run(path: Path, wanted: Sequence[Case], workers: int) -> list[dict[str, Any]
     return [done[c.key] for c in wanted]
 
 
-def main() -> int:
+def options(words: Sequence[str] | None = None) -> argparse.Namespace:
+    """What was asked for; a seed and a file are always in it."""
     parser = argparse.ArgumentParser(description="hide every effect, diagnose, count")
-    parser.add_argument("--file", type=Path, default=Path("build/matrix.jsonl"))
+    parser.add_argument("--seed", type=int, help="of the draw; without it a fresh one")
+    parser.add_argument("--file", type=Path, help="of the results (build/matrix-SEED.jsonl)")
     parser.add_argument("--repeats", type=int, default=1, help="rounds over causes, strengths and motors")
     parser.add_argument("--clean", type=int, default=400, help="captures with nothing hidden")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--table", action="store_true", help="only print what is in the file")
-    arguments = parser.parse_args()
-    if arguments.table:
-        rows = [json.loads(line) for line in arguments.file.read_text(encoding="utf-8").splitlines()]
-        sys.stdout.write(f"{len(rows)} captures\n{table(rows)}\n")
+    found = parser.parse_args(words)
+    if found.table and found.seed is None and found.file is None:
+        parser.error("--table of which draw? --seed or --file")
+    if found.seed is None:
+        found.seed = secrets.randbelow(_DRAWS)
+    found.file = found.file or Path(f"build/matrix-{found.seed}.jsonl")
+    return found
+
+
+def main() -> int:
+    asked = options()
+    if asked.table:
+        rows = [json.loads(line) for line in asked.file.read_text(encoding="utf-8").splitlines()]
+        sys.stdout.write(f"{asked.file}: {len(rows)} captures\n{table(rows)}\n")
         return 0
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    wanted = list(cases(arguments.repeats, arguments.clean))
-    random.Random(1).shuffle(wanted)  # what is there when it is stopped is then a fair sample
-    rows = run(arguments.file, wanted, arguments.workers)
-    sys.stdout.write(f"{len(LISTED)} causes, {len(rows)} captures\n{table(rows)}\n")
+    print(f"draw {asked.seed}: go on with --seed {asked.seed}", file=sys.stderr)
+    wanted = list(cases(asked.seed, asked.repeats, asked.clean))
+    random.Random(asked.seed).shuffle(wanted)  # what is there when it is stopped is then a fair sample
+    rows = run(asked.file, wanted, asked.workers)
+    sys.stdout.write(f"draw {asked.seed}: {len(LISTED)} causes, {len(rows)} captures\n{table(rows)}\n")
     return 0
 
 

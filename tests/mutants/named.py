@@ -1,0 +1,172 @@
+"""Mutants with a name: each is a fault that the tests once let pass, or a setting that would be ignored."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+CONFIGURED = ("tests/unit/test_configured_estimation.py",)
+FAMILIARITY = ("tests/unit/test_learning_familiarity.py",)
+STRANGENESS = ("tests/unit/test_learning_strangeness.py", "tests/unit/test_learning_model.py")
+REFRESH = ("tests/unit/test_refresh.py",)
+REGRESSION = ("tests/unit/test_rls*.py", "tests/recovery/test_tracking.py")
+GAIN = ("tests/unit/test_diagnosis_*.py", "tests/recovery/test_hidden.py")
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """A fault.
+
+    Attributes:
+        name: what is wrong with it.
+        file: from the top of the tree.
+        old, new: text that stands in the file exactly once, and what takes its place.
+        tests: patterns of the fast tests of which one must fail.
+    """
+
+    name: str
+    file: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+
+    def applied(self, source: str) -> str | None:
+        """The source with this fault; None: stale, the text is not there once."""
+        return source.replace(self.old, self.new) if source.count(self.old) == 1 else None
+
+
+NAMED: Sequence[Named] = (
+    Named(
+        "engine ignored: the tracker is not told",
+        "servo_daemon/service/publish.py",
+        "drift, config.estimation.engine)",
+        'drift, "compiled")',
+        CONFIGURED,
+    ),
+    Named(
+        "engine ignored: the tracker does not ask",
+        "servo_daemon/estimators/tracker.py",
+        'if self.settings.engine == "filterpy":',
+        'if self.settings.engine == "nothing":',
+        CONFIGURED,
+    ),
+    Named(
+        "drift ignored: the tracker is not told",
+        "servo_daemon/service/publish.py",
+        "config.nominal, drift, config",
+        "config.nominal, {}, config",
+        CONFIGURED,
+    ),
+    Named(
+        "drift ignored: the default is taken",
+        "servo_daemon/estimators/settings.py",
+        "if given is not None and not offset:",
+        "if False:",
+        CONFIGURED,
+    ),
+    Named(
+        "skew ignored",
+        "servo_daemon/service/publish.py",
+        "return self._config.estimation.skew_s * self._value",
+        "return 0.0 * self._value",
+        CONFIGURED,
+    ),
+    Named(
+        "all windows are familiar",
+        "servo_daemon/learning/familiarity.py",
+        "return np.asarray(np.min(below, axis=0) / (len(self.mass_) + 1.0))",
+        "return np.ones(len(z))",
+        FAMILIARITY,
+    ),
+    Named(
+        "familiarity declines nothing",
+        "servo_daemon/learning/model.py",
+        "np.where(familiarity < LEAST_FAMILIARITY,",
+        "np.where(familiarity < -1.0,",
+        FAMILIARITY,
+    ),
+    Named(
+        "familiarity without what lies outside the components",
+        "servo_daemon/learning/familiarity.py",
+        "np.sqrt(p.explained_variance_)), -outside",
+        "np.sqrt(p.explained_variance_)), 0.0 * outside",
+        FAMILIARITY,
+    ),
+    Named(
+        "familiarity without the mass along the components",
+        "servo_daemon/learning/familiarity.py",
+        "return self._kernel.mass(along / np.sqrt(p.explained_variance_)), -outside",
+        "return -outside, -outside",
+        FAMILIARITY,
+    ),
+    Named(
+        "no window is strange",
+        "servo_daemon/learning/strangeness.py",
+        "return np.asarray(above / (len(self.known_) + 1.0))",
+        "return np.ones(len(strange))",
+        STRANGENESS,
+    ),
+    Named(
+        "strangeness declines nothing",
+        "servo_daemon/learning/model.py",
+        "np.where(usual < MOST_STRANGE,",
+        "np.where(usual < -1.0,",
+        STRANGENESS,
+    ),
+    Named(
+        "the refresh's gate is left open",
+        "servo_daemon/learning/refresh.py",
+        "if distance**2 <= GATE:",
+        "if distance**2 <= 1e9 * GATE:",
+        REFRESH,
+    ),
+    Named(
+        "a refresh that is not proven enters",
+        "servo_daemon/learning/refresh.py",
+        "if not self._proof.trusted:",
+        "if False:",
+        REFRESH,
+    ),
+    Named(
+        "a refresh enters a filter that knows better",
+        "servo_daemon/learning/refresh.py",
+        "return not knows_better,",
+        "return True,",
+        REFRESH,
+    ),
+    Named(
+        "the regression's memory 100 times as long",
+        "servo_daemon/estimators/rls.py",
+        "self._n, self._memory = n, memory",
+        "self._n, self._memory = n, 100 * memory",
+        REGRESSION,
+    ),
+    Named(
+        "gain: scored on the part that was fitted",
+        "servo_daemon/diagnosis/trial.py",
+        "return self.scored(HELD_OUT)",
+        "return self.scored(TRAIN)",
+        GAIN,
+    ),
+    Named(
+        "gain: the models are fitted to the part that measures",
+        "servo_daemon/diagnosis/diagnose.py",
+        "both = belief.selection, (TRAIN, CHOICE)",
+        "both = belief.selection, (TRAIN, CHOICE, 2)",
+        GAIN,
+    ),
+    Named(
+        "gain: errors instead of their squares",
+        "servo_daemon/diagnosis/compare.py",
+        "b, e = base.mean_square(weights), extended.mean_square(weights)",
+        "b, e = base.mean_square(weights) ** 0.5, extended.mean_square(weights) ** 0.5",
+        GAIN,
+    ),
+    Named(
+        "gain: no noise floor",
+        "servo_daemon/diagnosis/compare.py",
+        "np.minimum(floor_nrmse**2, e)",
+        "np.minimum(0.0, e)",
+        GAIN,
+    ),
+)
