@@ -3,7 +3,7 @@
 `axis6` has `engine = "filterpy"`, which a small machine cannot keep up with. `axis7` is a wire gone mad: spikes,
 numbers that are none, jumps of time, restarts, noise between frames. Each device is a process of its own that plays
 samples made beforehand, so that the simulation's cost is not the daemon's. Latency is from a frame's last byte written
-to the first REST answer that contains it; the six are asked one after another, each for a sixth of the time.
+to the first REST answer that contains it; the six are asked one after another, nearly 200 times a second.
 
     .venv/bin/python -m benchmarks.neighbours                one minute
     .venv/bin/python -m benchmarks.neighbours --seconds 20
@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.daemon import RATE_HZ, Api, cpu_s, daemon, table
+from benchmarks.daemon import RATE_HZ, REQUESTS_PER_S, Api, cpu_s, daemon, table
 from drivers.base import DriveInfo
 from servo_daemon.errors import EndOfStreamError
 from servo_daemon.samples import SampleBlock
@@ -117,7 +117,7 @@ def watch(api: Api, seconds: float) -> list[list[tuple[int, float]]]:
         end = time.monotonic() + seconds / ORDINARY
         while time.monotonic() < end:
             answers[k].append((api.get(f"/drives/axis{k}/estimates")["samples"], time.monotonic()))
-            time.sleep(0.001)
+            time.sleep(1 / REQUESTS_PER_S)
     return answers
 
 

@@ -6,6 +6,7 @@ place of the compiled loop (`engine = "filterpy"`). The two agree to rounding; a
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -27,6 +28,10 @@ from servo_daemon.estimators.ekf_model import (
 )
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.samples import F64
+
+#: After each sample the interpreter is let go for so long (and what the system's timer adds, 50 µs), s: who waits for it
+#: gets it after a step, and not after five milliseconds of plain Python (benchmarks/neighbours.py: p99 86 ms, not 101).
+_PAUSE_S = 1e-6
 
 
 class FilterpyLoop:
@@ -52,6 +57,7 @@ class FilterpyLoop:
         ekf.P[self._rows, self._columns] = ekf.P[self._columns, self._rows] = state[lay.tri]
         outputs = np.empty((len(samples), lay.n_output))
         for row, sample in enumerate(samples):
+            time.sleep(_PAUSE_S)
             self._time_update(ekf, state, constants, sample)
             self._earlier = state[lay.statistics][STATISTICS.index("last")]
             for k in range(len(lay.channels)):
