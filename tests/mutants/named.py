@@ -10,6 +10,8 @@ FAMILIARITY = ("tests/unit/test_learning_familiarity.py",)
 STRANGENESS = ("tests/unit/test_learning_strangeness.py", "tests/unit/test_learning_model.py")
 REFRESH = ("tests/unit/test_refresh.py",)
 REGRESSION = ("tests/unit/test_rls*.py", "tests/recovery/test_tracking.py")
+HELD = ("tests/unit/test_excitation_fusion.py",)
+JUDGE = ("tests/unit/test_two_witnesses.py", "tests/unit/test_jumps.py")
 GAIN = ("tests/unit/test_diagnosis_*.py", "tests/recovery/test_hidden.py")
 
 
@@ -135,38 +137,80 @@ NAMED: Sequence[Named] = (
         REFRESH,
     ),
     Named(
-        "the regression's memory 100 times as long",
+        "the regression's windows 100 times as long",
         "servo_daemon/estimators/rls.py",
-        "self._n, self._memory = n, memory",
-        "self._n, self._memory = n, 100 * memory",
+        "self._n, self._spans_s = n, tuple(spans_s)",
+        "self._n, self._spans_s = n, tuple(100.0 * s for s in spans_s)",
         REGRESSION,
+    ),
+    Named(
+        "what a window leaves of its rows is all taken for noise",
+        "servo_daemon/estimators/rls.py",
+        "return max(0.0, fit.left - min(by_noise, told))",
+        "return 0.0",
+        REGRESSION,
+    ),
+    Named(
+        "what the newest rows say against the regression is ignored",
+        "servo_daemon/estimators/rls.py",
+        "covariance = fit.inverse * own + fits[0].inverse * changed",
+        "covariance = fit.inverse * own",
+        REGRESSION,
+    ),
+    Named(
+        "a value is held for ever on a motion that shows it",
+        "servo_daemon/estimators/fusion.py",
+        "if trusted.unconfirmed_s > hold_s:",
+        "if False:",
+        HELD,
+    ),
+    Named(
+        "a value is held against the running filter",
+        "servo_daemon/estimators/fusion.py",
+        "> EXCLUDED_STDS * math.hypot(trusted.std, present[1])",
+        "> 1e9 * math.hypot(trusted.std, present[1])",
+        HELD,
+    ),
+    Named(
+        "the regression overrules a filter that is white and calm",
+        "servo_daemon/estimators/parameter_judge.py",
+        " or self.calm_s > found.span_s",
+        "",
+        JUDGE,
+    ),
+    Named(
+        "a step of a motor that was never explained is named",
+        "servo_daemon/estimators/jumps.py",
+        "self.calm and explained, self._usual",
+        "self.calm, self._usual",
+        JUDGE,
     ),
     Named(
         "gain: scored on the part that was fitted",
         "servo_daemon/diagnosis/trial.py",
-        "return self.scored(HELD_OUT)",
+        "return self.scored(self.split.measuring)",
         "return self.scored(TRAIN)",
         GAIN,
     ),
     Named(
         "gain: the models are fitted to the part that measures",
-        "servo_daemon/diagnosis/diagnose.py",
-        "both = belief.selection, (TRAIN, CHOICE)",
-        "both = belief.selection, (TRAIN, CHOICE, 2)",
+        "servo_daemon/diagnosis/gain.py",
+        "data, chosen, parts = selection.data, selection.chosen, selection.data.split.before_measuring",
+        "data, chosen, parts = selection.data, selection.chosen, (0, 1, 2)",
         GAIN,
     ),
     Named(
         "gain: errors instead of their squares",
         "servo_daemon/diagnosis/compare.py",
-        "b, e = base.mean_square(weights), extended.mean_square(weights)",
-        "b, e = base.mean_square(weights) ** 0.5, extended.mean_square(weights) ** 0.5",
+        "b, w, g, n = (x.mean_square(weights) for x in (base, worse, better, floor))",
+        "b, w, g, n = (x.mean_square(weights) ** 0.5 for x in (base, worse, better, floor))",
         GAIN,
     ),
     Named(
         "gain: no noise floor",
         "servo_daemon/diagnosis/compare.py",
-        "np.minimum(floor_nrmse**2, e)",
-        "np.minimum(0.0, e)",
+        "return w - g, b - n",
+        "return w - g, b - 0.0 * n",
         GAIN,
     ),
 )

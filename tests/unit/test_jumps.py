@@ -41,6 +41,19 @@ def test_a_single_bad_tick_is_undone_and_forgotten() -> None:
     assert not watch.is_open
 
 
+@pytest.mark.parametrize("explained", [True, False])
+def test_what_comes_is_sudden_only_after_samples_that_were_explained(explained: bool) -> None:
+    watch = JumpWatch()
+    for _ in range(20):
+        watch.observe(unexplained=False, explained=explained)
+        judged(watch, GOOD)
+    for k in range(3):  # once it has come nothing is explained, whatever was before
+        watch.observe(unexplained=True, explained=explained and k == 0)
+        judged(watch, BAD)
+        assert watch.sudden == explained
+    assert watch.is_open
+
+
 def test_ticks_that_are_merely_not_settled_are_learned_from() -> None:
     watch = JumpWatch()
     assert judged(watch, *[SO_SO] * 50) == ["learn"] * 50
