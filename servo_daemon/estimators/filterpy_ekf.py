@@ -29,9 +29,8 @@ from servo_daemon.estimators.ekf_model import (
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.samples import F64
 
-#: After each sample the interpreter is let go for so long (and what the system's timer adds, 50 µs), s: who waits for
-#: it gets it after a step, and not after five milliseconds of plain Python (benchmarks/neighbours.py: p99 86 ms, not
-#: 101).
+#: After each sample the interpreter is let go for so long (the timer adds 50 µs), s: who waits for it
+#: gets it after a step, and not after five milliseconds of plain Python (benchmarks/neighbours.py: p99 86 ms, not 101).
 _PAUSE_S = 1e-6
 
 
