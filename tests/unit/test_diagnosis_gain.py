@@ -13,6 +13,7 @@ from servo_daemon.diagnosis.adequacy import Believed
 from servo_daemon.diagnosis.compare import error_removed
 from servo_daemon.diagnosis.data import Data
 from servo_daemon.diagnosis.gain import Gain, gain, measured_on
+from servo_daemon.diagnosis.inverse_rows import balance_rows
 from servo_daemon.diagnosis.lacking import longest_missing
 from servo_daemon.diagnosis.noise_floor import measured_levels, noise_floor, third_differences
 from servo_daemon.diagnosis.noise_levels import NoiseLevels
@@ -222,3 +223,15 @@ def test_third_differences_hold_the_noise_and_hardly_the_motion() -> None:
     motion = np.sin(2 * np.pi * t) + 5.0 * (np.floor(t) % 2)  # with a step every second
     assert third_differences([noise + motion]) ** 0.5 == pytest.approx(0.01, rel=0.03)
     assert third_differences([np.zeros(2)]) == np.inf
+
+
+def test_the_balance_has_the_same_division(data: Data) -> None:
+    """Rows of free runs that nothing else may look at are in the part that measures, and no others."""
+    (recording,) = data.recordings
+    turned = replace(recording, block=replace(recording.block, voltage_V=None))
+    rows = balance_rows(replace(data, recordings=(turned,)), (), TRUE)
+    assert rows is not None
+    runs, counts = np.unique(rows.run[rows.run >= 0], return_counts=True)
+    assert set(range(1, len(data.split.part) - 1)) <= set(runs.tolist())
+    assert counts.max() <= 1.1 * np.median(counts)
+    assert (rows.part[rows.run >= 0] == data.split.part[rows.run[rows.run >= 0]]).all()
