@@ -24,7 +24,7 @@ from servo_daemon.estimators.balances import (
 from servo_daemon.estimators.closure import Confronted, Verdict
 from servo_daemon.estimators.excitation import WINDOW_S
 from servo_daemon.estimators.regression_terms import SHARES, armature_coefficient, coefficient
-from servo_daemon.estimators.rls import OVERLAP
+from servo_daemon.estimators.rls_fit import OVERLAP
 from servo_daemon.estimators.sampling import Sampling, between_samples, blind_std, of_standing_counts
 from servo_daemon.samples import F64
 

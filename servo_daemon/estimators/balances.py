@@ -22,7 +22,7 @@ from functools import reduce
 import numpy as np
 
 from servo_daemon.estimators import regression_terms
-from servo_daemon.estimators.rls import SYSTEMATIC
+from servo_daemon.estimators.rls_fit import SYSTEMATIC
 from servo_daemon.estimators.sampling import Sampling, between_samples, coarse
 from servo_daemon.samples import F64
 

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from servo_daemon.estimators.balances import Sums, added
-from servo_daemon.estimators.rls import CLOSES, OVERLAP, SYSTEMATIC
+from servo_daemon.estimators.rls_fit import CLOSES, OVERLAP, SYSTEMATIC
 from servo_daemon.estimators.small_matrices import eigenvalues
 from servo_daemon.samples import F64
 

@@ -36,7 +36,8 @@ from servo_daemon.estimators.regression_terms import (
     given_by,
     shaft_columns,
 )
-from servo_daemon.estimators.rls import OVERLAP, SPANS_S, LinearEstimate, SlidingRls
+from servo_daemon.estimators.rls import SPANS_S, LinearEstimate, SlidingRls
+from servo_daemon.estimators.rls_fit import OVERLAP
 from servo_daemon.estimators.sampling import FEWEST_SAMPLES, SPAN_S, Sampling
 from servo_daemon.estimators.small_matrices import in_columns
 from servo_daemon.estimators.stretch import Stretch, between_samples, joined, last, median, motion, speed_sign

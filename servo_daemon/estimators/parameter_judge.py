@@ -11,7 +11,8 @@ import numpy as np
 from servo_daemon.estimators import balances, closure, coarse_input
 from servo_daemon.estimators.ekf import Ekf
 from servo_daemon.estimators.excitation import Excitation
-from servo_daemon.estimators.fusion import KNOWS, LOST, QUALIFIED, Qualification, Trusted, confirms
+from servo_daemon.estimators.fusion import KNOWS, LOST, QUALIFIED, Qualification, confirms
+from servo_daemon.estimators.last_known import LastKnown
 from servo_daemon.estimators.motor_rls import MotorRls
 from servo_daemon.estimators.regression_estimate import RegressionEstimate
 from servo_daemon.estimators.roster import Mask, Roster
@@ -79,6 +80,7 @@ class ParameterJudge:
         confirmed: parameters for which the regression speaks, or which it cannot judge, shape (n,).
         begins_to_follow: the filter uses its instrument for the first time.
         mismatch_std: 1 σ of the coordinates by which they may be off because the balances do not close, shape (n,).
+        last_known: each parameter as it was when it was last known.
         calm_s: for how long the filter's innovations have been as they should be.
     """
 
@@ -91,20 +93,21 @@ class ParameterJudge:
         self._vouching = Vouching()
         self._unjudged = False  # by the balances, since the first samples were gone over
         self._idle_std: F64 = np.where(roster.nuisance, NUISANCE_SHARE, _IDLE_STD)
-        self._last: tuple[F64, F64] = np.zeros(n), np.full(n, np.nan)
-        self._known_at_s, self._unconfirmed_s = np.zeros(n), np.zeros(n)
+        self.last_known = LastKnown(n)
         self.calm_s = 0.0
         self._trusted: Mask = np.zeros(n, dtype=bool)
         self._follows = self._followed = self.begins_to_follow = False
         self._moves: tuple[Mask, F64] = self._trusted, np.zeros(n)  # which may, and their process noise
         self.confirmed: Mask = ~roster.covered
 
-    def begin(self, trusted: Mask) -> None:
+    def begin(self, trusted: Mask, time_s: float) -> None:
         """A filter starts.
 
         Args:
             trusted: parameters from a saved state, or from another model's filter, where they were qualified; (n,).
+            time_s: device time.
         """
+        self.last_known.begin(trusted, time_s)
         self._unjudged = False
         self.calm_s = 0.0
         self._trusted = trusted
@@ -176,10 +179,7 @@ class ParameterJudge:
         self._no_R_without_K()
         self._no_L_without_R(tick.sampling.period_s)
         walk = self.walk(roster.free)
-        self._remember(whole_std, own_std, walk * duration_s, tick)
-        known = self.qualification.qualified & excited & ~np.array(tick.open)
-        self._known_at_s = np.where(known, tick.end_s, self._known_at_s)
-        self._unconfirmed_s = np.where(known, 0.0, self._unconfirmed_s + duration_s * excited)
+        self._remember(whole_std, own_std, walk * duration_s, tick, duration_s)
         shown = roster.published & excited
         seen = roster.free_without_instrument(self._ekf.coordinates, tick.sampling.period_s)
         self._follow(settled, shown & seen, std)
@@ -220,47 +220,25 @@ class ParameterJudge:
         if coarse("armature", period_s) == 1.0 and "R" in names and "L" in names:
             qualified[names.index("L")] &= qualified[names.index("R")]
 
-    def last_known(self, k: int, now_s: float) -> Trusted | None:
-        """Parameter k as it was when it was last known; None: it never was.
-
-        Args:
-            now_s: device time.
-        """
-        coordinate, var = float(self._last[0][k]), float(self._last[1][k])
-        if math.isnan(var):
-            return None
-        age_s = max(0.0, now_s - float(self._known_at_s[k]))
-        return Trusted(coordinate, math.sqrt(var), age_s, float(self._unconfirmed_s[k]))
-
-    def ages_s(self, now_s: float) -> list[float]:
-        """Time since each parameter was last seen and known, shape (n,); as `last_known`."""
-        ages: list[float] = np.maximum(now_s - self._known_at_s, 0.0).tolist()
-        return ages
-
     def stepped(self, k: int) -> None:
         """Parameter k is another one: what it was when it was last known it is no more."""
-        coordinate, var = self._last
-        if not math.isnan(var[k]):
-            coordinate[k], var[k] = self._ekf.coordinates[k], self._ekf.coordinate_std[k] ** 2
+        self.last_known.stepped(k, float(self._ekf.coordinates[k]), float(self._ekf.coordinate_std[k]))
 
-    def _remember(self, relative_std: F64, own_std: F64, drift_var: F64, tick: Tick) -> None:
-        """What is known well enough to qualify is kept; what was is of a motor that may have drifted since.
+    def _remember(self, relative_std: F64, own_std: F64, drift_var: F64, tick: Tick, duration_s: float) -> None:
+        """What is known well enough to qualify.
 
         Args:
             relative_std: over the scales, shape (n,).
             own_std: the filter's, of the coordinates, shape (n,).
             drift_var: what the tick adds to the coordinates' variances, shape (n,).
         """
-        well = self.qualification.qualified & (relative_std < QUALIFIED)
-        if tick.open:
-            well[:] = False
-        coordinate, var = self._last
-        # Held at a value of once: by now no surer than the present estimate has ever been since.
-        drifted = np.maximum(var + drift_var, np.square(own_std))
-        self._last = (
-            np.where(well, self._ekf.coordinates, coordinate),
-            np.where(well, np.square(relative_std * self.excitation.scales), drifted),
+        known = self.qualification.qualified & (not tick.open)
+        var = np.square(relative_std * self.excitation.scales)
+        self.last_known.remember(
+            known & (relative_std < QUALIFIED), self._ekf.coordinates, var, np.square(own_std), drift_var
         )
+        excited = self.excitation.excited
+        self.last_known.count(known & excited, excited, tick.end_s, duration_s)
 
     def _moving(self, seen: Mask, tick: Tick) -> Mask:
         """Which parameters are not held.
@@ -342,7 +320,7 @@ class ParameterJudge:
         if name not in self._roster.names:
             return False
         k = self._roster.names.index(name)
-        return math.isnan(self._last[1][k]) and float(self._ekf.coordinate_std[k]) > std
+        return self.last_known.was_never(k) and float(self._ekf.coordinate_std[k]) > std
 
     def _carry_over_torque(self) -> None:
         """The shaft's balance sees J, B and friction only beside K i: what the armature's leaves open of K, it leaves

@@ -180,12 +180,12 @@ class Tracker:
         """A parameter of the plant as it was when it was last known; None: it never was."""
         if self.plan.plant is None or self.last_s is None:
             return None
-        return self._judge.last_known(self._roster.names.index(name), self.last_s)
+        return self._judge.last_known.of(self._roster.names.index(name), self.last_s)
 
     @property
-    def ages_s(self) -> list[float]:
-        """How long ago the motion last showed each parameter of the plant and it was known."""
-        return [] if self.plan.plant is None or self.last_s is None else self._judge.ages_s(self.last_s)
+    def ages_s(self) -> list[float | None]:
+        """How long ago the motion last showed each parameter of the plant and it was known; None: it never was."""
+        return [] if self.plan.plant is None or self.last_s is None else self._judge.last_known.ages_s(self.last_s)
 
     @property
     def free(self) -> tuple[Parameter, ...]:
@@ -270,7 +270,7 @@ class Tracker:
         self._jumps.reset()
         saved = () if self._prior is None else (*self._prior.names, *self.plan.nuisance)
         trusted = trusted_mask(self._roster.names, self._heritage, saved)
-        self._judge.begin(trusted)
+        self._judge.begin(trusted, self._tick_end_s or 0.0)
         self._ticks = 0
         self._filtering.forget_outliers()
         self.excitation.scales = self._noise.begin(start, self._sampling())

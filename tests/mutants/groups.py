@@ -33,6 +33,7 @@ GROUPS: Mapping[str, Group] = {
     "regression": Group(
         (
             "servo_daemon/estimators/*rls.py",
+            "servo_daemon/estimators/rls_fit.py",
             "servo_daemon/estimators/linear_regression.py",
             "servo_daemon/estimators/regression_terms.py",
         ),
@@ -48,11 +49,13 @@ GROUPS: Mapping[str, Group] = {
         (
             "servo_daemon/estimators/parameter_judge.py",
             "servo_daemon/estimators/fusion.py",
+            "servo_daemon/estimators/last_known.py",
             "servo_daemon/estimators/closure.py",
             "servo_daemon/estimators/excitation.py",
         ),
         (
             "tests/unit/test_excitation_fusion.py",
+            "tests/unit/test_two_witnesses.py",
             "tests/unit/test_closure.py",
             "tests/unit/test_balances.py",
             "tests/recovery/test_tracking.py",

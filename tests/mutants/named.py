@@ -145,7 +145,7 @@ NAMED: Sequence[Named] = (
     ),
     Named(
         "what a window leaves of its rows is all taken for noise",
-        "servo_daemon/estimators/rls.py",
+        "servo_daemon/estimators/rls_fit.py",
         "return max(0.0, fit.left - min(by_noise, told))",
         "return 0.0",
         REGRESSION,

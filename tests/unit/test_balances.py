@@ -23,7 +23,7 @@ from servo_daemon.estimators.balances import (
 from servo_daemon.estimators.closure import mismatch_std
 from servo_daemon.estimators.excitation import SYSTEMATIC_ENTER, SYSTEMATIC_LEAVE
 from servo_daemon.estimators.modulating import Windows, make_windows
-from servo_daemon.estimators.rls import SYSTEMATIC
+from servo_daemon.estimators.rls_fit import SYSTEMATIC
 from servo_daemon.samples import F64
 
 #: The paper's motor.

@@ -14,7 +14,7 @@ from servo_daemon.estimators.closure import Confronted, doubt_var, structure, ve
 from servo_daemon.estimators.coarse_input import CoarseInput, along
 from servo_daemon.estimators.noise import ProcessNoise
 from servo_daemon.estimators.plausible import Plausible
-from servo_daemon.estimators.rls import SYSTEMATIC
+from servo_daemon.estimators.rls_fit import SYSTEMATIC
 from servo_daemon.samples import F64
 
 N = 2000

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from servo_daemon.estimators import rls as rls_module
-from servo_daemon.estimators.rls import SPANS_S, SYSTEMATIC, LinearEstimate, SlidingRls
+from servo_daemon.estimators.rls import SPANS_S, LinearEstimate, SlidingRls
+from servo_daemon.estimators.rls_fit import SYSTEMATIC
 from servo_daemon.samples import F64
 
 TRUE = np.array([2.0, -0.5, 30.0])
