@@ -138,7 +138,8 @@ def missing_inputs(
     near = placed_within(problem, q) if is_placed(problem) else None
     stretches = [_stretch(a, s, size, near) for s in problem.segments]
     steps = {
-        c: resolution(np.concatenate([s.measured[:, k] for s in problem.segments])) for k, c in enumerate(a.channels)
+        c: resolution(np.concatenate([s.measured[s.valid[:, k], k] for s in problem.segments]))
+        for k, c in enumerate(a.channels)
     }
     if levels is None:
         start, floor = _start(a, problem.segments, size, steps)
@@ -228,8 +229,9 @@ def _stretch(a: Augmented, segment: Segment, size: Mapping[str, float], near: F6
     spread = np.concatenate([states, [_PRIOR * size[d] for d in a.disturbances]])
     counted = segment.valid.copy()
     for k in range(len(a.channels)):
-        if resolution(segment.measured[:, k]) > 0:
-            counted[:, k] &= alive(segment.measured[:, k])
+        values = np.where(segment.valid[:, k], segment.measured[:, k], np.nan)
+        if resolution(values[segment.valid[:, k]]) > 0:
+            counted[:, k] &= alive(values)
     return Stretch(rows, z0, np.diag(spread**2), counted, known=near is not None)
 
 

@@ -115,7 +115,8 @@ def fits() -> tuple[Data, OutputErrorFit, OutputErrorFit]:
     position, seen = recording.block.position_rad, recording.seen
     assert position is not None
     assert seen is not None
-    other = replace(recording.block, position_rad=np.where(seen, position, position + 0.2))
+    shifted = position + 0.2 + np.random.default_rng(2).normal(0.0, 1e-3, len(position))
+    other = replace(recording.block, position_rad=np.where(seen, position, shifted))
     changed = replace(data, recordings=(replace(recording, block=other),))
     trial = fit_trial(data, (), TRUE)
     assert trial is not None
