@@ -24,8 +24,8 @@ from tqdm import tqdm
 from tests.recovery.calibration.cases import CalibrationCase, Result, diagnosed, run_case, tracked
 from tests.recovery.calibration.table import table
 
-#: Runs of a part with nothing to find, and rounds over all that may be: 77 captures in 15 minutes, 60 recordings in 5,
-#: of two cores.
+#: Runs of a part with nothing to find, and rounds over all that may be: 77 captures and 60 recordings, by the processor
+#: time of single ones about 20 minutes of two idle cores.
 _CLEAN = {"diagnosis": 24, "tracker": 24}
 _ROUNDS = {"diagnosis": 1, "tracker": 4}
 
