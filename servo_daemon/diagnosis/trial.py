@@ -27,10 +27,6 @@ from servo_daemon.plant.parameters import Parameter
 from servo_daemon.samples import F64
 
 _START_ITERATIONS, _MOST_ITERATIONS = 3, 25
-#: Starts of the baseline that are searched from to the end. Without a current there are valleys in which a motor hardly
-#: moves and follows the data better at first: on six captures of an XL330 the two best begun end in one, V −10,000
-#: instead of −14,700, which the third and the fourth find.
-_ENDED = 4
 #: Samples of all free runs together: of longer captures each run is only begun, so that a search takes no longer; the
 #: fit that is published sees all of them. And the least of one run.
 _MOST_SAMPLES, _LEAST_SAMPLES = 24_000, 40
@@ -193,7 +189,7 @@ def first_trial(data: Data, effects: tuple[str, ...], nominal: Mapping[str, floa
     begun = [t for s in starts if (t := fit_trial(data, effects, s.values, max_iterations=_START_ITERATIONS))]
     if not begun:
         raise NumericalError("the motor cannot be simulated over these data from any start: values out of range?")
-    best = sorted(begun, key=lambda t: t.solution.point.value)[:_ENDED]
+    best = sorted(begun, key=lambda t: t.solution.point.value)[:2]
     ends = [t for b in best if (t := fit_trial(data, effects, b.values, like=b, careful=True))]
     return min([*best, *ends], key=lambda t: t.solution.point.value)
 
