@@ -112,7 +112,6 @@ def missing_inputs(
     coordinates: F64 | None = None,
     levels: NoiseLevels | None = None,
     least_walk: Mapping[str, float] | None = None,
-    seen: NDArray[np.bool_] | None = None,
 ) -> Missing:
     """Missing torque and voltage over a capture.
 
@@ -123,7 +122,6 @@ def missing_inputs(
         coordinates: parameters to use instead, as in `Missing.coordinates`.
         levels: intensities; None: by maximum likelihood from this capture.
         least_walk: the walks are not slower than this, unit²/s.
-        seen: shape (n,): where the measurements are used; None: everywhere.
 
     Raises:
         BadInputError: signals or samples are missing.
@@ -131,15 +129,14 @@ def missing_inputs(
     """
     plant = _with_load(fit.problem.plant)
     q = coordinates_with_load(fit, recording)[1] if coordinates is None else coordinates
-    problem = _in_runs(Recording("capture", block, seen), fit.problem.plant, q)
+    problem = _in_runs(block, fit.problem.plant, q)
     disturbances, visible = _unknown(plant, problem.channels)
     a = Augmented(plant, problem.channels, disturbances)
     size = _sizes(plant, q, problem.segments)
     near = placed_within(problem, q) if is_placed(problem) else None
     stretches = [_stretch(a, s, size, near) for s in problem.segments]
     steps = {
-        c: resolution(np.concatenate([s.measured[s.valid[:, k], k] for s in problem.segments]))
-        for k, c in enumerate(a.channels)
+        c: resolution(np.concatenate([s.measured[:, k] for s in problem.segments])) for k, c in enumerate(a.channels)
     }
     if levels is None:
         start, floor = _start(a, problem.segments, size, steps)
@@ -166,11 +163,12 @@ def missing_inputs(
     )
 
 
-def _in_runs(recording: Recording, plant: PlantModel, q: F64) -> Problem:
+def _in_runs(block: SampleBlock, plant: PlantModel, q: F64) -> Problem:
     """The whole capture at once; where there is a load behind a gap, in short runs that begin where the load is: a
     filter that comes to an impact early or late has lost it for good."""
+    recordings = [Recording("capture", block)]
     values = natural_values(plant.parameters, q[: len(plant.parameters)])
-    return placed_in_short_runs(make_problem([recording], plant.effects, {}), [recording], values)
+    return placed_in_short_runs(make_problem(recordings, plant.effects, {}), recordings, values)
 
 
 def coordinates_with_load(fit: Fitted, recording: int = 0) -> tuple[tuple[str, ...], F64]:
@@ -229,9 +227,8 @@ def _stretch(a: Augmented, segment: Segment, size: Mapping[str, float], near: F6
     spread = np.concatenate([states, [_PRIOR * size[d] for d in a.disturbances]])
     counted = segment.valid.copy()
     for k in range(len(a.channels)):
-        values = np.where(segment.valid[:, k], segment.measured[:, k], np.nan)
-        if resolution(values[segment.valid[:, k]]) > 0:
-            counted[:, k] &= alive(values)
+        if resolution(segment.measured[:, k]) > 0:
+            counted[:, k] &= alive(segment.measured[:, k])
     return Stretch(rows, z0, np.diag(spread**2), counted, known=near is not None)
 
 
