@@ -147,7 +147,7 @@ class ParameterJudge:
             fresh: the regressions have been worked off.
         """
         roster, values = self._roster, self._roster.values(self._ekf.coordinates) if fresh else {}
-        self.calm_s = self.calm_s + duration_s if tick.white and tick.explained and not tick.open else 0.0
+        self.calm_s = self.calm_s + duration_s if tick.white and tick.explained else 0.0
         if fresh:
             self._lags_alike = _are_alike(values)
             if "t_lag" in values and self._is_near_start("t_lag"):
