@@ -43,7 +43,7 @@ def document(what: str, tc: float) -> dict[str, Any]:
         "baseline": score,
         "extended": {**score, "parameters": {"Tc": found["parameters"]["Tc"]}} if is_found else None,
         "noise_floor": 0.05,
-        "gain": {"error_removed": 0.93, "ci95": [0.91, 0.95]} if is_found else None,
+        "gain": {"error_removed": 0.93, "ci95": [0.91, 0.95], "measured_on": "unseen"} if is_found else None,
         "validation": [],
         "candidates": [{"name": "coulomb_friction", "heldout_nrmse": 0.06, "delta_bic": -900.0}],
         "remaining": {"white": what != "unexplained", "depends_on": follows},

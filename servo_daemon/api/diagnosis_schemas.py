@@ -93,8 +93,25 @@ class FoundEffectDocument(BaseModel):
     cause: str | None = Field(None, description="The physical cause, one sentence.")
     equation: str | None = Field(None, description="LaTeX.")
     parameters: dict[str, FoundParameterDocument]
-    gain: float | None = Field(None, description="Share of the removable error that it removes.")
+    gain: float | None = Field(None, description="Share of the removable error that comes back without it.")
     equivalent: list[list[str]] = Field(default=[], description="Effects that fit these data as well.")
+
+
+class GainDocument(BaseModel):
+    """What the extension removes of the baseline's error."""
+
+    model_config = ConfigDict(extra="allow")
+
+    error_removed: float | None = Field(
+        description="(b² − e²)/(b² − n²): below 0 where the extension is worse, above 1 where less is left than noise "
+        "should leave; null where noise leaves as much as the baseline does."
+    )
+    ci95: tuple[float | None, float | None] | None = Field(description="95 % interval; an end of null: open.")
+    measured_on: Literal["unseen", "choosing"] | None = Field(
+        None,
+        description="`unseen`: data that neither fit, choice nor veto has seen; `choosing`: the part that decided, "
+        "where a capture is too short for another.",
+    )
 
 
 class ResultDocument(BaseModel):
@@ -105,7 +122,7 @@ class ResultDocument(BaseModel):
     schema_: int = Field(alias="schema")
     verdict: Literal["none", "found", "unexplained"]
     effects: list[FoundEffectDocument]
-    gain: dict[str, Any] | None = Field(None, description="`error_removed` and its 95 % interval `ci95`.")
+    gain: GainDocument | None = Field(None, description="Of the effects together; null unless found.")
     remaining: dict[str, Any] | None = Field(None, description="What is left, and what it follows.")
 
 

@@ -34,6 +34,7 @@ def diagnosis_document(d: Diagnosis, inputs: Inputs, evidence: Evidence) -> dict
         "schema": SCHEMA,
         "verdict": d.verdict,
         "judged_by": d.judged_by,
+        "measured_on": d.measured_on,
         "deviance_gain": d.deviance_gain,
         "effects": [_effect_row(e, d, inputs, linear=linear) for e in d.effects],
         "baseline": _model_row(d.baseline, d.baseline_score, inputs, linear=linear),
@@ -129,9 +130,10 @@ def _model_row(fit: OutputErrorFit, score: HeldOut | None, inputs: Inputs, *, li
 
 
 def _gain_row(d: Diagnosis) -> dict[str, Any] | None:
-    if d.verdict != "found" or d.error_removed is None:
+    if d.verdict != "found":
         return None
-    return {"error_removed": d.error_removed, "ci95": None if d.ci95 is None else list(d.ci95)}
+    ci95 = None if d.ci95 is None else list(d.ci95)
+    return {"error_removed": d.error_removed, "ci95": ci95, "measured_on": d.measured_on}
 
 
 def _remaining_row(d: Diagnosis, *, linear: bool) -> dict[str, Any]:

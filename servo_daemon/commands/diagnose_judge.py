@@ -13,10 +13,12 @@ WHY = {
     "motor adds up to more than this effect makes.",
 }
 _ERROR_OF = {
-    "free_runs": "Error of short free runs that neither fit nor choice has seen",
-    "balance": "Error of the effort that the motion needs, on times that neither fit nor choice has seen",
-    "predictions": "Error of the predictions of the next sample, on times that the fit has not seen",
+    "free_runs": "Error of short free runs",
+    "balance": "Error of the effort that the motion needs",
+    "predictions": "Error of the predictions of the next sample",
 }
+#: Of what times, by `measured_on`.
+_TIMES = {"unseen": "that neither fit nor choice has seen", "choosing": "that the choice has seen, but not the fit"}
 
 
 def by_balance(document: Mapping[str, Any]) -> bool:
@@ -39,4 +41,9 @@ def why(document: Mapping[str, Any]) -> list[str]:
 
 def error_heading(document: Mapping[str, Any]) -> str:
     """What the held-out errors are of."""
-    return _ERROR_OF[document["judged_by"]]
+    return f"{_ERROR_OF[document['judged_by']]}, of times {_TIMES[document['measured_on']]}"
+
+
+def measured_data(document: Mapping[str, Any]) -> str:
+    """What the errors and the gain are measured on."""
+    return "held-out data" if document["measured_on"] == "unseen" else "the data that decided"

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from servo_daemon.commands.diagnose_hints import experiment
-from servo_daemon.commands.diagnose_judge import by_balance, by_predictions, error_heading
+from servo_daemon.commands.diagnose_judge import by_balance, by_predictions, error_heading, measured_data
 from servo_daemon.commands.diagnose_words import change_text, headline, model_name, remaining_lines, verdict_lines
 from servo_daemon.commands.fit_report import open_blocks, parameter_remark, score_table
 from servo_daemon.commands.symbols import symbol_text
@@ -47,7 +47,7 @@ def error_blocks(document: Mapping[str, Any]) -> tuple[Block, ...]:
     )
     best = ", each from its best initial state" if document["judged_by"] == "free_runs" else ""
     note = f"{error_heading(document)}{best}. {called}."
-    table = Table("RMS error on held-out data", columns, tuple(rows), note=note)
+    table = Table(f"RMS error on {measured_data(document)}", columns, tuple(rows), note=note)
     return (table, *_gain_bars(document))
 
 
@@ -73,7 +73,8 @@ def _gain_bars(document: Mapping[str, Any]) -> tuple[Block, ...]:
         ]
         caption += " Effects can stand in for each other in part, so that the parts need not add up to the whole."
     axis = Axis("of what is not noise", "%")
-    return (Bars("Error removed on held-out data", tuple(bars), axis, caption, heading="effects"),)
+    title = f"Error removed on {measured_data(document)}"
+    return (Bars(title, tuple(bars), axis, caption, heading="effects"),)
 
 
 def effect_blocks(effect: Mapping[str, Any]) -> tuple[Block, ...]:

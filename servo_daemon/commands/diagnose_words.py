@@ -85,15 +85,24 @@ def _unseen(document: Mapping[str, Any]) -> list[str]:
 def _gain_line(document: Mapping[str, Any]) -> str:
     gain, baseline = document["gain"], "the " + model_name(document["baseline"]["model"])
     if gain is None or gain["error_removed"] is None:
-        return f"The gain over {baseline} could not be measured: these data leave no part to hold out."
-    interval = ""
-    if gain["ci95"] is not None and None not in gain["ci95"]:
-        low, high = gain["ci95"]
-        interval = f" (95 %: {percent(low)} … {percent(high)})"
+        return f"The gain over {baseline} could not be measured: noise alone would leave as much error."
+    unseen = gain["measured_on"] == "unseen"
+    where = "data that nothing has seen" if unseen else "the part that decided"
+    short = "" if unseen else " These data are too short for a part that nothing has seen: record more."
     return (
-        f"On data that nothing has seen this removes {percent(gain['error_removed'])}{interval} of the error of "
-        f"{baseline} that is not noise."
+        f"On {where} this removes {percent(gain['error_removed'])}{_interval(gain)} of the error of "
+        f"{baseline} that is not noise.{short}"
     )
+
+
+def _interval(gain: Mapping[str, Any]) -> str:
+    """' (95 %: 91 % … 95 %)'; an open end has no number; nothing where both are open."""
+    low, high = gain["ci95"] or (None, None)
+    if low is not None and high is not None:
+        return f" (95 %: {percent(low)} … {percent(high)})"
+    if low is not None:
+        return f" (95 %: at least {percent(low)})"
+    return "" if high is None else f" (95 %: at most {percent(high)})"
 
 
 def remaining_lines(document: Mapping[str, Any]) -> list[str]:

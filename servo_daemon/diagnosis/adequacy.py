@@ -2,8 +2,8 @@
 
 A search always finds something that fits a little better. A name is believed if its effect takes most of the error that
 is not noise, if all of them together do, and if what they leave is small beside what they explain: a friction that is
-not quite Coulomb's leaves a fifth of itself. All this is judged on the part that decides; the held-out part is not
-looked at.
+not quite Coulomb's leaves a fifth of itself. All this is judged on the parts that fit and decide; the held-out part is
+seen by what is published, when all is decided.
 """
 
 from __future__ import annotations
@@ -16,16 +16,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from servo_daemon.diagnosis.cuts import mean_over_cuts
+from servo_daemon.diagnosis.data import Data
 from servo_daemon.diagnosis.dependence import Dependence, dependences
 from servo_daemon.diagnosis.everything import WholeFits, by_predictions, exactness, fit_everything, fit_runs, over_a_gap
 from servo_daemon.diagnosis.evidence import LEAST_OWN, LEAST_TOGETHER, is_what_it_is_called, working_shares
 from servo_daemon.diagnosis.lacking import longest_missing
 from servo_daemon.diagnosis.likelihood import as_likely, plainly_worse
 from servo_daemon.diagnosis.missing import Missing
-from servo_daemon.diagnosis.noise_floor import noise_floor
+from servo_daemon.diagnosis.noise_floor import measured_levels, noise_floor
+from servo_daemon.diagnosis.noise_levels import NoiseLevels
 from servo_daemon.diagnosis.select import Selection, without_effect
 from servo_daemon.diagnosis.split import CHOICE, shorter_s
-from servo_daemon.diagnosis.trial import Data, Trial, fit_trial
+from servo_daemon.diagnosis.trial import Trial, fit_trial
 from servo_daemon.diagnosis.twins import told_from_twin
 from servo_daemon.errors import NumericalError
 from servo_daemon.estimators.output_error import OutputErrorFit
@@ -46,12 +48,14 @@ class Believed:
         extended: fitted to everything; None: no effect is believed.
         missing: what it lacks, of the longest capture.
         depends_on: what that follows.
+        levels: of the noise, as the samples show it that decided; None: no effect is believed.
     """
 
     selection: Selection
     extended: OutputErrorFit | None
     missing: Missing | None
     depends_on: tuple[Dependence, ...]
+    levels: NoiseLevels | None
 
 
 def believed(selection: Selection, whole_fits: WholeFits) -> Believed:
@@ -61,21 +65,20 @@ def believed(selection: Selection, whole_fits: WholeFits) -> Believed:
     while selection.added:
         assert before is not None
         extended = fit_everything(data, selection.chosen, whole_fits)
-        floor = noise_floor(extended, selection.chosen, CHOICE).nrmse
+        missing = longest_missing(data, extended)
+        levels = measured_levels(missing)
+        floor = noise_floor(levels, selection.chosen, CHOICE).nrmse
         fewer = _weakest(selection, floor) or _without_the_unneeded(selection, extended, whole_fits)
         if fewer is not None:
             selection = fewer
             continue
         if not is_what_it_is_called(selection.added, selection.chosen.values):
             break
-        missing = longest_missing(data, extended)
         removed = removed_share(selection.base.choice.nrmse, selection.chosen.choice.nrmse, floor)
         # A motor with a gap runs freely nowhere for long: the balances, which run nowhere, may speak for it.
         if max(removed, _removed_of_missing(before, missing)) < LEAST_TOGETHER:
             break
-        straight = _unbent(data, selection.chosen, extended)
-        straight = _told_from_twin(data, selection.chosen, straight, short=straight is not extended)
-        straight = mean_over_cuts(data, selection.chosen, straight)
+        straight = _straight(data, selection.chosen, extended)
         if straight is not extended:
             extended, missing = straight, longest_missing(data, straight)
         depends = () if extended.white else dependences(extended, missing)
@@ -83,16 +86,27 @@ def believed(selection: Selection, whole_fits: WholeFits) -> Believed:
         follows = [d.relative for d in depends if d.on != "moments"]
         if follows and max(follows) > _LEFT * _explained(selection, before, missing):
             break
-        better = by_predictions(data, extended)
-        if better is not extended:
-            extended, missing, depends = better, longest_missing(data, better), ()
-        return Believed(selection, over_a_gap(data, extended, selection.chosen.values), missing, depends)
-    return nothing_believed(selection)
+        return _published(selection, levels)
+    return Believed(replace(selection, chosen=selection.base, added=(), equivalent={}), None, None, (), None)
 
 
-def nothing_believed(selection: Selection) -> Believed:
-    """A search of which no name remains."""
-    return Believed(replace(selection, chosen=selection.base, added=(), equivalent={}), None, None, ())
+def _published(selection: Selection, levels: NoiseLevels) -> Believed:
+    """What was decided on the parts for fitting and choosing, fitted to all the data."""
+    data, trial = selection.data.everything, selection.chosen
+    extended = _straight(data, trial, fit_everything(data, trial, WholeFits(data)))
+    missing = longest_missing(data, extended)
+    depends = () if extended.white else dependences(extended, missing)
+    better = by_predictions(data, extended)
+    if better is not extended:
+        extended, missing, depends = better, longest_missing(data, better), ()
+    return Believed(selection, over_a_gap(data, extended, trial.values), missing, depends, levels)
+
+
+def _straight(data: Data, trial: Trial, fit: OutputErrorFit) -> OutputErrorFit:
+    """The fit, less what free runs of one length do to it."""
+    straight = _unbent(data, trial, fit)
+    straight = _told_from_twin(data, trial, straight, short=straight is not fit)
+    return mean_over_cuts(data, trial, straight)
 
 
 def _unbent(data: Data, trial: Trial, fit: OutputErrorFit) -> OutputErrorFit:

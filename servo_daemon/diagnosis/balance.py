@@ -8,6 +8,7 @@ ones that leaves least of both series is a better place to look from.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from servo_daemon.diagnosis.response import Trace, smoothed
 from servo_daemon.diagnosis.signals import motion_of
 from servo_daemon.errors import NumericalError
 from servo_daemon.estimators.base import to_coordinate
+from servo_daemon.estimators.output_error import Recording
 from servo_daemon.estimators.output_error.starts import regression_values
 from servo_daemon.samples import F64, SampleBlock
 
@@ -29,7 +31,9 @@ _LEAP = (1e-3, 1e3)
 _LINEAR = ("R", "L", "K", "J", "B")
 
 
-def balanced_missing_inputs(fit: Fitted, block: SampleBlock, *, recording: int = 0) -> Missing:
+def balanced_missing_inputs(
+    fit: Fitted, block: SampleBlock, *, recording: int = 0, seen: NDArray[np.bool_] | None = None
+) -> Missing:
     """As `missing_inputs`, with the free parameters of the linear motor moved to where the balances want them, where
     much is missing. The parameters used are in `Missing.coordinates`.
 
@@ -37,8 +41,9 @@ def balanced_missing_inputs(fit: Fitted, block: SampleBlock, *, recording: int =
         BadInputError, NumericalError: as `missing_inputs`.
     """
     if "gap" in fit.problem.plant.parameter_names:  # not linear in J: the load's is another one
-        return missing_inputs(fit, block, recording=recording)
-    first = best = _first(fit, block, recording)
+        return missing_inputs(fit, block, recording=recording, seen=seen)
+    where = _Where(block, recording, seen)
+    first = best = _first(fit, where)
     for _ in range(_ROUNDS):
         if _share(best) < _MUCH:
             break
@@ -46,26 +51,35 @@ def balanced_missing_inputs(fit: Fitted, block: SampleBlock, *, recording: int =
         q = best.coordinates.copy()
         for name, change in _changes(fit, best).items():
             q[names.index(name)] += float(np.log(np.clip(1 + change, *_LEAP)))
-        missing = _if_possible(fit, block, recording, q, best.levels)
+        missing = _if_possible(fit, where, q, best.levels)
         if missing is None or _share(missing) >= 0.9 * _share(best):
             break
         best = missing
     if best.coordinates is first.coordinates:
         return first
-    return _if_possible(fit, block, recording, best.coordinates) or first
+    return _if_possible(fit, where, best.coordinates) or first
 
 
-def _first(fit: Fitted, block: SampleBlock, recording: int) -> Missing:
+@dataclass(frozen=True, slots=True)
+class _Where:
+    """What is looked at; see `missing_inputs`."""
+
+    block: SampleBlock
+    recording: int
+    seen: NDArray[np.bool_] | None
+
+
+def _first(fit: Fitted, where: _Where) -> Missing:
     """With the fitted parameters, or with those of the regression where these leave less or can alone be used.
 
     Raises:
         NumericalError: neither can be.
     """
-    fitted = _if_possible(fit, block, recording)
+    fitted = _if_possible(fit, where)
     if fitted is not None and _share(fitted) < _MUCH:
         return fitted
-    q = _regressed(fit, block)
-    known = None if q is None else _if_possible(fit, block, recording, q)
+    q = _regressed(fit, where)
+    known = None if q is None else _if_possible(fit, where, q)
     if fitted is None and known is None:
         raise NumericalError("missing torque and voltage: the smoother left the range of numbers")
     if fitted is None or (known is not None and _share(known) < 0.9 * _share(fitted)):
@@ -74,11 +88,11 @@ def _first(fit: Fitted, block: SampleBlock, recording: int) -> Missing:
     return fitted
 
 
-def _if_possible(
-    fit: Fitted, block: SampleBlock, recording: int, q: F64 | None = None, levels: NoiseLevels | None = None
-) -> Missing | None:
+def _if_possible(fit: Fitted, where: _Where, q: F64 | None = None, levels: NoiseLevels | None = None) -> Missing | None:
     try:
-        return missing_inputs(fit, block, recording=recording, coordinates=q, levels=levels)
+        return missing_inputs(
+            fit, where.block, recording=where.recording, coordinates=q, levels=levels, seen=where.seen
+        )
     except NumericalError:
         return None
 
@@ -89,10 +103,10 @@ def _share(missing: Missing) -> float:
     return max(share if name == "voltage" else 0.1 * share for name, share in rms.items())
 
 
-def _regressed(fit: Fitted, block: SampleBlock) -> F64 | None:
+def _regressed(fit: Fitted, where: _Where) -> F64 | None:
     """The daemon's regression of both balances in the place of the fitted R, L, K, J and B: the winding's, which no
     load torque bends, tells K from a fit that followed a torque by another inertia."""
-    found = regression_values(block, fit.problem.plant)
+    found = regression_values(Recording("capture", where.block, where.seen).seen_block, fit.problem.plant)
     _, q = coordinates_with_load(fit)
     for k, p in enumerate(fit.problem.plant.parameters):  # with them what the regression says of offsets and loads
         if p.name in found and p.name in fit.problem.free:

@@ -15,8 +15,6 @@ from servo_daemon.diagnosis.trial import Trial
 from servo_daemon.samples import F64
 
 _RESAMPLES = 500
-#: Where noise leaves as much as the baseline does (of a resample) there is nothing to be removed: this share of b².
-_NO_ROOM = 1e-3
 _SEED = 7
 
 
@@ -72,17 +70,34 @@ def _delta_bic(simple: Trial, rich: Trial) -> float:
     return float((rich.free - simple.free) * np.log(max(n, 2.0)) - drop)
 
 
-def error_removed(base: Scored, extended: Scored, floor_nrmse: float) -> tuple[float, tuple[float, float]]:
-    """(b² − e²)/(b² − n²) and its 95 % interval, as they come: above 1 the noise was thought larger than it is, below 0
-    the extended model is the worse one.
+#: A share of the removable error, and the ends of its 95 % interval, where there are.
+Share = tuple[float | None, tuple[float, float] | None]
+
+
+def error_removed(base: Scored, extended: Scored, floor: Scored) -> Share:
+    """(b² − e²)/(b² − n²) and its 95 % interval; None where noise leaves as much as the baseline does, so that nothing
+    could be removed. An end is infinite where that may be so by chance.
 
     Args:
-        floor_nrmse: n, what noise alone leaves, as `Scored.nrmse`.
+        floor: n, what noise alone leaves of the same free runs.
     """
+    return share_of_removable(base, base, extended, floor)
 
-    def removed(weights: F64) -> F64:
-        b, e = base.mean_square(weights), extended.mean_square(weights)
-        return np.asarray((b - e) / np.maximum(b - floor_nrmse**2, _NO_ROOM * b))
 
-    low, high = np.quantile(removed(_resamples(len(base.squares))), [0.025, 0.975])
-    return float(removed(np.ones(len(base.squares)))), (float(low), float(high))
+def share_of_removable(base: Scored, worse: Scored, better: Scored, floor: Scored) -> Share:
+    """(w² − g²)/(b² − n²), as `error_removed` has it: what one model of several is better by than another."""
+
+    def removed(weights: F64) -> tuple[F64, F64]:
+        b, w, g, n = (x.mean_square(weights) for x in (base, worse, better, floor))
+        return w - g, b - n
+
+    taken, room = removed(np.ones(len(base.squares)))
+    if not room > 0.0:
+        return None, None
+    difference, left = removed(_resamples(len(base.squares)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = np.where(left > 0.0, difference / left, np.copysign(np.inf, difference))
+    # No value between two of the resamples': one of them may be infinite.
+    low = np.quantile(shares, 0.025, method="lower")
+    high = np.quantile(shares, 0.975, method="higher")
+    return float(taken / room), (float(low), float(high))

@@ -12,8 +12,9 @@ from contextlib import suppress
 
 import numpy as np
 
+from servo_daemon.diagnosis.data import Data
 from servo_daemon.diagnosis.everything import fit_runs, honest
-from servo_daemon.diagnosis.trial import Data, Trial
+from servo_daemon.diagnosis.trial import Trial
 from servo_daemon.errors import NumericalError
 from servo_daemon.estimators.output_error import OutputErrorFit
 from servo_daemon.estimators.output_error.information import wider

@@ -7,25 +7,23 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from servo_daemon.captures import Capture
-from servo_daemon.diagnosis.adequacy import Believed, believed, nothing_believed
-from servo_daemon.diagnosis.compare import error_removed
+from servo_daemon.diagnosis.adequacy import Believed, believed
+from servo_daemon.diagnosis.data import Data
 from servo_daemon.diagnosis.dependence import dependences, is_large
 from servo_daemon.diagnosis.differences import differences
 from servo_daemon.diagnosis.everything import WholeFits, fit_everything
 from servo_daemon.diagnosis.evidence import OVERWHELMING_BIC
+from servo_daemon.diagnosis.gain import gain, measured_on
 from servo_daemon.diagnosis.inverse import found_by_balance
 from servo_daemon.diagnosis.lacking import longest_missing
-from servo_daemon.diagnosis.noise_floor import noise_floor
 from servo_daemon.diagnosis.predictions import found_by_predictions
-from servo_daemon.diagnosis.result import CandidateScore, Diagnosis, Finding, HeldOut, NamedEffect
-from servo_daemon.diagnosis.scored import Scored
-from servo_daemon.diagnosis.select import Selection, select, without_effect
-from servo_daemon.diagnosis.split import CHOICE, TRAIN, segment_length_s
-from servo_daemon.diagnosis.trial import Data, Trial, first_trial, fit_trial
+from servo_daemon.diagnosis.result import CandidateScore, Diagnosis, Finding
+from servo_daemon.diagnosis.select import Selection, select
+from servo_daemon.diagnosis.split import segment_length_s
+from servo_daemon.diagnosis.trial import first_trial
 from servo_daemon.errors import ServoDaemonError
 from servo_daemon.estimators.output_error import OutputErrorFit, Recording
 from servo_daemon.identification.validate import validated
@@ -83,7 +81,8 @@ def _diagnose(
     selection = select(data, base, _within(progress, 0.1, 0.8), whole_fits.of, options.workers)
     progress(0.8, "whether the names can be believed")
     belief = believed(selection, whole_fits)
-    baseline = fit_everything(data, base, whole_fits if belief.extended is None else None)
+    every = data.everything
+    baseline = fit_everything(every, base, WholeFits(every) if belief.extended is None else None)
     diagnosis = _by_free_runs(captures, data, belief, baseline, _within(progress, 0.88, 1.0))
     if not diagnosis.effects:
         with suppress(ServoDaemonError):  # then the free runs have the last word
@@ -97,32 +96,30 @@ def _by_free_runs(
 ) -> Diagnosis:
     """What the search came to, scored; `validation` and `seconds` are yet to come."""
     progress(0.0, "scoring on what was held out")
-    outcome = _outcome(belief)
-    if outcome.removed is not None and outcome.removed <= 0.0:
-        # What fit and choice have seen speaks for it, what nothing has seen against it: a name needs both.
-        belief = nothing_believed(belief.selection)
-        outcome = _outcome(belief)
+    gained = gain(belief)
     selection, final = belief.selection, belief.extended or baseline
     progress(0.33, "what is left")
-    before = longest_missing(data, baseline)
+    before = longest_missing(data.everything, baseline)
     depends, remains = belief.depends_on, bool(belief.depends_on)
     if belief.extended is None and not baseline.white:
         depends = dependences(baseline, before)
         remains = bool(depends) or is_large(before) or _speaks_for_something(selection)
     progress(0.58, "what differs between the captures")
     held = {**data.fixed, **selection.chosen.held}
-    spreads, own_models = differences(data.recordings, final, held, selection.data.split.segment_s)
+    recordings = data.everything.recordings
+    spreads, own_models = differences(recordings, final, held, selection.data.split.segment_s)
     return Diagnosis(
         captures=tuple(captures),
-        verdict="found" if outcome.effects else "unexplained" if remains else "none",
-        effects=outcome.effects,
+        verdict="found" if gained.effects else "unexplained" if remains else "none",
+        effects=gained.effects,
         baseline=baseline,
         extended=belief.extended,
-        baseline_score=outcome.baseline_score,
-        extended_score=outcome.extended_score,
-        noise_floor=outcome.floor,
-        error_removed=outcome.removed,
-        ci95=outcome.ci95,
+        baseline_score=gained.baseline_score,
+        extended_score=gained.extended_score,
+        noise_floor=gained.floor,
+        error_removed=gained.removed,
+        ci95=gained.ci95,
+        measured_on=measured_on(selection.data.split),
         candidates=_candidates(selection),
         before=before,
         after=belief.missing,
@@ -172,58 +169,6 @@ def _within(progress: Progress, begin: float, end: float) -> Progress:
 
 def _unheard(_share: float, _step: str) -> None:
     """Nobody asked how far it is."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Outcome:
-    """What the search came to, on data that it has not seen; see `Diagnosis`."""
-
-    effects: tuple[NamedEffect, ...]
-    baseline_score: HeldOut
-    extended_score: HeldOut | None = None
-    floor: float | None = None
-    removed: float | None = None
-    ci95: tuple[float, float] | None = None
-
-
-def _outcome(belief: Believed) -> _Outcome:
-    """Both models fitted to all but the held-out part and scored there."""
-    selection, both = belief.selection, (TRAIN, CHOICE)
-    data, chosen = selection.data, selection.chosen
-    base = fit_trial(data, selection.base.effects, selection.base.values, parts=both) or selection.base
-    if belief.extended is None:
-        return _Outcome((), _held_out(base, base.held_out))
-    final = fit_trial(data, chosen.effects, chosen.values, parts=both) or chosen
-    floor = noise_floor(belief.extended, final)
-    removed, ci95 = error_removed(base.held_out, final.held_out, floor.nrmse)
-    effects = tuple(
-        NamedEffect(name, _gain(selection, name, (base, final), floor, removed), selection.equivalent.get(name, ()))
-        for name in selection.added
-    )
-    return _Outcome(
-        effects, _held_out(base, base.held_out), _held_out(final, final.held_out), floor.nrmse, removed, ci95
-    )
-
-
-def _gain(selection: Selection, name: str, trials: tuple[Trial, Trial], floor: Scored, removed: float) -> float:
-    """Share of the removable error that comes back without this effect."""
-    base, final = trials
-    if len(selection.added) == 1:
-        return removed
-    without = without_effect(selection.data, final, name, parts=(TRAIN, CHOICE))
-    if without is None:
-        return removed
-    return (
-        error_removed(base.held_out, final.held_out, floor.nrmse)[0]
-        - error_removed(base.held_out, without.held_out, floor.nrmse)[0]
-    )
-
-
-def _held_out(trial: Trial, scored: Scored) -> HeldOut:
-    rmse = {name: float(np.sqrt(v)) for name, v in zip(trial.problem.channels, scored.mse, strict=True)}
-    if scored.speed_rmse is not None:
-        rmse["velocity_rad_s"] = scored.speed_rmse
-    return HeldOut(rmse, scored.nrmse)
 
 
 def _candidates(selection: Selection) -> tuple[CandidateScore, ...]:

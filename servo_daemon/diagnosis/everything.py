@@ -9,7 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from servo_daemon.diagnosis.trial import Data, Trial
+from servo_daemon.diagnosis.data import Data
+from servo_daemon.diagnosis.trial import Trial
 from servo_daemon.errors import NumericalError
 from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, fit_output_error
 from servo_daemon.estimators.output_error.disjoint import spread_std

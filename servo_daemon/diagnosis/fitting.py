@@ -10,9 +10,10 @@ import numpy as np
 
 from servo_daemon.diagnosis.candidates import CONTAINED, NESTED, Proposal
 from servo_daemon.diagnosis.compare import Advantage, advantage
+from servo_daemon.diagnosis.data import Data
 from servo_daemon.diagnosis.evidence import LEAST_BIC, NESTED_GAIN, convinces, no_worse, overwhelming
 from servo_daemon.diagnosis.split import shorter_s
-from servo_daemon.diagnosis.trial import Data, Trial, fit_trial
+from servo_daemon.diagnosis.trial import Trial, fit_trial
 from servo_daemon.diagnosis.twins import lag_twin
 from servo_daemon.estimators.short_runs import begun_short_runs, is_placed, with_all_inertia
 

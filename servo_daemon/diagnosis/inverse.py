@@ -7,14 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from servo_daemon.diagnosis.compare import error_removed
+from servo_daemon.diagnosis.compare import error_removed, share_of_removable
+from servo_daemon.diagnosis.data import Data
 from servo_daemon.diagnosis.inverse_fit import OFFSET, OWN, Explained, Start, non_negative
 from servo_daemon.diagnosis.inverse_rows import BalanceRows, balance_rows
 from servo_daemon.diagnosis.inverse_search import Found, search_balance
 from servo_daemon.diagnosis.missing import coordinates_with_load, missing_inputs
 from servo_daemon.diagnosis.result import CandidateScore, Finding, HeldOut, NamedEffect
-from servo_daemon.diagnosis.split import CHOICE, HELD_OUT, shorter_s
-from servo_daemon.diagnosis.trial import Data, Trial
+from servo_daemon.diagnosis.scored import Scored
+from servo_daemon.diagnosis.split import CHOICE, shorter_s
+from servo_daemon.diagnosis.trial import Trial
 from servo_daemon.estimators.base import to_coordinate
 from servo_daemon.estimators.linear_regression import ROBUST, fit_linear
 from servo_daemon.estimators.output_error import FitOptions, FittedParameter, OutputErrorFit, fit_output_error
@@ -57,18 +59,19 @@ def found_by_balance(data: Data, baseline: OutputErrorFit, base: Trial, nominal:
     found = None if rows is None else search_balance(rows)
     if rows is None or found is None:
         return None
-    values = _everything(found.explained)
-    extended = _model(data, baseline, found.explained, values, K_known="K" in data.fixed or plant.drive == "torque")
-    floor, number = _floor(found.explained), data.longest
-    removed, ci95 = error_removed(found.base.scored(HELD_OUT), found.explained.scored(HELD_OUT), floor)
+    values, every = _everything(found.explained), data.everything
+    extended = _model(every, baseline, found.explained, values, K_known="K" in data.fixed or plant.drive == "torque")
+    measuring, number = data.split.measuring, data.longest
+    before, after, floor = found.base.scored(measuring), found.explained.scored(measuring), _floor(found, measuring)
+    removed, ci95 = error_removed(before, after, floor)
     block = data.recordings[number].block
     return Finding(
         judged_by="balance",
-        effects=_named(found, removed),
+        effects=_named(found, measuring, floor),
         extended=extended,
-        baseline_score=_held_out(found.base, plant.drive),
-        extended_score=_held_out(found.explained, plant.drive),
-        noise_floor=floor,
+        baseline_score=_held_out(before, plant.drive),
+        extended_score=_held_out(after, plant.drive),
+        noise_floor=floor.nrmse,
         error_removed=removed,
         ci95=ci95,
         candidates=_candidates(found),
@@ -77,8 +80,7 @@ def found_by_balance(data: Data, baseline: OutputErrorFit, base: Trial, nominal:
     )
 
 
-def _held_out(explained: Explained, drive: str) -> HeldOut:
-    scored = explained.scored(HELD_OUT)
+def _held_out(scored: Scored, drive: str) -> HeldOut:
     effort = "torque_Nm" if drive == "torque" else "current_A"
     return HeldOut({effort: float(np.sqrt(scored.mse[0]))}, scored.nrmse)
 
@@ -186,24 +188,23 @@ def _linear(baseline: OutputErrorFit, values: _Values, factor: float) -> F64:
     return q
 
 
-def _floor(explained: Explained) -> float:
+def _floor(found: Found, part: int) -> Scored:
     """What noise alone would leave of the balance: that of the measured effort, by its second differences, in which no
     motion is left."""
-    noise = float(np.sqrt(np.mean(np.diff(explained.rows.motion.u, n=2) ** 2) / 6.0))
-    return noise / float(explained.scored(CHOICE).spread[0])
+    scored = found.explained.scored(part)
+    noise = float(np.mean(np.diff(found.explained.rows.motion.u, n=2) ** 2) / 6.0)
+    return replace(scored, squares=noise * scored.counts)
 
 
-def _named(found: Found, removed: float) -> tuple[NamedEffect, ...]:
-    torques = found.explained.torques
-    after = found.explained.scored(HELD_OUT).nrmse ** 2
-    room = max(found.base.scored(HELD_OUT).nrmse ** 2 - after, 1e-300)
-    out = []
+def _named(found: Found, part: int, floor: Scored) -> tuple[NamedEffect, ...]:
+    torques, out = found.explained.torques, []
+    base, after = found.base.scored(part), found.explained.scored(part)
     for torque in torques:
         for k, effect in enumerate(torque.effects):
             less = (torque.without(k) if t is torque else t for t in torques)
-            without = Explained(found.base.rows, tuple(t for t in less if t is not None))
-            back = removed * (without.scored(HELD_OUT).nrmse ** 2 - after) / room
-            out.append(NamedEffect(effect, back, found.equivalent.get(torque.name, ())))
+            without = Explained(found.base.rows, tuple(t for t in less if t is not None)).scored(part)
+            gain, _ = share_of_removable(base, without, after, floor)
+            out.append(NamedEffect(effect, gain, found.equivalent.get(torque.name, ())))
     return tuple(out)
 
 

@@ -13,14 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_daemon.diagnosis.data import Data
 from servo_daemon.diagnosis.signals import Motion
-from servo_daemon.diagnosis.trial import Data
 from servo_daemon.estimators.idim_filter import Filter, FilterChoice, choose, rests
 from servo_daemon.estimators.idim_shaft import kinematics, speed_noise
 from servo_daemon.estimators.idim_signals import EvenStretch, even_stretch, pieces
 from servo_daemon.estimators.output_error.problem import Segment
 from servo_daemon.estimators.output_error.rollout import TIME
-from servo_daemon.estimators.output_error.setup import make_problem
 from servo_daemon.samples import F64
 
 #: Shorter pieces between gaps are left out; see also `Filter.shortest`.
@@ -83,7 +82,7 @@ def balance_rows(data: Data, effects: tuple[str, ...], p: Mapping[str, float]) -
     if not kept:
         return None
     factor = p.get("K", 1.0)
-    segments = make_problem(data.recordings, effects, dict(data.fixed), segment_s=data.split.segment_s).segments
+    segments = data.problem(effects, {}).segments
     begins = [r.block.time_s[0] for r in data.recordings]
     run = np.concatenate([_runs(segments, k, f.pick(s.time_s) - begins[k]) for s, k in kept])
     return BalanceRows(

@@ -69,7 +69,8 @@ class Found:
 def search_balance(rows: BalanceRows) -> Found | None:
     """Name what the balance lacks; None: nothing takes enough of it, or something does that has no name here."""
     base = current = Explained(rows, ())
-    if min(np.count_nonzero(rows.at(p)) for p in (TRAIN, CHOICE, HELD_OUT)) <= len(OWN):
+    parts = {TRAIN, CHOICE} | ({HELD_OUT} & set(rows.part.tolist()))
+    if min(np.count_nonzero(rows.at(p)) for p in parts) <= len(OWN):
         return None
     rounds: list[tuple[Tried, ...]] = []
     equivalent: dict[str, tuple[str, ...]] = {}

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.diagnosis.balance import balanced_missing_inputs
+from servo_daemon.diagnosis.data import Data
 from servo_daemon.diagnosis.missing import Fitted, Missing, missing_inputs
-from servo_daemon.diagnosis.split import HELD_OUT
-from servo_daemon.diagnosis.trial import Data, Trial
+from servo_daemon.diagnosis.split import BEGUN, HELD_OUT
+from servo_daemon.diagnosis.trial import Trial
 from servo_daemon.errors import NumericalError
 from servo_daemon.estimators.output_error.rollout import TIME
 
@@ -31,7 +32,8 @@ def longest_missing(data: Data, fit: Fitted) -> Missing:
         NumericalError: see `balanced_missing_inputs`.
     """
     number = data.longest
-    return balanced_missing_inputs(fit, data.recordings[number].block, recording=number)
+    longest = data.recordings[number]
+    return balanced_missing_inputs(fit, longest.block, recording=number, seen=longest.seen)
 
 
 def seen_missing(data: Data, trial: Trial) -> Missing:
@@ -52,15 +54,16 @@ def seen_missing(data: Data, trial: Trial) -> Missing:
             coordinates=missing.coordinates,
             levels=replace(levels, input_var=min(levels.input_var, most)),
             least_walk=least,
+            seen=data.recordings[number].seen,
         )
     return replace(missing, unseen=_unseen(data, trial, number, missing))
 
 
 def _unseen(data: Data, trial: Trial, number: int, missing: Missing) -> NDArray[np.bool_]:
-    """Which samples of a recording are in the held-out part, shape (n,)."""
+    """Which samples of a recording are in neither the part that is fitted nor the one that decides, shape (n,)."""
     out = np.zeros(len(missing.time_s), dtype=bool)
     time = missing.time_s - data.recordings[number].block.time_s[0]
-    for k in data.split.of(HELD_OUT):
+    for k in data.split.of(HELD_OUT, BEGUN):
         segment = trial.problem.segments[int(k)]
         if segment.recording == number:
             out |= (time >= segment.rows[0, TIME]) & (time <= segment.rows[-1, TIME])

@@ -112,6 +112,7 @@ def missing_inputs(
     coordinates: F64 | None = None,
     levels: NoiseLevels | None = None,
     least_walk: Mapping[str, float] | None = None,
+    seen: NDArray[np.bool_] | None = None,
 ) -> Missing:
     """Missing torque and voltage over a capture.
 
@@ -122,6 +123,7 @@ def missing_inputs(
         coordinates: parameters to use instead, as in `Missing.coordinates`.
         levels: intensities; None: by maximum likelihood from this capture.
         least_walk: the walks are not slower than this, unit²/s.
+        seen: shape (n,): where the measurements are used; None: everywhere.
 
     Raises:
         BadInputError: signals or samples are missing.
@@ -129,14 +131,15 @@ def missing_inputs(
     """
     plant = _with_load(fit.problem.plant)
     q = coordinates_with_load(fit, recording)[1] if coordinates is None else coordinates
-    problem = _in_runs(block, fit.problem.plant, q)
+    problem = _in_runs(Recording("capture", block, seen), fit.problem.plant, q)
     disturbances, visible = _unknown(plant, problem.channels)
     a = Augmented(plant, problem.channels, disturbances)
-    size = _sizes(plant, q, problem.segments)
+    size = _sizes(plant, q, problem)
     near = placed_within(problem, q) if is_placed(problem) else None
     stretches = [_stretch(a, s, size, near) for s in problem.segments]
     steps = {
-        c: resolution(np.concatenate([s.measured[:, k] for s in problem.segments])) for k, c in enumerate(a.channels)
+        c: resolution(np.concatenate([s.measured[s.valid[:, k], k] for s in problem.segments]))
+        for k, c in enumerate(a.channels)
     }
     if levels is None:
         start, floor = _start(a, problem.segments, size, steps)
@@ -163,12 +166,11 @@ def missing_inputs(
     )
 
 
-def _in_runs(block: SampleBlock, plant: PlantModel, q: F64) -> Problem:
+def _in_runs(recording: Recording, plant: PlantModel, q: F64) -> Problem:
     """The whole capture at once; where there is a load behind a gap, in short runs that begin where the load is: a
     filter that comes to an impact early or late has lost it for good."""
-    recordings = [Recording("capture", block)]
     values = natural_values(plant.parameters, q[: len(plant.parameters)])
-    return placed_in_short_runs(make_problem(recordings, plant.effects, {}), recordings, values)
+    return placed_in_short_runs(make_problem([recording], plant.effects, {}), [recording], values)
 
 
 def coordinates_with_load(fit: Fitted, recording: int = 0) -> tuple[tuple[str, ...], F64]:
@@ -196,19 +198,20 @@ def _unknown(plant: PlantModel, channels: tuple[str, ...]) -> tuple[tuple[str, .
     return ("torque", "voltage"), "torque and voltage"
 
 
-def _sizes(plant: PlantModel, q: F64, segments: tuple[Segment, ...]) -> dict[str, float]:
+def _sizes(plant: PlantModel, q: F64, problem: Problem) -> dict[str, float]:
     """RMS of the torque that the motor works with, N·m, and of the input where that is a voltage, V."""
     p = dict(zip(plant.parameter_names, q, strict=True))
-    u = np.concatenate([s.rows[:, INPUT] for s in segments])
+    u = np.concatenate([s.rows[:, INPUT] for s in problem.segments])
     rms = float(np.sqrt(np.mean(u**2))) or 1.0
     if plant.drive == "torque":
         return {"torque": rms}
     if plant.drive == "current":
         return {"torque": float(np.exp(p["K"])) * rms}
-    scale = segments[0].x0_scale
-    current = float(scale[plant.state_names.index("current_A")]) / 2
-    if not np.isfinite(current) or current <= 0:
-        current = rms / float(np.exp(p["R"]))
+    # Without a current the resistance may be anyone's, and K with it: K V / R is of the same scale as what is missing.
+    current = rms / float(np.exp(p["R"]))
+    if "current_A" in problem.channels:
+        measured = float(problem.segments[0].x0_scale[plant.state_names.index("current_A")]) / 2
+        current = measured if np.isfinite(measured) and measured > 0 else current
     return {"torque": float(np.exp(p["K"])) * current, "voltage": rms}
 
 
@@ -227,8 +230,9 @@ def _stretch(a: Augmented, segment: Segment, size: Mapping[str, float], near: F6
     spread = np.concatenate([states, [_PRIOR * size[d] for d in a.disturbances]])
     counted = segment.valid.copy()
     for k in range(len(a.channels)):
-        if resolution(segment.measured[:, k]) > 0:
-            counted[:, k] &= alive(segment.measured[:, k])
+        values = np.where(segment.valid[:, k], segment.measured[:, k], np.nan)
+        if resolution(values[segment.valid[:, k]]) > 0:
+            counted[:, k] &= alive(values)
     return Stretch(rows, z0, np.diag(spread**2), counted, known=near is not None)
 
 

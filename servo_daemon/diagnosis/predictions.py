@@ -4,37 +4,34 @@ Noise that enters the motor adds up along a free run, until after half a second 
 winding that warms up makes. A fit that knows of such noise predicts each sample from those before it, and there
 nothing adds up: on clean captures the deviances (−2 log p) with and without an effect differ as chance has it, by −2 to
 4, with one that is there by 100 to 2,000. An effect is named if the data are white with it and far likelier than
-without, and if it predicts times better that neither fit has seen.
+without, and if it predicts the times that decide better where neither fit has seen them. The gain is that of the times
+held out, of which none of this has seen anything.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servo_daemon.diagnosis.candidates import CONTAINED, NESTED
-from servo_daemon.diagnosis.compare import advantage, bootstrapped_sum, error_removed
-from servo_daemon.diagnosis.everything import WholeFits, fit_whole
+from servo_daemon.diagnosis.compare import advantage, error_removed
+from servo_daemon.diagnosis.data import Data
+from servo_daemon.diagnosis.everything import WholeFits
 from servo_daemon.diagnosis.fitting import Candidate
 from servo_daemon.diagnosis.lacking import longest_missing
 from servo_daemon.diagnosis.likelihood import far_below, far_likelier
+from servo_daemon.diagnosis.predicted import predictions_of_both
 from servo_daemon.diagnosis.result import CandidateScore, Finding, HeldOut, NamedEffect
 from servo_daemon.diagnosis.scored import Scored
 from servo_daemon.diagnosis.select import Selection
-from servo_daemon.diagnosis.split import HELD_OUT
-from servo_daemon.diagnosis.trial import Data, Trial, fit_trial, model_exists
+from servo_daemon.diagnosis.trial import Trial, fit_trial, model_exists
 from servo_daemon.diagnosis.twins import told_from_twin
-from servo_daemon.estimators.output_error import OutputErrorFit
-from servo_daemon.estimators.output_error.problem import Problem
-from servo_daemon.estimators.output_error.setup import make_problem
-from servo_daemon.estimators.output_error.whitening import tangents, whiten
+from servo_daemon.estimators.output_error import OutputErrorFit, Recording
 from servo_daemon.plant.effects import effects_by_name
-from servo_daemon.samples import F64
 
 #: So many of the candidates of the first round, those that fit best, are fitted to everything.
 _TRIED = 5
@@ -69,17 +66,15 @@ def found_by_predictions(
     if not likely:
         return None
     best, extended = _simplest(likely)
-    held = _held_out(few, base.effects)
-    after = _predicted(extended, _unseeing(few, best.trial, extended, held), held)
-    # A model that is far off may not settle on less: as fitted to everything it has seen what it predicts.
-    before = _predicted(whole, _unseeing(few, base, whole, held) or whole, held)
-    if after is None or before is None or bootstrapped_sum(before.deviance - after.deviance)[0] <= 0.0:
+    full = extended if few is data else _fitted(whole_fits, best)
+    if full is None or not full.white:
         return None
-    published = extended if few is data else _fitted(whole_fits, best)
-    if published is None or not published.white:
+    both = predictions_of_both(few, (base, whole), (best.trial, extended))
+    if both is None:
         return None
-    floor = after.expected.nrmse
-    removed, ci95 = error_removed(before.errors, after.errors, floor)
+    published = _fitted(WholeFits(data.everything), best) or full
+    before, after = both
+    removed, ci95 = error_removed(before.errors, after.errors, after.expected)
     richer = (best.name, *CONTAINED.get(best.name, ()))
     ties = tuple(c.name for c, fit in likely if c.name not in richer and not far_likelier(extended, fit))
     return Finding(
@@ -88,11 +83,11 @@ def found_by_predictions(
         extended=published,
         baseline_score=_score(before.errors, whole.problem.channels),
         extended_score=_score(after.errors, whole.problem.channels),
-        noise_floor=floor,
+        noise_floor=after.expected.nrmse,
         error_removed=removed,
         ci95=ci95,
         candidates=_marked(candidates, best, base),
-        after=longest_missing(data, published),
+        after=longest_missing(data.everything, published),
         deviance_gain=(whole.deviance_at_best or 0.0) - (extended.deviance or 0.0),
     )
 
@@ -110,8 +105,13 @@ def _begun(data: Data, effects: tuple[str, ...]) -> Data:
     if samples <= _MOST_SAMPLES:
         return data
     share = _MOST_SAMPLES / samples
-    begun = [replace(r, block=r.block.slice(0, max(int(share * len(r.block)), 1))) for r in data.recordings]
+    begun = [_begin(r, max(int(share * len(r.block)), 1)) for r in data.recordings]
     return Data.of(begun, data.fixed, effects, data.split.segment_s)
+
+
+def _begin(recording: Recording, samples: int) -> Recording:
+    seen = None if recording.seen is None else recording.seen[:samples]
+    return replace(recording, block=recording.block.slice(0, samples), seen=seen)
 
 
 def _likely(
@@ -159,78 +159,6 @@ def _simplest(likely: Sequence[tuple[Candidate, OutputErrorFit]]) -> tuple[Candi
         if best.name in NESTED.get(simpler.name, ()) and not far_likelier(fit, other):
             best, fit = simpler, other
     return best, fit
-
-
-#: Per recording, shape (n,): times that are held out, and which of the free runs they belong to (−1: none).
-_Held = tuple[NDArray[np.int64], ...]
-
-
-def _held_out(data: Data, effects: tuple[str, ...]) -> _Held:
-    """The search's own division. What a recording begins with is never held out: a fit begins there."""
-    cut = make_problem(data.recordings, effects, dict(data.fixed), segment_s=data.split.segment_s)
-    out = [np.full(len(r.block), -1, dtype=np.int64) for r in data.recordings]
-    for k in data.split.of(HELD_OUT).tolist():
-        segment = cut.segments[k]
-        if segment.begin > 0:
-            out[segment.recording][segment.begin : segment.begin + len(segment.rows)] = k
-    return tuple(out)
-
-
-@dataclass(frozen=True, slots=True)
-class _Predicted:
-    """Of the times held out, by free run, h of them, c channels.
-
-    Attributes:
-        deviance: shape (h,), −2 log p given all that came before each sample.
-        errors: squares of the innovations.
-        expected: the same as the noise makes them.
-    """
-
-    deviance: F64
-    errors: Scored
-    expected: Scored
-
-
-def _unseeing(data: Data, trial: Trial, fit: OutputErrorFit, held: _Held) -> OutputErrorFit | None:
-    """The model fitted without the times held out, from where the fit to everything has come to."""
-    seen = tuple(replace(r, seen=runs < 0) for r, runs in zip(data.recordings, held, strict=True))
-    part = fit_whole(replace(data, recordings=seen), trial, fit.values)
-    return part if part is not None and part.likeliest is not None else None
-
-
-def _predicted(fit: OutputErrorFit, part: OutputErrorFit | None, held: _Held) -> _Predicted | None:
-    """What a fit predicts of the times held out; None: there are none, or it has no noise to predict with.
-
-    Args:
-        fit: of the same model to everything, for the measurements.
-        part: whose parameters hold.
-    """
-    n = max(int(runs.max()) for runs in held) + 1
-    likeliest = None if part is None else part.likeliest
-    if part is None or likeliest is None or n == 0:
-        return None
-    problem, channels = _with_all(part.problem, fit.problem), fit.problem.channels
-    unknowns = likeliest.point.unknowns
-    residuals = problem.linearise(unknowns).residuals
-    deviance, squares, expected, counts = np.zeros(n), *(np.zeros((n, len(channels))) for _ in range(3))
-    for segment, model, r in zip(problem.segments, tangents(problem, unknowns), residuals, strict=True):
-        out = whiten(model, segment.valid.astype(float), r[:, :, None], np.exp(likeliest.log_variance))
-        white, variance = out.values[:, :, 0], np.where(segment.valid, np.exp(out.log_variance), 0.0)
-        runs = held[segment.recording][segment.begin : segment.begin + len(segment.rows)]
-        use, at = runs >= 0, runs[runs >= 0]
-        np.add.at(deviance, at, (out.log_variance + white**2)[use].sum(axis=1))
-        np.add.at(squares, at, (white**2 * variance)[use])
-        np.add.at(expected, at, variance[use])
-        np.add.at(counts, at, segment.valid[use].astype(float))
-    runs_there = counts.sum(axis=1) > 0
-    errors = Scored(squares[runs_there], counts[runs_there], problem.spread)
-    return _Predicted(deviance[runs_there], errors, replace(errors, squares=expected[runs_there]))
-
-
-def _with_all(problem: Problem, full: Problem) -> Problem:
-    """The problem with all that was measured in the same segments."""
-    segments = zip(problem.segments, full.segments, strict=True)
-    return replace(problem, segments=tuple(replace(s, valid=f.valid) for s, f in segments))
 
 
 def _score(errors: Scored, channels: Sequence[str]) -> HeldOut:

@@ -19,6 +19,9 @@ Verdict = Literal["none", "found", "unexplained"]
 #: them to more than the effect makes, predictions of each sample from those before it; or, for a motor that its
 #: controller holds where it would not stay by itself, the torque that its measured motion needs.
 JudgedBy = Literal["free_runs", "predictions", "balance"]
+#: What the gain was measured on: data that neither fit, choice nor veto has seen, or, where a capture is too short for
+#: a part of its own for that, the part that decided.
+MeasuredOn = Literal["unseen", "choosing"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,18 +30,18 @@ class NamedEffect:
 
     Attributes:
         name: of the effect.
-        gain: share of the removable held-out error that comes back without it.
+        gain: share of the removable held-out error that comes back without it; None: it cannot be told.
         equivalent: names that fitted these data as well in its place, tested.
     """
 
     name: str
-    gain: float
+    gain: float | None
     equivalent: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """Errors of free runs that neither fit nor choice has seen: RMS by channel, and normalised over channels."""
+    """Errors of the part that the gain is measured on: RMS by channel, and normalised over channels."""
 
     rmse: Mapping[str, float]
     nrmse: float
@@ -96,8 +99,8 @@ class Finding:
     baseline_score: HeldOut
     extended_score: HeldOut
     noise_floor: float
-    error_removed: float
-    ci95: tuple[float, float]
+    error_removed: float | None
+    ci95: tuple[float, float] | None
     candidates: tuple[CandidateScore, ...]
     after: Missing
     before: Missing | None = None
@@ -116,7 +119,9 @@ class Diagnosis:
         extended: with the effects; None unless found.
         baseline_score, extended_score: held-out errors; the second is None unless found.
         noise_floor: normalised error that noise alone would leave; None unless found.
-        error_removed, ci95: share of the removable held-out error that the extension removes, with its 95 % interval.
+        error_removed, ci95: share of the removable held-out error that the extension removes, with its 95 % interval,
+            of which an end may be infinite; None unless found, and where noise leaves as much as the baseline does.
+        measured_on: see `MeasuredOn`.
         candidates: all models that were fitted, by round.
         before, after: missing torque and voltage under both models, of the longest capture; the second None unless
             found.
@@ -140,6 +145,7 @@ class Diagnosis:
     noise_floor: float | None
     error_removed: float | None
     ci95: tuple[float, float] | None
+    measured_on: MeasuredOn
     candidates: tuple[CandidateScore, ...]
     before: Missing
     after: Missing | None

@@ -23,6 +23,7 @@ from servo_daemon.diagnosis.candidates import (
     scaled_friction,
 )
 from servo_daemon.diagnosis.compare import advantage
+from servo_daemon.diagnosis.data import Data
 from servo_daemon.diagnosis.evidence import at_odds, needless, noticeable, speaks_against_screening, worth_a_name
 from servo_daemon.diagnosis.fitting import COLOURED, Candidate, best_of, closer, fitted, ties
 from servo_daemon.diagnosis.lacking import leaves, leaves_less, seen_missing
@@ -30,7 +31,7 @@ from servo_daemon.diagnosis.likelihood import Whole, needs_no_effect
 from servo_daemon.diagnosis.missing import Missing
 from servo_daemon.diagnosis.screen import ScreenedCandidate, screen
 from servo_daemon.diagnosis.split import TRAIN, shorter_s
-from servo_daemon.diagnosis.trial import Data, Trial, fit_trial, model_exists
+from servo_daemon.diagnosis.trial import Trial, fit_trial, model_exists
 from servo_daemon.errors import NumericalError
 from servo_daemon.estimators.short_runs import is_placed
 from servo_daemon.plant.effects import effects_by_name

@@ -9,14 +9,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_daemon.diagnosis.data import Data
 from servo_daemon.diagnosis.scored import Scored, scored_states
-from servo_daemon.diagnosis.split import CHOICE, HELD_OUT, TRAIN, Split, divide
+from servo_daemon.diagnosis.split import CHOICE, TRAIN, Split
 from servo_daemon.errors import ConfigError, NumericalError
 from servo_daemon.estimators.base import natural_values, to_coordinate
-from servo_daemon.estimators.output_error import Recording
 from servo_daemon.estimators.output_error.lost_runs import ENOUGH, begun_again
 from servo_daemon.estimators.output_error.problem import Problem, Segment
-from servo_daemon.estimators.output_error.setup import carrying, make_problem
+from servo_daemon.estimators.output_error.setup import carrying
 from servo_daemon.estimators.output_error.solver import Solution, solve
 from servo_daemon.estimators.output_error.starts import starting_points
 from servo_daemon.estimators.short_runs.placed import is_placed, placed
@@ -34,42 +34,6 @@ _MOST_SAMPLES, _LEAST_SAMPLES = 24_000, 40
 
 #: An L/R of this share of the sample period and a viscous friction of this share of the braking K²/R can be seen.
 _SEEN_LAG, _SEEN_BRAKING = 0.1, 0.01
-
-
-@dataclass(frozen=True, slots=True)
-class Data:
-    """What all trials share.
-
-    Attributes:
-        recordings: the captures.
-        fixed: parameters held in every model, natural units.
-        split: of their segments.
-    """
-
-    recordings: tuple[Recording, ...]
-    fixed: Mapping[str, float]
-    split: Split
-
-    @property
-    def longest(self) -> int:
-        """Which recording has most samples."""
-        return int(np.argmax([len(r.block) for r in self.recordings]))
-
-    @classmethod
-    def of(
-        cls, recordings: Sequence[Recording], fixed: Mapping[str, float], effects: tuple[str, ...], segment_s: float
-    ) -> Data:
-        """Recordings cut into free runs of about this length, and these divided.
-
-        Raises:
-            BadInputError: see `make_problem`.
-        """
-        problem = make_problem(recordings, effects, dict(fixed), segment_s=segment_s)
-        return cls(tuple(recordings), fixed, divide(len(problem.segments), segment_s))
-
-    def cut(self, effects: tuple[str, ...], segment_s: float) -> Data:
-        """The same with free runs of another length."""
-        return Data.of(self.recordings, self.fixed, effects, segment_s)
 
 
 @dataclass(frozen=True)
@@ -122,8 +86,8 @@ class Trial:
 
     @cached_property
     def held_out(self) -> Scored:
-        """Errors of the part that nothing has seen."""
-        return self.scored(HELD_OUT)
+        """Errors of the part that the gain is measured on."""
+        return self.scored(self.split.measuring)
 
     def scored(self, part: int) -> Scored:
         """Every free run of a part from the initial state that suits it best with these parameters."""
@@ -167,7 +131,7 @@ def fit_trial(
         BadInputError: see `make_problem`.
     """
     held = {p.name: start[p.name] for p in _counts_and_choices(effects) if p.name not in data.fixed}
-    problem = make_problem(data.recordings, effects, {**data.fixed, **held}, segment_s=data.split.segment_s)
+    problem = data.problem(effects, held)
     segments = tuple(_settled(s, _MOST_SAMPLES // len(problem.segments)) for s in problem.segments)
     problem = carrying(replace(problem, segments=segments), data.recordings)
     values = {
@@ -220,7 +184,7 @@ def first_trial(data: Data, effects: tuple[str, ...], nominal: Mapping[str, floa
         NumericalError: no start can be simulated.
     """
     choices = {p.name: nominal.get(p.name, p.nominal) for p in _counts_and_choices(effects)}
-    problem = make_problem(data.recordings, effects, {**choices, **data.fixed}, segment_s=data.split.segment_s)
+    problem = data.problem(effects, {n: v for n, v in choices.items() if n not in data.fixed})
     starts = starting_points(data.recordings, problem, {**choices, **nominal, **data.fixed})
     begun = [t for s in starts if (t := fit_trial(data, effects, s.values, max_iterations=_START_ITERATIONS))]
     if not begun:

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.diagnosis.compare import Advantage, advantage
+from servo_daemon.diagnosis.data import Data
 from servo_daemon.diagnosis.evidence import LEAST_BIC, LEAST_GAIN
 from servo_daemon.diagnosis.split import segment_length_s
-from servo_daemon.diagnosis.trial import Data, Trial, fit_trial
+from servo_daemon.diagnosis.trial import Trial, fit_trial
 from servo_daemon.estimators.output_error import FitOptions, FittedParameter, Recording, fit_output_error
 from servo_daemon.estimators.output_error.setup import make_problem
 from servo_daemon.estimators.output_error.starts import starting_points

@@ -11,10 +11,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from servo_daemon.diagnosis.data import Data
 from servo_daemon.diagnosis.inverse import found_by_balance
 from servo_daemon.diagnosis.result import Finding
 from servo_daemon.diagnosis.split import segment_length_s
-from servo_daemon.diagnosis.trial import Data, first_trial
+from servo_daemon.diagnosis.trial import first_trial
 from servo_daemon.estimators.output_error import FitOptions, Recording, fit_output_error
 from servo_daemon.samples import F64, SampleBlock, make_block
 

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from servo_daemon.diagnosis.balance import balanced_missing_inputs
+from servo_daemon.diagnosis.data import Data
 from servo_daemon.diagnosis.dependence import dependences
 from servo_daemon.diagnosis.lacking import seen_missing
 from servo_daemon.diagnosis.missing import Missing, missing_inputs
 from servo_daemon.diagnosis.screen import screen
 from servo_daemon.diagnosis.split import segment_length_s
-from servo_daemon.diagnosis.trial import Data, first_trial, fit_trial
+from servo_daemon.diagnosis.trial import first_trial, fit_trial
 from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, fit_output_error
 from servo_daemon.estimators.output_error import Recording as Capture
 from servo_daemon.estimators.output_error.setup import make_problem

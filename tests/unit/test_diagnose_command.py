@@ -66,7 +66,8 @@ def test_the_cause_is_named_with_its_size(found: Run) -> None:
     assert tc["unit"] == "N·m"
     assert abs(tc["value"] - TC) < 5 * tc["std"] < 0.05 * TC
     low, high = document["gain"]["ci95"]
-    assert 0.5 < low <= document["gain"]["error_removed"] <= high < 1.01  # not clipped: the noise floor is an estimate
+    assert 0.9 < low <= document["gain"]["error_removed"] <= high < 1.05
+    assert document["gain"]["measured_on"] == "unseen"
 
 
 def test_stdout_is_one_document_and_the_files_are_the_same(found: Run) -> None:

@@ -109,7 +109,10 @@ def test_found_has_every_key_of_the_contract(found: tuple[Diagnosis, Evidence]) 
         assert document[model].keys() >= {"parameters", "heldout_rmse", "heldout_nrmse"}
         assert document[model]["heldout_rmse"].keys() == {"current_A", "position_rad", "velocity_rad_s"}
     assert document["extended"]["heldout_nrmse"] < document["baseline"]["heldout_nrmse"]
-    assert document["gain"].keys() == {"error_removed", "ci95"}
+    assert document["gain"].keys() == {"error_removed", "ci95", "measured_on"}
+    b, e, n = document["baseline"]["heldout_nrmse"], document["extended"]["heldout_nrmse"], document["noise_floor"]
+    assert document["gain"]["error_removed"] == pytest.approx((b**2 - e**2) / (b**2 - n**2))
+    assert document["gain"]["measured_on"] == document["measured_on"]
     assert all(c.keys() >= {"name", "heldout_nrmse", "delta_bic"} for c in document["candidates"])
     assert document["remaining"].keys() >= {"white", "depends_on"}
 
@@ -166,15 +169,31 @@ def test_captions_say_which_models_motor_works_with_how_much(found: tuple[Diagno
             assert [word for word in ("(baseline)", "(extended)") if word in caption] == words
 
 
-def test_what_makes_unseen_data_worse_gets_no_name(
-    found: tuple[Diagnosis, Evidence], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("removed", "ci95", "words"),
+    [
+        (1.04, (1.01, 1.07), "removes 104 % (95 %: 101 % … 107 %) of"),
+        (-0.1, (-0.4, 0.2), "removes -10 % (95 %: -40 % … 20 %) of"),
+        (0.8, (0.5, float("inf")), "removes 80 % (95 %: at least 50 %) of"),
+    ],
+)
+def test_a_gain_is_shown_as_it_is(
+    found: tuple[Diagnosis, Evidence], removed: float, ci95: tuple[float, float], words: str
 ) -> None:
-    d, _ = found
-    monkeypatch.setattr("servo_daemon.diagnosis.diagnose.error_removed", lambda *_: (-0.1, (-0.4, 0.2)))
-    refused = diagnose(d.captures)
-    assert refused.verdict == "unexplained"
-    assert refused.effects == ()
-    assert refused.extended is refused.error_removed is None
+    d, evidence = found
+    document = document_of(replace(d, error_removed=removed, ci95=ci95), evidence)
+    assert document["gain"]["error_removed"] == removed
+    assert words in " ".join(" ".join(diagnosis_lines(document)).split())
+
+
+def test_a_gain_of_the_part_that_decided_says_so(found: tuple[Diagnosis, Evidence]) -> None:
+    d, evidence = found
+    document = document_of(replace(d, measured_on="choosing"), evidence)
+    assert document["gain"]["measured_on"] == "choosing"
+    text = " ".join(" ".join(diagnosis_lines(document)).split())
+    assert "On the part that decided this removes" in text
+    assert "too short for a part that nothing has seen" in text
+    assert "that neither fit nor choice has seen" not in text
 
 
 def test_none_has_neither_gain_nor_extended_model(found: tuple[Diagnosis, Evidence]) -> None:
@@ -212,7 +231,7 @@ def test_numbers_that_are_none_become_null(found: tuple[Diagnosis, Evidence]) ->
         effects=(NamedEffect("cogging_torque", float("nan"), ()),),
     )
     document = document_of(bad, evidence)
-    assert document["gain"] == {"error_removed": None, "ci95": [None, 1.0]}
+    assert document["gain"] == {"error_removed": None, "ci95": [None, 1.0], "measured_on": d.measured_on}
     assert document["candidates"][0]["heldout_nrmse"] is None
     text = "\n".join(diagnosis_lines(document)).lower()
     assert "nan" not in text

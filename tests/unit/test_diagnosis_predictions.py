@@ -9,10 +9,11 @@ from typing import cast
 import numpy as np
 import pytest
 
+from servo_daemon.diagnosis.data import Data
 from servo_daemon.diagnosis.fitting import Candidate
-from servo_daemon.diagnosis.predictions import _MOST_SAMPLES, _begun, _held_out, _simplest
+from servo_daemon.diagnosis.predicted import times_of
+from servo_daemon.diagnosis.predictions import _MOST_SAMPLES, _begun, _simplest
 from servo_daemon.diagnosis.split import HELD_OUT
-from servo_daemon.diagnosis.trial import Data
 from servo_daemon.estimators.output_error import OutputErrorFit, Recording
 from servo_daemon.samples import make_block
 
@@ -29,7 +30,12 @@ def data(*samples: int) -> Data:
 
 
 def test_a_decision_needs_no_more_than_so_many_samples_and_divides_those_anew() -> None:
-    few = _begun(data(2 * _MOST_SAMPLES, _MOST_SAMPLES), ())
+    much = data(2 * _MOST_SAMPLES, _MOST_SAMPLES)
+    few = _begun(much, ())
+    for begin, whole in zip(few.recordings, much.recordings, strict=True):
+        assert begin.seen is not None
+        assert whole.seen is not None
+        assert (begin.seen == whole.seen[: len(begin.block)]).all(), "what was held out is held out"
     assert [len(r.block) for r in few.recordings] == [_MOST_SAMPLES * 2 // 3, _MOST_SAMPLES // 3]
     assert len(few.split.part) == _MOST_SAMPLES / 500
     short = data(10_000)
@@ -38,7 +44,7 @@ def test_a_decision_needs_no_more_than_so_many_samples_and_divides_those_anew() 
 
 def test_what_a_recording_begins_with_is_never_held_out() -> None:
     both = data(5000, 5000)
-    held = _held_out(both, ())
+    held = times_of(both, (), HELD_OUT)
     assert [len(h) for h in held] == [5000, 5000]
     assert all((h[:400] == -1).all() for h in held)
     runs = {int(k) for h in held for k in h} - {-1}

@@ -9,7 +9,8 @@ from typing import Any, cast
 import pytest
 
 from servo_daemon.diagnosis import everything
-from servo_daemon.diagnosis.trial import Data, Trial
+from servo_daemon.diagnosis.data import Data
+from servo_daemon.diagnosis.trial import Trial
 from servo_daemon.errors import NumericalError
 
 

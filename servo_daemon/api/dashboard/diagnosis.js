@@ -33,11 +33,24 @@ function value(name, parameter) {
   return `${name} = ${[shown.value, shown.std, scale.unit].filter(Boolean).join(" ")}`;
 }
 
+/** 93.0 %; a minus where more is left than before */
+const share = (ratio) => (ratio < 0 ? percent(ratio) : percent(ratio).slice(1));
+
+/** What goes with the effects, of which data, and how sure that is. */
+function gained(gain) {
+  if (typeof gain?.error_removed !== "number") return "";
+  const [low, high] = gain.ci95 ?? [null, null];
+  const ends = [low === null ? "" : `from ${share(low)}`, high === null ? "" : `to ${share(high)}`].filter(Boolean);
+  const interval = ends.length ? ` (95 %: ${ends.join(" ")})` : "";
+  const where = gain.measured_on === "choosing" ? " on the part that decided, as there is too little for another" : "";
+  return `; with it ${share(gain.error_removed)} of the error is gone${interval}${where}`;
+}
+
 function foundItem(effect) {
   const item = document.createElement("li");
   const head = element("p", "found-name", "");
   head.append(element("b", "", words(effect.name)));
-  if (typeof effect.gain === "number") head.append(element("span", "", ` removes ${percent(effect.gain).slice(1)} of the error`));
+  if (typeof effect.gain === "number") head.append(element("span", "", ` removes ${share(effect.gain)} of the error`));
   const numbers = Object.entries(effect.parameters).map(([name, parameter]) => value(name, parameter)).join(", ");
   item.append(head, element("p", "found-cause", effect.cause ?? ""), element("p", "found-values", numbers));
   const others = (effect.equivalent ?? []).map((names) => names.map(words).join(" + "));
@@ -63,10 +76,7 @@ function sentence(d) {
     const on = follows(d.result);
     return `${about}: something is missing that has no name here${on ? `; it follows ${on}` : ""}.`;
   }
-  const gain = d.result.gain;
-  const share = (x) => percent(x).slice(1);
-  const interval = gain?.ci95 ? ` (95 %: ${share(gain.ci95[0])} to ${share(gain.ci95[1])})` : "";
-  return `${about}: lacks what is named below${gain ? `; with it ${share(gain.error_removed)} of the error is gone${interval}` : ""}.`;
+  return `${about}: lacks what is named below${gained(d.result.gain)}.`;
 }
 
 /** One drive's; made anew when another drive is shown. */

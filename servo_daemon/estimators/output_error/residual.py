@@ -48,7 +48,8 @@ def residual_tests(problem: Problem, point: Point) -> dict[str, ResidualTest]:
     for c, name in enumerate(problem.channels):
         parts = [r[:, c] * np.sqrt(w[:, c]) for r, w in zip(point.linearisation.residuals, point.weights, strict=True)]
         inputs = [s.rows[:, INPUT] for s in problem.segments]
-        auto, cross, n = _autocorrelation(parts), _input_correlation(parts, inputs), sum(map(len, parts))
+        there = [s.valid[:, c] for s in problem.segments]
+        auto, cross, n = _autocorrelation(parts), _input_correlation(parts, inputs, there), sum(map(len, parts))
         limit = max(RELEVANT, _SIGNIFICANT / np.sqrt(n))
         rmse = float(np.sqrt(point.sse[c] / problem.counts[c]))
         outliers = int(sum((w[:, c] < 1.0).sum() for w in point.weights))
@@ -64,12 +65,17 @@ def _autocorrelation(parts: list[F64]) -> float:
     return max(lags, key=abs)
 
 
-def _input_correlation(parts: list[F64], inputs: list[F64]) -> float:
-    """With the input as it comes: differences of both, so that a slow input correlates no more than a fast one."""
+def _input_correlation(parts: list[F64], inputs: list[F64], there: list[NDArray[np.bool_]]) -> float:
+    """With the input as it comes: differences of both, so that a slow input correlates no more than a fast one.
+
+    Args:
+        there: per part, shape (n,): where it is a residual and not the 0 of what was not measured.
+    """
     best = 0.0
     r = [np.diff(x) for x in parts]
     u = [np.diff(x) for x in inputs]
-    power = np.sqrt(sum(float(x @ x) for x in r) * sum(float(x @ x) for x in u))
+    at = [x[w[1:]] for x, w in zip(u, there, strict=True)]
+    power = np.sqrt(sum(float(x @ x) for x in r) * sum(float(x @ x) for x in at))
     if power == 0.0:
         return 0.0
     for k in range(LAGS + 1):
@@ -99,7 +105,8 @@ def innovation_tests(
     for c, name in enumerate(problem.channels):
         parts = [np.where(u[:, c], r[:, c], 0.0) for r, u in zip(innovations, counted, strict=True)]
         every, n = [r[:, c] for r in innovations], sum(int(u[:, c].sum()) for u in counted)
-        auto, cross = _autocorrelation(parts), _past_input_correlation(parts, inputs)
+        there = [s.valid[:, c] for s in problem.segments]
+        auto, cross = _autocorrelation(parts), _past_input_correlation(parts, inputs, there)
         limit = max(RELEVANT, _SIGNIFICANT / np.sqrt(max(n, 1)))
         rounding = resolution[c] ** 2 / 12.0 > 0.5 * rms[c] ** 2
         pattern = bool(rounding and abs(auto) < _PATTERN and _slow_excess(every) < _SLOW)
@@ -117,10 +124,11 @@ def _slow_excess(parts: list[F64]) -> float:
     return float(np.mean(np.concatenate(sums) ** 2)) / (_BLOCK * power)
 
 
-def _past_input_correlation(parts: list[F64], inputs: list[F64]) -> float:
-    """Of white residuals with the input's changes at least one sample earlier."""
+def _past_input_correlation(parts: list[F64], inputs: list[F64], there: list[NDArray[np.bool_]]) -> float:
+    """Of white residuals with the input's changes at least one sample earlier; `there` as above."""
     u = [np.diff(x, prepend=x[0]) for x in inputs]
-    power = np.sqrt(sum(float(x @ x) for x in parts) * sum(float(x @ x) for x in u))
+    at = [x[w] for x, w in zip(u, there, strict=True)]
+    power = np.sqrt(sum(float(x @ x) for x in parts) * sum(float(x @ x) for x in at))
     if power == 0.0:
         return 0.0
     lags = range(1, LAGS + 1)

@@ -47,6 +47,11 @@ class Recording:
     block: SampleBlock
     seen: NDArray[np.bool_] | None = None
 
+    @property
+    def seen_block(self) -> SampleBlock:
+        """The samples that may be looked at."""
+        return self.block if self.seen is None else self.block.select(self.seen)
+
 
 def choose_signals(channels: Sequence[str]) -> tuple[Drive, tuple[str, ...]]:
     """The input and the channels that answer it. A position tells more than a speed derived from it.
@@ -126,11 +131,11 @@ def _segments(
     time = block.time_s - block.time_s[0]
     values = np.stack([_channel(block, name) for name in measured], axis=1)
     valid = np.isfinite(values) if of.seen is None else np.isfinite(values) & of.seen[:, None]
-    scale = state_scale(block, plant)
+    scale = state_scale(of.seen_block, plant)
     rows = input_rows(block, plant.drive, share)
     out = []
     for begin, end in _cuts(time, segment_s):
-        if end - begin >= FEWEST_SAMPLES:
+        if end - begin >= FEWEST_SAMPLES and (of.seen is None or of.seen[begin:end].any()):
             x0 = _initial_state(block, plant, begin, end)
             part, fitted = values[begin:end], valid[begin:end]
             out.append(Segment(recording, rows[begin:end].copy(), part, fitted, x0, scale, begin))

@@ -44,7 +44,7 @@ def starting_points(recordings: Sequence[Recording], problem: Problem, nominal: 
     Args:
         nominal: what the user gave, natural units.
     """
-    block = max((r.block for r in recordings), key=len)
+    block = max(recordings, key=lambda r: len(r.block)).seen_block
     guesses = [Start("signal sizes", values) for values in _from_sizes(block, problem.plant, nominal)]
     regression = regression_values(block, problem.plant)
     starts = []

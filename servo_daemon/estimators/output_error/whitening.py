@@ -225,7 +225,8 @@ def moving(problem: Problem) -> tuple[NDArray[np.bool_], ...]:
     for segment in problem.segments:
         mask = segment.valid.copy()
         for c in range(mask.shape[1]):
-            lengths = np.diff(np.flatnonzero(np.diff(segment.measured[:, c], prepend=np.nan, append=np.nan) != 0))
+            values = np.where(segment.valid[:, c], segment.measured[:, c], np.nan)
+            lengths = np.diff(np.flatnonzero(np.diff(values, prepend=np.nan, append=np.nan) != 0))
             mask[:, c] &= np.repeat(lengths <= _LONGEST_REPEAT, lengths)
         out.append(mask)
     return tuple(out)
