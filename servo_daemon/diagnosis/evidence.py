@@ -51,6 +51,11 @@ def convinces(a: Advantage) -> bool:
     return overwhelming(a) or (a.gain > LEAST_GAIN and a.low > -_NOTHING * a.gain and a.delta_bic < LEAST_BIC)
 
 
+def half_convinces(a: Advantage) -> bool:
+    """Much better in the mean and where it was fitted, and not in every part that decides."""
+    return a.gain > _CLEARLY and a.delta_bic < LEAST_BIC
+
+
 def speaks_against_screening(a: Advantage) -> bool:
     """Whether the advantage of a candidate is one although screening saw nothing of it. There are twenty such, and one
     of them will gain a little by chance."""

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
-from servo_daemon.diagnosis.candidates import CONTAINED, NESTED, Proposal
+from servo_daemon.diagnosis.candidates import CONTAINED, NESTED, Proposal, has_no_current
 from servo_daemon.diagnosis.compare import Advantage, advantage
 from servo_daemon.diagnosis.data import Data
 from servo_daemon.diagnosis.evidence import LEAST_BIC, NESTED_GAIN, convinces, no_worse, overwhelming
 from servo_daemon.diagnosis.split import shorter_s
 from servo_daemon.diagnosis.trial import Trial, fit_trial
 from servo_daemon.diagnosis.twins import lag_twin
+from servo_daemon.estimators.output_error.starts import starting_points
 from servo_daemon.estimators.short_runs import begun_short_runs, is_placed, with_all_inertia
+from servo_daemon.plant.effects import effects_by_name
 
 #: Iterations that every candidate gets, and the share of the best one's gain that earns it the rest.
 _FIRST_ITERATIONS, _KEPT = 5, 0.3
@@ -47,7 +49,7 @@ class Candidate:
 
 def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: int) -> tuple[Candidate, ...]:
     """Fitted together with the motor, best first. All get a few iterations; those that then have some of what the best
-    one has gained go on to their end."""
+    one has gained go on to their end, and those that are still worse than the model that they contain."""
 
     def begin(p: Proposal) -> Trial | None:
         best = None
@@ -57,6 +59,8 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: in
             # Worse than the model that it contains: it began in the wrong place.
             if best is not None and gained(best) > 0.0 and not p.far:
                 break
+        for start in _from_sizes(data, p) if bent else ():
+            best = _better(best, fit_trial(data, p.effects, start, max_iterations=_FIRST_ITERATIONS))
         return best
 
     def end(pair: tuple[Proposal, Trial]) -> Candidate | None:
@@ -65,7 +69,7 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: in
         over = _over_the_gap(data, current, p, trial) if loads >= little else None
         if over is not None:
             trial = over
-        elif gained(trial) >= max(_KEPT * most, little):
+        elif gained(trial) < 0.0 or gained(trial) >= max(_KEPT * most, little):  # it contains the other: not there yet
             trial = fit_trial(data, p.effects, trial.values, like=trial) or trial
             if not trial.solution.converged and gained(trial) >= _KEPT * most:
                 trial = fit_trial(data, p.effects, trial.values, like=trial, careful=True) or trial
@@ -81,12 +85,24 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: in
     def gained(trial: Trial) -> float:
         return current.solution.point.value - trial.solution.point.value
 
+    # Without a current R and K may have any values, and a motor that lacks much ends far from the real one.
+    bent = has_no_current(current) and current.independent < COLOURED
     with ThreadPoolExecutor(workers) as pool:
         begun = [(p, t) for p, t in zip(proposed, pool.map(begin, proposed), strict=True) if t is not None]
         most = max((gained(t) for _, t in begun), default=0.0)
         loads = max((gained(t) for p, t in begun if "J_l" in p.start), default=0.0)
         found = [c for c in pool.map(end, begun) if c is not None]
     return tuple(sorted(found, key=lambda c: -c.against.gain))
+
+
+def _from_sizes(data: Data, p: Proposal) -> Iterator[Mapping[str, float]]:
+    """Where the model begins by the sizes of the signals: natural values, for each mechanical time constant."""
+    known = effects_by_name()
+    held = {q.name: p.start[q.name] for e in p.effects for q in known[e].parameters if q.held == "always"}
+    problem = data.problem(p.effects, {n: v for n, v in held.items() if n not in data.fixed})
+    starts = [s for s in starting_points(data.recordings, problem, {}) if s.source == "signal sizes"]
+    for begun in {s.values["J"]: s.values for s in starts}.values():
+        yield {**begun, **held, **data.fixed}
 
 
 def _over_the_gap(data: Data, current: Trial, p: Proposal, trial: Trial) -> Trial | None:

@@ -24,7 +24,7 @@ from servo_daemon.diagnosis.candidates import (
 )
 from servo_daemon.diagnosis.compare import advantage
 from servo_daemon.diagnosis.data import Data
-from servo_daemon.diagnosis.evidence import at_odds, needless, noticeable, speaks_against_screening, worth_a_name
+from servo_daemon.diagnosis.evidence import at_odds, half_convinces, needless, noticeable, speaks_against_screening, worth_a_name
 from servo_daemon.diagnosis.fitting import COLOURED, Candidate, best_of, closer, fitted, ties
 from servo_daemon.diagnosis.lacking import leaves, leaves_less, seen_missing
 from servo_daemon.diagnosis.likelihood import Whole, needs_no_effect
@@ -147,13 +147,37 @@ def _round(search: _Search, missing: Missing, progress: Progress, workers: int) 
         progress(0.2, "once more with shorter free runs")
         found = _with_shorter_runs(found, [p for p in proposed if p.name.startswith(_UNSTABLE)], workers)
     search, candidates, best = found
-    if best is not None or _promised(screened) <= _PROMISING:
+    if best is not None:
+        return found
+    if (first := next((c for c in candidates if half_convinces(c.against)), None)) is not None:
+        progress(0.3, f"{first.name} and another")
+        return _beside(search, first, candidates, workers)
+    if _promised(screened) <= _PROMISING:
         return found
     progress(0.3, "two causes at once")
     proposed = pairs(proposals(search.current, screened, missing, WORTH_A_PAIR), missing.augmented.channels)
     two = fitted(search.data, search.current, proposed, workers)
     two = tuple(c for c in two if worth_a_name(c.trial, search.current, search.base))
     return search, (*two, *candidates), best_of(two)
+
+
+def _beside(search: _Search, first: Candidate, candidates: tuple[Candidate, ...], workers: int) -> _Found:
+    """Two causes of which one alone takes much and yet runs away in some of the runs that decide (a weight that no
+    friction holds): each of the others beside it, judged against the model without either."""
+    current = first.trial
+    try:
+        missing = seen_missing(search.data, current)
+    except NumericalError:
+        return search, candidates, None
+    proposed = proposals(current, screen(current, missing), missing, 0.0, given=search.data.fixed)
+    scaled = scaled_friction(current.effects, current.problem.channels, current.values, current.values)
+    rest = {p.name: p for p in (*scaled, *proposed)}.values()
+    two = tuple(
+        replace(c, name=f"{first.name} + {c.name}", against=advantage(search.current, c.trial))
+        for c in fitted(search.data, current, tuple(rest), workers)
+        if worth_a_name(c.trial, current, search.base)
+    )
+    return search, (*two, *candidates), best_of(tuple(sorted(two, key=lambda c: -c.against.gain)))
 
 
 def _thought_little_of(

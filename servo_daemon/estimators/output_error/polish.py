@@ -33,7 +33,7 @@ from servo_daemon.estimators.output_error.noise import (
     noise_model,
 )
 from servo_daemon.estimators.output_error.problem import Linearisation, Problem
-from servo_daemon.estimators.output_error.solver import Point, normal_equations, point_of
+from servo_daemon.estimators.output_error.solver import Point, normal_equations, point_of, within
 from servo_daemon.estimators.output_error.whitening import channel_weights, moving, tangents, whiten
 from servo_daemon.samples import F64
 
@@ -225,7 +225,7 @@ def _step(problem: Problem, whitened: Point) -> tuple[F64, float]:
 
 def _held(problem: Problem, unknowns: F64, g: F64) -> NDArray[np.bool_]:
     """Unknowns at a bound that would go beyond it."""
-    low, high = problem.bounds
+    low, high = problem.bounds_at(unknowns)
     return np.asarray((unknowns <= low) & (g < 0) | (unknowns >= high) & (g > 0))
 
 
@@ -278,12 +278,11 @@ def _along(
     """The first point along the step, halved at most `_HALVINGS` times, that is as good as this one. A step of less
     than a standard deviation is not asked: what the filter's own change with the parameters does to the likelihood is
     left out of the equations and may be as large."""
-    low, high = problem.bounds
     point, whitened = here
     grown = np.log1p(np.maximum(step, 0.0))
     step = np.where(problem.logarithmic, np.clip(step, -_LONGEST, np.maximum(grown, _LONGEST)), step)
     for halved in range(_HALVINGS):
-        unknowns = np.clip(point.unknowns + step / 2**halved, low, high)
+        unknowns = within(problem, point.unknowns + step / 2**halved)
         with np.errstate(over="ignore", invalid="ignore"):
             linear = problem.linearise(unknowns)
         if not linear.finite:

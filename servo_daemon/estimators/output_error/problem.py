@@ -26,6 +26,9 @@ from servo_daemon.samples import F64
 #: A state that the data do not show (the angle where only a speed is measured, the current of a fast winding) is kept
 #: near its start by a prior this many times as wide as the signal is large: it decides nothing where data do.
 _STATE_PRIOR = 100.0
+#: No winding of a servo motor is slower, s: catalogues have L/R of 0.1 ms (coreless) to 50 ms (frameless torque motors).
+#: A slower one makes a spring of the winding (a torque −K²/L θ), which is the gravity of whatever the motor lifts.
+_SLOWEST_WINDING_S = 0.1
 
 
 #: States of the motor itself; the others are effects'.
@@ -132,6 +135,16 @@ class Problem:
         for k, name in enumerate(self.parameter_of_column):
             p = table[name]
             low[k], high[k] = (np.log(p.lower), np.log(p.upper)) if p.transform == "log" else (p.lower, p.upper)
+        return low, high
+
+    def bounds_at(self, unknowns: F64) -> tuple[F64, F64]:
+        """The bounds with these unknowns: without a measured current, L's upper one follows R."""
+        low, high = self.bounds
+        if "L" not in self.free or "current_A" in self.channels or self.plant.drive != "voltage":
+            return low, high
+        at, high = self.free.index("L"), high.copy()
+        R = unknowns[self.free.index("R")] if "R" in self.free else self.given["R"]
+        high[at] = min(high[at], max(R + np.log(_SLOWEST_WINDING_S), low[at]))
         return low, high
 
     @cached_property

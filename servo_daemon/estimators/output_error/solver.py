@@ -103,8 +103,7 @@ def solve(
         enough: the search is over when an iteration lowers V by less.
         curved: whether steps follow the bend of narrow valleys, at the price of one more simulation each.
     """
-    low, high = problem.bounds
-    point = _evaluate(problem, np.clip(start, low, high), None)
+    point = _evaluate(problem, within(problem, start), None)
     if point is None:
         return None
     point = _reweigh(problem, point) if robust else point
@@ -113,6 +112,7 @@ def solve(
     free, gains = np.ones(len(start), dtype=bool), [np.inf]
     while len(iterations) <= max_iterations:
         H, g = normal_equations(problem, point)
+        low, high = problem.bounds_at(point.unknowns)
         free = ~((point.unknowns <= low) & (g < 0) | (point.unknowns >= high) & (g > 0))
         if converged or _decrement(problem, H, g, free) < _DECREMENT:
             converged = True
@@ -134,6 +134,13 @@ def solve(
     return Solution(point, tuple(iterations), converged, stuck)
 
 
+def within(problem: Problem, unknowns: F64) -> F64:
+    """The unknowns, clipped to their bounds."""
+    low, high = problem.bounds
+    clipped = np.clip(unknowns, low, high)
+    return np.asarray(np.minimum(clipped, problem.bounds_at(clipped)[1]))
+
+
 def _search(
     problem: Problem, point: Point, equations: tuple[F64, F64, NDArray[np.bool_]], damping: float, curved: bool
 ) -> tuple[Point | None, float, int]:
@@ -147,7 +154,6 @@ def _search(
     """
     H, g, free = equations
     whole = _decrement(problem, H, g, free)
-    low, high = problem.bounds
     best, best_damping, tried = None, damping, 0
     while damping < _MOST_DAMPING:
         step = _step(problem, H, g, free, damping)
@@ -157,7 +163,7 @@ def _search(
             tried += 1
         else:
             step_bent = step
-        trial = _evaluate(problem, np.clip(_moved(problem, point.unknowns, step_bent), low, high), point.weights)
+        trial = _evaluate(problem, within(problem, _moved(problem, point.unknowns, step_bent)), point.weights)
         tried += 1
         if trial is None or point.value - trial.value <= 1e-4 * promised:
             if best is not None:
