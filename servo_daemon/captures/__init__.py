@@ -6,8 +6,18 @@ and test can read the same files.
 """
 
 from servo_daemon.captures.model import Axis, Capture
+from servo_daemon.captures.order import in_canonical_order
 from servo_daemon.captures.read import read_capture
 from servo_daemon.captures.signal_map import SignalMap, load_signal_map
 from servo_daemon.captures.write import CaptureWriter, write_capture
 
-__all__ = ["Axis", "Capture", "CaptureWriter", "SignalMap", "load_signal_map", "read_capture", "write_capture"]
+__all__ = [
+    "Axis",
+    "Capture",
+    "CaptureWriter",
+    "SignalMap",
+    "in_canonical_order",
+    "load_signal_map",
+    "read_capture",
+    "write_capture",
+]

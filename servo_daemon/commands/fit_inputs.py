@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from servo_daemon.captures import Capture
+from servo_daemon.captures import Capture, in_canonical_order
 from servo_daemon.captures.model import capture_error
 from servo_daemon.captures.plausible import check_time_unit, plausibility_notes
 from servo_daemon.commands import common
@@ -65,7 +65,7 @@ def gather(
         BadInputError: a file, the config or a flag is wrong; one line naming it.
     """
     drive = common.offline_drive(arguments)
-    captures = common.read_captures(paths, arguments)
+    captures = in_canonical_order(common.read_captures(paths, arguments))
     validation = common.read_captures(validation_paths, arguments)
     for capture in (*captures, *validation):
         check_length(capture)

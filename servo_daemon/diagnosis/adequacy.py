@@ -18,6 +18,8 @@ import numpy as np
 from servo_daemon.diagnosis.cuts import mean_over_cuts
 from servo_daemon.diagnosis.data import Data
 from servo_daemon.diagnosis.dependence import Dependence, dependences
+from servo_daemon.diagnosis.determined import is_determined
+from servo_daemon.diagnosis.elsewhere import helps_no_other
 from servo_daemon.diagnosis.everything import WholeFits, by_predictions, exactness, fit_everything, fit_runs, over_a_gap
 from servo_daemon.diagnosis.evidence import LEAST_OWN, LEAST_TOGETHER, is_what_it_is_called, working_shares
 from servo_daemon.diagnosis.lacking import longest_missing
@@ -86,8 +88,29 @@ def believed(selection: Selection, whole_fits: WholeFits) -> Believed:
         follows = [d.relative for d in depends if d.on != "moments"]
         if follows and max(follows) > _LEFT * _explained(selection, before, missing):
             break
-        return _published(selection, levels)
+        if elsewhere := helps_no_other(selection):
+            if set(elsewhere) == set(selection.added):
+                break
+            selection = _without(selection, elsewhere[0])
+            continue
+        found = _published(selection, levels)
+        assert found.extended is not None
+        if vague := [name for name in selection.added if not is_determined(name, found.extended)]:
+            if len(vague) == len(selection.added):
+                break
+            selection = _without(selection, vague[0])
+            continue
+        return found
     return Believed(replace(selection, chosen=selection.base, added=(), equivalent={}), None, None, (), None)
+
+
+def _without(selection: Selection, name: str) -> Selection:
+    """The search's result less one of its effects, fitted anew."""
+    others = tuple(a for a in selection.added if a != name)
+    without = without_effect(selection.data, selection.chosen, name)
+    if without is None or not others:
+        return replace(selection, chosen=selection.base, added=(), equivalent={})
+    return replace(selection, chosen=without, added=others)
 
 
 def _published(selection: Selection, levels: NoiseLevels) -> Believed:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, fields, replace
 
 from threadpoolctl import threadpool_limits
 
-from servo_daemon.captures import Capture
+from servo_daemon.captures import Capture, in_canonical_order
 from servo_daemon.diagnosis.adequacy import Believed, believed
 from servo_daemon.diagnosis.data import Data
 from servo_daemon.diagnosis.dependence import dependences, is_large
@@ -66,7 +66,7 @@ def diagnose(
     # One thread for the linear algebra: matrices are small, the search has threads of its own, and the rounding of a
     # verdict near the edge must not depend on the machine's cores.
     with threadpool_limits(limits=1):
-        return _diagnose(captures, validation, options or DiagnoseOptions(), progress or _unheard)
+        return _diagnose(in_canonical_order(captures), validation, options or DiagnoseOptions(), progress or _unheard)
 
 
 def _diagnose(

@@ -43,6 +43,8 @@ OVERWHELMING_BIC, _CLEARLY = -1000.0, 0.1
 _PLAINLY = 0.2
 #: Least friction at the first step out of rest, over that at speed.
 _AT_REST = 0.95
+#: Thermal time constants of windings in catalogues: 2 s (6 mm across) to minutes.
+_FASTEST_HEAT_S = 1.0
 _SERIES = {"N·m": "torque", "V": "voltage"}
 
 
@@ -102,7 +104,12 @@ def noticeable(name: str, trial: Trial, missing: Missing) -> bool:
     shares = working_shares((name,), trial, missing)
     shares |= {p.name: abs(trial.values[p.name]) for p in effects_by_name()[name].parameters if p.name in _SHARES}
     shares.pop("Ts", None)
-    return not shares or max(shares.values()) > LEAST_SHARE
+    return (not shares or max(shares.values()) > LEAST_SHARE) and not _warms_at_once(name, trial.values)
+
+
+def _warms_at_once(name: str, values: Mapping[str, float]) -> bool:
+    """Whether a winding would get warm faster than any does: what follows the current's square so fast is no heat."""
+    return name == "winding_heating" and values["R_th"] * values["C_th"] < _FASTEST_HEAT_S
 
 
 def is_what_it_is_called(names: Iterable[str], values: Mapping[str, float]) -> bool:

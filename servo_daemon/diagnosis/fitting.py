@@ -59,7 +59,7 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: in
             # Worse than the model that it contains: it began in the wrong place.
             if best is not None and gained(best) > 0.0 and not p.far:
                 break
-        for start in _from_sizes(data, p) if bent else ():
+        for start in _by_sizes(data, p) if bent else ():
             best = _better(best, fit_trial(data, p.effects, start, max_iterations=_FIRST_ITERATIONS))
         return best
 
@@ -95,14 +95,13 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: in
     return tuple(sorted(found, key=lambda c: -c.against.gain))
 
 
-def _from_sizes(data: Data, p: Proposal) -> Iterator[Mapping[str, float]]:
-    """Where the model begins by the sizes of the signals: natural values, for each mechanical time constant."""
+def _by_sizes(data: Data, p: Proposal) -> Iterator[Mapping[str, float]]:
+    """Where the model begins by the sizes of the signals: natural values, one for each mechanical time constant."""
     known = effects_by_name()
-    held = {q.name: p.start[q.name] for e in p.effects for q in known[e].parameters if q.held == "always"}
-    problem = data.problem(p.effects, {n: v for n, v in held.items() if n not in data.fixed})
-    starts = [s for s in starting_points(data.recordings, problem, {}) if s.source == "signal sizes"]
-    for begun in {s.values["J"]: s.values for s in starts}.values():
-        yield {**begun, **held, **data.fixed}
+    held = {q.name: p.start[q.name] for e in p.effects for q in known[e].parameters if q.held == "always"} | data.fixed
+    starts = starting_points(data.recordings, data.problem(p.effects, held), {**held})
+    for begun in {s.values["J"]: s.values for s in starts if s.source.endswith("signal sizes")}.values():
+        yield {**begun, **held}
 
 
 def _over_the_gap(data: Data, current: Trial, p: Proposal, trial: Trial) -> Trial | None:

@@ -24,7 +24,14 @@ from servo_daemon.diagnosis.candidates import (
 )
 from servo_daemon.diagnosis.compare import advantage
 from servo_daemon.diagnosis.data import Data
-from servo_daemon.diagnosis.evidence import at_odds, half_convinces, needless, noticeable, speaks_against_screening, worth_a_name
+from servo_daemon.diagnosis.evidence import (
+    at_odds,
+    half_convinces,
+    needless,
+    noticeable,
+    speaks_against_screening,
+    worth_a_name,
+)
 from servo_daemon.diagnosis.fitting import COLOURED, Candidate, best_of, closer, fitted, ties
 from servo_daemon.diagnosis.lacking import leaves, leaves_less, seen_missing
 from servo_daemon.diagnosis.likelihood import Whole, needs_no_effect
@@ -147,12 +154,13 @@ def _round(search: _Search, missing: Missing, progress: Progress, workers: int) 
         progress(0.2, "once more with shorter free runs")
         found = _with_shorter_runs(found, [p for p in proposed if p.name.startswith(_UNSTABLE)], workers)
     search, candidates, best = found
-    if best is not None:
-        return found
-    if (first := next((c for c in candidates if half_convinces(c.against)), None)) is not None:
+    first = candidates[0] if candidates and candidates[0] is not best else None
+    if first is not None and half_convinces(first.against):
         progress(0.3, f"{first.name} and another")
-        return _beside(search, first, candidates, workers)
-    if _promised(screened) <= _PROMISING:
+        beside = _beside(search, first, candidates, workers)
+        if beside[2] is not None:
+            return beside
+    if best is not None or _promised(screened) <= _PROMISING:
         return found
     progress(0.3, "two causes at once")
     proposed = pairs(proposals(search.current, screened, missing, WORTH_A_PAIR), missing.augmented.channels)

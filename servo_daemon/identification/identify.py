@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from servo_daemon.captures import Capture
+from servo_daemon.captures import Capture, in_canonical_order
 from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, Recording, fit_output_error
 from servo_daemon.identification.drift import Drift, drift_of
 from servo_daemon.identification.play import fit_with_play
@@ -55,6 +55,7 @@ def identify(captures: Sequence[Capture], validation: Sequence[Capture], options
         BadInputError: captures that cannot be used together or at all.
         NumericalError: the model cannot be simulated over them.
     """
+    captures = in_canonical_order(captures)
     recordings = [Recording(str(c.path), c.block()) for c in captures]
     fit = None
     if "backlash" in options.effects:
@@ -65,4 +66,4 @@ def identify(captures: Sequence[Capture], validation: Sequence[Capture], options
         baseline = fit_output_error(recordings, options.baseline, options.fit)
     extended = None if baseline is None else fit
     scores = [validated(c, baseline or fit, extended, recordings, options.adapt) for c in validation]
-    return Identification(tuple(captures), fit, baseline, tuple(scores), drift_of(fit, recordings, options.fit))
+    return Identification(captures, fit, baseline, tuple(scores), drift_of(fit, recordings, options.fit))

@@ -19,7 +19,7 @@ from servo_daemon.samples import F64
 #: A combination known worse than this (1 σ, relative) is not worth a line.
 _USELESS = 0.5
 #: Part of a gradient along a null direction beyond which the combination is not determined.
-_LEAK = 1e-4
+LEAK = 1e-4
 
 #: Of `_CANDIDATES`, the first: the coefficients of ω/v = g/(1 + s p + s² q).
 _ANSWER = 3
@@ -137,5 +137,5 @@ def _combination(
             gradient[column] = (function(natural(q + step)) - function(natural(q - step))) / 2e-5
     leak = float(np.max(np.abs(info.exact @ gradient), initial=0.0))
     std = float(np.linalg.norm(gradient / scale @ info.root))
-    determined = leak <= _LEAK * float(np.linalg.norm(gradient)) and 0.0 < std < useless * abs(value)
+    determined = leak <= LEAK * float(np.linalg.norm(gradient)) and 0.0 < std < useless * abs(value)
     return (Combination(expression, value, std, unit) if determined else None), gradient

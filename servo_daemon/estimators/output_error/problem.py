@@ -26,7 +26,7 @@ from servo_daemon.samples import F64
 #: A state that the data do not show (the angle where only a speed is measured, the current of a fast winding) is kept
 #: near its start by a prior this many times as wide as the signal is large: it decides nothing where data do.
 _STATE_PRIOR = 100.0
-#: No winding of a servo motor is slower, s: catalogues have L/R of 0.1 ms (coreless) to 50 ms (frameless torque motors).
+#: No winding of a servo motor is slower, s: catalogues say L/R of 0.1 ms (coreless) to 50 ms (frameless torque motors).
 #: A slower one makes a spring of the winding (a torque −K²/L θ), which is the gravity of whatever the motor lifts.
 _SLOWEST_WINDING_S = 0.1
 
