@@ -19,15 +19,20 @@ from servo_daemon.diagnosis.evidence import OVERWHELMING_BIC
 from servo_daemon.diagnosis.gain import gain, measured_on
 from servo_daemon.diagnosis.inverse import found_by_balance
 from servo_daemon.diagnosis.lacking import longest_missing
+from servo_daemon.diagnosis.missing import Missing
+from servo_daemon.diagnosis.noise_floor import measured_levels, noise_floor
 from servo_daemon.diagnosis.predictions import found_by_predictions
 from servo_daemon.diagnosis.result import CandidateScore, Diagnosis, Finding
 from servo_daemon.diagnosis.select import Selection, select
-from servo_daemon.diagnosis.split import segment_length_s
+from servo_daemon.diagnosis.split import CHOICE, segment_length_s
 from servo_daemon.diagnosis.trial import first_trial
 from servo_daemon.errors import ServoDaemonError
 from servo_daemon.estimators.output_error import OutputErrorFit, Recording
 from servo_daemon.identification.validate import validated
 
+#: Errors of free runs that are not called explained: this share of the signal's RMS, and this many times what noise
+#: leaves (that floor is known to a factor of about 1.5: half a dozen runs, and levels of coarse sensors).
+_MUCH, _BEYOND_NOISE = 0.1, 2.0
 #: Told how far it is, 0 .. 1, and what is being done.
 Progress = Callable[[float, str], None]
 
@@ -103,7 +108,9 @@ def _by_free_runs(
     depends, remains = belief.depends_on, bool(belief.depends_on)
     if belief.extended is None and not baseline.white:
         depends = dependences(baseline, before)
-        remains = bool(depends) or is_large(before) or _speaks_for_something(selection)
+        remains = (
+            bool(depends) or is_large(before) or _speaks_for_something(selection) or _unexplained(selection, before)
+        )
     progress(0.58, "what differs between the captures")
     held = {**data.fixed, **selection.chosen.held}
     recordings = data.everything.recordings
@@ -146,6 +153,18 @@ def _speaks_for_something(selection: Selection) -> bool:
     """Whether a cause fits far better that does not predict better: free runs that drift off with the drive's own noise
     do not decide, and yet it is no noise that is left."""
     return any(c.against.delta_bic < OVERWHELMING_BIC for c in selection.rounds[0])
+
+
+def _unexplained(selection: Selection, before: Missing) -> bool:
+    """Whether free runs of the model err by much of the signal and by more than noise does: not knowing why is no
+    reason to call it explained.
+
+    Args:
+        before: what is missing under it.
+    """
+    trial = selection.base
+    floor = noise_floor(measured_levels(before), trial, CHOICE).nrmse
+    return trial.choice.nrmse > max(_MUCH, _BEYOND_NOISE * floor)
 
 
 def _named(d: Diagnosis, found: Finding) -> Diagnosis:

@@ -98,8 +98,9 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: in
 def _by_sizes(data: Data, p: Proposal) -> Iterator[Mapping[str, float]]:
     """Where the model begins by the sizes of the signals: natural values, one for each mechanical time constant."""
     known = effects_by_name()
-    held = {q.name: p.start[q.name] for e in p.effects for q in known[e].parameters if q.held == "always"} | data.fixed
-    starts = starting_points(data.recordings, data.problem(p.effects, held), {**held})
+    held = {q.name: p.start[q.name] for e in p.effects for q in known[e].parameters if q.held == "always"}
+    held = {**held, **data.fixed}
+    starts = starting_points(data.recordings, data.problem(p.effects, held), held)
     for begun in {s.values["J"]: s.values for s in starts if s.source.endswith("signal sizes")}.values():
         yield {**begun, **held}
 
