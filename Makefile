@@ -97,12 +97,12 @@ FIND_PYTHON = for python in $(or $(PYTHON),python3 python3.13 python3.12 python3
 	echo "make: no Python 3.11 or newer as: $(or $(PYTHON),python3 python3.13 python3.12 python3.11);" \
 	"install one or say PYTHON=/path/to/python3" >&2; exit 1
 
-# $(call install,LOCK): what LOCK names, said package by package, and how long it took.
+# $(call install,LOCK): what LOCK names, said package by package, and how long it took; pip's remarks only if it fails.
 define install
 @echo "$(VENV): installing the $$(grep -c '^[a-z].*==' $(1)) packages of $(1)"; \
-$(BIN)/python $(PIP_INSTALL) -r $(1) | while read -r verb what _; do case $$verb in \
+$(BIN)/python $(PIP_INSTALL) -r $(1) 2> $(VENV)/pip.log | while read -r verb what _; do case $$verb in \
   Collecting | Processing) what=$${what##*/}; printf ' %s' "$${what%%[-=<>]*}" ;; \
-  Installing) printf '\n%s: unpacking them\n' $(VENV) ;; esac; done; \
+  Installing) printf '\n%s: unpacking them\n' $(VENV) ;; esac; done || { echo; cat $(VENV)/pip.log >&2; exit 1; }; \
 echo "$(VENV): done in $$SECONDS s, $$(du -sh $(VENV) | cut -f1) on disk"
 endef
 
