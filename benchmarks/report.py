@@ -1,7 +1,7 @@
 """The measured tables of docs/benchmarks.md, from what the benchmarks print.
 
-    python -m benchmarks.report --measure wire-serial cost     # run these (or: all), keep what they print, then assemble
-    python -m benchmarks.report                                # assemble only: make bench-report
+    python -m benchmarks.report --measure wire-serial cost   # run these (or: all), keep what they print, assemble
+    python -m benchmarks.report                              # assemble only: make bench-report
 
 What a benchmark prints is kept as it is in `benchmarks/results/NAME.json`, with command, date, commit, machine and how
 long it took. In docs/benchmarks.md the lines between `<!-- bench NAME -->` and `<!-- /bench -->` are replaced by it.
@@ -27,7 +27,7 @@ ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
 PAGE = ROOT / "docs" / "benchmarks.md"
 
-_MONTE_CARLO = "--runs 2000 --motors paper --motions multisine --noises laboratory".split()
+_MONTE_CARLO = ("--runs", "2000", "--motors", "paper", "--motions", "multisine", "--noises", "laboratory")
 #: What follows `python`, by section.
 COMMANDS: Mapping[str, tuple[str, ...]] = {
     "wire-serial": ("benchmarks/wire_serial.py",),
@@ -172,14 +172,8 @@ def _machine() -> str:
 def main(argv: Sequence[str] | None = None) -> int:
     """Measures what is named and writes the page; 1 if a benchmark failed (the others are kept)."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.report")
-    parser.add_argument(
-        "--measure",
-        nargs="*",
-        default=[],
-        choices=["all", *COMMANDS],
-        metavar="NAME",
-        help=f"all, {', '.join(COMMANDS)}",
-    )
+    names = f"all, {', '.join(COMMANDS)}"
+    parser.add_argument("--measure", nargs="*", default=[], choices=["all", *COMMANDS], metavar="NAME", help=names)
     wanted = parser.parse_args(argv).measure
     failed = 0
     for name in COMMANDS if "all" in wanted else wanted:
