@@ -28,7 +28,7 @@ PIP_INSTALL := $(PIP) install --no-deps --no-build-isolation --require-hashes $(
 
 .PHONY: help
 help: ## this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-13s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 .PHONY: run
 run: $(VENV)/.project ## the daemon, with what running needs (ARGS: what follows `servo-daemon run`)
