@@ -1,6 +1,6 @@
 # Everything a clone needs, each target with its own set-up: `make help` lists the targets.
 #
-#   PYTHON=python3.12 make venv     another interpreter (3.11 or newer; only asked when .venv is first made)
+#   PYTHON=python3.12 make run      another interpreter (3.11 or newer; only asked when .venv is first made)
 #   make run ARGS="--config deploy/example.toml"
 #   make test ARGS="-k wire -x"
 #   make test WORKERS=0             in one process (for a debugger)
@@ -21,19 +21,22 @@ PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist workste
 
 # --no-deps: the lock is complete, nothing may be resolved beside it. --no-build-isolation: what has no wheel is built
 # with the setuptools of the lock, not with whatever a registry offers today. Which registry: pip's own configuration.
-PIP := -m pip --disable-pip-version-check --quiet
-PIP_INSTALL := $(PIP) install --no-deps --no-build-isolation --require-hashes
+# --no-compile: each module is compiled when it is first imported, not all of them now (deploy/install asks for --compile).
+COMPILE ?= --no-compile
+PIP := -m pip --disable-pip-version-check
+PIP_INSTALL := $(PIP) install --no-deps --no-build-isolation --require-hashes $(COMPILE)
 
 .PHONY: help
 help: ## this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
-
-.PHONY: venv
-venv: $(VENV)/.project ## .venv with everything in it, exactly as locked, and .venv/bin/servo-daemon
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-13s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 .PHONY: run
-run: venv ## the daemon (ARGS: what follows `servo-daemon run`)
-	exec $(BIN)/servo-daemon run $(ARGS)
+run: $(VENV)/.project ## the daemon, with what running needs (ARGS: what follows `servo-daemon run`)
+	@echo "servo-daemon run $(ARGS): first values in about 3 s; Ctrl-C ends it"
+	@exec $(BIN)/servo-daemon run $(ARGS)
+
+.PHONY: venv
+venv: $(VENV)/.project $(VENV)/.development ## .venv with everything in it, exactly as locked: servo-daemon and all tools
 
 .PHONY: test
 test: venv ## the fast tests (ARGS for pytest)
@@ -63,9 +66,12 @@ lint: venv ## ruff, its formatter, mypy --strict, the import contracts
 	$(BIN)/lint-imports --no-logo
 
 .PHONY: bench
-bench: venv ## every benchmark: each prints ours, the rival or limit, and the ratio
-	shopt -s nullglob; for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python $$file; done; \
-	$(BIN)/python -m benchmarks.tracking
+bench: venv ## every benchmark, into docs/benchmarks.md (many hours); ARGS="wire-serial cost": only these
+	$(BIN)/python -m benchmarks.report --measure $(or $(ARGS),all)
+
+.PHONY: bench-report
+bench-report: venv ## the tables of docs/benchmarks.md from what the benchmarks printed last (benchmarks/results)
+	$(BIN)/python -m benchmarks.report
 
 .PHONY: install
 install: ## as root: into PREFIX (/opt/servo-daemon) without development tools, with the systemd unit and the udev rules
@@ -91,27 +97,36 @@ FIND_PYTHON = for python in $(or $(PYTHON),python3 python3.13 python3.12 python3
 	echo "make: no Python 3.11 or newer as: $(or $(PYTHON),python3 python3.13 python3.12 python3.11);" \
 	"install one or say PYTHON=/path/to/python3" >&2; exit 1
 
+# $(call install,LOCK): what LOCK names, said package by package, and how long it took; pip's remarks only if it fails.
+define install
+@echo "$(VENV): installing the $$(grep -c '^[a-z].*==' $(1)) packages of $(1)"; \
+$(BIN)/python $(PIP_INSTALL) -r $(1) 2> $(VENV)/pip.log | while read -r verb what _; do case $$verb in \
+  Collecting | Processing) what=$${what##*/}; printf ' %s' "$${what%%[-=<>]*}" ;; \
+  Installing) printf '\n%s: unpacking them\n' $(VENV) ;; esac; done || { echo; cat $(VENV)/pip.log >&2; exit 1; }; \
+echo "$(VENV): done in $$SECONDS s, $$(du -sh $(VENV) | cut -f1) on disk"
+endef
+
 # A virtual environment that still runs is kept, whoever made it; one whose interpreter is gone is made anew.
 $(VENV)/.runtime: requirements.lock
 	@if ! $(BIN)/python -c 'import pip' 2>/dev/null; then \
 	  python=$$($(FIND_PYTHON)); echo "$(VENV): $$($$python --version), $$(command -v $$python)"; \
+	  echo "$(VENV): less than a minute with a warm package cache; else as long as 190 MB take to download"; \
 	  $$python -m venv --clear $(VENV) || { echo "make: 'python3 -m venv' failed" \
 	    "(on Debian and Ubuntu it is a package of its own: apt install python3-venv)" >&2; exit 1; }; fi
-	@echo "$(VENV): installing what requirements.lock names"
-	@$(BIN)/python $(PIP_INSTALL) -r <(sed -n '/^setuptools==/,/[^\\]$$/p' requirements.lock)
-	@$(BIN)/python $(PIP_INSTALL) -r requirements.lock
+	@$(BIN)/python $(PIP_INSTALL) --quiet -r <(sed -n '/^setuptools==/,/[^\\]$$/p' requirements.lock)
+	$(call install,requirements.lock)
 	@touch $@
 
-$(VENV)/.development: $(VENV)/.runtime requirements-dev.lock
-	@echo "$(VENV): installing what requirements-dev.lock names"
-	@$(BIN)/python $(PIP_INSTALL) -r requirements-dev.lock
+$(VENV)/.project: $(VENV)/.runtime pyproject.toml
+	@$(BIN)/python $(PIP) install --quiet --no-deps --no-build-isolation --editable .
 	@touch $@
 
-$(VENV)/.project: $(VENV)/.development pyproject.toml
-	@$(BIN)/python $(PIP) install --no-deps --no-build-isolation --editable .
-	@$(BIN)/python $(PIP) check
+# After .project, never beside it: one pip at a time.
+$(VENV)/.development: requirements-dev.lock | $(VENV)/.project
+	$(call install,requirements-dev.lock)
+	@$(BIN)/python $(PIP) --quiet check
 	@touch $@
 
 $(VENV)/.lock-tools: | $(VENV)/.development
 	$(BIN)/python -m venv $@
-	$@/bin/python $(PIP) install uv==$(UV_VERSION)
+	$@/bin/python $(PIP) install --quiet uv==$(UV_VERSION)
