@@ -66,7 +66,7 @@ def believed(selection: Selection, whole_fits: WholeFits) -> Believed:
     before = longest_missing(data, selection.base) if selection.added else None
     while selection.added:
         assert before is not None
-        extended = fit_everything(data, selection.chosen, whole_fits)
+        extended = _to_all(data, selection, whole_fits)
         missing = longest_missing(data, extended)
         levels = measured_levels(missing)
         floor = noise_floor(levels, selection.chosen, CHOICE).nrmse
@@ -93,14 +93,12 @@ def believed(selection: Selection, whole_fits: WholeFits) -> Believed:
                 break
             selection = _without(selection, elsewhere[0])
             continue
-        found = _published(selection, levels)
-        assert found.extended is not None
-        if vague := [name for name in selection.added if not is_determined(name, found.extended)]:
+        if vague := [name for name in selection.added if not is_determined(name, extended)]:
             if len(vague) == len(selection.added):
                 break
             selection = _without(selection, vague[0])
             continue
-        return found
+        return _published(selection, levels)
     return Believed(replace(selection, chosen=selection.base, added=(), equivalent={}), None, None, (), None)
 
 
@@ -116,13 +114,24 @@ def _without(selection: Selection, name: str) -> Selection:
 def _published(selection: Selection, levels: NoiseLevels) -> Believed:
     """What was decided on the parts for fitting and choosing, fitted to all the data."""
     data, trial = selection.data.everything, selection.chosen
-    extended = _straight(data, trial, fit_everything(data, trial, WholeFits(data)))
+    extended = _straight(data, trial, _to_all(data, selection, WholeFits(data)))
     missing = longest_missing(data, extended)
     depends = () if extended.white else dependences(extended, missing)
     better = by_predictions(data, extended)
     if better is not extended:
         extended, missing, depends = better, longest_missing(data, better), ()
     return Believed(selection, over_a_gap(data, extended, trial.values), missing, depends, levels)
+
+
+def _to_all(data: Data, selection: Selection, whole_fits: WholeFits) -> OutputErrorFit:
+    """As `fit_everything`; where the data are not white from where the search has come to, from where screening put the
+    effect: free runs that follow a drift may have bent a spring to follow it, too."""
+    fit = fit_everything(data, selection.chosen, whole_fits)
+    taken = [c for candidates in selection.rounds for c in candidates if c.taken]
+    if fit.white or len(taken) != 1 or taken[0].start is None or taken[0].trial.effects != selection.chosen.effects:
+        return fit
+    other = whole_fits.of(selection.chosen, taken[0].start)
+    return other if other is not None and other.white else fit
 
 
 def _straight(data: Data, trial: Trial, fit: OutputErrorFit) -> OutputErrorFit:

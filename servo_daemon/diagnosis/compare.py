@@ -56,10 +56,9 @@ def bootstrapped(a: Scored, b: Scored) -> tuple[float, float, float]:
     return float(gains(np.ones(len(a.squares)))), float(low), float(high)
 
 
-def bootstrapped_sum(per_run: F64) -> tuple[float, float]:
-    """Ends of the 95 % interval of a sum over free runs, shape (h,), of which each might have been drawn again."""
-    low, high = np.quantile(_resamples(len(per_run)) @ per_run, [0.025, 0.975])
-    return float(low), float(high)
+def surely_positive(per_run: F64) -> bool:
+    """Whether a sum over free runs, shape (h,), is positive (95 %, one-sided: each run might have been drawn again)."""
+    return bool(np.quantile(_resamples(len(per_run)) @ per_run, 0.05) > 0.0)
 
 
 def _delta_bic(simple: Trial, rich: Trial) -> float:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_daemon.diagnosis.compare import bootstrapped_sum
+from servo_daemon.diagnosis.compare import surely_positive
 from servo_daemon.diagnosis.data import Data
 from servo_daemon.diagnosis.everything import fit_whole
 from servo_daemon.diagnosis.lacking import longest_missing
@@ -99,7 +99,7 @@ def predictions_of_both(data: Data, simple: Seen, rich: Seen) -> tuple[Predicted
     # A model that is far off may not settle on less: as fitted to all of this it has seen what it predicts.
     fits = [less[0] or simple[1], less[1]]
     before, after = (None if f is None else predicted(f, deciding, levels) for f in fits)
-    if before is None or after is None or bootstrapped_sum(before.deviance - after.deviance)[0] <= 0.0:
+    if before is None or after is None or not surely_positive(before.deviance - after.deviance):
         return None
     if data.split.measuring == CHOICE:
         return before, after

@@ -37,7 +37,7 @@ def test_emps_friction_by_direction_and_along_the_screw(servo_data: Path) -> Non
 def test_xl330_lifts_a_pendulum(servo_data: Path) -> None:
     document = diagnosed(servo_data / "xl330_sin_time_square_kp100.csv.gz")
     assert "gravity_load" in names(document)
-    assert 0.9 < document["gain"]["error_removed"] <= 1.0
+    assert 0.9 < document["gain"]["error_removed"] < 1.05  # not clipped: n is known to a few percent
     assert 0.04 < document["extended"]["heldout_nrmse"] < 0.07  # baseline: 0.32
 
 
