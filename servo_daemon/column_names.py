@@ -33,7 +33,9 @@ UNITS: dict[str, tuple[str, float]] = {
     **dict.fromkeys(("rpm", "1/min", "min-1", "min^-1", "u/min", "rev/min", "r/min", "revs/min"), ("speed", RPM)),
     **dict.fromkeys(("rps", "rev/s", "revs/s", "turn/s", "turns/s", "u/s"), ("speed", TURN)),
     "erpm": ("erpm", RPM),
-    **dict.fromkeys(("count", "counts", "cnt", "cnts", "tick", "ticks", "pulses", "inc", "lsb", "cts"), ("counts", 1.0)),
+    **dict.fromkeys(
+        ("count", "counts", "cnt", "cnts", "tick", "ticks", "pulses", "inc", "lsb", "cts"), ("counts", 1.0)
+    ),
     **dict.fromkeys(("nm", "n·m", "n*m", "newtonmeter"), ("torque", 1.0)),
     **dict.fromkeys(("mnm", "mn·m"), ("torque", 1e-3)),
     **dict.fromkeys(("ncm", "n·cm"), ("torque", 1e-2)),
@@ -66,32 +68,137 @@ COLUMNS: dict[str, str] = {
     "erpm": "erpm",
 }
 
+
+def _set(words: str) -> frozenset[str]:
+    return frozenset(words.split())
+
+
 #: What is wanted of the motor is no measurement of it, nor are the d axis, an error, a limit, or the supply's current.
 _NOT_MEASURED = frozenset(
-    "target ref reference set setpoint sp cmd command commanded desired demand soll goal des err error max min limit "
-    "d id ud vd std var average gnss acc gyro roll pitch yaw kp ki kd dt delta period loop "
-    "sample samples frame index idx seq packet".split()
+    [
+        "target",
+        "ref",
+        "reference",
+        "set",
+        "setpoint",
+        "sp",
+        "cmd",
+        "command",
+        "commanded",
+        "desired",
+        "demand",
+        "soll",
+        "goal",
+        "des",
+        "err",
+        "error",
+        "max",
+        "min",
+        "limit",
+        "d",
+        "id",
+        "ud",
+        "vd",
+        "std",
+        "var",
+        "average",
+        "gnss",
+        "acc",
+        "gyro",
+        "roll",
+        "pitch",
+        "yaw",
+        "kp",
+        "ki",
+        "kd",
+        "dt",
+        "delta",
+        "period",
+        "loop",
+        "sample",
+        "samples",
+        "frame",
+        "index",
+        "idx",
+        "seq",
+        "packet",
+    ]
 )
-_SUPPLY = frozenset("supply bus vbus ubus vcc vdd battery batt vbat input dc dclink psu versorgung ibus isupply".split())
+_SUPPLY = frozenset(
+    [
+        "supply",
+        "bus",
+        "vbus",
+        "ubus",
+        "vcc",
+        "vdd",
+        "battery",
+        "batt",
+        "vbat",
+        "input",
+        "dc",
+        "dclink",
+        "psu",
+        "versorgung",
+        "ibus",
+        "isupply",
+    ]
+)
 
 #: Quantity -> words of a name that mean it, the first that fits; whether its SI unit may be taken for granted.
 _WORDS: tuple[tuple[str, bool, frozenset[str]], ...] = (
-    ("time", True, frozenset("t time timestamp timestamps zeit temps tiempo tout clock elapsed uptime ts".split())),
-    ("duty", True, frozenset("duty pwm dutycycle".split())),
-    ("voltage", True, frozenset("v u voltage voltages volt volts spannung tension uq vq va ua vm vmot vmotor".split())),
-    ("voltage", False, frozenset("vin uin".split())),
-    ("current", True, frozenset("i current currents strom courant curr amp amps ampere iq im ia imot imotor".split())),
-    ("torque", True, frozenset("torque tau drehmoment moment couple tq".split())),
-    ("force", True, frozenset("force kraft".split())),
-    ("temperature", False, frozenset("temp temperature temperatur".split())),
-    ("speed", True, frozenset("omega w ω thetadot dtheta qdot dq".split())),
-    ("speed", False, frozenset("speed vel velocity drehzahl geschwindigkeit vitesse".split())),
-    ("counts", True, frozenset("counts count cnt ticks tick pulses enc encoder quad qei inkremente".split())),
-    ("angle", True, frozenset("theta phi θ φ q".split())),
-    ("angle", False, frozenset("angle pos position winkel angolo".split())),
+    ("time", True, _set("t time timestamp timestamps zeit temps tiempo tout clock elapsed uptime ts")),
+    ("duty", True, _set("duty pwm dutycycle")),
+    (
+        "voltage",
+        True,
+        frozenset(
+            [
+                "v",
+                "u",
+                "voltage",
+                "voltages",
+                "volt",
+                "volts",
+                "spannung",
+                "tension",
+                "uq",
+                "vq",
+                "va",
+                "ua",
+                "vm",
+                "vmot",
+                "vmotor",
+                "uarm",
+                "varm",
+                "umot",
+                "umotor",
+            ]
+        ),
+    ),
+    ("voltage", False, _set("vin uin")),
+    (
+        "current",
+        True,
+        _set("i current currents strom courant curr amp amps ampere iq im ia iarm imot imotor"),
+    ),
+    ("torque", True, _set("torque tau drehmoment moment couple tq")),
+    ("force", True, _set("force kraft")),
+    ("temperature", False, _set("temp temperature temperatur")),
+    ("speed", True, _set("omega w ω thetadot dtheta qdot dq")),
+    ("speed", False, _set("speed vel velocity drehzahl geschwindigkeit vitesse")),
+    ("counts", True, _set("counts count cnt ticks tick pulses enc encoder quad qei inkremente")),
+    ("angle", True, _set("theta phi θ φ q")),
+    ("angle", False, _set("angle pos position winkel angolo")),
 )
 #: German compounds: "Ankerspannung", "Motorstrom".
-_ENDS = (("spannung", "voltage"), ("strom", "current"), ("drehzahl", "speed"), ("winkel", "angle"), ("moment", "torque"))
+_ENDS = (
+    ("spannung", "voltage"),
+    ("strom", "current"),
+    ("drehzahl", "speed"),
+    ("winkel", "angle"),
+    ("moment", "torque"),
+)
 
 #: Names that mean one thing by the program that writes them: quantity, factor.
 _WHOLE: dict[str, tuple[str, float]] = {
@@ -214,5 +321,5 @@ def _quantity(words: list[str]) -> tuple[str, bool]:
     for word in lower:
         for end, quantity in _ENDS:
             if word.endswith(end):
-                return quantity, quantity in ("voltage", "current", "torque")
+                return quantity, quantity in ("voltage", "current")
     return "", False

@@ -112,6 +112,11 @@ def is_number(cell: str) -> bool:
     return _NUMBER.fullmatch(cell) is not None
 
 
+def is_comma_number(cell: str) -> bool:
+    """A number with a decimal comma."""
+    return _COMMA_NUMBER.fullmatch(cell.strip()) is not None
+
+
 def clock_seconds(cell: str) -> float | None:
     """Seconds of a time of day or a date with time; None: it is neither."""
     text = cell.strip().strip('"')
@@ -139,7 +144,9 @@ def detect(lines: Sequence[str]) -> tuple[Dialect, int] | None:
     if not rows:
         return None
     base = Dialect(
-        quoted_lines=_most(rows, lambda r: len(r) > 2 and r[0] == r[-1] == '"' and '"' not in r[1:-1].replace('""', "")),
+        quoted_lines=_most(
+            rows, lambda r: len(r) > 2 and r[0] == r[-1] == '"' and '"' not in r[1:-1].replace('""', "")
+        ),
         stamped=_most(rows, lambda r: _STAMP.match(r) is not None),
     )
     best: tuple[float, int, Dialect] | None = None

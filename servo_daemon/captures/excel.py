@@ -138,7 +138,9 @@ def read_excel(path: Path, raw: BinaryIO, signal_map: SignalMap | None) -> Sheet
 
 def _makes_a_capture(held: Sequence[HeldSignal]) -> bool:
     """Whether a sheet has a time beside something else by its columns' names."""
-    columns = {s.name if s.name in KNOWN_COLUMNS else m.column for s in held if (m := meaning(s.name, s.unit)) is not None}
+    columns = {
+        s.name if s.name in KNOWN_COLUMNS else m.column for s in held if (m := meaning(s.name, s.unit)) is not None
+    }
     return "time_s" in columns and len(columns) > 1
 
 
@@ -155,7 +157,9 @@ def _check_unpacked(path: Path, raw: BinaryIO) -> None:
         size = sum(part.file_size for part in parts.infolist())
     raw.seek(0)
     if size > MAX_BYTES:
-        raise capture_error(path, f"{size >> 20} MB unpacked: at most {MAX_BYTES >> 20} MB are read; cut the capture up")
+        raise capture_error(
+            path, f"{size >> 20} MB unpacked: at most {MAX_BYTES >> 20} MB are read; cut the capture up"
+        )
 
 
 def _sheet(path: Path, sheet: Any) -> _Sheet:

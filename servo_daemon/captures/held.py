@@ -85,9 +85,7 @@ def proposal(held: Sequence[HeldSignal], *, timed: bool = False) -> str:
     )
 
 
-def _best(
-    meant: Sequence[tuple[HeldSignal, Meaning]], columns: Sequence[str]
-) -> tuple[HeldSignal, Meaning] | None:
+def _best(meant: Sequence[tuple[HeldSignal, Meaning]], columns: Sequence[str]) -> tuple[HeldSignal, Meaning] | None:
     """The signal that most likely is one of these columns: what is told before what is guessed."""
     fitting = [(s, m) for s, m in meant if m.column in columns]
     return min(fitting, key=lambda c: (not c[1].certain, not c[1].told, columns.index(c[1].column)), default=None)

@@ -9,7 +9,15 @@ from pathlib import Path
 from typing import TextIO
 
 from servo_daemon.captures.bounded import MAX_LINE
-from servo_daemon.captures.dialect import COMMENTS, Dialect, clock_seconds, detect, is_number, value_columns
+from servo_daemon.captures.dialect import (
+    COMMENTS,
+    Dialect,
+    clock_seconds,
+    detect,
+    is_comma_number,
+    is_number,
+    value_columns,
+)
 from servo_daemon.captures.layout import KNOWN_COLUMNS, METADATA_LINE
 from servo_daemon.captures.model import capture_error
 from servo_daemon.column_names import meaning, unit_of
@@ -18,6 +26,8 @@ from servo_daemon.column_names import meaning, unit_of
 _LOOKED_AT, _LINES = MAX_LINE, 400
 #: Of the characters looked at, control characters that a binary file has more of: boot noise of a serial log has few.
 _BINARY = 0.05
+#: What is no UTF-8 is Windows-1252 only if its letters beyond ASCII are as few as in a European text.
+_FOREIGN = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +77,7 @@ def read_preamble(path: Path, text: TextIO) -> Preamble:
     """
     head = text.read(_LOOKED_AT)
     text.seek(0)
-    _check_text(path, head)
+    _check_text(path, head, text.encoding)
     lines = head.splitlines()
     if len(head) == _LOOKED_AT and len(lines) > 1:
         del lines[-1]  # it may be cut off
@@ -78,10 +88,14 @@ def read_preamble(path: Path, text: TextIO) -> Preamble:
     return _ours(sorted_lines) or _foreign(path, sorted_lines)
 
 
-def _check_text(path: Path, head: str) -> None:
-    strange = sum((c < " " and c not in "\t\r\n\f") or c == "\ufffd" for c in head[:4096])
-    if strange > _BINARY * len(head[:4096]):
+def _check_text(path: Path, head: str, encoding: str) -> None:
+    start = head[:4096]
+    strange = sum((c < " " and c not in "\t\r\n\f") or c == "\ufffd" for c in start)
+    foreign = sum(c > "~" for c in start) if encoding == "cp1252" else 0
+    if strange > _BINARY * len(start) or foreign > _FOREIGN * len(start):
         raise capture_error(path, "not a text file: CSV, gzipped CSV or Parquet is expected", line=1)
+    if len(head) == _LOOKED_AT and not set("\r\n") & set(head):
+        raise capture_error(path, f"not a text file: a line of more than {MAX_LINE} bytes", line=1)
 
 
 def _sorted(lines: Sequence[str]) -> _Lines:
@@ -108,7 +122,7 @@ def _ours(lines: _Lines) -> Preamble | None:
         return None
     cells = next(csv.reader([lines.content[1][1].strip()]), []) if len(lines.content) > 1 else []
     unusual = (len(cells) == len(names) + 1 and not cells[-1].strip()) or (
-        len(cells) == len(names) and (_are_units(cells) or any("," in cell for cell in cells))
+        len(cells) == len(names) and (_are_units(cells) or any(map(is_comma_number, cells)))
     )
     if unusual:
         return None
@@ -162,11 +176,11 @@ def _foreign(path: Path, lines: _Lines) -> Preamble:
 
 
 def _is_row(cells: Sequence[str], values: Sequence[bool]) -> bool:
-    """Values, or nothing, wherever most rows have values."""
+    """Values in half of the columns or more in which most rows have values: one that cannot be read is a bad row."""
     if len(cells) != len(values):
         return False
     kept = [c for c, value in zip(cells, values, strict=True) if value]
-    return any(kept) and all(not c or is_number(c) or clock_seconds(c) is not None for c in kept)
+    return 0 < len(kept) <= 2 * sum(is_number(c) or clock_seconds(c) is not None for c in kept)
 
 
 def _header(before: Sequence[tuple[int, str]], dialect: Dialect, width: int) -> tuple[int, list[str]] | None:
@@ -180,7 +194,9 @@ def _header(before: Sequence[tuple[int, str]], dialect: Dialect, width: int) -> 
             return number, names
         found = found or (number, names)
     if found is None:  # names that are units only: "ms,mV,mA,counts"
-        found = next(((n, c) for n, raw in reversed(before) if (c := dialect.names(raw, width)) and _are_units(c)), None)
+        found = next(
+            ((n, c) for n, raw in reversed(before) if (c := dialect.names(raw, width)) and _are_units(c)), None
+        )
     return found
 
 

@@ -63,9 +63,7 @@ def read_capture(
         raise capture_error(path, f"cannot be read: {error.strerror or error}") from error
 
 
-def _read_kind(
-    path: Path, raw: BinaryIO, head: bytes, signal_map: SignalMap | None, options: ReadOptions
-) -> Capture:
+def _read_kind(path: Path, raw: BinaryIO, head: bytes, signal_map: SignalMap | None, options: ReadOptions) -> Capture:
     """What each kind of file is read by. The readers are imported here: each brings a library with it."""
     if head.startswith(b"PAR1"):
         from servo_daemon.captures.parquet import read_parquet

@@ -37,7 +37,7 @@ class ReadOptions:
 
 
 def parse_supply(text: str) -> float:
-    """"12" or "12/255" (volts at full scale over full scale) as volts per unit of the duty.
+    """ "12" or "12/255" (volts at full scale over full scale) as volts per unit of the duty.
 
     Raises:
         BadInputError: neither.

@@ -79,9 +79,7 @@ class Recording(Protocol):
         """Where in the file a sample is, for messages."""
 
 
-def assemble(
-    recording: Recording, signal_map: SignalMap | None, options: ReadOptions | None = None
-) -> Capture:
+def assemble(recording: Recording, signal_map: SignalMap | None, options: ReadOptions | None = None) -> Capture:
     """The capture in a recording, checked like any other.
 
     Args:
@@ -126,9 +124,7 @@ def assemble(
     )
 
 
-def _understood(
-    recording: Recording, found: Understood, time_s: F64, options: ReadOptions
-) -> tuple[str, ...]:
+def _understood(recording: Recording, found: Understood, time_s: F64, options: ReadOptions) -> tuple[str, ...]:
     """One line of what was made of a file that is not written as ours are; none of one that is."""
     parts = [*recording.told, *found.told]
     if not parts and options.rate_hz is None:
@@ -143,7 +139,12 @@ def _with_time(
 ) -> tuple[MappedColumn, ...]:
     """A signal time_s needs no line in the map."""
     time = [signal for signal in recording.held if signal.short == "time_s"]
-    if recording.timed or options.rate_hz is not None or len(time) != 1 or any(column.name == "time_s" for column in columns):
+    if (
+        recording.timed
+        or options.rate_hz is not None
+        or len(time) != 1
+        or any(column.name == "time_s" for column in columns)
+    ):
         return columns
     return (MappedColumn("time_s", (SignalRef("value", time[0].name),)), *columns)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import TextIO
 
@@ -100,9 +100,8 @@ class TextTable:
             return None
         most = MAX_CELLS // width + 1
         try:
-            table = np.loadtxt(
-                chain([first], lines), delimiter=dialect.separator, comments=None, ndmin=2, max_rows=most
-            )
+            rows = islice(chain([first], lines), most)
+            table = np.loadtxt(rows, delimiter=dialect.separator, comments=None, ndmin=2)
         except ValueError:
             return None
         check_cells(self._path, len(table), width)
@@ -118,7 +117,7 @@ class TextTable:
         try:
             for row in reader:
                 line, before = before + 1, self._preamble.skip + reader.line_num  # a quoted cell may hold line ends
-                if not any(map(str.strip, row)) or row[0].lstrip().startswith(COMMENTS):
+                if not row or (len(row) == 1 and not row[0].strip()) or row[0].startswith(COMMENTS):
                     continue
                 try:
                     rows.append(self._numbers(row, wanted, line))
@@ -131,9 +130,7 @@ class TextTable:
                 if len(rows) % 100_000 == 0:
                     check_cells(self._path, len(rows), self._preamble.width)
         except csv.Error as error:
-            raise capture_error(
-                self._path, f"not CSV, a quote without its end? ({error})", line=before + 1
-            ) from error
+            raise capture_error(self._path, f"not CSV, a quote without its end? ({error})", line=before + 1) from error
         self._lines = lines
         table = np.array(rows, dtype=np.float64).reshape(len(rows), len(wanted))
         found = {i: table[:, k].copy() for k, i in enumerate(wanted)}

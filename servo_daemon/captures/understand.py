@@ -17,7 +17,7 @@ from servo_daemon.captures.program_logs import ProgramLog, program_log
 from servo_daemon.captures.read_options import ReadOptions
 from servo_daemon.captures.signal_map import COUNTS, MappedColumn, SignalRef
 from servo_daemon.captures.signal_values import Values, duty_needs_scale, time_scale, unit_is_open, wrap_of
-from servo_daemon.column_names import Meaning, meaning, unit_of
+from servo_daemon.column_names import UNITS, Meaning, meaning, unit_of
 
 if TYPE_CHECKING:
     from servo_daemon.captures.recording import Recording
@@ -338,6 +338,9 @@ def _what_to_do(
         return "; ".join(parts)
     if all(not units for _, _, units in asked.values()) and asked and not _still_lacks(asked):
         return "; ".join(parts)
+    for signal, (column, _, units) in asked.items():
+        if units and (scale := UNITS[units[0].lower()][1]):
+            parts.append(f'if in {units[0]}: {column} = {{ signal = "{signal}", scale = {scale:.7g} }}')
     if recording.held:
         parts.append(proposal(recording.held, timed=timed))
     parts.append(f"needed: {NEEDED}")

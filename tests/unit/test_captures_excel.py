@@ -80,15 +80,15 @@ BAD: dict[str, tuple[dict[str, Sequence[Sequence[Any]]], str]] = {
     "only one, empty": ({"A": []}, "no column time_s; the file holds no numeric signal"),
     "names": (
         {"A": [["t / ms", "Spannung"], [0, 1], [1, 2]]},
-        "no column time_s; the file holds t / ms (2), Spannung (2); needed: ",
+        "no usable set of columns; the file holds t / ms (2), Spannung (2); say which signal is which: ",
     ),
     "proposal": (
-        {"A": [["t / ms", "Spannung"], [0, 1]]},
+        {"A": [["t / ms", "Spannung"], [0, 1], [1, 2]]},
         'signals = { time_s = { signal = "t / ms", scale = 0.001 }, voltage_V = "Spannung", ',
     ),
     "several": (
-        {"A": [["t", "U"], [0, 1]], "B": [["x", "y"], ["s", "V"], [1, 2]]},
-        "no sheet has the columns needed: sheet A: t (1), U (1); sheet B: x (1, s), y (1, V); say which",
+        {"A": [["t", "a"], [0, 1]], "B": [["x", "y"], ["s", "V"], [1, 2]]},
+        "no sheet has the columns needed: sheet A: t (1), a (1); sheet B: x (1, s), y (1, V); say which",
     ),
     "twice": ({"A": [[*HEADER, "time_s"], *ROWS]}, "column time_s: there are 2 of this name"),
     "header only": ({"A": [HEADER]}, "sheet A: a header but no rows: at least 2 samples are needed"),

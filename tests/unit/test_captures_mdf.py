@@ -174,11 +174,6 @@ def test_group_and_time_channel(tmp_path: Path) -> None:
         ('"late"', "the signals have no time in common: voltage_V 100 … 100.2 s, current_A 0 …"),
         ('"again"', "sample 2, column again: time is repeated: 0.0 after 0.0"),
         ('{ signal = "U", row = 1 }', "an MDF channel has no 'column' or 'row'"),
-        (
-            None,
-            "no usable set of columns; the file holds U (200, group 0, V), i (200, group 0, mA), nan",
-        ),
-        (None, 'signals = { voltage_V = "U", current_A = { signal = "i", scale = 0.001 }, position_rad = "…" }'),
     ],
 )
 def test_bad_mdf_is_one_line_naming_the_place(tmp_path: Path, voltage: str | None, message: str) -> None:
