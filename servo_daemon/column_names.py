@@ -1,4 +1,4 @@
-"""What a column is by the name people give it: quantity and unit ("t_us", "i_q_A", "Spannung [mV]", "speed_rpm", "enc").
+"""What a column is by the name people give it: quantity and unit ("t_us", "i_q_A", "Spannung [mV]", "enc").
 
 One table for captures and for the text wire. A name whose unit nobody can know ("speed" may be in rpm or rad/s) has a
 meaning that is not certain: it is asked about, never applied.
@@ -74,76 +74,12 @@ def _set(words: str) -> frozenset[str]:
 
 
 #: What is wanted of the motor is no measurement of it, nor are the d axis, an error, a limit, or the supply's current.
-_NOT_MEASURED = frozenset(
-    [
-        "target",
-        "ref",
-        "reference",
-        "set",
-        "setpoint",
-        "sp",
-        "cmd",
-        "command",
-        "commanded",
-        "desired",
-        "demand",
-        "soll",
-        "goal",
-        "des",
-        "err",
-        "error",
-        "max",
-        "min",
-        "limit",
-        "d",
-        "id",
-        "ud",
-        "vd",
-        "std",
-        "var",
-        "average",
-        "gnss",
-        "acc",
-        "gyro",
-        "roll",
-        "pitch",
-        "yaw",
-        "kp",
-        "ki",
-        "kd",
-        "dt",
-        "delta",
-        "period",
-        "loop",
-        "sample",
-        "samples",
-        "frame",
-        "index",
-        "idx",
-        "seq",
-        "packet",
-    ]
+_NOT_MEASURED = _set(
+    "target ref reference set setpoint sp cmd command commanded desired demand soll goal des err "
+    "error max min limit d id ud vd std var average gnss acc gyro roll pitch yaw kp ki kd dt delta "
+    "period loop sample samples frame index idx seq packet"
 )
-_SUPPLY = frozenset(
-    [
-        "supply",
-        "bus",
-        "vbus",
-        "ubus",
-        "vcc",
-        "vdd",
-        "battery",
-        "batt",
-        "vbat",
-        "input",
-        "dc",
-        "dclink",
-        "psu",
-        "versorgung",
-        "ibus",
-        "isupply",
-    ]
-)
+_SUPPLY = _set("supply bus vbus ubus vcc vdd battery batt vbat input dc dclink psu versorgung ibus isupply")
 
 #: Quantity -> words of a name that mean it, the first that fits; whether its SI unit may be taken for granted.
 _WORDS: tuple[tuple[str, bool, frozenset[str]], ...] = (
@@ -152,29 +88,7 @@ _WORDS: tuple[tuple[str, bool, frozenset[str]], ...] = (
     (
         "voltage",
         True,
-        frozenset(
-            [
-                "v",
-                "u",
-                "voltage",
-                "voltages",
-                "volt",
-                "volts",
-                "spannung",
-                "tension",
-                "uq",
-                "vq",
-                "va",
-                "ua",
-                "vm",
-                "vmot",
-                "vmotor",
-                "uarm",
-                "varm",
-                "umot",
-                "umotor",
-            ]
-        ),
+        _set("v u voltage voltages volt volts spannung tension uq vq va ua vm vmot vmotor uarm varm umot umotor"),
     ),
     ("voltage", False, _set("vin uin")),
     (

@@ -43,7 +43,7 @@ class Dialect:
     @property
     def plain(self) -> bool:
         """Nothing has to be cleaned: rows go to the reader as they are."""
-        return self == Dialect()
+        return self == OURS
 
     def told(self) -> list[str]:
         """In words what is not as in our own captures."""
@@ -107,6 +107,10 @@ class Dialect:
         return None
 
 
+#: How our own captures are written.
+OURS = Dialect()
+
+
 def is_number(cell: str) -> bool:
     """A number with a point; "nan" is one."""
     return _NUMBER.fullmatch(cell) is not None
@@ -130,7 +134,8 @@ def clock_seconds(cell: str) -> float | None:
         return None
 
 
-def _is_value(cell: str, dialect: Dialect) -> bool:
+def is_value(cell: str) -> bool:
+    """A number, a time of day or a date."""
     return is_number(cell) or clock_seconds(cell) is not None
 
 
@@ -180,7 +185,7 @@ def _tried(rows: Sequence[str], dialect: Dialect) -> tuple[float, int, Dialect] 
     if commas:
         dialect = replace(dialect, decimal_comma=True)
         cells = [[c.replace(".", "").replace(",", ".") if _COMMA_NUMBER.fullmatch(c) else c for c in r] for r in cells]
-    values = sum(_is_value(c, dialect) for row in cells for c in row) / (width * len(cells))
+    values = sum(is_value(c) for row in cells for c in row) / (width * len(cells))
     share = values * len(cells) / len(rows)
     return (round(share, 2), width, dialect) if share > _LEAST and values * width >= 1.5 else None
 
@@ -188,7 +193,4 @@ def _tried(rows: Sequence[str], dialect: Dialect) -> tuple[float, int, Dialect] 
 def value_columns(rows: Sequence[Sequence[str]], width: int) -> tuple[bool, ...]:
     """Which columns hold values in most of the rows."""
     whole = [row for row in rows if len(row) == width]
-    return tuple(
-        bool(whole) and sum(is_number(r[i]) or clock_seconds(r[i]) is not None for r in whole) > 0.8 * len(whole)
-        for i in range(width)
-    )
+    return tuple(bool(whole) and sum(is_value(r[i]) for r in whole) > 0.8 * len(whole) for i in range(width))

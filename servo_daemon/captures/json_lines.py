@@ -1,4 +1,4 @@
-"""JSON lines: an object a line, as loggers and moteus tview write them; or one JSON list of such objects.
+"""JSON lines: an object a line, as loggers and moteus tview write them.
 
 What is nested becomes a path (`data.position`). Lines with a `channel` and `data` (moteus) hold several tables in one
 file, each with the time stamps of its own lines: their signals are called `channel.name`.
@@ -92,7 +92,7 @@ def read_json_lines(path: Path, text: TextIO) -> JsonRecording:
     tables: dict[str, _Table] = {}
     controllers: set[str] = set()
     cells = 0
-    for number, entry in _objects(path, text):
+    for number, entry in _lines(path, text):
         if not isinstance(entry, dict):
             raise capture_error(path, "not a JSON object with a name for every value", line=number)
         channel = ""
@@ -100,8 +100,9 @@ def read_json_lines(path: Path, text: TextIO) -> JsonRecording:
             channel = str(entry["channel"])
             controllers.add(str(entry.get("controller", "")))
             times = {key: entry[key] for key in _TIMES if key in entry}
-            entry = {**times, **entry["data"]}
-        values = dict(_numbers(entry, ""))
+            values = dict(_numbers({**times, **entry["data"]}, ""))
+        else:
+            values = dict(_numbers(entry, ""))
         cells += len(values)
         check_cells(path, cells, 1, MAX_OBJECTS)
         tables.setdefault(channel, _Table()).add(number, values)
@@ -116,19 +117,8 @@ def read_json_lines(path: Path, text: TextIO) -> JsonRecording:
     return JsonRecording(path, tables)
 
 
-def _objects(path: Path, text: TextIO) -> Iterator[tuple[int, Any]]:
-    """Line and value of every object."""
-    first = text.read(1)
-    text.seek(0)
-    if first == "[":
-        document = _parsed(path, text.read(), 1)
-        entries = document if isinstance(document, list) else []
-        yield from ((1, entry) for entry in entries)
-        return
-    yield from _lines(path, text)
-
-
 def _lines(path: Path, text: Iterable[str]) -> Iterator[tuple[int, Any]]:
+    """Line and value of every object."""
     for number, line in enumerate(text, 1):
         if not line.strip():
             continue

@@ -50,7 +50,7 @@ class Preamble:
     line: int
     skip: int
     width: int
-    dialect: Dialect = Dialect()
+    dialect: Dialect = OURS
     units: tuple[str, ...] = ()
     metadata: Mapping[str, str] = field(default_factory=dict)
     metadata_lines: Mapping[str, int] = field(default_factory=dict)
@@ -104,7 +104,7 @@ def _sorted(lines: Sequence[str]) -> _Lines:
         line = raw.strip()
         if line.startswith(COMMENTS):
             found.comments.append((number, line))
-            # Below the rows' beginning a comment is no metadata: the first two contents are header and row at the least.
+            # Metadata stand before the rows: two contents are a header and a row at the least.
             if len(found.content) < 2 and (match := METADATA_LINE.fullmatch(line)):
                 key, value = match[1], match[2].strip()
                 found.metadata[key] = f"{found.metadata[key]}\n{value}" if key in found.metadata else value
@@ -180,7 +180,7 @@ def _is_row(cells: Sequence[str], values: Sequence[bool]) -> bool:
     if len(cells) != len(values):
         return False
     kept = [c for c, value in zip(cells, values, strict=True) if value]
-    return 0 < len(kept) <= 2 * sum(is_number(c) or clock_seconds(c) is not None for c in kept)
+    return 0 < len(kept) <= 2 * sum(map(is_value, kept))
 
 
 def _header(before: Sequence[tuple[int, str]], dialect: Dialect, width: int) -> tuple[int, list[str]] | None:

@@ -10,7 +10,7 @@ from typing import BinaryIO, TextIO, cast
 
 from servo_daemon.captures.bounded import BoundedBytes
 
-#: What a program writes in its first bytes to say which encoding it is. UTF-32 before UTF-16, whose mark it begins with.
+#: What a program writes first to say which encoding it is. UTF-32 before UTF-16, whose mark it begins with.
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
     (codecs.BOM_UTF32_LE, "utf-32"),

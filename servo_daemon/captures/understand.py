@@ -237,7 +237,7 @@ class _Reader:
                 column = MappedColumn("voltage_V", (SignalRef("value", signal.name, scale),))
                 self._add(column, signal.name, f" (× {scale:.6g} V)")
                 return
-        text = f"{signal.name} is a share of the supply: --supply 12 (volts at 1) or --supply 12/255 (at 255) says of which"
+        text = f"{signal.name} is a share of the supply: of which says --supply 12 (volts at 1) or --supply 12/255 (at 255)"
         self._found.questions[signal.name] = ("voltage_V", text, ())
 
     def take_electrical_speed(self) -> None:
@@ -311,7 +311,7 @@ def _check_enough(recording: Recording, found: Understood, options: ReadOptions)
         asked = {s: q for s, q in asked.items() if _field(q[0]) in _MOTION}
         lack = "the motion is not understood" if asked else ""
     if not lack:
-        left = [text for _, text, _ in asked.values()]
+        left = [f"{text}{f' ({s}_{units[0]}?)' if units else ''}" for s, (_, text, units) in asked.items()]
         found.told += [f"not used: {text}" for text in dict.fromkeys(left)]
         return
     raise capture_error(
@@ -330,6 +330,8 @@ def _what_to_do(
 
     parts = [f"{lack}; the file holds {describe(recording.held)}"]
     parts += dict.fromkeys(text for _, text, _ in asked.values())
+    if lack == "no column time_s" and all(column != "time_s" for column, _, _ in asked.values()):
+        parts.append("where there is none, --rate HZ says how fast the samples are")
     renamed = {s: f"{s}_{units[0]}" for s, (_, _, units) in asked.items() if units}
     if renamed and recording.header_line is not None and len(recording.held) <= 16:
         line = ",".join(renamed.get(s.name, s.name) or "-" for s in recording.held)
