@@ -11,11 +11,13 @@ from typing import TextIO
 from servo_daemon.captures.bounded import MAX_LINE
 from servo_daemon.captures.dialect import (
     COMMENTS,
+    OURS,
     Dialect,
     clock_seconds,
     detect,
     is_comma_number,
     is_number,
+    is_value,
     value_columns,
 )
 from servo_daemon.captures.layout import KNOWN_COLUMNS, METADATA_LINE

@@ -1,8 +1,8 @@
 """Logs of the programs that come with a drive, known by the names of their columns: what these mean there.
 
 Sources: VESC Tool 6 (`RT Data` and `Sampled Data` logs), moteus tview (`servo_stats`, `servo_control`), SimpleFOC's
-monitor, TMotorCANControl. VESC, moteus and SimpleFOC report amplitude-invariant dq values; they are taken as they are, and
-the capture's metadata say so (`convention: dq`).
+monitor, TMotorCANControl. VESC, moteus and SimpleFOC report amplitude-invariant dq values; they are taken as they are,
+and the capture's metadata say so (`convention: dq`).
 """
 
 from __future__ import annotations

@@ -4,36 +4,25 @@ asked about with the flags that answer it."""
 from __future__ import annotations
 
 import math
-import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from drivers.can_formula import parse_formula
-from servo_daemon.captures.held import HeldSignal, proposal
+from servo_daemon.captures.held import HeldSignal
 from servo_daemon.captures.layout import KNOWN_COLUMNS, lacks
 from servo_daemon.captures.model import LINEAR_COLUMNS, capture_error
 from servo_daemon.captures.program_logs import ProgramLog, program_log
+from servo_daemon.captures.questions import UNITS_ASKED, Question, not_understood
 from servo_daemon.captures.read_options import ReadOptions
 from servo_daemon.captures.signal_map import COUNTS, MappedColumn, SignalRef
 from servo_daemon.captures.signal_values import Values, duty_needs_scale, time_scale, unit_is_open, wrap_of
-from servo_daemon.column_names import UNITS, Meaning, meaning, unit_of
+from servo_daemon.column_names import Meaning, meaning, unit_of
 
 if TYPE_CHECKING:
     from servo_daemon.captures.recording import Recording
 
 _MOTION = frozenset({"position_rad", "velocity_rad_s"})
-_RPM_OR_RAD = ("rpm", "rad_s", "deg_s")
-
-#: Column -> units that a name without one may have, the likeliest first.
-_UNITS_ASKED: Mapping[str, tuple[str, ...]] = {
-    "velocity_rad_s": _RPM_OR_RAD,
-    "position_rad": ("deg", "rad", "turns", "counts"),
-    "current_A": ("mA", "A"),
-    "voltage_V": ("mV", "V"),
-    "time_s": ("ms", "us"),
-    "torque_Nm": ("mNm", "Nm"),
-}
 
 
 @dataclass(slots=True)
@@ -45,14 +34,18 @@ class Understood:
         counts_per_rev: of `position_counts`.
         told: "t_ms → time_s", a part of the line that the user sees.
         metadata: that the kind of file brings.
-        questions: signal -> what has to be known of it, and the names (or None: a flag) that would tell.
+        questions: signal -> what has to be known of it.
     """
 
     columns: dict[str, MappedColumn] = field(default_factory=dict)
     counts_per_rev: float | None = None
     told: list[str] = field(default_factory=list)
     metadata: dict[str, str] = field(default_factory=dict)
-    questions: dict[str, tuple[str, str, tuple[str, ...]]] = field(default_factory=dict)
+    questions: dict[str, Question] = field(default_factory=dict)
+
+    def ask(self, signal: str, column: str, text: str, units: tuple[str, ...] = ()) -> None:
+        """Ask about a signal: see `Question`."""
+        self.questions[signal] = Question(column, text, units)
 
     @property
     def fields(self) -> set[str]:
@@ -99,7 +92,16 @@ def understand(recording: Recording, options: ReadOptions) -> Understood:
     reader.take_electrical_speed()
     if options.rate_hz is not None:
         found.columns.pop("time_s", None)
-    _check_enough(recording, found, options)
+    timed = recording.timed or options.rate_hz is not None
+    fields = found.fields | ({"time_s"} if timed else set())
+    open_ones = {s: q for s, q in found.questions.items() if _field(q.column) not in fields}
+    lack = lacks(fields)
+    if not lack and not (_MOTION & fields):
+        open_ones = {s: q for s, q in open_ones.items() if _field(q.column) in _MOTION}
+        lack = "the motion is not understood" if open_ones else ""
+    if lack:
+        raise not_understood(recording, lack, open_ones, timed=timed)
+    found.told += dict.fromkeys(question.left_out(signal) for signal, question in open_ones.items())
     return found
 
 
@@ -161,7 +163,7 @@ class _Reader:
         if len(best) > 1:
             names = " or ".join(s.name for s, _ in best[:4])
             for signal, _ in best:
-                found.questions[signal.name] = (column, f"which is {column}: {names}?", ())
+                found.ask(signal.name, column, f"which is {column}: {names}?")
             return
         signal, what = best[0]
         if column in ("duty", "supply", "erpm"):
@@ -178,9 +180,8 @@ class _Reader:
         return Values(series.values)
 
     def _ask_unit(self, signal: HeldSignal, column: str, why: str = "its unit is not in its name") -> None:
-        units = _UNITS_ASKED.get(column)
-        if units:
-            self._found.questions[signal.name] = (column, f"{signal.name}: {why}", units)
+        if units := UNITS_ASKED.get(column):
+            self._found.ask(signal.name, column, f"{signal.name}: {why}", units)
 
     def _take_plain(self, signal: HeldSignal, what: Meaning) -> None:
         column, scale = what.column, what.scale
@@ -204,7 +205,7 @@ class _Reader:
                 f"{signal.name} counts: --counts-per-rev N says how often in a turn (after quadrature); in a map, "
                 f'position_counts = "{signal.name}" with counts_per_rev = N'
             )
-            self._found.questions[signal.name] = (COUNTS, text, ())
+            self._found.ask(signal.name, COUNTS, text)
             return
         wrap = wrap_of(COUNTS, abs(per_rev), self._values(signal))
         self._found.counts_per_rev = per_rev
@@ -237,8 +238,8 @@ class _Reader:
                 column = MappedColumn("voltage_V", (SignalRef("value", signal.name, scale),))
                 self._add(column, signal.name, f" (× {scale:.6g} V)")
                 return
-        text = f"{signal.name} is a share of the supply: of which says --supply 12 (volts at 1) or --supply 12/255 (at 255)"
-        self._found.questions[signal.name] = ("voltage_V", text, ())
+        text = f"{signal.name} is a share of the supply: --supply 12 (volts at 1) or 12/255 (at 255) says of which"
+        self._found.ask(signal.name, "voltage_V", text)
 
     def take_electrical_speed(self) -> None:
         """The shaft's speed by the electrical one, where no motion is there itself."""
@@ -257,7 +258,7 @@ class _Reader:
             return
         if pairs is None:
             text = f"{signal.name} is the electrical speed: --pole-pairs N makes it the shaft's"
-            self._found.questions[signal.name] = ("velocity_rad_s", text, ())
+            self._found.ask(signal.name, "velocity_rad_s", text)
             return
         scale = what.scale / pairs
         column = MappedColumn("velocity_rad_s", (SignalRef("value", signal.name, scale),))
@@ -295,60 +296,3 @@ class _Reader:
         wrapped = f", continued over {column.wrap:.10g}" if column.wrap else ""
         shown = "position_rad" if column.name == COUNTS else column.name
         self._found.told.append(f"{source} → {shown}{how}{wrapped}")
-
-
-def _check_enough(recording: Recording, found: Understood, options: ReadOptions) -> None:
-    """There is a usable set, and no motion is left out because its unit is not known.
-
-    Raises:
-        CaptureError: else.
-    """
-    timed = recording.timed or options.rate_hz is not None
-    fields = found.fields | ({"time_s"} if timed else set())
-    lack = lacks(fields)
-    asked = {s: q for s, q in found.questions.items() if _field(q[0]) not in fields}
-    if not lack and not (_MOTION & fields):
-        asked = {s: q for s, q in asked.items() if _field(q[0]) in _MOTION}
-        lack = "the motion is not understood" if asked else ""
-    if not lack:
-        left = [f"{text}{f' ({s}_{units[0]}?)' if units else ''}" for s, (_, text, units) in asked.items()]
-        found.told += [f"not used: {text}" for text in dict.fromkeys(left)]
-        return
-    raise capture_error(
-        recording.path,
-        _what_to_do(recording, lack, asked, timed=timed),
-        line=recording.header_line,
-        column="time_s" if "time_s" not in fields else None,
-    )
-
-
-def _what_to_do(
-    recording: Recording, lack: str, asked: Mapping[str, tuple[str, str, tuple[str, ...]]], *, timed: bool
-) -> str:
-    from servo_daemon.captures.held import describe
-    from servo_daemon.captures.layout import NEEDED
-
-    parts = [f"{lack}; the file holds {describe(recording.held)}"]
-    parts += dict.fromkeys(text for _, text, _ in asked.values())
-    if lack == "no column time_s" and all(column != "time_s" for column, _, _ in asked.values()):
-        parts.append("where there is none, --rate HZ says how fast the samples are")
-    renamed = {s: f"{s}_{units[0]}" for s, (_, _, units) in asked.items() if units}
-    if renamed and recording.header_line is not None and len(recording.held) <= 16:
-        line = ",".join(renamed.get(s.name, s.name) or "-" for s in recording.held)
-        others = "; ".join(f"or {s}_{', _'.join(u[1:])}" for s, (_, _, u) in asked.items() if u)
-        parts.append(f"say so by name: --columns {shlex.quote(line)} ({others})")
-        return "; ".join(parts)
-    if all(not units for _, _, units in asked.values()) and asked and not _still_lacks(asked):
-        return "; ".join(parts)
-    for signal, (column, _, units) in asked.items():
-        if units and (scale := UNITS[units[0].lower()][1]):
-            parts.append(f'if in {units[0]}: {column} = {{ signal = "{signal}", scale = {scale:.7g} }}')
-    if recording.held:
-        parts.append(proposal(recording.held, timed=timed))
-    parts.append(f"needed: {NEEDED}")
-    return "; ".join(parts)
-
-
-def _still_lacks(asked: Mapping[str, tuple[str, str, tuple[str, ...]]]) -> bool:
-    """Whether a question remains that a flag does not answer."""
-    return any("--" not in text for _, text, _ in asked.values())
