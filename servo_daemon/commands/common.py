@@ -84,7 +84,17 @@ def add_json(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print exactly one JSON document on stdout")
 
 
-def add_signals(parser: argparse.ArgumentParser) -> None:
+def add_signals(parser: argparse.ArgumentParser, *, rate: bool = True) -> None:
+    """What a user tells of captures; without `--rate` where the command has another one of that name."""
+    parser.set_defaults(capture_rate=None)
+    if rate:
+        parser.add_argument(
+            "--rate",
+            dest="capture_rate",
+            type=float,
+            metavar="HZ",
+            help="the samples' rate, where the file has no time",
+        )
     parser.add_argument(
         "--signals",
         type=Path,
@@ -94,7 +104,6 @@ def add_signals(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--columns", metavar="NAME,…", help="names of a text table's columns, with units; '-' passes one over"
     )
-    parser.add_argument("--rate", type=float, metavar="HZ", help="the samples' rate, where the file has no time")
     parser.add_argument("--counts-per-rev", type=float, metavar="N", help="of the encoder whose counts are in the file")
     parser.add_argument("--supply", metavar="V[/FULL]", help="volts of a duty cycle of 1, or of FULL (12/255)")
     parser.add_argument("--pole-pairs", type=float, metavar="N", help="where a file has the electrical speed only")
@@ -106,7 +115,7 @@ def _read_options(arguments: argparse.Namespace) -> ReadOptions:
     names = (arguments.columns or "").split(",") if arguments.columns is not None else []
     return ReadOptions(
         tuple(name.strip() for name in names),
-        arguments.rate,
+        arguments.capture_rate,
         arguments.counts_per_rev,
         None if arguments.supply is None else parse_supply(arguments.supply),
         arguments.pole_pairs,

@@ -151,7 +151,7 @@ BAD = {
     ),
     "no time": (
         "s,voltage_V,position_rad\n0,1,2\n1,1,2\n",
-        "line 1, column time_s: no column time_s; the file holds s, voltage_V, position_rad; where there is none, --rate HZ",
+        "line 1, column time_s: no column time_s; the file holds s, voltage_V, position_rad; where there is none, -",
     ),
     "no usable set": (
         "# a: b\ntime_s,position_rad,velocity_rad_s\n0,1,2\n",
