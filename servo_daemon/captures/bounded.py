@@ -12,8 +12,8 @@ from servo_daemon.captures.model import capture_error
 MAX_BYTES = 1 << 30
 #: Bytes of a line: a header of 1,000 long names has a third of it.
 MAX_LINE = 65536
-#: Numbers read of one file, rows × columns: half a gigabyte of doubles.
-MAX_CELLS = 1 << 26
+#: Numbers read of one file, rows × columns: an hour at 1 kHz with nine columns, a quarter of a gigabyte.
+MAX_CELLS = 1 << 25
 #: The same where each is a Python object (a sheet's cells, a JSON document's, a CAN log's frames): about a gigabyte.
 MAX_OBJECTS = 10_000_000
 

@@ -66,9 +66,10 @@ def _counts_hint(found: Mapping[str, float | None], nominal: Mapping[str, float]
         squares = [n for n in ("J", "B") if n in ratio and abs(math.log(ratio[n] / factor**2)) < _SQUARE_NEAR]
         if "K" in ratio and abs(math.log(ratio["K"] / factor)) < _NEAR and "J" in squares:
             times = f"{factor:g} times too large" if factor > 1.0 else f"{1 / factor:g} times too small"
+            others = ", ".join(f"{n} {ratio[n]:.3g}" for n in squares)
             return [
-                f"K is {ratio['K']:.3g} and {', '.join(f'{n} {ratio[n]:.3g}' for n in squares)} times nominal, as if the "
-                f"counts of a turn (counts_per_rev) were told {times}: lines, or counts after quadrature?"
+                f"K is {ratio['K']:.3g} and {others} times nominal, as if the counts of a turn (counts_per_rev) were "
+                f"told {times}: lines, or counts after quadrature?"
             ]
     return []
 
