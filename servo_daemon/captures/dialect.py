@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 
@@ -116,6 +116,11 @@ def is_number(cell: str) -> bool:
     return _NUMBER.fullmatch(cell) is not None
 
 
+def is_stamped(line: str) -> bool:
+    """Whether the clock of a receiver stands before a line."""
+    return _STAMP.match(line.strip()) is not None
+
+
 def is_comma_number(cell: str) -> bool:
     """A number with a decimal comma."""
     return _COMMA_NUMBER.fullmatch(cell.strip()) is not None
@@ -152,7 +157,7 @@ def detect(lines: Sequence[str]) -> tuple[Dialect, int] | None:
         quoted_lines=_most(
             rows, lambda r: len(r) > 2 and r[0] == r[-1] == '"' and '"' not in r[1:-1].replace('""', "")
         ),
-        stamped=_most(rows, lambda r: _STAMP.match(r) is not None),
+        stamped=_most(rows, is_stamped),
     )
     best: tuple[float, int, Dialect] | None = None
     for separator in SEPARATORS:
@@ -164,8 +169,8 @@ def detect(lines: Sequence[str]) -> tuple[Dialect, int] | None:
     return best[2], best[1]
 
 
-def _most(rows: Sequence[str], holds: object) -> bool:
-    return sum(bool(holds(r.strip())) for r in rows) > 0.8 * len(rows)  # type: ignore[operator]
+def _most(rows: Sequence[str], holds: Callable[[str], bool]) -> bool:
+    return sum(holds(row.strip()) for row in rows) > 0.8 * len(rows)
 
 
 #: Of the cells that must be values, and of the rows that must be equally wide, so that it is a table.

@@ -17,6 +17,7 @@ from servo_daemon.captures.dialect import (
     detect,
     is_comma_number,
     is_number,
+    is_stamped,
     is_value,
     value_columns,
 )
@@ -120,7 +121,7 @@ def _ours(lines: _Lines) -> Preamble | None:
     """The preamble where the first content is a header of ours and its row has nothing to be cleaned; else None."""
     number, header = lines.content[0]
     names = tuple(next(csv.reader([header.strip()])))
-    if not any(name.strip() in KNOWN_COLUMNS for name in names) or len(names) < 2:
+    if not any(name.strip() in KNOWN_COLUMNS for name in names) or len(names) < 2 or is_stamped(header):
         return None
     cells = next(csv.reader([lines.content[1][1].strip()]), []) if len(lines.content) > 1 else []
     unusual = (len(cells) == len(names) + 1 and not cells[-1].strip()) or (
@@ -158,6 +159,8 @@ def _foreign(path: Path, lines: _Lines) -> Preamble:
     units = next((cells for n, cells in rows[:first] if n > line and len(cells) == width and _are_units(cells)), [])
     passed = [number for number, _ in before if number != line and not (units and number > line)]
     told = dialect.told()
+    if units:
+        told.append("a row of units")
     if passed:
         told.append(f"{len(passed)} line{'s' if len(passed) > 1 else ''} before the rows passed over")
     sample = [tuple(cells) for _, cells in rows[first : first + 50] if len(cells) == width]
