@@ -99,7 +99,7 @@ class TextDecoder:
         if lines and self._discarding:
             self._discarding = False
             if self._period_us is None:  # half a header has lost its time, which comes first
-                self._learn(lines[0].strip())
+                self._learn(lines[0].strip(), begun=self._last_row is not None)
             del lines[0]
         rows, lost = self._parse(lines)
         if len(self._carry) > MAX_LINE:
@@ -113,23 +113,24 @@ class TextDecoder:
         self._spoilt += 1
         self.unread = line[:_QUOTED]
 
-    def _learn(self, line: bytes) -> bool:
-        """Whether a line says what the columns are; before the first sample that is what they are from now on."""
+    def _learn(self, line: bytes, *, begun: bool) -> bool:
+        """Whether a line is a header; before the first sample what it, or a line of pairs, says holds from now on."""
         found = named_format(line.decode("utf-8", "replace")) or pair_format(line)
         if found is None:
             return False
-        if self._last_row is None and not self._told and found != self.format:
+        if not begun and not self._told:
             self.format = found
         return not found.pairs
 
     def _parse(self, lines: list[bytes]) -> tuple[Rows | None, I64]:
         """Good lines as rows, shape (n, columns), and how many unreadable lines stood before each, shape (n,)."""
         good: list[tuple[bytes, ...]] = []
+        begun = self._last_row is not None
         lost: list[int] = []
         for line in lines:
             text = line.rstrip(b"\r")
             match = self.format.line.fullmatch(text) if self.usable else None
-            if match is None and text and not text[:1].isdigit() and self._learn(text):
+            if match is None and text and not text[:1].isdigit() and self._learn(text, begun=begun or bool(good)):
                 continue
             if match is None and self.usable:  # pairs, which have just said what they are
                 match = self.format.line.fullmatch(text)

@@ -27,6 +27,7 @@ class ProgramLog:
         marks: column names that only this kind has together.
         meanings: what its columns mean; one that is not here means nothing.
         metadata: of a capture made of it.
+        channel: beginning of its signals' names, where a file holds several tables.
         formulas: column -> formula and its operands, where a column has to be computed.
     """
 
@@ -35,6 +36,7 @@ class ProgramLog:
     meanings: Mapping[str, Meaning]
     metadata: Mapping[str, str] = field(default_factory=dict)
     formulas: Mapping[str, tuple[str, tuple[str, ...]]] = field(default_factory=dict)
+    channel: str = ""
 
 
 def _q_axis(phases: str) -> tuple[str, tuple[str, ...]]:
@@ -67,31 +69,23 @@ PROGRAM_LOGS = (
         _DQ,
         {"voltage_V": _q_axis("V"), "current_A": _q_axis("I")},
     ),
-    ProgramLog(
-        "moteus, servo_stats",
-        frozenset({"timestamp", "position", "velocity", "q_A", "d_A"}),
-        {
-            "timestamp": Meaning("time_s"),
-            "position": Meaning("position_rad", TURN),
-            "velocity": Meaning("velocity_rad_s", TURN),
-            "q_A": Meaning("current_A"),
-            "q_V": Meaning("voltage_V"),
-            "i_q_A": Meaning("current_A"),
-            "torque_Nm": Meaning("torque_Nm"),
-        },
-        _DQ,
-    ),
-    ProgramLog(
-        "moteus, servo_stats",
-        frozenset({"timestamp", "position", "q_A", "power_W"}),
-        {
-            "timestamp": Meaning("time_s"),
-            "position": Meaning("position_rad", TURN),
-            "velocity": Meaning("velocity_rad_s", TURN),
-            "q_A": Meaning("current_A"),
-            "q_V": Meaning("voltage_V"),
-        },
-        _DQ,
+    *(
+        ProgramLog(
+            "moteus, servo_stats",
+            frozenset({"timestamp", "position", "q_A", beside}),
+            {
+                "timestamp": Meaning("time_s"),
+                "position": Meaning("position_rad", TURN),
+                "velocity": Meaning("velocity_rad_s", TURN),
+                "q_A": Meaning("current_A"),
+                "i_q_A": Meaning("current_A"),
+                "q_V": Meaning("voltage_V"),
+                "torque_Nm": Meaning("torque_Nm"),
+            },
+            _DQ,
+            channel="servo_stats",
+        )
+        for beside in ("d_A", "power_W")
     ),
     ProgramLog(
         "moteus, servo_control",

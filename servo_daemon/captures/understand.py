@@ -74,7 +74,7 @@ def understand(recording: Recording, options: ReadOptions) -> Understood:
         CaptureError: a column is there twice, or there is no usable set; the text says what would help.
     """
     found = Understood()
-    names = [signal.short for signal in recording.held]
+    names = [signal.short for signal in recording.held] + (["timestamp"] if recording.timed else [])
     log = program_log(names)
     if log is not None and not options.columns:
         found.told.append(log.name)
@@ -137,6 +137,10 @@ def _meanings(
         what = log.meanings.get(signal.short.rpartition(".")[2]) if log else meaning(signal.short, signal.unit)
         if what is not None:
             meant.append((signal, what))
+    if log is not None:  # of two that mean the same the one that the log's description has first, of its main channel
+        order = [*log.meanings]
+        meant.sort(key=lambda c: (order.index(c[0].short.rpartition(".")[2]), not c[0].name.startswith(log.channel)))
+        return [c for k, c in enumerate(meant) if c[1].column not in {m.column for _, m in meant[:k]}]
     exact = {name for name in found.columns if name != "time_s"}
     linear = bool(exact & LINEAR_COLUMNS.keys())
     rotary = bool(exact & {*LINEAR_COLUMNS.values()}) or (

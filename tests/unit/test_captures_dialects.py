@@ -163,14 +163,14 @@ def test_a_table_without_a_header_asks_for_its_names(tmp_path: Path) -> None:
     path.write_text(table(VIX, None))
     with pytest.raises(CaptureError, match=r"line 1: numbers where the header .* --columns time_s,voltage_V,curr"):
         read_capture(path)
-    with pytest.raises(CaptureError, match="--columns names 3 columns, but the rows have 4: 0.000000,"):
+    with pytest.raises(CaptureError, match=r"--columns names 3 columns, but the rows have 4: 0\.000000,"):
         read_capture(path, options=ReadOptions(columns=("time_s", "V", "A")))
 
 
 def test_a_table_without_a_time_asks_for_its_rate(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text(table(VIX[1:], "voltage_V,current_A,position_rad"))
-    with pytest.raises(CaptureError, match="no column time_s; .*--rate HZ says"):
+    with pytest.raises(CaptureError, match=r"no column time_s; .*--rate HZ says"):
         read_capture(path)
     assert_the_motion(read_capture(path, options=ReadOptions(rate_hz=500.0)))
 

@@ -43,7 +43,8 @@ def written(folder: Path, content: str, name: str = "log.csv") -> Path:
         ("i_q_A", "current_A", 1.0), ("currentMA", "current_A", 1e-3), ("mA", "current_A", 1e-3),
         ("q_V", "voltage_V", 1.0), ("U [mV]", "voltage_V", 1e-3), ("Ankerspannung", "voltage_V", 1.0),
         ("duty", "duty", 1.0), ("pwm", "duty", 1.0), ("vbus", "supply", 1.0), ("supply_V", "supply", 1.0),
-        ("position_mm", "position_m", 1e-3), ("speed_mm_s", "velocity_m_s", 1e-3), ("n [1/min]", "velocity_rad_s", math.pi / 30),
+        ("position_mm", "position_m", 1e-3), ("speed_mm_s", "velocity_m_s", 1e-3),
+        ("n [1/min]", "velocity_rad_s", math.pi / 30),
     ],
 )  # fmt: skip
 def test_names_that_are_certain(name: str, column: str, scale: float) -> None:
