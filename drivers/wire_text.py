@@ -165,7 +165,7 @@ class TextDecoder:
 
     def _fits(self, rows: Rows) -> NDArray[np.bool_]:
         """Which rows are within the counters' widths, shape (n,)."""
-        fits: NDArray[np.bool_] = np.isfinite(rows).all(axis=1)
+        fits: NDArray[np.bool_] = np.all(np.isfinite(rows), axis=1)
         time, counts = self.format.time, self.format.index("position_counts")
         if time is not None:
             fits &= (rows[:, time[0]] >= 0) & (rows[:, time[0]] * time[1] < (time[2] or _NEVER))
@@ -226,7 +226,9 @@ class TextDecoder:
             elif name != "position_rad" or self.format.index("position_counts") is None:
                 inverse = round(1.0 / what.scale) if what.scale < 1.0 else 0
                 exact = inverse > 0 and what.scale == 1.0 / inverse  # 250 / 1000 is 0.25, 250 × 0.001 is not
-                channels[name] = rows[:, index] / inverse if exact else rows[:, index] * what.scale
+                channels[name] = np.asarray(
+                    rows[:, index] / inverse if exact else rows[:, index] * what.scale, np.float64
+                )
         return channels
 
     def _place(self, raw_us: I64, holes: I64, wrap_us: int) -> tuple[I64, I64, U8]:

@@ -175,7 +175,7 @@ def test_a_scale_that_leaves_no_value_is_an_error(tmp_path: Path, scaling: str) 
     signal = f'SG_ Current : 0|16@1- {scaling} [0|0] "A" X'
     path.write_text(f'VERSION ""\nBU_: X\nBO_ 256 Status: 8 X\n {signal}\n')
     text = refused(path, {"current_A": "Status.Current"})
-    assert "Status.Current: scale" in text and "leave no value of it" in text
+    assert "Status.Current has scale" in text and "leave no value of it" in text
 
 
 # ---- formulas

@@ -225,3 +225,13 @@ def test_without_asammdf_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.
     with pytest.raises(BadInputError, match=r"MDF needs asammdf: pip install 'servo-daemon\[mdf\]'") as caught:
         read_capture(path)
     assert caught.value.exit_code == 2
+
+
+def test_channels_are_understood_by_name_and_unit(tmp_path: Path) -> None:
+    path = measured(tmp_path / "a.mf4", [[("Uarm", "V", T, U), ("Iarm", "mA", T, 1e3 * A)], [("Angle", "deg", T, Q)]])
+    capture = read_capture(path)
+    assert capture.channels == ("voltage_V", "current_A", "position_rad")
+    assert capture.current_A is not None and capture.position_rad is not None
+    np.testing.assert_allclose(capture.current_A, A, rtol=1e-12)
+    np.testing.assert_allclose(capture.position_rad, np.radians(Q), rtol=1e-12)
+    assert "Iarm → current_A" in capture.notes[0]
