@@ -15,8 +15,10 @@ COMMENTS = ("#", "%", "//")
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
 _COMMA_NUMBER = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?|[+-]?\d{1,3}(\.\d{3})+,\d+")
-#: The clock that serial monitors put before every line: "12:34:56.789 -> ".
-_STAMP = re.compile(r"\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?\s*(?:->|>|:)\s+")
+#: The clock that serial monitors put before every line: "12:34:56.789 -> ", "[2024-05-01 12:34:56.789] ".
+_STAMP = re.compile(r"(?:\[[^\]]*\d:\d{2}:\d{2}[^\]]*\]|\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?\s*(?:->|>|:)\s)\s*")
+#: A name before a value, as the Arduino's serial plotter takes it: "mV:12".
+_NAMED = re.compile(r"(?:^|(?<=[,;|\s]))([A-Za-z_][\w .\[\]()%/°-]*?)\s*[:=]\s*(?=[-+.\d])")
 _CLOCK = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d+)?)")
 #: A unit or a symbol with one beside it, in a header that is separated by blanks: "t [s]".
 _WORD_WITH_UNIT = re.compile(r"[^\s\[(]+(?:\s*[\[(][^\])]*[\])])?")
@@ -29,16 +31,18 @@ class Dialect:
     Attributes:
         separator: one of `SEPARATORS`.
         decimal_comma: numbers have a comma where others have a point.
-        trailing: every row ends with a separator behind its last cell.
+        trailing: separators behind the last cell of every row.
         quoted_lines: every line is in quotes as a whole.
         stamped: every line begins with the clock of the program that received it.
+        named: every value has its column's name before it.
     """
 
     separator: str = ","
     decimal_comma: bool = False
-    trailing: bool = False
+    trailing: int = 0
     quoted_lines: bool = False
     stamped: bool = False
+    named: bool = False
 
     @property
     def plain(self) -> bool:
@@ -50,6 +54,7 @@ class Dialect:
         words = [] if self.separator == "," else [SEPARATORS[self.separator]]
         words += ["decimal commas"] if self.decimal_comma else []
         words += ["a separator at the end of every row"] if self.trailing else []
+        words += ["a name before every value"] if self.named else []
         words += ["lines in quotes"] if self.quoted_lines else []
         return words + (["the receiver's clock before every line passed over"] if self.stamped else [])
 
@@ -60,8 +65,10 @@ class Dialect:
             line = _STAMP.sub("", line, count=1)
         if self.quoted_lines and len(line) > 1 and line[0] == line[-1] == '"':
             line = line[1:-1].replace('""', '"')
-        if self.trailing and line.endswith(self.separator):
-            line = line[:-1]
+        if self.named:
+            line = _NAMED.sub("", line)
+        for _ in range(self.trailing):
+            line = line.removesuffix(self.separator)
         if self.separator == " ":
             line = " ".join(line.split())
         if self.decimal_comma:
@@ -98,7 +105,7 @@ class Dialect:
         """A header of `width` names; None: this line is none. It may be separated in another way than the rows."""
         for separator in dict.fromkeys((self.separator, "\t", ";", ",", "|", " ")):
             cells = Dialect(separator, quoted_lines=self.quoted_lines, stamped=self.stamped).cells(line)
-            if len(cells) == width + 1 and not cells[-1]:
+            while len(cells) > width and not cells[-1]:
                 cells = cells[:-1]
             if separator == " " and len(cells) != width:
                 cells = _WORD_WITH_UNIT.findall(self.clean(line))
@@ -119,6 +126,11 @@ def is_number(cell: str) -> bool:
 def is_stamped(line: str) -> bool:
     """Whether the clock of a receiver stands before a line."""
     return _STAMP.match(line.strip()) is not None
+
+
+def value_names(line: str) -> list[str]:
+    """The names that stand before the values of a line: "mV:12,mA:3"."""
+    return [match[1].strip() for match in _NAMED.finditer(_STAMP.sub("", line, count=1))]
 
 
 def is_comma_number(cell: str) -> bool:
@@ -158,6 +170,7 @@ def detect(lines: Sequence[str]) -> tuple[Dialect, int] | None:
             rows, lambda r: len(r) > 2 and r[0] == r[-1] == '"' and '"' not in r[1:-1].replace('""', "")
         ),
         stamped=_most(rows, is_stamped),
+        named=_most(rows, lambda r: len(value_names(r)) > 1),
     )
     best: tuple[float, int, Dialect] | None = None
     for separator in SEPARATORS:
@@ -182,8 +195,8 @@ def _tried(rows: Sequence[str], dialect: Dialect) -> tuple[float, int, Dialect] 
     cells = [dialect.cells(row) for row in rows]
     width = Counter(map(len, cells)).most_common(1)[0][0]
     cells = [c for c in cells if len(c) == width]
-    if all(not c[-1] for c in cells):
-        dialect, width, cells = replace(dialect, trailing=True), width - 1, [c[:-1] for c in cells]
+    while width > 1 and all(not c[-1] for c in cells):
+        dialect, width, cells = replace(dialect, trailing=dialect.trailing + 1), width - 1, [c[:-1] for c in cells]
     if width < 2:
         return None
     commas = sum(_COMMA_NUMBER.fullmatch(c) is not None for row in cells for c in row)

@@ -15,6 +15,7 @@ from typing import Any, ClassVar, TextIO
 import numpy as np
 
 from servo_daemon.captures.bounded import MAX_OBJECTS, check_cells
+from servo_daemon.captures.dialect import clock_seconds
 from servo_daemon.captures.held import HeldSignal, describe
 from servo_daemon.captures.model import MIN_SAMPLES, capture_error
 from servo_daemon.captures.recording import Series
@@ -139,9 +140,11 @@ def _parsed(path: Path, text: str, number: int) -> Any:
 
 
 def _numbers(entry: Mapping[str, Any], path: str) -> Iterator[tuple[str, float]]:
-    """Every number of an object, by its path; true and false are none."""
+    """Every number of an object, and every date, in s, by its path; true and false are none."""
     for key, value in entry.items():
         if isinstance(value, Mapping):
             yield from _numbers(value, f"{path}{key}.")
         elif isinstance(value, int | float) and not isinstance(value, bool):
             yield f"{path}{key}", float(value)
+        elif isinstance(value, str) and (seconds := clock_seconds(value)) is not None:
+            yield f"{path}{key}", seconds

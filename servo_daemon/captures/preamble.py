@@ -20,6 +20,7 @@ from servo_daemon.captures.dialect import (
     is_stamped,
     is_value,
     value_columns,
+    value_names,
 )
 from servo_daemon.captures.layout import KNOWN_COLUMNS, METADATA_LINE
 from servo_daemon.captures.model import capture_error
@@ -153,6 +154,8 @@ def _foreign(path: Path, lines: _Lines) -> Preamble:
         return _no_table(path, lines)
     before = lines.content[:first]
     header = _header(before, dialect, width)
+    if dialect.named:
+        header = rows[first][0] - 1, value_names(lines.content[first][1])
     if header is None:
         header = _commented(lines.comments, dialect, width, rows[first][0])
     line, names = header or (rows[first][0] - 1, [])

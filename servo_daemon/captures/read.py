@@ -115,7 +115,7 @@ def _read_text(
             from servo_daemon.captures.can_samples import decode_log
 
             return decode_log(read_asc(path, text), signal_map)
-        if first.startswith("[") and not first.rstrip().endswith("]"):
+        if first.startswith("[{") or first.strip() == "[":
             raise capture_error(path, "a JSON list: one object a line is expected (jq -c '.[]' makes it so)", line=1)
         if first.startswith("{"):
             from servo_daemon.captures.json_lines import read_json_lines

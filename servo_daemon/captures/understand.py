@@ -16,7 +16,14 @@ from servo_daemon.captures.program_logs import ProgramLog, program_log
 from servo_daemon.captures.questions import UNITS_ASKED, Question, not_understood
 from servo_daemon.captures.read_options import ReadOptions
 from servo_daemon.captures.signal_map import COUNTS, MappedColumn, SignalRef
-from servo_daemon.captures.signal_values import Values, duty_needs_scale, time_scale, unit_is_open, wrap_of
+from servo_daemon.captures.signal_values import (
+    Values,
+    duty_needs_scale,
+    time_scale,
+    turns_ratio,
+    unit_is_open,
+    wrap_of,
+)
 from servo_daemon.column_names import Meaning, meaning, unit_of
 
 if TYPE_CHECKING:
@@ -180,8 +187,7 @@ class _Reader:
             self._take_plain(signal, what)
 
     def _values(self, signal: HeldSignal) -> Values:
-        series = self._recording.read(SignalRef("value", signal.name))
-        return Values(series.values)
+        return Values(self._recording.read(SignalRef("value", signal.name)).values)
 
     def _ask_unit(self, signal: HeldSignal, column: str, why: str = "its unit is not in its name") -> None:
         if units := UNITS_ASKED.get(column):
@@ -192,14 +198,15 @@ class _Reader:
         if not what.told or column in ("time_s", "position_rad"):
             values = self._values(signal)
         if column == "time_s":
-            scale_or_none = scale if what.told else time_scale(values)
-            if scale_or_none is None:
+            found = scale if what.told else time_scale(values)
+            if found is None:
                 return self._ask_unit(signal, column, "in seconds it is no drive's time")
-            scale = scale_or_none
+            scale = found
         elif not what.told and unit_is_open(column, values):
             return self._ask_unit(signal, column, "whole numbers, and no unit in its name")
         wrap = wrap_of(column, scale, values) if column in ("time_s", "position_rad") else None
-        self._add(MappedColumn(column, (SignalRef("value", signal.name, scale),), None, wrap), signal.name)
+        how = "" if what.told or column == "time_s" else " (no unit told)"
+        self._add(MappedColumn(column, (SignalRef("value", signal.name, scale),), None, wrap), signal.name, how)
         return None
 
     def _take_counts(self, signal: HeldSignal) -> None:
@@ -252,7 +259,7 @@ class _Reader:
         signal, what = self._beside["erpm"]
         pairs = self._number("pole_pairs", self._options.pole_pairs)
         moving = self._found.columns.get("position_rad")
-        if moving is not None and "encoder_position" in (moving.operands[0].signal,):
+        if moving is not None and moving.operands[0].signal == "encoder_position":
             told = self._encoder_ratio(moving, signal, what)
             if told is None or (pairs is not None and round(told) != pairs):
                 del self._found.columns["position_rad"]  # stands still, or is the electrical angle: no shaft's position
@@ -271,8 +278,6 @@ class _Reader:
     def _encoder_ratio(self, moving: MappedColumn, signal: HeldSignal, what: Meaning) -> float | None:
         """Pole pairs by what an encoder's angle and the electrical speed make of each other; None: the angle is not the
         shaft's (it stands still, or turns as the electrical one)."""
-        from servo_daemon.captures.signal_values import turns_ratio
-
         time = self._found.columns.get("time_s")
         if time is None:
             return None

@@ -49,13 +49,25 @@ DIALECTS: dict[str, tuple[str | bytes, str]] = {
     "units row": (table(VIX, OURS + "\ns,V,A,rad"), "a row of units, 600 rows at 500.0 Hz"),
     "units row that scales": (
         table((1e3 * M.t, M.v, M.i, DEG), "Time;Voltage;Current;Angle\n(ms);(V);(A);(deg)", ";", decimal=","),
-        "Time → time_s, Voltage → voltage_V, Current → current_A, Angle → position_rad",
+        "a row of units, 600 rows at 500.0 Hz, Time → time_s, Voltage → voltage_V, Current → current_A, Angle → posi",
     ),
     "quoted lines": ("".join(f'"{line}"\n' for line in table(VIX, OURS).splitlines()), "lines in quotes"),
     "trailing commas": (table(VIX, OURS, tail=","), "a separator at the end of every row"),
     "trailing, in the header too": (
         table(VIX, OURS.replace(",", ";") + ";", ";", decimal=",", tail=";"),
         "a separator at the end of every row",
+    ),
+    "several trailing": (
+        table(VIX, OURS.replace(",", ";") + ";;;", ";", decimal=",", tail=";;;"),
+        "a separator at the end of every row",
+    ),
+    "a name before every value": (
+        "".join(f"t_s:{a:.6f},V:{b:.6f},A:{c:.6f},rad:{d:.6f}\n" for a, b, c, d in zip(*VIX, strict=True)),
+        "a name before every value, 600 rows at 500.0 Hz, t_s → time_s, V → voltage_V, A → current_A, rad → position",
+    ),
+    "a terminal's clock in brackets": (
+        "".join(f"[2024-05-01 12:00:01.{k % 1000:03d}] {r}\n" for k, r in enumerate(table(VIX, OURS).splitlines())),
+        "the receiver's clock before every line passed over",
     ),
     "UTF-16 with a mark": (table(VIX, OURS.replace(",", "\t"), "\t").encode("utf-16"), "UTF-16, tabs"),
     "UTF-16 without": (table(VIX, OURS.replace(",", ";"), ";", decimal=",").encode("utf-16-le"), "UTF-16, semicolons"),
