@@ -48,10 +48,9 @@ class TextFormat:
 
     @cached_property
     def line(self) -> re.Pattern[bytes]:
-        """A line, with a group for every value."""
+        """A line, with a group for every value unless they are whole numbers."""
         if self.whole:
-            first = rb"([0-9]{1,10})([,;\t])"
-            return re.compile(first + rb"\2".join([rb"(" + _INTEGER + rb")"] * (len(self.names) - 1)))
+            return re.compile(rb"[0-9]{1,10}([,;\t])" + rb"\1".join([_INTEGER] * (len(self.names) - 1)))
         before = [re.escape(n.encode()) + rb"\s*[:=]\s*" if self.pairs else b"" for n in self.names]
         return re.compile(rb"\s*" + _SEPARATOR.join(b + rb"(" + _NUMBER + rb")" for b in before) + rb"\s*[,;]?\s*")
 

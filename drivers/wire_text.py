@@ -8,6 +8,7 @@ cannot be read is known to be a lost sample, and with a told sample period so is
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,9 @@ from servo_daemon.samples import F64, I64, U8, Quality, SampleBlock
 MAX_LINE = 256
 #: So much of an unreadable line is kept, to be quoted.
 _QUOTED = 60
+
+#: Separators of the default format as commas.
+_COMMAS = bytes.maketrans(b";\t", b",,")
 
 _UINT32 = 1 << 32
 _INT32 = 1 << 31
@@ -124,18 +128,21 @@ class TextDecoder:
 
     def _parse(self, lines: list[bytes]) -> tuple[Rows | None, I64]:
         """Good lines as rows, shape (n, columns), and how many unreadable lines stood before each, shape (n,)."""
-        good: list[tuple[bytes, ...]] = []
-        begun = self._last_row is not None
+        good: list[bytes] = []
         lost: list[int] = []
+        pattern, whole = self._pattern()
         for line in lines:
             text = line.rstrip(b"\r")
-            match = self.format.line.fullmatch(text) if self.usable else None
-            if match is None and text and not text[:1].isdigit() and self._learn(text, begun=begun or bool(good)):
-                continue
-            if match is None and self.usable:  # pairs, which have just said what they are
-                match = self.format.line.fullmatch(text)
+            match = pattern.fullmatch(text) if pattern is not None else None
+            if match is None and text and not text[:1].isdigit():
+                begun = self._last_row is not None or bool(good)
+                if self._learn(text, begun=begun):
+                    pattern, whole = self._pattern()
+                    continue
+                pattern, whole = self._pattern()  # pairs may just have said what they are
+                match = pattern.fullmatch(text) if pattern is not None else None
             if match is not None:
-                good.append(match.groups())
+                good.append(text if whole else b",".join(match.groups()))
                 lost.append(self._spoilt)
                 self._spoilt = 0
             elif text and not text.startswith(b"#"):
@@ -148,7 +155,7 @@ class TextDecoder:
         if fits.all():
             return rows, holes
         for k in np.flatnonzero(~fits).tolist():
-            self._spoil(b",".join(good[k]))
+            self._spoil(good[k])
             self._spoilt -= 1  # counted where it stood, below
             if k + 1 < len(good):
                 holes[k + 1] += holes[k] + 1
@@ -156,12 +163,15 @@ class TextDecoder:
                 self._spoilt = int(holes[k]) + 1
         return (rows[fits] if fits.any() else None), holes[fits]
 
-    def _numbers(self, good: list[tuple[bytes, ...]]) -> Rows:
-        width = len(self.format.names)
-        if not self.format.whole:
-            return np.array(good, dtype=np.bytes_).astype(np.float64).reshape(-1, width)
-        table = np.array([row[:1] + row[2:] for row in good])  # the second group is the separator
-        return table.astype(np.int64).reshape(-1, width)
+    def _pattern(self) -> tuple[re.Pattern[bytes] | None, bool]:
+        """Of a line, None where none can become a sample; and whether it has whole numbers only."""
+        return (self.format.line if self.usable else None), self.format.whole
+
+    def _numbers(self, good: list[bytes]) -> Rows:
+        values = b",".join(good).translate(_COMMAS).split(b",")
+        if self.format.whole:
+            return np.array(values, dtype=np.int64).reshape(-1, len(self.format.names))
+        return np.array(values, dtype=np.bytes_).astype(np.float64).reshape(-1, len(self.format.names))
 
     def _fits(self, rows: Rows) -> NDArray[np.bool_]:
         """Which rows are within the counters' widths, shape (n,)."""
