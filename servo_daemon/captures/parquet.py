@@ -16,7 +16,7 @@ from servo_daemon.captures.model import MIN_SAMPLES, Capture, capture_error, fir
 from servo_daemon.captures.read_options import ReadOptions
 from servo_daemon.captures.recording import Series, assemble
 from servo_daemon.captures.signal_map import SignalMap, SignalRef
-from servo_daemon.captures.understand import only_ours
+from servo_daemon.captures.understood import only_ours
 from servo_daemon.errors import BadInputError
 from servo_daemon.samples import F64
 

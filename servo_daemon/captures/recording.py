@@ -24,7 +24,8 @@ from servo_daemon.captures.model import (
 from servo_daemon.captures.read_options import ReadOptions
 from servo_daemon.captures.signal_map import COUNTS, MappedColumn, SignalMap, SignalRef
 from servo_daemon.captures.time_base import BASE_ORDER, BRIDGE_FACTOR, Timed, held, same_time, to_one_time
-from servo_daemon.captures.understand import Understood, understand
+from servo_daemon.captures.understand import understand
+from servo_daemon.captures.understood import Understood
 from servo_daemon.errors import CaptureError, ConfigError
 from servo_daemon.samples import F64
 

@@ -17,7 +17,7 @@ from servo_daemon.captures.read_options import ReadOptions
 from servo_daemon.captures.recording import Series
 from servo_daemon.captures.rows import TextTable
 from servo_daemon.captures.signal_map import SignalRef
-from servo_daemon.captures.understand import only_ours
+from servo_daemon.captures.understood import only_ours
 from servo_daemon.column_names import meaning
 from servo_daemon.errors import CaptureError
 from servo_daemon.samples import F64

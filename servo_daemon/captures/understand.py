@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from drivers.can_formula import parse_formula
@@ -13,7 +12,7 @@ from servo_daemon.captures.held import HeldSignal
 from servo_daemon.captures.layout import KNOWN_COLUMNS, lacks
 from servo_daemon.captures.model import LINEAR_COLUMNS, capture_error
 from servo_daemon.captures.program_logs import ProgramLog, program_log
-from servo_daemon.captures.questions import UNITS_ASKED, Question, not_understood
+from servo_daemon.captures.questions import UNITS_ASKED, not_understood
 from servo_daemon.captures.read_options import ReadOptions
 from servo_daemon.captures.signal_map import COUNTS, MappedColumn, SignalRef
 from servo_daemon.captures.signal_values import (
@@ -24,51 +23,13 @@ from servo_daemon.captures.signal_values import (
     unit_is_open,
     wrap_of,
 )
+from servo_daemon.captures.understood import Understood, field_of
 from servo_daemon.column_names import Meaning, meaning, unit_of
 
 if TYPE_CHECKING:
     from servo_daemon.captures.recording import Recording
 
 _MOTION = frozenset({"position_rad", "velocity_rad_s"})
-
-
-@dataclass(slots=True)
-class Understood:
-    """What names and values of a file say.
-
-    Attributes:
-        columns: of the capture, from the file's signals.
-        counts_per_rev: of `position_counts`.
-        told: "t_ms → time_s", a part of the line that the user sees.
-        metadata: that the kind of file brings.
-        questions: signal -> what has to be known of it.
-    """
-
-    columns: dict[str, MappedColumn] = field(default_factory=dict)
-    counts_per_rev: float | None = None
-    told: list[str] = field(default_factory=list)
-    metadata: dict[str, str] = field(default_factory=dict)
-    questions: dict[str, Question] = field(default_factory=dict)
-
-    def ask(self, signal: str, column: str, text: str, units: tuple[str, ...] = ()) -> None:
-        """Ask about a signal: see `Question`."""
-        self.questions[signal] = Question(column, text, units)
-
-    @property
-    def fields(self) -> set[str]:
-        """Fields of `Capture` that the columns fill."""
-        return {_field(name) for name in self.columns}
-
-
-def _field(column: str) -> str:
-    return "position_rad" if column == COUNTS else KNOWN_COLUMNS.get(column, column)
-
-
-def only_ours(names: Sequence[str]) -> bool:
-    """Whether the signals called as a capture's columns are make one, and nothing else of it has to be understood."""
-    known = {KNOWN_COLUMNS[name] for name in names if name in KNOWN_COLUMNS}
-    others = {_field(m.column) for name in names if name not in KNOWN_COLUMNS and (m := meaning(name)) is not None}
-    return not lacks(known) and others <= {*known, "supply"}
 
 
 def understand(recording: Recording, options: ReadOptions) -> Understood:
@@ -101,10 +62,10 @@ def understand(recording: Recording, options: ReadOptions) -> Understood:
         found.columns.pop("time_s", None)
     timed = recording.timed or options.rate_hz is not None
     fields = found.fields | ({"time_s"} if timed else set())
-    open_ones = {s: q for s, q in found.questions.items() if _field(q.column) not in fields}
+    open_ones = {s: q for s, q in found.questions.items() if field_of(q.column) not in fields}
     lack = lacks(fields)
     if not lack and not (_MOTION & fields):
-        open_ones = {s: q for s, q in open_ones.items() if _field(q.column) in _MOTION}
+        open_ones = {s: q for s, q in open_ones.items() if field_of(q.column) in _MOTION}
         lack = "the motion is not understood" if open_ones else ""
     if lack:
         raise not_understood(recording, lack, open_ones, timed=timed)
@@ -167,7 +128,7 @@ class _Reader:
     def take(self, column: str, candidates: list[tuple[HeldSignal, Meaning]]) -> None:
         """The signal among candidates that is this column; a question where that is not certain."""
         found = self._found
-        taken = _field(column) in found.fields
+        taken = field_of(column) in found.fields
         if taken or (column == "time_s" and self._options.rate_hz is not None):
             return
         best = [c for c in candidates if c[1].told] or [c for c in candidates if c[1].certain] or candidates
