@@ -106,6 +106,13 @@ def parse_options(name: str, options: dict[str, Any]) -> SerialOptions:
         raise DriverConfigError(f"drive {name}: {where}{message}") from error
 
 
+class _KeepingPort(serial.Serial):  # type: ignore[misc]  # pyserial has no types
+    """A port whose opening keeps what has arrived before: the sketch's header line may be in it."""
+
+    def _reset_input_buffer(self) -> None:
+        """Called by `open` of pyserial."""
+
+
 class SerialDriver(Driver):
     """A drive on a serial port. Options: see `SerialOptions`.
 
@@ -168,13 +175,17 @@ class SerialDriver(Driver):
     def _open(self) -> None:
         settings = self._settings
         try:
-            self._port = serial.Serial(settings.port, settings.baudrate, timeout=0, exclusive=True)
+            make = _KeepingPort if settings.wire == "text" else serial.Serial
+            self._port = make(settings.port, settings.baudrate, timeout=0, exclusive=True)
         except (ValueError, OverflowError) as error:
             raise DriverConfigError(f"drive {self.name}: {settings.port}: {error}") from error
         except (OSError, termios.error) as error:
             raise self._unavailable(error) from error
         self._wake_r, self._wake_w = os.pipe()
         self._decoder.reattach()
+        if isinstance(self._decoder, TextDecoder):
+            with contextlib.suppress(OSError):  # gone already: `read` will say so
+                self._decoder.hear(bytes(self._port.read(_READ_SIZE)))
 
     def _unavailable(self, error: Exception) -> DriverUnavailableError:
         port = self._settings.port

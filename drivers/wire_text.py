@@ -89,6 +89,12 @@ class TextDecoder:
         self._discarding = True  # up to the next line end: the first may be half a line that looks whole
         self._spoilt = 0  # unreadable lines since the last good one
 
+    def hear(self, data: bytes) -> None:
+        """What had arrived before the line was opened: its header holds, its samples are of another time."""
+        for line in data.split(b"\n")[:-1]:
+            if self._learn(line.strip(), begun=self._last_row is not None):
+                return
+
     @property
     def has_ready(self) -> bool:
         """Never: a block is always complete (see `BinaryDecoder.has_ready`)."""

@@ -20,6 +20,8 @@ EXAMPLE = "  servo-daemon check --config /etc/servo-daemon.toml"
 
 #: How long a drive is listened to, s: description frames come once a second.
 _LISTEN_S = 3.0
+#: What was held back somewhere, or is sent while a device starts, has arrived by then, s.
+_SETTLED_S = 0.3
 #: Less of the clock, s, tells nothing of how fast device time passes: what comes at once was held back.
 _CLOCK_S = 0.5
 #: Device time that passes so many times faster or more slowly than the clock is in another unit.
@@ -60,7 +62,7 @@ def _look(drive: DriveConfig, driver: Driver, listen_s: float) -> dict[str, Any]
         DriverConfigError: its options cannot work with this device.
     """
     problem: str | None = None
-    first = last = None
+    first = last = settled = None
     remark: str | None = None
     try:
         with driver:
@@ -69,6 +71,8 @@ def _look(drive: DriveConfig, driver: Driver, listen_s: float) -> dict[str, Any]
                 block = driver.read(0.1)
                 if block is not None:
                     first, last = first or block, block
+                    if block.host_time_s - first.host_time_s < _SETTLED_S:
+                        settled = block
             remark = driver.remark
     except DriverConfigError:
         raise
@@ -95,7 +99,7 @@ def _look(drive: DriveConfig, driver: Driver, listen_s: float) -> dict[str, Any]
         "crc_errors": counters.crc_errors,
         "framing_errors": counters.framing_errors,
         "assumes": _assumptions(driver, drive, channels),
-        "remarks": _remarks(driver, first, last, remark),
+        "remarks": _remarks(driver, settled, last, remark),
         "sample_rate_hz": None if span <= 0 else (counters.samples - 1) / span,
         "estimated": [] if plan is None else list(plan.free),
         "not_estimated": {} if plan is None else dict(plan.reasons),

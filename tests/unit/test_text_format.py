@@ -69,6 +69,14 @@ def test_lines_without_a_time_need_a_period() -> None:
     assert not decoder.usable and decoder.unread == b"V:12.0,A:0.25,enc:0"
 
 
+def test_a_header_from_before_the_line_was_opened_holds_and_its_samples_do_not() -> None:
+    decoder = TextDecoder(2400.0)
+    decoder.hear(b"boot\r\nt_ms;V;A;counts\r\n1;2.5;0.5;7\r\n2;2.5")
+    block = decoder.feed(b";0.5;8\r\n900;2.5;0.5;9\r\n")
+    assert block is not None and block.time_s.tolist() == [0.9]
+    assert block.voltage_V is not None and block.voltage_V.tolist() == [2.5]
+
+
 def test_a_header_after_the_first_sample_changes_nothing() -> None:
     block = decoded("1000,12000,250,0", "t_us,V,A,counts", "3000,12000,250,1")
     assert block.voltage_V is not None and block.voltage_V.tolist() == [12.0, 12.0]
