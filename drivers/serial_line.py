@@ -150,10 +150,11 @@ class SerialDriver(Driver):
         if isinstance(self._decoder, BinaryDecoder):
             described = self._decoder.description
             return DriveInfo(identity="") if described is None else info_of(described, settings.port)
+        counted = "position_counts" in self._decoder.format.channels
         return DriveInfo(
             identity=f"serial:{settings.port}",
             sample_period_s=settings.sample_period_s,
-            counts_per_rev=abs(settings.counts_per_rev or 0.0) or None,
+            counts_per_rev=abs(settings.counts_per_rev or 0.0) or None if counted else None,
             current_lsb_A=settings.current_lsb_A or 1e-3,
             voltage_lsb_V=settings.voltage_lsb_V or 1e-3,
             channels=tuple(dict.fromkeys(_COUNTED.get(c, c) for c in self._decoder.format.channels)),

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import ClassVar, TextIO
 
+from servo_daemon.captures.dialect import clock_seconds, is_number
 from servo_daemon.captures.held import HeldSignal, describe
 from servo_daemon.captures.layout import KNOWN_COLUMNS, make_layout
 from servo_daemon.captures.model import MIN_SAMPLES, Capture, capture_error
@@ -22,6 +25,8 @@ from servo_daemon.column_names import meaning
 from servo_daemon.errors import CaptureError
 from servo_daemon.samples import F64
 
+#: How numpy.savetxt writes numbers unless told otherwise.
+_SAVETXT = re.compile(r"-?\d\.\d{18}e[+-]\d{2,3}")
 #: A name that passes a column over.
 PASSED = "-"
 
@@ -55,14 +60,20 @@ def _nameless(path: Path, preamble: Preamble, guess: tuple[tuple[str, ...], floa
         said = f"it looks like SimpleFOC's monitor: --columns {shlex.quote(','.join(names))} --rate {rate_hz:.4g}"
         why = " (the rate at which its angle is the integral of its speed; say the true one)"
         return capture_error(path, f"no header and no time; {said}{why}", line=preamble.skip + 1)
-    usual = ("time_s", "voltage_V", "current_A", "position_rad", "velocity_rad_s")
-    names = (*usual[: preamble.width], *[PASSED] * (preamble.width - len(usual)))
-    said = f"name the {preamble.width} columns, with units: --columns {','.join(names)}"
-    rate = "; where none is a time, also --rate HZ"
     shown = ",".join(preamble.sample[0]) if preamble.sample else ""
-    return capture_error(
-        path, f"numbers where the header (time_s,voltage_V,…) should be: {shown}; {said}{rate}", line=preamble.skip + 1
-    )
+    said = f"name the {preamble.width} columns in their order, with units, as in  --columns time_ms,voltage_V,mA,rpm"
+    if not _rises([row[0] for row in preamble.sample]):
+        said += "; where none is a time, also --rate HZ"
+    elif preamble.width == 3 and all(_SAVETXT.fullmatch(cell) for row in preamble.sample for cell in row):
+        said += "; an ODrive bulk capture of position and current is  --columns time_s,pos_estimate,Iq_measured"
+    where = "numbers where the header (time_s,voltage_V,…) should be"
+    return capture_error(path, f"{where}: {shown}; {said}", line=preamble.skip + 1)
+
+
+def _rises(cells: Sequence[str]) -> bool:
+    """Whether a column looks like a time: every number is larger than the one before."""
+    numbers = [float(cell) if is_number(cell) else clock_seconds(cell) for cell in cells]
+    return all(a is not None and b is not None and a < b for a, b in pairwise(numbers)) and len(numbers) > 1
 
 
 class TableRecording:

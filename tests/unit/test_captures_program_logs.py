@@ -152,6 +152,8 @@ def test_simplefoc_monitor_suggests_what_reads_it(tmp_path: Path) -> None:
 
 def test_odrive_captures(tmp_path: Path) -> None:
     bulk = table((M.t, TURNS, M.i), None, digits=".18e")
+    with pytest.raises(CaptureError, match=r"bulk capture .* is  --columns time_s,pos_estimate,Iq_measured"):
+        read(tmp_path, bulk)
     capture = read(tmp_path, bulk, columns=("time_s", "pos_estimate", "Iq_measured"))
     assert_close(capture, current_A=M.i, position_rad=M.x)
     header = "time,axis0.motor.current_control.Iq_measured,axis0.encoder.pos_estimate"

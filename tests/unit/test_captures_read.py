@@ -146,8 +146,8 @@ BAD = {
     "no header": (ROWS, "line 1: numbers where the header (time_s,voltage_V,…) should be"),
     "savetxt header": (
         "# time_s,voltage_V\n" + ROWS,
-        "line 2: numbers where the header (time_s,voltage_V,…) should be: 0.0,1.0,0.5,0.0; name the 4 columns, with "
-        "units: --columns time_s,voltage_V,current_A,position_rad",
+        "line 2: numbers where the header (time_s,voltage_V,…) should be: 0.0,1.0,0.5,0.0; name the 4 columns in "
+        "their order, with units, as in  --columns time_ms,voltage_V,mA,rpm",
     ),
     "no time": (
         "s,voltage_V,position_rad\n0,1,2\n1,1,2\n",
