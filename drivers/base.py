@@ -76,6 +76,11 @@ class Driver(ABC):
         return False
 
     @property
+    def remark(self) -> str | None:
+        """In words, what it hears and cannot read; None: nothing to say."""
+        return None
+
+    @property
     @abstractmethod
     def info(self) -> DriveInfo:
         """What is known of the device now; more may be known after the first frames."""

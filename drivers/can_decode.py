@@ -7,6 +7,7 @@ sign and scale over all frames of one identifier at once (`Field`), checked agai
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -251,6 +252,11 @@ def _field(message: Message, signals: dict[str, Signal], signal: Signal, where: 
         raise DriverConfigError(f"{where}: {name} spreads over nine bytes, which is not supported")
     if signal.is_float and signal.length not in (16, 32, 64):
         raise DriverConfigError(f"{where}: {name} is a {signal.length}-bit float; IEEE 754 has 16, 32 and 64")
+    scale, offset = float(signal.scale), float(signal.offset)
+    if not (math.isfinite(scale) and math.isfinite(offset) and scale):
+        raise DriverConfigError(
+            f"{where}: {name} has scale {scale:g} and offset {offset:g}, which leave no value of it"
+        )
     return Field(
         key=frame_key(message.frame_id, message.is_extended_frame),
         name=name,
@@ -261,8 +267,8 @@ def _field(message: Message, signals: dict[str, Signal], signal: Signal, where: 
         big_endian=big,
         signed=signal.is_signed,
         is_float=signal.is_float,
-        scale=float(signal.scale),
-        offset=float(signal.offset),
+        scale=scale,
+        offset=offset,
         selected_by=_multiplexers(message, signals, signal, where),
     )
 

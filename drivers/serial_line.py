@@ -21,6 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from serial.tools import list_ports
 
 from drivers.base import DriveInfo, Driver, disconnected
+from drivers.text_format import TextFormat, named_format
 from drivers.wire import Description, Quantity
 from drivers.wire_decoder import BinaryDecoder
 from drivers.wire_text import TextDecoder
@@ -34,14 +35,18 @@ _READ_SIZE = 65536
 #: keep a drive at 1 kHz at 25 wakeups a second and leave a third of the 60 ms from sample to API.
 _MIN_READ_SPACING_S = 0.04
 
-_TEXT_ONLY = ("counts_per_rev", "counts_modulus", "sample_period_s", "voltage_lsb_V", "current_lsb_A")
+#: Channels that the wire has as something else.
+_COUNTED = {"position_counts": "position_rad"}
+
+_TEXT_ONLY = ("columns", "counts_per_rev", "counts_modulus", "sample_period_s", "voltage_lsb_V", "current_lsb_A")
 
 
 class SerialOptions(BaseModel):
     """`[drive.options]` of `driver = "serial"`.
 
-    The text wire tells nothing of the drive, so its options do: `counts_per_rev` (needed), `counts_modulus` if the
-    counter is not one of 32 bits, `sample_period_s` if sampling is regular, and the resolutions of the converters.
+    The text wire tells little of the drive, so its options do: `columns` where lines are not `t_us,mV,mA,counts` and no
+    header line says so, `counts_per_rev` (needed where counts are sent), `counts_modulus` if the counter is not one of
+    32 bits, `sample_period_s` if sampling is regular, and the resolutions of the converters.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
@@ -50,6 +55,7 @@ class SerialOptions(BaseModel):
     baudrate: int = Field(921600, gt=0)
     wire: Literal["binary", "text"] = "binary"
     drive_id: int | None = Field(None, ge=0, le=255)
+    columns: str | None = None
     counts_per_rev: float | None = None
     counts_modulus: int | None = Field(None, ge=2, le=1 << 32)
     sample_period_s: float | None = Field(None, gt=0)
@@ -59,14 +65,25 @@ class SerialOptions(BaseModel):
     @model_validator(mode="after")
     def _options_suit_the_wire(self) -> SerialOptions:
         if self.wire == "text":
-            if not self.counts_per_rev:
+            told = self.format
+            if self.columns is not None and told is None:
+                raise ValueError(f"'columns': {self.columns!r} names no sample, as \"t_us,mV,mA,counts\" does")
+            counted = told is None or told.index("position_counts") is not None
+            if self.counts_per_rev == 0.0 or (counted and self.counts_per_rev is None):
                 raise ValueError("'counts_per_rev' is needed with wire = \"text\" and is not 0")
+            if told is not None and told.time is None and self.sample_period_s is None:
+                raise ValueError("'columns' names no time: 'sample_period_s' is needed")
             if self.drive_id is not None:
                 raise ValueError("'drive_id' is of no use with wire = \"text\": its lines carry none")
         for key in _TEXT_ONLY:
             if self.wire == "binary" and getattr(self, key) is not None:
                 raise ValueError(f"'{key}' is for wire = \"text\" only: on the binary wire the device tells it")
         return self
+
+    @property
+    def format(self) -> TextFormat | None:
+        """The lines' columns, where they are told."""
+        return None if self.columns is None else named_format(self.columns)
 
 
 def parse_options(name: str, options: dict[str, Any]) -> SerialOptions:
@@ -89,6 +106,13 @@ def parse_options(name: str, options: dict[str, Any]) -> SerialOptions:
         raise DriverConfigError(f"drive {name}: {where}{message}") from error
 
 
+class _KeepingPort(serial.Serial):  # type: ignore[misc]  # pyserial has no types
+    """A port whose opening keeps what has arrived before: the sketch's header line may be in it."""
+
+    def _reset_input_buffer(self) -> None:
+        """Called by `open` of pyserial."""
+
+
 class SerialDriver(Driver):
     """A drive on a serial port. Options: see `SerialOptions`.
 
@@ -109,12 +133,13 @@ class SerialDriver(Driver):
 
     def _make_decoder(self) -> BinaryDecoder | TextDecoder:
         settings = self._settings
-        if settings.counts_per_rev is None:
+        if settings.wire == "binary":
             return BinaryDecoder(settings.drive_id, self.counters)
         return TextDecoder(
             settings.counts_per_rev,
             sample_period_s=settings.sample_period_s,
             counts_modulus=settings.counts_modulus or 1 << 32,
+            columns=settings.format,
             counters=self.counters,
         )
 
@@ -125,25 +150,43 @@ class SerialDriver(Driver):
         if isinstance(self._decoder, BinaryDecoder):
             described = self._decoder.description
             return DriveInfo(identity="") if described is None else info_of(described, settings.port)
+        counted = "position_counts" in self._decoder.format.channels
         return DriveInfo(
             identity=f"serial:{settings.port}",
             sample_period_s=settings.sample_period_s,
-            counts_per_rev=abs(settings.counts_per_rev or 0.0) or None,
+            counts_per_rev=abs(settings.counts_per_rev or 0.0) or None if counted else None,
             current_lsb_A=settings.current_lsb_A or 1e-3,
             voltage_lsb_V=settings.voltage_lsb_V or 1e-3,
-            channels=("voltage_V", "current_A", "position_rad"),
+            channels=tuple(dict.fromkeys(_COUNTED.get(c, c) for c in self._decoder.format.channels)),
         )
+
+    @property
+    def remark(self) -> str | None:
+        decoder = self._decoder
+        if isinstance(decoder, BinaryDecoder):
+            return None
+        if not decoder.unread:
+            return None
+        names, line = ",".join(decoder.format.names), decoder.unread.decode("utf-8", "replace")
+        if not decoder.usable:
+            lacks = "counts_per_rev" if decoder.format.time is not None else "a time (t_us), or sample_period_s"
+            return f"its lines hold {names}, which needs {lacks}: {line!r}"
+        return f"a line that is not {names}: {line!r}; a header line or the option columns says what it is"
 
     def _open(self) -> None:
         settings = self._settings
         try:
-            self._port = serial.Serial(settings.port, settings.baudrate, timeout=0, exclusive=True)
+            make = _KeepingPort if settings.wire == "text" else serial.Serial
+            self._port = make(settings.port, settings.baudrate, timeout=0, exclusive=True)
         except (ValueError, OverflowError) as error:
             raise DriverConfigError(f"drive {self.name}: {settings.port}: {error}") from error
         except (OSError, termios.error) as error:
             raise self._unavailable(error) from error
         self._wake_r, self._wake_w = os.pipe()
         self._decoder.reattach()
+        if isinstance(self._decoder, TextDecoder):
+            with contextlib.suppress(OSError):  # gone already: `read` will say so
+                self._decoder.hear(bytes(self._port.read(_READ_SIZE)))
 
     def _unavailable(self, error: Exception) -> DriverUnavailableError:
         port = self._settings.port

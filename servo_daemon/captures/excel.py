@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 import warnings
+import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,12 +15,14 @@ from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
 
+from servo_daemon.captures.bounded import MAX_BYTES, MAX_OBJECTS, check_cells
 from servo_daemon.captures.held import HeldSignal, describe, proposal
-from servo_daemon.captures.layout import METADATA_LINE
+from servo_daemon.captures.layout import KNOWN_COLUMNS, METADATA_LINE
 from servo_daemon.captures.model import MIN_SAMPLES, capture_error
 from servo_daemon.captures.recording import Series, parser_failed
 from servo_daemon.captures.signal_map import SignalMap, SignalRef
-from servo_daemon.errors import BadInputError
+from servo_daemon.column_names import meaning
+from servo_daemon.errors import BadInputError, CaptureError
 
 #: Rows among which the header is looked for.
 _HEADER_WITHIN = 200
@@ -44,6 +47,8 @@ class SheetRecording:
     kind: ClassVar[str] = "Excel sheets"
     options: ClassVar[tuple[str, ...]] = ("sheet",)
     timed: ClassVar[bool] = False
+    header_line: ClassVar[int | None] = None
+    told: ClassVar[tuple[str, ...]] = ()
 
     path: Path
     sheet: _Sheet
@@ -100,18 +105,21 @@ def read_excel(path: Path, raw: BinaryIO, signal_map: SignalMap | None) -> Sheet
     openpyxl = _require_openpyxl(path)
     wanted = signal_map.text("sheet") if signal_map is not None else None
     try:
+        _check_unpacked(path, raw)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # styles and validations that openpyxl does not know
             book = openpyxl.load_workbook(raw, read_only=True, data_only=True)
             names = [sheet.title for sheet in book.worksheets]
-            sheets = [_sheet(s) for s in book.worksheets if wanted is None or s.title == wanted]
+            sheets = [_sheet(path, s) for s in book.worksheets if wanted is None or s.title == wanted]
             book.close()
+    except CaptureError:
+        raise
     except Exception as error:  # zip, XML and openpyxl's own parsers raise whatever they stumble over
         raise parser_failed(path, "Excel workbook (.xlsx)", error) from error
     if wanted is not None and not sheets:
         raise capture_error(path, f"no sheet {wanted!r}: there are {', '.join(names)}")
     if signal_map is None:
-        sheets_that_fit = [s for s in sheets if "time_s" in s.header]
+        sheets_that_fit = [s for s in sheets if _makes_a_capture(_held(s))]
     else:
         needed = {operand.signal for column in signal_map.columns() for operand in column.operands}
         sheets_that_fit = [s for s in sheets if needed <= set(s.header)]
@@ -128,6 +136,14 @@ def read_excel(path: Path, raw: BinaryIO, signal_map: SignalMap | None) -> Sheet
     return SheetRecording(path, (sheets_that_fit or sheets)[0])
 
 
+def _makes_a_capture(held: Sequence[HeldSignal]) -> bool:
+    """Whether a sheet has a time beside something else by its columns' names."""
+    columns = {
+        s.name if s.name in KNOWN_COLUMNS else m.column for s in held if (m := meaning(s.name, s.unit)) is not None
+    }
+    return "time_s" in columns and len(columns) > 1
+
+
 def _require_openpyxl(path: Path) -> Any:
     try:
         return importlib.import_module("openpyxl")
@@ -135,7 +151,18 @@ def _require_openpyxl(path: Path) -> Any:
         raise BadInputError(f"{path}: Excel needs openpyxl: pip install 'servo-daemon[excel]', or use CSV") from error
 
 
-def _sheet(sheet: Any) -> _Sheet:
+def _check_unpacked(path: Path, raw: BinaryIO) -> None:
+    """A workbook is a zip file: its parts say how large they are unpacked, and zipfile lets none be larger."""
+    with zipfile.ZipFile(raw) as parts:
+        size = sum(part.file_size for part in parts.infolist())
+    raw.seek(0)
+    if size > MAX_BYTES:
+        raise capture_error(
+            path, f"{size >> 20} MB unpacked: at most {MAX_BYTES >> 20} MB are read; cut the capture up"
+        )
+
+
+def _sheet(path: Path, sheet: Any) -> _Sheet:
     """Cells of an openpyxl worksheet from its header on."""
     metadata: dict[str, str] = {}
     header: tuple[str, ...] = ()
@@ -151,6 +178,7 @@ def _sheet(sheet: Any) -> _Sheet:
                 continue
             rows.append(number)
             cells.append(row)
+            check_cells(path, len(rows), len(row), MAX_OBJECTS)
         elif isinstance(row[0], str) and row[0].lstrip().startswith("#"):
             if match := METADATA_LINE.fullmatch(row[0].strip()):
                 key, value = match[1], match[2].strip()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -51,7 +51,6 @@ def make_layout(
     *,
     line: int | None = None,
     metadata_lines: Mapping[str, int] | None = None,
-    hint: Callable[[], str] | None = None,
 ) -> Layout:
     """What the columns mean, checked.
 
@@ -60,7 +59,6 @@ def make_layout(
         metadata: the capture's metadata.
         line: the header's line; None for a file without lines.
         metadata_lines: the line of each metadata key, for messages.
-        hint: what the user can do where columns are missing.
 
     Raises:
         CaptureError: duplicate columns, no usable set, rotary and linear columns mixed, impossible metadata.
@@ -72,7 +70,7 @@ def make_layout(
             if stripped.index(name) != index:
                 raise capture_error(path, "the column is there twice", line=line, column=name)
             columns[index] = (name, KNOWN_COLUMNS[name])
-    _check_usable(path, stripped, columns, line, hint)
+    _check_usable(path, stripped, columns, line)
     lines = metadata_lines or {}
     _check_numbers(path, metadata, lines)
     axis = _axis(path, columns, metadata, line=line, metadata_line=lines.get("axis"))
@@ -94,17 +92,15 @@ def _check_usable(
     names: Sequence[str],
     columns: Mapping[int, tuple[str, str]],
     line: int | None,
-    hint: Callable[[], str] | None,
 ) -> None:
     fields = {field for _, field in columns.values()}
     lack = lacks(fields)
     if not lack:
         return
     shown = ", ".join(name or "(no name)" for name in names[:12]) + (", …" if len(names) > 12 else "")
-    todo = f"; {hint()}" if hint is not None else ""
     if "time_s" not in fields:
-        raise capture_error(path, f"{lack} among: {shown}{todo}", line=line, column="time_s")
-    raise capture_error(path, f"{lack} among: {shown}; needed: {NEEDED}{todo}", line=line)
+        raise capture_error(path, f"{lack} among: {shown}", line=line, column="time_s")
+    raise capture_error(path, f"{lack} among: {shown}; needed: {NEEDED}", line=line)
 
 
 def _check_numbers(path: Path, metadata: Mapping[str, str], lines: Mapping[str, int]) -> None:

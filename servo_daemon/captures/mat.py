@@ -7,6 +7,7 @@ timeseries turned into a struct do, it is the time of every signal in that struc
 
 from __future__ import annotations
 
+import math
 import re
 import warnings
 from collections.abc import Iterator, Mapping
@@ -16,10 +17,12 @@ from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
 
+from servo_daemon.captures.bounded import check_cells
 from servo_daemon.captures.held import HeldSignal
 from servo_daemon.captures.model import capture_error
 from servo_daemon.captures.recording import Series, parser_failed
 from servo_daemon.captures.signal_map import SignalRef
+from servo_daemon.errors import CaptureError
 from servo_daemon.samples import F64
 
 _TIME_NAMES = ("time", "Time")
@@ -39,6 +42,8 @@ class MatRecording:
 
     kind: ClassVar[str] = "MAT files"
     options: ClassVar[tuple[str, ...]] = ("time_base",)
+    header_line: ClassVar[int | None] = None
+    told: ClassVar[tuple[str, ...]] = ()
 
     path: Path
     tree: Mapping[str, Any]
@@ -109,7 +114,7 @@ def read_mat(path: Path, raw: BinaryIO) -> MatRecording:
     Raises:
         CaptureError: damaged, or of version 7.3 (HDF5), or with objects of MATLAB classes only.
     """
-    from scipy.io import loadmat
+    from scipy.io import loadmat, whosmat
 
     raw.seek(0)
     head = raw.read(128)
@@ -119,7 +124,11 @@ def read_mat(path: Path, raw: BinaryIO) -> MatRecording:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of variables scipy cannot read, which are named below where it matters
+            check_cells(path, sum(math.prod(shape) for _, shape, _ in whosmat(raw)), 1)
+            raw.seek(0)
             content = loadmat(raw, simplify_cells=True)
+    except CaptureError:
+        raise
     except Exception as error:  # the parser raises whatever the bytes make it stumble over
         raise parser_failed(path, "MAT file", error) from error
     variables = {k: v for k, v in content.items() if isinstance(k, str) and not k.startswith("__")}

@@ -15,8 +15,10 @@ from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
 
+from servo_daemon.captures.bounded import check_cells
 from servo_daemon.captures.held import HeldSignal
 from servo_daemon.captures.model import Capture, capture_error
+from servo_daemon.captures.read_options import ReadOptions
 from servo_daemon.captures.recording import Series, assemble, parser_failed
 from servo_daemon.captures.signal_map import SignalMap, SignalRef
 from servo_daemon.errors import BadInputError, ServoDaemonError
@@ -30,12 +32,16 @@ class MdfRecording:
     options: ClassVar[tuple[str, ...]] = ("time_base",)
     timed: ClassVar[bool] = True
     metadata: ClassVar[Mapping[str, str]] = {}
+    header_line: ClassVar[int | None] = None
+    told: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, path: Path, file: Any) -> None:
         self.path, self._file = path, file
         self._masters = set(file.masters_db.items())
         self._clocks: dict[int, F64] = {}
         held = []
+        cells = sum(int(group.channel_group.cycles_nr) * len(group.channels) for group in file.groups)
+        check_cells(path, cells, 1)
         for number, group in enumerate(file.groups):
             for index, channel in enumerate(group.channels):
                 if (number, index) not in self._masters:
@@ -89,7 +95,7 @@ class MdfRecording:
         return f"{group} ({name})" if name else str(group)
 
 
-def read_mdf(path: Path, raw: BinaryIO, signal_map: SignalMap | None) -> Capture:
+def read_mdf(path: Path, raw: BinaryIO, signal_map: SignalMap | None, options: ReadOptions | None = None) -> Capture:
     """The capture in an open MDF file.
 
     Raises:
@@ -100,7 +106,7 @@ def read_mdf(path: Path, raw: BinaryIO, signal_map: SignalMap | None) -> Capture
     with _quiet():
         try:
             with asammdf.MDF(raw) as file:
-                return assemble(MdfRecording(path, file), signal_map)
+                return assemble(MdfRecording(path, file), signal_map, options)
         except ServoDaemonError:
             raise
         except Exception as error:  # the parser raises whatever the bytes make it stumble over, channels included

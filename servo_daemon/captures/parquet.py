@@ -9,11 +9,14 @@ from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
 
-from servo_daemon.captures.held import HeldSignal, describe, proposal
+from servo_daemon.captures.bounded import check_cells
+from servo_daemon.captures.held import HeldSignal, describe
 from servo_daemon.captures.layout import Layout, make_layout
 from servo_daemon.captures.model import MIN_SAMPLES, Capture, capture_error, first_bad_time, time_fault
+from servo_daemon.captures.read_options import ReadOptions
 from servo_daemon.captures.recording import Series, assemble
 from servo_daemon.captures.signal_map import SignalMap, SignalRef
+from servo_daemon.captures.understood import only_ours
 from servo_daemon.errors import BadInputError
 from servo_daemon.samples import F64
 
@@ -38,7 +41,9 @@ def require_pyarrow(path: Path) -> tuple[Any, Any]:
         ) from error
 
 
-def read_parquet(path: Path, raw: BinaryIO, signal_map: SignalMap | None = None) -> Capture:
+def read_parquet(
+    path: Path, raw: BinaryIO, signal_map: SignalMap | None = None, options: ReadOptions | None = None
+) -> Capture:
     """A capture from an open Parquet file. Rows count from 1 in messages.
 
     Raises:
@@ -51,9 +56,10 @@ def read_parquet(path: Path, raw: BinaryIO, signal_map: SignalMap | None = None)
         schema = file.schema_arrow
         stored = {k.decode(errors="replace"): v.decode(errors="replace") for k, v in (schema.metadata or {}).items()}
         metadata = {key: value for key, value in stored.items() if key not in _FOREIGN}
-        if signal_map is not None:
-            return assemble(ParquetRecording(path, file, metadata), signal_map)
-        layout = make_layout(path, schema.names, metadata, hint=lambda: proposal(_named(schema.names)))
+        if signal_map is not None or options != ReadOptions() or not only_ours(schema.names):
+            return assemble(ParquetRecording(path, file, metadata), signal_map, options)
+        layout = make_layout(path, schema.names, metadata)
+        check_cells(path, file.metadata.num_rows, len(layout.columns))
         table = file.read(columns=[name for name, _ in layout.columns.values()])
     except (arrow.ArrowException, OSError) as error:
         raise capture_error(path, f"not a usable Parquet file: {str(error).splitlines()[0]}") from error
@@ -62,10 +68,6 @@ def read_parquet(path: Path, raw: BinaryIO, signal_map: SignalMap | None = None)
     if n < MIN_SAMPLES:
         raise capture_error(path, f"{n} samples: at least {MIN_SAMPLES} are needed")
     return Capture(path, axis=layout.axis, metadata=metadata, notes=layout.notes, **columns)
-
-
-def _named(names: Sequence[str]) -> list[HeldSignal]:
-    return [HeldSignal(name) for name in names]
 
 
 def _columns(path: Path, arrow: Any, table: Any, layout: Layout) -> dict[str, F64]:
@@ -98,6 +100,8 @@ class ParquetRecording:
     kind: ClassVar[str] = "Parquet"
     options: ClassVar[tuple[str, ...]] = ()
     timed: ClassVar[bool] = False
+    header_line: ClassVar[int | None] = None
+    told: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, path: Path, file: Any, metadata: Mapping[str, str]) -> None:
         self.path, self.metadata, self._file = path, metadata, file
@@ -110,6 +114,7 @@ class ParquetRecording:
             message = "the column is there twice" if count > 1 else f"no such column; there are {describe(self.held)}"
             raise capture_error(self.path, message, column=ref.label)
         arrow, _ = require_pyarrow(self.path)
+        check_cells(self.path, self._file.metadata.num_rows, 1)
         table = self._file.read(columns=[ref.signal])
         return Series(_doubles(self.path, arrow, table.column(ref.signal), ref.signal))
 

@@ -11,8 +11,8 @@ from typing import Protocol
 import numpy as np
 
 from drivers.can_unwrap import WrappedPosition
-from servo_daemon.captures.held import HeldSignal, describe, proposal
-from servo_daemon.captures.layout import KNOWN_COLUMNS, NEEDED, lacks, make_layout
+from servo_daemon.captures.held import HeldSignal, describe
+from servo_daemon.captures.layout import KNOWN_COLUMNS, make_layout
 from servo_daemon.captures.model import (
     LINEAR_COLUMNS,
     MIN_SAMPLES,
@@ -21,8 +21,11 @@ from servo_daemon.captures.model import (
     first_bad_time,
     time_fault,
 )
+from servo_daemon.captures.read_options import ReadOptions
 from servo_daemon.captures.signal_map import COUNTS, MappedColumn, SignalMap, SignalRef
 from servo_daemon.captures.time_base import BASE_ORDER, BRIDGE_FACTOR, Timed, held, same_time, to_one_time
+from servo_daemon.captures.understand import understand
+from servo_daemon.captures.understood import Understood
 from servo_daemon.errors import CaptureError, ConfigError
 from servo_daemon.samples import F64
 
@@ -45,6 +48,8 @@ class Recording(Protocol):
         held: its signals.
         timed: they have time stamps of their own.
         options: the keys of a signal map it takes, beside `counts_per_rev`.
+        header_line: of a text table, the line of its names.
+        told: in words, what is unusual in how it is written.
     """
 
     @property
@@ -59,6 +64,10 @@ class Recording(Protocol):
     def timed(self) -> bool: ...
     @property
     def options(self) -> tuple[str, ...]: ...
+    @property
+    def header_line(self) -> int | None: ...
+    @property
+    def told(self) -> Sequence[str]: ...
 
     def read(self, ref: SignalRef) -> Series:
         """A signal.
@@ -71,68 +80,72 @@ class Recording(Protocol):
         """Where in the file a sample is, for messages."""
 
 
-def assemble(recording: Recording, signal_map: SignalMap | None) -> Capture:
+def assemble(recording: Recording, signal_map: SignalMap | None, options: ReadOptions | None = None) -> Capture:
     """The capture in a recording, checked like any other.
 
     Args:
         recording: the file.
-        signal_map: None: the signals whose names are the contract's.
+        signal_map: None: the signals are understood by their names.
+        options: what the user tells beside the map.
 
     Raises:
         CaptureError: a signal is missing, not finite, or its time does not increase; there is no usable set; one line
             that names file, place and signal.
         ConfigError: the map is wrong.
     """
-    path = recording.path
+    path, options = recording.path, options or ReadOptions()
+    found = Understood()
     if signal_map is None:
-        signal_map = SignalMap(path)
-        columns = _plain_columns(recording)
+        signal_map, found = SignalMap(path), understand(recording, options)
+        columns, per_rev = tuple(found.columns.values()), found.counts_per_rev
     else:
         signal_map.only((*recording.options, "counts_per_rev"), recording.kind)
-        columns = _with_time(signal_map.columns(), recording)
-    metadata = {**recording.metadata, **signal_map.metadata}
+        columns = _with_time(signal_map.columns(), recording, options)
+        per_rev = signal_map.counts_per_rev
+    metadata = {**recording.metadata, **found.metadata, **signal_map.metadata}
     series = {column.name: _read_column(recording, column) for column in columns}
     if COUNTS in series:
-        per_rev = signal_map.counts_per_rev
-        assert per_rev is not None  # `columns` asked for it
+        assert per_rev is not None  # whoever names the columns asks for it
         counts = series.pop(COUNTS)
         series["position_rad"] = Series(counts.values * (2 * math.pi / per_rev), counts.time_s)
-        metadata.setdefault("counts_per_rev", f"{abs(per_rev):g}")
+        metadata["counts_per_rev"] = f"{abs(per_rev):g}"
     labels = {column.name.replace(COUNTS, "position_rad"): column.operands[0].label for column in columns}
     names = [*series, *({"time_s"} - series.keys())]
     layout = make_layout(path, names, metadata)
-    timed = _timed(recording, series, labels)
+    timed = _timed(recording, series, labels, options.rate_hz)
     time_s, values, notes = _one_time(recording, timed, signal_map)
+    understood = _understood(recording, found, time_s, options)
     return Capture(
         path,
         time_s=time_s,
         axis=layout.axis,
         metadata=metadata,
-        notes=(*_unused(recording, columns), *notes),
+        notes=(*understood, *_unused(recording, columns), *notes),
         **values,
     )
 
 
-def _plain_columns(recording: Recording) -> tuple[MappedColumn, ...]:
-    """The signals that are called as a capture's columns are."""
-    found = {signal.short: signal for signal in recording.held if signal.short in KNOWN_COLUMNS}
-    for name in found:
-        count = [signal.short for signal in recording.held].count(name)
-        if count > 1:
-            raise capture_error(recording.path, f"there are {count} of this name: say which in a map", column=name)
-    fields = {KNOWN_COLUMNS[name] for name in found} | ({"time_s"} if recording.timed else set())
-    lack = lacks(fields)
-    if lack:
-        what = f"{lack}; the file holds {describe(recording.held)}"
-        todo = f"; {proposal(recording.held, timed=recording.timed)}" if recording.held else ""
-        raise capture_error(recording.path, f"{what}; needed: {NEEDED}{todo}")
-    return tuple(MappedColumn(name, (SignalRef("value", signal.name),)) for name, signal in found.items())
+def _understood(recording: Recording, found: Understood, time_s: F64, options: ReadOptions) -> tuple[str, ...]:
+    """One line of what was made of a file that is not written as ours are; none of one that is."""
+    parts = [*recording.told, *found.told]
+    if not parts and options.rate_hz is None:
+        return ()
+    rate_hz = options.rate_hz or 1.0 / float(np.median(np.diff(time_s)))
+    size = f"{len(time_s):,} rows at {rate_hz:,.1f} Hz"
+    return (", ".join([*recording.told, size, *found.told]),)
 
 
-def _with_time(columns: tuple[MappedColumn, ...], recording: Recording) -> tuple[MappedColumn, ...]:
+def _with_time(
+    columns: tuple[MappedColumn, ...], recording: Recording, options: ReadOptions
+) -> tuple[MappedColumn, ...]:
     """A signal time_s needs no line in the map."""
     time = [signal for signal in recording.held if signal.short == "time_s"]
-    if recording.timed or len(time) != 1 or any(column.name == "time_s" for column in columns):
+    if (
+        recording.timed
+        or options.rate_hz is not None
+        or len(time) != 1
+        or any(column.name == "time_s" for column in columns)
+    ):
         return columns
     return (MappedColumn("time_s", (SignalRef("value", time[0].name),)), *columns)
 
@@ -189,8 +202,10 @@ def _combined(recording: Recording, column: MappedColumn, parts: Mapping[str, Se
     return Series(result[there], None if first.time_s is None else first.time_s[there])
 
 
-def _timed(recording: Recording, series: dict[str, Series], labels: Mapping[str, str]) -> dict[str, Timed]:
-    """Every column with its time: that of `time_s`, else its own."""
+def _timed(
+    recording: Recording, series: dict[str, Series], labels: Mapping[str, str], rate_hz: float | None
+) -> dict[str, Timed]:
+    """Every column with its time: that of `time_s`, else its own, else what the rate makes of its samples' numbers."""
     path = recording.path
     clock = series.get("time_s")
     timed: dict[str, Timed] = {}
@@ -206,8 +221,10 @@ def _timed(recording: Recording, series: dict[str, Series], labels: Mapping[str,
                 if foreign:
                     message = f"not sampled with time_s ({labels['time_s']}): leave time_s out of the map"
                 raise capture_error(path, message, column=labels[name])
+        if time_s is None and rate_hz is not None:
+            time_s = np.arange(len(one.values)) / rate_hz
         if time_s is None:
-            what = f"no time: map time_s; the file holds {describe(recording.held)}"
+            what = f"no time: map time_s, or say --rate; the file holds {describe(recording.held)}"
             raise capture_error(path, what, column=labels[name])
         if len(time_s) < MIN_SAMPLES:
             what = f"{len(time_s)} sample{'s' if len(time_s) != 1 else ''}: at least {MIN_SAMPLES} are needed"

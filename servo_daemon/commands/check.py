@@ -13,12 +13,23 @@ from servo_daemon.commands import common
 from servo_daemon.config import DriveConfig, load_config
 from servo_daemon.errors import BadInputError, DriverConfigError, DriverError, EndOfStreamError
 from servo_daemon.estimators.signals import plan_signals
+from servo_daemon.samples import SampleBlock
 
 HELP = "validate a config, open each driver and say what it sees"
 EXAMPLE = "  servo-daemon check --config /etc/servo-daemon.toml"
 
 #: How long a drive is listened to, s: description frames come once a second.
 _LISTEN_S = 3.0
+#: What was held back somewhere, or is sent while a device starts, has arrived by then, s.
+_SETTLED_S = 0.3
+#: Less of the clock, s, tells nothing of how fast device time passes: what comes at once was held back.
+_CLOCK_S = 0.5
+#: Device time that passes so many times faster or more slowly than the clock is in another unit.
+_CLOCK_FACTOR = 1.5
+#: Drives whose time is their own business: a file, a simulation.
+_NO_CLOCK = ("replay", "simulated")
+#: Lines that cannot be read are remarked upon from this share of the samples on: those at the start are usual.
+_UNREAD = 0.05
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,7 +62,8 @@ def _look(drive: DriveConfig, driver: Driver, listen_s: float) -> dict[str, Any]
         DriverConfigError: its options cannot work with this device.
     """
     problem: str | None = None
-    first = last = None
+    first = last = settled = None
+    remark: str | None = None
     try:
         with driver:
             deadline = time.monotonic() + listen_s
@@ -59,6 +71,9 @@ def _look(drive: DriveConfig, driver: Driver, listen_s: float) -> dict[str, Any]
                 block = driver.read(0.1)
                 if block is not None:
                     first, last = first or block, block
+                    if block.host_time_s - first.host_time_s < _SETTLED_S:
+                        settled = block
+            remark = driver.remark
     except DriverConfigError:
         raise
     except EndOfStreamError:
@@ -68,6 +83,7 @@ def _look(drive: DriveConfig, driver: Driver, listen_s: float) -> dict[str, Any]
     counters = driver.counters
     if problem is None and last is None:
         problem = f"open, but no samples in {listen_s:g} s ({counters.framing_errors} framing errors)"
+        problem += f"; {remark}" if remark else ""
     channels = last.channels if last is not None else driver.info.channels
     plan = plan_signals(channels, drive.model, drive.nominal) if last is not None else None
     span = 0.0 if first is None or last is None else float(last.time_s[-1] - first.time_s[0])
@@ -82,10 +98,43 @@ def _look(drive: DriveConfig, driver: Driver, listen_s: float) -> dict[str, Any]
         "samples_lost": counters.samples_lost,
         "crc_errors": counters.crc_errors,
         "framing_errors": counters.framing_errors,
+        "assumes": _assumptions(driver, drive, channels),
+        "remarks": _remarks(driver, settled, last, remark),
         "sample_rate_hz": None if span <= 0 else (counters.samples - 1) / span,
         "estimated": [] if plan is None else list(plan.free),
         "not_estimated": {} if plan is None else dict(plan.reasons),
     }
+
+
+def _assumptions(driver: Driver, drive: DriveConfig, channels: tuple[str, ...]) -> list[str]:
+    """What is taken for granted of the drive, with what the user can do to see whether it is so."""
+    counts = driver.info.counts_per_rev
+    if not counts or "position_rad" not in channels:
+        return []
+    turn = "turn the shaft once by hand and expect 6.28 rad"
+    nominal = f"; nominal K = {drive.nominal['K']:g} and J, B are of the same shaft" if "K" in drive.nominal else ""
+    return [f"{counts:,.10g} counts a turn: {turn}{nominal}"]
+
+
+def _remarks(driver: Driver, first: SampleBlock | None, last: SampleBlock | None, remark: str | None) -> list[str]:
+    """What is odd though samples come."""
+    found = []
+    if first is not None and last is not None and driver.kind not in _NO_CLOCK:
+        clock_s, device_s = last.host_time_s - first.host_time_s, float(last.time_s[-1] - first.time_s[-1])
+        if clock_s >= _CLOCK_S and not 1 / _CLOCK_FACTOR < device_s / clock_s < _CLOCK_FACTOR:
+            found.append(_clock_remark(device_s / clock_s))
+    counters = driver.counters
+    if remark and counters.framing_errors > _UNREAD * max(counters.samples, 1):
+        found.append(f"{counters.framing_errors} lines could not be read: {remark}")
+    return found
+
+
+def _clock_remark(ratio: float) -> str:
+    """What is said where device time passes `ratio` times as fast as the clock."""
+    how, factor = ("fast", ratio) if ratio > 1.0 else ("slowly", 1.0 / max(ratio, 1e-9))
+    unit = " (are its milliseconds called microseconds? t_ms is their name)" if how == "slowly" and factor > 300 else ""
+    shown = f"{factor:,.0f}" if factor >= 10.0 else f"{factor:.2g}"
+    return f"device time passes {shown} times too {how} by the clock{unit}: all that is learnt would be wrong"
 
 
 def _text(report: dict[str, Any]) -> str:
@@ -98,4 +147,6 @@ def _text(report: dict[str, Any]) -> str:
         f"  estimated: {', '.join(report['estimated']) or 'nothing'}",
     ]
     lines += [f"  {name}: {why}" for name, why in report["not_estimated"].items()]
+    lines += [f"  assumes {text}" for text in report["assumes"]]
+    lines += [f"  WARNING: {text}" for text in report["remarks"]]
     return "\n".join(lines)

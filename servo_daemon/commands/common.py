@@ -22,6 +22,7 @@ from servo_daemon.service.snapshot import ParameterEstimate
 if TYPE_CHECKING:
     from drivers.base import DriveInfo
     from servo_daemon.captures import Capture
+    from servo_daemon.captures.read_options import ReadOptions
 
 
 #: What a command's argument CAPTURE may be.
@@ -83,12 +84,41 @@ def add_json(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print exactly one JSON document on stdout")
 
 
-def add_signals(parser: argparse.ArgumentParser) -> None:
+def add_signals(parser: argparse.ArgumentParser, *, rate: bool = True) -> None:
+    """What a user tells of captures; without `--rate` where the command has another one of that name."""
+    parser.set_defaults(capture_rate=None)
+    if rate:
+        parser.add_argument(
+            "--rate",
+            dest="capture_rate",
+            type=float,
+            metavar="HZ",
+            help="the samples' rate, where the file has no time",
+        )
     parser.add_argument(
         "--signals",
         type=Path,
         metavar="MAP.toml",
         help="which signal of the file is which column (docs/captures.md); for every capture given",
+    )
+    parser.add_argument(
+        "--columns", metavar="NAME,…", help="names of a text table's columns, with units; '-' passes one over"
+    )
+    parser.add_argument("--counts-per-rev", type=float, metavar="N", help="of the encoder whose counts are in the file")
+    parser.add_argument("--supply", metavar="V[/FULL]", help="volts of a duty cycle of 1, or of FULL (12/255)")
+    parser.add_argument("--pole-pairs", type=float, metavar="N", help="where a file has the electrical speed only")
+
+
+def _read_options(arguments: argparse.Namespace) -> ReadOptions:
+    from servo_daemon.captures.read_options import ReadOptions, parse_supply
+
+    names = (arguments.columns or "").split(",") if arguments.columns is not None else []
+    return ReadOptions(
+        tuple(name.strip() for name in names),
+        arguments.capture_rate,
+        arguments.counts_per_rev,
+        None if arguments.supply is None else parse_supply(arguments.supply),
+        arguments.pole_pairs,
     )
 
 
@@ -101,7 +131,8 @@ def read_captures(paths: Sequence[Path], arguments: argparse.Namespace) -> tuple
     from servo_daemon.captures import load_signal_map, read_capture
 
     signal_map = None if arguments.signals is None else load_signal_map(arguments.signals)
-    captures = tuple(read_capture(path, signal_map) for path in paths)
+    options = _read_options(arguments)
+    captures = tuple(read_capture(path, signal_map, options) for path in paths)
     for capture in captures:
         for text in capture.notes:
             note(f"{capture.path}: {text}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 from servo_daemon.commands.units import shown_column, shown_unit
@@ -13,6 +14,8 @@ from servo_daemon.plant.parameters import spaced
 _FAR = 10.0
 #: A residual of this share of the signal's spread is no simulation of it.
 _NOTHING = 0.7
+#: K of a motor lies within 10 % of its datasheet (as makers say), J and B with load and friction within 40 %.
+_NEAR, _SQUARE_NEAR = 0.1, 0.35
 
 
 def result_notes(fit: OutputErrorFit, nominal: Mapping[str, float]) -> list[str]:
@@ -35,6 +38,7 @@ def result_notes(fit: OutputErrorFit, nominal: Mapping[str, float]) -> list[str]
             notes.append(
                 f"{name} ended at its physical bound, {p.value:.3g}{spaced(p.unit)}: the data ask for what cannot be"
             )
+    notes += _counts_hint({n: p.value for n, p in fit.parameters.items() if p.status == "estimated"}, nominal)
     for name, spread in zip(fit.problem.channels, fit.problem.spread, strict=True):
         if fit.residual[name].rmse > _NOTHING * spread > 0:
             notes.append(f"the model explains next to nothing of {name}: is its sign turned, or its unit wrong?")
@@ -50,6 +54,24 @@ def result_notes(fit: OutputErrorFit, nominal: Mapping[str, float]) -> list[str]
             "Ω, which no residual shows and no standard deviation holds; `--fix R=…` puts it there"
         )
     return notes
+
+
+def _counts_hint(found: Mapping[str, float | None], nominal: Mapping[str, float]) -> list[str]:
+    """Whether K stands to its nominal value as a wrong number of counts in a turn makes it, J and B as its square.
+
+    An angle that is f times too small makes K f times, J and B f² times too large; f is that of quadrature counting.
+    """
+    ratio = {n: v / nominal[n] for n, v in found.items() if v is not None and v > 0.0 and nominal.get(n, 0.0) > 0.0}
+    for factor in (0.25, 0.5, 2.0, 4.0):
+        squares = [n for n in ("J", "B") if n in ratio and abs(math.log(ratio[n] / factor**2)) < _SQUARE_NEAR]
+        if "K" in ratio and abs(math.log(ratio["K"] / factor)) < _NEAR and "J" in squares:
+            times = f"{factor:g} times too large" if factor > 1.0 else f"{1 / factor:g} times too small"
+            others = ", ".join(f"{n} {ratio[n]:.3g}" for n in squares)
+            return [
+                f"K is {ratio['K']:.3g} and {others} times nominal, as if the counts of a turn (counts_per_rev) were "
+                f"told {times}: lines, or counts after quadrature?"
+            ]
+    return []
 
 
 def drift_note(drift: Drift, fit: OutputErrorFit, *, linear: bool) -> str:

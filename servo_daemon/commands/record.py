@@ -6,11 +6,17 @@ import argparse
 import time
 from pathlib import Path
 from threading import Event
+from typing import TYPE_CHECKING, Any
 
 from drivers.base import Driver
 from servo_daemon.commands import common
 from servo_daemon.errors import BadInputError, DriverError, DriverUnavailableError, EndOfStreamError
 from servo_daemon.samples import SampleBlock
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
+
+    from servo_daemon.captures import CaptureWriter
 
 HELP = "record a capture from a live driver"
 EXAMPLE = "  servo-daemon record --config servo-daemon.toml --drive axis1 --seconds 60 --out bench.csv.gz"
@@ -18,7 +24,9 @@ EXAMPLE = "  servo-daemon record --config servo-daemon.toml --drive axis1 --seco
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     common.add_config(parser, required=True)
-    parser.add_argument("--seconds", type=float, required=True, metavar="N", help="of device time")
+    parser.add_argument(
+        "--seconds", type=float, required=True, metavar="N", help="of device time, or of the clock if that is slower"
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="F", help=".csv, .csv.gz or .parquet")
     common.add_json(parser)
 
@@ -46,19 +54,8 @@ def run(arguments: argparse.Namespace) -> int:
             CaptureWriter(arguments.out, metadata=metadata) as writer,
             common.progress(arguments.seconds, "s", "record") as bar,
         ):
-            block: SampleBlock | None = first
-            start = float(first.time_s[0])
             try:
-                while block is not None:
-                    inside = int((block.time_s - start < arguments.seconds).sum())
-                    if inside:
-                        writer.write(block.slice(0, inside))
-                    bar.update(float(block.time_s[-1]) - start - bar.n)
-                    if inside < len(block):
-                        break
-                    block = _next_block(driver, stop)
-                else:
-                    common.note("record: stopped early; what was recorded is kept")
+                _copy(driver, first, writer, arguments.seconds, stop, bar)
             except EndOfStreamError as end:
                 common.note(f"record: {end}")
             except DriverError as error:  # what was recorded until then is kept
@@ -73,6 +70,36 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         common.note(summary)
     return 0
+
+
+#: Device time that has not passed when so much of the clock has, s, is slower than any oscillator: in another unit.
+_CLOCK_FACTOR, _CLOCK_SLACK_S = 1.1, 1.0
+
+
+def _copy(
+    driver: Driver, first: SampleBlock, writer: CaptureWriter, seconds: float, stop: Event, bar: tqdm[Any]
+) -> None:
+    """From `first` on until `seconds` of device time have passed, or as much of the clock.
+
+    Raises:
+        DriverError: of the driver; what was written until then stays.
+    """
+    block: SampleBlock | None = first
+    start = float(first.time_s[0])
+    deadline = time.monotonic() + _CLOCK_FACTOR * seconds + _CLOCK_SLACK_S
+    while block is not None:
+        inside = int((block.time_s - start < seconds).sum())
+        if inside:
+            writer.write(block.slice(0, inside))
+        passed = float(block.time_s[-1]) - start
+        bar.update(passed - bar.n)
+        if inside < len(block):
+            return
+        if not driver.can_wait and time.monotonic() > deadline:
+            common.note(f"record: ended by the clock: device time went on by {passed:.3g} s only")
+            return
+        block = _next_block(driver, stop)
+    common.note("record: stopped early; what was recorded is kept")
 
 
 #: A drive that says nothing for this long ends the recording, s.

@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=int, default=0, help="same seed, same model (default: 0)")
     parser.add_argument("--out", type=Path, metavar="F", help="where to write the model (default: where `run` looks)")
-    common.add_signals(parser)
+    common.add_signals(parser, rate=False)
     common.add_config(parser)
     common.add_json(parser)
 

@@ -169,6 +169,15 @@ def test_a_dbc_that_is_missing_or_none(tmp_path: Path) -> None:
         assert str(path) in refused(path, signals)
 
 
+@pytest.mark.parametrize("scaling", ["(0,0)", "(1e400,0)", "(1,-1e400)"])
+def test_a_scale_that_leaves_no_value_is_an_error(tmp_path: Path, scaling: str) -> None:
+    path = tmp_path / "axis.dbc"
+    signal = f'SG_ Current : 0|16@1- {scaling} [0|0] "A" X'
+    path.write_text(f'VERSION ""\nBU_: X\nBO_ 256 Status: 8 X\n {signal}\n')
+    text = refused(path, {"current_A": "Status.Current"})
+    assert "Status.Current has scale" in text and "leave no value of it" in text
+
+
 # ---- formulas
 
 

@@ -15,7 +15,8 @@ import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from servo_daemon.captures import read, read_capture, write_capture
+from servo_daemon.captures import read_capture, write_capture
+from servo_daemon.captures.rows import TextTable
 from servo_daemon.errors import CaptureError
 from servo_daemon.samples import make_block
 
@@ -100,7 +101,7 @@ def test_fast_and_slow_way_agree(rows: list[list[str]], ending: str) -> None:
     lines = ["time_s,voltage_V,position_rad", "-3,0,0", *(",".join(row) for row in rows)]
     with capture_file("".join(line + ending for line in lines).encode()) as path:
         usual = outcome(path)
-        with mock.patch.object(read, "_read_rows_fast", return_value=None):
+        with mock.patch.object(TextTable, "_read_fast", return_value=None):
             assert outcome(path) == usual
 
 

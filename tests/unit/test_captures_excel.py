@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import importlib
 import io
+import math
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -80,15 +81,15 @@ BAD: dict[str, tuple[dict[str, Sequence[Sequence[Any]]], str]] = {
     "only one, empty": ({"A": []}, "no column time_s; the file holds no numeric signal"),
     "names": (
         {"A": [["t / ms", "Spannung"], [0, 1], [1, 2]]},
-        "no column time_s; the file holds t / ms (2), Spannung (2); needed: ",
+        "no usable set of columns; the file holds t / ms (2), Spannung (2); say which signal is which: ",
     ),
     "proposal": (
-        {"A": [["t / ms", "Spannung"], [0, 1]]},
+        {"A": [["t / ms", "Spannung"], [0, 1], [1, 2]]},
         'signals = { time_s = { signal = "t / ms", scale = 0.001 }, voltage_V = "Spannung", ',
     ),
     "several": (
-        {"A": [["t", "U"], [0, 1]], "B": [["x", "y"], ["s", "V"], [1, 2]]},
-        "no sheet has the columns needed: sheet A: t (1), U (1); sheet B: x (1, s), y (1, V); say which",
+        {"A": [["t", "a"], [0, 1]], "B": [["x", "y"], ["s", "V"], [1, 2]]},
+        "no sheet has the columns needed: sheet A: t (1), a (1); sheet B: x (1, s), y (1, V); say which",
     ),
     "twice": ({"A": [[*HEADER, "time_s"], *ROWS]}, "column time_s: there are 2 of this name"),
     "header only": ({"A": [HEADER]}, "sheet A: a header but no rows: at least 2 samples are needed"),
@@ -156,3 +157,26 @@ def test_without_openpyxl_the_extra_is_named(tmp_path: Path, monkeypatch: pytest
     with pytest.raises(BadInputError, match=r"a\.xlsx: Excel needs openpyxl: pip install 'servo-daemon\[exc") as caught:
         read_capture(path)
     assert caught.value.exit_code == 2
+
+
+def test_columns_are_understood_by_name_and_unit(tmp_path: Path) -> None:
+    table = [["Zeit", "Spannung", "Strom", "Winkel"], ["ms", "V", "mA", "°"]]
+    table += [[1e3 * t, u, 1e3 * i, math.degrees(q)] for t, u, i, q in ROWS]
+    capture = read_capture(workbook(tmp_path / "a.xlsx", {"A": table, "notes": [["who", "what"], ["x", "y"]]}))
+    assert capture.position_rad is not None and capture.current_A is not None
+    np.testing.assert_allclose(capture.time_s, T, rtol=1e-12)
+    np.testing.assert_allclose(capture.current_A, COLUMNS[2], rtol=1e-12)
+    np.testing.assert_allclose(capture.position_rad, COLUMNS[3], rtol=1e-12)
+    assert "Winkel → position_rad" in capture.notes[0]
+
+
+def test_a_workbook_that_unpacks_to_more_than_is_read_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = workbook(tmp_path / "a.xlsx", {"A": [HEADER, *ROWS]})
+    monkeypatch.setattr("servo_daemon.captures.excel.MAX_OBJECTS", 100)
+    with pytest.raises(CaptureError, match="at most 100 numbers are read"):
+        read_capture(path)
+    monkeypatch.setattr("servo_daemon.captures.excel.MAX_BYTES", 1000)
+    with pytest.raises(CaptureError, match="MB unpacked: at most"):
+        read_capture(path)

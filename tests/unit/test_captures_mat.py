@@ -126,7 +126,7 @@ BAD: dict[str, tuple[dict[str, Any], str | None, str]] = {
     "names": (
         {"t": T, "Uarm": U, "s": "x"},
         None,
-        f"no column time_s; the file holds t ({N}), Uarm ({N}); needed: time_s, one of position_rad",
+        f"no usable set of columns; the file holds t ({N}), Uarm ({N}); say which signal is which: --signals MAP.toml",
     ),
     "matrix": ({"data": np.ones((N, 4))}, None, 'time_s = { signal = "data", column = 1 }, voltage_V = { signal = '),
     "nothing": ({"s": "x", "k": 1.0}, None, "no column time_s; the file holds no numeric signal"),

@@ -174,11 +174,6 @@ def test_group_and_time_channel(tmp_path: Path) -> None:
         ('"late"', "the signals have no time in common: voltage_V 100 … 100.2 s, current_A 0 …"),
         ('"again"', "sample 2, column again: time is repeated: 0.0 after 0.0"),
         ('{ signal = "U", row = 1 }', "an MDF channel has no 'column' or 'row'"),
-        (
-            None,
-            "no usable set of columns; the file holds U (200, group 0, V), i (200, group 0, mA), nan",
-        ),
-        (None, 'signals = { voltage_V = "U", current_A = { signal = "i", scale = 0.001 }, position_rad = "…" }'),
     ],
 )
 def test_bad_mdf_is_one_line_naming_the_place(tmp_path: Path, voltage: str | None, message: str) -> None:
@@ -230,3 +225,13 @@ def test_without_asammdf_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.
     with pytest.raises(BadInputError, match=r"MDF needs asammdf: pip install 'servo-daemon\[mdf\]'") as caught:
         read_capture(path)
     assert caught.value.exit_code == 2
+
+
+def test_channels_are_understood_by_name_and_unit(tmp_path: Path) -> None:
+    path = measured(tmp_path / "a.mf4", [[("Uarm", "V", T, U), ("Iarm", "mA", T, 1e3 * A)], [("Angle", "deg", T, Q)]])
+    capture = read_capture(path)
+    assert capture.channels == ("voltage_V", "current_A", "position_rad")
+    assert capture.current_A is not None and capture.position_rad is not None
+    np.testing.assert_allclose(capture.current_A, A, rtol=1e-12)
+    np.testing.assert_allclose(capture.position_rad, np.radians(Q), rtol=1e-12)
+    assert "Iarm → current_A" in capture.notes[0]

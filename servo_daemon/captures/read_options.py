@@ -1,0 +1,49 @@
+"""What a user tells of captures beside the files: names and rate of a bare table, and what units hang on."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from servo_daemon.errors import BadInputError
+
+
+@dataclass(frozen=True, slots=True)
+class ReadOptions:
+    """Beside a signal map, or instead of one. None: not told.
+
+    Attributes:
+        columns: names of a text table's columns, in order; "-" is a column to be passed over. In place of its header.
+        rate_hz: the samples' rate, where the file has no time.
+        counts_per_rev: of an encoder whose counts are in the file; negative turns the direction round.
+        supply_V: what a duty cycle of 1 is in volts (of `pwm` up to 255: a 255th of the supply).
+        pole_pairs: between a drive's electrical speed or angle and the shaft's.
+    """
+
+    columns: tuple[str, ...] = ()
+    rate_hz: float | None = None
+    counts_per_rev: float | None = None
+    supply_V: float | None = None
+    pole_pairs: float | None = None
+
+    def __post_init__(self) -> None:
+        for flag, value in (("--rate", self.rate_hz), ("--supply", self.supply_V), ("--pole-pairs", self.pole_pairs)):
+            if value is not None and not 0.0 < value < math.inf:
+                raise BadInputError(f"{flag} must be a number greater than 0, not {value:g}")
+        if self.counts_per_rev is not None and not 0.0 < abs(self.counts_per_rev) < math.inf:
+            raise BadInputError(f"--counts-per-rev must be a number other than 0, not {self.counts_per_rev:g}")
+        if self.columns and (len(self.columns) < 2 or not all(self.columns)):
+            raise BadInputError("--columns needs two names or more, separated by commas; '-' passes a column over")
+
+
+def parse_supply(text: str) -> float:
+    """ "12" or "12/255" (volts at full scale over full scale) as volts per unit of the duty.
+
+    Raises:
+        BadInputError: neither.
+    """
+    volts, _, full = text.partition("/")
+    try:
+        return float(volts) / float(full or 1.0)
+    except (ValueError, ZeroDivisionError):
+        raise BadInputError(f"--supply: {text!r} is neither volts (12) nor volts over full scale (12/255)") from None
