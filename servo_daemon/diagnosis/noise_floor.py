@@ -37,7 +37,7 @@ def noise_floor(fit: OutputErrorFit, trial: Trial, part: int = HELD_OUT) -> Scor
         rows = segment.rows.copy()
         if input_std:
             rows[:, INPUT] += rng.normal(0.0, input_std, len(rows))
-        shown, _ = free_run(problem.plant, problem.channels, problem.coordinates(unknowns, segment.recording), x0, rows)
+        shown, _ = free_run(problem.plant, problem.channels, problem.acting(unknowns, segment.recording), x0, rows)
         segments.append(replace(segment, measured=shown + rng.normal(size=shown.shape) * sensor, x0=x0))
     noisy = scored_states(replace(problem, segments=tuple(segments)))
     return replace(noisy, spread=problem.spread)

@@ -16,7 +16,7 @@ from servo_daemon.estimators.base import natural_values, to_coordinate
 from servo_daemon.estimators.output_error import Recording
 from servo_daemon.estimators.output_error.lost_runs import ENOUGH, begun_again
 from servo_daemon.estimators.output_error.problem import Problem, Segment
-from servo_daemon.estimators.output_error.setup import carrying, make_problem
+from servo_daemon.estimators.output_error.setup import carrying, make_problem, telling
 from servo_daemon.estimators.output_error.solver import Solution, solve
 from servo_daemon.estimators.output_error.starts import starting_points
 from servo_daemon.estimators.short_runs.placed import is_placed, placed
@@ -64,8 +64,9 @@ class Data:
         Raises:
             BadInputError: see `make_problem`.
         """
+        recordings = telling(recordings)
         problem = make_problem(recordings, effects, dict(fixed), segment_s=segment_s)
-        return cls(tuple(recordings), fixed, divide(len(problem.segments), segment_s))
+        return cls(recordings, fixed, divide(len(problem.segments), segment_s))
 
     def cut(self, effects: tuple[str, ...], segment_s: float) -> Data:
         """The same with free runs of another length."""

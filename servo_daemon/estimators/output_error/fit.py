@@ -38,8 +38,10 @@ from servo_daemon.estimators.output_error.setup import (
     common_channels,
     current_size,
     make_problem,
+    telling,
 )
 from servo_daemon.estimators.output_error.solver import Iteration, Point, Solution, solve
+from servo_daemon.estimators.output_error.still import STILL
 from servo_daemon.estimators.output_error.starts import Start, coordinates, sizes, starting_points, torque_size
 from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.plant.parameters import Parameter
@@ -51,8 +53,6 @@ _SEARCHED = 2
 _BETTER = 1.0
 #: Two ends whose V differ by less are one.
 _SAME = 0.2
-#: A channel that varies by no more (A, rad, rad/s) does not move.
-_STILL = 1e-9
 #: Iterations of the first search, and of those that follow only to see whether there is a better minimum.
 _FIRST_SEARCH, _OTHER_SEARCHES = 60, 25
 #: V per value that an iteration must win where a rough end will do: half of it is the change of the RMS.
@@ -185,6 +185,7 @@ def fit_output_error(
     """
     options = options or FitOptions()
     began = time.perf_counter()
+    recordings = telling(recordings)
     choices = _choices(effects, {**options.nominal, **options.fixed}, choose_signals(common_channels(recordings))[1])
     options = replace(options, fixed={**choices, **options.fixed})
     problem = make_problem(recordings, effects, options.fixed, segment_s=options.segment_s)
@@ -258,7 +259,7 @@ def _search(problem: Problem, starts: Sequence[Start], options: FitOptions) -> t
     chosen = [s for s in starts if "signal sizes" not in s.source] + _most_promising(problem, guesses)
     best: tuple[Solution, Start] | None = None
     enough = 0.0 if options.thorough else _ENOUGH * float(problem.counts.sum())
-    idle = bool((problem.spread <= _STILL).all())  # nothing moves: nothing to search for
+    idle = bool((problem.spread <= STILL).all())  # nothing moves: nothing to search for
     for start in chosen:
         been = None if best is None else best[0].point
         found = solve(

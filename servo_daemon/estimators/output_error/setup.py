@@ -16,6 +16,7 @@ from servo_daemon.estimators.layout import INPUT
 from servo_daemon.estimators.output_error.problem import Problem, Segment
 from servo_daemon.estimators.output_error.rollout import INPUT as INPUT_COLUMN
 from servo_daemon.estimators.output_error.rollout import STEP, TIME
+from servo_daemon.estimators.output_error.still import has_held_shaft, moves
 from servo_daemon.plant.build import PlantModel, build_plant
 from servo_daemon.plant.core import Drive
 from servo_daemon.samples import F64, SampleBlock
@@ -63,6 +64,16 @@ def choose_signals(channels: Sequence[str]) -> tuple[Drive, tuple[str, ...]]:
     raise BadInputError(f"no pair of an input and a response among: {', '.join(channels) or 'nothing'}")
 
 
+def telling(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
+    """Without a current that never changes in any of them, where the shaft moves under a known voltage: a sensor that is
+    not there."""
+    blocks = [r.block for r in recordings]
+    dead = all(b.voltage_V is not None and b.current_A is not None and not moves(b.current_A) for b in blocks)
+    if dead and any(moves(b.position_rad) or moves(b.velocity_rad_s) for b in blocks):
+        return tuple(replace(r, block=replace(r.block, current_A=None)) for r in recordings)
+    return tuple(recordings)
+
+
 def common_channels(recordings: Sequence[Recording]) -> tuple[str, ...]:
     """Channels that all recordings carry."""
     first, *others = (r.block.channels for r in recordings)
@@ -93,14 +104,19 @@ def make_problem(
     for name, value in fixed.items():
         if name in table and not (isfinite(value) and table[name].lower <= value <= table[name].upper):
             raise BadInputError(f"{name} = {value:g} is outside {table[name].lower:g} .. {table[name].upper:g}")
+    held = drive == "voltage" and "current_A" in measured
+    blocked = frozenset(k for k, r in enumerate(recordings) if held and has_held_shaft(r.block))
+    if len(blocked) == len(recordings):
+        measured = ("current_A",)
     segments = [s for k, r in enumerate(recordings) for s in _segments(k, r, plant, measured, (segment_s, input_share))]
+    segments = [_of_the_winding(s, measured) if s.recording in blocked else s for s in segments]
     if not segments:
         raise BadInputError(f"too few samples: a stretch of at least {FEWEST_SAMPLES} without a long gap is needed")
     names = [n for n in plant.parameter_names if n not in fixed]
     local = tuple(n for n in names if n in OFFSETS) if len(recordings) > 1 else ()
     free = tuple(n for n in names if n not in local)
     given = {name: to_coordinate(table[name], value) for name, value in fixed.items() if name in table}
-    return Problem(plant, measured, tuple(segments), free, local, given, len(recordings))
+    return Problem(plant, measured, tuple(segments), free, local, given, len(recordings), blocked=blocked)
 
 
 def carrying(problem: Problem, recordings: Sequence[Recording]) -> Problem:
@@ -135,6 +151,11 @@ def _segments(
             part, fitted = values[begin:end], valid[begin:end]
             out.append(Segment(recording, rows[begin:end].copy(), part, fitted, x0, scale, begin))
     return out
+
+
+def _of_the_winding(segment: Segment, measured: tuple[str, ...]) -> Segment:
+    """A held shaft's segment: its motion is known and tells nothing else."""
+    return replace(segment, valid=segment.valid & np.array([c == "current_A" for c in measured]))
 
 
 def _channel(block: SampleBlock, name: str) -> F64:

@@ -7,7 +7,7 @@ the recording). Guesses from sizes are never far in that sense; they cost one si
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from servo_daemon.estimators.base import to_coordinate
 from servo_daemon.estimators.layout import Stretches
 from servo_daemon.estimators.motor_rls import MotorRls
-from servo_daemon.estimators.output_error.problem import Problem
+from servo_daemon.estimators.output_error.problem import HELD_SHAFT, Problem
 from servo_daemon.estimators.output_error.setup import Recording, acceleration_size, current_size, speed_size
 from servo_daemon.estimators.rls import SPANS_S
 from servo_daemon.plant.build import PlantModel
@@ -44,7 +44,8 @@ def starting_points(recordings: Sequence[Recording], problem: Problem, nominal: 
     Args:
         nominal: what the user gave, natural units.
     """
-    block = max((r.block for r in recordings), key=len)
+    turning = [r.block for k, r in enumerate(recordings) if k not in problem.blocked]
+    block = max(turning or [r.block for r in recordings], key=len)
     guesses = [Start("signal sizes", values) for values in _from_sizes(block, problem.plant, nominal)]
     regression = regression_values(block, problem.plant)
     starts = []
@@ -55,7 +56,8 @@ def starting_points(recordings: Sequence[Recording], problem: Problem, nominal: 
         starts.append(Start("regression", _complete(regression, guesses[0].values, problem.plant)))
     if nominal and not needed <= nominal.keys():
         starts += [Start("nominal values, signal sizes", _complete(nominal, g.values, problem.plant)) for g in guesses]
-    return [*starts, *guesses]
+    starts += guesses
+    return starts if turning else [replace(s, values={**s.values, **HELD_SHAFT}) for s in starts]
 
 
 def coordinates(start: Start, problem: Problem) -> dict[str, float]:
