@@ -41,13 +41,14 @@ def fit_document(result: Identification) -> dict[str, Any]:
 
 def parameter_row(p: FittedParameter, *, linear: bool) -> dict[str, Any]:
     """One parameter."""
-    return {
+    row = {
         "value": p.value,
         "std": p.std,
         "unit": shown_unit(p.unit, linear=linear),
         "at_bound": p.at_bound,
         "status": p.status,
     }
+    return row | {"bound": p.bound} if p.at_bound else row
 
 
 def combination_row(c: Combination, *, linear: bool) -> dict[str, Any]:

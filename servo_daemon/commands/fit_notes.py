@@ -24,16 +24,17 @@ def result_notes(fit: OutputErrorFit, nominal: Mapping[str, float]) -> list[str]
     notes = []
     for name, p in fit.parameters.items():
         given = nominal.get(name)
+        if p.bound is not None:
+            notes.append(
+                f"{name} ended at its physical bound, {p.bound:.3g}{spaced(p.unit)}: the data ask for what cannot be, or "
+                "do not tell it"
+            )
         if p.status != "estimated" or p.value is None:
             continue
         if given is not None and given > 0 and p.value > 0 and not 1 / _FAR < p.value / given < _FAR:
             notes.append(
                 f"{name} = {p.value:.4g}{spaced(p.unit)} is {p.value / given:.3g} times its nominal value: "
                 "is a column in another unit, or its sign turned?"
-            )
-        if p.at_bound:
-            notes.append(
-                f"{name} ended at its physical bound, {p.value:.3g}{spaced(p.unit)}: the data ask for what cannot be"
             )
     for name, spread in zip(fit.problem.channels, fit.problem.spread, strict=True):
         if fit.residual[name].rmse > _NOTHING * spread > 0:

@@ -36,7 +36,8 @@ def parameter_line(name: str, p: Mapping[str, Any]) -> str:
     remark = {"fixed": "  (held)", "searched": "  (by search)", "undetermined": "  (not determined by these data)"}.get(
         p["status"], ""
     )
-    remark += "  (AT ITS BOUND)" if p["at_bound"] else ""
+    if p["at_bound"]:
+        remark = f"  (not determined: at bound {p['bound']:.6g}{spaced(p['unit'])})"
     value = "—" if p["value"] is None else f"{p['value']:.6g}"
     std = "" if p["std"] is None else f" ± {p['std']:.2g}"
     if p.get("std_white") is not None:

@@ -24,6 +24,7 @@ from servo_daemon.estimators.output_error.noise import NoiseModel
 from servo_daemon.estimators.output_error.outcome import NoiseOption, conclude
 from servo_daemon.estimators.output_error.parameters import (
     FittedParameter,
+    at_bounds,
     correlation_of,
     fitted_parameters,
     seen_with_friction,
@@ -220,7 +221,7 @@ def fit_output_error(
         correlation=correlation_of(after, problem.n_shared),
         before=information(problem, first.point, scale),
         after=after,
-        combinations=determined_combinations(problem.plant, at_end, answer, after, scale),
+        combinations=determined_combinations(problem.plant, at_end, answer, after, scale, at_bounds(problem, solution)),
         answer=answer,
         residual=outcome.residual,
         innovation=outcome.innovation,

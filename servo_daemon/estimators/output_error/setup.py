@@ -30,6 +30,8 @@ _LONG_GAP_PERIODS, _LONG_GAP_S = 10.0, 0.1
 FEWEST_SAMPLES = 10
 #: Where the mean of a signal that runs straight between two samples lies.
 STRAIGHT = 0.5
+#: A speed below this share of its size is none; and what is left of the current's size at a standstill.
+_STANDS, _NO_CURRENT = 0.05, 1e-6
 #: Samples over which the speed at the beginning of a segment is guessed.
 _SLOPE_SAMPLES = 15
 
@@ -213,10 +215,21 @@ def state_scale(block: SampleBlock, plant: PlantModel) -> F64:
     sizes = {"current_A": current_size(block), "velocity_rad_s": speed_size(block)}
     if block.position_rad is not None:
         sizes["position_rad"] = float(np.ptp(block.position_rad)) or 1.0
+    if _is_step_from_rest(block):
+        sizes["current_A"] *= _NO_CURRENT
     for name, size in sizes.items():
         if name in plant.state_names and size > 0:
             scale[plant.state_names.index(name)] = size
     return scale
+
+
+def _is_step_from_rest(block: SampleBlock) -> bool:
+    """One voltage all the time, and a shaft that stands at the first sample: what stands without a voltage has no
+    current, and a winding that could have any would answer as slowly or fast as it likes."""
+    v, speed = block.voltage_V, block.velocity_rad_s
+    if v is None or speed is None or block.current_A is not None or moves(v):
+        return False
+    return bool(abs(speed[0]) < _STANDS * _size(speed))
 
 
 def _size(values: F64) -> float:
