@@ -43,7 +43,7 @@ from servo_daemon.estimators.output_error.setup import (
 )
 from servo_daemon.estimators.output_error.solver import Iteration, Point, Solution, solve
 from servo_daemon.estimators.output_error.still import STILL
-from servo_daemon.estimators.output_error.starts import Start, coordinates, sizes, starting_points, torque_size
+from servo_daemon.estimators.output_error.starts import BY_SIZES, BY_WINDOWS, Start, coordinates, sizes, starting_points, torque_size
 from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.plant.parameters import Parameter
 from servo_daemon.samples import F64
@@ -256,8 +256,9 @@ def _search(problem: Problem, starts: Sequence[Start], options: FitOptions) -> t
 
     It is over when an end explains the data to their noise, or when another search comes to the same place.
     """
-    guesses = [s for s in starts if "signal sizes" in s.source]
-    chosen = [s for s in starts if "signal sizes" not in s.source] + _most_promising(problem, guesses)
+    windows, guesses = ([s for s in starts if kind in s.source] for kind in (BY_WINDOWS, BY_SIZES))
+    chosen = [s for s in starts if s not in windows and s not in guesses]
+    chosen += _most_promising(problem, windows, 1) + _most_promising(problem, guesses, _SEARCHED)
     best: tuple[Solution, Start] | None = None
     enough = 0.0 if options.thorough else _ENOUGH * float(problem.counts.sum())
     idle = bool((problem.spread <= STILL).all())  # nothing moves: nothing to search for
@@ -338,10 +339,10 @@ def _in_a_row(first: Solution, then: Solution) -> Solution:
     return replace(then, iterations=(*first.iterations, *more))
 
 
-def _most_promising(problem: Problem, guesses: Sequence[Start]) -> list[Start]:
+def _most_promising(problem: Problem, guesses: Sequence[Start], number: int) -> list[Start]:
     ends = [solve(problem, problem.start(coordinates(g, problem)), robust=False, max_iterations=0) for g in guesses]
     ranked = sorted((s.point.value, k) for k, s in enumerate(ends) if s is not None)
-    return [guesses[k] for _, k in ranked[:_SEARCHED]]
+    return [guesses[k] for _, k in ranked[:number]]
 
 
 def _same_place(been: Point) -> Callable[[Point], bool]:
