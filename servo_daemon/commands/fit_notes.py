@@ -6,13 +6,12 @@ from collections.abc import Mapping
 
 from servo_daemon.commands.units import shown_column, shown_unit
 from servo_daemon.estimators.output_error import OutputErrorFit
+from servo_daemon.estimators.output_error.misfit import unexplained
 from servo_daemon.identification.drift import SEGMENT_S, Drift
 from servo_daemon.plant.parameters import spaced
 
 #: An estimate further from its nominal value than this factor is no ageing: a unit, a sign, another motor.
 _FAR = 10.0
-#: A residual of this share of the signal's spread is no simulation of it.
-_NOTHING = 0.7
 
 
 def result_notes(fit: OutputErrorFit, nominal: Mapping[str, float]) -> list[str]:
@@ -21,7 +20,10 @@ def result_notes(fit: OutputErrorFit, nominal: Mapping[str, float]) -> list[str]
     Args:
         nominal: all values that are given, held ones too.
     """
-    notes = []
+    notes = [
+        f"the model explains next to nothing of {name}, and no parameter has a value: is its sign turned, or its unit wrong?"
+        for name in unexplained(fit)
+    ]
     for name, p in fit.parameters.items():
         given = nominal.get(name)
         if p.bound is not None:
@@ -36,9 +38,6 @@ def result_notes(fit: OutputErrorFit, nominal: Mapping[str, float]) -> list[str]
                 f"{name} = {p.value:.4g}{spaced(p.unit)} is {p.value / given:.3g} times its nominal value: "
                 "is a column in another unit, or its sign turned?"
             )
-    for name, spread in zip(fit.problem.channels, fit.problem.spread, strict=True):
-        if fit.residual[name].rmse > _NOTHING * spread > 0:
-            notes.append(f"the model explains next to nothing of {name}: is its sign turned, or its unit wrong?")
     if fit.problem.plant.drive != "voltage":
         what = "current" if fit.problem.plant.drive == "current" else "torque"
         notes.append(

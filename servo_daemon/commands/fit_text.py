@@ -17,6 +17,10 @@ def fit_lines(document: Mapping[str, Any]) -> list[str]:
     """Lines: parameters, what is open, the residual, the validation."""
     model = " + ".join(["linear motor", *document["model"]])
     lines = [f"{', '.join(document['captures'])}: {model}, {document['method']}", ""]
+    lines += [
+        f"No values: the model explains next to nothing of {name} (is its sign turned, or its unit wrong?)."
+        for name in document.get("unexplained", ())
+    ]
     lines += [parameter_line(name, p) for name, p in document["parameters"].items()]
     lines += open_lines(document)
     lines += ["", *_residual_lines(document), *validation_lines(document)]

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.estimators.balance_window import BalanceWindow
-from servo_daemon.estimators.held_shaft import HeldShaft
 from servo_daemon.estimators.balances import Sums, expected_square, noise_squares
+from servo_daemon.estimators.held_shaft import HeldShaft
 from servo_daemon.estimators.lag import Lag
 from servo_daemon.estimators.modulating import Windows, make_windows
 from servo_daemon.estimators.plausible import Plausible

@@ -93,7 +93,9 @@ def voltage_answer(plant: PlantModel, q: F64, info: Information, scale: F64) -> 
         return None
     root = _within_bounds(info, scale)
     useless = (_USELESS, _USELESS, np.inf)
-    found = [_combination(plant, q, info, root, scale, c, u) for c, u in zip(_CANDIDATES[:_ANSWER], useless, strict=True)]
+    found = [
+        _combination(plant, q, info, root, scale, c, u) for c, u in zip(_CANDIDATES[:_ANSWER], useless, strict=True)
+    ]
     if any(known is None for known, _ in found):
         return None
     coefficients = tuple(known for known, _ in found if known is not None)

@@ -20,6 +20,7 @@ from servo_daemon.estimators.output_error.elsewhere import from_elsewhere, from_
 from servo_daemon.estimators.output_error.information import Information, NullDirection, information
 from servo_daemon.estimators.output_error.input_error import SHIFTED, with_input_error
 from servo_daemon.estimators.output_error.lost_runs import begun_again
+from servo_daemon.estimators.output_error.misfit import with_misfit
 from servo_daemon.estimators.output_error.noise import NoiseModel
 from servo_daemon.estimators.output_error.outcome import NoiseOption, conclude
 from servo_daemon.estimators.output_error.parameters import (
@@ -42,8 +43,16 @@ from servo_daemon.estimators.output_error.setup import (
     telling,
 )
 from servo_daemon.estimators.output_error.solver import Iteration, Point, Solution, solve
+from servo_daemon.estimators.output_error.starts import (
+    BY_SIZES,
+    BY_WINDOWS,
+    Start,
+    coordinates,
+    sizes,
+    starting_points,
+    torque_size,
+)
 from servo_daemon.estimators.output_error.still import STILL
-from servo_daemon.estimators.output_error.starts import BY_SIZES, BY_WINDOWS, Start, coordinates, sizes, starting_points, torque_size
 from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.plant.parameters import Parameter
 from servo_daemon.samples import F64
@@ -75,6 +84,8 @@ class FitOptions:
             for starts that are known to be near the best end.
         deviance_below: the noise model is given up where the deviance will not come below this: the fit of a rival that
             is no better than what there is need not be exact.
+        misfit: standard deviations hold what the model lacks, and nothing has a value where it explains nothing; see
+            `misfit.py`.
     """
 
     nominal: Mapping[str, float] = field(default_factory=dict)
@@ -84,6 +95,7 @@ class FitOptions:
     noise_model: NoiseOption = "auto"
     thorough: bool = True
     deviance_below: float = np.inf
+    misfit: bool = True
 
 
 @dataclass(frozen=True)
@@ -213,7 +225,7 @@ def fit_output_error(
         lost = after.undetermined | with_friction.undetermined
         after = replace(after, undetermined=lost, exact=with_friction.exact)
     parameters, offsets = fitted_parameters(problem, solution, after, options.nominal, options.fixed)
-    return OutputErrorFit(
+    found = OutputErrorFit(
         problem=problem,
         solution=solution,
         parameters=parameters,
@@ -232,6 +244,7 @@ def fit_output_error(
         start=start.source,
         seconds=time.perf_counter() - began,
     )
+    return with_misfit(found, scale) if options.misfit and options.thorough else found
 
 
 def _choices(effects: Sequence[str], given: Mapping[str, float], measured: Sequence[str]) -> dict[str, float]:
