@@ -11,6 +11,7 @@ from servo_daemon.commands.units import shown_column, shown_unit
 from servo_daemon.estimators.output_error import FittedParameter, OutputErrorFit
 from servo_daemon.estimators.output_error.combinations import Combination
 from servo_daemon.estimators.output_error.information import NullDirection
+from servo_daemon.estimators.output_error.lag_like import equivalents
 from servo_daemon.estimators.output_error.misfit import unexplained
 from servo_daemon.estimators.output_error.score import Score
 from servo_daemon.identification import Identification, Validation
@@ -28,6 +29,7 @@ def fit_document(result: Identification) -> dict[str, Any]:
         "parameters": {name: parameter_row(p, linear=linear) for name, p in fit.parameters.items()},
         "offsets": [{name: parameter_row(p, linear=linear) for name, p in o.items()} for o in fit.offsets],
         "correlation": {name: dict(row) for name, row in fit.correlation.items()},
+        "equivalent": {name: list(effects) for name, effects in equivalents(fit.problem).items()},
         "unexplained": [shown_column(c, linear=linear) for c in unexplained(fit)],
         "null_directions": [null_row(d) for d in fit.null_directions],
         "combinations": [combination_row(c, linear=linear) for c in fit.combinations],

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from servo_daemon.commands.units import shown_column, shown_unit
 from servo_daemon.estimators.output_error import OutputErrorFit
+from servo_daemon.estimators.output_error.lag_like import equivalents
 from servo_daemon.estimators.output_error.misfit import unexplained
 from servo_daemon.identification.drift import SEGMENT_S, Drift
 from servo_daemon.plant.parameters import spaced
@@ -24,6 +25,12 @@ def result_notes(fit: OutputErrorFit, nominal: Mapping[str, float]) -> list[str]
         f"the model explains next to nothing of {name}, and no parameter has a value: is its sign turned, or its unit wrong?"
         for name in unexplained(fit)
     ]
+    for name, effects in equivalents(fit.problem).items():
+        if (p := fit.parameters[name]).std is not None:
+            notes.append(
+                f"no current is measured: {name} = {p.value:.3g}{spaced(p.unit)} is all of the lag that was found, and "
+                f"{', '.join(effects)} or a filter of the speed would leave the same trace: `--fix {name}=…`, or measure it"
+            )
     for name, p in fit.parameters.items():
         given = nominal.get(name)
         if p.bound is not None:

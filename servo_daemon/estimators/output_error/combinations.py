@@ -7,8 +7,8 @@ combination is determined if its gradient has no part along a null direction), n
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -104,6 +104,34 @@ def voltage_answer(plant: PlantModel, q: F64, info: Information, scale: F64) -> 
     return VoltageAnswer(coefficients, np.asarray(root @ root.T))
 
 
+def wider_answer(
+    answer: VoltageAnswer | None, plant: PlantModel, q: F64, seen: tuple[Sequence[str], F64], added: F64
+) -> VoltageAnswer | None:
+    """The same less well known; None where there is none, or one of its first two coefficients then means nothing.
+
+    Args:
+        q: as for `determined_combinations`.
+        seen: names of the coordinates, and their scale.
+        added: root of what comes on top of the coordinates' covariance, shape (k, ·).
+    """
+    if answer is None:
+        return None
+    names, scale = seen
+    rows = np.array(
+        [
+            _gradient(plant, q, names, scale, c)[1] / _gradient(plant, q, names, scale, c)[0]
+            for c in _CANDIDATES[:_ANSWER]
+        ]
+    )
+    more = rows / scale @ added
+    covariance = answer.covariance + more @ more.T
+    share = np.sqrt(covariance.diagonal())
+    if share[0] > _USELESS or share[1] > _USELESS:
+        return None
+    coefficients = tuple(replace(c, std=float(s) * c.value) for c, s in zip(answer.coefficients, share, strict=True))
+    return VoltageAnswer(coefficients, covariance)
+
+
 def determined_combinations(
     plant: PlantModel,
     q: F64,
@@ -147,21 +175,28 @@ def _combination(
     Args:
         root: see `_within_bounds`.
     """
-    expression, unit, names, function = candidate
+    expression, unit, _, _ = candidate
+    value, gradient = _gradient(plant, q, info.names, scale, candidate)
+    std = float(np.linalg.norm(gradient @ root))
+    determined = 0.0 < std < useless * abs(value)
+    return (Combination(expression, value, std, unit) if determined else None), gradient
+
+
+def _gradient(plant: PlantModel, q: F64, of: Sequence[str], scale: F64, candidate: _Candidate) -> tuple[float, F64]:
+    """The combination's value, and its gradient over the scaled coordinates `of`, shape (k,)."""
+    _, _, names, function = candidate
     logs = np.array([p.transform == "log" for p in plant.parameters])
 
     def natural(coordinates: F64) -> dict[str, float]:
         values: F64 = np.where(logs, np.exp(np.where(logs, coordinates, 0.0)), coordinates)
         return dict(zip(plant.parameter_names, values.tolist(), strict=True))
 
-    value, gradient = function(natural(q)), np.zeros(len(info.names))
-    for column, name in enumerate(info.names):
+    value, gradient = function(natural(q)), np.zeros(len(of))
+    for column, name in enumerate(of):
         if name in names:
             step = 1e-5 * scale[column] * np.eye(len(q))[plant.parameter_names.index(name)]
             gradient[column] = (function(natural(q + step)) - function(natural(q - step))) / 2e-5
-    std = float(np.linalg.norm(gradient @ root))
-    determined = 0.0 < std < useless * abs(value)
-    return (Combination(expression, value, std, unit) if determined else None), gradient
+    return value, gradient
 
 
 def _within_bounds(info: Information, scale: F64) -> F64:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -244,7 +245,16 @@ def fit_output_error(
         start=start.source,
         seconds=time.perf_counter() - began,
     )
-    return with_misfit(found, scale) if options.misfit and options.thorough else found
+    if not (options.misfit and options.thorough):
+        return found
+
+    def again(other: tuple[str, ...], values: Mapping[str, float]) -> OutputErrorFit | None:
+        with suppress(NumericalError):
+            begun = replace(options, nominal={**values, **options.fixed}, thorough=False, noise_model="none")
+            return fit_output_error(recordings, other, begun)
+        return None
+
+    return with_misfit(found, scale, again)
 
 
 def _choices(effects: Sequence[str], given: Mapping[str, float], measured: Sequence[str]) -> dict[str, float]:

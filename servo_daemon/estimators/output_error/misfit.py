@@ -21,8 +21,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servo_daemon.estimators.output_error.combinations import determined_combinations, voltage_answer
+from servo_daemon.estimators.output_error.combinations import determined_combinations, wider_answer
 from servo_daemon.estimators.output_error.information import information
+from servo_daemon.estimators.output_error.lag_like import Refit, by_other_lags
 from servo_daemon.estimators.output_error.noise import WORTH, resolution
 from servo_daemon.estimators.output_error.parameters import FittedParameter, at_bounds, correlation_of
 from servo_daemon.estimators.output_error.residual import ResidualTest, innovation_tests
@@ -46,38 +47,46 @@ def unexplained(fit: OutputErrorFit) -> tuple[str, ...]:
     return tuple(name for name, size in spread if fit.residual[name].rmse > NOTHING * size > 0.0)
 
 
-def with_misfit(fit: OutputErrorFit, scale: F64) -> OutputErrorFit:
-    """The fit with what its model lacks in the standard deviations, or without values where it explains nothing.
+def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit:
+    """The fit with what its model lacks in the standard deviations, and what its L may be of something else's lag; without
+    values where it explains nothing.
 
     Args:
         scale: as for `information`.
+        again: fits another model to the same recordings.
     """
     if unexplained(fit):
         parameters = {n: p if p.status == "fixed" else _lost(p) for n, p in fit.parameters.items()}
         offsets = tuple({n: _lost(p) for n, p in each.items()} for each in fit.offsets)
         return replace(fit, parameters=parameters, offsets=offsets, combinations=(), answer=None, correlation={})
-    square = _square(fit)
-    if square == 0.0 or not fit.after.names:
+    square, problem = _square(fit), fit.problem
+    names = problem.parameter_of_column
+    lacking = math.sqrt(_ALONG * square) * information(problem, fit.solution.point, scale).root if square else None
+    lag = by_other_lags(fit, again)
+    columns = [c for c in (lacking, None if lag is None else lag[:, None]) if c is not None]
+    if not columns or not names:
         return fit
-    problem = fit.problem
-    added = math.sqrt(_ALONG * square) * information(problem, fit.solution.point, scale).root
-    after = replace(fit.after, root=np.hstack([fit.after.root, added]))
-    std = np.linalg.norm(added, axis=1).tolist()
+    added = np.hstack(columns)
     parameters = dict(fit.parameters)
-    for k, name in enumerate(after.names[: problem.n_shared]):
-        parameters[name] = _wider(parameters[name], std[k], logarithm=bool(problem.logarithmic[k]))
+    for k, name in enumerate(names[: problem.n_shared]):
+        std = float(np.linalg.norm(added[k]))
+        parameters[name] = _wider(parameters[name], std, logarithm=bool(problem.logarithmic[k]))
+    lost = np.array([parameters[n].status == "undetermined" for n in names], dtype=bool)
+    root = np.hstack([fit.after.root, added])
+    after = replace(fit.after, root=root, undetermined=fit.after.undetermined | lost)
     at_end = problem.coordinates(fit.solution.point.unknowns, 0)
-    lost = np.array([parameters[n].status == "undetermined" for n in after.names], dtype=bool)
-    after = replace(after, undetermined=after.undetermined | lost)
-    answer = voltage_answer(problem.plant, at_end, after, scale)
-    bounded = at_bounds(problem, fit.solution)
+    seen, bounded = (names, scale), at_bounds(problem, fit.solution)
+    answer = fit.answer if lacking is None else wider_answer(fit.answer, problem.plant, at_end, seen, lacking)
+    listed = wider_answer(
+        fit.answer, problem.plant, at_end, seen, added
+    )  # L's share of the lag is no part of the answer
     return replace(
         fit,
         parameters=parameters,
         after=after,
         correlation=correlation_of(after, problem.n_shared),
         answer=answer,
-        combinations=determined_combinations(problem.plant, at_end, answer, after, scale, bounded),
+        combinations=determined_combinations(problem.plant, at_end, listed, after, scale, bounded),
     )
 
 
