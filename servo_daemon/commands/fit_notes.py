@@ -22,21 +22,23 @@ def result_notes(fit: OutputErrorFit, nominal: Mapping[str, float]) -> list[str]
         nominal: all values that are given, held ones too.
     """
     notes = [
-        f"the model explains next to nothing of {name}, and no parameter has a value: is its sign turned, or its unit wrong?"
+        f"the model explains next to nothing of {name}, and no parameter has a value: is its sign turned, or its unit "
+        "wrong?"
         for name in unexplained(fit)
     ]
     for name, effects in equivalents(fit.problem).items():
         if (p := fit.parameters[name]).std is not None:
             notes.append(
-                f"no current is measured: {name} = {p.value:.3g}{spaced(p.unit)} is all of the lag that was found, and "
-                f"{', '.join(effects)} or a filter of the speed would leave the same trace: `--fix {name}=…`, or measure it"
+                f"no current is measured: {name} = {p.value:.3g}{spaced(p.unit)} is all of the lag that was found, "
+                f"and {', '.join(effects)} or a filter of the speed would leave the same trace: `--fix {name}=…`, or "
+                "measure the current"
             )
     for name, p in fit.parameters.items():
         given = nominal.get(name)
         if p.bound is not None:
             notes.append(
-                f"{name} ended at its physical bound, {p.bound:.3g}{spaced(p.unit)}: the data ask for what cannot be, or "
-                "do not tell it"
+                f"{name} ended at its physical bound, {p.bound:.3g}{spaced(p.unit)}: the data ask for what cannot be, "
+                "or do not tell it"
             )
         if p.status != "estimated" or p.value is None:
             continue

@@ -27,7 +27,8 @@ from servo_daemon.diagnosis.select import Selection, select, without_effect
 from servo_daemon.diagnosis.split import CHOICE, TRAIN, segment_length_s
 from servo_daemon.diagnosis.trial import Data, Trial, first_trial, fit_trial
 from servo_daemon.errors import ServoDaemonError
-from servo_daemon.estimators.output_error import OutputErrorFit, Recording
+from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, Recording
+from servo_daemon.estimators.output_error.fit import published
 from servo_daemon.identification.validate import validated
 
 #: Told how far it is, 0 .. 1, and what is being done.
@@ -89,7 +90,9 @@ def _diagnose(
         with suppress(ServoDaemonError):  # then the free runs have the last word
             diagnosis = _otherwise(diagnosis, data, belief.selection, options.nominal, whole_fits)
     scores = tuple(validated(c, baseline, diagnosis.extended, recordings, options.adapt) for c in validation)
-    return replace(diagnosis, validation=scores, seconds=time.perf_counter() - began)
+    held = FitOptions(fixed=options.fixed, segment_s=data.split.segment_s)
+    shown = published(diagnosis.baseline, data.recordings, held)
+    return replace(diagnosis, baseline=shown, validation=scores, seconds=time.perf_counter() - began)
 
 
 def _by_free_runs(

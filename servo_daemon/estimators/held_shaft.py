@@ -61,8 +61,8 @@ class HeldShaft:
         return float(np.max(np.abs(motion - self._place))) <= _STILL
 
     def estimate(self) -> RegressionEstimate | None:
-        """R and L (of a current that is constant, or settles within a sample, known to nothing); None where the shaft has
-        moved, R is not known, or they do not explain the voltage: then it is the sensor that stands."""
+        """R and L (of a current that is constant, or settles within a sample, known to nothing); None where the shaft
+        has moved, R is not known, or they do not explain the voltage: then it is the sensor that stands."""
         if self._sums is None or self._begin_s is None:
             return None
         span_s = self._sums.time_s - self._begin_s

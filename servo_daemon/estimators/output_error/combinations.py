@@ -200,8 +200,8 @@ def _gradient(plant: PlantModel, q: F64, of: Sequence[str], scale: F64, candidat
 
 
 def _within_bounds(info: Information, scale: F64) -> F64:
-    """Root of the covariance of the scaled coordinates, shape (k, ·), with no direction less known than `_AT_MOST`, those
-    without a trace included. Without that a combination that the data know to a percent would hang on whether a direction
-    that they do not know at all is so to the last digit."""
+    """Root of the covariance of the scaled coordinates, shape (k, ·), with no direction less known than `_AT_MOST`,
+    those without a trace included. Without that a combination that the data know to a percent would hang on whether a
+    direction that they do not know at all is so to the last digit."""
     directions, s, _ = np.linalg.svd(info.root / scale[:, None], full_matrices=False)
     return np.hstack([directions * (s / np.hypot(1.0, s / _AT_MOST)), _AT_MOST * info.exact.T])

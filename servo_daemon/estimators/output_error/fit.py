@@ -245,16 +245,26 @@ def fit_output_error(
         start=start.source,
         seconds=time.perf_counter() - began,
     )
-    if not (options.misfit and options.thorough):
-        return found
+    return published(found, recordings, options) if options.misfit and options.thorough else found
 
-    def again(other: tuple[str, ...], values: Mapping[str, float]) -> OutputErrorFit | None:
+
+def published(fit: OutputErrorFit, recordings: Sequence[Recording], options: FitOptions) -> OutputErrorFit:
+    """The fit as it can be published: see `misfit.py`.
+
+    Args:
+        recordings, options: of the fit.
+    """
+
+    def again(effects: tuple[str, ...], values: Mapping[str, float]) -> OutputErrorFit | None:
         with suppress(NumericalError):
             begun = replace(options, nominal={**values, **options.fixed}, thorough=False, noise_model="none")
-            return fit_output_error(recordings, other, begun)
+            return fit_output_error(recordings, effects, begun)
         return None
 
-    return with_misfit(found, scale, again)
+    problem = fit.problem
+    at_end = problem.coordinates(fit.solution.point.unknowns, 0)
+    here = Start(fit.start, natural_values(problem.plant.parameters, at_end))
+    return with_misfit(fit, _coordinate_scale(problem, recordings, here), again)
 
 
 def _choices(effects: Sequence[str], given: Mapping[str, float], measured: Sequence[str]) -> dict[str, float]:

@@ -1,11 +1,10 @@
 """L without a current: what else is as slow leaves the same trace.
 
-The speed answers the voltage by g/((1 + s τ₁)(1 + s τ₂)). Where both poles are real the faster one may be the winding's,
-or all of it that of the drive's output stage or of a filter in the speed's sensor, with a winding that is as good as
-none; a delay of either differs from these only beyond 1/τ₂. So L lies anywhere from zero to what was fitted, and J, which
-makes τ₁ + τ₂ with it, between what was fitted and τ₁/(τ₁ + τ₂) of that. A pair of complex poles no lag makes, but beside a
-lag it is fitted as another pair: then the model with a lag tells by how much.
-"""
+The speed answers the voltage by g/((1 + s τ₁)(1 + s τ₂)). Where both poles are real the faster one may be the
+winding's, or all of it that of the drive's output stage or of a filter in the speed's sensor, with a winding that is as
+good as none; a delay of either differs from these only beyond 1/τ₂. So L lies anywhere from zero to what was fitted,
+and J, which makes τ₁ + τ₂ with it, between what was fitted and τ₁/(τ₁ + τ₂) of that. A pair of complex poles no lag
+makes, but beside a lag it is fitted as another pair: then the model with a lag tells by how much."""
 
 from __future__ import annotations
 

@@ -1,13 +1,13 @@
 """What a model lacks, in the standard deviations of what it has.
 
-Noise averages out, a misfit does not. What is left of the data and is no noise shows how large the model's error is, and
-what of it lay along a parameter's sensitivity the parameter has taken: by Cauchy and Schwarz no more than
+Noise averages out, a misfit does not. What is left of the data and is no noise shows how large the model's error is,
+and what of it lay along a parameter's sensitivity the parameter has taken: by Cauchy and Schwarz no more than
 
     |δq| ≤ sqrt(S) (H⁻¹)^½,      S = Σ ε² of the misfit, H the information, both in units of the residuals' σ,
 
 if all of it did. S is what the residuals' own past and the input tell of them, n ρ² of each channel for their largest
-correlation ρ. (The spectrum's sandwich takes a misfit for noise that would come out otherwise another time; but the same
-motion has the same dry friction.)
+correlation ρ. (The spectrum's sandwich takes a misfit for noise that would come out otherwise another time; but the
+same motion has the same dry friction.)
 
 A channel of which the model explains nothing says that it is a model of something else: then nothing has a value.
 """
@@ -33,9 +33,9 @@ from servo_daemon.samples import F64
 if TYPE_CHECKING:
     from servo_daemon.estimators.output_error.fit import OutputErrorFit
 
-#: Share of a misfit's square that lies along a parameter. Fitted to 66 captures of three motors with dry friction, weight,
-#: brushes, cogging, drag, a late or an offset sensor in them, R, K and J of the linear motor were off by more than 4 of the
-#: standard deviations that this makes (and 5 %) in one; by the sandwich's in a fifth of all.
+#: Share of a misfit's square that lies along a parameter. Fitted to 66 captures of three motors with dry friction,
+#: weight, brushes, cogging, drag, a late or an offset sensor in them, R, K and J of the linear motor were off by more
+#: than 4 of the standard deviations that this makes (and 5 %) in one; by the sandwich's in a fifth of all.
 _ALONG = 0.16
 #: A residual of this share of the signal's spread is no simulation of it.
 NOTHING = 0.7
@@ -48,8 +48,8 @@ def unexplained(fit: OutputErrorFit) -> tuple[str, ...]:
 
 
 def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit:
-    """The fit with what its model lacks in the standard deviations, and what its L may be of something else's lag; without
-    values where it explains nothing.
+    """The fit with what its model lacks in the standard deviations, and what its L may be of something else's lag;
+    without values where it explains nothing.
 
     Args:
         scale: as for `information`.

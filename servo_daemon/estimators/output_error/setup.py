@@ -67,8 +67,8 @@ def choose_signals(channels: Sequence[str]) -> tuple[Drive, tuple[str, ...]]:
 
 
 def telling(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
-    """Without a current that never changes in any of them, where the shaft moves under a known voltage: a sensor that is
-    not there."""
+    """Without a current that never changes in any of them, where the shaft moves under a known voltage: a sensor that
+    is not there."""
     blocks = [r.block for r in recordings]
     dead = all(b.voltage_V is not None and b.current_A is not None and not moves(b.current_A) for b in blocks)
     if dead and any(moves(b.position_rad) or moves(b.velocity_rad_s) for b in blocks):

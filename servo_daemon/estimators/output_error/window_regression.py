@@ -4,9 +4,8 @@
 
 Over short windows noise and the encoder's steps drown accelerations, over long ones the winding and the motion are
 averaged away: which length suits a capture nobody knows, and a start costs one simulation to try. A balance has no
-minima but one, whatever the scale of a channel, and the model's misfit moves its coefficients by as much as it is large.
-Without a current the shaft's answer to the voltage remains, v = (R J/K) dω/dt + (K + R B/K) ω + c.
-"""
+minima but one, whatever the scale of a channel, and the model's misfit moves its coefficients by as much as it is
+large. Without a current the shaft's answer to the voltage remains, v = (R J/K) dω/dt + (K + R B/K) ω + c."""
 
 from __future__ import annotations
 
@@ -23,7 +22,8 @@ _FEWEST = 12
 
 
 def window_starts(block: SampleBlock, guess: Mapping[str, float]) -> Iterator[tuple[int, dict[str, float]]]:
-    """Per length of the windows (samples): the motor's parameters, natural units; one that came out negative as guessed.
+    """Per length of the windows (samples): the motor's parameters, natural units; one that came out negative as
+    guessed.
 
     Args:
         block: with voltage and motion.
@@ -73,7 +73,8 @@ def _speed(block: SampleBlock) -> F64:
 
 
 def _smooth(block: SampleBlock, values: F64, length: int) -> tuple[F64, F64]:
-    """Means over three windows in a row, weighted 1 2 1, and the slope from the first to the last of them, shapes (k,)."""
+    """Means over three windows in a row, weighted 1 2 1, and the slope from the first to the last of them, shapes
+    (k,)."""
     n = len(values) // length * length
     mean = values[:n].reshape(-1, length).mean(axis=1)
     time = block.time_s[:n].reshape(-1, length).mean(axis=1)
