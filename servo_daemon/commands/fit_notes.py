@@ -30,8 +30,7 @@ def result_notes(fit: OutputErrorFit, nominal: Mapping[str, float]) -> list[str]
         if (p := fit.parameters[name]).std is not None:
             notes.append(
                 f"no current is measured: {name} = {p.value:.3g}{spaced(p.unit)} is all of the lag that was found, "
-                f"and {', '.join(effects)} or a filter of the speed would leave the same trace: `--fix {name}=…`, or "
-                "measure the current"
+                f"and {' or '.join(effects)} would leave the same trace: `--fix {name}=…`, or measure the current"
             )
     for name, p in fit.parameters.items():
         given = nominal.get(name)

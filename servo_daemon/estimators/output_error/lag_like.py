@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 #: The lag that stands for all of them; and the effects that L may be.
 _LAG = "drive_lag"
-LAGS = (_LAG, "measurement_delay")
+LAGS = (_LAG, "measurement_delay", "speed_filter")
 #: Of a share between zero and one that nothing is known of, root of the mean square.
 _SHARE = 1.0 / np.sqrt(3.0)
 #: No logarithm is moved by more.
@@ -41,7 +41,9 @@ def leaves_the_trace_of_l(problem: Problem) -> bool:
 
 def equivalents(problem: Problem) -> dict[str, tuple[str, ...]]:
     """By parameter, the effects whose trace it may be."""
-    return {"L": LAGS} if leaves_the_trace_of_l(problem) else {}
+    if not leaves_the_trace_of_l(problem):
+        return {}
+    return {"L": LAGS if "velocity_rad_s" in problem.channels else LAGS[:2]}
 
 
 def by_other_lags(fit: OutputErrorFit, again: Refit) -> F64 | None:
