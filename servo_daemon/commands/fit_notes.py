@@ -26,12 +26,11 @@ def result_notes(fit: OutputErrorFit, nominal: Mapping[str, float]) -> list[str]
         "wrong?"
         for name in unexplained(fit)
     ]
-    for name, effects in equivalents(fit.problem).items():
-        if (p := fit.parameters[name]).std is not None:
-            notes.append(
-                f"no current is measured: {name} = {p.value:.3g}{spaced(p.unit)} is all of the lag that was found, "
-                f"and {' or '.join(effects)} would leave the same trace: `--fix {name}=…`, or measure the current"
-            )
+    notes += [
+        f"no current is measured: {name}, and the time constants, are all of the lag that was found, of which "
+        f"{' or '.join(effects)} would leave the same trace: `--fix {name}=…`, or measure the current"
+        for name, effects in equivalents(fit.problem).items()
+    ]
     for name, p in fit.parameters.items():
         given = nominal.get(name)
         if p.bound is not None:

@@ -12,8 +12,10 @@ from servo_daemon.commands.fit_document import parameter_row
 from servo_daemon.commands.fit_notes import result_notes
 from servo_daemon.commands.fit_text import parameter_line
 from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, Recording, fit_output_error
-from servo_daemon.estimators.output_error.combinations import Combination
+from servo_daemon.estimators.output_error.combinations import Combination, determined_combinations
+from servo_daemon.estimators.output_error.republished import republished
 from servo_daemon.estimators.output_error.window_regression import window_starts
+from servo_daemon.plant.effects import parameter_table
 from servo_daemon.samples import make_block
 from tests.recovery.captures import capture
 from tests.recovery.generator import (
@@ -52,16 +54,27 @@ def given(motor: Motor) -> FitOptions:
 # -- bounds ------------------------------------------------------------------------------------------------------------
 
 
-def test_a_parameter_at_its_bound_has_no_value() -> None:
-    """A winding that is too fast to be seen without a current ends at the least L there is."""
-    fit = fit_output_error([without_current(GEAR_MOTOR, {})], (), given(GEAR_MOTOR))
-    p = fit.parameters["L"]
-    assert p.at_bound and p.bound == 1e-8
+@pytest.mark.parametrize("bound", ["lower", "upper"])
+def test_a_parameter_at_its_bound_has_no_value(bound: str) -> None:
+    made = capture(GEAR_MOTOR, Scenario("multisine", 2.0, seed=1))
+    fit = fit_output_error([made])
+    at, name = fit.problem.free.index("K"), "K"
+    unknowns = fit.solution.point.unknowns.copy()
+    end = float(getattr(parameter_table()[name], bound))
+    unknowns[at] = np.log(end)
+    ended = republished(fit, unknowns, fit.after)
+    p = ended.parameters[name]
     assert (p.value, p.std, p.status) == (None, None, "undetermined")
+    assert p.at_bound and p.bound == end
     row = parameter_row(p, linear=False)
-    assert row["value"] is None and row["std"] is None and row["at_bound"] and row["bound"] == 1e-8
-    assert parameter_line("L", row).endswith("(not determined: at bound 1e-08 H)")
-    assert not any("L" in c.expression and "L B" not in c.expression for c in fit.combinations)
+    assert row["value"] is None and row["std"] is None and row["at_bound"] and row["bound"] == end
+    assert parameter_line(name, row).endswith(f"(not determined: at bound {end:.6g} N·m/A)")
+    assert all(not q.at_bound for n, q in ended.parameters.items() if n != name)
+    seen = (fit.problem.plant, ended.coordinates(), None, replace(fit.after, undetermined=np.ones(5, dtype=bool)))
+    listed = [determined_combinations(*seen, np.ones(5), bounded) for bounded in ((), (at,))]
+    following = {"K/R", "J/K", "B/K", "K²/J"}
+    assert following & {c.expression for c in listed[0]}  # that this test can fail
+    assert not following & {c.expression for c in listed[1]}
 
 
 # -- misfit ------------------------------------------------------------------------------------------------------------
@@ -70,7 +83,7 @@ def test_a_parameter_at_its_bound_has_no_value() -> None:
 @pytest.mark.parametrize(
     ("motor", "motion", "effect", "share"),
     [
-        (GEAR_MOTOR, "pick_and_place", "coulomb_friction", 0.1),
+        (GEAR_MOTOR, "multisine", "brush_voltage_drop", 0.1),
         (GEAR_MOTOR, "steps", "gravity_load", 0.3),
         (RE40, "pick_and_place", "brush_voltage_drop", 0.1),
     ],

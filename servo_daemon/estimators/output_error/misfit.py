@@ -77,16 +77,13 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
     at_end = problem.coordinates(fit.solution.point.unknowns, 0)
     seen, bounded = (names, scale), at_bounds(problem, fit.solution)
     answer = fit.answer if lacking is None else wider_answer(fit.answer, problem.plant, at_end, seen, lacking)
-    listed = wider_answer(
-        fit.answer, problem.plant, at_end, seen, added
-    )  # L's share of the lag is no part of the answer
     return replace(
         fit,
         parameters=parameters,
         after=after,
         correlation=correlation_of(after, problem.n_shared),
         answer=answer,
-        combinations=determined_combinations(problem.plant, at_end, listed, after, scale, bounded),
+        combinations=determined_combinations(problem.plant, at_end, answer, after, scale, bounded),
     )
 
 

@@ -19,8 +19,8 @@ def _terms(s: Signals) -> Terms:
 
 EFFECT = Effect(
     name="speed_filter",
-    cause="The sensor filters its speed, or takes it from a difference of the angle over a window (a first-order lag of "
-    "half the window): what is shown follows the motor's speed.",
+    cause="The sensor filters its speed, or takes it from a difference of the angle over a window (a lag of half of it): "
+    "what is shown follows the motor's speed.",
     equation=r"t_f\,\dot\omega_{\mathrm{shown}} = \omega - \omega_{\mathrm{shown}}",
     parameters=(T_F,),
     terms=_terms,
