@@ -19,7 +19,7 @@ def _terms(s: Signals) -> Terms:
 
 EFFECT = Effect(
     name="speed_filter",
-    cause="The sensor filters its speed, or takes it from a difference of the angle over a window (a lag of half of it): "
+    cause="The sensor filters its speed, or takes it from a difference of the angle over a window (a lag of half): "
     "what is shown follows the motor's speed.",
     equation=r"t_f\,\dot\omega_{\mathrm{shown}} = \omega - \omega_{\mathrm{shown}}",
     parameters=(T_F,),
