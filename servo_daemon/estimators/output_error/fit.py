@@ -291,7 +291,7 @@ def _search(problem: Problem, starts: Sequence[Start], options: FitOptions) -> t
     """
     windows, guesses = ([s for s in starts if kind in s.source] for kind in (BY_WINDOWS, BY_SIZES))
     chosen = [s for s in starts if s not in windows and s not in guesses]
-    chosen += _most_promising(problem, windows, 1) + _most_promising(problem, guesses, _SEARCHED)
+    chosen += _most_promising(problem, guesses, _SEARCHED) + _most_promising(problem, windows, 1)
     best: tuple[Solution, Start] | None = None
     enough = 0.0 if options.thorough else _ENOUGH * float(problem.counts.sum())
     idle = bool((problem.spread <= STILL).all())  # nothing moves: nothing to search for
