@@ -95,13 +95,30 @@ def _out_of_range(limits: _Range, values: F64 | None) -> str | None:
 
 
 def _still(capture: Capture) -> list[str]:
-    """Channels that never change. Without a changing input there is nothing to learn from."""
-    notes = []
+    """Channels that never change, and what is left to learn from."""
+    still = []
     for name in capture.channels:
         values = getattr(capture, name)
         if name != "temperature_C" and float(np.ptp(values)) <= _STILL * float(np.max(np.abs(values), initial=0.0)):
-            notes.append(f"column {name} never changes: it tells nothing about the dynamics")
-    return notes
+            still.append(name)
+    moving = {*capture.channels} - {*still}
+    return [f"column {name} never changes: {_told_all_the_same(name, moving)}" for name in still]
+
+
+def _told_all_the_same(still: str, moving: set[str]) -> str:
+    """What a capture tells although a channel stands.
+
+    Args:
+        moving: channels that change.
+    """
+    motion = bool(moving & {"position_rad", "velocity_rad_s"})
+    if still in ("position_rad", "velocity_rad_s") and {"voltage_V", "current_A"} <= moving and not motion:
+        return "the shaft is held, from which R and L show, and nothing of K, J and B"
+    if still == "voltage_V" and motion:
+        return "what shows is the answer to one step, its gain and its time constant"
+    if still == "current_A" and motion and "voltage_V" in moving:
+        return "it is taken for a sensor that is not there"
+    return "it tells nothing about the dynamics"
 
 
 def _balance(capture: Capture) -> list[str]:

@@ -112,7 +112,7 @@ def _parameter_rows(fit: OutputErrorFit, inputs: Inputs, *, linear: bool) -> dic
         row = parameter_row(p, linear=linear)
         if p.status == "fixed" and table[name].held == "always" and name not in inputs.fixed:
             row |= {"status": "searched", "value": None if p.value is None else float(f"{p.value:.12g}")}
-        if p.status == "undetermined":
+        if p.status == "undetermined" and not p.at_bound:
             row["value"] = inputs.nominal.get(name)
         if table[name].choices and row["value"] is not None:
             row["choice"] = table[name].choices[round(row["value"])]

@@ -11,6 +11,8 @@ from servo_daemon.commands.units import shown_column, shown_unit
 from servo_daemon.estimators.output_error import FittedParameter, OutputErrorFit
 from servo_daemon.estimators.output_error.combinations import Combination
 from servo_daemon.estimators.output_error.information import NullDirection
+from servo_daemon.estimators.output_error.lag_like import equivalents
+from servo_daemon.estimators.output_error.misfit import unexplained
 from servo_daemon.estimators.output_error.score import Score
 from servo_daemon.identification import Identification, Validation
 
@@ -27,6 +29,8 @@ def fit_document(result: Identification) -> dict[str, Any]:
         "parameters": {name: parameter_row(p, linear=linear) for name, p in fit.parameters.items()},
         "offsets": [{name: parameter_row(p, linear=linear) for name, p in o.items()} for o in fit.offsets],
         "correlation": {name: dict(row) for name, row in fit.correlation.items()},
+        "equivalent": {name: list(effects) for name, effects in equivalents(fit.problem).items()},
+        "unexplained": [shown_column(c, linear=linear) for c in unexplained(fit)],
         "null_directions": [null_row(d) for d in fit.null_directions],
         "combinations": [combination_row(c, linear=linear) for c in fit.combinations],
         "before": {"null_directions": [null_row(d) for d in fit.before.null]},
@@ -41,13 +45,14 @@ def fit_document(result: Identification) -> dict[str, Any]:
 
 def parameter_row(p: FittedParameter, *, linear: bool) -> dict[str, Any]:
     """One parameter."""
-    return {
+    row = {
         "value": p.value,
         "std": p.std,
         "unit": shown_unit(p.unit, linear=linear),
         "at_bound": p.at_bound,
         "status": p.status,
     }
+    return row | {"bound": p.bound} if p.at_bound else row
 
 
 def combination_row(c: Combination, *, linear: bool) -> dict[str, Any]:

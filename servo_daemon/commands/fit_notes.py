@@ -7,13 +7,13 @@ from collections.abc import Mapping
 
 from servo_daemon.commands.units import shown_column, shown_unit
 from servo_daemon.estimators.output_error import OutputErrorFit
+from servo_daemon.estimators.output_error.lag_like import equivalents
+from servo_daemon.estimators.output_error.misfit import unexplained
 from servo_daemon.identification.drift import SEGMENT_S, Drift
 from servo_daemon.plant.parameters import spaced
 
 #: An estimate further from its nominal value than this factor is no ageing: a unit, a sign, another motor.
 _FAR = 10.0
-#: A residual of this share of the signal's spread is no simulation of it.
-_NOTHING = 0.7
 #: K of a motor lies within 10 % of its datasheet (as makers say), J and B with load and friction within 40 %.
 _NEAR, _SQUARE_NEAR = 0.1, 0.35
 
@@ -24,9 +24,23 @@ def result_notes(fit: OutputErrorFit, nominal: Mapping[str, float]) -> list[str]
     Args:
         nominal: all values that are given, held ones too.
     """
-    notes = []
+    notes = [
+        f"the model explains next to nothing of {name}, and no parameter has a value: is its sign turned, or its unit "
+        "wrong?"
+        for name in unexplained(fit)
+    ]
+    notes += [
+        f"no current is measured: {name}, and the time constants, are all of the lag that was found, of which "
+        f"{' or '.join(effects)} would leave the same trace: `--fix {name}=…`, or measure the current"
+        for name, effects in equivalents(fit.problem).items()
+    ]
     for name, p in fit.parameters.items():
         given = nominal.get(name)
+        if p.bound is not None:
+            notes.append(
+                f"{name} ended at its physical bound, {p.bound:.3g}{spaced(p.unit)}: the data ask for what cannot be, "
+                "or do not tell it"
+            )
         if p.status != "estimated" or p.value is None:
             continue
         if given is not None and given > 0 and p.value > 0 and not 1 / _FAR < p.value / given < _FAR:
@@ -34,14 +48,7 @@ def result_notes(fit: OutputErrorFit, nominal: Mapping[str, float]) -> list[str]
                 f"{name} = {p.value:.4g}{spaced(p.unit)} is {p.value / given:.3g} times its nominal value: "
                 "is a column in another unit, or its sign turned?"
             )
-        if p.at_bound:
-            notes.append(
-                f"{name} ended at its physical bound, {p.value:.3g}{spaced(p.unit)}: the data ask for what cannot be"
-            )
     notes += _counts_hint({n: p.value for n, p in fit.parameters.items() if p.status == "estimated"}, nominal)
-    for name, spread in zip(fit.problem.channels, fit.problem.spread, strict=True):
-        if fit.residual[name].rmse > _NOTHING * spread > 0:
-            notes.append(f"the model explains next to nothing of {name}: is its sign turned, or its unit wrong?")
     if fit.problem.plant.drive != "voltage":
         what = "current" if fit.problem.plant.drive == "current" else "torque"
         notes.append(

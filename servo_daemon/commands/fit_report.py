@@ -88,7 +88,8 @@ def parameter_table(parameters: Mapping[str, Mapping[str, Any]], caption: str = 
 def parameter_remark(p: Mapping[str, Any]) -> str:
     """'held', 'not determined', 'by search', 'at its bound'; a choice by its name."""
     words = {"fixed": "held", "undetermined": "not determined", "searched": "by search", "estimated": ""}
-    return " ".join(filter(None, (p.get("choice"), words[p["status"]], "at its bound" if p["at_bound"] else "")))
+    at_bound = f"(at bound {p['bound']:.6g})" if p["at_bound"] else ""
+    return " ".join(filter(None, (p.get("choice"), words[p["status"]], at_bound)))
 
 
 def open_blocks(document: Mapping[str, Any]) -> tuple[Block, ...]:

@@ -17,6 +17,10 @@ def fit_lines(document: Mapping[str, Any]) -> list[str]:
     """Lines: parameters, what is open, the residual, the validation."""
     model = " + ".join(["linear motor", *document["model"]])
     lines = [f"{', '.join(document['captures'])}: {model}, {document['method']}", ""]
+    lines += [
+        f"No values: the model explains next to nothing of {name} (is its sign turned, or its unit wrong?)."
+        for name in document.get("unexplained", ())
+    ]
     lines += [parameter_line(name, p) for name, p in document["parameters"].items()]
     lines += open_lines(document)
     lines += ["", *_residual_lines(document), *validation_lines(document)]
@@ -36,7 +40,8 @@ def parameter_line(name: str, p: Mapping[str, Any]) -> str:
     remark = {"fixed": "  (held)", "searched": "  (by search)", "undetermined": "  (not determined by these data)"}.get(
         p["status"], ""
     )
-    remark += "  (AT ITS BOUND)" if p["at_bound"] else ""
+    if p["at_bound"]:
+        remark = f"  (not determined: at bound {p['bound']:.6g}{spaced(p['unit'])})"
     value = "—" if p["value"] is None else f"{p['value']:.6g}"
     std = "" if p["std"] is None else f" ± {p['std']:.2g}"
     if p.get("std_white") is not None:

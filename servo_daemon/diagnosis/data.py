@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from servo_daemon.diagnosis.split import HELD_OUT, Split, divide, divide_seen
 from servo_daemon.estimators.output_error import Recording
 from servo_daemon.estimators.output_error.problem import Problem, Segment
-from servo_daemon.estimators.output_error.setup import make_problem, state_scale
+from servo_daemon.estimators.output_error.setup import make_problem, state_scale, telling
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +43,7 @@ class Data:
         Raises:
             BadInputError: see `make_problem`, or too few runs.
         """
+        recordings = telling(recordings)
         segments = make_problem(_unmarked(recordings), effects, dict(fixed), segment_s=segment_s).segments
         marks = [r.seen for r in recordings if r.seen is not None]
         if len(marks) == len(recordings):

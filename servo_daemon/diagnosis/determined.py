@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from servo_daemon.estimators.output_error import OutputErrorFit
-from servo_daemon.estimators.output_error.combinations import LEAK
 from servo_daemon.estimators.output_error.parameters import FittedParameter
 from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.plant.parameters import Parameter
 
 #: A value is known with a standard deviation below this share of it, a phase below this much, rad.
 _KNOWN, _KNOWN_PHASE_RAD = 0.5, 0.5
+#: Part of a gradient along a direction without a trace beyond which a combination is open.
+_LEAK = 1e-4
 #: What a torque, an inertia or a stiffness is compared with where its own unit is open: without a current (the voltage
 #: that overcomes it, N·m Ω/(N·m/A)), without a voltage (its current), without either (its acceleration).
 _RELATIVE_TO = ({"R": 1.0, "K": -1.0}, {"K": -1.0}, {"J": -1.0})
@@ -34,7 +35,7 @@ def _known_relatively(p: Parameter, fit: OutputErrorFit) -> bool:
         weights = {p.name: 1.0, **others}
         gradient = np.array([weights.get(name, 0.0) for name in info.names])
         leak = float(np.max(np.abs(info.exact @ gradient), initial=0.0))
-        if leak <= LEAK * float(np.linalg.norm(gradient)) and float(np.linalg.norm(gradient @ info.root)) < _KNOWN:
+        if leak <= _LEAK * float(np.linalg.norm(gradient)) and float(np.linalg.norm(gradient @ info.root)) < _KNOWN:
             return True
     return False
 

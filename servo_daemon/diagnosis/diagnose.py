@@ -27,7 +27,8 @@ from servo_daemon.diagnosis.select import Selection, select
 from servo_daemon.diagnosis.split import CHOICE, segment_length_s
 from servo_daemon.diagnosis.trial import first_trial
 from servo_daemon.errors import ServoDaemonError
-from servo_daemon.estimators.output_error import OutputErrorFit, Recording
+from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, Recording
+from servo_daemon.estimators.output_error.fit import published
 from servo_daemon.identification.validate import validated
 
 #: Errors of free runs that are not called explained: this share of the signal's RMS, and this many times what noise
@@ -93,7 +94,9 @@ def _diagnose(
         with suppress(ServoDaemonError):  # then the free runs have the last word
             diagnosis = _otherwise(diagnosis, data, belief.selection, options.nominal, whole_fits)
     scores = tuple(validated(c, baseline, diagnosis.extended, recordings, options.adapt) for c in validation)
-    return replace(diagnosis, validation=scores, seconds=time.perf_counter() - began)
+    held = FitOptions(fixed=options.fixed, segment_s=data.split.segment_s)
+    shown = published(diagnosis.baseline, data.recordings, held)
+    return replace(diagnosis, baseline=shown, validation=scores, seconds=time.perf_counter() - began)
 
 
 def _by_free_runs(

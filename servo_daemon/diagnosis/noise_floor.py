@@ -78,7 +78,7 @@ def noise_floor(levels: NoiseLevels, trial: Trial, part: int) -> Scored:
     for segment, x0 in [*zip(problem.segments, starts, strict=True)] * _DRAWS:
         rows = segment.rows.copy()
         rows[:, INPUT] += rng.normal(0.0, np.sqrt(levels.input_var), len(rows))
-        shown, _ = free_run(problem.plant, problem.channels, problem.coordinates(unknowns, segment.recording), x0, rows)
+        shown, _ = free_run(problem.plant, problem.channels, problem.acting(unknowns, segment.recording), x0, rows)
         segments.append(replace(segment, measured=shown + rng.normal(size=shown.shape) * sensor, x0=x0))
     drawn = scored_states(replace(problem, segments=tuple(segments)))
     squares, counts = (x.reshape(_DRAWS, len(problem.segments), -1) for x in (drawn.squares, drawn.counts))

@@ -171,6 +171,21 @@ def _lag(c: Context) -> Iterator[Basis]:
         yield Basis("drive_lag", (c.add(f"lag {tau}", trace),), start, 1)
 
 
+def _speed_filter(c: Context) -> Iterator[Basis]:
+    if "velocity_rad_s" not in c.channels:
+        return
+    m = c.motion
+    speed = m.at_sample["velocity_rad_s"]
+    for tau in _LAGS_S:
+
+        def start(b: F64, tau: float = float(tau)) -> dict[str, float] | None:
+            return {"t_f": tau * b[0]} if positive(b[0]) and b[0] < 5 else None
+
+        change = np.diff(speed, prepend=speed[0])  # half a step ago, on average
+        behind = -np.exp(-m.h / (2 * tau)) * (change + np.exp(-m.h / tau) * _relaxed(change, m.h, float(tau)))
+        yield Basis("speed_filter", (c.add(f"filter {tau}", Trace(shown={"velocity_rad_s": behind})),), start, 1)
+
+
 #: What needs a voltage as input, what a current signal or K, what anything.
 WINDING: dict[str, Family] = {
     "brush_voltage_drop": _brush,
@@ -188,4 +203,5 @@ SENSORS: dict[str, Family] = {
     "encoder_eccentricity": _eccentricity,
     "measurement_delay": _delay,
     "drive_lag": _lag,
+    "speed_filter": _speed_filter,
 }

@@ -262,6 +262,7 @@ class Stretches:
     def __init__(self) -> None:
         self._frozen = {name: Repetition(_FEWEST_ALIKE) for name in ("current_A", "velocity_rad_s")}
         self._last: SampleBlock | None = None  # the block before
+        self._turned = False  # a speed that has been zero since the first sample is a standstill's
 
     def alike(self, name: str) -> int:
         """For how many samples the channel has shown one value; 0 while it flickers."""
@@ -303,7 +304,9 @@ class Stretches:
                 complete = False
             frozen = self._frozen.get(name)
             if frozen is not None and (same := frozen.lengths(values)) is not None:
-                usable &= same < _FEWEST_ALIKE
+                stands = name == "velocity_rad_s" and not self._turned
+                usable &= (same < _FEWEST_ALIKE) | (stands & (values == 0.0))
+            self._turned |= name == "velocity_rad_s" and bool(values.any())
         return Stretch(
             block.time_s - origin_s,
             usable,

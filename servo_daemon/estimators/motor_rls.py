@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from servo_daemon.estimators.balance_window import BalanceWindow
 from servo_daemon.estimators.balances import Sums, expected_square, noise_squares
+from servo_daemon.estimators.held_shaft import HeldShaft
 from servo_daemon.estimators.lag import Lag
 from servo_daemon.estimators.modulating import Windows, make_windows
 from servo_daemon.estimators.plausible import Plausible
@@ -97,6 +98,7 @@ class MotorRls:
         self.window = BalanceWindow(self._armature_columns, self._shaft_columns, judges_mismatch=not given_torque)
         self._armature: SlidingRls | None = None
         self._shaft: SlidingRls | None = None
+        self._held = HeldShaft(self._armature_columns)
         self._pending: list[Stretch] = []
         self._noise_var: dict[str, float] = {}
         self._sampling: Sampling | None = None
@@ -169,17 +171,23 @@ class MotorRls:
         as it approaches the end of each held voltage with the time constant L/R while the speed goes on changing.
 
         Returns:
-            a − ½ (0 .. ½), and (a − ½) h K/R in A·s²/rad; zeros while R, L and K are not known.
+            a − ½ (0 .. ½), and (a − ½) h K/R in A·s²/rad (of a held shaft 0); zeros while R and L are not known.
         """
         names = self._estimate.names if self._estimate is not None else ()
-        if self._estimate is None or any(n not in names for n in _ARMATURE):
+        if self._estimate is None or any(n not in names for n in ("R", "L")):
             return 0.0, 0.0
-        R, L, K = (float(self._estimate.value[names.index(n)]) for n in _ARMATURE)
+        values = dict(zip(names, self._estimate.value.tolist(), strict=True))
+        R, L, K = (values.get(n, 0.0) for n in _ARMATURE)
         if R <= 0.0 or L <= 0.0:
             return 0.0, 0.0
         x = min(max(period_s * R / L, 1e-3), 1e3)
         rest = float(1.0 / -np.expm1(-x) - 1.0 / x) - 0.5
         return rest, rest * period_s * K / R
+
+    @property
+    def winding(self) -> RegressionEstimate | None:
+        """R and L of a motor whose shaft is held, where R is known; None: it is not, or R is not yet."""
+        return self._held.estimate()
 
     @property
     def in_regression(self) -> tuple[str, ...]:
@@ -231,6 +239,7 @@ class MotorRls:
             columns += self._rippled_speed(w, s)
         Phi, y = in_columns(columns), w.held(s.voltage)
         self._take("armature", self._armature, float(s.time_s[-1]), Phi, y, w)
+        self._held.take(s, Phi, y)
 
     def _shaft_rows(self, s: Stretch, period: float) -> None:
         if set(DRY) & set(self._plant.effects):
@@ -325,7 +334,7 @@ class MotorRls:
         armature = self._armature_estimate()
         shaft = self._shaft.estimate() if self._shaft is not None else None
         if armature is None and (shaft is None or self._armature is not None):
-            return None  # without K the shaft's coefficients are quotients only
+            return self._held.estimate()  # without K the shaft's coefficients are quotients only
         blocks = [e for e in (armature, shaft) if e is not None]
         value = np.concatenate([e.value for e in blocks])
         covariance = side_by_side([e.covariance for e in blocks]) * OVERLAP

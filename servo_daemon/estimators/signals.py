@@ -86,6 +86,7 @@ _UNSEEN: Mapping[str, tuple[str, ...]] = {
         *("Tg", "Tper", "Tcog", "Tcog_2", "Tcog_3", "Tcog_4"),
     ),
     "t_lag": ("t_lag", "R", "L", "K", "J", "B"),
+    "t_f": ("t_f",),
     "phi_enc": ("e_enc", "phi_enc", "R", "L", "K", "J", "B"),
     "k_s": _SHAFT,
     "J_l": _SHAFT,

@@ -21,7 +21,7 @@ from servo_daemon.samples import F64, SampleBlock, concatenate
 #: Measurements of each channel that a start needs: its noise is judged by them.
 _FEWEST = 50
 #: The filter starts no sooner than this after the first sample, s, and waits no longer than that for the regression.
-_EARLIEST_S, _LATEST_S = 1.0, 3.0
+_EARLIEST_S, LATEST_S = 1.0, 3.0
 #: With a saved state there is only the noise to wait for, s.
 _EARLIEST_SAVED_S = 0.2
 #: Ticks kept while there is nothing to start from.
@@ -116,7 +116,7 @@ class Starter:
         if prior is not None and not free and not held:
             return prior
         core = [p.name for p in free if p.transform == "log" and p.name in self._regressed]
-        if core and elapsed_s < _LATEST_S and not well_known(found, core):
+        if core and elapsed_s < LATEST_S and not well_known(found, core):
             return None
         start = starting_point(free, found, self._nominal, period_s)
         if start is None:

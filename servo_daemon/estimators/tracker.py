@@ -28,12 +28,13 @@ from servo_daemon.estimators.likelihood_look import LikelihoodLook
 from servo_daemon.estimators.motor_rls import MotorRls
 from servo_daemon.estimators.noise_setting import NoiseSetting
 from servo_daemon.estimators.parameter_judge import ParameterJudge, Tick
+from servo_daemon.estimators.regression_estimate import RegressionEstimate
 from servo_daemon.estimators.roster import make_roster
 from servo_daemon.estimators.sampling import Sampling
 from servo_daemon.estimators.second_look import SecondLook
 from servo_daemon.estimators.settings import Message, Resolutions, TrackerSettings
 from servo_daemon.estimators.signals import SignalPlan, plan_signals
-from servo_daemon.estimators.starter import Start, Starter
+from servo_daemon.estimators.starter import LATEST_S, Start, Starter
 from servo_daemon.estimators.stretch import Stretch, median
 from servo_daemon.estimators.telling import Telling
 from servo_daemon.estimators.watch import InnovationWatch
@@ -176,6 +177,15 @@ class Tracker:
         """What is to be published of all parameters; see `JumpActions`. None before the filter runs."""
         return None if self.plan.plant is None else self._jumps.published()
 
+    @property
+    def winding(self) -> RegressionEstimate | None:
+        """R and L by the regression where no filter can start, for nothing shows the motor's motion; else None."""
+        if self.rls is None or self.last_s is None or self._seen_s is None:
+            return None
+        found = self.rls.estimate()
+        waits = self.last_s - self._seen_s > LATEST_S
+        return found if found is not None and waits and found.closes else self.rls.winding
+
     def last_known(self, name: str) -> Trusted | None:
         """A parameter of the plant as it was when it was last known; None: it never was."""
         if self.plan.plant is None or self.last_s is None:
@@ -251,6 +261,8 @@ class Tracker:
     def _try_start(self, tick: SampleBlock) -> list[Message]:
         assert self._seen_s is not None and self.rls is not None and self.plan.plant is not None
         elapsed = float(tick.time_s[-1]) - self._seen_s
+        if self.rls.winding is not None:
+            return []  # nothing of the motion to start from: the regression speaks for the winding
         found = self.rls.estimate()
         scales = dict(zip(self.plan.plant.parameter_names, self._levels.scales(self.nominal), strict=True))
         start = self._starter.take(tick, elapsed, self._prior, found, self.resolutions, scales)

@@ -59,7 +59,7 @@ def drift_of(fit: OutputErrorFit, recordings: Sequence[Recording], options: FitO
     try:
         few = [Recording(r.name, _first(r, _LONGEST_S / len(recordings))) for r in recordings]
         short = fit_output_error(
-            few, fit.problem.plant.effects, replace(options, segment_s=SEGMENT_S, noise_model="none")
+            few, fit.problem.plant.effects, replace(options, segment_s=SEGMENT_S, noise_model="none", misfit=False)
         )
     except ServoDaemonError:  # too little in a second
         return None

@@ -138,7 +138,7 @@ def _settled(part: Recording, fit: OutputErrorFit, free: Sequence[str]) -> Outpu
     """The same model with these of its parameters fitted to other samples."""
     values = natural_values(fit)
     held = {name: v for name, v in values.items() if name not in free}
-    return fit_output_error([part], fit.problem.plant.effects, FitOptions(nominal=values, fixed=held))
+    return fit_output_error([part], fit.problem.plant.effects, FitOptions(nominal=values, fixed=held, misfit=False))
 
 
 def _is_another_day(first: SampleBlock, fit: OutputErrorFit, fitted: Sequence[Recording]) -> bool:

@@ -174,7 +174,7 @@ class Publisher:
                 taken = tracker.plan.held.get(p.name, nominal)  # what the filter runs with, whoever chose it
                 out.append(Fused(taken, None, "fixed" if taken is not None else "estimating", why))
             elif g is None:
-                out.append(_before_the_filter(p, tracker, nominal))
+                out.append(self._before_the_filter(p, tracker, nominal))
             else:
                 k = known[p.name]
                 floor = self._floor(p.name, g, tracker)
@@ -230,6 +230,21 @@ class Publisher:
         """What unknown skew of current and voltage sampling means for L: a delay δ looks like an inductance δ·R."""
         return self._config.estimation.skew_s * self._value("R", g)
 
+    def _before_the_filter(self, p: Parameter, tracker: Tracker, nominal: float | None) -> Fused:
+        """A free parameter while no filter runs: at the start, while it starts again, and of a shaft that is held."""
+        last = None if tracker.plan.plant is None else tracker.last_known(p.name)
+        if last is not None:
+            return as_last_known(p, last, "the filter is starting again")
+        winding = tracker.winding
+        if winding is None:
+            return Fused(nominal, None, "estimating", "collecting the first samples")
+        known = {n: v for n, v in self._possible(winding, tracker.plan.nuisance).items() if n in ("R", "L")}
+        value, std = known.get(p.name, (None, None))
+        if value is None or std is None:
+            return Fused(nominal, None, "estimating", "the motion does not show it (is the shaft held?)")
+        floor = self._config.estimation.skew_s * _value_of(winding, "R") if p.name == "L" else 0.0
+        return Fused(value, math.hypot(std, floor), "tracking", None, 0.0)
+
     def _value(self, name: str, g: Gaussian) -> float:
         return from_coordinate(self._table[name], float(g.mean[g.names.index(name)]), 0.0)[0]
 
@@ -269,12 +284,9 @@ class Publisher:
         return {name: (finite_or_none(value), finite_or_none(std)) for name, (value, std) in pairs}
 
 
-def _before_the_filter(p: Parameter, tracker: Tracker, nominal: float | None) -> Fused:
-    """A free parameter while no filter runs: at the start, or while it starts again."""
-    last = None if tracker.plan.plant is None else tracker.last_known(p.name)
-    if last is None:
-        return Fused(nominal, None, "estimating", "collecting the first samples")
-    return as_last_known(p, last, "the filter is starting again")
+def _value_of(e: RegressionEstimate, name: str) -> float:
+    """Of one of its parameters."""
+    return float(e.value[e.names.index(name)])
 
 
 def moved_on(last: Estimate, tracker: Tracker, samples: int) -> Estimate:

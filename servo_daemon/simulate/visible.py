@@ -39,6 +39,7 @@ VISIBLE: Mapping[str, float] = {
     "I_sat": 60.0,
     "t_lag": 0.003,
     "t_d": 0.002,
+    "t_f": 0.004,
     "k_s": 800.0,
     "c_s": 0.3,
     "J_l": 0.004,

@@ -27,6 +27,7 @@ CONTRACT = {
     "resistance_step": "dR t_R", "backlash": "gap k_s c_s J_l", "shaft_compliance": "k_s c_s J_l",
     "encoder_eccentricity": "e_enc phi_enc", "current_sensor_offset": "i0", "current_sensor_gain": "g_i",
     "voltage_sensor_offset": "v0", "measurement_delay": "t_d channel", "drive_lag": "t_lag",
+    "speed_filter": "t_f",
 }  # fmt: skip
 VALUES = {
     "R": 0.4937, "L": 2.2769e-3, "K": 0.30628, "J": 0.009751, "B": 0.51141, "Tc": 0.3, "Tc_neg": 0.5, "B_neg": 0.9,
@@ -36,6 +37,7 @@ VALUES = {
     "Tper": 0.3, "f_per": 20.0, "phi_per": 1.0, "k_rip": 0.1, "n_rip": 8, "phi_rip": 0.2, "Vb": 1.0, "I_sat": 30.0,
     "R_th": 2.0, "C_th": 3.0, "dR": 0.2, "t_R": 5.0003, "gap": 0.05, "k_s": 800.0, "c_s": 0.3, "J_l": 0.006,
     "e_enc": 0.02, "phi_enc": 0.3, "i0": 0.3, "g_i": 1.1, "v0": 0.5, "t_d": 2.3e-3, "channel": 1.0, "t_lag": 2e-3,
+    "t_f": 3e-3,
 }  # fmt: skip
 
 
@@ -49,7 +51,7 @@ def model_with(name: str, *others: str) -> tuple[str, ...]:
 
 
 def state_sizes(model: PlantModel) -> F64:
-    own = {"twist_rate_rad_s": 2.0, "twist_rad": 0.05, "winding_rise_K": 30.0}
+    own = {"filtered_speed_rad_s": 5.0, "twist_rate_rad_s": 2.0, "twist_rad": 0.05, "winding_rise_K": 30.0}
     return np.array([10.0, 5.0, 2.0, *(own.get(s.name, s.scale) for s in model.states[3:])])
 
 

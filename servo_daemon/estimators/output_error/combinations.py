@@ -7,8 +7,8 @@ combination is determined if its gradient has no part along a null direction), n
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,9 +18,12 @@ from servo_daemon.samples import F64
 
 #: A combination known worse than this (1 σ, relative) is not worth a line.
 _USELESS = 0.5
-#: Part of a gradient along a null direction beyond which the combination is not determined.
-LEAK = 1e-4
+#: No logarithm is unknown to more, 1 σ: bounds are about 18 apart, from 10⁻⁴ to 10⁴, and evenly spread between them it
+#: has 5. So far, and no farther, goes what has no trace in the data.
+_AT_MOST = 5.0
 
+#: A parameter of which a combination follows less than this (relative, by its logarithm) has no part in it.
+_NO_PART = 1e-2
 #: Of `_CANDIDATES`, the first: the coefficients of ω/v = g/(1 + s p + s² q).
 _ANSWER = 3
 
@@ -88,54 +91,117 @@ def voltage_answer(plant: PlantModel, q: F64, info: Information, scale: F64) -> 
     """
     if plant.drive != "voltage":
         return None
+    root = _within_bounds(info, scale)
     useless = (_USELESS, _USELESS, np.inf)
-    found = [_combination(plant, q, info, scale, c, u) for c, u in zip(_CANDIDATES[:_ANSWER], useless, strict=True)]
+    found = [
+        _combination(plant, q, info, root, scale, c, u) for c, u in zip(_CANDIDATES[:_ANSWER], useless, strict=True)
+    ]
     if any(known is None for known, _ in found):
         return None
     coefficients = tuple(known for known, _ in found if known is not None)
     rows = np.array([gradient / c.value for (_, gradient), c in zip(found, coefficients, strict=True)])
-    root = rows / scale @ info.root
+    root = rows @ root
     return VoltageAnswer(coefficients, np.asarray(root @ root.T))
 
 
+def wider_answer(
+    answer: VoltageAnswer | None, plant: PlantModel, q: F64, seen: tuple[Sequence[str], F64], added: F64
+) -> VoltageAnswer | None:
+    """The same less well known; None where there is none, or one of its first two coefficients then means nothing.
+
+    Args:
+        q: as for `determined_combinations`.
+        seen: names of the coordinates, and their scale.
+        added: root of what comes on top of the coordinates' covariance, shape (k, ·).
+    """
+    if answer is None:
+        return None
+    names, scale = seen
+    rows = np.array(
+        [
+            _gradient(plant, q, names, scale, c)[1] / _gradient(plant, q, names, scale, c)[0]
+            for c in _CANDIDATES[:_ANSWER]
+        ]
+    )
+    more = rows / scale @ added
+    covariance = answer.covariance + more @ more.T
+    share = np.sqrt(covariance.diagonal())
+    if share[0] > _USELESS or share[1] > _USELESS:
+        return None
+    coefficients = tuple(replace(c, std=float(s) * c.value) for c, s in zip(answer.coefficients, share, strict=True))
+    return VoltageAnswer(coefficients, covariance)
+
+
 def determined_combinations(
-    plant: PlantModel, q: F64, answer: VoltageAnswer | None, info: Information, scale: F64
+    plant: PlantModel,
+    q: F64,
+    answer: VoltageAnswer | None,
+    info: Information,
+    scale: F64,
+    bounded: Collection[int] = (),
 ) -> tuple[Combination, ...]:
     """Those that the data determine although they leave one of its parameters open.
 
     Args:
         q: shape (np,), coordinates of the plant's parameters.
+        bounded: columns of parameters that are at a bound: a combination that follows one is no more determined.
         answer: the speed's, which does not depend on how friction and back-EMF share the braking.
         scale: as for `information`.
     """
-    open_ones = {name for name, lost in zip(info.names, info.undetermined, strict=True) if lost}
+    open_ones = {name for k, name in enumerate(info.names) if info.undetermined[k] or k in bounded}
     seen = {} if answer is None else {c.expression: c for c in answer.coefficients if c.std < _USELESS * c.value}
-    out = []
+    out, root = [], _within_bounds(info, scale)
     for candidate in _CANDIDATES:
         names = set(candidate[2])
         if names <= set(plant.parameter_names) and names & open_ones:
-            known = seen.get(candidate[0]) or _combination(plant, q, info, scale, candidate)[0]
-            out += [] if known is None else [known]
+            found, gradient = _combination(plant, q, info, root, scale, candidate)
+            known = seen.get(candidate[0]) or found
+            if known is not None and not any(abs(gradient[k]) > _NO_PART * abs(known.value) for k in bounded):
+                out.append(known)
     return tuple(out)
 
 
 def _combination(
-    plant: PlantModel, q: F64, info: Information, scale: F64, candidate: _Candidate, useless: float = _USELESS
+    plant: PlantModel,
+    q: F64,
+    info: Information,
+    root: F64,
+    scale: F64,
+    candidate: _Candidate,
+    useless: float = _USELESS,
 ) -> tuple[Combination | None, F64]:
-    """The combination, None where it is not determined; and its gradient over the scaled coordinates, shape (k,)."""
-    expression, unit, names, function = candidate
+    """The combination, None where it is not determined; and its gradient over the scaled coordinates, shape (k,).
+
+    Args:
+        root: see `_within_bounds`.
+    """
+    expression, unit, _, _ = candidate
+    value, gradient = _gradient(plant, q, info.names, scale, candidate)
+    std = float(np.linalg.norm(gradient @ root))
+    determined = 0.0 < std < useless * abs(value)
+    return (Combination(expression, value, std, unit) if determined else None), gradient
+
+
+def _gradient(plant: PlantModel, q: F64, of: Sequence[str], scale: F64, candidate: _Candidate) -> tuple[float, F64]:
+    """The combination's value, and its gradient over the scaled coordinates `of`, shape (k,)."""
+    _, _, names, function = candidate
     logs = np.array([p.transform == "log" for p in plant.parameters])
 
     def natural(coordinates: F64) -> dict[str, float]:
         values: F64 = np.where(logs, np.exp(np.where(logs, coordinates, 0.0)), coordinates)
         return dict(zip(plant.parameter_names, values.tolist(), strict=True))
 
-    value, gradient = function(natural(q)), np.zeros(len(info.names))
-    for column, name in enumerate(info.names):
+    value, gradient = function(natural(q)), np.zeros(len(of))
+    for column, name in enumerate(of):
         if name in names:
             step = 1e-5 * scale[column] * np.eye(len(q))[plant.parameter_names.index(name)]
             gradient[column] = (function(natural(q + step)) - function(natural(q - step))) / 2e-5
-    leak = float(np.max(np.abs(info.exact @ gradient), initial=0.0))
-    std = float(np.linalg.norm(gradient / scale @ info.root))
-    determined = leak <= LEAK * float(np.linalg.norm(gradient)) and 0.0 < std < useless * abs(value)
-    return (Combination(expression, value, std, unit) if determined else None), gradient
+    return value, gradient
+
+
+def _within_bounds(info: Information, scale: F64) -> F64:
+    """Root of the covariance of the scaled coordinates, shape (k, ·), with no direction less known than `_AT_MOST`,
+    those without a trace included. Without that a combination that the data know to a percent would hang on whether a
+    direction that they do not know at all is so to the last digit."""
+    directions, s, _ = np.linalg.svd(info.root / scale[:, None], full_matrices=False)
+    return np.hstack([directions * (s / np.hypot(1.0, s / _AT_MOST)), _AT_MOST * info.exact.T])

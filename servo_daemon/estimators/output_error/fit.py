@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,10 +21,12 @@ from servo_daemon.estimators.output_error.elsewhere import from_elsewhere, from_
 from servo_daemon.estimators.output_error.information import Information, NullDirection, information
 from servo_daemon.estimators.output_error.input_error import SHIFTED, with_input_error
 from servo_daemon.estimators.output_error.lost_runs import begun_again
+from servo_daemon.estimators.output_error.misfit import with_misfit
 from servo_daemon.estimators.output_error.noise import NoiseModel
 from servo_daemon.estimators.output_error.outcome import NoiseOption, conclude
 from servo_daemon.estimators.output_error.parameters import (
     FittedParameter,
+    at_bounds,
     correlation_of,
     fitted_parameters,
     seen_with_friction,
@@ -38,9 +41,19 @@ from servo_daemon.estimators.output_error.setup import (
     common_channels,
     current_size,
     make_problem,
+    telling,
 )
 from servo_daemon.estimators.output_error.solver import Iteration, Point, Solution, solve
-from servo_daemon.estimators.output_error.starts import Start, coordinates, sizes, starting_points, torque_size
+from servo_daemon.estimators.output_error.starts import (
+    BY_SIZES,
+    BY_WINDOWS,
+    Start,
+    coordinates,
+    sizes,
+    starting_points,
+    torque_size,
+)
+from servo_daemon.estimators.output_error.still import STILL
 from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.plant.parameters import Parameter
 from servo_daemon.samples import F64
@@ -51,8 +64,6 @@ _SEARCHED = 2
 _BETTER = 1.0
 #: Two ends whose V differ by less are one.
 _SAME = 0.2
-#: A channel that varies by no more (A, rad, rad/s) does not move.
-_STILL = 1e-9
 #: Iterations of the first search, and of those that follow only to see whether there is a better minimum.
 _FIRST_SEARCH, _OTHER_SEARCHES = 60, 25
 #: V per value that an iteration must win where a rough end will do: half of it is the change of the RMS.
@@ -74,6 +85,8 @@ class FitOptions:
             for starts that are known to be near the best end.
         deviance_below: the noise model is given up where the deviance will not come below this: the fit of a rival that
             is no better than what there is need not be exact.
+        misfit: standard deviations hold what the model lacks, and nothing has a value where it explains nothing; see
+            `misfit.py`.
     """
 
     nominal: Mapping[str, float] = field(default_factory=dict)
@@ -83,6 +96,7 @@ class FitOptions:
     noise_model: NoiseOption = "auto"
     thorough: bool = True
     deviance_below: float = np.inf
+    misfit: bool = True
 
 
 @dataclass(frozen=True)
@@ -185,6 +199,7 @@ def fit_output_error(
     """
     options = options or FitOptions()
     began = time.perf_counter()
+    recordings = telling(recordings)
     choices = _choices(effects, {**options.nominal, **options.fixed}, choose_signals(common_channels(recordings))[1])
     options = replace(options, fixed={**choices, **options.fixed})
     problem = make_problem(recordings, effects, options.fixed, segment_s=options.segment_s)
@@ -211,7 +226,7 @@ def fit_output_error(
         lost = after.undetermined | with_friction.undetermined
         after = replace(after, undetermined=lost, exact=with_friction.exact)
     parameters, offsets = fitted_parameters(problem, solution, after, options.nominal, options.fixed)
-    return OutputErrorFit(
+    found = OutputErrorFit(
         problem=problem,
         solution=solution,
         parameters=parameters,
@@ -219,7 +234,7 @@ def fit_output_error(
         correlation=correlation_of(after, problem.n_shared),
         before=information(problem, first.point, scale),
         after=after,
-        combinations=determined_combinations(problem.plant, at_end, answer, after, scale),
+        combinations=determined_combinations(problem.plant, at_end, answer, after, scale, at_bounds(problem, solution)),
         answer=answer,
         residual=outcome.residual,
         innovation=outcome.innovation,
@@ -230,6 +245,26 @@ def fit_output_error(
         start=start.source,
         seconds=time.perf_counter() - began,
     )
+    return published(found, recordings, options) if options.misfit and options.thorough else found
+
+
+def published(fit: OutputErrorFit, recordings: Sequence[Recording], options: FitOptions) -> OutputErrorFit:
+    """The fit as it can be published: see `misfit.py`.
+
+    Args:
+        recordings, options: of the fit.
+    """
+
+    def again(effects: tuple[str, ...], values: Mapping[str, float]) -> OutputErrorFit | None:
+        with suppress(NumericalError):
+            begun = replace(options, nominal={**values, **options.fixed}, thorough=False, noise_model="none")
+            return fit_output_error(recordings, effects, begun)
+        return None
+
+    problem = fit.problem
+    at_end = problem.coordinates(fit.solution.point.unknowns, 0)
+    here = Start(fit.start, natural_values(problem.plant.parameters, at_end))
+    return with_misfit(fit, _coordinate_scale(problem, recordings, here), again)
 
 
 def _choices(effects: Sequence[str], given: Mapping[str, float], measured: Sequence[str]) -> dict[str, float]:
@@ -254,11 +289,12 @@ def _search(problem: Problem, starts: Sequence[Start], options: FitOptions) -> t
 
     It is over when an end explains the data to their noise, or when another search comes to the same place.
     """
-    guesses = [s for s in starts if "signal sizes" in s.source]
-    chosen = [s for s in starts if "signal sizes" not in s.source] + _most_promising(problem, guesses)
+    windows, guesses = ([s for s in starts if kind in s.source] for kind in (BY_WINDOWS, BY_SIZES))
+    chosen = [s for s in starts if s not in windows and s not in guesses]
+    chosen += _most_promising(problem, guesses, _SEARCHED) + _most_promising(problem, windows, 1)
     best: tuple[Solution, Start] | None = None
     enough = 0.0 if options.thorough else _ENOUGH * float(problem.counts.sum())
-    idle = bool((problem.spread <= _STILL).all())  # nothing moves: nothing to search for
+    idle = bool((problem.spread <= STILL).all())  # nothing moves: nothing to search for
     for start in chosen:
         been = None if best is None else best[0].point
         found = solve(
@@ -336,10 +372,10 @@ def _in_a_row(first: Solution, then: Solution) -> Solution:
     return replace(then, iterations=(*first.iterations, *more))
 
 
-def _most_promising(problem: Problem, guesses: Sequence[Start]) -> list[Start]:
+def _most_promising(problem: Problem, guesses: Sequence[Start], number: int) -> list[Start]:
     ends = [solve(problem, problem.start(coordinates(g, problem)), robust=False, max_iterations=0) for g in guesses]
     ranked = sorted((s.point.value, k) for k, s in enumerate(ends) if s is not None)
-    return [guesses[k] for _, k in ranked[:_SEARCHED]]
+    return [guesses[k] for _, k in ranked[:number]]
 
 
 def _same_place(been: Point) -> Callable[[Point], bool]:

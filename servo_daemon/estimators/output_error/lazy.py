@@ -40,10 +40,12 @@ class Lazy:
         chosen = [problem.plant.parameter_names.index(n) for n in (*problem.free, *problem.local)]
         out = [np.empty(0)] * len(problem.segments)
         for recording, which, rows in problem.alike:
-            q = problem.coordinates(self.unknowns, recording)
+            q = problem.acting(self.unknowns, recording)
             with np.errstate(over="ignore", invalid="ignore"):
                 runs = simulate_many(problem.plant, problem.channels, q, starts[which], rows)
             slopes = np.concatenate([runs.by_parameter[..., chosen], runs.by_state], axis=3)
+            if recording in problem.blocked:  # not even by rounding
+                slopes[..., problem.of_the_motion] = 0.0
             for k, last, slope in zip(which.tolist(), runs.last, slopes, strict=True):
                 jacobian = slope if problem.segments[k].valid.all() else slope * problem.segments[k].valid[:, :, None]
                 good = bool(np.isfinite(last).all() and np.isfinite(jacobian).all())

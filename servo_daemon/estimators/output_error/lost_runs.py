@@ -79,7 +79,7 @@ def begun_again(problem: Problem, found: Solution) -> F64 | None:
     states = len(problem.plant.states)
     first, better = len(problem.parameter_of_column), False
     for k in lost(squares, spread):
-        q = problem.coordinates(point.unknowns, problem.segments[k].recording)
+        q = problem.acting(point.unknowns, problem.segments[k].recording)
         given = dict(problem.given) | dict(zip(problem.plant.parameter_names, q, strict=True))
         again = grown(replace(problem, free=(), local=(), given=given), k)
         if again is not None and error_of(again[1], spread) < 0.5 * error_of(residuals[k], spread):

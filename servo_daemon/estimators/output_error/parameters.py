@@ -23,6 +23,8 @@ _VISIBLE_FRICTION = 0.05
 #: What a simulation from sample to sample is exact to where friction or brushes switch between two of them: over eight
 #: captures R, L, K, J, B and the effect's own were 0.02 .. 0.10 % off together, with 1 σ of the noise 0.03 %.
 _BETWEEN_SAMPLES = 1e-3
+#: A logarithm so near to a bound is at it.
+_AT_BOUND = 1e-3
 #: Units of what means nothing without a size.
 _OF_NOTHING = ("rad", "Hz", "s")
 
@@ -35,7 +37,8 @@ class FittedParameter:
         value: natural units; None where neither data nor a nominal value give one.
         std: 1 σ in the same unit; None where it is not estimated.
         status: "undetermined": the data leave it open, the value is a start value that took part in the fit.
-        at_bound: it ended at a physical bound.
+        at_bound: it ended at a physical bound: undetermined, and without a value.
+        bound: which one, natural units.
     """
 
     value: float | None
@@ -43,6 +46,7 @@ class FittedParameter:
     unit: str
     status: Status
     at_bound: bool
+    bound: float | None = None
 
 
 def fitted_parameters(
@@ -59,17 +63,18 @@ def fitted_parameters(
     """
     table = {p.name: p for p in problem.plant.parameters}
     std = np.sqrt(np.maximum(np.diag(info.covariance), 0.0))
-    lost = _lost(problem, info, std)
+    lost, bounded = _lost(problem, info, std), at_bounds(problem, solution)
     if problem.plant.may_stick or "brush_voltage_drop" in problem.plant.effects:
         std = np.hypot(std, [_BETWEEN_SAMPLES if table[n].transform == "log" else 0.0 for n in info.names])
 
     def fitted(column: int) -> FittedParameter:
         p = table[info.names[column]]
         value, sigma = from_coordinate(p, float(solution.point.unknowns[column]), float(std[column]))
-        bound = column in solution.at_bound
+        if column in bounded:
+            return FittedParameter(None, None, p.unit, "undetermined", True, bounded[column])
         if lost[column]:  # what the data do not say is the nominal value, if there is one
-            return FittedParameter(nominal.get(p.name), None, p.unit, "undetermined", bound)
-        return FittedParameter(value, None if bound else sigma, p.unit, "estimated", bound)
+            return FittedParameter(nominal.get(p.name), None, p.unit, "undetermined", False)
+        return FittedParameter(value, sigma, p.unit, "estimated", False)
 
     out: dict[str, FittedParameter] = {}
     offsets: list[dict[str, FittedParameter]] = [{} for _ in range(problem.recordings if problem.local else 0)]
@@ -84,6 +89,24 @@ def fitted_parameters(
     for name in problem.local:
         out[name] = _mean([o[name] for o in offsets])
     return {n: out[n] for n in problem.plant.parameter_names}, tuple(offsets)
+
+
+def at_bounds(problem: Problem, solution: Solution) -> dict[int, float]:
+    """Columns of parameters that ended at a physical bound, whether they press against it or nothing moves them away:
+    the bound, natural units. (A phase has none: a turn further it is the same.)"""
+    table = {p.name: p for p in problem.plant.parameters}
+    low, high = problem.bounds
+    out = {}
+    for k, name in enumerate(problem.parameter_of_column):
+        p, at = table[name], float(solution.point.unknowns[k])
+        if p.transform == "log":
+            ends = [b for b, end in ((p.lower, low[k]), (p.upper, high[k])) if abs(at - end) < _AT_BOUND]
+        else:
+            near = p.lower if at - p.lower < p.upper - at else p.upper
+            ends = [near] if k in solution.at_bound and p.unit != "rad" else []
+        if ends:
+            out[k] = ends[0]
+    return out
 
 
 def seen_with_friction(problem: Problem, point: Point, scale: F64) -> Information | None:

@@ -31,6 +31,8 @@ _STATE_PRIOR = 100.0
 _SLOWEST_WINDING_S = 0.1
 
 
+#: What a motor whose shaft is held moves like: it turns by nothing, and nothing comes back. K²/B is 10⁻¹² Ω.
+HELD_SHAFT = {"K": 1e-5, "J": 1e2, "B": 1e2}
 #: States of the motor itself; the others are effects'.
 MOTOR_STATES = ("current_A", "velocity_rad_s", "position_rad")
 
@@ -105,6 +107,7 @@ class Problem:
         own_states: states that a segment begins with freely, where derivatives are differences.
         whole: per recording (x0, rows) of a run over all of it, from which segments take their other states; empty:
             they begin as their `x0` says.
+        blocked: recordings whose shaft is held; what it would do is no part of them.
     """
 
     plant: PlantModel
@@ -117,6 +120,7 @@ class Problem:
     exact: bool = True
     own_states: tuple[str, ...] = MOTOR_STATES
     whole: tuple[tuple[F64, F64], ...] = ()
+    blocked: frozenset[int] = frozenset()
 
     @cached_property
     def n_shared(self) -> int:
@@ -194,6 +198,19 @@ class Problem:
         values |= dict(zip(self.local, unknowns[own : own + len(self.local)], strict=True))
         return np.array([values[n] if n in values else self.given[n] for n in self.plant.parameter_names])
 
+    def acting(self, unknowns: F64, recording: int) -> F64:
+        """The plant's parameter vector that a recording is simulated with, shape (np,)."""
+        q = self.coordinates(unknowns, recording)
+        if recording in self.blocked:
+            for name, value in HELD_SHAFT.items():
+                q[self.plant.parameter_names.index(name)] = np.log(value)
+        return q
+
+    @cached_property
+    def of_the_motion(self) -> NDArray[np.intp]:
+        """Which of a segment's columns are parameters that a held shaft does not show, shape (·,)."""
+        return np.flatnonzero([name in HELD_SHAFT for name in (*self.free, *self.local)])
+
     def initial_state(self, unknowns: F64, index: int) -> F64:
         """Shape (nx,)."""
         return np.array(self.initial_states(unknowns)[index])
@@ -204,7 +221,7 @@ class Problem:
             return [None] * len(self.segments)
         paths = []
         for recording, (x0, rows) in enumerate(self.whole):
-            paths.append(free_run(self.plant, self.channels, self.coordinates(unknowns, recording), x0, rows)[1])
+            paths.append(free_run(self.plant, self.channels, self.acting(unknowns, recording), x0, rows)[1])
         return [paths[s.recording][s.begin] for s in self.segments]
 
     def initial_states(self, unknowns: F64) -> F64:
@@ -240,7 +257,7 @@ class Problem:
         out: dict[int, F64] = {}
         for of, which, rows in self.alike:
             if recording in (None, of):
-                shown = free_runs(self.plant, self.channels, self.coordinates(unknowns, of), starts[which], rows)
+                shown = free_runs(self.plant, self.channels, self.acting(unknowns, of), starts[which], rows)
                 out |= dict(zip(which.tolist(), shown, strict=True))
         return tuple(np.where(self.segments[k].valid, self.segments[k].measured - out[k], 0.0) for k in sorted(out))
 

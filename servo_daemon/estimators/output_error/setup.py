@@ -16,6 +16,7 @@ from servo_daemon.estimators.layout import INPUT
 from servo_daemon.estimators.output_error.problem import Problem, Segment
 from servo_daemon.estimators.output_error.rollout import INPUT as INPUT_COLUMN
 from servo_daemon.estimators.output_error.rollout import STEP, TIME
+from servo_daemon.estimators.output_error.still import has_held_shaft, moves
 from servo_daemon.plant.build import PlantModel, build_plant
 from servo_daemon.plant.core import Drive
 from servo_daemon.samples import F64, SampleBlock
@@ -29,6 +30,8 @@ _LONG_GAP_PERIODS, _LONG_GAP_S = 10.0, 0.1
 FEWEST_SAMPLES = 10
 #: Where the mean of a signal that runs straight between two samples lies.
 STRAIGHT = 0.5
+#: A speed below this share of its size is none; and what is left of the current's size at a standstill.
+_STANDS, _NO_CURRENT = 0.05, 1e-6
 #: Samples over which the speed at the beginning of a segment is guessed.
 _SLOPE_SAMPLES = 15
 
@@ -68,6 +71,16 @@ def choose_signals(channels: Sequence[str]) -> tuple[Drive, tuple[str, ...]]:
     raise BadInputError(f"no pair of an input and a response among: {', '.join(channels) or 'nothing'}")
 
 
+def telling(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
+    """Without a current that never changes in any of them, where the shaft moves under a known voltage: a sensor that
+    is not there."""
+    blocks = [r.block for r in recordings]
+    dead = all(b.voltage_V is not None and b.current_A is not None and not moves(b.current_A) for b in blocks)
+    if dead and any(moves(b.position_rad) or moves(b.velocity_rad_s) for b in blocks):
+        return tuple(replace(r, block=replace(r.block, current_A=None)) for r in recordings)
+    return tuple(recordings)
+
+
 def common_channels(recordings: Sequence[Recording]) -> tuple[str, ...]:
     """Channels that all recordings carry."""
     first, *others = (r.block.channels for r in recordings)
@@ -98,14 +111,19 @@ def make_problem(
     for name, value in fixed.items():
         if name in table and not (isfinite(value) and table[name].lower <= value <= table[name].upper):
             raise BadInputError(f"{name} = {value:g} is outside {table[name].lower:g} .. {table[name].upper:g}")
+    held = drive == "voltage" and "current_A" in measured
+    blocked = frozenset(k for k, r in enumerate(recordings) if held and has_held_shaft(r.block))
+    if len(blocked) == len(recordings):
+        measured = ("current_A",)
     segments = [s for k, r in enumerate(recordings) for s in _segments(k, r, plant, measured, (segment_s, input_share))]
+    segments = [_of_the_winding(s, measured) if s.recording in blocked else s for s in segments]
     if not segments:
         raise BadInputError(f"too few samples: a stretch of at least {FEWEST_SAMPLES} without a long gap is needed")
     names = [n for n in plant.parameter_names if n not in fixed]
     local = tuple(n for n in names if n in OFFSETS) if len(recordings) > 1 else ()
     free = tuple(n for n in names if n not in local)
     given = {name: to_coordinate(table[name], value) for name, value in fixed.items() if name in table}
-    return Problem(plant, measured, tuple(segments), free, local, given, len(recordings))
+    return Problem(plant, measured, tuple(segments), free, local, given, len(recordings), blocked=blocked)
 
 
 def carrying(problem: Problem, recordings: Sequence[Recording]) -> Problem:
@@ -140,6 +158,11 @@ def _segments(
             part, fitted = values[begin:end], valid[begin:end]
             out.append(Segment(recording, rows[begin:end].copy(), part, fitted, x0, scale, begin))
     return out
+
+
+def _of_the_winding(segment: Segment, measured: tuple[str, ...]) -> Segment:
+    """A held shaft's segment: its motion is known and tells nothing else."""
+    return replace(segment, valid=segment.valid & np.array([c == "current_A" for c in measured]))
 
 
 def _channel(block: SampleBlock, name: str) -> F64:
@@ -197,10 +220,21 @@ def state_scale(block: SampleBlock, plant: PlantModel) -> F64:
     sizes = {"current_A": current_size(block), "velocity_rad_s": speed_size(block)}
     if block.position_rad is not None:
         sizes["position_rad"] = float(np.ptp(block.position_rad)) or 1.0
+    if _is_step_from_rest(block):
+        sizes["current_A"] *= _NO_CURRENT
     for name, size in sizes.items():
         if name in plant.state_names and size > 0:
             scale[plant.state_names.index(name)] = size
     return scale
+
+
+def _is_step_from_rest(block: SampleBlock) -> bool:
+    """One voltage all the time, and a shaft that stands at the first sample: what stands without a voltage has no
+    current, and a winding that could have any would answer as slowly or fast as it likes."""
+    v, speed = block.voltage_V, block.velocity_rad_s
+    if v is None or speed is None or block.current_A is not None or moves(v):
+        return False
+    return bool(abs(speed[0]) < _STANDS * _size(speed))
 
 
 def _size(values: F64) -> float:

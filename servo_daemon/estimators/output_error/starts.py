@@ -7,7 +7,7 @@ the recording). Guesses from sizes are never far in that sense; they cost one si
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -15,8 +15,9 @@ import numpy as np
 from servo_daemon.estimators.base import to_coordinate
 from servo_daemon.estimators.layout import Stretches
 from servo_daemon.estimators.motor_rls import MotorRls
-from servo_daemon.estimators.output_error.problem import Problem
+from servo_daemon.estimators.output_error.problem import HELD_SHAFT, Problem
 from servo_daemon.estimators.output_error.setup import Recording, acceleration_size, current_size, speed_size
+from servo_daemon.estimators.output_error.window_regression import window_starts
 from servo_daemon.estimators.rls import SPANS_S
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.plant.parameters import LINEAR, Parameter
@@ -26,6 +27,8 @@ from servo_daemon.samples import SampleBlock
 _MECHANICAL_S, _ELECTRICAL_S = (0.005, 0.03, 0.2), (0.0003, 0.003)
 #: Viscous friction as a share of the back-EMF's braking K²/R; an effect's torque as a share of the motor's.
 _FRICTION_SHARE, _EFFECT_SHARE = 0.2, 0.05
+#: Sources of starts of which only the best are searched from.
+BY_WINDOWS, BY_SIZES = "regression over windows", "signal sizes"
 #: Samples handed to the regression at once: its windows are short against them.
 _TICK = 500
 
@@ -44,8 +47,9 @@ def starting_points(recordings: Sequence[Recording], problem: Problem, nominal: 
     Args:
         nominal: what the user gave, natural units.
     """
-    block = max(recordings, key=lambda r: len(r.block)).seen_block
-    guesses = [Start("signal sizes", values) for values in _from_sizes(block, problem.plant, nominal)]
+    turning = [r.seen_block for k, r in enumerate(recordings) if k not in problem.blocked]
+    block = max(turning or [r.seen_block for r in recordings], key=len)
+    guesses = [Start(BY_SIZES, values) for values in _from_sizes(block, problem.plant, nominal)]
     regression = regression_values(block, problem.plant)
     starts = []
     needed = {p.name for p in LINEAR} & {*problem.free, *problem.local}
@@ -54,8 +58,19 @@ def starting_points(recordings: Sequence[Recording], problem: Problem, nominal: 
     if regression:
         starts.append(Start("regression", _complete(regression, guesses[0].values, problem.plant)))
     if nominal and not needed <= nominal.keys():
-        starts += [Start("nominal values, signal sizes", _complete(nominal, g.values, problem.plant)) for g in guesses]
-    return [*starts, *guesses]
+        starts += [Start(f"nominal values, {BY_SIZES}", _complete(nominal, g.values, problem.plant)) for g in guesses]
+    if problem.plant.drive == "voltage" and turning and problem.channels != ("current_A",):
+        given = {n: v for n, v in nominal.items() if n in problem.given}
+        starts += [
+            Start(f"{BY_WINDOWS} of {length} samples", _complete({**values, **given}, guesses[0].values, problem.plant))
+            for length, values in window_starts(block, _core(guesses[0].values))
+        ]
+    starts += guesses
+    return starts if turning else [replace(s, values={**s.values, **HELD_SHAFT}) for s in starts]
+
+
+def _core(values: Mapping[str, float]) -> dict[str, float]:
+    return {p.name: values[p.name] for p in LINEAR}
 
 
 def coordinates(start: Start, problem: Problem) -> dict[str, float]:

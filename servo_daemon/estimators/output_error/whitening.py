@@ -205,7 +205,7 @@ def tangents(problem: Problem, unknowns: F64) -> tuple[Tangent, ...]:
         tangent(
             problem.plant,
             problem.channels,
-            problem.coordinates(unknowns, segment.recording),
+            problem.acting(unknowns, segment.recording),
             problem.initial_state(unknowns, k),
             segment.rows,
         )

@@ -97,7 +97,7 @@ class Predictor:
             moving = np.array([name in MOTOR_STATES for name in plant.state_names])
             std = segment.x0_scale * np.where(moving, _MOTION_STD, _OTHER_STD)
             state = np.concatenate([x0, _packed(np.diag(std**2))])
-            q = self.problem.coordinates(unknowns, segment.recording)
+            q = self.problem.acting(unknowns, segment.recording)
             out = _loop(plant, channels).run(state, np.concatenate([q, np.exp(log_variance)]), samples)
             white.append(out[:, :c])
             logs.append(out[:, c:])

@@ -46,6 +46,7 @@ NAMES = (
     "winding_heating",
     "drive_lag",
     "measurement_delay",
+    "speed_filter",
     "shaft_compliance",
     "backlash",
 )

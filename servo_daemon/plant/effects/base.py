@@ -91,7 +91,7 @@ class Terms:
         moment_K: first moment of factor_K over the step: mean of its change times the time from the middle, s.
         viscous: added to B, N·m·s/rad.
         rates: d/dt of the effect's states, those aside that shaft, lag and delay bring.
-        sensed: added to what a sensor shows: "current_A", "position_rad".
+        sensed: added to what a sensor shows: "current_A", "position_rad", "velocity_rad_s".
         shaft: a second inertia.
         lag_s: voltage or torque as applied follow what is reported by a first-order lag, s.
         delay: a late sensor.

@@ -103,3 +103,25 @@ def recorded(
         "current_A": _rounded(gain * output["shown_current"] + offset + noise, sensors.current_lsb_A),
         "position_rad": output["shown_angle"],
     }
+
+
+def filtered_speed(time_s: F64, speed_rad_s: F64, t_f: float) -> F64:
+    """What a speed sensor with a first-order filter shows, rad/s, shape (n,): exact for a speed that runs straight
+    between the samples; settled at the first one."""
+    shown = np.empty_like(speed_rad_s)
+    shown[0] = speed_rad_s[0]
+    for k, (h, change) in enumerate(zip(np.diff(time_s), np.diff(speed_rad_s), strict=True)):
+        behind = change / h * t_f  # of a speed that has risen so for long
+        decay = np.exp(-h / t_f)
+        shown[k + 1] = speed_rad_s[k + 1] - behind + (shown[k] - speed_rad_s[k] + behind) * decay
+    return shown
+
+
+def speed_over_window(time_s: F64, position_rad: F64, window_s: float) -> F64:
+    """The speed as a difference of the angle over the last `window_s`, rad/s, shape (n,); the first ones over what
+    there is."""
+    begin = np.maximum(time_s - window_s, time_s[0])
+    length = np.maximum(time_s - begin, np.finfo(float).tiny)
+    shown = (position_rad - np.interp(begin, time_s, position_rad)) / length
+    shown[0] = shown[1]
+    return np.asarray(shown)

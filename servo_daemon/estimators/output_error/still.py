@@ -1,0 +1,27 @@
+"""Channels without variation: they have no noise scale, and no vote in a likelihood that balances channels by theirs.
+
+A shaft that does not turn under a current that flows is held (the blocked-rotor test, from which R and L are known
+best): ω = 0 is information, and the recording is one of the winding alone. A current that never changes beside a shaft
+that moves is a sensor that is not there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from servo_daemon.samples import F64, SampleBlock
+
+#: A channel that varies by no more (A, rad, rad/s) does not move.
+STILL = 1e-9
+
+
+def moves(values: F64 | None) -> bool:
+    """Whether a channel is there and changes."""
+    return values is not None and float(np.nanmax(values) - np.nanmin(values)) > STILL
+
+
+def has_held_shaft(block: SampleBlock) -> bool:
+    """Whether a current flows, driven by a known voltage, and the shaft is seen to stand."""
+    motion = block.position_rad if block.position_rad is not None else block.velocity_rad_s
+    known = block.voltage_V is not None and motion is not None
+    return known and moves(block.current_A) and not moves(motion)

@@ -1,0 +1,29 @@
+"""Speed filter: the speed is filtered, or a difference over a window, before it is shown."""
+
+from __future__ import annotations
+
+from servo_daemon.plant.effects.base import Effect, Signals, State, Terms
+from servo_daemon.plant.parameters import Parameter, Scale
+
+T_F = Parameter(
+    "t_f", "t_f", "s", 0.003, 1e-07, 10.0, "log", "time constant of the filter", "start value", scale=Scale(0.003)
+)
+#: The speed as the filter has it.
+FILTERED = State("filtered_speed_rad_s", "rad/s", 0.0, 10.0)
+
+
+def _terms(s: Signals) -> Terms:
+    behind = s.states[FILTERED.name] - s.omega
+    return Terms(rates={FILTERED.name: -behind / s.p["t_f"]}, sensed={"velocity_rad_s": behind})
+
+
+EFFECT = Effect(
+    name="speed_filter",
+    cause="The sensor filters its speed, or takes it from a difference of the angle over a window (a lag of half): "
+    "what is shown follows the motor's speed.",
+    equation=r"t_f\,\dot\omega_{\mathrm{shown}} = \omega - \omega_{\mathrm{shown}}",
+    parameters=(T_F,),
+    terms=_terms,
+    substeps=4,
+    states=(FILTERED,),
+)

@@ -1,0 +1,59 @@
+"""A speed that its sensor filters, or takes from a difference over a window."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from servo_daemon.captures.model import Capture
+from servo_daemon.diagnosis.diagnose import diagnose
+from servo_daemon.estimators.output_error import Recording, fit_output_error
+from servo_daemon.samples import F64, SampleBlock, make_block
+from tests.recovery.generator import GEAR_MOTOR, PAPER, Motor, Scenario, generate
+from tests.recovery.generator.sensors import filtered_speed, speed_over_window
+
+pytestmark = pytest.mark.usefixtures("generator_built")
+T_F = 4e-3
+
+
+def with_speed(motor: Motor, kind: str, seconds: float = 6.0) -> SampleBlock:
+    """Voltage, current and speed; noise of 0.2 % of the speed."""
+    made = generate(motor, Scenario("multisine", seconds, seed=1))
+    truth = made.truth
+    shown: F64
+    if kind == "filter":
+        shown = filtered_speed(truth.time_s, truth.speed_rad_s, T_F)
+    else:
+        shown = speed_over_window(truth.time_s, truth.position_rad, 2 * T_F)
+    noise = np.random.default_rng(3).normal(0.0, 0.002 * float(np.std(shown)), len(shown))
+    return make_block(made.time_s, voltage_V=made.voltage_V, current_A=made.current_A, velocity_rad_s=shown + noise)
+
+
+@pytest.mark.parametrize("motor", [PAPER, GEAR_MOTOR], ids=lambda m: m.name)
+def test_a_fit_with_the_filter_gives_motor_and_filter(motor: Motor) -> None:
+    block = with_speed(motor, "filter", 3.0)
+    fit = fit_output_error([Recording("capture", block)], ("speed_filter",))
+    for name, true in ({n: getattr(motor, n) for n in "RLKJB"} | {"t_f": T_F}).items():
+        p = fit.parameters[name]
+        assert p.value is not None and p.std is not None
+        assert abs(p.value - true) < 4 * p.std
+        assert p.std < 0.02 * true
+    blind = fit_output_error([Recording("capture", block)])
+    assert not blind.white  # that this test can fail
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["filter", "window"])
+def test_a_filter_of_the_speed_is_found(kind: str) -> None:
+    b = with_speed(GEAR_MOTOR, kind)
+    found = diagnose([Capture(Path("c.csv"), b.time_s, b.voltage_V, b.current_A, None, b.velocity_rad_s)])
+    assert found.verdict == "found"
+    names = {e.name for e in found.effects} | {name for e in found.effects for name in e.equivalent}
+    assert "speed_filter" in names
+    if kind == "filter":
+        assert found.extended is not None
+        t_f = found.extended.parameters["t_f"]
+        assert t_f.value is not None and t_f.std is not None
+        assert abs(t_f.value - T_F) < 4 * t_f.std
