@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,6 +31,7 @@ from servo_daemon.column_names import meaning, unit_of
 _LOOKED_AT, _LINES = MAX_LINE, 400
 #: Of the characters looked at, control characters that a binary file has more of: boot noise of a serial log has few.
 _BINARY = 0.05
+_STRANGE, _BEYOND_ASCII = re.compile(r"[\x00-\x08\x0b\x0e-\x1f\ufffd]"), re.compile(r"[^\x00-~]")
 #: What is no UTF-8 is Windows-1252 only if its letters beyond ASCII are as few as in a European text.
 _FOREIGN = 0.3
 
@@ -94,8 +96,8 @@ def read_preamble(path: Path, text: TextIO) -> Preamble:
 
 def _check_text(path: Path, head: str, encoding: str) -> None:
     start = head[:4096]
-    strange = sum((c < " " and c not in "\t\r\n\f") or c == "\ufffd" for c in start)
-    foreign = sum(c > "~" for c in start) if encoding == "cp1252" else 0
+    strange = len(_STRANGE.findall(start))
+    foreign = len(_BEYOND_ASCII.findall(start)) if encoding == "cp1252" else 0
     if strange > _BINARY * len(start) or foreign > _FOREIGN * len(start):
         raise capture_error(path, "not a text file: CSV, gzipped CSV or Parquet is expected", line=1)
     if len(head) == _LOOKED_AT and not set("\r\n") & set(head):

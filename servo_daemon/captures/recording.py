@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -95,11 +95,15 @@ def assemble(recording: Recording, signal_map: SignalMap | None, options: ReadOp
     """
     path, options = recording.path, options or ReadOptions()
     found = Understood()
+    if options.columns and recording.header_line is None:
+        raise capture_error(path, f"--columns names the columns of text tables; for {recording.kind} use --signals")
     if signal_map is None:
         signal_map, found = SignalMap(path), understand(recording, options)
         columns, per_rev = tuple(found.columns.values()), found.counts_per_rev
     else:
         signal_map.only((*recording.options, "counts_per_rev"), recording.kind)
+        if options.counts_per_rev is not None:
+            signal_map = replace(signal_map, options={"counts_per_rev": options.counts_per_rev, **signal_map.options})
         columns = _with_time(signal_map.columns(), recording, options)
         per_rev = signal_map.counts_per_rev
     metadata = {**recording.metadata, **found.metadata, **signal_map.metadata}

@@ -173,9 +173,7 @@ def test_names_and_rate_are_told_where_the_file_has_none(
 def test_a_table_without_a_header_asks_for_its_names(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text(table(VIX, None))
-    with pytest.raises(
-        CaptureError, match=r"line 1: numbers where the header .* as in  --columns time_ms,voltage_V,mA,rpm$"
-    ):
+    with pytest.raises(CaptureError, match=r"line 1: numbers where the header .* --columns time_ms,voltage_V,mA,rpm$"):
         read_capture(path)
     with pytest.raises(CaptureError, match=r"--columns names 3 columns, but the rows have 4: 0\.000000,"):
         read_capture(path, options=ReadOptions(columns=("time_s", "V", "A")))

@@ -164,6 +164,17 @@ def test_counts_are_never_suggested_as_radians(tmp_path: Path) -> None:
     assert "position_rad" not in str(caught.value)
 
 
+def test_flags_beside_a_map(tmp_path: Path) -> None:
+    path = written(tmp_path, table((M.v, M.i, M.counts), "a,b,c"))
+    signal_map = tmp_path / "map.toml"
+    signal_map.write_text('signals = { voltage_V = "a", current_A = "b", position_counts = "c" }')
+    options = ReadOptions(rate_hz=500.0, counts_per_rev=COUNTS_PER_REV)
+    assert_the_motion(read_capture(path, signal_map, options))
+    lines = written(tmp_path, '{"t": 0, "v": 1, "i": 2}\n' * 3, "log.jsonl")
+    with pytest.raises(CaptureError, match="--columns names the columns of text tables; for JSON lines use --signals"):
+        read_capture(lines, options=ReadOptions(columns=("t", "v", "i")))
+
+
 def test_a_unit_row_that_contradicts_a_name_is_an_error(tmp_path: Path) -> None:
     path = written(tmp_path, table((MS, M.v, M.i, M.x), "time_s,voltage_V,current_A,position_rad\nms,V,A,rad"))
     with pytest.raises(CaptureError, match="column time_s: its unit is given as ms: name it so, time_ms"):
