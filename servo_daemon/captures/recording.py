@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.can_unwrap import WrappedPosition
 from servo_daemon.captures.held import HeldSignal, describe, proposal
 from servo_daemon.captures.layout import KNOWN_COLUMNS, NEEDED, lacks, make_layout
+from servo_daemon.captures.meaning.restored import restored_current
 from servo_daemon.captures.model import (
     LINEAR_COLUMNS,
     MIN_SAMPLES,
@@ -23,7 +25,7 @@ from servo_daemon.captures.model import (
 )
 from servo_daemon.captures.signal_map import COUNTS, MappedColumn, SignalMap, SignalRef
 from servo_daemon.captures.time_base import BASE_ORDER, BRIDGE_FACTOR, Timed, held, same_time, to_one_time
-from servo_daemon.errors import CaptureError, ConfigError
+from servo_daemon.errors import BadInputError, CaptureError, ConfigError
 from servo_daemon.samples import F64
 
 
@@ -103,14 +105,41 @@ def assemble(recording: Recording, signal_map: SignalMap | None) -> Capture:
     layout = make_layout(path, names, metadata)
     timed = _timed(recording, series, labels)
     time_s, values, notes = _one_time(recording, timed, signal_map)
+    restored, known = _motor_current(path, columns, time_s, values)
     return Capture(
         path,
         time_s=time_s,
         axis=layout.axis,
         metadata=metadata,
-        notes=(*_unused(recording, columns), *notes),
+        notes=(*_unused(recording, columns), *notes, *restored),
+        current_known=known,
         **values,
     )
+
+
+def _motor_current(
+    path: Path, columns: Sequence[MappedColumn], time_s: F64, values: dict[str, F64]
+) -> tuple[tuple[str, ...], NDArray[np.bool_] | None]:
+    """Put the motor's current in the place of what the sensor shows; a note, and where it is known."""
+    shown = next((column.shown for column in columns if column.shown is not None), None)
+    if shown is None:
+        return (), None
+    voltage, travel = values.get("voltage_V"), None
+    if voltage is None:
+        raise capture_error(path, f'shows = "{shown.shows}" needs voltage_V in the map', column="current_A")
+    if "position_rad" in values:
+        travel = np.diff(values["position_rad"])
+    elif "velocity_rad_s" in values:
+        speed = values["velocity_rad_s"]
+        travel = np.asarray((speed[1:] + speed[:-1]) / 2 * np.diff(time_s))
+    try:
+        values["current_A"], known = restored_current(shown, time_s, voltage, values["current_A"], travel)
+    except BadInputError as error:
+        raise capture_error(path, str(error), column="current_A") from error
+    how = "its sign from voltage and motion"
+    if known is not None:
+        how = f"from the supply's by the duty, in {100 * np.mean(known):.0f} % of the samples (the duty is small else)"
+    return (f"current_A is the motor's, {how}",), known
 
 
 def _plain_columns(recording: Recording) -> tuple[MappedColumn, ...]:
