@@ -72,6 +72,20 @@ class Errors:
 
 def errors(block: SampleBlock, plant: PlantModel, q: F64) -> Errors:
     """As for `score`, sample by sample."""
+    channels, measured, states = measured_start(block, plant, q)
+    rows = input_rows(block, plant.drive)
+    simulated, path = free_run(plant, channels, q, states[0], rows)
+    short = _short_runs(block, plant, q, channels, rows, states, path)
+    return Errors(channels, simulated, simulated - measured, short - measured)
+
+
+def measured_start(block: SampleBlock, plant: PlantModel, q: F64) -> tuple[tuple[str, ...], F64, F64]:
+    """Which channels a model is compared with, what was measured of them, shape (n, c), and the states that a free run
+    would begin at from each sample, shape (n, nx).
+
+    Raises:
+        ValueError: nothing was measured that the model shows.
+    """
     speed = measured_speed(block)
     truth: dict[str, F64] = {}
     if plant.drive == "voltage" and block.current_A is not None:
@@ -82,12 +96,7 @@ def errors(block: SampleBlock, plant: PlantModel, q: F64) -> Errors:
         truth["position_rad"] = block.position_rad
     if not truth:
         raise ValueError("nothing measured that the model could be compared with")
-    channels, rows = tuple(truth), input_rows(block, plant.drive)
-    measured = np.stack(list(truth.values()), axis=1)
-    states = _measured_states(block, plant, q, truth)
-    simulated, path = free_run(plant, channels, q, states[0], rows)
-    short = _short_runs(block, plant, q, channels, rows, states, path)
-    return Errors(channels, simulated, simulated - measured, short - measured)
+    return tuple(truth), np.stack(list(truth.values()), axis=1), _measured_states(block, plant, q, truth)
 
 
 def _measured_states(block: SampleBlock, plant: PlantModel, q: F64, truth: Mapping[str, F64]) -> F64:
