@@ -16,6 +16,7 @@ from servo_daemon.estimators.output_error import (
 )
 from servo_daemon.estimators.output_error.score import Score, score
 from servo_daemon.estimators.output_error.setup import FEWEST_SAMPLES, choose_signals
+from servo_daemon.identification.bands import bands_of
 from servo_daemon.identification.settle import moved, settled_coordinates
 from servo_daemon.plant.core import Drive
 from servo_daemon.samples import F64, SampleBlock
@@ -59,6 +60,19 @@ def scored(capture: Capture, fit: OutputErrorFit) -> Score:
     return score(_comparable(capture, fit), fit.problem.plant, _mean_coordinates(fit))
 
 
+def _scored_with_bands(capture: Capture, fit: OutputErrorFit, fitted: Sequence[Recording]) -> Score:
+    check_input(capture, fit.problem.plant.drive)
+    return _with_intervals(_comparable(capture, fit), fit, _mean_coordinates(fit), fitted, another_day=True)
+
+
+def _with_intervals(
+    block: SampleBlock, fit: OutputErrorFit, q: F64, fitted: Sequence[Recording], *, another_day: bool
+) -> Score:
+    bands = bands_of(block, fit, q, fitted, another_day=another_day)
+    found = score(block, fit.problem.plant, q)
+    return found if bands is None else replace(found, intervals=bands.intervals())
+
+
 def _comparable(capture: Capture, fit: OutputErrorFit) -> SampleBlock:
     """Its samples, without a current that the fit can say nothing of: the motion alone determines three of R, L, K, J
     and B, and with R or K the current stays open, unless what was told settles them."""
@@ -88,8 +102,8 @@ def validated(
     after, settled = (None, {}) if adapt is None else adapted_share(capture, best, fitted, adapt)
     return Validation(
         capture,
-        scored(capture, baseline),
-        None if extended is None else scored(capture, extended),
+        _scored_with_bands(capture, baseline, fitted),
+        None if extended is None else _scored_with_bands(capture, extended, fitted),
         after,
         settled,
     )
@@ -117,7 +131,8 @@ def adapted_share(
     # unless the first part is clearly not predicted as well as what was fitted.
     most = len(plant.parameters) if fit.white or _is_another_day(first, fit, fitted) else _MOST_OF_ONE_DAY
     candidate, q = settled_coordinates(first, plant, _mean_coordinates(fit), most)
-    return score(rest, plant, q), dict(moved(plant, candidate, q))
+    settled = _with_intervals(rest, fit, q, fitted, another_day=not candidate.by.size)
+    return settled, dict(moved(plant, candidate, q))
 
 
 def _is_another_day(first: SampleBlock, fit: OutputErrorFit, fitted: Sequence[Recording]) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -21,14 +21,30 @@ SHORT_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
+class Interval:
+    """What a channel of the long run is worth, in its unit.
+
+    Attributes:
+        half_width: of its 95 % band, rms over the samples.
+        inside: share of the samples within the band.
+        expected: between what its rms error lies on 95 % of the days on which nothing but friction changed, a little.
+    """
+
+    half_width: float
+    inside: float
+    expected: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
 class Score:
     """RMS errors by channel: of one free run over everything, and of free runs of 1 s each restarted from the measured
-    state. `simulated` is the long run, shape (n, c), of `channels`."""
+    state. `simulated` is the long run, shape (n, c), of `channels`; `intervals` are its own, where they are known."""
 
     channels: tuple[str, ...]
     rmse: Mapping[str, float]
     rmse_1s: Mapping[str, float]
     simulated: F64
+    intervals: Mapping[str, Interval] = field(default_factory=dict)
 
 
 def measured_speed(block: SampleBlock) -> F64 | None:
