@@ -68,7 +68,10 @@ UNLISTED: Mapping[str, tuple[str, ...]] = {
     "inductance_saturation": ("I_L",),
 }
 
-ALL: Mapping[str, tuple[str, ...]] = {**LISTED, **UNLISTED}
+#: Of the contract as well, but only to be seen in motions that command exactly zero: no matrix draws it.
+AT_ZERO: Mapping[str, tuple[str, ...]] = {"freewheel_drive": ()}
+
+ALL: Mapping[str, tuple[str, ...]] = {**LISTED, **AT_ZERO, **UNLISTED}
 _DRY = {"coulomb_friction", "asymmetric_friction", "stribeck_friction", "load_dependent_friction"}
 _CHANNELS = {"current_A": 1.0, "position_rad": 2.0}
 #: Not the C code's business: the sensors' own, the input table's, and drawn at random.
@@ -113,6 +116,7 @@ def setup_values(effects: Mapping[str, EffectValues]) -> dict[str, float]:
     fields.setdefault("Ts", fields.get("Tc", 0.0))
     fields.setdefault("Tc_neg", fields.get("Tc", 0.0))
     fields["asymmetric"] = float("asymmetric_friction" in effects)
+    fields["freewheel"] = float("freewheel_drive" in effects)
     if fields.get("t_d", 0.0) > 0:
         if channel not in _CHANNELS:
             raise ValueError(f"measurement_delay: channel {channel!r} is none of {', '.join(_CHANNELS)}")
