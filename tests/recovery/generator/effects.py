@@ -71,7 +71,8 @@ UNLISTED: Mapping[str, tuple[str, ...]] = {
 #: Of the contract as well, but only to be seen in motions that command exactly zero: no matrix draws it.
 AT_ZERO: Mapping[str, tuple[str, ...]] = {"freewheel_drive": ()}
 
-ALL: Mapping[str, tuple[str, ...]] = {**LISTED, **AT_ZERO, **UNLISTED}
+ALL: Mapping[str, tuple[str, ...]] = {**LISTED, **UNLISTED}
+_KNOWN = {**ALL, **AT_ZERO}
 _DRY = {"coulomb_friction", "asymmetric_friction", "stribeck_friction", "load_dependent_friction"}
 _CHANNELS = {"current_A": 1.0, "position_rad": 2.0}
 #: Not the C code's business: the sensors' own, the input table's, and drawn at random.
@@ -85,9 +86,9 @@ def check_effects(effects: Mapping[str, EffectValues]) -> None:
         ValueError: they do not; says which.
     """
     for name, values in effects.items():
-        if name not in ALL:
-            raise ValueError(f"no effect {name!r}; there are {', '.join(ALL)}")
-        wanted, optional = set(ALL[name]), set(_OPTIONAL.get(name, ()))
+        if name not in _KNOWN:
+            raise ValueError(f"no effect {name!r}; there are {', '.join(_KNOWN)}")
+        wanted, optional = set(_KNOWN[name]), set(_OPTIONAL.get(name, ()))
         if not wanted <= set(values) <= wanted | optional:
             raise ValueError(f"{name} has the parameters {sorted(wanted)}, not {sorted(values)}")
         bad = [key for key, value in values.items() if key != "channel" and not math.isfinite(float(value))]
