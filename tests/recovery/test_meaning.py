@@ -12,6 +12,7 @@ import pytest
 
 from servo_daemon.captures import Capture, read_capture
 from servo_daemon.captures.meaning import excluded_values, findings, without_unusable
+from servo_daemon.captures.plausible import check_time_unit, plausibility_notes
 from servo_daemon.errors import CaptureError
 from servo_daemon.estimators.output_error import FitOptions, Recording, fit_output_error
 from servo_daemon.samples import F64
@@ -198,3 +199,20 @@ def test_a_given_k_that_the_voltage_excludes(factor: float) -> None:
     of = columns(GEAR_MOTOR, "reversals")
     (text,) = excluded_values(capture(of), {"K": factor * GEAR_MOTOR.K})
     assert "cannot be" in text and ("degrees" in text) == (factor > 2)
+
+
+@pytest.mark.parametrize(("field", "symbol"), [("current_A", "R"), ("position_rad", "K")])
+def test_a_turned_sign_beside_a_voltage_says_its_line(tmp_path: Path, field: str, symbol: str) -> None:
+    of = columns(GEAR_MOTOR, "multisine", 1000.0)
+    path = write(tmp_path / "sign.csv", {**of, field: -of[field]})
+    (text,) = plausibility_notes(read_capture(path))
+    assert f"counts against voltage_V (v = R i + K ω has {symbol}" in text
+    right(mended(path, text), GEAR_MOTOR)
+
+
+def test_milliseconds_say_their_line(tmp_path: Path) -> None:
+    of = columns(GEAR_MOTOR, "multisine", 1000.0)
+    path = write(tmp_path / "ms.csv", {**of, "time_s": 1e3 * of["time_s"]})
+    with pytest.raises(CaptureError, match="milliseconds") as refused:
+        check_time_unit(read_capture(path))
+    right(mended(path, str(refused.value)), GEAR_MOTOR)
