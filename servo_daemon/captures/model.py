@@ -6,9 +6,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servo_daemon.errors import CaptureError
 from servo_daemon.samples import CHANNELS, F64, U8, Quality, SampleBlock, make_block
@@ -66,6 +67,7 @@ class Capture:
         axis: "linear" where the file has force_N, position_m, velocity_m_s or says `# axis: linear`.
         metadata: the `# key: value` lines; a key given on several lines has them joined by newlines.
         notes: what the user should hear about the file (ignored columns), one sentence each.
+        current_known: shape (n,): where the current is a measurement; None: everywhere.
     """
 
     path: Path
@@ -79,6 +81,7 @@ class Capture:
     axis: Axis = "rotary"
     metadata: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    current_known: NDArray[Any] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
@@ -136,10 +139,13 @@ class Capture:
         return self.metadata_number("counts_per_rev")
 
     def quality(self) -> U8:
-        """Shape (n,): `Quality.GAP_BEFORE` where more than `GAP_FACTOR` median periods passed, else good."""
+        """Shape (n,): `Quality.GAP_BEFORE` where more than `GAP_FACTOR` median periods passed, and
+        `Quality.CURRENT_INVALID` where the current is no measurement; else good."""
         distance_s = np.diff(self.time_s)
         quality = np.zeros(len(self), dtype=np.uint8)
         quality[1:][distance_s > GAP_FACTOR * np.median(distance_s)] = Quality.GAP_BEFORE
+        if self.current_A is not None and self.current_known is not None:
+            quality[~self.current_known] |= np.uint8(Quality.CURRENT_INVALID)
         return quality
 
     def block(self) -> SampleBlock:
@@ -156,9 +162,24 @@ class Capture:
             yield whole.slice(start, start + samples)
 
 
+#: Counters of a clock, bits and s per tick: micros() and millis() of an Arduino, in s, in their own unit, in between.
+COUNTERS: tuple[tuple[int, float, str], ...] = tuple(
+    (bits, tick, words)
+    for bits in (32, 31, 24, 16)
+    for tick, words in ((1e-6, " in µs"), (1e-3, " in ms (or µs, shown so)"), (1.0, ""))
+)
+#: What passes between two samples, as a share of the counter's range.
+_COUNTER_NEAR = 0.02
+
+
 def time_fault(now: float, before: float) -> str:
     """What is wrong with two successive times of which the second is not later."""
-    return f"time {'is repeated' if now == before else 'jumps back'}: {now!r} after {before!r}"
+    text = f"time {'is repeated' if now == before else 'jumps back'}: {now!r} after {before!r}"
+    for bits, tick, words in COUNTERS:
+        if abs((before - now) / (2.0**bits * tick) - 1.0) < _COUNTER_NEAR:
+            wrap = f"{2**bits * tick:.12g}"
+            return f"{text}: a counter of {bits} bits{words} that starts again; mend: wrap = {wrap} in the map's time_s"
+    return text
 
 
 def first_bad_time(time_s: F64) -> int | None:

@@ -6,10 +6,12 @@ shows (R, L, 1/J and 1/B all a thousandfold), and there are such motors: only wh
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from servo_daemon.captures.meaning.finding import mend
 from servo_daemon.captures.model import Capture, capture_error
 from servo_daemon.samples import F64
 
@@ -27,20 +29,22 @@ _STILL = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class _Range:
-    """Of the 99th percentile of the modulus; beyond `largest`, or below `smallest`, the hint is given."""
+    """Of the 99th percentile of the modulus; beyond `largest` (mended by `scale`), or below `smallest`, the hint is
+    given."""
 
     column: str
     largest: float
     hint: str
+    scale: float
     smallest: float = 0.0
     hint_small: str = ""
 
 
 #: The smallest motors (3 mm, 1.5 V) run without load at 0.1 V and, wound for 24 V, at a milliampere.
 _RANGES = (
-    _Range("voltage_V", 1500.0, "is it in millivolts?", 0.05, "is it in kilovolts, or a duty cycle?"),
-    _Range("current_A", 1000.0, "is it in milliamperes?", 3e-4, "is it in kiloamperes?"),
-    _Range("velocity_rad_s", 12000.0, "is it in rpm, degrees or counts a second?"),
+    _Range("voltage_V", 1500.0, "is it in millivolts?", 1e-3, 0.05, "is it in kilovolts, or a duty cycle?"),
+    _Range("current_A", 1000.0, "is it in milliamperes?", 1e-3, 3e-4, "is it in kiloamperes?"),
+    _Range("velocity_rad_s", 12000.0, "is it in rpm, degrees or counts a second?", 2 * math.pi / 60),
 )
 #: Resistances that windings have, Ω, with a factor of three to spare: starter motors 3 mΩ, millimetre motors 1 kΩ.
 _LEAST_R, _MOST_R = 1e-3, 3e3
@@ -56,11 +60,11 @@ def check_time_unit(capture: Capture) -> None:
     """
     period = capture.sample_period_s
     if period > _SLOWEST_S:
-        unit = "milliseconds" if period < 100.0 else "microseconds"
+        unit, scale = ("milliseconds", 1e-3) if period < 100.0 else ("microseconds", 1e-6)
         raise capture_error(
             capture.path,
             f"the median distance of two samples is {period:g} s, too slow to show a motor's dynamics: "
-            f"is it in {unit}? time_s must be in seconds",
+            f"is it in {unit}? time_s must be in seconds; {mend(capture, 'time_s', {'scale': scale})}",
             column="time_s",
         )
     if period < _FASTEST_S:
@@ -73,22 +77,25 @@ def check_time_unit(capture: Capture) -> None:
 
 def plausibility_notes(capture: Capture) -> tuple[str, ...]:
     """What should be checked before the result is believed, one sentence each; empty where nothing is odd."""
-    notes = [n for r in _RANGES if (n := _out_of_range(r, getattr(capture, r.column))) is not None]
+    notes = [n for r in _RANGES if (n := _out_of_range(r, capture)) is not None]
     if capture.position_rad is not None and capture.axis == "rotary":
         speed = np.diff(capture.position_rad) / np.diff(capture.time_s)
         fast = float(np.percentile(np.abs(speed), 90.0))
         if fast > _FASTEST_SHAFT:
-            notes.append(f"column position_rad moves at {fast:,.0f} rad/s: is it in degrees or counts?")
+            told = mend(capture, "position_rad", {"scale": math.pi / 180})
+            notes.append(f"column position_rad moves at {fast:,.0f} rad/s: is it in degrees or counts? {told}")
     notes += [*_still(capture), *_balance(capture)]
     return tuple(notes)
 
 
-def _out_of_range(limits: _Range, values: F64 | None) -> str | None:
+def _out_of_range(limits: _Range, capture: Capture) -> str | None:
+    values: F64 | None = getattr(capture, limits.column)
     if values is None:
         return None
     size = float(np.percentile(np.abs(values), 99.0))
     if size > limits.largest:
-        return f"column {limits.column} reaches {size:,.0f}: {limits.hint}"
+        told = mend(capture, limits.column, {"scale": limits.scale})
+        return f"column {limits.column} reaches {size:,.0f}: {limits.hint} {told}"
     if 0.0 < size < limits.smallest:
         return f"column {limits.column} reaches no more than {size:.2g}: {limits.hint_small}"
     return None
@@ -145,7 +152,8 @@ def _balance(capture: Capture) -> list[str]:
     std = np.sqrt((left + _STATIC**2 * float(mean_v @ mean_v)) * np.diag(np.linalg.inv(A.T @ A)))
     names = ("current_A", "position_rad" if x is not None else "velocity_rad_s")
     notes = [
-        f"column {name} counts against voltage_V (v = R i + K ω has {symbol} = {value:.3g}): is its sign turned?"
+        f"column {name} counts against voltage_V (v = R i + K ω has {symbol} = {value:.3g}): is its sign turned? "
+        f"{mend(capture, name, {'scale': -1.0})}"
         for name, symbol, value, s in zip(names, ("R", "K"), found, std, strict=True)
         if value < -_SIGMA * s
     ]

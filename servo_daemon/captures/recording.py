@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.can_unwrap import WrappedPosition
 from servo_daemon.captures.held import HeldSignal, describe
 from servo_daemon.captures.layout import KNOWN_COLUMNS, make_layout
+from servo_daemon.captures.meaning.restored import restored_current
 from servo_daemon.captures.model import (
     LINEAR_COLUMNS,
     MIN_SAMPLES,
@@ -26,7 +28,7 @@ from servo_daemon.captures.signal_map import COUNTS, MappedColumn, SignalMap, Si
 from servo_daemon.captures.time_base import BASE_ORDER, BRIDGE_FACTOR, Timed, held, same_time, to_one_time
 from servo_daemon.captures.understand import understand
 from servo_daemon.captures.understood import Understood
-from servo_daemon.errors import CaptureError, ConfigError
+from servo_daemon.errors import BadInputError, CaptureError, ConfigError
 from servo_daemon.samples import F64
 
 
@@ -119,12 +121,14 @@ def assemble(recording: Recording, signal_map: SignalMap | None, options: ReadOp
     timed = _timed(recording, series, labels, options.rate_hz)
     time_s, values, notes = _one_time(recording, timed, signal_map)
     understood = _understood(recording, found, time_s, options)
+    restored, known = _motor_current(path, columns, time_s, values)
     return Capture(
         path,
         time_s=time_s,
         axis=layout.axis,
         metadata=metadata,
-        notes=(*understood, *_unused(recording, columns), *notes),
+        notes=(*understood, *_unused(recording, columns), *notes, *restored),
+        current_known=known,
         **values,
     )
 
@@ -137,6 +141,31 @@ def _understood(recording: Recording, found: Understood, time_s: F64, options: R
     rate_hz = options.rate_hz or 1.0 / float(np.median(np.diff(time_s)))
     size = f"{len(time_s):,} rows at {rate_hz:,.1f} Hz"
     return (", ".join([*recording.told, size, *found.told]),)
+
+
+def _motor_current(
+    path: Path, columns: Sequence[MappedColumn], time_s: F64, values: dict[str, F64]
+) -> tuple[tuple[str, ...], NDArray[np.bool_] | None]:
+    """Put the motor's current in the place of what the sensor shows; a note, and where it is known."""
+    shown = next((column.shown for column in columns if column.shown is not None), None)
+    if shown is None:
+        return (), None
+    voltage, travel = values.get("voltage_V"), None
+    if voltage is None:
+        raise capture_error(path, f'shows = "{shown.shows}" needs voltage_V in the map', column="current_A")
+    if "position_rad" in values:
+        travel = np.diff(values["position_rad"])
+    elif "velocity_rad_s" in values:
+        speed = values["velocity_rad_s"]
+        travel = np.asarray((speed[1:] + speed[:-1]) / 2 * np.diff(time_s))
+    try:
+        values["current_A"], known = restored_current(shown, time_s, voltage, values["current_A"], travel)
+    except BadInputError as error:
+        raise capture_error(path, str(error), column="current_A") from error
+    how = "its sign from voltage and motion"
+    if known is not None:
+        how = f"from the supply's by the duty, in {100 * np.mean(known):.0f} % of the samples (the duty is small else)"
+    return (f"current_A is the motor's, {how}",), known
 
 
 def _with_time(

@@ -22,6 +22,7 @@ from typing import Any
 
 from drivers.can_formula import Formula, parse_formula
 from servo_daemon.captures.layout import KNOWN_COLUMNS
+from servo_daemon.captures.meaning.restored import SHOWS, Shown
 from servo_daemon.errors import ConfigError
 
 #: A position in encoder counts; becomes position_rad by `counts_per_rev`.
@@ -69,12 +70,14 @@ class MappedColumn:
         operands: the signals in it, at least one.
         formula: how they combine; None: the single operand is the value.
         wrap: the value counts modulo this (in its own unit, before `counts_per_rev`); None: it does not wrap.
+        shown: of a current that is not the motor's: what it is instead.
     """
 
     name: str
     operands: tuple[SignalRef, ...]
     formula: Formula | None = None
     wrap: float | None = None
+    shown: Shown | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,9 +198,10 @@ def _column(name: str, entry: Any, where: str) -> MappedColumn:
     wrap = _number(entry, "wrap", where) if "wrap" in entry else None
     if wrap is not None and wrap <= 0:
         raise ConfigError(f"{where}: wrap must be positive, not {wrap!r}")
-    rest = {key: value for key, value in entry.items() if key not in ("wrap", "formula")}
+    shown = _shown(name, entry, where)
+    rest = {key: value for key, value in entry.items() if key not in ("wrap", "formula", "shows", "supply_V")}
     if "formula" not in entry:
-        return MappedColumn(name, (_operand("value", rest, where),), None, wrap)
+        return MappedColumn(name, (_operand("value", rest, where),), None, wrap, shown)
     if not isinstance(entry["formula"], str):
         raise ConfigError(f"{where}: formula must be a text")
     formula = parse_formula(entry["formula"], where)
@@ -209,7 +213,24 @@ def _column(name: str, entry: Any, where: str) -> MappedColumn:
             raise ConfigError(f"{where}: unknown key '{key}': the formula has no such name")
     if not rest:
         raise ConfigError(f"{where}: the formula uses no signal")
-    return MappedColumn(name, tuple(_operand(k, v, f"{where}: {k}") for k, v in rest.items()), formula, wrap)
+    return MappedColumn(name, tuple(_operand(k, v, f"{where}: {k}") for k, v in rest.items()), formula, wrap, shown)
+
+
+def _shown(name: str, entry: Mapping[str, Any], where: str) -> Shown | None:
+    """`shows` and `supply_V` of a current."""
+    if "shows" not in entry and "supply_V" not in entry:
+        return None
+    if name != "current_A":
+        raise ConfigError(f"{where}: shows and supply_V belong to current_A")
+    shows = entry.get("shows")
+    if shows not in SHOWS:
+        raise ConfigError(f"{where}: shows must be one of {', '.join(SHOWS)}, not {shows!r}")
+    if ("supply_V" in entry) != (shows == "supply"):
+        raise ConfigError(f'{where}: shows = "supply" needs supply_V, the supply\'s voltage, and nothing else does')
+    supply_V = _number(entry, "supply_V", where) if shows == "supply" else None
+    if supply_V is not None and supply_V <= 0.0:
+        raise ConfigError(f"{where}: supply_V must be positive, not {supply_V!r}")
+    return Shown(shows, supply_V)
 
 
 def _operand(name: str, entry: Any, where: str) -> SignalRef:

@@ -96,6 +96,10 @@ _PAIRS: Mapping[frozenset[str], str] = {
             "measure the back-EMF: turn it by hand with the drive off, and hold that K against the torque's.",
         ),
         (
+            ("freewheel_drive", "coulomb_friction"),
+            "command zero at speed: an open bridge lets the motor coast, a closed one brakes it with its own back-EMF.",
+        ),
+        (
             ("drive_lag", "measurement_delay"),
             "excite higher frequencies: a lag also lowers the amplitude, a delay only turns the phase.",
         ),

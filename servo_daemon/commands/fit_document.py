@@ -140,9 +140,13 @@ def validation_row(v: Validation) -> dict[str, Any]:
 
 
 def score_row(s: Score, *, linear: bool) -> dict[str, Any]:
-    """RMS errors of the free run and of the short ones."""
+    """RMS errors of the free run and of the short ones, and the free run's bands."""
 
-    def named(values: Mapping[str, float]) -> dict[str, float]:
+    def named(values: Mapping[str, Any]) -> dict[str, Any]:
         return {shown_column(name, linear=linear): value for name, value in values.items()}
 
-    return {"rmse": named(s.rmse), "rmse_1s": named(s.rmse_1s)}
+    bands = {
+        name: {"half_width": i.half_width, "inside": i.inside, "expected_rmse": list(i.expected)}
+        for name, i in s.intervals.items()
+    }
+    return {"rmse": named(s.rmse), "rmse_1s": named(s.rmse_1s), "band95": named(bands)}

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from servo_daemon.captures import Capture, in_canonical_order
+from servo_daemon.captures.meaning import excluded_values, findings, without_unusable
 from servo_daemon.captures.model import capture_error
 from servo_daemon.captures.plausible import check_time_unit, plausibility_notes
 from servo_daemon.commands import common
@@ -65,8 +66,8 @@ def gather(
         BadInputError: a file, the config or a flag is wrong; one line naming it.
     """
     drive = common.offline_drive(arguments)
-    captures = in_canonical_order(common.read_captures(paths, arguments))
-    validation = common.read_captures(validation_paths, arguments)
+    captures, said = _as_meant(in_canonical_order(common.read_captures(paths, arguments)), drive)
+    validation, said_there = _as_meant(common.read_captures(validation_paths, arguments), drive)
     for capture in (*captures, *validation):
         check_length(capture)
         check_time_unit(capture)
@@ -79,14 +80,30 @@ def gather(
     effects, starts = model_effects(drive, arguments.effect)
     fixed = common.parse_fix(",".join(arguments.fix))
     _check_fixed(fixed, effects)
-    notes = [f"{c.path}: {text}" for c in (*captures, *validation) for text in plausibility_notes(c)]
+    nominal = {k: v for k, v in drive.nominal.items() if k != "J_m"} | starts
+    notes = [*said, *said_there]
+    notes += [f"{c.path}: {text}" for c in captures for text in excluded_values(c, {**nominal, **fixed})]
+    notes += [f"{c.path}: {text}" for c in (*captures, *validation) for text in plausibility_notes(c)]
     notes += lost
     weight = known_weight(drive, captures[0])
     if (searches or "gravity_load" in effects) and weight is not None and "Tg" not in fixed:
         fixed["Tg"] = weight
         notes.append(f"gravity_load: Tg = {weight:.6g} N·m is held, from the known mass and arm length")
-    nominal = {k: v for k, v in drive.nominal.items() if k != "J_m"} | starts
     return Inputs(drive, captures, validation, effects, drive.model, nominal, fixed, tuple(notes))
+
+
+def _as_meant(captures: Sequence[Capture], drive: DriveConfig) -> tuple[tuple[Capture, ...], list[str]]:
+    """The captures without columns that do not mean what they say, and what was found.
+
+    Raises:
+        CaptureError: one cannot be used so.
+    """
+    kept, notes = [], []
+    for capture in captures:
+        found = findings(capture, limit_V=drive.limits.voltage_V)
+        kept.append(without_unusable(capture, found))
+        notes += [f"{capture.path}: {one.text}" for one in found]
+    return tuple(kept), notes
 
 
 def check_length(capture: Capture) -> None:

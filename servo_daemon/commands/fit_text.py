@@ -100,5 +100,15 @@ def settled_words(adapted: Mapping[str, Any]) -> str:
 
 def _score(scores: Mapping[str, Any]) -> str:
     return "; ".join(
-        f"{name} {scores['rmse'][name]:.4g} (1 s: {scores['rmse_1s'][name]:.4g})" for name in scores["rmse"]
+        f"{name} {scores['rmse'][name]:.4g} (1 s: {scores['rmse_1s'][name]:.4g}{_band(scores, name)})"
+        for name in scores["rmse"]
     )
+
+
+def _band(scores: Mapping[str, Any], name: str) -> str:
+    """', 95 % band ± 0.3, expected 0.01 … 0.4'."""
+    band = scores.get("band95", {}).get(name)
+    if band is None:
+        return ""
+    low, high = band["expected_rmse"]
+    return f", 95 % band ± {band['half_width']:.2g}, expected {low:.2g} … {high:.2g}"

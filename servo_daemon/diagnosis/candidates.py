@@ -6,10 +6,13 @@ import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from servo_daemon.diagnosis.missing import Missing
 from servo_daemon.diagnosis.screen import ScreenedCandidate
 from servo_daemon.diagnosis.trial import Trial, model_exists
 from servo_daemon.estimators.base import natural_values
+from servo_daemon.estimators.output_error.rollout import INPUT
 from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.plant.effects.base import LATE_STEPS
 from servo_daemon.plant.effects.cogging_torque import HARMONICS
@@ -20,6 +23,8 @@ MOST_FITTED, WORTH_A_FIT, WORTH_A_PAIR = 6, 0.2, 0.1
 _FAR = 0.5
 #: Of the winding's time constant so much is left to it where a late sensor is supposed to be the rest.
 _LEFT_TO_L = 0.2
+#: Samples amid commands of zero, as a share of all, from which on an open bridge there is asked about.
+_LEAST_ZERO = 0.02
 #: Of the proposals so many are tried in pairs.
 _IN_PAIRS = 4
 #: simpler → what contains it.
@@ -182,6 +187,21 @@ def late_without_current(current: Trial) -> Iterator[Proposal]:
         left_s = max(taken_s - next(iter(more.values())), _LEFT_TO_L * taken_s)
         winding = {"L": left_s * values["R"]} if "L" in current.problem.free else {}
         yield Proposal(name, effects, {**values, **more, **winding}, {**values, **more}, far=True)
+
+
+def open_at_zero(current: Trial) -> Iterator[Proposal]:
+    """A bridge that is open where the command is exactly zero, if the capture has stretches of that.
+
+    Screening sees nothing of it: what is missing is a voltage as large as the back-EMF, in these stretches alone.
+    """
+    effects = extended(current.effects, "freewheel_drive")
+    if current.problem.plant.drive != "voltage" or effects is None:
+        return
+    zero = np.concatenate([s.rows[:, INPUT] == 0.0 for s in current.problem.segments])
+    stretches = np.count_nonzero(zero[2:] & zero[1:-1] & zero[:-2])  # not a voltage that only passes through zero
+    if _LEAST_ZERO * len(zero) < stretches < len(zero):
+        values = dict(current.values)
+        yield Proposal("freewheel_drive", effects, values, values, far=True)
 
 
 def _far(value: float, before: float) -> bool:

@@ -18,6 +18,7 @@ from servo_daemon.diagnosis.candidates import (
     Proposal,
     as_simpler,
     late_without_current,
+    open_at_zero,
     pairs,
     proposals,
     scaled_friction,
@@ -194,7 +195,7 @@ def _thought_little_of(
     """What gets a fit although screening saw little of it. If it is not noise that is left, everything: screening is
     linear in what may be far from it, and what it sees depends on what it took for noise. What is late, where no
     current is measured, whatever is left."""
-    late, rest = [*late_without_current(current)], dict[str, Proposal]()
+    late, rest = [*late_without_current(current), *open_at_zero(current)], dict[str, Proposal]()
     if _promised(screened) > _PROMISING or current.independent < COLOURED:
         scaled = scaled_friction(current.effects, current.problem.channels, current.values, current.values)
         rest = {p.name: p for p in (*scaled, *proposals(current, screened, missing, 0.0))}

@@ -48,9 +48,18 @@ class EvenStretch:
 
 def pieces(block: SampleBlock) -> list[SampleBlock]:
     """The uninterrupted parts of a block: cut where samples are missing and around those that are no measurement."""
+    return _cut(block, Quality.GAP_BEFORE | Quality.TIME_RESTART)
+
+
+def measured(block: SampleBlock) -> list[SampleBlock]:
+    """The parts of a block between samples that are no measurement; others may be missing in them."""
+    return _cut(block, Quality.TIME_RESTART)
+
+
+def _cut(block: SampleBlock, where: Quality) -> list[SampleBlock]:
     invalid = Quality.VOLTAGE_INVALID | Quality.CURRENT_INVALID | Quality.POSITION_INVALID
     bad = (block.quality & int(invalid)) != 0
-    begins = (block.quality & int(Quality.GAP_BEFORE | Quality.TIME_RESTART)) != 0
+    begins = (block.quality & int(where)) != 0
     label = np.cumsum(begins | bad | np.concatenate([[False], bad[:-1]]))
     cuts = np.concatenate([[0], np.flatnonzero(np.diff(label)) + 1, [len(block)]])
     return [block.slice(int(a), int(b)) for a, b in pairwise(cuts) if not bad[a]]

@@ -9,9 +9,9 @@ the voltage alone R and K must be fixed, and the current is what they make of it
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import partial, reduce
 from types import MappingProxyType
 
 import numpy as np
@@ -20,10 +20,11 @@ from servo_daemon.errors import BadInputError, CaptureError
 from servo_daemon.estimators.estimate import Axis, Estimate
 from servo_daemon.estimators.idim_armature import ArmatureFit, Lag, fit_armature, made_current
 from servo_daemon.estimators.idim_filter import Filter, FilterChoice, choose
+from servo_daemon.estimators.idim_integral import moves_of, rows_in_windows
 from servo_daemon.estimators.idim_result import Found, as_estimates, sorted_out
-from servo_daemon.estimators.idim_shaft import check_effects, kinematics, rows
+from servo_daemon.estimators.idim_shaft import check_effects, has_dry_friction, kinematics, rows
 from servo_daemon.estimators.idim_signals import EvenStretch, even_stretch, pieces
-from servo_daemon.estimators.idim_solve import ShaftFit, blurred, solve_shaft
+from servo_daemon.estimators.idim_solve import MakeRows, blurred, solve_shaft
 from servo_daemon.estimators.linear_regression import ROBUST, autocorrelation
 from servo_daemon.samples import F64, SampleBlock
 
@@ -114,10 +115,13 @@ def identify_inverse_dynamics(
     check_effects(effects)
     given = dict(fixed or {})
     channels = _check_signals(blocks, effects, given)
-    choice = choice or FilterChoice()
     period = float(np.median(np.concatenate([np.diff(b.time_s) for b in blocks])))
     whole = [piece for block in blocks for piece in pieces(block) if len(piece) >= _FEWEST]
-    if not whole:
+    moves = None
+    if choice is None and has_dry_friction(effects):
+        moves = moves_of(blocks, sum(map(len, whole)))
+    choice = choice or FilterChoice()
+    if not whole and moves is None:
         raise BadInputError(f"no {_FEWEST} samples without a gap: nothing can be filtered and differentiated")
     notes: list[str] = []
     armature, filters = None, dict[str, Filter]()
@@ -125,14 +129,38 @@ def identify_inverse_dynamics(
         armature, filters["armature"] = _armature(whole, period, choice, effects, given)
     if not channels & {"torque_Nm", "current_A"}:
         notes.append("no current: it is what R, L and K as given make of the voltage")
-    problems: list[list[EvenStretch]] = []
+    problems: list[MakeRows] = []
     for L in _inductances(armature, given):
-        efforts = [_effort(piece, armature, given, L, torque_is_held) for piece in whole]
-        evened = [even_stretch(piece, effort, period) for piece, effort in zip(whole, efforts, strict=True)]
-        if "shaft" not in filters:
-            filters["shaft"] = _shaft_filter(evened, choice)
-        problems.append([s for s in evened if len(s.effort) >= filters["shaft"].shortest])
-    return _finish(problems, filters, effects, given, axis, armature, "torque_Nm" in channels, notes)
+        make_effort = partial(_effort, armature=armature, given=given, L=L, torque_is_held=torque_is_held)
+        if moves is not None:
+            make_rows, filters["shaft"] = rows_in_windows(moves, make_effort, effects, 1.0 / period)
+            problems.append(make_rows)
+        else:
+            problems.append(_filtered(whole, make_effort, period, effects, choice, filters))
+    notes += [moves.note(sum(map(len, blocks)))] if moves is not None else _note_on_lost(whole, blocks)
+    return _finish(problems, filters, given, axis, armature, "torque_Nm" in channels, notes)
+
+
+def _filtered(
+    whole: Sequence[SampleBlock],
+    make_effort: Callable[[SampleBlock], F64],
+    period: float,
+    effects: Sequence[str],
+    choice: FilterChoice,
+    filters: dict[str, Filter],
+) -> MakeRows:
+    evened = [even_stretch(piece, make_effort(piece), period) for piece in whole]
+    f = filters.setdefault("shaft", _shaft_filter(evened, choice))
+    long = [s for s in evened if len(s.effort) >= f.shortest]
+    return partial(rows, long, [kinematics(s, f) for s in long], f, effects)
+
+
+def _note_on_lost(whole: Sequence[SampleBlock], blocks: Sequence[SampleBlock]) -> list[str]:
+    n = sum(map(len, blocks))
+    lost = n - sum(map(len, whole))
+    if not lost:
+        return []
+    return [f"{lost} of {n} samples are not used: fewer than {_FEWEST} in a row between gaps cannot be filtered"]
 
 
 def _inductances(armature: ArmatureFit | None, given: Mapping[str, float]) -> tuple[float, ...]:
@@ -166,22 +194,15 @@ def _effort(
 
 
 def _finish(
-    problems: Sequence[Sequence[EvenStretch]],
+    problems: Sequence[MakeRows],
     filters: Mapping[str, Filter],
-    effects: Sequence[str],
     given: Mapping[str, float],
     axis: Axis,
     armature: ArmatureFit | None,
     torque: bool,
     notes: list[str],
 ) -> InverseDynamics:
-    f = filters["shaft"]
-
-    def solved(stretches: Sequence[EvenStretch]) -> ShaftFit:
-        motions = [kinematics(s, f) for s in stretches]
-        return solve_shaft(lambda gravity: rows(stretches, motions, f, effects, gravity), given, armature, torque)
-
-    shaft = reduce(blurred, map(solved, problems))
+    shaft = reduce(blurred, (solve_shaft(make_rows, given, armature, torque) for make_rows in problems))
     notes += shaft.notes
     residuals = {"shaft": BalanceResidual(_effort_unit(torque, shaft.ratios, axis), *shaft.series)}
     if armature is not None:

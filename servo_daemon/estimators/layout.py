@@ -24,7 +24,7 @@ _SHORT_GAP_PERIODS = 3.5
 
 Mask = NDArray[np.bool_]
 
-_INVALID_BIT = {
+INVALID_BIT = {
     "voltage_V": int(Quality.VOLTAGE_INVALID),
     "current_A": int(Quality.CURRENT_INVALID),
     "position_rad": int(Quality.POSITION_INVALID),
@@ -104,7 +104,7 @@ def channel(block: SampleBlock, name: str) -> tuple[F64, NDArray[np.bool_] | Non
     ):
         return values, None
     valid = np.abs(values) <= limit
-    valid &= (block.quality & _INVALID_BIT[name]) == 0
+    valid &= (block.quality & INVALID_BIT[name]) == 0
     return np.where(valid, values, 0.0), valid
 
 
@@ -241,7 +241,7 @@ class Layout:
             samples[:, 1 + 2 * k] = getattr(block, name)
         if not block.all_good:
             for k, name in enumerate(self._names):
-                samples[:, 2 + 2 * k] = (block.quality & _INVALID_BIT[name]) == 0
+                samples[:, 2 + 2 * k] = (block.quality & INVALID_BIT[name]) == 0
         if new is not None:
             samples[new, 4::2] = 0.0
         self._state[0] = block.time_s[0] if self.last_s is None else self.last_s

@@ -64,6 +64,7 @@ _ARMATURE_ONLY = (
     "winding_heating",
     "resistance_step",
     "brush_voltage_drop",
+    "freewheel_drive",
     "current_sensor_offset",
     "current_sensor_gain",
     "voltage_sensor_offset",

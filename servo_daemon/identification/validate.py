@@ -11,26 +11,21 @@ from servo_daemon.captures import Capture
 from servo_daemon.errors import BadInputError
 from servo_daemon.estimators.base import natural_values as values_of
 from servo_daemon.estimators.output_error import (
-    FitOptions,
-    FittedParameter,
     OutputErrorFit,
     Recording,
-    fit_output_error,
 )
 from servo_daemon.estimators.output_error.score import Score, score
-from servo_daemon.estimators.output_error.setup import FEWEST_SAMPLES, OFFSETS, choose_signals
+from servo_daemon.estimators.output_error.setup import FEWEST_SAMPLES, choose_signals
+from servo_daemon.identification.bands import bands_of
+from servo_daemon.identification.settle import moved, settled_coordinates
 from servo_daemon.plant.core import Drive
 from servo_daemon.samples import F64, SampleBlock
 
-#: A parameter settles if a capture's first part shows it to this share of itself.
-_WELL_SEEN = 0.1
-#: A dry friction that is not there any more leaves no trace by which it could be seen: then it has gone.
-_MAY_VANISH, _VANISHED = ("Tc", "Tc_neg", "Ts", "mu", "c2"), 0.3
 #: Of a model that does not explain its own data the errors are so many times larger where something has changed:
 #: between the halves of one capture of the EMPS axis 1.1 to 1.8, and with 2.8 % more friction 2.3 to 3.6.
 _ANOTHER_DAY = 2.0
-#: What changes from day to day: friction by temperature and grease, offsets of sensors and load.
-SETTLING = ("B", "B_neg", "Tc", "Tc_neg", "Ts", "mu", "c2", *OFFSETS)
+#: So many unknowns may settle on what may be the same day.
+_MOST_OF_ONE_DAY = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +60,19 @@ def scored(capture: Capture, fit: OutputErrorFit) -> Score:
     return score(_comparable(capture, fit), fit.problem.plant, _mean_coordinates(fit))
 
 
+def _scored_with_bands(capture: Capture, fit: OutputErrorFit, fitted: Sequence[Recording]) -> Score:
+    check_input(capture, fit.problem.plant.drive)
+    return _with_intervals(_comparable(capture, fit), fit, _mean_coordinates(fit), fitted, another_day=True)
+
+
+def _with_intervals(
+    block: SampleBlock, fit: OutputErrorFit, q: F64, fitted: Sequence[Recording], *, another_day: bool
+) -> Score:
+    bands = bands_of(block, fit, q, fitted, another_day=another_day)
+    found = score(block, fit.problem.plant, q)
+    return found if bands is None else replace(found, intervals=bands.intervals())
+
+
 def _comparable(capture: Capture, fit: OutputErrorFit) -> SampleBlock:
     """Its samples, without a current that the fit can say nothing of: the motion alone determines three of R, L, K, J
     and B, and with R or K the current stays open, unless what was told settles them."""
@@ -94,8 +102,8 @@ def validated(
     after, settled = (None, {}) if adapt is None else adapted_share(capture, best, fitted, adapt)
     return Validation(
         capture,
-        scored(capture, baseline),
-        None if extended is None else scored(capture, extended),
+        _scored_with_bands(capture, baseline, fitted),
+        None if extended is None else _scored_with_bands(capture, extended, fitted),
         after,
         settled,
     )
@@ -118,27 +126,13 @@ def adapted_share(
     check_share(capture, share)
     block, cut = _comparable(capture, fit), round(share * len(capture))
     first, rest = block.slice(0, cut), block.slice(cut, len(block))
-    plant, values = fit.problem.plant, natural_values(fit)
-    # Friction of which the model knows no better varies from motion to motion, and standard deviations do not know it.
-    settles = fit.white or _is_another_day(first, fit, fitted)
-    free = [name for name in values if settles and name in SETTLING]
-    while free:
-        found = _settled(Recording(str(capture.path), first), fit, free)
-        settled = natural_values(found)
-        gone = [name for name in free if name in _MAY_VANISH and settled[name] < _VANISHED * values[name]]
-        vague = {name: 0.0 if name in gone else _relative_std(found.parameters[name], values[name]) for name in free}
-        worst = max(free, key=vague.__getitem__)
-        if vague[worst] < _WELL_SEEN:
-            return score(rest, plant, _mean_coordinates(found)), {name: settled[name] for name in free}
-        free.remove(worst)  # what the first part cannot tell stays as it was
-    return score(rest, plant, _mean_coordinates(fit)), {}
-
-
-def _settled(part: Recording, fit: OutputErrorFit, free: Sequence[str]) -> OutputErrorFit:
-    """The same model with these of its parameters fitted to other samples."""
-    values = natural_values(fit)
-    held = {name: v for name, v in values.items() if name not in free}
-    return fit_output_error([part], fit.problem.plant.effects, FitOptions(nominal=values, fixed=held, misfit=False))
+    plant = fit.problem.plant
+    # Friction of which the model knows no better varies from motion to motion: there one scale is all that may settle,
+    # unless the first part is clearly not predicted as well as what was fitted.
+    most = len(plant.parameters) if fit.white or _is_another_day(first, fit, fitted) else _MOST_OF_ONE_DAY
+    candidate, q = settled_coordinates(first, plant, _mean_coordinates(fit), most)
+    settled = _with_intervals(rest, fit, q, fitted, another_day=not candidate.by.size)
+    return settled, dict(moved(plant, candidate, q))
 
 
 def _is_another_day(first: SampleBlock, fit: OutputErrorFit, fitted: Sequence[Recording]) -> bool:
@@ -151,15 +145,6 @@ def _is_another_day(first: SampleBlock, fit: OutputErrorFit, fitted: Sequence[Re
     return any(
         here[c] > _ANOTHER_DAY * np.sqrt(np.average([np.square(t[c]) for t in there], weights=sizes)) for c in channels
     )
-
-
-def _relative_std(p: FittedParameter, before: float) -> float:
-    """Of the value, or of the one before if that is larger; infinite where it is not seen, 0 at its bound: a friction
-    that is not there."""
-    size = max(abs(before), abs(p.value or 0.0))
-    if p.at_bound:
-        return 0.0
-    return float("inf") if p.value is None or p.std is None or size == 0.0 else p.std / size
 
 
 def check_input(capture: Capture, wanted: Drive) -> None:

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from servo_daemon.captures import read_capture
-from servo_daemon.estimators.output_error.score import slope
-from servo_daemon.samples import F64
+from servo_daemon.estimators.output_error import FitOptions, Recording, fit_output_error
+from servo_daemon.estimators.output_error.score import score, slope
+from servo_daemon.identification.settle import settled_coordinates
+from servo_daemon.samples import F64, SampleBlock, make_block
 from tests.unit.commands import run_command
 
 #: Friction as published (Janot, Gautier & Brunot 2019), N and N·s/m: forwards, backwards.
@@ -89,3 +91,27 @@ def test_what_has_settled_is_told(axis: F64, tmp_path: Path) -> None:
     page = (tmp_path / "report" / "report.html").read_text()
     assert "Adapted: nothing settled" in page
     assert "Adapted: settled on the first part: B " in page
+
+
+@pytest.mark.parametrize("half", [0, 1])
+def test_one_scale_of_all_friction_settles_where_that_is_what_changed(axis: F64, half: int) -> None:
+    """3 % more friction: one scale of it all, and not four numbers of their own."""
+    effects = ("asymmetric_friction", "position_dependent_friction")
+    fitted, other = np.array_split(axis, 2)[half], another_day(axis)
+    fit = fit_output_error([Recording("half", _block(fitted))], effects, FitOptions(segment_s=0.5))
+    plant, q = fit.problem.plant, fit.coordinates()
+    first, rest = np.split(other, [round(0.3 * len(other))])
+    candidate, then = settled_coordinates(_block(first), plant, q, len(q))
+    scale = np.exp(then - q)[[plant.parameter_names.index(n) for n in ("B", "B_neg", "Tc", "Tc_neg")]]
+    assert "all friction" in candidate.words
+    assert scale == pytest.approx(np.full(4, 1.03), abs=0.01)
+    before, after = (score(_block(rest), plant, x).rmse["velocity_rad_s"] for x in (q, then))
+    assert after < 0.35 * before
+    # ... and on the same day nothing does
+    same = np.array_split(axis, 2)[1 - half]
+    nothing, _ = settled_coordinates(_block(same[: round(0.3 * len(same))]), plant, q, 1)
+    assert nothing.words == "nothing"
+
+
+def _block(rows: F64) -> SampleBlock:
+    return make_block(rows[:, 0], torque_Nm=rows[:, 1], position_rad=rows[:, 2])

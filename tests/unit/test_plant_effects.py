@@ -28,6 +28,7 @@ CONTRACT = {
     "encoder_eccentricity": "e_enc phi_enc", "current_sensor_offset": "i0", "current_sensor_gain": "g_i",
     "voltage_sensor_offset": "v0", "measurement_delay": "t_d channel", "drive_lag": "t_lag",
     "speed_filter": "t_f",
+    "freewheel_drive": "",
 }  # fmt: skip
 VALUES = {
     "R": 0.4937, "L": 2.2769e-3, "K": 0.30628, "J": 0.009751, "B": 0.51141, "Tc": 0.3, "Tc_neg": 0.5, "B_neg": 0.9,

@@ -135,8 +135,9 @@ def _lost(problem: Problem, info: Information, std: F64) -> NDArray[np.bool_]:
     out = info.undetermined | (logs & (std > 1.0))
     known = effects_by_name()
     for effect in problem.plant.effects:
-        size, *rest = (p.name for p in known[effect].parameters)
-        if any(logs[k] and std[k] > 1.0 for k, n in enumerate(info.names) if n == size):
+        own = [p.name for p in known[effect].parameters]
+        size, rest = own[:1], own[1:]
+        if any(logs[k] and std[k] > 1.0 for k, n in enumerate(info.names) if n in size):
             out |= np.array([n in rest and table[n].unit in _OF_NOTHING for n in info.names], dtype=bool)
     return np.asarray(out)
 

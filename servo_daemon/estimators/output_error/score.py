@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -21,14 +21,30 @@ SHORT_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
+class Interval:
+    """What a channel of the long run is worth, in its unit.
+
+    Attributes:
+        half_width: of its 95 % band, rms over the samples.
+        inside: share of the samples within the band.
+        expected: between what its rms error lies on 95 % of the days on which nothing but friction changed, a little.
+    """
+
+    half_width: float
+    inside: float
+    expected: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
 class Score:
     """RMS errors by channel: of one free run over everything, and of free runs of 1 s each restarted from the measured
-    state. `simulated` is the long run, shape (n, c), of `channels`."""
+    state. `simulated` is the long run, shape (n, c), of `channels`; `intervals` are its own, where they are known."""
 
     channels: tuple[str, ...]
     rmse: Mapping[str, float]
     rmse_1s: Mapping[str, float]
     simulated: F64
+    intervals: Mapping[str, Interval] = field(default_factory=dict)
 
 
 def measured_speed(block: SampleBlock) -> F64 | None:
@@ -72,6 +88,20 @@ class Errors:
 
 def errors(block: SampleBlock, plant: PlantModel, q: F64) -> Errors:
     """As for `score`, sample by sample."""
+    channels, measured, states = measured_start(block, plant, q)
+    rows = input_rows(block, plant.drive)
+    simulated, path = free_run(plant, channels, q, states[0], rows)
+    short = _short_runs(block, plant, q, channels, rows, states, path)
+    return Errors(channels, simulated, simulated - measured, short - measured)
+
+
+def measured_start(block: SampleBlock, plant: PlantModel, q: F64) -> tuple[tuple[str, ...], F64, F64]:
+    """Which channels a model is compared with, what was measured of them, shape (n, c), and the states that a free run
+    would begin at from each sample, shape (n, nx).
+
+    Raises:
+        ValueError: nothing was measured that the model shows.
+    """
     speed = measured_speed(block)
     truth: dict[str, F64] = {}
     if plant.drive == "voltage" and block.current_A is not None:
@@ -82,12 +112,7 @@ def errors(block: SampleBlock, plant: PlantModel, q: F64) -> Errors:
         truth["position_rad"] = block.position_rad
     if not truth:
         raise ValueError("nothing measured that the model could be compared with")
-    channels, rows = tuple(truth), input_rows(block, plant.drive)
-    measured = np.stack(list(truth.values()), axis=1)
-    states = _measured_states(block, plant, q, truth)
-    simulated, path = free_run(plant, channels, q, states[0], rows)
-    short = _short_runs(block, plant, q, channels, rows, states, path)
-    return Errors(channels, simulated, simulated - measured, short - measured)
+    return tuple(truth), np.stack(list(truth.values()), axis=1), _measured_states(block, plant, q, truth)
 
 
 def _measured_states(block: SampleBlock, plant: PlantModel, q: F64, truth: Mapping[str, F64]) -> F64:

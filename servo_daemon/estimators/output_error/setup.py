@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from servo_daemon.errors import BadInputError
 from servo_daemon.estimators.base import to_coordinate
-from servo_daemon.estimators.layout import INPUT
+from servo_daemon.estimators.layout import INPUT, INVALID_BIT
 from servo_daemon.estimators.output_error.problem import Problem, Segment
 from servo_daemon.estimators.output_error.rollout import INPUT as INPUT_COLUMN
 from servo_daemon.estimators.output_error.rollout import STEP, TIME
@@ -148,7 +148,9 @@ def _segments(
     segment_s, share, block = *cutting, of.block
     time = block.time_s - block.time_s[0]
     values = np.stack([_channel(block, name) for name in measured], axis=1)
-    valid = np.isfinite(values) if of.seen is None else np.isfinite(values) & of.seen[:, None]
+    valid = np.isfinite(values) & np.stack([_is_measured(block, name) for name in measured], axis=1)
+    if of.seen is not None:
+        valid &= of.seen[:, None]
     scale = state_scale(of.seen_block, plant)
     rows = input_rows(block, plant.drive, share)
     out = []
@@ -163,6 +165,12 @@ def _segments(
 def _of_the_winding(segment: Segment, measured: tuple[str, ...]) -> Segment:
     """A held shaft's segment: its motion is known and tells nothing else."""
     return replace(segment, valid=segment.valid & np.array([c == "current_A" for c in measured]))
+
+
+def _is_measured(block: SampleBlock, name: str) -> NDArray[np.bool_]:
+    """Shape (n,)."""
+    bit = int(INVALID_BIT.get(name, 0))
+    return np.asarray((block.quality & bit) == 0)
 
 
 def _channel(block: SampleBlock, name: str) -> F64:

@@ -44,6 +44,7 @@ NAMES = (
     "resistance_step",
     "magnetic_saturation",
     "winding_heating",
+    "freewheel_drive",
     "drive_lag",
     "measurement_delay",
     "speed_filter",

@@ -84,10 +84,14 @@ static int pwm_period(Run *r, double from, double until, double volts, double no
 static int interval(Run *r, long k, double volts) {
   const Setup *p = r->p;
   double from = r->in[k].time, length = r->in[k + 1].time - from, mean = 0.0, lagged = r->motor.x[VOLTAGE];
-  int periods = (int)p->pwm_periods, pieces = (int)p->noise_pieces, j;
+  int open = p->freewheel > 0.0 && volts == 0.0;
+  int periods = open ? 0 : (int)p->pwm_periods, pieces = (int)p->noise_pieces, j;
   int parts = periods > pieces ? periods : pieces;
+  r->motor.drop = p->Vb + (open ? p->supply_V : 0.0);
+  if (r->motor.drop > 0.0 && r->motor.flow == 0)
+    r->motor.flow = (r->motor.x[CURRENT] > 0.0) - (r->motor.x[CURRENT] < 0.0);
   for (j = 0; j < parts; ++j) {
-    double noise = r->noise ? r->noise[k * pieces + (long)j * pieces / parts] : 0.0;
+    double noise = r->noise && !open ? r->noise[k * pieces + (long)j * pieces / parts] : 0.0;
     double until = j + 1 == parts ? r->in[k + 1].time : from + length * (j + 1) / parts;
     mean += (volts + noise) / parts;
     r->motor.volts = volts + noise;

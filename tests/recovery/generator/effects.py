@@ -68,7 +68,11 @@ UNLISTED: Mapping[str, tuple[str, ...]] = {
     "inductance_saturation": ("I_L",),
 }
 
+#: Of the contract as well, but only to be seen in motions that command exactly zero: no matrix draws it.
+AT_ZERO: Mapping[str, tuple[str, ...]] = {"freewheel_drive": ()}
+
 ALL: Mapping[str, tuple[str, ...]] = {**LISTED, **UNLISTED}
+_KNOWN = {**ALL, **AT_ZERO}
 _DRY = {"coulomb_friction", "asymmetric_friction", "stribeck_friction", "load_dependent_friction"}
 _CHANNELS = {"current_A": 1.0, "position_rad": 2.0}
 #: Not the C code's business: the sensors' own, the input table's, and drawn at random.
@@ -82,9 +86,9 @@ def check_effects(effects: Mapping[str, EffectValues]) -> None:
         ValueError: they do not; says which.
     """
     for name, values in effects.items():
-        if name not in ALL:
-            raise ValueError(f"no effect {name!r}; there are {', '.join(ALL)}")
-        wanted, optional = set(ALL[name]), set(_OPTIONAL.get(name, ()))
+        if name not in _KNOWN:
+            raise ValueError(f"no effect {name!r}; there are {', '.join(_KNOWN)}")
+        wanted, optional = set(_KNOWN[name]), set(_OPTIONAL.get(name, ()))
         if not wanted <= set(values) <= wanted | optional:
             raise ValueError(f"{name} has the parameters {sorted(wanted)}, not {sorted(values)}")
         bad = [key for key, value in values.items() if key != "channel" and not math.isfinite(float(value))]
@@ -113,6 +117,7 @@ def setup_values(effects: Mapping[str, EffectValues]) -> dict[str, float]:
     fields.setdefault("Ts", fields.get("Tc", 0.0))
     fields.setdefault("Tc_neg", fields.get("Tc", 0.0))
     fields["asymmetric"] = float("asymmetric_friction" in effects)
+    fields["freewheel"] = float("freewheel_drive" in effects)
     if fields.get("t_d", 0.0) > 0:
         if channel not in _CHANNELS:
             raise ValueError(f"measurement_delay: channel {channel!r} is none of {', '.join(_CHANNELS)}")

@@ -99,7 +99,7 @@ static double terminal_voltage(const Motor *m, const double *x) { return m->p->t
 /* The direction in which a blocked current starts to flow, 0: the brush drop holds it at zero. */
 static int ignition(const Motor *m, const double *x) {
   double drive = terminal_voltage(m, x) - motor_constant(m, x) * x[SPEED];
-  if (fabs(drive) <= HOLD * m->p->Vb) return 0;
+  if (fabs(drive) <= HOLD * m->drop) return 0;
   return drive < 0.0 ? -1 : 1;
 }
 
@@ -133,8 +133,8 @@ static void rates(const Motor *m, const double *x, double t, double *rate) {
   if (p->C_th > 0.0) R *= 1.0 + ALPHA_COPPER * x[RISE];
   if (p->I_L > 0.0) L /= 1.0 + (x[CURRENT] / p->I_L) * (x[CURRENT] / p->I_L);
   rate[CURRENT] = 0.0;
-  if (p->Vb == 0.0 || m->flow != 0)
-    rate[CURRENT] = (terminal_voltage(m, x) - R * x[CURRENT] - K * x[SPEED] - m->flow * p->Vb) / L;
+  if (m->drop == 0.0 || m->flow != 0)
+    rate[CURRENT] = (terminal_voltage(m, x) - R * x[CURRENT] - K * x[SPEED] - m->flow * m->drop) / L;
   rate[SPEED] = rate[ANGLE] = 0.0;
   if (!m->dry || m->slip != 0) {
     torque = free_torque(m, x, t, K);
@@ -163,7 +163,7 @@ static void step(const Motor *m, double h, double *next) {
 /* Do the modes still hold in this state? */
 static int modes_hold(const Motor *m, const double *x, double t) {
   if (m->dry && (m->slip != 0 ? m->slip * x[SPEED] < 0.0 : breakaway(m, x, t) != 0)) return 0;
-  if (m->p->Vb > 0.0 && (m->flow != 0 ? m->flow * x[CURRENT] < 0.0 : ignition(m, x) != 0)) return 0;
+  if (m->drop > 0.0 && (m->flow != 0 ? m->flow * x[CURRENT] < 0.0 : ignition(m, x) != 0)) return 0;
   if (m->p->gap > 0.0) return m->side != 0 ? m->side * flank(m, x, m->side) >= 0.0 : touching(m, x) == 0;
   return 1;
 }
@@ -174,7 +174,7 @@ static void switch_modes(Motor *m) {
     if (m->side != 0 && m->side * flank(m, m->x, m->side) < 0.0) m->side = 0;
     if (m->side == 0) m->side = touching(m, m->x);
   }
-  if (m->p->Vb > 0.0) {
+  if (m->drop > 0.0) {
     if (m->flow * m->x[CURRENT] < 0.0) m->x[CURRENT] = 0.0, m->flow = 0;
     if (m->flow == 0) m->flow = ignition(m, m->x);
   }

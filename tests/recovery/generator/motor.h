@@ -24,7 +24,8 @@
   X(Tg) X(phi_g) X(Tcog) X(n_cog) X(phi_cog) X(Tcog_2) X(n_cog_2) X(phi_cog_2) X(Tcog_3) X(n_cog_3) X(phi_cog_3)     \
   X(dTL) X(t_TL) X(Tper) X(f_per) X(phi_per)                                                                         \
   /* motor */                                                                                                        \
-  X(k_rip) X(n_rip) X(phi_rip) X(Vb) X(I_sat) X(R_th) X(C_th) X(dR) X(t_R) X(t_lag)                                  \
+  X(k_rip) X(n_rip) X(phi_rip) X(Vb) X(I_sat) X(R_th) X(C_th) X(dR) X(t_R) X(t_lag)\
+  /* the bridge is open where the command is zero */ X(freewheel)                                  \
   /* second inertia, on the far side of gap, spring and damper */                                                    \
   X(gap) X(k_s) X(c_s) X(J_l)                                                                                        \
   /* sensors that the control loop sees as well */                                                                   \
@@ -59,6 +60,7 @@ typedef struct {
   const Setup *p;
   Input now;       /* parameters of this sample interval */
   double R, load;  /* R and load torque after their steps */
+  double drop;     /* blocks the current: of the brushes, of the diodes of an open bridge */
   double volts;    /* at the terminals (with t_lag: what they follow) */
   double t, x[STATES];
   int slip;        /* direction of sliding, 0: sticks */

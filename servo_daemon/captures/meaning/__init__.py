@@ -1,0 +1,10 @@
+"""What a capture's numbers say about what its columns mean: units, signs, counters, kinds of current sensor that give
+themselves away. Nothing is changed on a guess: each finding says the line that mends it.
+"""
+
+from servo_daemon.captures.meaning.finding import Finding
+from servo_daemon.captures.meaning.findings import findings, without_unusable
+from servo_daemon.captures.meaning.given import excluded_values
+from servo_daemon.captures.meaning.restored import SHOWS, Shown, restored_current
+
+__all__ = ["SHOWS", "Finding", "Shown", "excluded_values", "findings", "restored_current", "without_unusable"]

@@ -1,0 +1,42 @@
+"""All findings on a capture, and what they leave of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from servo_daemon.captures.layout import lacks
+from servo_daemon.captures.meaning.currents import current_findings
+from servo_daemon.captures.meaning.finding import Finding
+from servo_daemon.captures.meaning.jumps import jump_findings
+from servo_daemon.captures.meaning.signs import sign_findings
+from servo_daemon.captures.meaning.units import unit_findings
+from servo_daemon.captures.model import Capture, capture_error
+
+
+def findings(capture: Capture, *, limit_V: float | None = None) -> tuple[Finding, ...]:
+    """What its numbers say against the names of its columns, the gravest first; empty for a capture that means what it
+    says. With a position that starts again nothing else can be told.
+
+    Args:
+        limit_V: the drive's supply where it is known.
+    """
+    if jumps := jump_findings(capture):
+        return tuple(jumps)
+    return (*current_findings(capture), *unit_findings(capture, limit_V), *sign_findings(capture))
+
+
+def without_unusable(capture: Capture, found: Sequence[Finding]) -> Capture:
+    """The capture without the columns that do not mean what they say.
+
+    Raises:
+        CaptureError: it cannot be used with what is found, or nothing is left; the text says the mend.
+    """
+    for one in found:
+        if one.weight == "capture":
+            raise capture_error(capture.path, one.text)
+        if one.weight == "column":
+            if lacks([f for f in ("time_s", *capture.channels) if f != one.column]):
+                raise capture_error(capture.path, one.text)
+            capture = replace(capture, **{one.column: None})  # type: ignore[arg-type]
+    return capture

@@ -1,0 +1,70 @@
+"""Counters that start again: positions that jump by a whole turn, or by the 65,536 of a full counter, in one sample."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from servo_daemon.captures.meaning.finding import Finding, column_name, mend
+from servo_daemon.captures.model import Capture
+from servo_daemon.samples import F64
+
+#: A jump is more than this share of all that the position covers, and nothing else comes to half of it.
+_JUMP = 0.5
+#: A counter's range from what is seen at a jump, relative: the motion within one sample is only guessed.
+_NEAR = 0.02
+#: Bits of counters.
+_BITS = (8, 10, 12, 13, 14, 15, 16, 18, 20, 24, 32)
+#: Ranges of angles.
+_TURNS = ((2 * math.pi, "a turn in rad"), (math.pi, "half a turn"), (4 * math.pi, "two turns"), (360.0, "degrees"))
+
+
+def jump_findings(capture: Capture) -> list[Finding]:
+    """Where the position starts again; empty where it goes on."""
+    position = capture.position_rad
+    if position is None or len(position) < 8:
+        return []
+    sizes = _jumps(position)
+    if not len(sizes):
+        return []
+    modulus, what = _range_of(float(np.median(sizes)), capture, position)
+    name = column_name(capture, "position_rad")
+    times = "once" if len(sizes) == 1 else f"{len(sizes)} times"
+    text = f"column {name} jumps by {float(np.median(sizes)):,.6g} from one sample to the next, {times}: {what}"
+    return [Finding("position_rad", f"{text}. {mend(capture, 'position_rad', {'wrap': modulus})}", "capture")]
+
+
+def _jumps(position: F64) -> F64:
+    """Sizes of the jumps without the motion in them; empty where there is none that stays."""
+    step = np.diff(position)
+    size = np.abs(step)
+    limit = _JUMP * float(np.ptp(position))
+    at = np.flatnonzero(size > limit)
+    rest = np.delete(step, at)
+    if not at.size or not rest.size or 2 * float(np.max(np.abs(rest))) > limit:
+        return np.empty(0)
+    back = np.concatenate([step[1:], [0.0]])[at]
+    before = np.concatenate([[0.0], step[:-1]])[at]
+    undone = ((np.sign(back) != np.sign(step[at])) & (np.abs(back) > limit)) | (
+        (np.sign(before) != np.sign(step[at])) & (np.abs(before) > limit)
+    )
+    if np.all(undone):  # a wrong sample goes there and comes back
+        return np.empty(0)
+    at = at[~undone]
+    typical = np.where(np.abs(back[~undone]) > limit, 0.0, back[~undone])
+    return np.asarray(np.abs(step[at] - typical))
+
+
+def _range_of(size: float, capture: Capture, position: F64) -> tuple[float, str]:
+    """The counter's range and its words."""
+    for turn, words in _TURNS:
+        if abs(size / turn - 1.0) < _NEAR:
+            return turn, f"it starts again after {words}"
+    per_rev = capture.counts_per_rev
+    unit = 1.0 if bool(np.all(position == np.round(position))) else 2 * math.pi / per_rev if per_rev else None
+    if unit is not None:
+        for bits in _BITS:
+            if abs(size / (unit * 2.0**bits) - 1.0) < _NEAR:
+                return unit * 2.0**bits, f"a counter of {bits} bits that is full and starts again"
+    return size, "it starts again (the range is read from the jump: put the exact one)"

@@ -1,0 +1,76 @@
+"""An effort that counts against the motion: a body with a negative mass, or a friction that drives."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from servo_daemon.captures.meaning.finding import Finding, column_name, mend
+from servo_daemon.captures.meaning.windows import FEWEST, travelled
+from servo_daemon.captures.model import Capture
+from servo_daemon.samples import F64
+
+#: Windows for a speed and its change, s, and at least so many intervals.
+_WINDOW_S, _LEAST = 0.03, 6
+#: Parts of a capture that are looked at one by one; a coefficient is negative if all of them say so, and their mean by
+#: so many standard errors.
+_PARTS, _SIGMA = 6, 4.0
+#: Both directions of motion are seen, each in this share of the windows that move.
+_EITHER_WAY = 0.15
+
+
+def sign_findings(capture: Capture) -> list[Finding]:
+    """The only effort of a capture (a torque, a current without a voltage, a voltage without a current) counts against
+    the motion: friction comes out negative, and no inertia speaks against it."""
+    field = _effort(capture)
+    travel = travelled(capture)
+    if field is None or travel is None:
+        return []
+    rows = _rows(capture, getattr(capture, field), travel)
+    if len(rows) < max(FEWEST, 10 * _PARTS):
+        return []
+    if min(np.mean(rows[:, 2] > 0.0), np.mean(rows[:, 2] < 0.0)) < _EITHER_WAY:
+        return []  # a load that is let down drives all the time
+    parts = np.array_split(rows, _PARTS)
+    found = np.array([np.linalg.lstsq(p[:, 1:], p[:, 0], rcond=None)[0][:2] for p in parts])
+    mean, error = found.mean(axis=0), found.std(axis=0, ddof=1) / np.sqrt(_PARTS)
+    drives = np.max(found[:, 1]) < 0.0 and mean[1] < -_SIGMA * error[1]
+    if not drives or mean[0] > error[0]:
+        return []
+    name, motion = column_name(capture, field), "position_rad" if capture.position_rad is not None else "velocity_rad_s"
+    text = (
+        f"column {name} counts against {column_name(capture, motion)}: friction would drive it. "
+        f"{mend(capture, field, {'scale': -1.0})}"
+    )
+    return [Finding(field, text)]
+
+
+def _effort(capture: Capture) -> str | None:
+    if capture.torque_Nm is not None:
+        return "torque_Nm"
+    if capture.voltage_V is not None:
+        return "voltage_V" if capture.current_A is None else None
+    return "current_A" if capture.current_A is not None else None
+
+
+def _rows(capture: Capture, effort: F64, travel: F64) -> F64:
+    """Effort, acceleration, friction (dry and viscous in one), one and the angle's harmonics, of windows; shape
+    (w, 6)."""
+    m = max(_LEAST, round(_WINDOW_S / capture.sample_period_s))
+    edges = np.arange(0, len(effort), m)
+    if len(edges) < 4:
+        return np.empty((0, 6))
+    h = np.diff(capture.time_s)
+
+    def mean(values: F64) -> F64:
+        total = np.concatenate([[0.0], np.cumsum(values * h)])
+        return np.asarray(np.diff(total[edges]) / np.diff(capture.time_s[edges]))
+
+    speed, pushed = mean(travel / h), mean((effort[1:] + effort[:-1]) / 2)
+    middle = mean((capture.time_s[1:] + capture.time_s[:-1]) / 2)
+    angle = np.interp(middle, capture.time_s, np.concatenate([[0.0], np.cumsum(travel)]))
+    gained = np.gradient(speed, middle)
+    size = float(np.sqrt(np.mean(speed**2))) or 1.0
+    friction = np.tanh(speed / (0.1 * size)) + speed / size
+    harmonics = (np.sin(angle), np.cos(angle)) if capture.axis == "rotary" else (angle, np.zeros_like(angle))
+    table = np.column_stack([pushed, gained, friction, np.ones_like(speed), *harmonics])
+    return table[np.abs(speed) > 0.05 * size]
