@@ -30,6 +30,7 @@ from servo_daemon.diagnosis.split import HELD_OUT
 from servo_daemon.diagnosis.trial import Data, Trial, fit_trial, model_exists
 from servo_daemon.diagnosis.twins import told_from_twin
 from servo_daemon.estimators.output_error import OutputErrorFit
+from servo_daemon.estimators.output_error.lazy import linearise
 from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.output_error.setup import make_problem
 from servo_daemon.estimators.output_error.whitening import tangents, whiten
@@ -211,7 +212,7 @@ def _predicted(fit: OutputErrorFit, part: OutputErrorFit | None, held: _Held) ->
         return None
     problem, channels = _with_all(part.problem, fit.problem), fit.problem.channels
     unknowns = likeliest.point.unknowns
-    residuals = problem.linearise(unknowns).residuals
+    residuals = linearise(problem, unknowns).residuals
     deviance, squares, expected, counts = np.zeros(n), *(np.zeros((n, len(channels))) for _ in range(3))
     for segment, model, r in zip(problem.segments, tangents(problem, unknowns), residuals, strict=True):
         out = whiten(model, segment.valid.astype(float), r[:, :, None], np.exp(likeliest.log_variance))
