@@ -30,6 +30,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, Recording, fit_output_error
+from servo_daemon.estimators.output_error.lazy import linearise
 from servo_daemon.plant import equations
 from servo_daemon.samples import F64, SampleBlock, make_block
 from tests.recovery.generator import PAPER, Scenario, Sensors, generate
@@ -200,7 +201,7 @@ def told(name: str, rival: Rival, fit: OutputErrorFit, seconds: float) -> str:
     parameters = max(abs(np.exp(best.unknowns[k] - coordinates[n]) - 1.0) for k, n in enumerate(problem.free))
     rms = np.array([*problem.spread, 1.0])[[0, 2, 1]]  # of current, speed (rad/s), angle
     state = np.max(np.abs(unknowns[-3:] - best.unknowns[-3:]) / rms)
-    (r,), (r_best,) = problem.linearise(unknowns).residuals, best.linearisation.residuals
+    (r,), (r_best,) = linearise(problem, unknowns).residuals, best.linearisation.residuals
     excess = float(np.sum((r / best.sigma) ** 2) / np.sum((r_best / best.sigma) ** 2)) - 1.0
     return (
         f"  {name:<24} {rival.seconds:8.2f} CPU s {rival.seconds / seconds:6.0f} x  {rival.simulations:4d} simulations"

@@ -17,6 +17,7 @@ from servo_daemon.diagnosis.scored import Scored
 from servo_daemon.diagnosis.split import CHOICE
 from servo_daemon.diagnosis.trial import Trial
 from servo_daemon.estimators.output_error import OutputErrorFit
+from servo_daemon.estimators.output_error.lazy import linearise
 from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.output_error.whitening import tangents, whiten
 from servo_daemon.samples import F64
@@ -66,7 +67,7 @@ def predicted(fit: OutputErrorFit, times: Times, levels: NoiseLevels) -> Predict
     problem = _with_all(fit.problem)
     unknowns = likeliest.point.unknowns
     noise = np.array([levels.input_var, 0.0, *(levels.channel_var[c] for c in problem.channels)])
-    residuals = problem.linearise(unknowns).residuals
+    residuals = linearise(problem, unknowns).residuals
     deviance, squares, expected, counts = np.zeros(n), *(np.zeros((n, len(problem.channels))) for _ in range(3))
     for segment, model, r in zip(problem.segments, tangents(problem, unknowns), residuals, strict=True):
         weights = segment.valid.astype(float)

@@ -22,10 +22,9 @@ from servo_daemon.estimators.balances import (
     shaft_slopes,
 )
 from servo_daemon.estimators.closure import Confronted, Verdict
-from servo_daemon.estimators.excitation import WINDOW_S
 from servo_daemon.estimators.regression_terms import SHARES, armature_coefficient, coefficient
 from servo_daemon.estimators.rls_fit import OVERLAP
-from servo_daemon.estimators.sampling import Sampling, between_samples, blind_std, of_standing_counts
+from servo_daemon.estimators.sampling import WINDOW_S, Sampling, between_samples, blind_std, of_standing_counts
 from servo_daemon.samples import F64
 
 #: Share of the window's rows that must have been held against the filter.

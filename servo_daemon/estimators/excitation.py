@@ -18,10 +18,10 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_daemon.estimators.sampling import WINDOW_S
 from servo_daemon.estimators.small_matrices import eigen
 from servo_daemon.samples import F64
 
-WINDOW_S = 5.0
 ENTER, LEAVE = 0.10, 0.20
 #: The same for the systematic measure, which is a worst case.
 SYSTEMATIC_ENTER, SYSTEMATIC_LEAVE = 0.20, 0.40

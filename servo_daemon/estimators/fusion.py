@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from servo_daemon.estimators import excitation
 from servo_daemon.estimators.base import from_coordinate
+from servo_daemon.estimators.regression_estimate import KNOWS
 from servo_daemon.plant.parameters import Parameter, spaced
 from servo_daemon.samples import F64
 
@@ -24,8 +25,8 @@ Status = Literal["estimating", "tracking", "unexcited", "at_bound", "fixed", "in
 QUALIFIED, LOST = 0.05, 0.15
 #: A held value further than so many standard deviations from the running filter's is not held any longer.
 EXCLUDED_STDS = 4.0
-#: A regression knows a parameter when its std is below this share of it, and agrees within this share and 3 σ.
-KNOWS, AGREES = 0.25, 0.15
+#: A regression agrees with a value within this share of it and 3 σ.
+AGREES = 0.15
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from servo_daemon.estimators.excitation import WINDOW_S
 from servo_daemon.estimators.leaps import without_leaps
+from servo_daemon.estimators.sampling import WINDOW_S
 from servo_daemon.estimators.stretch import Stretch
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.samples import F64

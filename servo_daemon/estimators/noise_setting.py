@@ -13,7 +13,6 @@ from servo_daemon.estimators.levels import Levels
 from servo_daemon.estimators.motor_rls import MotorRls
 from servo_daemon.estimators.roster import Roster
 from servo_daemon.estimators.sampling import Sampling, coarse
-from servo_daemon.estimators.starter import Start
 from servo_daemon.estimators.stretch import Stretch
 from servo_daemon.estimators.watch import InnovationWatch
 from servo_daemon.samples import F64
@@ -29,10 +28,14 @@ class NoiseSetting:
         self._input_lsb = self._torque_Nm = 0.0
         self._value: dict[str, float] = {}
 
-    def begin(self, start: Start, sampling: Sampling) -> F64:
-        """A filter has started. Returns one unit of each coordinate, shape (n,)."""
-        self._input_lsb = start.input_lsb
-        self._coarse.lsb_V = start.input_lsb if self._ekf.plant.drive == "voltage" else 0.0
+    def begin(self, input_lsb: float, sampling: Sampling) -> F64:
+        """A filter has started. Returns one unit of each coordinate, shape (n,).
+
+        Args:
+            input_lsb: step of the held input, in its unit; 0 where there is none.
+        """
+        self._input_lsb = input_lsb
+        self._coarse.lsb_V = input_lsb if self._ekf.plant.drive == "voltage" else 0.0
         scales = self.rescale(sampling)
         found = self._rls.window.current_noise(sampling)
         hidden = self._hidden_in_current(sampling, found)

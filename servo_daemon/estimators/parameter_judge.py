@@ -11,10 +11,10 @@ import numpy as np
 from servo_daemon.estimators import balances, closure, coarse_input
 from servo_daemon.estimators.ekf import Ekf
 from servo_daemon.estimators.excitation import Excitation
-from servo_daemon.estimators.fusion import KNOWS, LOST, QUALIFIED, Qualification, confirms
+from servo_daemon.estimators.fusion import LOST, QUALIFIED, Qualification, confirms
 from servo_daemon.estimators.last_known import LastKnown
 from servo_daemon.estimators.motor_rls import MotorRls
-from servo_daemon.estimators.regression_estimate import RegressionEstimate
+from servo_daemon.estimators.regression_estimate import KNOWS, RegressionEstimate
 from servo_daemon.estimators.roster import Mask, Roster
 from servo_daemon.estimators.sampling import Sampling, blind_std, coarse, settles_between
 from servo_daemon.estimators.starter import NUISANCE_SHARE

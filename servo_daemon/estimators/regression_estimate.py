@@ -10,6 +10,9 @@ import numpy as np
 from servo_daemon.estimators.regression_terms import SHARES
 from servo_daemon.samples import F64
 
+#: A regression knows a parameter when its std is below this share of it.
+KNOWS = 0.25
+
 
 @dataclass(frozen=True, slots=True)
 class RegressionEstimate:

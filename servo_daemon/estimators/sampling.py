@@ -10,6 +10,8 @@ from dataclasses import dataclass
 #: (tens of them); and the fewest samples in one: below, the trapezoidal rule is no good.
 SPAN_S = {"armature": 0.02, "shaft": 0.1}
 FEWEST_SAMPLES = 12
+#: What the last samples say of a parameter is judged over so long, s: its excitation, and the balances (docs/model.md).
+WINDOW_S = 5.0
 #: What a regression over samples may be off by where the winding is much faster than the sampling, 1 σ.
 BLIND_STD = {"R": 0.2, "L": 0.5, "K": 0.1, "J": 0.2, "B": 0.5}
 

@@ -285,7 +285,7 @@ class Tracker:
         self._judge.begin(trusted, self._tick_end_s or 0.0)
         self._ticks = 0
         self._filtering.forget_outliers()
-        self.excitation.scales = self._noise.begin(start, self._sampling())
+        self.excitation.scales = self._noise.begin(start.input_lsb, self._sampling())
         free = self._roster.free
         self.ekf.set_active(free, self._judge.walk(free))
         self.ekf.forget_state(self._filtering.first_state(start.last))

@@ -16,6 +16,7 @@ import numpy as np
 from servo_daemon.estimators.base import to_coordinate
 from servo_daemon.estimators.coefficients import PaperCoefficients, redo_paper
 from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, Recording, fit_output_error
+from servo_daemon.estimators.output_error.lazy import linearise
 from servo_daemon.identification.position_test import PositionTest, position_test, product_for
 from servo_daemon.samples import SampleBlock, make_block
 from servo_daemon.simulate import simulate_capture
@@ -58,7 +59,7 @@ def noise_floor(fit: OutputErrorFit) -> dict[str, float]:
     """What the true parameters leave of the experiment, RMS by channel: the noise of its sensors."""
     problem = fit.problem
     true = {p.name: to_coordinate(p, RESULT[p.name]) for p in problem.plant.parameters}
-    there = problem.linearise(problem.with_parameters(fit.solution.point.unknowns, true))
+    there = linearise(problem, problem.with_parameters(fit.solution.point.unknowns, true))
     left = np.concatenate(there.residuals)
     return {name: float(np.sqrt(np.mean(left[:, k] ** 2))) for k, name in enumerate(problem.channels)}
 

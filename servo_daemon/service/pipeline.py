@@ -14,8 +14,8 @@ import numpy as np
 
 from drivers.base import DriveInfo
 from servo_daemon.config import DriveConfig
-from servo_daemon.estimators.heritage import inherited
 from servo_daemon.estimators.settings import Message
+from servo_daemon.estimators.succession import inherited
 from servo_daemon.estimators.tracker import Tracker
 from servo_daemon.samples import SampleBlock, concatenate
 from servo_daemon.service import publish

@@ -12,8 +12,8 @@ from drivers.base import DriveInfo
 from servo_daemon.config import DriveConfig
 from servo_daemon.estimators import excitation
 from servo_daemon.estimators.base import Gaussian, from_coordinate
-from servo_daemon.estimators.fusion import KNOWS, Fused, as_last_known, fuse
-from servo_daemon.estimators.regression_estimate import RegressionEstimate
+from servo_daemon.estimators.fusion import Fused, as_last_known, fuse
+from servo_daemon.estimators.regression_estimate import KNOWS, RegressionEstimate
 from servo_daemon.estimators.regression_terms import waves_per_turn
 from servo_daemon.estimators.settings import Resolutions, TrackerSettings
 from servo_daemon.estimators.tracker import Tracker

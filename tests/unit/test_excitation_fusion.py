@@ -8,13 +8,14 @@ import pytest
 from servo_daemon.estimators import excitation
 from servo_daemon.estimators.excitation import Excitation
 from servo_daemon.estimators.fusion import Qualification, Trusted, as_last_known, confirms, fuse
+from servo_daemon.estimators.sampling import WINDOW_S
 from servo_daemon.plant.parameters import J, L
 
 
 def fed(e: Excitation, std: float, seconds: float = 6.0) -> None:
     """Ticks whose information over the window amounts to this 1 σ."""
     for _ in range(round(10 * seconds)):
-        e.update(np.array([1.0 / std**2 * 0.1 / excitation.WINDOW_S]), 0.1)
+        e.update(np.array([1.0 / std**2 * 0.1 / WINDOW_S]), 0.1)
 
 
 def test_enters_and_leaves_with_hysteresis() -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from servo_daemon.errors import BadInputError
 from servo_daemon.estimators.output_error import FitOptions, Recording, fit_output_error, lazy
+from servo_daemon.estimators.output_error.lazy import linearise
 from servo_daemon.estimators.output_error.robust import sample_weights
 from servo_daemon.estimators.output_error.rollout import free_run, simulate, simulate_many
 from servo_daemon.estimators.output_error.score import measured_speed, score
@@ -141,8 +142,8 @@ def test_differences_are_the_derivatives_of_every_recording_and_length() -> None
     by_name = {p.name: np.log(p.nominal) if p.transform == "log" else p.nominal for p in exact.plant.parameters}
     unknowns = exact.start({**by_name, **{n: float(np.log(v)) for n, v in MOTOR.items()}})
     unknowns[exact.n_shared : len(exact.parameter_of_column)] += np.arange(len(exact.local) * 2) * 0.01
-    differenced = replace(exact, exact=False, own_states=exact.plant.state_names).linearise(unknowns)
-    here = exact.linearise(unknowns)
+    differenced = linearise(replace(exact, exact=False, own_states=exact.plant.state_names), unknowns)
+    here = linearise(exact, unknowns)
     for true, close, r, segment in zip(
         here.jacobian, differenced.jacobian, here.residuals, exact.segments, strict=True
     ):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from servo_daemon.estimators.output_error import FitOptions, Recording, fit_output_error
+from servo_daemon.estimators.output_error.lazy import linearise
 from servo_daemon.estimators.output_error.noise import INPUT_NOISE, TORQUE_NOISE, likelihood_of, resolution
 from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.estimators.output_error.setup import make_problem
@@ -115,7 +116,7 @@ def residual_likelihood(block: SampleBlock):  # type: ignore[no-untyped-def]
     q = problem.coordinates(start, 0)
     model = tangent(problem.plant, problem.channels, q, np.zeros(3), problem.segments[0].rows)
     limits = np.full(4, np.log(1e-12)), np.full(4, np.log(1e4))
-    return likelihood_of([model], [np.ones((len(block), 2))], problem.linearise(start).residuals, limits)
+    return likelihood_of([model], [np.ones((len(block), 2))], linearise(problem, start).residuals, limits)
 
 
 def test_the_likelihood_finds_the_noise_there_is() -> None:

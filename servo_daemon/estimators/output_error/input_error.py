@@ -30,6 +30,7 @@ from dataclasses import replace
 import numpy as np
 
 from servo_daemon.estimators.output_error.information import Information
+from servo_daemon.estimators.output_error.lazy import linearise
 from servo_daemon.estimators.output_error.problem import Linearisation, Problem
 from servo_daemon.estimators.output_error.setup import STRAIGHT
 from servo_daemon.estimators.output_error.solver import Point, normal_equations
@@ -62,7 +63,7 @@ def _shift(problem: Problem, other: Problem, point: Point) -> F64:
     """By how much the parameters move, to first order, if the input is that of another problem, shape (k,); zero where
     that cannot be simulated."""
     with np.errstate(over="ignore", invalid="ignore"):
-        there = other.linearise(point.unknowns)
+        there = linearise(other, point.unknowns)
     n = len(problem.parameter_of_column)
     if not there.finite:
         return np.zeros(n)

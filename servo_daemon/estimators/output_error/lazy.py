@@ -9,18 +9,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servo_daemon.estimators.output_error.problem import Linearised, Problem
 from servo_daemon.estimators.output_error.rollout import simulate_many
 from servo_daemon.samples import F64
 
-if TYPE_CHECKING:
-    from servo_daemon.estimators.output_error.problem import Problem
-
 #: Forward differences: share of an unknown's size; a parameter that may be zero is at least so large.
 _DIFFERENCE, _LEAST_SIZE = 1e-5, 1e-3
+
+
+def linearise(problem: Problem, unknowns: F64) -> Linearised:
+    """Simulate every segment; derivatives, as `problem.exact` says, when they are asked for."""
+    residuals = problem.residuals(unknowns, problem.starts(unknowns, problem.carried(unknowns)))
+    finite = all(bool(np.isfinite(r).all()) for r in residuals)
+    return (Lazy if problem.exact else Differenced)(problem, unknowns, residuals, finite)
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.estimators.output_error.instants import instants_of, profile
+from servo_daemon.estimators.output_error.lazy import linearise
 from servo_daemon.estimators.output_error.noise import (
     INPUT_NOISE,
     TORQUE_NOISE,
@@ -164,7 +165,7 @@ def _moved(problem: Problem, point: Point, column: int, at_s: float) -> Point:
     unknowns = point.unknowns.copy()
     unknowns[column] = at_s
     with np.errstate(over="ignore", invalid="ignore"):
-        return point_of(problem, unknowns, problem.linearise(unknowns), point.weights)
+        return point_of(problem, unknowns, linearise(problem, unknowns), point.weights)
 
 
 def _deviance_at(problem: Problem, end: _End, column: int, at_s: float) -> float:
@@ -284,7 +285,7 @@ def _along(
     for halved in range(_HALVINGS):
         unknowns = within(problem, point.unknowns + step / 2**halved)
         with np.errstate(over="ignore", invalid="ignore"):
-            linear = problem.linearise(unknowns)
+            linear = linearise(problem, unknowns)
         if not linear.finite:
             continue
         trial = point_of(problem, unknowns, linear, point.weights)

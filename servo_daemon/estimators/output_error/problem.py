@@ -17,7 +17,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_daemon.estimators.output_error.lazy import Differenced, Lazy
 from servo_daemon.estimators.output_error.rollout import STEP, free_run, free_runs
 from servo_daemon.plant.at_once import alike
 from servo_daemon.plant.build import PlantModel
@@ -260,12 +259,6 @@ class Problem:
                 shown = free_runs(self.plant, self.channels, self.acting(unknowns, of), starts[which], rows)
                 out |= dict(zip(which.tolist(), shown, strict=True))
         return tuple(np.where(self.segments[k].valid, self.segments[k].measured - out[k], 0.0) for k in sorted(out))
-
-    def linearise(self, unknowns: F64) -> Linearised:
-        """Simulate every segment and differentiate."""
-        residuals = self.residuals(unknowns, self.starts(unknowns, self.carried(unknowns)))
-        finite = all(bool(np.isfinite(r).all()) for r in residuals)
-        return (Lazy if self.exact else Differenced)(self, unknowns, residuals, finite)
 
     @cached_property
     def state_prior(self) -> tuple[F64, F64]:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from servo_daemon.estimators.output_error.fit import OutputErrorFit
 from servo_daemon.estimators.output_error.information import Information
+from servo_daemon.estimators.output_error.lazy import linearise
 from servo_daemon.estimators.output_error.lost_runs import settled
 from servo_daemon.estimators.output_error.parameters import correlation_of, fitted_parameters
 from servo_daemon.estimators.output_error.problem import Problem
@@ -41,7 +42,7 @@ def with_settled_states(problem: Problem, unknowns: F64) -> F64 | None:
 def republished(fit: OutputErrorFit, unknowns: F64, known: Information) -> OutputErrorFit:
     """The fit at these unknowns, of which so much is known: what it leaves is free runs'."""
     problem = fit.problem
-    point = point_of(problem, unknowns, problem.linearise(unknowns), fit.solution.point.weights)
+    point = point_of(problem, unknowns, linearise(problem, unknowns), fit.solution.point.weights)
     solution = replace(fit.solution, point=point)
     nominal = {k: p.value for k, p in fit.parameters.items() if p.status == "undetermined" and p.value is not None}
     fixed = {k: p.value for k, p in fit.parameters.items() if p.status == "fixed" and p.value is not None}

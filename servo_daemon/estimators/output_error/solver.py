@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.estimators.output_error.bordered import solve_bordered
+from servo_daemon.estimators.output_error.lazy import linearise
 from servo_daemon.estimators.output_error.problem import Linearised, Problem
 from servo_daemon.estimators.output_error.robust import sample_weights
 from servo_daemon.samples import F64
@@ -183,7 +184,7 @@ def _search(
 def _evaluate(problem: Problem, unknowns: F64, weights: tuple[F64, ...] | None) -> Point | None:
     """The point, or None where the simulation leaves the range of numbers."""
     with np.errstate(over="ignore", invalid="ignore"):
-        linearisation = problem.linearise(unknowns)
+        linearisation = linearise(problem, unknowns)
     if not linearisation.finite:
         return None
     weights = weights or tuple(np.ones_like(r) for r in linearisation.residuals)
@@ -241,7 +242,7 @@ def _acceleration(
     H, free = equations
     h = 0.1
     with np.errstate(over="ignore", invalid="ignore"):
-        ahead = problem.linearise(_moved(problem, point.unknowns, h * step))
+        ahead = linearise(problem, _moved(problem, point.unknowns, h * step))
     if not ahead.finite:
         return np.zeros_like(step)
     g = np.zeros_like(step)

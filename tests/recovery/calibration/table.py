@@ -52,7 +52,7 @@ SPEAKS: Mapping[str, str] = {
     "estimators.doubts._DIVERGED_NIS": "above",
     f"{_FUSION}.QUALIFIED": "above",
     f"{_FUSION}.LOST": "above",
-    f"{_FUSION}.KNOWS": "above",
+    "estimators.regression_estimate.KNOWS": "above",
     f"{_FUSION}.AGREES": "above",
     f"{_JUMPS}._CHANGED": "above",
     f"{_JUMPS}._MARGIN": "above",
