@@ -12,8 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from servo_daemon.estimators.fusion import KNOWS
-from servo_daemon.estimators.regression_estimate import RegressionEstimate
+from servo_daemon.estimators.regression_estimate import KNOWS, RegressionEstimate
 from servo_daemon.estimators.rls_fit import CLOSES, OVERLAP, SYSTEMATIC, Block, fitted
 from servo_daemon.estimators.stretch import Stretch
 from servo_daemon.samples import F64
