@@ -16,10 +16,11 @@ from typing import Any, BinaryIO, ClassVar
 import numpy as np
 
 from servo_daemon.captures.bounded import MAX_BYTES, MAX_OBJECTS, check_cells
+from servo_daemon.captures.foreign import Series
 from servo_daemon.captures.held import HeldSignal, describe, proposal
 from servo_daemon.captures.layout import KNOWN_COLUMNS, METADATA_LINE
 from servo_daemon.captures.model import MIN_SAMPLES, capture_error
-from servo_daemon.captures.recording import Series, parser_failed
+from servo_daemon.captures.recording import parser_failed
 from servo_daemon.captures.signal_map import SignalMap, SignalRef
 from servo_daemon.column_names import meaning
 from servo_daemon.errors import BadInputError, CaptureError

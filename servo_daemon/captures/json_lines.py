@@ -16,9 +16,9 @@ import numpy as np
 
 from servo_daemon.captures.bounded import MAX_OBJECTS, check_cells
 from servo_daemon.captures.dialect import clock_seconds
+from servo_daemon.captures.foreign import Series
 from servo_daemon.captures.held import HeldSignal, describe
 from servo_daemon.captures.model import MIN_SAMPLES, capture_error
-from servo_daemon.captures.recording import Series
 from servo_daemon.captures.signal_map import SignalRef
 from servo_daemon.samples import F64
 

@@ -18,9 +18,10 @@ from typing import Any, BinaryIO, ClassVar
 import numpy as np
 
 from servo_daemon.captures.bounded import check_cells
+from servo_daemon.captures.foreign import Series
 from servo_daemon.captures.held import HeldSignal
 from servo_daemon.captures.model import capture_error
-from servo_daemon.captures.recording import Series, parser_failed
+from servo_daemon.captures.recording import parser_failed
 from servo_daemon.captures.signal_map import SignalRef
 from servo_daemon.errors import CaptureError
 from servo_daemon.samples import F64

@@ -16,10 +16,11 @@ from typing import Any, BinaryIO, ClassVar
 import numpy as np
 
 from servo_daemon.captures.bounded import check_cells
+from servo_daemon.captures.foreign import Series
 from servo_daemon.captures.held import HeldSignal
 from servo_daemon.captures.model import Capture, capture_error
 from servo_daemon.captures.read_options import ReadOptions
-from servo_daemon.captures.recording import Series, assemble, parser_failed
+from servo_daemon.captures.recording import assemble, parser_failed
 from servo_daemon.captures.signal_map import SignalMap, SignalRef
 from servo_daemon.errors import BadInputError, ServoDaemonError
 from servo_daemon.samples import F64

@@ -10,11 +10,12 @@ from typing import Any, BinaryIO, ClassVar
 import numpy as np
 
 from servo_daemon.captures.bounded import check_cells
+from servo_daemon.captures.foreign import Series
 from servo_daemon.captures.held import HeldSignal, describe
 from servo_daemon.captures.layout import Layout, make_layout
 from servo_daemon.captures.model import MIN_SAMPLES, Capture, capture_error, first_bad_time, time_fault
 from servo_daemon.captures.read_options import ReadOptions
-from servo_daemon.captures.recording import Series, assemble
+from servo_daemon.captures.recording import assemble
 from servo_daemon.captures.signal_map import SignalMap, SignalRef
 from servo_daemon.captures.understood import only_ours
 from servo_daemon.errors import BadInputError

@@ -5,16 +5,13 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from servo_daemon.captures.foreign import Recording
 from servo_daemon.captures.held import describe, proposal
 from servo_daemon.captures.layout import NEEDED
 from servo_daemon.captures.model import capture_error
 from servo_daemon.column_names import UNITS
 from servo_daemon.errors import CaptureError
-
-if TYPE_CHECKING:
-    from servo_daemon.captures.recording import Recording
 
 #: Column -> units that a name without one may have, the likeliest first.
 UNITS_ASKED: Mapping[str, tuple[str, ...]] = {

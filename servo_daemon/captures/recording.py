@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.can_unwrap import WrappedPosition
-from servo_daemon.captures.held import HeldSignal, describe
+from servo_daemon.captures.foreign import Recording, Series
+from servo_daemon.captures.held import describe
 from servo_daemon.captures.layout import KNOWN_COLUMNS, make_layout
 from servo_daemon.captures.meaning.restored import restored_current
 from servo_daemon.captures.model import (
@@ -30,56 +30,6 @@ from servo_daemon.captures.understand import understand
 from servo_daemon.captures.understood import Understood
 from servo_daemon.errors import BadInputError, CaptureError, ConfigError
 from servo_daemon.samples import F64
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Series:
-    """A signal read from a file: shape (n,), with time stamps of its own, shape (n,), or without."""
-
-    values: F64
-    time_s: F64 | None = None
-
-
-class Recording(Protocol):
-    """A file with named signals.
-
-    Attributes:
-        path: the file.
-        kind: what it is, in words ("Excel sheets").
-        metadata: what it says of itself.
-        held: its signals.
-        timed: they have time stamps of their own.
-        options: the keys of a signal map it takes, beside `counts_per_rev`.
-        header_line: of a text table, the line of its names.
-        told: in words, what is unusual in how it is written.
-    """
-
-    @property
-    def path(self) -> Path: ...
-    @property
-    def kind(self) -> str: ...
-    @property
-    def metadata(self) -> Mapping[str, str]: ...
-    @property
-    def held(self) -> Sequence[HeldSignal]: ...
-    @property
-    def timed(self) -> bool: ...
-    @property
-    def options(self) -> tuple[str, ...]: ...
-    @property
-    def header_line(self) -> int | None: ...
-    @property
-    def told(self) -> Sequence[str]: ...
-
-    def read(self, ref: SignalRef) -> Series:
-        """A signal.
-
-        Raises:
-            CaptureError: there is none of this name, or it holds no numbers.
-        """
-
-    def place(self, index: int) -> str:
-        """Where in the file a sample is, for messages."""
 
 
 def assemble(recording: Recording, signal_map: SignalMap | None, options: ReadOptions | None = None) -> Capture:

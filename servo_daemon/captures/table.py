@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import ClassVar, TextIO
 
 from servo_daemon.captures.dialect import clock_seconds, is_number
+from servo_daemon.captures.foreign import Series
 from servo_daemon.captures.held import HeldSignal, describe
 from servo_daemon.captures.layout import KNOWN_COLUMNS, make_layout
 from servo_daemon.captures.model import MIN_SAMPLES, Capture, capture_error
 from servo_daemon.captures.preamble import Preamble
 from servo_daemon.captures.program_logs import simplefoc
 from servo_daemon.captures.read_options import ReadOptions
-from servo_daemon.captures.recording import Series
 from servo_daemon.captures.rows import TextTable
 from servo_daemon.captures.signal_map import SignalRef
 from servo_daemon.captures.understood import only_ours

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from drivers.can_formula import parse_formula
+from servo_daemon.captures.foreign import Recording
 from servo_daemon.captures.held import HeldSignal
 from servo_daemon.captures.layout import KNOWN_COLUMNS, lacks
 from servo_daemon.captures.model import LINEAR_COLUMNS, capture_error
@@ -25,9 +25,6 @@ from servo_daemon.captures.signal_values import (
 )
 from servo_daemon.captures.understood import Understood, field_of
 from servo_daemon.column_names import Meaning, meaning, unit_of
-
-if TYPE_CHECKING:
-    from servo_daemon.captures.recording import Recording
 
 _MOTION = frozenset({"position_rad", "velocity_rad_s"})
 

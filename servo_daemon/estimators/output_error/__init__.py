@@ -9,7 +9,8 @@ segment's initial state) that leave least are found by a bounded Gauss–Newton 
 recording cannot determine is said, not guessed.
 """
 
-from servo_daemon.estimators.output_error.fit import FitOptions, OutputErrorFit, fit_output_error
+from servo_daemon.estimators.output_error.fit import fit_output_error
+from servo_daemon.estimators.output_error.fitted import FitOptions, OutputErrorFit
 from servo_daemon.estimators.output_error.parameters import FittedParameter
 from servo_daemon.estimators.output_error.setup import Recording
 

@@ -5,35 +5,31 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from servo_daemon.errors import BadInputError, NumericalError
 from servo_daemon.estimators.base import natural_values
 from servo_daemon.estimators.output_error.combinations import (
-    Combination,
-    VoltageAnswer,
     determined_combinations,
     voltage_answer,
 )
 from servo_daemon.estimators.output_error.elsewhere import from_elsewhere, from_nearby, is_to_be_searched
-from servo_daemon.estimators.output_error.information import Information, NullDirection, information
+from servo_daemon.estimators.output_error.fitted import FitOptions, OutputErrorFit
+from servo_daemon.estimators.output_error.information import information
 from servo_daemon.estimators.output_error.input_error import SHIFTED, with_input_error
 from servo_daemon.estimators.output_error.lost_runs import begun_again
 from servo_daemon.estimators.output_error.misfit import with_misfit
-from servo_daemon.estimators.output_error.noise import NoiseModel
-from servo_daemon.estimators.output_error.outcome import NoiseOption, conclude
+from servo_daemon.estimators.output_error.outcome import conclude
 from servo_daemon.estimators.output_error.parameters import (
-    FittedParameter,
     at_bounds,
     correlation_of,
     fitted_parameters,
     seen_with_friction,
 )
-from servo_daemon.estimators.output_error.polish import Polished
 from servo_daemon.estimators.output_error.problem import Problem
-from servo_daemon.estimators.output_error.residual import ResidualTest, residual_tests
+from servo_daemon.estimators.output_error.residual import residual_tests
 from servo_daemon.estimators.output_error.setup import (
     Recording,
     carrying,
@@ -43,7 +39,7 @@ from servo_daemon.estimators.output_error.setup import (
     make_problem,
     telling,
 )
-from servo_daemon.estimators.output_error.solver import Iteration, Point, Solution, solve
+from servo_daemon.estimators.output_error.solver import Point, Solution, solve
 from servo_daemon.estimators.output_error.starts import (
     BY_SIZES,
     BY_WINDOWS,
@@ -68,123 +64,6 @@ _SAME = 0.2
 _FIRST_SEARCH, _OTHER_SEARCHES = 60, 25
 #: V per value that an iteration must win where a rough end will do: half of it is the change of the RMS.
 _ENOUGH = 1e-4
-
-
-@dataclass(frozen=True, slots=True)
-class FitOptions:
-    """How to fit.
-
-    Attributes:
-        nominal: start values, and values of what the data do not determine; natural units.
-        fixed: held at these values.
-        robust: isolated wrong samples lose weight.
-        segment_s: cut recordings into pieces of about this length.
-        noise_model: "auto": noise that enters the motor is looked for and, if it explains the residuals, weighed;
-            "none": plain output error.
-        thorough: False: only the first start is searched from, and only as far as the simulation gets visibly better:
-            for starts that are known to be near the best end.
-        deviance_below: the noise model is given up where the deviance will not come below this: the fit of a rival that
-            is no better than what there is need not be exact.
-        misfit: standard deviations hold what the model lacks, and nothing has a value where it explains nothing; see
-            `misfit.py`.
-    """
-
-    nominal: Mapping[str, float] = field(default_factory=dict)
-    fixed: Mapping[str, float] = field(default_factory=dict)
-    robust: bool = True
-    segment_s: float | None = None
-    noise_model: NoiseOption = "auto"
-    thorough: bool = True
-    deviance_below: float = np.inf
-    misfit: bool = True
-
-
-@dataclass(frozen=True)
-class OutputErrorFit:
-    """The result.
-
-    Attributes:
-        problem, solution: what was solved and how.
-        parameters: every parameter of the model.
-        offsets: per recording its own offsets, where there are several recordings.
-        correlation: of the determined shared parameters, by name.
-        before, after: what the recordings determine, at the start and at the end.
-        combinations: what is determined of parameters that are not.
-        answer: of the speed to the voltage, with its covariance; None where the data leave it open.
-        residual: of the free run, by channel.
-        innovation: of the noise model's filter, by channel, where that model is used.
-        noise: noise that enters the motor, where it explains what the free run leaves: `solution` is then the estimate
-            of largest likelihood under it. None: plain output error.
-        polished: the estimate of largest likelihood under noise of the voltage, whether it is the published one or not;
-            None: it was not asked for, none was seen, or it did not settle.
-        unsettled: where a search for it ended that did not.
-        plain: the plain output-error solution, whatever was published; `iterations` are its own.
-        start: which start won.
-        seconds: time taken.
-    """
-
-    problem: Problem
-    solution: Solution
-    parameters: Mapping[str, FittedParameter]
-    offsets: tuple[Mapping[str, FittedParameter], ...]
-    correlation: Mapping[str, Mapping[str, float]]
-    before: Information
-    after: Information
-    combinations: tuple[Combination, ...]
-    answer: VoltageAnswer | None
-    residual: Mapping[str, ResidualTest]
-    innovation: Mapping[str, ResidualTest] | None
-    noise: NoiseModel | None
-    polished: Polished | None
-    unsettled: Polished | None
-    plain: Solution
-    start: str
-    seconds: float
-
-    @property
-    def null_directions(self) -> tuple[NullDirection, ...]:
-        return self.after.null
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Natural values of the parameters that have one, held ones included."""
-        return {name: p.value for name, p in self.parameters.items() if p.value is not None}
-
-    @property
-    def white(self) -> bool:
-        """Whether the model and the noise explain the data."""
-        return all(test.white for test in (self.innovation or self.residual).values())
-
-    @property
-    def deviance(self) -> float | None:
-        """−2 log p of the data under this model with noise of voltage and sensors: what two fits of the same data are
-        compared by (`solution.point.value` is that of a free run whose sensors alone are noisy, however it was
-        fitted). None: that is not known."""
-        if self.polished is not None:
-            return self.polished.deviance
-        return self.solution.point.value + float(self.problem.counts.sum()) if self.white else None
-
-    @property
-    def likeliest(self) -> Polished | None:
-        """Where the search for the largest likelihood ended, settled or not."""
-        return self.polished or self.unsettled
-
-    @property
-    def deviance_at_best(self) -> float | None:
-        """What the deviance is, or may be at the best where the search for it did not settle; None: not known."""
-        return self.unsettled.at_best if self.unsettled is not None else self.deviance
-
-    def cost(self, iteration: Iteration) -> float:
-        """Mean squared residual over the mean square of the measured signal about its mean; over several channels the
-        geometric mean, which is what falls with the likelihood (one channel: the sum of squares but for a factor)."""
-        counts = self.problem.counts
-        with np.errstate(divide="ignore"):
-            logs = np.log(iteration.sse / (counts * self.problem.spread**2))
-        return float(np.exp(counts @ logs / counts.sum()))
-
-    def coordinates(self, recording: int = 0) -> F64:
-        """The plant's parameter vector in coordinates, shape (np,)."""
-        return self.problem.coordinates(self.solution.point.unknowns, recording)
 
 
 def fit_output_error(

@@ -9,16 +9,13 @@ makes, but beside a lag it is fitted as another pair: then the model with a lag 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servo_daemon.estimators.base import natural_values
+from servo_daemon.estimators.output_error.fitted import OutputErrorFit
 from servo_daemon.estimators.output_error.problem import Problem
 from servo_daemon.samples import F64
-
-if TYPE_CHECKING:
-    from servo_daemon.estimators.output_error.fit import OutputErrorFit
 
 #: The lag that stands for all of them; and the effects that L may be.
 _LAG = "drive_lag"

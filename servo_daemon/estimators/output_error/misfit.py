@@ -17,11 +17,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servo_daemon.estimators.output_error.combinations import determined_combinations, wider_answer
+from servo_daemon.estimators.output_error.fitted import OutputErrorFit
 from servo_daemon.estimators.output_error.information import information
 from servo_daemon.estimators.output_error.lag_like import Refit, by_other_lags
 from servo_daemon.estimators.output_error.noise import WORTH, resolution
@@ -29,9 +29,6 @@ from servo_daemon.estimators.output_error.parameters import FittedParameter, at_
 from servo_daemon.estimators.output_error.residual import ResidualTest, innovation_tests
 from servo_daemon.estimators.output_error.whitening import moving
 from servo_daemon.samples import F64
-
-if TYPE_CHECKING:
-    from servo_daemon.estimators.output_error.fit import OutputErrorFit
 
 #: Share of a misfit's square that lies along a parameter. Of the linear motor fitted to 90 captures of three motors
 #: with dry friction, weight, brushes, cogging, drag, a late or an offset sensor in them, 2 of 213 values of R, K and J

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from servo_daemon.estimators.output_error.fit import OutputErrorFit
+from servo_daemon.estimators.output_error.fitted import OutputErrorFit
 from servo_daemon.estimators.output_error.information import Information
 from servo_daemon.estimators.output_error.lazy import linearise
 from servo_daemon.estimators.output_error.lost_runs import settled

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from servo_daemon.estimators.output_error.fit import OutputErrorFit
+from servo_daemon.estimators.output_error.fitted import OutputErrorFit
 from servo_daemon.estimators.output_error.information import Information, wider
 from servo_daemon.estimators.output_error.noise import DIFFERENCE, INPUT_NOISE, LONGEST, NoiseModel, bounds, resolution
 from servo_daemon.estimators.output_error.problem import Problem
