@@ -12,9 +12,9 @@ import time
 
 import numpy as np
 
-from servo_daemon.estimators.ekf_layout import EkfLayout
-from servo_daemon.estimators.ekf_model import INSTRUMENT_S, build_ekf_step
-from servo_daemon.estimators.filterpy_ekf import FilterpyLoop
+from servo_daemon.kalman.filterpy_ekf import FilterpyLoop
+from servo_daemon.kalman.layout import EkfLayout
+from servo_daemon.kalman.model import INSTRUMENT_S, build_ekf_step
 from servo_daemon.plant.build import build_plant
 from servo_daemon.plant.compiled import SampleLoop
 from servo_daemon.simulate import SimulatedDrive, make_settings

@@ -19,8 +19,8 @@ from contextlib import contextmanager
 import numpy as np
 
 from servo_daemon.config import DriveConfig, parse_config
+from servo_daemon.pipeline.pipeline import Pipeline
 from servo_daemon.samples import SampleBlock
-from servo_daemon.service.pipeline import Pipeline
 from servo_daemon.simulate import DEFAULT_NOMINAL, SimulatedDrive, make_settings
 
 LIMIT_MS, BLOCK = 50.0, 40

@@ -26,7 +26,7 @@ from itertools import product
 import numpy as np
 from tqdm import tqdm
 
-from servo_daemon.estimators.output_error import FitOptions, Recording, fit_output_error
+from servo_daemon.identification.output_error import FitOptions, Recording, fit_output_error
 from servo_daemon.samples import SampleBlock, make_block
 from tests.recovery.generator import MOTORS, Motor, Scenario, Sensors, generate
 

@@ -27,11 +27,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks import learning_windows as windows_of
 from benchmarks.learning_abstention import abstention
 from benchmarks.learning_rivals import compare_learners, errors_of, print_errors
-from servo_daemon.learning.drawing import CORE, TrainingSpec, draw_parameters
-from servo_daemon.learning.features import compute_features
-from servo_daemon.learning.fitting import train_model
-from servo_daemon.learning.model import LearnedModel
-from servo_daemon.learning.training import (
+from servo_daemon.learning.examples.drawing import CORE, TrainingSpec, draw_parameters
+from servo_daemon.learning.examples.training import (
     HEALTHY,
     TARGETS,
     TrainingSet,
@@ -41,6 +38,9 @@ from servo_daemon.learning.training import (
     simulate_window,
     stacked,
 )
+from servo_daemon.learning.features.features import compute_features
+from servo_daemon.learning.model.model import LearnedModel
+from servo_daemon.learning.training.fitting import train_model
 from servo_daemon.samples import F64
 from servo_daemon.simulate import PAPER_MOTOR
 

@@ -1,6 +1,7 @@
 """What a model declines, and what its estimates are worth where it should have: for `benchmarks/learning.py`.
 
-Faults are those of `learning_windows`, which the training knows nothing of (it draws its own, `learning/faults.py`).
+Faults are those of `learning_windows`, which the training knows nothing of (it draws its own,
+`learning/examples/faults.py`).
 """
 
 from __future__ import annotations
@@ -13,10 +14,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks import learning_windows as windows_of
-from servo_daemon.learning.drawing import CORE, TrainingSpec, draw_parameters
-from servo_daemon.learning.model import LearnedModel, Predictions
-from servo_daemon.learning.targets import baseline
-from servo_daemon.learning.training import TrainingSet, labelled, servo_loop, simulate_window
+from servo_daemon.learning.examples.drawing import CORE, TrainingSpec, draw_parameters
+from servo_daemon.learning.examples.targets import baseline
+from servo_daemon.learning.examples.training import TrainingSet, labelled, servo_loop, simulate_window
+from servo_daemon.learning.model.model import LearnedModel, Predictions
 from servo_daemon.samples import SampleBlock
 
 _OUTSIDE = ((1.0, 1.5), (1.5, 2.0), (2.0, 4.0), (1.5, 4.0))

@@ -12,14 +12,14 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from servo_daemon.learning.drawing import TrainingSpec
-from servo_daemon.learning.fitting import roles
-from servo_daemon.learning.grnn import GRNN
-from servo_daemon.learning.model import LearnedModel
-from servo_daemon.learning.preparation import Preparation
-from servo_daemon.learning.screening import forest
-from servo_daemon.learning.targets import Target, baseline, bounded, decode, encode
-from servo_daemon.learning.training import TrainingSet
+from servo_daemon.learning.examples.drawing import TrainingSpec
+from servo_daemon.learning.examples.targets import Target, baseline, bounded, decode, encode
+from servo_daemon.learning.examples.training import TrainingSet
+from servo_daemon.learning.features.preparation import Preparation
+from servo_daemon.learning.learners.grnn import GRNN
+from servo_daemon.learning.learners.screening import forest
+from servo_daemon.learning.model.model import LearnedModel
+from servo_daemon.learning.training.fitting import roles
 from servo_daemon.samples import F64
 
 Fit = Callable[[F64, F64], Callable[[F64], F64]]

@@ -14,11 +14,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from servo_daemon.config import DriveConfig
 from servo_daemon.errors import ServoDaemonError
-from servo_daemon.estimators.output_error import FitOptions, Recording, fit_output_error
-from servo_daemon.learning.drawing import CORE, TrainingSpec
-from servo_daemon.learning.training import TARGETS
+from servo_daemon.identification.output_error import FitOptions, Recording, fit_output_error
+from servo_daemon.learning.examples.drawing import CORE, TrainingSpec
+from servo_daemon.learning.examples.training import TARGETS
+from servo_daemon.pipeline.pipeline import Pipeline
 from servo_daemon.samples import F64, SampleBlock, make_block
-from servo_daemon.service.pipeline import Pipeline
 from tests.recovery.generator import MOTIONS, PAPER, Scenario, Sensors, generate
 
 #: The generator's motor has run for this long when its window begins, s.

@@ -22,10 +22,10 @@ from scipy.optimize import least_squares
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from servo_daemon.captures import read_capture
-from servo_daemon.estimators.output_error.score import Errors, errors
+from servo_daemon.identification.output_error.problem.score import Errors, errors
 from servo_daemon.plant.build import PlantModel, build_plant
 from servo_daemon.samples import F64, SampleBlock
-from tests.unit.commands import run_command
+from tests.command_line import run_command
 
 EFFECTS = (("asymmetric_friction",), ("asymmetric_friction", "position_dependent_friction"))
 #: mm/s of the free run, mm of the runs of 1 s.

@@ -25,13 +25,13 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from servo_daemon.config import DriveConfig, EstimationConfig
-from servo_daemon.learning.cache import obtain_model
-from servo_daemon.learning.drawing import CORE, TrainingSpec
-from servo_daemon.learning.model import LearnedModel
-from servo_daemon.learning.run import Job, train
+from servo_daemon.learning.examples.drawing import CORE, TrainingSpec
+from servo_daemon.learning.model.cache import obtain_model
+from servo_daemon.learning.model.model import LearnedModel
+from servo_daemon.learning.training.run import Job, train
+from servo_daemon.pipeline.pipeline import Pipeline
+from servo_daemon.pipeline.publish import SavedState
 from servo_daemon.samples import F64, SampleBlock, make_block
-from servo_daemon.service.pipeline import Pipeline
-from servo_daemon.service.publish import SavedState
 from servo_daemon.simulate import PAPER_MOTOR
 from tests.recovery.generator import PAPER, Recording, Scenario, generate
 

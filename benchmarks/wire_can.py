@@ -25,9 +25,9 @@ import cantools
 import numpy as np
 
 from drivers.base import DriveInfo
-from drivers.can_bus import CanDriver
-from drivers.can_port import CanPort
-from drivers.can_receive import GATHER_S, close_bus, open_bus
+from drivers.can.bus import CanDriver
+from drivers.can.port import CanPort
+from drivers.can.receive import GATHER_S, close_bus, open_bus
 from servo_daemon.samples import SampleBlock, make_block
 from servo_daemon.sim_drive.can_frames import FrameEncoder
 from servo_daemon.sim_drive.slcan_device import run_slcan_device

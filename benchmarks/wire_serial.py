@@ -27,10 +27,10 @@ import numpy as np
 from cobs import cobs
 
 from drivers.base import DriveInfo
-from drivers.serial_line import SerialDriver
-from drivers.wire import Channel, Description, Quantity, encode_description, encode_samples
-from drivers.wire_decoder import BinaryDecoder
-from drivers.wire_frame import encode_frame
+from drivers.serial.decoder import BinaryDecoder
+from drivers.serial.frame import encode_frame
+from drivers.serial.line import SerialDriver
+from drivers.serial.wire import Channel, Description, Quantity, encode_description, encode_samples
 from servo_daemon.samples import SampleBlock, make_block
 from servo_daemon.sim_drive.serial_device import run_serial_device
 

@@ -19,10 +19,10 @@ ENTRY_POINT_GROUP = "servo_daemon.drivers"
 
 #: kind -> (module, class)
 BUILT_IN: dict[str, tuple[str, str]] = {
-    "simulated": ("drivers.simulated", "SimulatedDriver"),
-    "serial": ("drivers.serial_line", "SerialDriver"),
-    "can": ("drivers.can_bus", "CanDriver"),
-    "replay": ("drivers.replay", "ReplayDriver"),
+    "simulated": ("servo_daemon.simulate.driver", "SimulatedDriver"),
+    "serial": ("drivers.serial.line", "SerialDriver"),
+    "can": ("drivers.can.bus", "CanDriver"),
+    "replay": ("servo_daemon.captures.driver", "ReplayDriver"),
 }
 
 

@@ -14,13 +14,13 @@ import pytest
 
 from drivers.base import DriveInfo, Driver
 from servo_daemon.config import Config, parse_config
+from servo_daemon.daemon import daemon as daemon_module
+from servo_daemon.daemon import reader as reader_module
+from servo_daemon.daemon.daemon import Daemon
+from servo_daemon.daemon.drive import DriveRuntime
+from servo_daemon.daemon.notify import Notifier
+from servo_daemon.published.snapshot import Snapshot
 from servo_daemon.samples import SampleBlock
-from servo_daemon.service import daemon as daemon_module
-from servo_daemon.service import reader as reader_module
-from servo_daemon.service.daemon import Daemon
-from servo_daemon.service.drive import DriveRuntime
-from servo_daemon.service.notify import Notifier
-from servo_daemon.service.snapshot import Snapshot
 from servo_daemon.simulate import DEFAULT_NOMINAL, SimulatedDrive, make_settings
 
 PATIENCE_S = 30.0

@@ -10,11 +10,11 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 
-from servo_daemon.plant.parameters import LINEAR
-from servo_daemon.service.diagnosis_state import Adoption, Diagnosis, DiagnosisView
-from servo_daemon.service.history import HistoryRing
-from servo_daemon.service.knowledge import LoopFacts
-from servo_daemon.service.snapshot import (
+from servo_daemon.parameters import LINEAR
+from servo_daemon.published.diagnosis_state import Adoption, Diagnosis, DiagnosisView
+from servo_daemon.published.history import HistoryRing
+from servo_daemon.published.knowledge import LoopFacts
+from servo_daemon.published.snapshot import (
     Connection,
     Covariance,
     Estimate,
@@ -24,7 +24,7 @@ from servo_daemon.service.snapshot import (
     Snapshot,
     Status,
 )
-from servo_daemon.service.view import ModelChange, StartValues, initial_parameters
+from servo_daemon.published.view import ModelChange, StartValues, initial_parameters
 
 #: A fixed moment, so that answers can be compared as text: 2026-11-21T12:00:00Z.
 T0 = 1_795_262_400.0

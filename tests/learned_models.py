@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from functools import cache
 
-from servo_daemon.learning.drawing import TrainingSpec, draw_parameters
-from servo_daemon.learning.fitting import train_model
-from servo_daemon.learning.model import LearnedModel
-from servo_daemon.learning.training import simulate_motors
+from servo_daemon.learning.examples.drawing import TrainingSpec, draw_parameters
+from servo_daemon.learning.examples.training import simulate_motors
+from servo_daemon.learning.model.model import LearnedModel
+from servo_daemon.learning.training.fitting import train_model
 from servo_daemon.simulate import PAPER_MOTOR
 
 #: Windows of 2 s at 500 Hz.

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.wire import Channel, Description, Quantity, encode_description, encode_samples
-from drivers.wire_frame import encode_frame
+from drivers.serial.frame import encode_frame
+from drivers.serial.wire import Channel, Description, Quantity, encode_description, encode_samples
 
 PERIOD_US = 1000
 

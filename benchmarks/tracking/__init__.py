@@ -12,11 +12,6 @@ starts             a thousand wrong datasheets (`starts.py`)
 long               10⁸ steps (`long.py`)
 rivals, cost       filterpy, padasip, NumPy on the same samples; µs a sample, 32 drives (`rivals.py`, `cost.py`)
 
-Each module's docstring says what it measures. Two cores are used; timings on a shared machine are noisy.
+Each module's docstring says what it measures; those that tests run, too, are in `tests/recovery/tracking`.
+Two cores are used; timings on a shared machine are noisy.
 """
-
-from .ageing import ageing_run
-from .bound import bound_run
-from .follow import NAMES, Track, tracked
-
-__all__ = ["NAMES", "Track", "ageing_run", "bound_run", "tracked"]

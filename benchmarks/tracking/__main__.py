@@ -6,19 +6,20 @@ import argparse
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from .ageing import report_ageing
-from .bound import report_bound, report_realistic
+from tests.recovery.tracking.ageing import report_ageing
+from tests.recovery.tracking.bound import report_bound, report_realistic
+from tests.recovery.tracking.models import report_models
+from tests.recovery.tracking.published import report_published
+from tests.recovery.tracking.scenarios import report_scenarios
+from tests.recovery.tracking.starts import report_starts
+from tests.recovery.tracking.witness import AGEING_SECONDS, SLOW_SECONDS, report_witness
+
 from .cost import report_cost
 from .false_steps import report_false_steps
 from .long import report_long
-from .models import report_models
-from .published import report_published
 from .rivals import report_rivals
-from .scenarios import report_scenarios
-from .starts import report_starts
 from .steady import report_steady
 from .steps import report_steps
-from .witness import AGEING_SECONDS, SLOW_SECONDS, report_witness
 
 Part = Callable[[argparse.Namespace], None]
 

@@ -8,20 +8,20 @@ from collections.abc import Callable
 import numpy as np
 
 from servo_daemon.config import DriveConfig
-from servo_daemon.estimators.ekf import Ekf, Loop
-from servo_daemon.estimators.ekf_model import build_ekf_step
-from servo_daemon.estimators.filterpy_ekf import FilterpyLoop
-from servo_daemon.estimators.settings import TrackerSettings
-from servo_daemon.estimators.tracker import Tracker
+from servo_daemon.kalman.ekf import Ekf, Loop
+from servo_daemon.kalman.filterpy_ekf import FilterpyLoop
+from servo_daemon.kalman.model import build_ekf_step
+from servo_daemon.pipeline.pipeline import Pipeline
+from servo_daemon.pipeline.publish import resolutions
 from servo_daemon.plant.build import build_plant
 from servo_daemon.plant.compiled import SampleLoop
 from servo_daemon.samples import F64, SampleBlock, make_block
-from servo_daemon.service.pipeline import Pipeline
-from servo_daemon.service.publish import resolutions
+from servo_daemon.tracking.plan.settings import TrackerSettings
+from servo_daemon.tracking.tracker import Tracker
 from tests.recovery.generator import MOTORS, PAPER, Scenario, generate
+from tests.recovery.tracking.bound import CHANNELS, WALK_PER_SQRT_MIN, bound_recording, known_noise_filter, rows
+from tests.recovery.tracking.follow import NAMES, info_of
 
-from .bound import CHANNELS, WALK_PER_SQRT_MIN, bound_recording, known_noise_filter, rows
-from .follow import NAMES, info_of
 from .rival_filters import Task, filterpy_ekf
 
 DRIVES, WARM_S, MEASURED_S, BLOCK = 32, 20.0, 20.0, 100

@@ -22,13 +22,12 @@ from servo_daemon.config import DriveConfig
 from servo_daemon.samples import F64
 from servo_daemon.simulate import DEFAULT_NOMINAL
 from tests.recovery.generator import PAPER, EffectValues, Scenario, generate, typical
-
-from .follow import NAMES, info_of, sampled
-from .published import figures, print_table
-from .servo import SHOWN, servo_heard
-from .voices import Heard, blocks_of, listened
-from .witness import WITNESSES
-from .wrong import WRONG_S, Journal, chosen, each
+from tests.recovery.tracking.follow import NAMES, info_of, sampled
+from tests.recovery.tracking.published import figures, print_table
+from tests.recovery.tracking.servo import SHOWN, servo_heard
+from tests.recovery.tracking.voices import Heard, blocks_of, listened
+from tests.recovery.tracking.witness import WITNESSES
+from tests.recovery.tracking.wrong import WRONG_S, Journal, chosen, each
 
 EFFECTS = ("coulomb_friction", "stribeck_friction", "cogging_torque", "brush_voltage_drop", "winding_heating")
 MOTIONS = ("multisine", "pick_and_place", "reversals", "prbs")

@@ -13,15 +13,14 @@ from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 
-from servo_daemon.estimators.base import Gaussian
-from servo_daemon.estimators.ekf import Ekf
-from servo_daemon.estimators.ekf_records import NoiseLevels
+from servo_daemon.kalman.ekf import Ekf
+from servo_daemon.kalman.gaussian import Gaussian
+from servo_daemon.kalman.records import NoiseLevels
 from servo_daemon.plant.build import build_plant
 from servo_daemon.samples import F64
 from tests.recovery.generator import PAPER, Motor, Plan, Scenario, Sensors, generate, stream
-
-from .bound import CHANNELS, WALK_PER_SQRT_MIN, ideal_sensors, rows
-from .follow import NAMES
+from tests.recovery.tracking.bound import CHANNELS, WALK_PER_SQRT_MIN, ideal_sensors, rows
+from tests.recovery.tracking.follow import NAMES
 
 PERIOD_S = 60.0
 TONES = 24

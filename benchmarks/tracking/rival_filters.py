@@ -14,8 +14,7 @@ import numpy as np
 
 from servo_daemon.samples import F64
 from tests.recovery.generator import Motor, Recording
-
-from .follow import NAMES
+from tests.recovery.tracking.follow import NAMES
 
 #: Random walk of a logarithm, 1 σ after a minute, in the order of NAMES: a third of it spoils the
 #: coverage, three times as much the error.

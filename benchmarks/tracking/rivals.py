@@ -14,12 +14,12 @@ import numpy as np
 
 from servo_daemon.samples import F64
 from tests.recovery.generator import MOTORS
+from tests.recovery.tracking.ageing import ageing_recording
+from tests.recovery.tracking.follow import BURN_IN_S, NAMES, Flags, nominal_of, sampled, tracked
+from tests.recovery.tracking.score import Score, score
 
-from .ageing import ageing_recording
-from .follow import BURN_IN_S, NAMES, Flags, nominal_of, sampled, tracked
 from .rival_filters import FILTERS, Rival, Task
 from .rival_regressions import REGRESSIONS
-from .score import Score, score
 
 MOTIONS = ("multisine", "pick_and_place")
 RIVALS = {**FILTERS, **REGRESSIONS}

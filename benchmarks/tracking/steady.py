@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 
 from servo_daemon.samples import F64
-
-from .witness import RMS_LIMIT, run_witness, runs_of
-from .wrong import Journal, each
+from tests.recovery.tracking.witness import RMS_LIMIT, run_witness, runs_of
+from tests.recovery.tracking.wrong import Journal, each
 
 REFERENCE = Path(__file__).with_name("steady_reference.jsonl")
 #: Issue 25: std over the reference's.

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tests.recovery.generator import MOTIONS, MOTORS, Scenario, generate
-
-from .cases import Case
-from .follow import NAMES, nominal_of, tracked
-from .scenarios import NAMED_STDS, NOMINAL, Row, judge
+from tests.recovery.tracking.cases import Case
+from tests.recovery.tracking.follow import NAMES, nominal_of, tracked
+from tests.recovery.tracking.scenarios import NAMED_STDS, NOMINAL, Row, judge
 
 #: What steps, and by how much of it.
 STEPS = (("R", 0.10), ("R", -0.25), ("K", -0.10), ("J", 0.10), ("J", -0.30), ("B", 1.0), ("L", 0.30))

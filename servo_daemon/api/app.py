@@ -8,11 +8,13 @@ from typing import Any, Final
 from fastapi import FastAPI
 from starlette.responses import JSONResponse
 
-from servo_daemon.api import assets, diagnosis_schemas, problems, schemas
+from servo_daemon.api import assets, problems
 from servo_daemon.api.guard import Guard
 from servo_daemon.api.head import Head
 from servo_daemon.api.routes import api_router, metrics_router
-from servo_daemon.service.view import DaemonView
+from servo_daemon.api.schemas import diagnosis as diagnosis_schemas
+from servo_daemon.api.schemas import estimates as schemas
+from servo_daemon.published.view import DaemonView
 
 PREFIX: Final = "/api/v1"
 

@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 
 from servo_daemon.api.times import iso_utc, iso_utc_list
-from servo_daemon.samples import F64
-from servo_daemon.service.history import STATUS_BY_CODE, HistorySeries
-from servo_daemon.service.snapshot import (
+from servo_daemon.published.history import STATUS_BY_CODE, HistorySeries
+from servo_daemon.published.snapshot import (
     Event,
     ParameterEstimate,
     Snapshot,
     finite_or_none,
 )
-from servo_daemon.service.view import DaemonView, DriveView
+from servo_daemon.published.view import DaemonView, DriveView
+from servo_daemon.samples import F64
 
 Document = dict[str, Any]
 

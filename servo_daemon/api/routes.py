@@ -11,16 +11,18 @@ from fastapi import APIRouter, Path, Query
 from pydantic import BaseModel
 from starlette.responses import Response, StreamingResponse
 
-from servo_daemon.api import diagnosis, documents, schemas, tuning_schemas
+from servo_daemon.api import diagnosis, documents
 from servo_daemon.api.answers import INVALID, NO_STORE, REFUSED, UNKNOWN_DRIVE, Responses, json_response, problem_answer
 from servo_daemon.api.problems import ProblemError, parameter_problem
+from servo_daemon.api.schemas import estimates as schemas
+from servo_daemon.api.schemas import tuning as tuning_schemas
 from servo_daemon.api.stream import StreamSlots, estimates_stream
 from servo_daemon.api.times import ACCEPTED, parse_time
 from servo_daemon.api.tuning import TuningAnswers
-from servo_daemon.service import exposition
-from servo_daemon.service.history import HistorySeries, split_unit
-from servo_daemon.service.metrics import render_metrics
-from servo_daemon.service.view import DaemonView, DriveView
+from servo_daemon.published import exposition
+from servo_daemon.published.history import HistorySeries, split_unit
+from servo_daemon.published.metrics import render_metrics
+from servo_daemon.published.view import DaemonView, DriveView
 from servo_daemon.tuning.knowledge import Ask
 
 DEFAULT_POINTS: Final = 1000

@@ -18,9 +18,9 @@ from servo_daemon.api.documents import Document, encode
 from servo_daemon.api.problems import ProblemError
 from servo_daemon.api.times import iso_utc
 from servo_daemon.errors import TuningError
-from servo_daemon.service.knowledge import LoopFacts, motor_knowledge
-from servo_daemon.service.snapshot import Snapshot
-from servo_daemon.service.view import DriveView
+from servo_daemon.published.knowledge import LoopFacts, motor_knowledge
+from servo_daemon.published.snapshot import Snapshot
+from servo_daemon.published.view import DriveView
 from servo_daemon.tuning.knowledge import Ask
 
 #: An answer is at most this much older than the estimates, s.

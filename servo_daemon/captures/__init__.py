@@ -5,10 +5,10 @@ CSV, gzipped CSV and Parquet both ways; MAT, Excel, MDF and CAN logs to read, wi
 and test can read the same files.
 """
 
-from servo_daemon.captures.model import Axis, Capture
-from servo_daemon.captures.order import in_canonical_order
+from servo_daemon.captures.capture.model import Axis, Capture
+from servo_daemon.captures.capture.order import in_canonical_order
+from servo_daemon.captures.columns.signal_map import SignalMap, load_signal_map
 from servo_daemon.captures.read import read_capture
-from servo_daemon.captures.signal_map import SignalMap, load_signal_map
 from servo_daemon.captures.write import CaptureWriter, write_capture
 
 __all__ = [

@@ -8,15 +8,15 @@ import zlib
 from pathlib import Path
 from typing import BinaryIO
 
-from servo_daemon.captures.bounded import MAX_BYTES, MAX_LINE
+from servo_daemon.captures.capture.bounded import MAX_BYTES, MAX_LINE
+from servo_daemon.captures.capture.model import Capture, capture_error
+from servo_daemon.captures.capture.read_options import ReadOptions
+from servo_daemon.captures.columns.recording import assemble
+from servo_daemon.captures.columns.signal_map import SignalMap, load_signal_map
 from servo_daemon.captures.detect import is_asc, is_mat
-from servo_daemon.captures.model import Capture, capture_error
-from servo_daemon.captures.preamble import read_preamble
-from servo_daemon.captures.read_options import ReadOptions
-from servo_daemon.captures.recording import assemble
-from servo_daemon.captures.signal_map import SignalMap, load_signal_map
-from servo_daemon.captures.table import TableRecording, with_columns
-from servo_daemon.captures.text_encoding import open_text
+from servo_daemon.captures.text.encoding import open_text
+from servo_daemon.captures.text.preamble import read_preamble
+from servo_daemon.captures.text.table import TableRecording, with_columns
 from servo_daemon.errors import CaptureError
 
 #: Bytes that tell what kind of file it is: MAT's mark is the last in its header of 128.
@@ -66,26 +66,26 @@ def read_capture(
 def _read_kind(path: Path, raw: BinaryIO, head: bytes, signal_map: SignalMap | None, options: ReadOptions) -> Capture:
     """What each kind of file is read by. The readers are imported here: each brings a library with it."""
     if head.startswith(b"PAR1"):
-        from servo_daemon.captures.parquet import read_parquet
+        from servo_daemon.captures.formats.parquet import read_parquet
 
         return read_parquet(path, raw, signal_map, options)
     if head.startswith(b"PK\x03\x04"):
-        from servo_daemon.captures.excel import read_excel
+        from servo_daemon.captures.formats.excel import read_excel
 
         return assemble(read_excel(path, raw, signal_map), signal_map, options)
     if head.startswith(b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"):
         raise capture_error(path, "an Excel file of the old kind (.xls): save it as .xlsx")
     if head.startswith((b"MDF     ", b"UnFinMF ")):
-        from servo_daemon.captures.mdf import read_mdf
+        from servo_daemon.captures.formats.mdf import read_mdf
 
         return read_mdf(path, raw, signal_map, options)
     if head.startswith(b"LOGG"):
-        from servo_daemon.captures.can_log import read_blf
-        from servo_daemon.captures.can_samples import decode_log
+        from servo_daemon.captures.formats.can_log import read_blf
+        from servo_daemon.captures.formats.can_samples import decode_log
 
         return decode_log(read_blf(path, raw), signal_map)
     if is_mat(head):
-        from servo_daemon.captures.mat import read_mat
+        from servo_daemon.captures.formats.mat import read_mat
 
         return assemble(read_mat(path, raw), signal_map, options)
     return _read_text(path, raw, signal_map, options, packed=head.startswith(b"\x1f\x8b"))
@@ -111,14 +111,14 @@ def _read_text(
         first = text.readline(MAX_LINE).lstrip()
         text.seek(0)
         if is_asc(first):
-            from servo_daemon.captures.can_log import read_asc
-            from servo_daemon.captures.can_samples import decode_log
+            from servo_daemon.captures.formats.can_log import read_asc
+            from servo_daemon.captures.formats.can_samples import decode_log
 
             return decode_log(read_asc(path, text), signal_map)
         if first.startswith("[{") or first.strip() == "[":
             raise capture_error(path, "a JSON list: one object a line is expected (jq -c '.[]' makes it so)", line=1)
         if first.startswith("{"):
-            from servo_daemon.captures.json_lines import read_json_lines
+            from servo_daemon.captures.formats.json_lines import read_json_lines
 
             return assemble(read_json_lines(path, text), signal_map, options)
         preamble = read_preamble(path, text)

@@ -13,10 +13,10 @@ from typing import Protocol
 
 import numpy as np
 
-from servo_daemon.captures.layout import make_layout
-from servo_daemon.captures.model import LINEAR_COLUMNS, Axis, capture_error
-from servo_daemon.captures.output import AtomicFile
+from servo_daemon.captures.capture.layout import make_layout
+from servo_daemon.captures.capture.model import LINEAR_COLUMNS, Axis, capture_error
 from servo_daemon.errors import CaptureError, ServoDaemonError
+from servo_daemon.files import AtomicFile
 from servo_daemon.samples import F64, Quality, SampleBlock
 
 #: Samples that say "this is no measurement": a capture has no empty cells, so the whole sample is left out.
@@ -70,7 +70,7 @@ class CaptureWriter:
         self._metadata = _clean_metadata(self.path, metadata or {}, axis)
         self._parquet = _wants_parquet(self.path)
         if self._parquet:
-            from servo_daemon.captures.parquet import require_pyarrow
+            from servo_daemon.captures.formats.parquet import require_pyarrow
 
             require_pyarrow(self.path)
         self._keep_partial = not self._parquet  # which nobody can read without its footer
@@ -159,7 +159,7 @@ class CaptureWriter:
     def _make_sink(self) -> _Sink:
         names = self._names(self._channels)
         if self._parquet:
-            from servo_daemon.captures.parquet import ParquetSink
+            from servo_daemon.captures.formats.parquet import ParquetSink
 
             return ParquetSink(self._output.file, names, self._metadata)
         return _CsvSink(self._output, names, self._metadata)

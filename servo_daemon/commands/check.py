@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from drivers.base import Driver
-from servo_daemon.commands import common
+from servo_daemon.commands.shared import common
 from servo_daemon.config import DriveConfig, load_config
 from servo_daemon.errors import BadInputError, DriverConfigError, DriverError, EndOfStreamError
-from servo_daemon.estimators.signals import plan_signals
 from servo_daemon.samples import SampleBlock
+from servo_daemon.tracking.plan.signals import plan_signals
 
 HELP = "validate a config, open each driver and say what it sees"
 EXAMPLE = "  servo-daemon check --config /etc/servo-daemon.toml"

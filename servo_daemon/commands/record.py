@@ -9,7 +9,7 @@ from threading import Event
 from typing import TYPE_CHECKING, Any
 
 from drivers.base import Driver
-from servo_daemon.commands import common
+from servo_daemon.commands.shared import common
 from servo_daemon.errors import BadInputError, DriverError, DriverUnavailableError, EndOfStreamError
 from servo_daemon.samples import SampleBlock
 

@@ -17,12 +17,12 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
-from servo_daemon.commands import common
+from servo_daemon.commands.shared import common
 from servo_daemon.config import Config, DriveConfig, load_config
 from servo_daemon.errors import ServoDaemonError
 
 if TYPE_CHECKING:
-    from servo_daemon.service.daemon import Daemon
+    from servo_daemon.daemon.daemon import Daemon
 
 log = logging.getLogger(__name__)
 
@@ -45,8 +45,8 @@ def run(arguments: argparse.Namespace) -> int:
     faulthandler.enable()  # systemd's watchdog ends a hung daemon with SIGABRT: the journal then shows every stack
     try:
         with _stop_during_start_up():
-            from servo_daemon.service.daemon import Daemon
-            from servo_daemon.service.state_lock import state_locked
+            from servo_daemon.daemon.daemon import Daemon
+            from servo_daemon.daemon.state_lock import state_locked
 
             config = _configuration(arguments)
             state_dir = _state_dir(arguments, config)

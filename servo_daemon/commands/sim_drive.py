@@ -7,7 +7,7 @@ import signal
 import threading
 from pathlib import Path
 
-from servo_daemon.commands import common
+from servo_daemon.commands.shared import common
 
 HELP = "a simulated drive that speaks the real wire on a pseudo-terminal, until it is stopped"
 EXAMPLE = """  servo-daemon sim-drive --serial /tmp/servo0    # then: driver = "serial", port = "/tmp/servo0"
@@ -68,7 +68,7 @@ def _check(arguments: argparse.Namespace) -> None:
     Raises:
         BadInputError: naming the flag.
     """
-    from drivers.can_wire import FIRST_DRIVE, LAST_DRIVE
+    from drivers.can.wire import FIRST_DRIVE, LAST_DRIVE
     from servo_daemon.errors import BadInputError
 
     lowest, highest = (0, 255) if arguments.serial is not None else (FIRST_DRIVE, LAST_DRIVE)

@@ -7,7 +7,7 @@ import shlex
 import sys
 from pathlib import Path
 
-from servo_daemon.commands import common
+from servo_daemon.commands.shared import common
 from servo_daemon.errors import BadInputError
 
 HELP = "write a capture of a simulated motor (the paper's, unless told otherwise)"
@@ -57,7 +57,7 @@ def _assignments(text: str) -> dict[str, float]:
 
 def run(arguments: argparse.Namespace) -> int:
     from servo_daemon.captures import write_capture
-    from servo_daemon.captures.model import MIN_SAMPLES
+    from servo_daemon.captures.capture.model import MIN_SAMPLES
     from servo_daemon.simulate import simulate_capture
 
     ageing = [part for text in arguments.ageing for part in text.split(",") if part]

@@ -8,15 +8,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from servo_daemon.commands import common
+from servo_daemon.commands.shared import common
 from servo_daemon.learning import DEFAULT_MOTORS
 
 if TYPE_CHECKING:
     from servo_daemon.config import DriveConfig
-    from servo_daemon.learning.drawing import TrainingSpec
-    from servo_daemon.learning.model import LearnedModel
-    from servo_daemon.learning.run import Job
-    from servo_daemon.learning.training import TrainingSet
+    from servo_daemon.learning.examples.drawing import TrainingSpec
+    from servo_daemon.learning.examples.training import TrainingSet
+    from servo_daemon.learning.model.model import LearnedModel
+    from servo_daemon.learning.training.run import Job
 
 HELP = "train the paper's third method (random forest, GRNN) on simulated motors around the drive's datasheet"
 EXAMPLE = """  servo-daemon train --config servo-daemon.toml
@@ -54,10 +54,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from servo_daemon.errors import BadInputError
-    from servo_daemon.learning.cache import model_path
-    from servo_daemon.learning.learners import LEARNERS
-    from servo_daemon.learning.model_file import save_model
-    from servo_daemon.learning.run import Job
+    from servo_daemon.learning.learners.learners import LEARNERS
+    from servo_daemon.learning.model.cache import model_path
+    from servo_daemon.learning.model.model_file import save_model
+    from servo_daemon.learning.training.run import Job
 
     if arguments.learner not in LEARNERS:
         raise BadInputError(f"--learner: {arguments.learner!r} is none of {', '.join(LEARNERS)}")
@@ -109,7 +109,7 @@ def _check_out(arguments: argparse.Namespace, path: Path) -> None:
     Raises:
         BadInputError: it cannot.
     """
-    from servo_daemon.commands.output_folder import OutputFolder
+    from servo_daemon.commands.shared.output_folder import OutputFolder
     from servo_daemon.errors import BadInputError
 
     common.keep_inputs(path, arguments.config, *arguments.measured)
@@ -124,7 +124,7 @@ def drive_spec(drive: DriveConfig, *, configured: bool = True, **wanted: Any) ->
     Args:
         configured: False: there is no config, the drive is the simulated one.
     """
-    from servo_daemon.service.training_spec import training_spec
+    from servo_daemon.pipeline.training_spec import training_spec
     from servo_daemon.simulate import DEFAULT_NOMINAL
 
     return training_spec(drive, nominal=None if configured else DEFAULT_NOMINAL, **wanted)
@@ -132,7 +132,7 @@ def drive_spec(drive: DriveConfig, *, configured: bool = True, **wanted: Any) ->
 
 def train_with_bar(spec: TrainingSpec, job: Job) -> LearnedModel:
     """Trained, with a progress bar on stderr where somebody watches."""
-    from servo_daemon.learning.run import train
+    from servo_daemon.learning.training.run import train
 
     with common.progress(job.motors, "motor", "simulating") as bar:
 
@@ -144,7 +144,7 @@ def train_with_bar(spec: TrainingSpec, job: Job) -> LearnedModel:
 
 def _measured(paths: Sequence[Path], arguments: argparse.Namespace, window_s: float) -> TrainingSet:
     from servo_daemon.errors import BadInputError
-    from servo_daemon.learning.training import TARGETS, measured_training
+    from servo_daemon.learning.examples.training import TARGETS, measured_training
 
     known = []
     for capture in common.read_captures(paths, arguments):

@@ -10,26 +10,26 @@ from dataclasses import dataclass, field, fields, replace
 from threadpoolctl import threadpool_limits
 
 from servo_daemon.captures import Capture, in_canonical_order
-from servo_daemon.diagnosis.adequacy import Believed, believed
-from servo_daemon.diagnosis.data import Data
-from servo_daemon.diagnosis.dependence import dependences, is_large
-from servo_daemon.diagnosis.differences import differences
-from servo_daemon.diagnosis.everything import WholeFits, fit_everything
-from servo_daemon.diagnosis.evidence import OVERWHELMING_BIC
-from servo_daemon.diagnosis.gain import gain, measured_on
-from servo_daemon.diagnosis.inverse import found_by_balance
-from servo_daemon.diagnosis.lacking import longest_missing
-from servo_daemon.diagnosis.missing import Missing
-from servo_daemon.diagnosis.noise_floor import measured_levels, noise_floor
-from servo_daemon.diagnosis.predictions import found_by_predictions
-from servo_daemon.diagnosis.result import CandidateScore, Diagnosis, Finding
-from servo_daemon.diagnosis.select import Selection, select
-from servo_daemon.diagnosis.split import CHOICE, segment_length_s
-from servo_daemon.diagnosis.trial import first_trial
+from servo_daemon.diagnosis.inverse.inverse import found_by_balance
+from servo_daemon.diagnosis.missing.missing import Missing
+from servo_daemon.diagnosis.screening.dependence import dependences, is_large
+from servo_daemon.diagnosis.search.evidence import OVERWHELMING_BIC
+from servo_daemon.diagnosis.search.select import Selection, select
+from servo_daemon.diagnosis.trial.data import Data
+from servo_daemon.diagnosis.trial.everything import WholeFits, fit_everything
+from servo_daemon.diagnosis.trial.lacking import longest_missing
+from servo_daemon.diagnosis.trial.noise_floor import measured_levels, noise_floor
+from servo_daemon.diagnosis.trial.split import CHOICE, segment_length_s
+from servo_daemon.diagnosis.trial.trial import first_trial
+from servo_daemon.diagnosis.verdict.adequacy import Believed, believed
+from servo_daemon.diagnosis.verdict.differences import differences
+from servo_daemon.diagnosis.verdict.gain import gain, measured_on
+from servo_daemon.diagnosis.verdict.predictions import found_by_predictions
+from servo_daemon.diagnosis.verdict.result import CandidateScore, Diagnosis, Finding
 from servo_daemon.errors import ServoDaemonError
-from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, Recording
-from servo_daemon.estimators.output_error.fit import published
-from servo_daemon.identification.validate import validated
+from servo_daemon.identification.output_error import FitOptions, OutputErrorFit, Recording
+from servo_daemon.identification.output_error.fit import published
+from servo_daemon.identification.procedure.validate import validated
 
 #: Errors of free runs that are not called explained: this share of the signal's RMS, and this many times what noise
 #: leaves (that floor is known to a factor of about 1.5: half a dozen runs, and levels of coarse sensors).

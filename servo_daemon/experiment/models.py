@@ -10,10 +10,10 @@ from functools import cached_property
 import numpy as np
 
 from servo_daemon.errors import BadInputError, ConfigError
-from servo_daemon.estimators.base import to_coordinate
 from servo_daemon.experiment.limits import Limits
+from servo_daemon.kalman.gaussian import to_coordinate
+from servo_daemon.parameters import LINEAR, Parameter
 from servo_daemon.plant.build import PlantModel, build_plant
-from servo_daemon.plant.parameters import LINEAR, Parameter
 from servo_daemon.samples import F64
 
 #: What a motor works with as a share of its limits: torque and current, voltage, speed.

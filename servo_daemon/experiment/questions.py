@@ -12,9 +12,9 @@ from typing import Protocol
 
 import numpy as np
 
-from servo_daemon.estimators.output_error.rollout import free_run
 from servo_daemon.experiment.models import Model
 from servo_daemon.experiment.statistics import Noise, contrast, distance, fisher, start_state
+from servo_daemon.identification.output_error.problem.rollout import free_run
 from servo_daemon.samples import F64
 
 #: Largest change of a coordinate when the second model is fitted, in its units.

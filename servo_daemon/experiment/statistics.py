@@ -17,8 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from servo_daemon.estimators.output_error.rollout import INPUT, STEP, TIME, free_run, simulate
 from servo_daemon.experiment.models import Model
+from servo_daemon.identification.output_error.problem.rollout import INPUT, STEP, TIME, free_run, simulate
 from servo_daemon.samples import F64
 
 #: States that every block may choose; those of effects (a winding's heat) go on from block to block.

@@ -24,7 +24,7 @@ from typing import Literal
 import numpy as np
 
 from servo_daemon.errors import BadInputError
-from servo_daemon.plant.parameters import Parameter
+from servo_daemon.parameters import Parameter
 from servo_daemon.samples import F64
 
 Shape = Literal["linear", "exp", "step", "walk"]

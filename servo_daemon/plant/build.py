@@ -9,10 +9,10 @@ from functools import cache, cached_property
 
 import casadi as ca
 
+from servo_daemon.parameters import LINEAR, Parameter
 from servo_daemon.plant.core import Drive
 from servo_daemon.plant.dry import dry_levels
 from servo_daemon.plant.effects import Effect, State, check_effects, effects_by_name
-from servo_daemon.plant.parameters import LINEAR, Parameter
 from servo_daemon.plant.step import StepBuilder
 
 __all__ = ["Drive", "PlantModel", "build_plant"]

@@ -9,8 +9,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from servo_daemon import __version__
-from servo_daemon.captures.output import AtomicFile
 from servo_daemon.errors import BadInputError
+from servo_daemon.files import AtomicFile
 from servo_daemon.report.document import CaptureFile, Provenance, Report
 from servo_daemon.report.page import render_report
 

@@ -17,8 +17,8 @@ from typing import Literal
 
 import numpy as np
 
-from drivers.wire_encoder import BinaryEncoder, describe
-from drivers.wire_text import encode_lines
+from drivers.serial.encoder import BinaryEncoder, describe
+from drivers.serial.text import encode_lines
 from servo_daemon.errors import EndOfStreamError
 from servo_daemon.samples import SampleBlock
 from servo_daemon.sim_drive.line_faults import Fault, LineFaults

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from servo_daemon.errors import BadInputError
+from servo_daemon.parameters import J_M, LINEAR, Parameter
 from servo_daemon.plant.ageing import Ageing, ageing_texts, parse_ageing
 from servo_daemon.plant.build import PlantModel, build_plant
 from servo_daemon.plant.effects import effects_by_name, further_harmonics
-from servo_daemon.plant.parameters import J_M, LINEAR, Parameter
 from servo_daemon.plant.servo_loop import ServoGains, suitable_gains
 from servo_daemon.simulate.motion import Motion, MotionName
 from servo_daemon.simulate.visible import VISIBLE

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from servo_daemon.plant.parameters import LINEAR
+from servo_daemon.parameters import LINEAR
 from servo_daemon.samples import F64
 
 #: What the loop's equations need, in the order of all arrays in here.

@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 from servo_daemon.errors import BusyError
-from servo_daemon.service.diagnosis_state import Adoption, Diagnosis, DiagnosisView
-from servo_daemon.service.snapshot import Event
-from servo_daemon.service.view import ModelChange
+from servo_daemon.published.diagnosis_state import Adoption, Diagnosis, DiagnosisView
+from servo_daemon.published.snapshot import Event
+from servo_daemon.published.view import ModelChange
 from tests.browser.conftest import LiveServer
 from tests.browser.devtools import Page
 from tests.fake_daemon import RUNNING, T0

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.browser.devtools import Browser, Page
-from tests.unit.commands import run_command
+from tests.command_line import run_command
 
 pytestmark = pytest.mark.system
 

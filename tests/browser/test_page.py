@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from servo_daemon.service.snapshot import EstimatorView, Event, ParameterEstimate
+from servo_daemon.published.snapshot import EstimatorView, Event, ParameterEstimate
 from tests.browser.conftest import PAST_S, LiveServer
 from tests.browser.devtools import Page
 from tests.fake_daemon import NOMINAL, live_snapshot

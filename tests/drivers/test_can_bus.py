@@ -12,9 +12,10 @@ import can
 import numpy as np
 import pytest
 
-from drivers import can_port, can_receive
-from drivers.can_bus import CanDriver
-from drivers.can_receive import MAX_BAD_IN_A_ROW
+from drivers.can import port as can_port
+from drivers.can import receive as can_receive
+from drivers.can.bus import CanDriver
+from drivers.can.receive import MAX_BAD_IN_A_ROW
 from servo_daemon.errors import DriverConfigError, DriverDisconnectedError, DriverUnavailableError
 from servo_daemon.sim_drive.can_frames import CanFrame
 from tests.can_tools import (

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.can_bus import CanDriver
-from drivers.can_formula import MAX_LENGTH, parse_formula
+from drivers.can.bus import CanDriver
+from drivers.can.formula import MAX_LENGTH, parse_formula
 from drivers.registry import make_driver
 from servo_daemon.errors import DriverConfigError
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from drivers.base import DriveInfo
-from drivers.can_bus import CanDriver
-from drivers.can_own import MAX_HELD
+from drivers.can.bus import CanDriver
+from drivers.can.own import MAX_HELD
 from servo_daemon.errors import BadInputError
 from servo_daemon.samples import Quality, make_block
 from servo_daemon.sim_drive.can_frames import CanFrame, FrameEncoder

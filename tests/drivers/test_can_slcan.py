@@ -10,8 +10,8 @@ import can
 import numpy as np
 import pytest
 
-from drivers.can_bus import CanDriver
-from drivers.can_slcan import ReadAhead
+from drivers.can.bus import CanDriver
+from drivers.can.slcan import ReadAhead
 from servo_daemon.errors import BadInputError, DriverConfigError, DriverDisconnectedError, DriverUnavailableError
 from servo_daemon.samples import Quality, SampleBlock
 from servo_daemon.sim_drive.pty_link import PtyLink

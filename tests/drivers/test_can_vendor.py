@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from drivers.base import DriverCounters
-from drivers.can_decode import EXTENDED, load_dbc
-from drivers.can_map import parse_signal_map
-from drivers.can_vendor import VendorDecoder
+from drivers.can.decode import EXTENDED, load_dbc
+from drivers.can.map import parse_signal_map
+from drivers.can.vendor import VendorDecoder
 from servo_daemon.samples import Quality, SampleBlock
 from tests.can_tools import batch
 

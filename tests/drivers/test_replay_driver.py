@@ -13,8 +13,8 @@ import pytest
 
 from drivers.base import Driver
 from drivers.registry import make_driver
-from drivers.replay import ReplayDriver
 from servo_daemon.captures import read_capture, write_capture
+from servo_daemon.captures.driver import ReplayDriver
 from servo_daemon.errors import (
     DriverConfigError,
     DriverDisconnectedError,

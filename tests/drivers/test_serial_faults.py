@@ -16,9 +16,9 @@ import serial
 from serial.tools import list_ports
 
 from drivers.base import DriveInfo
-from drivers.serial_line import SerialDriver, existing_ports
-from drivers.wire import encode_samples
-from drivers.wire_frame import encode_frame
+from drivers.serial.frame import encode_frame
+from drivers.serial.line import SerialDriver, existing_ports
+from drivers.serial.wire import encode_samples
 from servo_daemon.errors import DriverConfigError, DriverDisconnectedError, DriverUnavailableError
 from servo_daemon.samples import Quality, SampleBlock, concatenate
 from servo_daemon.sim_drive.line_faults import Fault, LineFaults

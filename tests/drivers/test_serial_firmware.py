@@ -12,8 +12,8 @@ import pytest
 from cobs import cobs
 from crccheck.crc import Crc16Ibm3740
 
-from drivers.wire_decoder import BinaryDecoder
-from drivers.wire_text import TextDecoder
+from drivers.serial.decoder import BinaryDecoder
+from drivers.serial.text import TextDecoder
 from servo_daemon.samples import Quality
 from tests.wire_tools import DESCRIPTIONS, SAMPLES, VECTORS, rows_of
 

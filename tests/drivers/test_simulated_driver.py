@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers import simulated
 from drivers.registry import make_driver
-from drivers.simulated import SimulatedDriver
 from servo_daemon.errors import DriverConfigError, DriverDisconnectedError, EndOfStreamError
 from servo_daemon.samples import SampleBlock, concatenate
 from servo_daemon.simulate import DEFAULT_AGEING, DEFAULT_J_M, PAPER_MOTOR, SimulatedDrive, make_settings
+from servo_daemon.simulate import driver as simulated
+from servo_daemon.simulate.driver import SimulatedDriver
 from tests.drivers.conformance import DriverConformance, read_until
 
 _WRONG_TYPES = {

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-CONFIGURED = ("tests/unit/test_configured_estimation.py",)
-FAMILIARITY = ("tests/unit/test_learning_familiarity.py",)
-STRANGENESS = ("tests/unit/test_learning_strangeness.py", "tests/unit/test_learning_model.py")
-REFRESH = ("tests/unit/test_refresh.py",)
-REGRESSION = ("tests/unit/test_rls*.py", "tests/recovery/test_tracking.py")
-HELD = ("tests/unit/test_excitation_fusion.py",)
-JUDGE = ("tests/unit/test_two_witnesses.py", "tests/unit/test_jumps.py")
-GAIN = ("tests/unit/test_diagnosis_*.py", "tests/recovery/test_hidden.py")
+CONFIGURED = ("tests/unit/pipeline/test_configured_estimation.py",)
+FAMILIARITY = ("tests/unit/learning/test_learning_familiarity.py",)
+STRANGENESS = ("tests/unit/learning/test_learning_strangeness.py", "tests/unit/learning/test_learning_model.py")
+REFRESH = ("tests/unit/learning/test_refresh.py",)
+REGRESSION = ("tests/unit/regression/test_rls*.py", "tests/recovery/test_tracking.py")
+HELD = ("tests/unit/tracking/test_excitation_fusion.py",)
+JUDGE = ("tests/unit/pipeline/test_two_witnesses.py", "tests/unit/tracking/test_jumps.py")
+GAIN = ("tests/unit/diagnosis/test_*.py", "tests/recovery/test_hidden.py")
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,175 +40,175 @@ class Named:
 NAMED: Sequence[Named] = (
     Named(
         "engine ignored: the tracker is not told",
-        "servo_daemon/service/publish.py",
+        "servo_daemon/pipeline/publish.py",
         "drift, config.estimation.engine)",
         'drift, "compiled")',
         CONFIGURED,
     ),
     Named(
         "engine ignored: the tracker does not ask",
-        "servo_daemon/estimators/tracker.py",
+        "servo_daemon/tracking/tracker.py",
         'if self.settings.engine == "filterpy":',
         'if self.settings.engine == "nothing":',
         CONFIGURED,
     ),
     Named(
         "drift ignored: the tracker is not told",
-        "servo_daemon/service/publish.py",
+        "servo_daemon/pipeline/publish.py",
         "config.nominal, drift, config",
         "config.nominal, {}, config",
         CONFIGURED,
     ),
     Named(
         "drift ignored: the default is taken",
-        "servo_daemon/estimators/settings.py",
+        "servo_daemon/tracking/plan/settings.py",
         "if given is not None and not offset:",
         "if False:",
         CONFIGURED,
     ),
     Named(
         "skew ignored",
-        "servo_daemon/service/publish.py",
+        "servo_daemon/pipeline/publish.py",
         "return self._config.estimation.skew_s * self._value",
         "return 0.0 * self._value",
         CONFIGURED,
     ),
     Named(
         "all windows are familiar",
-        "servo_daemon/learning/familiarity.py",
+        "servo_daemon/learning/learners/familiarity.py",
         "return np.asarray(np.min(below, axis=0) / (len(self.mass_) + 1.0))",
         "return np.ones(len(z))",
         FAMILIARITY,
     ),
     Named(
         "familiarity declines nothing",
-        "servo_daemon/learning/model.py",
+        "servo_daemon/learning/model/model.py",
         "np.where(familiarity < LEAST_FAMILIARITY,",
         "np.where(familiarity < -1.0,",
         FAMILIARITY,
     ),
     Named(
         "familiarity without what lies outside the components",
-        "servo_daemon/learning/familiarity.py",
+        "servo_daemon/learning/learners/familiarity.py",
         "np.sqrt(p.explained_variance_)), -outside",
         "np.sqrt(p.explained_variance_)), 0.0 * outside",
         FAMILIARITY,
     ),
     Named(
         "familiarity without the mass along the components",
-        "servo_daemon/learning/familiarity.py",
+        "servo_daemon/learning/learners/familiarity.py",
         "return self._kernel.mass(along / np.sqrt(p.explained_variance_)), -outside",
         "return -outside, -outside",
         FAMILIARITY,
     ),
     Named(
         "no window is strange",
-        "servo_daemon/learning/strangeness.py",
+        "servo_daemon/learning/model/strangeness.py",
         "return np.asarray(above / (len(self.known_) + 1.0))",
         "return np.ones(len(strange))",
         STRANGENESS,
     ),
     Named(
         "strangeness declines nothing",
-        "servo_daemon/learning/model.py",
+        "servo_daemon/learning/model/model.py",
         "np.where(usual < MOST_STRANGE,",
         "np.where(usual < -1.0,",
         STRANGENESS,
     ),
     Named(
         "the refresh's gate is left open",
-        "servo_daemon/learning/refresh.py",
+        "servo_daemon/learning/refresh/refresh.py",
         "if distance**2 <= GATE:",
         "if distance**2 <= 1e9 * GATE:",
         REFRESH,
     ),
     Named(
         "a refresh that is not proven enters",
-        "servo_daemon/learning/refresh.py",
+        "servo_daemon/learning/refresh/refresh.py",
         "if not self._proof.trusted:",
         "if False:",
         REFRESH,
     ),
     Named(
         "a refresh enters a filter that knows better",
-        "servo_daemon/learning/refresh.py",
+        "servo_daemon/learning/refresh/refresh.py",
         "return not knows_better,",
         "return True,",
         REFRESH,
     ),
     Named(
         "the regression's windows 100 times as long",
-        "servo_daemon/estimators/rls.py",
+        "servo_daemon/regression/rls.py",
         "self._n, self._spans_s = n, tuple(spans_s)",
         "self._n, self._spans_s = n, tuple(100.0 * s for s in spans_s)",
         REGRESSION,
     ),
     Named(
         "what a window leaves of its rows is all taken for noise",
-        "servo_daemon/estimators/rls_fit.py",
+        "servo_daemon/regression/rls_fit.py",
         "return max(0.0, fit.left - min(by_noise, told))",
         "return 0.0",
         REGRESSION,
     ),
     Named(
         "what the newest rows say against the regression is ignored",
-        "servo_daemon/estimators/rls.py",
+        "servo_daemon/regression/rls.py",
         "covariance = fit.inverse * own + fits[0].inverse * changed",
         "covariance = fit.inverse * own",
         REGRESSION,
     ),
     Named(
         "a value is held for ever on a motion that shows it",
-        "servo_daemon/estimators/fusion.py",
+        "servo_daemon/tracking/validity/fusion.py",
         "if trusted.unconfirmed_s > hold_s:",
         "if False:",
         HELD,
     ),
     Named(
         "a value is held against the running filter",
-        "servo_daemon/estimators/fusion.py",
+        "servo_daemon/tracking/validity/fusion.py",
         "> EXCLUDED_STDS * math.hypot(trusted.std, present[1])",
         "> 1e9 * math.hypot(trusted.std, present[1])",
         HELD,
     ),
     Named(
         "the regression overrules a filter that is white and calm",
-        "servo_daemon/estimators/parameter_judge.py",
+        "servo_daemon/tracking/validity/parameter_judge.py",
         " or self.calm_s > found.span_s",
         "",
         JUDGE,
     ),
     Named(
         "a step of a motor that was never explained is named",
-        "servo_daemon/estimators/jumps.py",
+        "servo_daemon/tracking/changes/jumps.py",
         "self.calm and explained, self._usual",
         "self.calm, self._usual",
         JUDGE,
     ),
     Named(
         "gain: scored on the part that was fitted",
-        "servo_daemon/diagnosis/trial.py",
+        "servo_daemon/diagnosis/trial/trial.py",
         "return self.scored(self.split.measuring)",
         "return self.scored(TRAIN)",
         GAIN,
     ),
     Named(
         "gain: the models are fitted to the part that measures",
-        "servo_daemon/diagnosis/gain.py",
+        "servo_daemon/diagnosis/verdict/gain.py",
         "data, chosen, parts = selection.data, selection.chosen, selection.data.split.before_measuring",
         "data, chosen, parts = selection.data, selection.chosen, (0, 1, 2)",
         GAIN,
     ),
     Named(
         "gain: errors instead of their squares",
-        "servo_daemon/diagnosis/compare.py",
+        "servo_daemon/diagnosis/trial/compare.py",
         "b, w, g, n = (x.mean_square(weights) for x in (base, worse, better, floor))",
         "b, w, g, n = (x.mean_square(weights) ** 0.5 for x in (base, worse, better, floor))",
         GAIN,
     ),
     Named(
         "gain: no noise floor",
-        "servo_daemon/diagnosis/compare.py",
+        "servo_daemon/diagnosis/trial/compare.py",
         "return w - g, b - n",
         "return w - g, b - 0.0 * n",
         GAIN,

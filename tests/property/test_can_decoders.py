@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.base import DriverCounters
-from drivers.can_decode import FrameBatch, load_dbc
-from drivers.can_map import parse_signal_map
-from drivers.can_own import OwnDecoder
-from drivers.can_vendor import VendorDecoder
+from drivers.can.decode import FrameBatch, load_dbc
+from drivers.can.map import parse_signal_map
+from drivers.can.own import OwnDecoder
+from drivers.can.vendor import VendorDecoder
 from servo_daemon.samples import SampleBlock
 from servo_daemon.sim_drive.can_frames import FrameEncoder
 from tests.can_tools import RampSource, batch, frames_of

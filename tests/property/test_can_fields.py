@@ -12,7 +12,7 @@ from cantools.database.conversion import BaseConversion
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.can_decode import Field, find_field, frame_key
+from drivers.can.decode import Field, find_field, frame_key
 from tests.can_tools import batch
 
 N_FRAMES = 5

@@ -16,7 +16,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from servo_daemon.captures import read_capture, write_capture
-from servo_daemon.captures.rows import TextTable
+from servo_daemon.captures.text.rows import TextTable
 from servo_daemon.errors import CaptureError
 from servo_daemon.samples import make_block
 

@@ -8,11 +8,11 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.wire import FORMATS, Channel, Description, Quantity
-from drivers.wire_decoder import BinaryDecoder
-from drivers.wire_encoder import BinaryEncoder
-from drivers.wire_frame import encode_frame
-from drivers.wire_text import TextDecoder, encode_lines
+from drivers.serial.decoder import BinaryDecoder
+from drivers.serial.encoder import BinaryEncoder
+from drivers.serial.frame import encode_frame
+from drivers.serial.text import TextDecoder, encode_lines
+from drivers.serial.wire import FORMATS, Channel, Description, Quantity
 from servo_daemon.samples import SampleBlock, concatenate, make_block
 from tests.wire_tools import SERVO, describe, frame, frames
 

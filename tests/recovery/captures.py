@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from servo_daemon.estimators.output_error.problem import Problem
-from servo_daemon.estimators.output_error.setup import Recording
-from servo_daemon.estimators.short_runs.fit import coordinates_of
+from servo_daemon.identification.output_error.problem.problem import Problem
+from servo_daemon.identification.output_error.problem.setup import Recording
+from servo_daemon.identification.short_runs.fit import coordinates_of
 from servo_daemon.samples import F64, make_block
 from tests.recovery.generator import Motor, Scenario, generate
 

@@ -11,15 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_daemon.diagnosis.compare import Advantage, advantage
-from servo_daemon.diagnosis.data import Data
-from servo_daemon.diagnosis.evidence import LEAST_BIC, LEAST_GAIN
-from servo_daemon.diagnosis.split import segment_length_s
-from servo_daemon.diagnosis.trial import Trial, fit_trial
-from servo_daemon.estimators.output_error import FitOptions, FittedParameter, Recording, fit_output_error
-from servo_daemon.estimators.output_error.setup import make_problem
-from servo_daemon.estimators.output_error.starts import starting_points
+from servo_daemon.diagnosis.search.evidence import LEAST_BIC, LEAST_GAIN
+from servo_daemon.diagnosis.trial.compare import Advantage, advantage
+from servo_daemon.diagnosis.trial.data import Data
+from servo_daemon.diagnosis.trial.split import segment_length_s
+from servo_daemon.diagnosis.trial.trial import Trial, fit_trial
 from servo_daemon.experiment import Limits, MotionPlan, Request, Sensors, complete_limits, plan_motion
+from servo_daemon.identification.output_error import FitOptions, FittedParameter, Recording, fit_output_error
+from servo_daemon.identification.output_error.problem.setup import make_problem
+from servo_daemon.identification.output_error.starts import starting_points
 from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.samples import SampleBlock, make_block
 from tests.recovery.generator import MOTIONS, Motor, Plan, Scenario, generate, stream, typical

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from threadpoolctl import threadpool_limits
 
 from servo_daemon.captures import Capture
-from servo_daemon.diagnosis.data import Data
-from servo_daemon.diagnosis.result import Diagnosis
-from servo_daemon.diagnosis.split import CHOICE, TRAIN, segment_length_s, shorter_s
-from servo_daemon.diagnosis.trial import Trial, fit_trial
-from servo_daemon.estimators.output_error import Recording
+from servo_daemon.diagnosis.trial.data import Data
+from servo_daemon.diagnosis.trial.split import CHOICE, TRAIN, segment_length_s, shorter_s
+from servo_daemon.diagnosis.trial.trial import Trial, fit_trial
+from servo_daemon.diagnosis.verdict.result import Diagnosis
+from servo_daemon.identification.output_error import Recording
 from servo_daemon.plant.build import build_plant
 from tests.recovery.generator import EffectValues, Motor
 

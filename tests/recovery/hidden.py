@@ -19,7 +19,7 @@ import numpy as np
 
 from servo_daemon.captures import read_capture
 from servo_daemon.diagnosis.diagnose import diagnose
-from servo_daemon.diagnosis.result import Diagnosis
+from servo_daemon.diagnosis.verdict.result import Diagnosis
 from tests.recovery.gain import of_true_structure
 from tests.recovery.generator import LISTED, MOTORS, UNLISTED, EffectValues, Scenario, generate, typical
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, Recording, fit_output_error
-from servo_daemon.identification.bands import bands_of
+from servo_daemon.identification.output_error import FitOptions, OutputErrorFit, Recording, fit_output_error
+from servo_daemon.identification.procedure.bands import bands_of
 from servo_daemon.samples import SampleBlock
 from tests.recovery.captures import capture
 from tests.recovery.generator import BELT_SERVO, GEAR_MOTOR, PAPER, Motor, Scenario

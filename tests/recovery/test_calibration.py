@@ -80,7 +80,12 @@ def test_every_motor_moves_within_its_drive(number: int, motion: str) -> None:
 
 
 def test_every_threshold_that_the_table_knows_is_there() -> None:
-    with watching("servo_daemon.diagnosis", "servo_daemon.estimators", "servo_daemon.estimators.output_error") as notes:
+    with watching(
+        "servo_daemon.diagnosis",
+        "servo_daemon.regression",
+        "servo_daemon.tracking",
+        "servo_daemon.identification.output_error",
+    ) as notes:
         assert sorted(set(SPEAKS) - set(notes)) == []
 
 
@@ -92,12 +97,12 @@ def test_a_run_notes_what_thresholds_were_compared_with(tmp_path: Path) -> None:
     ]
     assert "parameter_jump" not in results[0].outcome
     assert "parameter_jump" in results[1].outcome
-    value, seen = results[1].seen["estimators.jump_search._CHANGED"]
+    value, seen = results[1].seen["tracking.changes.search._CHANGED"]
     assert max(seen) > value == 60.0
     path = tmp_path / "runs.jsonl"
     path.write_text("".join(json.dumps(asdict(r)) + "\n" for r in results))
     assert read(path) == results
     lines = table(results).splitlines()
-    at = lines.index("estimators.jump_search._CHANGED = 60, above")
+    at = lines.index("tracking.changes.search._CHANGED = 60, above")
     assert lines[at + 1].split() == ["nothing", "0", "of", "1", "runs"]
     assert "missed   0.0%" in lines[at + 2]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from servo_daemon.errors import BadInputError
-from servo_daemon.estimators.coefficients import compare_coefficients
-from servo_daemon.estimators.process_model import fit_process_model
+from servo_daemon.identification.paper.coefficients import compare_coefficients
+from servo_daemon.identification.paper.process_model import fit_process_model
 from servo_daemon.samples import SampleBlock, make_block
 from tests.recovery.generator import LARGE_SERVO, MOTORS, PAPER, Recording, Scenario, generate
 

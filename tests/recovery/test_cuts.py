@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from servo_daemon.diagnosis.cuts import mean_over_cuts
-from servo_daemon.diagnosis.data import Data
-from servo_daemon.diagnosis.everything import fit_everything, fit_runs
-from servo_daemon.diagnosis.split import segment_length_s
-from servo_daemon.diagnosis.trial import Trial, first_trial
-from servo_daemon.estimators.output_error import OutputErrorFit, Recording
+from servo_daemon.diagnosis.trial.cuts import mean_over_cuts
+from servo_daemon.diagnosis.trial.data import Data
+from servo_daemon.diagnosis.trial.everything import fit_everything, fit_runs
+from servo_daemon.diagnosis.trial.split import segment_length_s
+from servo_daemon.diagnosis.trial.trial import Trial, first_trial
+from servo_daemon.identification.output_error import OutputErrorFit, Recording
 from servo_daemon.samples import SampleBlock, make_block
 from tests.recovery.generator import PAPER, Scenario, generate, typical
 

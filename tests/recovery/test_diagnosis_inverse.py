@@ -11,12 +11,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from servo_daemon.diagnosis.data import Data
-from servo_daemon.diagnosis.inverse import found_by_balance
-from servo_daemon.diagnosis.result import Finding
-from servo_daemon.diagnosis.split import segment_length_s
-from servo_daemon.diagnosis.trial import first_trial
-from servo_daemon.estimators.output_error import FitOptions, Recording, fit_output_error
+from servo_daemon.diagnosis.inverse.inverse import found_by_balance
+from servo_daemon.diagnosis.trial.data import Data
+from servo_daemon.diagnosis.trial.split import segment_length_s
+from servo_daemon.diagnosis.trial.trial import first_trial
+from servo_daemon.diagnosis.verdict.result import Finding
+from servo_daemon.identification.output_error import FitOptions, Recording, fit_output_error
 from servo_daemon.samples import F64, SampleBlock, make_block
 
 pytestmark = pytest.mark.slow

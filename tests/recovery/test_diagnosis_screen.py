@@ -7,17 +7,17 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from servo_daemon.diagnosis.balance import balanced_missing_inputs
-from servo_daemon.diagnosis.data import Data
-from servo_daemon.diagnosis.dependence import dependences
-from servo_daemon.diagnosis.lacking import seen_missing
-from servo_daemon.diagnosis.missing import Missing, missing_inputs
-from servo_daemon.diagnosis.screen import screen
-from servo_daemon.diagnosis.split import segment_length_s
-from servo_daemon.diagnosis.trial import first_trial, fit_trial
-from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, fit_output_error
-from servo_daemon.estimators.output_error import Recording as Capture
-from servo_daemon.estimators.output_error.setup import make_problem
+from servo_daemon.diagnosis.missing.balance import balanced_missing_inputs
+from servo_daemon.diagnosis.missing.missing import Missing, missing_inputs
+from servo_daemon.diagnosis.screening.dependence import dependences
+from servo_daemon.diagnosis.screening.screen import screen
+from servo_daemon.diagnosis.trial.data import Data
+from servo_daemon.diagnosis.trial.lacking import seen_missing
+from servo_daemon.diagnosis.trial.split import segment_length_s
+from servo_daemon.diagnosis.trial.trial import first_trial, fit_trial
+from servo_daemon.identification.output_error import FitOptions, OutputErrorFit, fit_output_error
+from servo_daemon.identification.output_error import Recording as Capture
+from servo_daemon.identification.output_error.problem.setup import make_problem
 from servo_daemon.samples import SampleBlock, make_block
 from tests.recovery.captures import Known
 from tests.recovery.generator import GEAR_MOTOR, LARGE_SERVO, PAPER, RE40, Motor, Recording, Scenario, generate, typical

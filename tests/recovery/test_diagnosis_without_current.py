@@ -11,9 +11,9 @@ import pytest
 
 from servo_daemon.captures import Capture, read_capture
 from servo_daemon.diagnosis.diagnose import diagnose
-from servo_daemon.diagnosis.result import Diagnosis
+from servo_daemon.diagnosis.verdict.result import Diagnosis
 from servo_daemon.errors import BadInputError
-from servo_daemon.estimators.output_error import FitOptions, Recording, fit_output_error
+from servo_daemon.identification.output_error import FitOptions, Recording, fit_output_error
 from servo_daemon.samples import make_block
 from tests.recovery.generator import GEAR_MOTOR, RE40, EffectValues, Motor, Plan, Scenario, generate
 from tests.recovery.generator import Recording as Made

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, fit_output_error
-from servo_daemon.estimators.output_error.disjoint import spread_std
+from servo_daemon.identification.output_error import FitOptions, OutputErrorFit, fit_output_error
+from servo_daemon.identification.output_error.precision.disjoint import spread_std
 from servo_daemon.samples import F64
 from tests.recovery.captures import capture
 from tests.recovery.generator import PAPER, Scenario

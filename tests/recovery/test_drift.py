@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from servo_daemon.estimators.output_error import FitOptions, Recording, fit_output_error
-from servo_daemon.identification.drift import Drift, drift_of
+from servo_daemon.identification.output_error import FitOptions, Recording, fit_output_error
+from servo_daemon.identification.procedure.drift import Drift, drift_of
 from servo_daemon.samples import SampleBlock, make_block
 from tests.recovery.generator import RE40, Scenario, generate
 

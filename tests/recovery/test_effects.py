@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servo_daemon.estimators.base import to_coordinate
-from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, Recording, fit_output_error
-from servo_daemon.estimators.output_error.rollout import free_run
+from servo_daemon.identification.output_error import FitOptions, OutputErrorFit, Recording, fit_output_error
+from servo_daemon.identification.output_error.problem.rollout import free_run
+from servo_daemon.kalman.gaussian import to_coordinate
 from servo_daemon.plant.build import build_plant
 from servo_daemon.plant.effects import effects_by_name, parameter_table
 from servo_daemon.samples import F64, SampleBlock

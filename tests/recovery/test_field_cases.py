@@ -7,16 +7,25 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.tracking.follow import BURN_IN_S, NAMES, info_of, nominal_of, sampled
-from benchmarks.tracking.published import FROZEN, FROZEN_NOMINAL, TRACKING
-from benchmarks.tracking.servo import SHOWN, servo_heard
-from benchmarks.tracking.voices import Heard, blocks_of, listened
-from benchmarks.tracking.witness import AGEING_SECONDS, DELIVERING, RMS_LIMIT, Run, figures, pooled, run_witness, short
-from benchmarks.tracking.wrong import WRONG_LIMIT, WRONG_S, longest_s, wrong
 from servo_daemon.config import DriveConfig
 from servo_daemon.samples import F64
 from servo_daemon.simulate import DEFAULT_NOMINAL
 from tests.recovery.generator import BELT_SERVO, GEAR_MOTOR, Motor, Scenario, generate
+from tests.recovery.tracking.follow import BURN_IN_S, NAMES, info_of, nominal_of, sampled
+from tests.recovery.tracking.published import FROZEN, FROZEN_NOMINAL, TRACKING
+from tests.recovery.tracking.servo import SHOWN, servo_heard
+from tests.recovery.tracking.voices import Heard, blocks_of, listened
+from tests.recovery.tracking.witness import (
+    AGEING_SECONDS,
+    DELIVERING,
+    RMS_LIMIT,
+    Run,
+    figures,
+    pooled,
+    run_witness,
+    short,
+)
+from tests.recovery.tracking.wrong import WRONG_LIMIT, WRONG_S, longest_s, wrong
 
 #: What the regression is asked for: L is not visible to it everywhere.
 _ASKED = tuple(RMS_LIMIT)

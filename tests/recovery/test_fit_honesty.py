@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from servo_daemon.commands.fit_document import parameter_row
-from servo_daemon.commands.fit_notes import result_notes
-from servo_daemon.commands.fit_text import parameter_line
-from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, Recording, fit_output_error
-from servo_daemon.estimators.output_error.combinations import Combination, determined_combinations
-from servo_daemon.estimators.output_error.republished import republished
-from servo_daemon.estimators.output_error.window_regression import window_starts
+from servo_daemon.commands.fit.document import parameter_row
+from servo_daemon.commands.fit.notes import result_notes
+from servo_daemon.commands.fit.text import parameter_line
+from servo_daemon.identification.output_error import FitOptions, OutputErrorFit, Recording, fit_output_error
+from servo_daemon.identification.output_error.precision.combinations import Combination, determined_combinations
+from servo_daemon.identification.output_error.republished import republished
+from servo_daemon.identification.output_error.window_regression import window_starts
 from servo_daemon.plant.effects import parameter_table
 from servo_daemon.samples import make_block
 from tests.recovery.captures import capture

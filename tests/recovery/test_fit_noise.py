@@ -13,10 +13,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, fit_output_error
-from servo_daemon.estimators.output_error.outcome import NoiseOption, Outcome, conclude
-from servo_daemon.estimators.output_error.setup import make_problem
-from servo_daemon.estimators.output_error.solver import solve
+from servo_daemon.identification.output_error import FitOptions, OutputErrorFit, fit_output_error
+from servo_daemon.identification.output_error.outcome import NoiseOption, Outcome, conclude
+from servo_daemon.identification.output_error.problem.setup import make_problem
+from servo_daemon.identification.output_error.solver.solver import solve
 from tests.recovery.captures import capture
 from tests.recovery.generator import GEAR_MOTOR, PAPER, RE40, Motor, Scenario, Sensors
 

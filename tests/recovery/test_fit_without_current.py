@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servo_daemon.estimators.output_error import OutputErrorFit, Recording, fit_output_error
+from servo_daemon.identification.output_error import OutputErrorFit, Recording, fit_output_error
 from servo_daemon.samples import make_block
 from tests.recovery.generator import GEAR_MOTOR, PAPER, RE40, Motor, Scenario, generate
 

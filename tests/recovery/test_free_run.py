@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from servo_daemon.errors import BadInputError
-from servo_daemon.estimators.free_run import free_run
+from servo_daemon.identification.paper.free_run import free_run
 from servo_daemon.plant.build import build_plant
 from tests.recovery.generator import GEAR_MOTOR, PAPER, Motor
 from tests.recovery.open_loop import broadband, run

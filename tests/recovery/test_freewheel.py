@@ -9,8 +9,8 @@ import pytest
 
 from servo_daemon.captures import Capture
 from servo_daemon.diagnosis.diagnose import DiagnoseOptions, diagnose
-from servo_daemon.diagnosis.result import Diagnosis
-from servo_daemon.estimators.output_error import FitOptions, Recording, fit_output_error
+from servo_daemon.diagnosis.verdict.result import Diagnosis
+from servo_daemon.identification.output_error import FitOptions, Recording, fit_output_error
 from servo_daemon.samples import make_block
 from tests.recovery.generator import (
     BELT_SERVO,

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from servo_daemon.captures import read_capture
-from servo_daemon.estimators.output_error import FitOptions, Recording, fit_output_error
-from servo_daemon.estimators.output_error.score import score, slope
-from servo_daemon.identification.settle import settled_coordinates
+from servo_daemon.identification.output_error import FitOptions, Recording, fit_output_error
+from servo_daemon.identification.output_error.problem.score import score, slope
+from servo_daemon.identification.procedure.settle import settled_coordinates
 from servo_daemon.samples import F64, SampleBlock, make_block
-from tests.unit.commands import run_command
+from tests.command_line import run_command
 
 #: Friction as published (Janot, Gautier & Brunot 2019), N and N·s/m: forwards, backwards.
 _DRY_N, _VISCOUS = (20.144, 20.628), (166.71, 240.42)

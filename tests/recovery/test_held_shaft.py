@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from drivers.base import DriveInfo
-from servo_daemon.captures.model import Capture
+from servo_daemon.captures.capture.model import Capture
 from servo_daemon.config import DriveConfig
 from servo_daemon.diagnosis.diagnose import diagnose
-from servo_daemon.estimators.output_error import OutputErrorFit, Recording, fit_output_error
+from servo_daemon.identification.output_error import OutputErrorFit, Recording, fit_output_error
+from servo_daemon.pipeline.pipeline import Pipeline
 from servo_daemon.samples import F64, SampleBlock, make_block
-from servo_daemon.service.pipeline import Pipeline
 from tests.recovery.generator import GEAR_MOTOR, PAPER, RE40, Motor, Plan, Scenario, Start, generate
 
 pytestmark = pytest.mark.usefixtures("generator_built")

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from servo_daemon.errors import BadInputError, ConfigError
-from servo_daemon.estimators.idim_filter import FilterChoice
-from servo_daemon.estimators.inverse_dynamics import InverseDynamics, identify_inverse_dynamics
+from servo_daemon.identification.inverse_dynamics.filter import FilterChoice
+from servo_daemon.identification.inverse_dynamics.fit import InverseDynamics, identify_inverse_dynamics
 from servo_daemon.samples import Quality, SampleBlock, make_block
 from tests.recovery.generator import (
     GEAR_MOTOR,

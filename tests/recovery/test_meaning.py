@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from servo_daemon.captures import Capture, read_capture
+from servo_daemon.captures.columns.plausible import check_time_unit, plausibility_notes
 from servo_daemon.captures.meaning import excluded_values, findings, without_unusable
-from servo_daemon.captures.plausible import check_time_unit, plausibility_notes
 from servo_daemon.errors import CaptureError
-from servo_daemon.estimators.output_error import FitOptions, Recording, fit_output_error
+from servo_daemon.identification.output_error import FitOptions, Recording, fit_output_error
 from servo_daemon.samples import F64
 from tests.recovery.generator import BELT_SERVO, GEAR_MOTOR, LARGE_SERVO, MOTORS, PAPER, RE40, Motor, Scenario, generate
 

@@ -8,9 +8,9 @@ import pytest
 
 from drivers.base import DriveInfo
 from servo_daemon.config import DriveConfig
+from servo_daemon.pipeline.model_change import checked_request
+from servo_daemon.pipeline.pipeline import Pipeline
 from servo_daemon.samples import make_block
-from servo_daemon.service.model_change import checked_request
-from servo_daemon.service.pipeline import Pipeline
 from tests.recovery.generator import GEAR_MOTOR, PAPER, Motor, Scenario, generate, typical
 
 pytestmark = pytest.mark.usefixtures("generator_built")

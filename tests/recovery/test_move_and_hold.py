@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servo_daemon.estimators.inverse_dynamics import InverseDynamics, identify_inverse_dynamics
+from servo_daemon.identification.inverse_dynamics.fit import InverseDynamics, identify_inverse_dynamics
 from servo_daemon.samples import F64, Quality, SampleBlock, make_block
 from tests.recovery.generator import BELT_SERVO, GEAR_MOTOR, PAPER, Motor, Plan, Scenario, Sensors, generate
 

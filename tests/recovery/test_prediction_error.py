@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from servo_daemon.diagnosis.everything import honest
-from servo_daemon.estimators.output_error import FitOptions, OutputErrorFit, fit_output_error
-from servo_daemon.estimators.output_error.setup import Recording
-from servo_daemon.estimators.prediction_error import predicted_fit
+from servo_daemon.diagnosis.trial.everything import honest
+from servo_daemon.identification.output_error import FitOptions, OutputErrorFit, fit_output_error
+from servo_daemon.identification.output_error.problem.setup import Recording
+from servo_daemon.identification.prediction_error import predicted_fit
 from tests.recovery.captures import capture
 from tests.recovery.generator import GEAR_MOTOR, PAPER, Motor, Scenario
 from tests.recovery.generator.effects import EffectValues

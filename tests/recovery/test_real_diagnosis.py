@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from tests.unit.commands import run_command
+from tests.command_line import run_command
 
 pytestmark = pytest.mark.slow
 

@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 
 from servo_daemon.captures import Capture, in_canonical_order
-from servo_daemon.diagnosis.compare import Advantage
-from servo_daemon.diagnosis.data import Data
-from servo_daemon.diagnosis.determined import is_determined
-from servo_daemon.diagnosis.elsewhere import helps_no_other
-from servo_daemon.diagnosis.evidence import half_convinces, noticeable
-from servo_daemon.diagnosis.missing import missing_inputs
-from servo_daemon.diagnosis.select import Selection
-from servo_daemon.diagnosis.split import segment_length_s
-from servo_daemon.diagnosis.trial import Trial, first_trial, fit_trial
-from servo_daemon.estimators.output_error import FitOptions, Recording, fit_output_error
-from servo_daemon.estimators.output_error.setup import make_problem
-from servo_daemon.estimators.output_error.solver import within
-from servo_daemon.identification.identify import IdentifyOptions, identify
+from servo_daemon.diagnosis.missing.missing import missing_inputs
+from servo_daemon.diagnosis.search.evidence import half_convinces, noticeable
+from servo_daemon.diagnosis.search.select import Selection
+from servo_daemon.diagnosis.trial.compare import Advantage
+from servo_daemon.diagnosis.trial.data import Data
+from servo_daemon.diagnosis.trial.split import segment_length_s
+from servo_daemon.diagnosis.trial.trial import Trial, first_trial, fit_trial
+from servo_daemon.diagnosis.verdict.determined import is_determined
+from servo_daemon.diagnosis.verdict.elsewhere import helps_no_other
+from servo_daemon.identification.output_error import FitOptions, Recording, fit_output_error
+from servo_daemon.identification.output_error.problem.setup import make_problem
+from servo_daemon.identification.output_error.solver.solver import within
+from servo_daemon.identification.procedure.identify import IdentifyOptions, identify
 from servo_daemon.samples import SampleBlock, make_block
 from tests.recovery.generator import PAPER, EffectValues, Scenario, Sensors, generate
 

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from servo_daemon.diagnosis.missing import missing_inputs
-from servo_daemon.estimators.base import to_coordinate
-from servo_daemon.estimators.output_error import FitOptions
-from servo_daemon.estimators.output_error.lost_runs import settled
-from servo_daemon.estimators.output_error.problem import Problem
-from servo_daemon.estimators.output_error.setup import Recording, make_problem
-from servo_daemon.estimators.short_runs import (
+from servo_daemon.diagnosis.missing.missing import missing_inputs
+from servo_daemon.identification.output_error import FitOptions
+from servo_daemon.identification.output_error.lost_runs import settled
+from servo_daemon.identification.output_error.problem.problem import Problem
+from servo_daemon.identification.output_error.problem.setup import Recording, make_problem
+from servo_daemon.identification.procedure.play import fit_with_play
+from servo_daemon.identification.short_runs import (
     RunSource,
     begun_short_runs,
     fit_short_runs,
@@ -22,11 +22,11 @@ from servo_daemon.estimators.short_runs import (
     placed,
     with_all_inertia,
 )
-from servo_daemon.estimators.short_runs.fit import coordinates_of
-from servo_daemon.estimators.short_runs.gap import NEAREST, with_other_gap
-from servo_daemon.estimators.short_runs.runs import LONG, MOST_SAMPLES, SHORT, Runs
-from servo_daemon.estimators.short_runs.search import search
-from servo_daemon.identification.play import fit_with_play
+from servo_daemon.identification.short_runs.fit import coordinates_of
+from servo_daemon.identification.short_runs.gap import NEAREST, with_other_gap
+from servo_daemon.identification.short_runs.runs import LONG, MOST_SAMPLES, SHORT, Runs
+from servo_daemon.identification.short_runs.search import search
+from servo_daemon.kalman.gaussian import to_coordinate
 from servo_daemon.samples import F64
 from tests.recovery.captures import Known, capture
 from tests.recovery.generator import GEAR_MOTOR, LARGE_SERVO, PAPER, Motor, Scenario, generate, typical

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from servo_daemon.captures.model import Capture
+from servo_daemon.captures.capture.model import Capture
 from servo_daemon.diagnosis.diagnose import diagnose
-from servo_daemon.estimators.output_error import Recording, fit_output_error
+from servo_daemon.identification.output_error import Recording, fit_output_error
 from servo_daemon.samples import F64, SampleBlock, make_block
 from tests.recovery.generator import GEAR_MOTOR, PAPER, Motor, Scenario, generate
 from tests.recovery.generator.sensors import filtered_speed, speed_over_window

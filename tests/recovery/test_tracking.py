@@ -8,13 +8,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.tracking import NAMES, ageing_run, bound_run, tracked
 from drivers.base import DriveInfo
 from servo_daemon.config import DriveConfig
+from servo_daemon.pipeline.pipeline import Pipeline
+from servo_daemon.published.snapshot import Estimate
 from servo_daemon.samples import make_block
-from servo_daemon.service.pipeline import Pipeline
-from servo_daemon.service.snapshot import Estimate
 from tests.recovery.generator import MOTORS, PAPER, Recording, Scenario, generate
+from tests.recovery.tracking.ageing import ageing_run
+from tests.recovery.tracking.bound import bound_run
+from tests.recovery.tracking.follow import NAMES, tracked
 
 
 @pytest.mark.parametrize("motor", ["paper", "re40", "gear", "large"])

@@ -10,17 +10,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.tracking import faults
-from benchmarks.tracking.ageing import ageing_recording
-from benchmarks.tracking.cases import always, coarse_voltage, quiet, reversals, slow_sampling
-from benchmarks.tracking.faults import Where
-from benchmarks.tracking.follow import NAMES, Flags, Track, block_of, deviations, info_of, nominal_of, sampled, tracked
-from benchmarks.tracking.scenarios import NOMINAL
-from benchmarks.tracking.starts import run_start
 from servo_daemon.config import DriveConfig
+from servo_daemon.pipeline.pipeline import Pipeline
 from servo_daemon.samples import F64
-from servo_daemon.service.pipeline import Pipeline
 from tests.recovery.generator import MOTIONS, MOTORS, Motor, Plan, Recording, Scenario, generate
+from tests.recovery.tracking import faults
+from tests.recovery.tracking.ageing import ageing_recording
+from tests.recovery.tracking.cases import always, coarse_voltage, quiet, reversals, slow_sampling
+from tests.recovery.tracking.faults import Where
+from tests.recovery.tracking.follow import (
+    NAMES,
+    Flags,
+    Track,
+    block_of,
+    deviations,
+    info_of,
+    nominal_of,
+    sampled,
+    tracked,
+)
+from tests.recovery.tracking.scenarios import NOMINAL
+from tests.recovery.tracking.starts import run_start
 
 pytestmark = pytest.mark.usefixtures("generator_built")
 

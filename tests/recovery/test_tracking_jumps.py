@@ -11,11 +11,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks.tracking.cases import CASES, Case
-from benchmarks.tracking.follow import NAMES, Told, Track, nominal_of, tracked
-from benchmarks.tracking.scenarios import truth_of
 from servo_daemon.samples import F64
 from tests.recovery.generator import MOTORS, Scenario, generate
+from tests.recovery.tracking.cases import CASES, Case
+from tests.recovery.tracking.follow import NAMES, Told, Track, nominal_of, tracked
+from tests.recovery.tracking.scenarios import truth_of
 
 pytestmark = pytest.mark.usefixtures("generator_built")
 

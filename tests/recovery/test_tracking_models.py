@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.tracking.models import HELD, NEAR, run_model
-from servo_daemon.estimators.signals import plan_signals
+from servo_daemon.tracking.plan.signals import plan_signals
 from tests.recovery.generator import MOTORS
+from tests.recovery.tracking.models import HELD, NEAR, run_model
 
 pytestmark = pytest.mark.usefixtures("generator_built")
 

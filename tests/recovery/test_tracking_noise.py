@@ -6,12 +6,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from benchmarks.tracking.follow import nominal_of
-from servo_daemon.estimators.noise import white_noise_var
-from servo_daemon.estimators.settings import Resolutions, TrackerSettings
-from servo_daemon.estimators.tracker import Tracker
 from servo_daemon.samples import make_block
+from servo_daemon.tracking.noise.levels import white_noise_var
+from servo_daemon.tracking.plan.settings import Resolutions, TrackerSettings
+from servo_daemon.tracking.tracker import Tracker
 from tests.recovery.generator import MOTORS, RE40, Recording, Scenario, Sensors, generate
+from tests.recovery.tracking.follow import nominal_of
 
 pytestmark = pytest.mark.usefixtures("generator_built")
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.tracking import faults
-from benchmarks.tracking.cases import CASES, Case
-from benchmarks.tracking.faults import Fault, Where
-from benchmarks.tracking.follow import NAMES, Told, Track
-from benchmarks.tracking.scenarios import judge
 from tests.recovery.generator import PAPER, Recording, Scenario, generate
+from tests.recovery.tracking import faults
+from tests.recovery.tracking.cases import CASES, Case
+from tests.recovery.tracking.faults import Fault, Where
+from tests.recovery.tracking.follow import NAMES, Told, Track
+from tests.recovery.tracking.scenarios import judge
 
 pytestmark = pytest.mark.usefixtures("generator_built")
 
@@ -104,7 +104,7 @@ def test_every_case_has_a_truth_for_what_the_daemon_publishes(name: str) -> None
 
 
 def test_a_picture_is_drawn(recording: Recording, tmp_path: Path) -> None:
-    from benchmarks.tracking.plots import plot_case
+    from tests.recovery.tracking.plots import plot_case
 
     case, track = perfect(recording)
     path = plot_case(tmp_path, "R +30 %", "paper", case, track)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from servo_daemon.captures import Capture, read_capture
-from servo_daemon.commands.tune_motor import known_motor
+from servo_daemon.commands.tune.motor import known_motor
 from servo_daemon.config import DriveConfig
 from servo_daemon.tuning.assess import margins_of
 from servo_daemon.tuning.knowledge import NEEDED, Ask, CascadeGains, LoopSetup

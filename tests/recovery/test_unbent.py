@@ -8,12 +8,12 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from servo_daemon.captures import read_capture
-from servo_daemon.diagnosis.adequacy import _unbent
-from servo_daemon.diagnosis.data import Data
-from servo_daemon.diagnosis.everything import fit_runs
-from servo_daemon.diagnosis.split import segment_length_s
-from servo_daemon.diagnosis.trial import fit_trial
-from servo_daemon.estimators.output_error import Recording
+from servo_daemon.diagnosis.trial.data import Data
+from servo_daemon.diagnosis.trial.everything import fit_runs
+from servo_daemon.diagnosis.trial.split import segment_length_s
+from servo_daemon.diagnosis.trial.trial import fit_trial
+from servo_daemon.diagnosis.verdict.adequacy import _unbent
+from servo_daemon.identification.output_error import Recording
 from tests.recovery.generator import MOTORS, Scenario, generate, typical
 
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from servo_daemon.captures import Capture, read_capture
-from servo_daemon.diagnosis.data import Data
 from servo_daemon.diagnosis.diagnose import diagnose
-from servo_daemon.diagnosis.split import segment_length_s
-from servo_daemon.estimators.output_error import Recording
+from servo_daemon.diagnosis.trial.data import Data
+from servo_daemon.diagnosis.trial.split import segment_length_s
+from servo_daemon.identification.output_error import Recording
 from tests.recovery.generator import PAPER, EffectValues, Scenario, generate
 
 pytestmark = pytest.mark.slow

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from drivers.wire_encoder import BinaryEncoder, describe
+from drivers.serial.encoder import BinaryEncoder, describe
 from servo_daemon.sim_drive.line_faults import Fault, LineFaults
 from servo_daemon.sim_drive.serial_device import DeviceCounters, run_serial_device
 from servo_daemon.sim_drive.slcan_device import SlcanFaults, run_slcan_device

@@ -17,9 +17,9 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from servo_daemon.config import DriveConfig
+from servo_daemon.pipeline.pipeline import Pipeline, all_finite
+from servo_daemon.published.snapshot import Estimate
 from servo_daemon.samples import Quality, SampleBlock, concatenate, make_block
-from servo_daemon.service.pipeline import Pipeline, all_finite
-from servo_daemon.service.snapshot import Estimate
 from servo_daemon.simulate import DEFAULT_NOMINAL, PAPER_MOTOR, SimulatedDrive, make_settings
 
 WELL, LATER = 8_000, 12_000

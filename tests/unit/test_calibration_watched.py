@@ -9,8 +9,9 @@ import pickle
 import numpy as np
 import pytest
 
-from servo_daemon.diagnosis import compare, evidence, likelihood
-from servo_daemon.diagnosis.compare import Advantage
+from servo_daemon.diagnosis.search import evidence
+from servo_daemon.diagnosis.trial import compare, likelihood
+from servo_daemon.diagnosis.trial.compare import Advantage
 from tests.recovery.calibration.watched import Notes, Watched, watching
 
 
@@ -69,6 +70,6 @@ def test_the_thresholds_of_a_package_are_watched_while_it_lasts() -> None:
         assert not isinstance(compare._RESAMPLES, Watched)  # a count, no threshold
     assert type(evidence.LEAST_GAIN) is float
     assert before[1] == evidence.LEAST_GAIN
-    assert notes["diagnosis.evidence.LEAST_GAIN"].seen == [0.05]
-    assert notes["diagnosis.evidence.LEAST_BIC"].seen == [-50.0]
-    assert notes["diagnosis.evidence.LEAST_OWN"].seen == []
+    assert notes["diagnosis.search.evidence.LEAST_GAIN"].seen == [0.05]
+    assert notes["diagnosis.search.evidence.LEAST_BIC"].seen == [-50.0]
+    assert notes["diagnosis.search.evidence.LEAST_OWN"].seen == []

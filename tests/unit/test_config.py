@@ -10,7 +10,7 @@ import pytest
 from servo_daemon.config import Config, load_config, parse_config
 from servo_daemon.config_texts import parse_drift
 from servo_daemon.errors import ConfigError
-from servo_daemon.plant.parameters import LINEAR
+from servo_daemon.parameters import LINEAR
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from servo_daemon.captures.capture.model import Capture
 from servo_daemon.captures.meaning.finding import Finding, mend
 from servo_daemon.captures.meaning.restored import signs_of
 from servo_daemon.captures.meaning.windows import FEWEST, Windows, left, travelled
-from servo_daemon.captures.model import Capture
 from servo_daemon.samples import F64
 
 #: "Never": but for noise of this share of the largest.

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from servo_daemon.captures.model import LINEAR_COLUMNS, Capture
+from servo_daemon.captures.capture.model import LINEAR_COLUMNS, Capture
 
 #: What it means for a fit: only to be told; the column must be left out; the capture cannot be used so.
 Weight = Literal["told", "column", "capture"]

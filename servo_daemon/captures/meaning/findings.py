@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from servo_daemon.captures.layout import lacks
+from servo_daemon.captures.capture.layout import lacks
+from servo_daemon.captures.capture.model import Capture, capture_error
 from servo_daemon.captures.meaning.currents import current_findings
 from servo_daemon.captures.meaning.finding import Finding
 from servo_daemon.captures.meaning.jumps import jump_findings
 from servo_daemon.captures.meaning.signs import sign_findings
 from servo_daemon.captures.meaning.units import unit_findings
-from servo_daemon.captures.model import Capture, capture_error
 
 
 def findings(capture: Capture, *, limit_V: float | None = None) -> tuple[Finding, ...]:

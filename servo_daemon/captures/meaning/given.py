@@ -7,8 +7,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from servo_daemon.captures.capture.model import Capture
 from servo_daemon.captures.meaning.windows import Windows, travelled
-from servo_daemon.captures.model import Capture
 
 #: Windows of this length, s: a winding has settled in it, a few steps of an encoder are small.
 _WINDOW_S, _LEAST = 0.05, 8

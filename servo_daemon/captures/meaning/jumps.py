@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from servo_daemon.captures.capture.model import Capture
 from servo_daemon.captures.meaning.finding import Finding, column_name, mend
-from servo_daemon.captures.model import Capture
 from servo_daemon.samples import F64
 
 #: A jump is more than this share of all that the position covers, and nothing else comes to half of it.

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from servo_daemon.captures.capture.model import Capture
 from servo_daemon.captures.meaning.finding import Finding, column_name, mend
 from servo_daemon.captures.meaning.windows import FEWEST, travelled
-from servo_daemon.captures.model import Capture
 from servo_daemon.samples import F64
 
 #: Windows for a speed and its change, s, and at least so many intervals.

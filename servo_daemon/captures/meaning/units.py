@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 
+from servo_daemon.captures.capture.model import Capture
 from servo_daemon.captures.meaning.finding import Finding, column_name, mend
-from servo_daemon.captures.model import Capture
 from servo_daemon.samples import F64
 
 #: Whole numbers of fewer different values may be a physical value: steps of 0, 6 and 12 V.

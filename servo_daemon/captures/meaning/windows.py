@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_daemon.captures.model import Capture
+from servo_daemon.captures.capture.model import Capture
 from servo_daemon.samples import F64
 
 #: A window lasts this long, s, and at least so many intervals: the encoder's step is small against its travel.

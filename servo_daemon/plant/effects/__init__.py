@@ -7,8 +7,8 @@ from functools import cache
 from importlib import import_module
 
 from servo_daemon.errors import ConfigError
+from servo_daemon.parameters import J_M, LINEAR, Parameter
 from servo_daemon.plant.effects.base import Effect, Signals, State, Terms
-from servo_daemon.plant.parameters import J_M, LINEAR, Parameter
 
 __all__ = [
     "NAMES",

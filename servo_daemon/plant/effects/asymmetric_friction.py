@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import casadi as ca
 
+from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
 from servo_daemon.plant.effects.coulomb_friction import TC
-from servo_daemon.plant.parameters import Parameter, Scale
 
 TC_NEG = Parameter(
     "Tc_neg",

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from servo_daemon.parameters import Parameter
 from servo_daemon.plant.effects.base import TWIST, Effect, Shaft, Signals, Terms
 from servo_daemon.plant.effects.shaft_compliance import C_S, J_L, K_S
-from servo_daemon.plant.parameters import Parameter
 
 GAP = Parameter(
     "gap", "g", "rad", 0.01, 1e-09, 10.0, "log", "whole free angle between the flanks", "start value", held="live"

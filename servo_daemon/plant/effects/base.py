@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 
-from servo_daemon.plant.parameters import Parameter
+from servo_daemon.parameters import Parameter
 
 #: Half angles below this: sin x/x by its series, whose next term is x⁴/120.
 _SMALL_ANGLE = 1e-3

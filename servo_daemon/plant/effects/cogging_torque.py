@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.effects.base import Effect, Signals, Terms, mean_sine
-from servo_daemon.plant.parameters import Parameter, Scale
 
 #: Endings of the harmonics' names: `cogging_torque_2` has `Tcog_2`, `n_cog_2` and `phi_cog_2`.
 HARMONICS = ("", "_2", "_3", "_4")

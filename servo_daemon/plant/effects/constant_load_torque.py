@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from servo_daemon.parameters import Parameter
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
-from servo_daemon.plant.parameters import Parameter
 
 TL = Parameter(
     "TL",

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from servo_daemon.parameters import Parameter
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
-from servo_daemon.plant.parameters import Parameter
 
 G_I = Parameter("g_i", "g_i", "1", 1.0, 0.05, 20.0, "log", "shown current over true current", "start value")
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.effects.base import LAGGED, Effect, Signals, Terms
-from servo_daemon.plant.parameters import Parameter, Scale
 
 T_LAG = Parameter(
     "t_lag", "t_{lag}", "s", 0.001, 1e-07, 10.0, "log", "time constant of the lag", "start value", scale=Scale(0.001)

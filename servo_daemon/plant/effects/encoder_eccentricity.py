@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import casadi as ca
 
+from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
-from servo_daemon.plant.parameters import Parameter, Scale
 
 E_ENC = Parameter(
     "e_enc", "e", "rad", 0.01, 1e-09, 3.0, "log", "amplitude of the encoder's error", "start value", scale=Scale(0.01)

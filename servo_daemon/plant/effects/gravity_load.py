@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import casadi as ca
 
+from servo_daemon.parameters import Parameter
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
-from servo_daemon.plant.parameters import Parameter
 
 TG = Parameter("Tg", "T_g", "N·m", 0.1, 1e-9, 1e4, "log", "greatest gravity torque, m g l", "start value")
 PHI_G = Parameter(

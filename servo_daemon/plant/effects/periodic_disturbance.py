@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
+from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.effects.base import Effect, Signals, Terms, mean_sine
-from servo_daemon.plant.parameters import Parameter, Scale
 
 TPER = Parameter(
     "Tper",

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import casadi as ca
 
+from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
-from servo_daemon.plant.parameters import Parameter, Scale
 
 C2 = Parameter(
     "c2",

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import casadi as ca
 
+from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.effects.base import Effect, Signals, Terms, share_after
-from servo_daemon.plant.parameters import Parameter, Scale
 
 #: Whatever the step, this share of the resistance is left.
 _LEAST = 1e-3

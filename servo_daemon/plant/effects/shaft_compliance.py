@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.effects.base import TWIST, Effect, Shaft, Signals, Terms
-from servo_daemon.plant.parameters import Parameter, Scale
 
 K_S = Parameter(
     "k_s",

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.effects.base import Effect, Signals, State, Terms
-from servo_daemon.plant.parameters import Parameter, Scale
 
 T_F = Parameter(
     "t_f", "t_f", "s", 0.003, 1e-07, 10.0, "log", "time constant of the filter", "start value", scale=Scale(0.003)

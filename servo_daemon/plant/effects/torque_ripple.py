@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.effects.base import Effect, Signals, Terms, mean_sine, moment_of_sine
-from servo_daemon.plant.parameters import Parameter, Scale
 
 K_RIP = Parameter(
     "k_rip",

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.effects.base import Effect, Signals, State, Terms
-from servo_daemon.plant.parameters import Parameter, Scale
 
 #: Temperature coefficient of copper at 20 °C, 1/K (IEC 60028).
 ALPHA_COPPER_1_K = 0.0039

@@ -13,8 +13,8 @@ import numpy as np
 from servo_daemon.captures import read_capture
 from servo_daemon.config import DriveConfig
 from servo_daemon.diagnosis.diagnose import diagnose
+from servo_daemon.pipeline.pipeline import Pipeline
 from servo_daemon.samples import F64, make_block
-from servo_daemon.service.pipeline import Pipeline
 from tests.recovery.calibration.motions import BOUNDED, MOTIONS
 from tests.recovery.calibration.motors import CLASSES, SEEDS, motor
 from tests.recovery.calibration.watched import Notes, watching
@@ -141,8 +141,13 @@ def run_case(case: CalibrationCase, seconds: float | None = None) -> Result:
     """Make the recording, run it, note what was compared."""
     run = _diagnose if case.part == "diagnosis" else _track
     packages = {
-        "diagnosis": ("servo_daemon.diagnosis", "servo_daemon.estimators.output_error"),
-        "tracker": ("servo_daemon.estimators",),
+        "diagnosis": ("servo_daemon.diagnosis", "servo_daemon.identification.output_error"),
+        "tracker": (
+            "servo_daemon.kalman",
+            "servo_daemon.regression",
+            "servo_daemon.conditioning",
+            "servo_daemon.tracking",
+        ),
     }
     with watching(*packages[case.part]) as notes:
         outcome, right = run(case, seconds, notes)

@@ -15,8 +15,8 @@ import numpy as np
 
 from tests.recovery.calibration.cases import Result
 
-_EVIDENCE, _ADEQUACY, _JUMPS = "diagnosis.evidence", "diagnosis.adequacy", "estimators.jump_search"
-_NOISE, _WATCH, _FUSION = "estimators.noise", "estimators.watch", "estimators.fusion"
+_EVIDENCE, _ADEQUACY, _JUMPS = "diagnosis.search.evidence", "diagnosis.verdict.adequacy", "tracking.changes.search"
+_NOISE, _WATCH, _FUSION = "tracking.noise.levels", "tracking.noise.watch", "tracking.validity.fusion"
 #: On which side of a threshold something is there: an effect, structure in what is left, a change of the motor, a model
 #: that lacks something, a value that is not known.
 SPEAKS: Mapping[str, str] = {
@@ -33,14 +33,14 @@ SPEAKS: Mapping[str, str] = {
     f"{_EVIDENCE}._LITTLE_LOST": "above",
     f"{_EVIDENCE}._LEAST_OF_ALL": "above",
     f"{_ADEQUACY}._LEFT": "above",
-    "diagnosis.dependence.LEAST_SHARE": "above",
-    "diagnosis.dependence.LEAST_SIZE": "above",
-    "diagnosis.fitting.COLOURED": "below",
-    "diagnosis.likelihood._LIKELIER": "above",
-    "diagnosis.likelihood._PLAINLY": "above",
-    "diagnosis.select._PROMISING": "above",
-    "estimators.output_error.residual.RELEVANT": "above",
-    "estimators.output_error.residual._SIGNIFICANT": "above",
+    "diagnosis.screening.dependence.LEAST_SHARE": "above",
+    "diagnosis.screening.dependence.LEAST_SIZE": "above",
+    "diagnosis.search.fitting.COLOURED": "below",
+    "diagnosis.trial.likelihood._LIKELIER": "above",
+    "diagnosis.trial.likelihood._PLAINLY": "above",
+    "diagnosis.search.select._PROMISING": "above",
+    "identification.output_error.noise.residual.RELEVANT": "above",
+    "identification.output_error.noise.residual._SIGNIFICANT": "above",
     f"{_WATCH}._WHITE_OUT": "above",
     f"{_WATCH}._UNEXPLAINED[0]": "above",
     f"{_WATCH}._UNEXPLAINED[1]": "above",
@@ -49,28 +49,28 @@ SPEAKS: Mapping[str, str] = {
     f"{_WATCH}._GATED_SHARE": "above",
     f"{_NOISE}._NIS_HIGH": "above",
     f"{_NOISE}._CORRELATED": "above",
-    "estimators.doubts._DIVERGED_NIS": "above",
+    "tracking.restart.doubts._DIVERGED_NIS": "above",
     f"{_FUSION}.QUALIFIED": "above",
     f"{_FUSION}.LOST": "above",
-    "estimators.regression_estimate.KNOWS": "above",
+    "regression.estimate.KNOWS": "above",
     f"{_FUSION}.AGREES": "above",
     f"{_JUMPS}._CHANGED": "above",
     f"{_JUMPS}._MARGIN": "above",
     f"{_JUMPS}._STEPPED_STDS": "above",
     f"{_JUMPS}._MOVED_STDS": "above",
     f"{_JUMPS}._MOVED_SHARE": "above",
-    "estimators.jump_trials._WHITE": "above",
-    "estimators.jump_trials._NIS_MORE": "above",
-    "estimators.jumps._RULE": "above",
-    "estimators.jumps._SIGNIFICANT": "above",
-    "estimators.jumps._NOTICEABLE": "above",
-    "estimators.balance_window._CHANCE_STDS": "above",
-    "estimators.excitation.SYSTEMATIC_LEAVE": "above",
-    "estimators.likelihood_look._WHITE": "above",
-    "estimators.likelihood_look._AS_EXPECTED": "above",
-    "estimators.second_look._WHITE": "above",
-    "estimators.second_look._AS_EXPECTED": "above",
-    "estimators.telling._OFFSET_OUT": "above",
+    "tracking.changes.trials._WHITE": "above",
+    "tracking.changes.trials._NIS_MORE": "above",
+    "tracking.changes.jumps._RULE": "above",
+    "tracking.changes.jumps._SIGNIFICANT": "above",
+    "tracking.changes.jumps._NOTICEABLE": "above",
+    "regression.balance_window._CHANCE_STDS": "above",
+    "tracking.validity.excitation.SYSTEMATIC_LEAVE": "above",
+    "tracking.restart.likelihood_look._WHITE": "above",
+    "tracking.restart.likelihood_look._AS_EXPECTED": "above",
+    "tracking.restart.second_look._WHITE": "above",
+    "tracking.restart.second_look._AS_EXPECTED": "above",
+    "tracking.telling._OFFSET_OUT": "above",
 }
 _NOTHING = "nothing"
 

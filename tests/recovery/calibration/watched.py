@@ -140,11 +140,11 @@ for _name in _COMPARISONS:
 
 
 def _thresholds(package: str) -> Iterator[tuple[Any, str, Any]]:
-    """Modules of a package's own level, and names and values of the constants that each defines."""
-    for info in pkgutil.iter_modules(importlib.import_module(package).__path__):
+    """Modules of a package, and names and values of the constants that each defines."""
+    for info in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
         if info.ispkg:
             continue
-        module = importlib.import_module(f"{package}.{info.name}")
+        module = importlib.import_module(info.name)
         for statement in ast.parse(inspect.getsource(module)).body:
             targets = statement.targets if isinstance(statement, ast.Assign) else [getattr(statement, "target", None)]
             for node in (n for t in targets if t is not None for n in ast.walk(t)):

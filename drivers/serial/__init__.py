@@ -1,0 +1,1 @@
+"""The serial line: the project's binary frames and text lines."""

@@ -1,0 +1,1 @@
+"""The API's answers as OpenAPI describes them."""

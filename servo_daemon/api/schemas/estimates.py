@@ -1,0 +1,284 @@
+"""What the documents of the REST API look like: for OpenAPI, and for the test that holds `documents.py` to it.
+
+Answers are not validated at run time (they are built from typed records); these models describe them.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from servo_daemon.published.snapshot import Connection, Status
+
+Scalar = float | int | bool | str | None
+
+_EXAMPLE_R = {
+    "value": 0.6391,
+    "std": 0.0012,
+    "unit": "Ω",
+    "nominal": 0.4937,
+    "status": "tracking",
+    "reason": None,
+    "age_s": 0.0,
+}
+_TIME = "2026-11-21T12:45:21.103Z"
+
+
+class _Document(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+def _example(**document: Any) -> ConfigDict:
+    return ConfigDict(extra="forbid", allow_inf_nan=False, json_schema_extra={"examples": [document]})
+
+
+class ParameterDocument(_Document):
+    """One parameter as published."""
+
+    model_config = _example(**_EXAMPLE_R)
+
+    value: float | None = Field(description="In `unit`. While `estimating` the nominal value, or null; never NaN.")
+    std: float | None = Field(description="Standard deviation, 1 σ, in `unit`; null where it is not known.")
+    unit: str = Field(description="SI unit; empty for a number without a dimension.")
+    nominal: float | None = Field(description="The configured (datasheet) value, in `unit`.")
+    status: Status = Field(
+        description="`estimating`: not yet qualified. `tracking`: follows the motor. `unexcited`: held, the motion "
+        "says nothing about it now. `at_bound`: pressed against a physical bound. `fixed`: told, not estimated. "
+        "`invalid`: do not use."
+    )
+    reason: str | None = Field(description="In words, why the status is not `tracking`.")
+    age_s: float | None = Field(
+        description="Device time since the motion last showed the parameter and it was known, in s; null: it never was."
+    )
+
+
+class EstimatorParameterDocument(_Document):
+    """What one estimator says of one parameter, in the parameter's unit."""
+
+    value: float | None
+    std: float | None = Field(description="Standard deviation, 1 σ.")
+
+
+class EstimatorDocument(_Document):
+    """One estimator by itself, beside the published estimate; for diagnosis, not for control."""
+
+    parameters: dict[str, EstimatorParameterDocument]
+    detail: dict[str, Scalar] = Field(
+        description="Numbers and texts of this estimator, units in their names; they may change between releases."
+    )
+
+
+class EstimatesDocument(_Document):
+    """The estimates of one drive at one moment."""
+
+    model_config = _example(
+        drive="axis1",
+        time=_TIME,
+        samples=123456,
+        sample_rate_hz=1000.2,
+        model=["coulomb_friction"],
+        parameters={"R": _EXAMPLE_R},
+        state={"current_A": 1.52, "velocity_rad_s": 6.07, "position_rad": 0.873},
+        estimators={"ekf": {"parameters": {"R": {"value": 0.6391, "std": 0.0012}}, "detail": {"resets": 0}}},
+        health={
+            "innovation_white": True,
+            "samples_lost": 0,
+            "connection": "connected",
+            "connection_reason": None,
+            "overloaded": False,
+        },
+    )
+
+    drive: str
+    time: str | None = Field(
+        description="Arrival of the last sample used: UTC, ISO 8601 with Z. Null before the first sample."
+    )
+    samples: int = Field(description="Samples used so far.")
+    sample_rate_hz: float | None = Field(description="Hz, measured in the device's own time.")
+    model: list[str] = Field(description="Effects on top of the linear motor.")
+    parameters: dict[str, ParameterDocument]
+    state: dict[str, float | None] = Field(
+        description="Current (A), speed (rad/s), position (rad), and voltage (V) where it is known."
+    )
+    estimators: dict[str, EstimatorDocument] = Field(
+        description="The estimators behind the estimate, by name: `ekf`, `rls`, with a learned model `grnn`."
+    )
+    health: dict[str, Scalar] = Field(
+        description="How well it goes: `connection` and its reason, `innovation_white`, `samples_lost` and the other "
+        "counters of the line; `overloaded`: samples come faster than they are worked off, and the oldest are left out "
+        "(in `queue_dropped`, and so in `samples_lost`); units in the names."
+    )
+
+
+class DriveSummaryDocument(_Document):
+    """One configured drive."""
+
+    model_config = _example(
+        name="axis1",
+        driver="simulated",
+        connection="connected",
+        reason=None,
+        time=_TIME,
+        model=[],
+        samples=123456,
+        sample_rate_hz=1000.2,
+    )
+
+    name: str
+    driver: str = Field(description="`simulated`, `serial`, `can`, `replay` or a plugin's name.")
+    connection: Connection = Field(
+        description="`connecting`: no samples yet. `silent`: open, but nothing arrives. `down`: the device is away and "
+        "tried again. `ended`: a finite source is finished."
+    )
+    reason: str | None = Field(description="In words, when not `connected`.")
+    time: str | None = Field(description="Arrival of the last sample, UTC.")
+    model: list[str]
+    samples: int
+    sample_rate_hz: float | None = Field(description="Hz.")
+
+
+class DrivesDocument(_Document):
+    """The configured drives, in the order of the configuration."""
+
+    drives: list[DriveSummaryDocument]
+
+
+class HistoryInfoDocument(_Document):
+    """What the history in memory holds."""
+
+    names: list[str] = Field(description="Parameters and state channels that /history knows.")
+    rows: int
+    capacity: int
+    rate_hz: float = Field(description="Rows a second at most, Hz.")
+
+
+class DriveDocument(DriveSummaryDocument):
+    """One drive in full."""
+
+    nominal: dict[str, float | None] = Field(description="Configured values, in the units of `units`.")
+    units: dict[str, str]
+    counters: dict[str, int] = Field(description="Totals of driver and queue since the start.")
+    history: HistoryInfoDocument
+    last_event: str | None = Field(description="Time of the newest event, UTC; a reason to ask for /events.")
+    truth: dict[str, float | None] | None = Field(
+        default=None,
+        description="Only of a simulated drive: the simulated motor's true values now. No estimator sees them.",
+    )
+
+
+class HistoryDocument(_Document):
+    """One parameter or state channel over time: columns of equal length, oldest first."""
+
+    model_config = _example(
+        drive="axis1",
+        parameter="R",
+        unit="Ω",
+        points=2,
+        time=[_TIME, "2026-11-21T12:45:21.203Z"],
+        value=[0.6391, 0.6392],
+        std=[0.0012, 0.0012],
+        status=["tracking", "tracking"],
+        truth=[0.6394, 0.6394],
+    )
+
+    drive: str
+    parameter: str
+    unit: str | None
+    points: int = Field(description="Length of the columns.")
+    time: list[str] = Field(description="UTC, ISO 8601 with Z.")
+    value: list[float | None] = Field(description="In `unit`.")
+    std: list[float | None] = Field(description="1 σ, in `unit`; null throughout for a state channel.")
+    status: list[Status] | None = Field(description="Null for a state channel.")
+    truth: list[float | None] | None = Field(description="A simulated drive's true value; else null.")
+
+
+class EventDocument(_Document):
+    """Something worth telling: a reconnect, a restart of the device, a reset, a jump of a parameter."""
+
+    model_config = _example(time=_TIME, kind="disconnected", message="/dev/ttyUSB0 went away", data={"attempts": 1})
+
+    time: str
+    kind: str = Field(description="Short machine name.")
+    message: str
+    data: dict[str, Scalar] = Field(description="Numbers with units in their names.")
+
+
+class EventsDocument(_Document):
+    """The last events, oldest first."""
+
+    events: list[EventDocument]
+
+
+class ResetDocument(_Document):
+    """The reset has been asked for; the pipeline does it before its next samples, and an event tells."""
+
+    model_config = _example(drive="axis1", accepted=True)
+
+    drive: str
+    accepted: bool
+
+
+class HealthDocument(_Document):
+    """Whether the daemon itself works. A drive that is switched off is not its fault."""
+
+    model_config = _example(
+        status="ok",
+        problems=[],
+        version="0.1.0",
+        started=_TIME,
+        uptime_s=3600.5,
+        drives={"axis1": "connected"},
+    )
+
+    status: Literal["ok", "failing"]
+    problems: list[str]
+    version: str
+    started: str
+    uptime_s: float = Field(description="Seconds.")
+    drives: dict[str, Connection]
+
+
+class ReadyDriveDocument(_Document):
+    """Whether one drive has delivered samples since the daemon started."""
+
+    ready: bool
+    connection: Connection
+    reason: str | None
+
+
+class ReadyDocument(_Document):
+    """Ready from the first samples of any drive on."""
+
+    model_config = _example(ready=True, drives={"axis1": {"ready": True, "connection": "connected", "reason": None}})
+
+    ready: bool
+    drives: dict[str, ReadyDriveDocument]
+
+
+class ProblemDocument(BaseModel):
+    """RFC 9457 problem details; further members depend on `code`."""
+
+    model_config = ConfigDict(
+        extra="allow",
+        json_schema_extra={
+            "examples": [
+                {
+                    "type": "about:blank",
+                    "title": "Not Found",
+                    "status": 404,
+                    "detail": "There is no drive 'axis9'; the drives are axis1, axis2.",
+                    "instance": "/api/v1/drives/axis9",
+                    "code": "unknown_drive",
+                    "known": ["axis1", "axis2"],
+                }
+            ]
+        },
+    )
+
+    type: str
+    title: str
+    status: int
+    detail: str
+    instance: str
+    code: str = Field(description="Short machine name.")

@@ -1,0 +1,1 @@
+"""A capture in memory, and what its columns are called."""

@@ -1,0 +1,1 @@
+"""Text tables: their encoding, their dialect, what stands before the rows."""

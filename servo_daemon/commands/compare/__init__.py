@@ -1,0 +1,1 @@
+"""`servo-daemon compare`: document, text and report."""

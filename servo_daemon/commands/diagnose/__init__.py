@@ -1,0 +1,1 @@
+"""`servo-daemon diagnose`: document, text and report."""

@@ -1,0 +1,85 @@
+"""`servo-daemon diagnose`: what the simulation gets wrong, by name, with what it gains to put it right."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from servo_daemon.commands.fit.command import add_model, add_validation
+from servo_daemon.commands.shared import common
+
+if TYPE_CHECKING:
+    from servo_daemon.commands.diagnose.evidence import Evidence
+    from servo_daemon.commands.fit.inputs import Inputs
+    from servo_daemon.diagnosis.verdict.result import Diagnosis
+
+HELP = "find what the simulation of a motor lacks, name it, and measure on unseen data what it gains to add it"
+EXAMPLE = """  servo-daemon diagnose capture.csv --out report/
+  servo-daemon diagnose day1.csv day2.csv --config servo-daemon.toml --drive axis1 --out report/
+  servo-daemon diagnose axis.csv.gz --effect coulomb_friction --validate other_day.csv.gz --adapt 0.3 --json
+  servo-daemon diagnose no_current.csv --fix R=3.57,K=0.046 --out report/"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("captures", type=Path, nargs="+", metavar="CAPTURE", help=common.CAPTURE_HELP)
+    add_model(parser)
+    add_validation(parser)
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write diagnosis.json and report.html there")
+    parser.add_argument(
+        "--progress-json", action="store_true", help="progress as lines of JSON on stderr instead of a bar"
+    )
+    common.add_signals(parser)
+    common.add_config(parser)
+    common.add_json(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from servo_daemon.commands.diagnose.document import diagnosis_document
+    from servo_daemon.commands.diagnose.evidence import gather_evidence
+    from servo_daemon.commands.diagnose.text import print_diagnosis
+    from servo_daemon.commands.fit.inputs import check_validation, gather
+    from servo_daemon.commands.shared.output_folder import OutputFolder
+
+    if arguments.out is not None:
+        OutputFolder(arguments.out).check_writable()  # a minute's work should not end there
+    inputs = gather(arguments, arguments.captures, arguments.validate, searches=True)
+    check_validation(inputs, arguments.adapt)
+    for text in inputs.notes:
+        common.note(text)
+    diagnosis = _diagnose(arguments, inputs)
+    evidence = gather_evidence(diagnosis)
+    document = diagnosis_document(diagnosis, inputs, evidence)
+    for text in document["notes"][len(inputs.notes) :]:
+        common.note(text)
+    if arguments.out is not None:
+        _write(arguments, diagnosis, evidence, document)
+    if arguments.json:
+        common.print_json(document)
+    else:
+        print_diagnosis(document)
+    return 0
+
+
+def _diagnose(arguments: argparse.Namespace, inputs: Inputs) -> Diagnosis:
+    from servo_daemon.commands.diagnose.progress import progress_told
+    from servo_daemon.diagnosis.diagnose import DiagnoseOptions, diagnose
+
+    options = DiagnoseOptions(inputs.effects, inputs.nominal, inputs.fixed, arguments.adapt)
+    with progress_told(as_json=arguments.progress_json) as told:
+        return diagnose(inputs.captures, inputs.validation, options, told)
+
+
+def _write(arguments: argparse.Namespace, diagnosis: Diagnosis, evidence: Evidence, document: dict[str, Any]) -> None:
+    """`diagnosis.json` and `report.html` in the folder."""
+    from servo_daemon.commands.diagnose.report import diagnosis_report
+    from servo_daemon.commands.shared.output_folder import OutputFolder
+    from servo_daemon.report import make_provenance
+
+    folder = OutputFolder(arguments.out)
+    provenance = make_provenance(sys.argv[1:], [c.path for c in diagnosis.captures])
+    report = diagnosis_report(diagnosis, evidence, document, provenance)
+    folder.write_json("diagnosis.json", document)
+    folder.write_report("report.html", report)
+    common.note(f"{folder.path}/report.html")

@@ -1,0 +1,1 @@
+"""`servo-daemon excite`: the plan and its outputs."""

@@ -1,0 +1,1 @@
+"""`servo-daemon fit`: inputs, document, text and report."""

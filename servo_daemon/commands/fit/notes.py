@@ -1,0 +1,107 @@
+"""What a fit's numbers say about the data they came from, in sentences for the user."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from servo_daemon.commands.shared.units import shown_column, shown_unit
+from servo_daemon.identification.output_error import OutputErrorFit
+from servo_daemon.identification.output_error.lag_like import equivalents
+from servo_daemon.identification.output_error.misfit import unexplained
+from servo_daemon.identification.procedure.drift import SEGMENT_S, Drift
+from servo_daemon.parameters import spaced
+
+#: An estimate further from its nominal value than this factor is no ageing: a unit, a sign, another motor.
+_FAR = 10.0
+#: K of a motor lies within 10 % of its datasheet (as makers say), J and B with load and friction within 40 %.
+_NEAR, _SQUARE_NEAR = 0.1, 0.35
+
+
+def result_notes(fit: OutputErrorFit, nominal: Mapping[str, float]) -> list[str]:
+    """Remarks on estimates far from their nominal values, at a bound, and on how the input is taken.
+
+    Args:
+        nominal: all values that are given, held ones too.
+    """
+    notes = [
+        f"the model explains next to nothing of {name}, and no parameter has a value: is its sign turned, or its unit "
+        "wrong?"
+        for name in unexplained(fit)
+    ]
+    notes += [
+        f"no current is measured: {name}, and the time constants, are all of the lag that was found, of which "
+        f"{' or '.join(effects)} would leave the same trace: `--fix {name}=…`, or measure the current"
+        for name, effects in equivalents(fit.problem).items()
+    ]
+    for name, p in fit.parameters.items():
+        given = nominal.get(name)
+        if p.bound is not None:
+            notes.append(
+                f"{name} ended at its physical bound, {p.bound:.3g}{spaced(p.unit)}: the data ask for what cannot be, "
+                "or do not tell it"
+            )
+        if p.status != "estimated" or p.value is None:
+            continue
+        if given is not None and given > 0 and p.value > 0 and not 1 / _FAR < p.value / given < _FAR:
+            notes.append(
+                f"{name} = {p.value:.4g}{spaced(p.unit)} is {p.value / given:.3g} times its nominal value: "
+                "is a column in another unit, or its sign turned?"
+            )
+    notes += _counts_hint({n: p.value for n, p in fit.parameters.items() if p.status == "estimated"}, nominal)
+    if fit.problem.plant.drive != "voltage":
+        what = "current" if fit.problem.plant.drive == "current" else "torque"
+        notes.append(
+            f"the {what} is known at the samples and taken as straight between them; the standard deviations hold "
+            "what that may be off by (half a sample's delay at the most)"
+        )
+    if (loss := _held_voltage(fit)) is not None and "R" not in nominal:
+        notes.append(
+            f"if the drive holds its voltage for whole samples, J is too small by up to {100 * loss:.2g} % over R in "
+            "Ω, which no residual shows and no standard deviation holds; `--fix R=…` puts it there"
+        )
+    return notes
+
+
+def _counts_hint(found: Mapping[str, float | None], nominal: Mapping[str, float]) -> list[str]:
+    """Whether K stands to its nominal value as a wrong number of counts in a turn makes it, J and B as its square.
+
+    An angle that is f times too small makes K f times, J and B f² times too large; f is that of quadrature counting.
+    """
+    ratio = {n: v / nominal[n] for n, v in found.items() if v is not None and v > 0.0 and nominal.get(n, 0.0) > 0.0}
+    for factor in (0.25, 0.5, 2.0, 4.0):
+        squares = [n for n in ("J", "B") if n in ratio and abs(math.log(ratio[n] / factor**2)) < _SQUARE_NEAR]
+        if "K" in ratio and abs(math.log(ratio["K"] / factor)) < _NEAR and "J" in squares:
+            times = f"{factor:g} times too large" if factor > 1.0 else f"{1 / factor:g} times too small"
+            others = ", ".join(f"{n} {ratio[n]:.3g}" for n in squares)
+            return [
+                f"K is {ratio['K']:.3g} and {others} times nominal, as if the counts of a turn (counts_per_rev) were "
+                f"told {times}: lines, or counts after quadrature?"
+            ]
+    return []
+
+
+def drift_note(drift: Drift, fit: OutputErrorFit, *, linear: bool) -> str:
+    """What short free runs say where a long one was bent."""
+
+    def told(name: str) -> str:
+        before, after = drift.bent[name]
+        unit = shown_unit(fit.parameters[name].unit, linear=linear)
+        return f"{name} = {after:.4g} {unit} ({'not seen' if before is None else f'{before:.4g}'} here)"
+
+    return (
+        f"{100 * drift.share:.0f} % of what the free run leaves of {shown_column(drift.channel, linear=linear)} is "
+        f"drift: something small that the model lacks adds up, and the parameters were bent to hold it. Free runs of "
+        f"{SEGMENT_S:g} s give {', '.join(told(name) for name in drift.bent)}: use `--segment {SEGMENT_S:g}`, or add "
+        "the `--effect` that is missing"
+    )
+
+
+def _held_voltage(fit: OutputErrorFit) -> float | None:
+    """h K²/(2 J), Ω: over R the largest share of J that a held voltage hides, see `input_error.py`; None: no such
+    model, or J is not known."""
+    K, J = (fit.parameters.get(name) for name in ("K", "J"))
+    if fit.problem.plant.drive != "current" or K is None or J is None or J.std is None:
+        return None
+    assert J.value is not None
+    return None if K.value is None else fit.problem.sample_period_s * K.value**2 / (2.0 * J.value)

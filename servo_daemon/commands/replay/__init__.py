@@ -1,0 +1,1 @@
+"""`servo-daemon replay`, and the CSV it writes."""

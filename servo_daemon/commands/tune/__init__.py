@@ -1,0 +1,1 @@
+"""`servo-daemon tune`: the motor as it is, and the gains for it."""

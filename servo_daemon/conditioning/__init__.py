@@ -1,0 +1,1 @@
+"""Samples as the estimators take them: evenly laid rows, gaps and doubtful readings marked."""

@@ -1,0 +1,1 @@
+"""Threads, processes, files, signals: what keeps the drives' pipelines running."""

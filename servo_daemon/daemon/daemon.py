@@ -1,0 +1,150 @@
+"""The daemon: the workers over all drives, reader threads, a saver, and what systemd wants to hear."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from drivers.registry import make_driver
+from servo_daemon import __version__
+from servo_daemon.config import Config, DriveConfig
+from servo_daemon.daemon.diagnosis.runner import DiagnosisRunner
+from servo_daemon.daemon.drive import DriveRuntime
+from servo_daemon.daemon.learned_desk import LearnedDesk
+from servo_daemon.daemon.notify import Notifier
+from servo_daemon.daemon.worker import Seat, Workers
+
+#: The workers are looked after this often, s.
+_WATCH_S = 0.02
+#: READY is told to systemd after the first fresh samples, or this long after the start, s.
+START_TIMEOUT_S = 10.0
+#: A stop waits so long for threads that are busy (with the first model's equations, say), s: of the 2 s that a stop may
+#: take the end of the server and of the interpreter need 0.5 on a slow machine.
+_STOP_S = 1.2
+
+
+class Daemon:
+    """All drives of a configuration. `start` and `stop` once each.
+
+    Args:
+        config: checked configuration.
+        state_dir: where knowledge is kept over a restart; None: nowhere.
+
+    Raises:
+        ConfigError: a driver's options are wrong.
+    """
+
+    def __init__(self, config: Config, state_dir: Path | None = None, notifier: Notifier | None = None) -> None:
+        self.config = config
+        self.version = __version__
+        self.started = time.time()
+        self._stop = threading.Event()
+        self._save_now = threading.Event()
+        self._notifier = Notifier.from_environment() if notifier is None else notifier
+        self._ready, self._said, self._told = False, "", time.monotonic()
+        d = config.diagnosis
+        home = None if state_dir is None else state_dir / "diagnosis"
+        self._diagnoses = DiagnosisRunner(d.command, d.time_limit_s, d.nice, home)
+        self._learned = LearnedDesk(config.learning)
+        self._workers = Workers(self._stop)
+        self._seats = {d.name: self._seat_for(d, state_dir) for d in config.drive}
+        self._watcher = threading.Thread(target=self._watch, name="watch", daemon=True)
+        self._saver = threading.Thread(target=self._save, name="saver", daemon=True)
+
+    def _seat_for(self, config: DriveConfig, state_dir: Path | None) -> Seat:
+        driver = make_driver(config.driver, config.name, config.options)
+        model = self._learned.seat(config.name) if config.estimation.refresh else None
+
+        def make(wake: Callable[[], None]) -> DriveRuntime:
+            return DriveRuntime(config, driver, state_dir, wake, self._diagnoses, model)
+
+        return Seat(make, self._workers.call, self.config.storage.save_interval_s, self._save_now.set)
+
+    @property
+    def drives(self) -> Mapping[str, DriveRuntime]:
+        """Drives by name, in the order of the configuration."""
+        return {name: seat.runtime for name, seat in self._seats.items()}
+
+    def stopping(self) -> bool:
+        """The daemon has been told to stop."""
+        return self._stop.is_set()
+
+    def problems(self) -> Sequence[str]:
+        """What is wrong with the daemon itself, in words; empty when healthy."""
+        found = [seat.runtime.problem for seat in self._seats.values()]
+        found += [seat.problem for seat in self._seats.values() if self._workers.started]
+        return [p for p in found if p is not None]
+
+    def start(self) -> None:
+        self._workers.start(tuple(self._seats.values()))
+        self._watcher.start()
+        self._saver.start()
+        self._learned.start()
+        for runtime in self.drives.values():
+            runtime.reader.start()
+
+    def begin_stop(self) -> None:
+        """Ask everything to end without waiting: open streams see it at once."""
+        if not self._stop.is_set():
+            self._notifier.stopping()
+            self._stop.set()
+            self._diagnoses.kill()
+            self._learned.begin_stop()
+            for seat in self._seats.values():
+                seat.runtime.reader.request_stop()
+                seat.call()
+
+    def stop(self, timeout_s: float = _STOP_S) -> None:
+        """End readers, workers and saver; what was learned is saved once more. Idempotent."""
+        self.begin_stop()
+        deadline = time.monotonic() + timeout_s
+        for runtime in self.drives.values():
+            runtime.reader.stop(max(0.05, deadline - time.monotonic()))
+        for thread in (self._workers, self._watcher, self._saver):
+            if thread.is_alive():
+                thread.join(max(0.05, deadline - time.monotonic()))
+        self._diagnoses.stop(max(0.05, deadline - time.monotonic()))
+        self._learned.stop(max(0.05, deadline - time.monotonic()))
+
+    # -- threads ---------------------------------------------------------------------------------------------
+
+    def _save(self) -> None:
+        last = False
+        while not last:
+            last = self._stop.is_set() and not self._workers.is_alive()
+            self._save_now.wait(0.2)
+            self._save_now.clear()
+            for runtime in self.drives.values():
+                runtime.save_offered()
+
+    def _watch(self) -> None:
+        began = time.monotonic()
+        while not self._stop.wait(_WATCH_S):
+            self._workers.look()
+            now, fresh = time.monotonic(), any(seat.has_worked for seat in self._seats.values())
+            if not self._ready and (fresh or now - began > START_TIMEOUT_S):
+                self._ready = True
+                self._notifier.ready(self._summary())
+            if now - self._told >= min(1.0, self._notifier.watchdog_interval_s or 1.0):
+                self._tell_systemd(now)
+
+    def _tell_systemd(self, now: float) -> None:
+        """That all drives turn, and how the drives are. (One that is overloaded turns; a restart would not help.)"""
+        if all(seat.has_turned_since(self._told) for seat in self._seats.values()):
+            self._told = now
+            self._notifier.watchdog()
+        if (summary := self._summary()) != self._said:
+            self._said = summary
+            self._notifier.status(summary)
+
+    def _summary(self) -> str:
+        """One line for `systemctl status`."""
+        parts = []
+        for name, runtime in self.drives.items():
+            snapshot = runtime.snapshot()
+            parameters = snapshot.estimate.parameters if snapshot.estimate is not None else ()
+            tracking = sum(p.status == "tracking" for p in parameters)
+            parts.append(f"{name} {snapshot.connection}, {tracking} of {len(parameters)} parameters tracking")
+        return "; ".join(parts)

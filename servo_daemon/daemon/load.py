@@ -1,0 +1,83 @@
+"""Whether a drive's worker keeps up with its samples, and what is done where it does not.
+
+A drive that sends more than its filter can work off (`engine = "filterpy"` at a kilohertz, a small machine without a
+compiler) falls behind for ever. So it loses the oldest of its own samples, many at a time and seldom: a filter goes on
+from a gap every few seconds, not from one in every block. What is late because something took long once (the first
+compilation) is worked off without loss.
+"""
+
+from __future__ import annotations
+
+from servo_daemon.daemon.reader import BlockQueue
+from servo_daemon.tracking.plan.settings import Message
+
+#: Samples that have waited for longer are late, s: a watcher sees the drive as it was then.
+LATE_S = 2.0
+#: A worker that has been late for so long does not catch up any more, s. A compiled filter works off what came during
+#: ten seconds of compiling in one.
+PATIENCE_S = 5.0
+#: What is left of the waiting samples then: those of the last so many seconds.
+KEPT_S = 0.25
+#: It keeps up again once none has waited longer than `CALM_WAIT_S` for `CALM_S`, s.
+CALM_WAIT_S, CALM_S = 0.5, 30.0
+
+
+class LoadWatch:
+    """One drive's.
+
+    Attributes:
+        overloaded: the drive loses samples because its worker does not keep up.
+    """
+
+    def __init__(self) -> None:
+        self.overloaded = False
+        self._late_since: float | None = None
+        self._calm_since: float | None = None
+        self._dropped = self._dropped_before = 0  # now, and when the overload began
+
+    def relieve(self, queue: BlockQueue, now_s: float) -> list[Message]:
+        """Before each round of the worker: drop all but the last `KEPT_S` where it does not keep up.
+
+        Args:
+            now_s: host monotonic.
+
+        Returns:
+            what is to be told.
+        """
+        waited_s = queue.waited_s(now_s)
+        told = self._judge(waited_s, queue.dropped, now_s)
+        if self.overloaded and waited_s > LATE_S:
+            queue.drop_before(now_s - KEPT_S)
+        return told
+
+    def _judge(self, waited_s: float, dropped: int, now_s: float) -> list[Message]:
+        """
+        Args:
+            waited_s: how long the oldest of the waiting samples has waited; 0: none waits.
+            dropped: samples that have been dropped since the start.
+        """
+        late, lost = waited_s > LATE_S, dropped - self._dropped
+        self._late_since = (now_s if self._late_since is None else self._late_since) if late else None
+        too_late = self._late_since is not None and now_s - self._late_since >= PATIENCE_S
+        told: list[Message] = []
+        if not self.overloaded and (too_late or lost > 0):
+            self.overloaded, self._dropped_before = True, self._dropped
+            text = "its samples come faster than they are worked off: the oldest are left out, and counted as lost"
+            told.append(("overloaded", text, {"waited_s": round(waited_s, 3)}))
+        elif self.overloaded and self._is_calm(waited_s, lost, now_s):
+            self.overloaded = False
+            left_out = dropped - self._dropped_before
+            text = f"its samples are worked off as they come again; {left_out} were left out"
+            told.append(("overload_over", text, {"samples_lost": left_out}))
+        self._dropped = dropped
+        return told
+
+    def _is_calm(self, waited_s: float, lost: int, now_s: float) -> bool:
+        if lost > 0 or waited_s > CALM_WAIT_S:
+            self._calm_since = None
+            return False
+        self._calm_since = now_s if self._calm_since is None else self._calm_since
+        over = now_s - self._calm_since >= CALM_S
+        if over:
+            self._calm_since = None
+        return over

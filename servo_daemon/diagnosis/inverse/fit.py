@@ -1,0 +1,122 @@
+"""The shaft's balance with some supposed torques in it, as a regression over measured motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from servo_daemon.diagnosis.inverse.rows import BalanceRows
+from servo_daemon.diagnosis.trial.scored import Scored
+from servo_daemon.diagnosis.trial.split import TRAIN
+from servo_daemon.regression.linear_regression import autocorrelation
+from servo_daemon.samples import F64
+
+#: An offset is always allowed for and never named: a constant load, the current sensor's zero, or, where the motion
+#: never reverses, dry friction.
+OFFSET = "constant_load_torque"
+#: The motor's own columns: inertia, viscous friction, and an offset of either sign.
+OWN = ("J", "B", "TL")
+#: Of these, the first that cannot be negative.
+_POSITIVE = 2
+
+#: From the coefficients of an effect's columns to its parameters, natural units; None: there are none.
+Start = Callable[[F64], Mapping[str, float] | None]
+
+
+@dataclass(frozen=True, eq=False)
+class Torque:
+    """A supposed torque.
+
+    Attributes:
+        name: of its cause.
+        effects: that it takes: several harmonics are several effects.
+        columns: shape (w, m).
+        start: see `Start`.
+        parameters: how many it has, scanned ones included.
+    """
+
+    name: str
+    effects: tuple[str, ...]
+    columns: F64
+    start: Start
+    parameters: int
+
+    def without(self, number: int) -> Torque | None:
+        """Less one of its effects, each of which has as many columns; None: nothing is left."""
+        if len(self.effects) == 1:
+            return None
+        each = self.columns.shape[1] // len(self.effects)
+        kept = [k for k in range(self.columns.shape[1]) if k // each != number]
+        return replace(self, columns=self.columns[:, kept], start=lambda _: None)
+
+
+@dataclass(frozen=True, eq=False)
+class Explained:
+    """The balance with some torques in it, fitted to the part for fitting."""
+
+    rows: BalanceRows
+    torques: tuple[Torque, ...]
+
+    @cached_property
+    def table(self) -> F64:
+        """Columns of the motor and of the torques, shape (w, ·)."""
+        return np.column_stack([own_columns(self.rows), *(t.columns for t in self.torques)])
+
+    @cached_property
+    def coefficients(self) -> F64:
+        return non_negative(self.table[self.rows.at(TRAIN)], self.rows.torque[self.rows.at(TRAIN)])
+
+    @cached_property
+    def residual(self) -> F64:
+        """Shape (w,), N·m."""
+        return np.asarray(self.rows.torque - self.table @ self.coefficients)
+
+    def scored(self, part: int) -> Scored:
+        """Errors by free run of a part, in the unit of the measured effort."""
+        here = self.rows.at(part)
+        runs, number = np.unique(self.rows.run[here], return_inverse=True)
+        squares = np.bincount(number, (self.residual[here] / self.rows.factor) ** 2, len(runs)).astype(np.float64)
+        counts = np.bincount(number, minlength=len(runs)).astype(np.float64)
+        effort = self.rows.torque[self.rows.run >= 0] / self.rows.factor
+        return Scored(squares[:, None], counts[:, None], np.array([max(float(np.std(effort)), 1e-300)]))
+
+    def parameters_of(self, torque: Torque) -> Mapping[str, float] | None:
+        """What its coefficients say; None: nothing physical."""
+        return torque.start(self.coefficients[self.columns_of(torque)])
+
+    def columns_of(self, torque: Torque) -> slice:
+        """Where its columns are in the table."""
+        k = self.torques.index(torque)
+        begin = len(OWN) + sum(t.columns.shape[1] for t in self.torques[:k])
+        return slice(begin, begin + torque.columns.shape[1])
+
+    @property
+    def independent(self) -> float:
+        """Share of the rows that count as independent samples."""
+        rho = float(np.clip(autocorrelation(self.residual[self.rows.at(TRAIN)]), 0.0, 0.999))
+        return (1.0 - rho) / (1.0 + rho)
+
+
+def own_columns(rows: BalanceRows) -> F64:
+    """Shape (w, 3), per unit of J, B and an offset."""
+    return np.column_stack([rows.filtered(c) for c in own_torques(rows)])
+
+
+def own_torques(rows: BalanceRows) -> tuple[F64, F64, F64]:
+    return rows.motion.omega_rate, rows.motion.omega, np.ones(len(rows.motion.omega))
+
+
+def non_negative(table: F64, y: F64) -> F64:
+    """Least squares; an inertia or a viscous friction below zero is none."""
+    scale = np.maximum(np.linalg.norm(table, axis=0), 1e-300)
+    used = np.ones(table.shape[1], dtype=bool)
+    while True:
+        found, *_ = np.linalg.lstsq(table[:, used] / scale[used], y, rcond=1e-9)
+        beta = np.zeros(table.shape[1])
+        beta[used] = found / scale[used]
+        if not (beta[:_POSITIVE] < 0).any():
+            return beta
+        used[int(np.argmin(beta[:_POSITIVE] * scale[:_POSITIVE]))] = False

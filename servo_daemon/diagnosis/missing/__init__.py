@@ -1,0 +1,1 @@
+"""What the model lacks: torque and voltage that would explain the residuals, by a smoother."""

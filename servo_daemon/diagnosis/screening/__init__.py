@@ -1,0 +1,1 @@
+"""Which known effects, and which signals, the missing inputs follow."""

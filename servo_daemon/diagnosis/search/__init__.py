@@ -1,0 +1,1 @@
+"""Effects tried one after another, as long as each earns its place."""

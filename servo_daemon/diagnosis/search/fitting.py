@@ -1,0 +1,168 @@
+"""One round's candidates: fitted together with the motor, and which of them is the best."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from servo_daemon.diagnosis.search.candidates import CONTAINED, NESTED, Proposal, has_no_current
+from servo_daemon.diagnosis.search.evidence import LEAST_BIC, NESTED_GAIN, convinces, no_worse, overwhelming
+from servo_daemon.diagnosis.trial.compare import Advantage, advantage
+from servo_daemon.diagnosis.trial.data import Data
+from servo_daemon.diagnosis.trial.split import shorter_s
+from servo_daemon.diagnosis.trial.trial import Trial, fit_trial
+from servo_daemon.diagnosis.trial.twins import lag_twin
+from servo_daemon.identification.output_error.starts import starting_points
+from servo_daemon.identification.short_runs import begun_short_runs, is_placed, with_all_inertia
+from servo_daemon.plant.effects import effects_by_name
+
+#: Iterations that every candidate gets, and the share of the best one's gain that earns it the rest.
+_FIRST_ITERATIONS, _KEPT = 5, 0.3
+#: … unless it has gained less than this in V per value: a quarter of what `LEAST_GAIN` asks for.
+_HOPELESS = 0.01
+#: Where fewer of what a fit leaves are independent samples, it may be caught among the initial states that it has from
+#: the model before (a shaft that stuck in that one): it is begun again from the measured ones.
+COLOURED = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One effect that was fitted.
+
+    Attributes:
+        name: of the effect.
+        trial: the model of that round with it.
+        against: its advantage over the model of that round.
+        taken: whether it was.
+        start: where screening put it, natural values; None: not screened.
+    """
+
+    name: str
+    trial: Trial
+    against: Advantage
+    taken: bool = False
+    start: Mapping[str, float] | None = None
+
+
+def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: int) -> tuple[Candidate, ...]:
+    """Fitted together with the motor, best first. All get a few iterations; those that then have some of what the best
+    one has gained go on to their end, and those that are still worse than the model that they contain."""
+
+    def begin(p: Proposal) -> Trial | None:
+        best = None
+        for start in (p.start, p.other):
+            trial = fit_trial(data, p.effects, start, like=current, max_iterations=_FIRST_ITERATIONS)
+            best = _better(best, trial)
+            # Worse than the model that it contains: it began in the wrong place.
+            if best is not None and gained(best) > 0.0 and not p.far:
+                break
+        for start in _by_sizes(data, p) if bent else ():
+            best = _better(best, fit_trial(data, p.effects, start, max_iterations=_FIRST_ITERATIONS))
+        return best
+
+    def end(pair: tuple[Proposal, Trial]) -> Candidate | None:
+        p, trial = pair
+        little = _HOPELESS * float(trial.fitted.counts.sum())
+        over = _over_the_gap(data, current, p, trial) if loads >= little else None
+        if over is not None:
+            trial = over
+        elif gained(trial) < 0.0 or gained(trial) >= max(_KEPT * most, little):  # it contains the other: not there yet
+            trial = fit_trial(data, p.effects, trial.values, like=trial) or trial
+            if not trial.solution.converged and gained(trial) >= _KEPT * most:
+                trial = fit_trial(data, p.effects, trial.values, like=trial, careful=True) or trial
+            if trial.independent < COLOURED and gained(trial) >= _KEPT * most:
+                trial = _better(trial, fit_trial(data, p.effects, trial.values)) or trial
+            twin = lag_twin(trial.values)
+            if twin is not None:
+                trial = _better(trial, fit_trial(data, p.effects, twin)) or trial
+        if not np.isfinite(trial.choice.squares).all():
+            return None
+        return Candidate(p.name, trial, advantage(current, trial), start=p.start)
+
+    def gained(trial: Trial) -> float:
+        return current.solution.point.value - trial.solution.point.value
+
+    # Without a current R and K may have any values, and a motor that lacks much ends far from the real one.
+    bent = has_no_current(current) and current.independent < COLOURED
+    with ThreadPoolExecutor(workers) as pool:
+        begun = [(p, t) for p, t in zip(proposed, pool.map(begin, proposed), strict=True) if t is not None]
+        most = max((gained(t) for _, t in begun), default=0.0)
+        loads = max((gained(t) for p, t in begun if "J_l" in p.start), default=0.0)
+        found = [c for c in pool.map(end, begun) if c is not None]
+    return tuple(sorted(found, key=lambda c: -c.against.gain))
+
+
+def _by_sizes(data: Data, p: Proposal) -> Iterator[Mapping[str, float]]:
+    """Where the model begins by the sizes of the signals: natural values, one for each mechanical time constant."""
+    known = effects_by_name()
+    held = {q.name: p.start[q.name] for e in p.effects for q in known[e].parameters if q.held == "always"}
+    held = {**held, **data.fixed}
+    starts = starting_points(data.recordings, data.problem(p.effects, held), held)
+    for begun in {s.values["J"]: s.values for s in starts if s.source.endswith("signal sizes")}.values():
+        yield {**begun, **held}
+
+
+def _over_the_gap(data: Data, current: Trial, p: Proposal, trial: Trial) -> Trial | None:
+    """A model with a gap that the current one does not have, fitted from where short runs put it, whatever the free
+    runs say to that: with the load in the wrong place they prefer another motor. None: it is none, or short runs do not
+    tell.
+
+    Args:
+        trial: as it has begun.
+    """
+    if "gap" not in trial.problem.free or "gap" in current.values:
+        return None
+    begin = begun_short_runs(trial.fitted, p.start, with_all_inertia(current.values))
+    return None if begin is None else fit_trial(data, trial.effects, begin)
+
+
+def closer(data: Data, trial: Trial) -> Trial:
+    """The model fitted once more from where shorter free runs put it, if what it leaves is not noise and that helps.
+
+    A run with dry friction is no smooth function of the parameters: a shaft that stops a little earlier sticks. Over
+    short runs there are few such edges for a fit to be caught at. (Behind a gap there is one at every run's begin; see
+    `_over_the_gap`.)
+    """
+    shorter = shorter_s(data.recordings, data.split.segment_s)
+    if shorter is None or trial.independent >= COLOURED or is_placed(trial.fitted):
+        return trial
+    short = fit_trial(data.cut(trial.effects, shorter), trial.effects, trial.values)
+    again = None if short is None else fit_trial(data, trial.effects, short.values)
+    return _better(trial, again) or trial
+
+
+def _better(one: Trial | None, other: Trial | None) -> Trial | None:
+    if one is None or other is None:
+        return one or other
+    return min(one, other, key=lambda t: t.solution.point.value)
+
+
+def best_of(candidates: Sequence[Candidate]) -> Candidate | None:
+    """The candidate that gains most; a smaller one that it contains, unless it earns its parameters."""
+    convincing = [c for c in candidates if convinces(c.against)]
+    if not convincing:
+        return None
+    best = convincing[0]
+    alike = [c for c in convincing if c is best or no_worse(c.trial, best.trial)]
+    # The smallest; of several, what every machine has; then the better one, which is the first.
+    best = min(alike, key=lambda c: (c.trial.free, c.name != "coulomb_friction"))
+    for smaller in convincing:
+        if best.name in NESTED.get(smaller.name, ()):
+            more = advantage(smaller.trial, best.trial)
+            if not overwhelming(more) and (more.low < NESTED_GAIN or more.delta_bic > LEAST_BIC):
+                return smaller
+    return best
+
+
+def ties(best: Candidate, candidates: Sequence[Candidate]) -> tuple[str, ...]:
+    """Names that do as well as the best in its place: tested, not assumed."""
+    out = []
+    for c in candidates:
+        if c.name == best.name or not convinces(c.against) or c.name in CONTAINED.get(best.name, ()):
+            continue
+        if no_worse(c.trial, best.trial):
+            out.append(c.name)
+    return tuple(out)

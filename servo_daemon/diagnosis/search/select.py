@@ -1,0 +1,322 @@
+"""The search for what is missing: candidates screened, fitted, chosen forward, pruned backward.
+
+An effect is taken only if everything speaks for it: it predicts free runs that were not fitted, with a margin that
+resampling them does not undo, and its parameters are worth their place (BIC, with correlated residuals counted as the
+fewer samples they are). Each alone is fooled by encoders and converters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from servo_daemon.diagnosis.missing.missing import Missing
+from servo_daemon.diagnosis.screening.screen import ScreenedCandidate, screen
+from servo_daemon.diagnosis.search.candidates import (
+    SIMPLER,
+    WORTH_A_PAIR,
+    Proposal,
+    as_simpler,
+    late_without_current,
+    open_at_zero,
+    pairs,
+    proposals,
+    scaled_friction,
+)
+from servo_daemon.diagnosis.search.evidence import (
+    at_odds,
+    half_convinces,
+    needless,
+    noticeable,
+    speaks_against_screening,
+    worth_a_name,
+)
+from servo_daemon.diagnosis.search.fitting import COLOURED, Candidate, best_of, closer, fitted, ties
+from servo_daemon.diagnosis.trial.compare import advantage
+from servo_daemon.diagnosis.trial.data import Data
+from servo_daemon.diagnosis.trial.lacking import leaves, leaves_less, seen_missing
+from servo_daemon.diagnosis.trial.likelihood import Whole, needs_no_effect
+from servo_daemon.diagnosis.trial.split import TRAIN, shorter_s
+from servo_daemon.diagnosis.trial.trial import Trial, fit_trial, model_exists
+from servo_daemon.errors import NumericalError
+from servo_daemon.identification.short_runs import is_placed
+from servo_daemon.plant.effects import effects_by_name
+
+#: At most so many effects are taken.
+_MOST_EFFECTS = 4
+#: Viscous frictions that differ by less are the same.
+_ALIKE = 0.15
+#: Screened so well, a cause must show in a fit: if none does, the free runs are too long for this motor.
+_PROMISING = 0.25
+#: … of these: with them a motor may stand where it cannot stay.
+_UNSTABLE = ("cogging_torque", "gravity_load")
+#: … and so much of what it promised.
+_MUCH = 0.7
+#: V by which a model fitted again must be better to count as another.
+_BETTER_CHANCE = 2.0
+#: Told how far it is, 0 .. 1, and what is being done.
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The search's result.
+
+    Attributes:
+        data: as it was divided in the end.
+        base: the model it began with.
+        chosen: the model it ended with; `base` if nothing was taken.
+        added: names of the effects taken, in that order.
+        rounds: the candidates of each round, best first.
+        equivalent: for each added effect, names that did as well in its place.
+    """
+
+    data: Data
+    base: Trial
+    chosen: Trial
+    added: tuple[str, ...]
+    rounds: tuple[tuple[Candidate, ...], ...]
+    equivalent: Mapping[str, tuple[str, ...]]
+
+
+def select(data: Data, base: Trial, progress: Progress, whole: Whole, workers: int = 2) -> Selection:
+    """Search from a fitted baseline.
+
+    Args:
+        progress: told what is being done.
+        whole: fits to all the data: a first effect that these do not need is not searched beside.
+        workers: threads that fit.
+
+    Raises:
+        NumericalError: the baseline's missing torque cannot be computed.
+    """
+    search = _Search(data, base)
+    while len(search.added) < _MOST_EFFECTS:
+        share = 1.0 - 0.6 ** len(search.rounds)  # how many rounds there will be is not known
+        current = search.current
+        progress(share, f"what is missing beside {' + '.join(current.effects) or 'the linear motor'}")
+        try:
+            missing = seen_missing(search.data, current)
+        except NumericalError:
+            if not search.added:
+                raise
+            break  # the model before could be looked at, this one cannot: it is the last
+        search, candidates, best = _round(search, missing, _after(progress, share), workers)
+        if best is not None and not search.added and needs_no_effect(search.base, best.trial, whole):
+            best = None
+        search.rounds.append(tuple(replace(c, taken=c is best) for c in candidates))
+        if best is None:
+            break
+        names = [e for e in best.trial.effects if e not in search.current.effects]
+        # Of two at once neither has been tried against others in its place.
+        search.equivalent |= {name: ties(best, candidates) if len(names) == 1 else () for name in names}
+        search.added = [*(a for a in search.added if a in best.trial.effects), *names]
+        search.current = closer(search.data, best.trial)
+    chosen, added = _pruned(search.data, search.current, search.added)
+    return Selection(search.data, search.base, chosen, tuple(added), tuple(search.rounds), search.equivalent)
+
+
+@dataclass
+class _Search:
+    """How far it is."""
+
+    data: Data
+    base: Trial
+    current: Trial = field(init=False)
+    added: list[str] = field(default_factory=list)
+    rounds: list[tuple[Candidate, ...]] = field(default_factory=list)
+    equivalent: dict[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.current = self.base
+
+
+#: A round's result: the search, maybe over other runs or from a better model; all candidates, best first; the best.
+_Found = tuple[_Search, tuple[Candidate, ...], Candidate | None]
+
+
+def _round(search: _Search, missing: Missing, progress: Progress, workers: int) -> _Found:
+    """What is tried beside the present model: one effect, over shorter runs where the motor may be unstable, two."""
+    current = search.current
+    screened = screen(current, missing)
+    proposed = proposals(current, screened, missing, given=search.data.fixed)
+    progress(0.1, "fitting " + ", ".join(p.name for p in proposed))
+    found = _against_the_best_chance(search, _worthy(search, missing, proposed, workers))
+    if is_placed(current.fitted):  # what is left is how the load went on within the runs
+        return found
+    if found[2] is None and (rest := _thought_little_of(current, screened, missing, proposed)):
+        more = tuple(c for c in _worthy(search, missing, rest, workers) if speaks_against_screening(c.against))
+        found = _against_the_best_chance(search, (*more, *found[1]))
+    promised = _promised(s for s in screened if s.effect in _UNSTABLE)
+    broken = promised > _PROMISING and not _kept_promise(found, missing, promised)
+    if broken or (found[2] is None and any(c.name.startswith(_UNSTABLE) and at_odds(c.against) for c in found[1])):
+        progress(0.2, "once more with shorter free runs")
+        found = _with_shorter_runs(found, [p for p in proposed if p.name.startswith(_UNSTABLE)], workers)
+    search, candidates, best = found
+    first = candidates[0] if candidates and candidates[0] is not best else None
+    if first is not None and half_convinces(first.against):
+        progress(0.3, f"{first.name} and another")
+        beside = _beside(search, first, candidates, workers)
+        if beside[2] is not None:
+            return beside
+    if best is not None or _promised(screened) <= _PROMISING:
+        return found
+    progress(0.3, "two causes at once")
+    proposed = pairs(proposals(search.current, screened, missing, WORTH_A_PAIR), missing.augmented.channels)
+    two = fitted(search.data, search.current, proposed, workers)
+    two = tuple(c for c in two if worth_a_name(c.trial, search.current, search.base))
+    return search, (*two, *candidates), best_of(two)
+
+
+def _beside(search: _Search, first: Candidate, candidates: tuple[Candidate, ...], workers: int) -> _Found:
+    """Two causes of which one alone takes much and yet runs away in some of the runs that decide (a weight that no
+    friction holds): each of the others beside it, judged against the model without either."""
+    current = first.trial
+    try:
+        missing = seen_missing(search.data, current)
+    except NumericalError:
+        return search, candidates, None
+    proposed = proposals(current, screen(current, missing), missing, 0.0, given=search.data.fixed)
+    scaled = scaled_friction(current.effects, current.problem.channels, current.values, current.values)
+    rest = {p.name: p for p in (*scaled, *proposed)}.values()
+    two = tuple(
+        replace(c, name=f"{first.name} + {c.name}", against=advantage(search.current, c.trial))
+        for c in fitted(search.data, current, tuple(rest), workers)
+        if worth_a_name(c.trial, current, search.base)
+    )
+    return search, (*two, *candidates), best_of(tuple(sorted(two, key=lambda c: -c.against.gain)))
+
+
+def _thought_little_of(
+    current: Trial, screened: Sequence[ScreenedCandidate], missing: Missing, proposed: Sequence[Proposal]
+) -> list[Proposal]:
+    """What gets a fit although screening saw little of it. If it is not noise that is left, everything: screening is
+    linear in what may be far from it, and what it sees depends on what it took for noise. What is late, where no
+    current is measured, whatever is left."""
+    late, rest = [*late_without_current(current), *open_at_zero(current)], dict[str, Proposal]()
+    if _promised(screened) > _PROMISING or current.independent < COLOURED:
+        scaled = scaled_friction(current.effects, current.problem.channels, current.values, current.values)
+        rest = {p.name: p for p in (*scaled, *proposals(current, screened, missing, 0.0))}
+    others = [p for p in rest.values() if p.name not in {q.name for q in late}]
+    return [p for p in (*others, *late) if p.name not in {q.name for q in proposed}]
+
+
+def _worthy(search: _Search, missing: Missing, proposed: Sequence[Proposal], workers: int) -> tuple[Candidate, ...]:
+    """The proposals fitted, less what is too small to have a name or takes too little."""
+    return tuple(
+        c
+        for c in fitted(search.data, search.current, proposed, workers)
+        if noticeable(c.name, c.trial, missing)
+        and (worth_a_name(c.trial, search.current, search.base) or at_odds(c.against))
+    )
+
+
+def _after(progress: Progress, share: float) -> Progress:
+    """As told by what begins there."""
+    return lambda done, step: progress(share + done, step)
+
+
+def _promised(screened: Iterable[ScreenedCandidate]) -> float:
+    """Share of what is missing that the best of them explains."""
+    return max((s.heldout_share for s in screened), default=0.0)
+
+
+def _against_the_best_chance(search: _Search, candidates: tuple[Candidate, ...]) -> _Found:
+    """The best candidate, after the model without it has been fitted again from where it has come to.
+
+    A richer model may only have found the way out of a valley in which the simpler one was left.
+    """
+    best = best_of(candidates)
+    if best is None:
+        return search, candidates, None
+    current = search.current
+    again = fit_trial(search.data, current.effects, _own_values(current, best.trial), like=best.trial, careful=True)
+    if again is None or again.solution.point.value > current.solution.point.value - _BETTER_CHANCE:
+        return search, candidates, best
+    if search.base is current:
+        search.base = again
+    search.current = again
+    judged = [replace(c, against=advantage(again, c.trial)) for c in candidates]
+    candidates = tuple(sorted(judged, key=lambda c: -c.against.gain))
+    return search, candidates, best_of(candidates)
+
+
+def _own_values(current: Trial, other: Trial) -> dict[str, float]:
+    return {name: other.values.get(name, value) for name, value in current.values.items()}
+
+
+def _kept_promise(found: _Found, before: Missing, promised: float) -> bool:
+    """Whether the best model takes of the missing torque and voltage about what screening said could be taken. Where
+    free runs diverge (a rotor between two detents) a fit to them follows the divergence and not the motor: the
+    balances, which run nowhere, tell.
+
+    Args:
+        before: what was missing without it.
+        promised: share of that, on data held out.
+    """
+    search, _, best = found
+    return best is not None and leaves(search.data, best.trial, before) < 1.0 - _MUCH * promised
+
+
+def _with_shorter_runs(had: _Found, proposed: Sequence[Proposal], workers: int) -> _Found:
+    """The same candidates over shorter free runs, where that lets one of them convince, and, if one did before, leaves
+    less missing; else as it was.
+
+    Args:
+        had: over the runs as they are.
+    """
+    search, _, before = had
+    segment_s = shorter_s(search.data.recordings, search.data.split.segment_s)
+    if segment_s is None:
+        return had
+    data = search.data.cut(search.base.effects, segment_s)
+    base = fit_trial(data, search.base.effects, search.base.values)
+    current = fit_trial(data, search.current.effects, search.current.values)
+    if base is None or current is None:
+        return had
+    again = fitted(data, current, proposed, workers)
+    best = best_of(again)
+    if best is None or (before is not None and not leaves_less(data, best.trial, search.data, before.trial)):
+        return had
+    found = replace(search, data=data, base=base)
+    found.current = current
+    return found, again, best
+
+
+def _pruned(data: Data, current: Trial, added: Sequence[str]) -> tuple[Trial, list[str]]:
+    """Effects that a later one has made needless go, and what is richer than needed becomes what it contains."""
+    kept = list(added)
+    for name in list(added):
+        for instead in ((),) * (len(added) > 1) + SIMPLER.get(name, ()):
+            if "constant_load_torque" in instead and name == "asymmetric_friction" and not _only_levels(current):
+                continue
+            without = without_effect(data, current, name, instead=instead)
+            if without is None or not np.isfinite(without.choice.squares).all():
+                continue
+            if needless(advantage(without, current)):
+                kept = [k for present in kept for k in (instead if present == name else (present,))]
+                current = without
+                break
+    return current, kept
+
+
+def _only_levels(trial: Trial) -> bool:
+    """Whether friction differs by direction in its dry level only, which is Coulomb friction and a constant load."""
+    return abs(trial.values["B_neg"] / trial.values["B"] - 1.0) < _ALIKE
+
+
+def without_effect(
+    data: Data, trial: Trial, name: str, *, instead: tuple[str, ...] = (), parts: Sequence[int] = (TRAIN,)
+) -> Trial | None:
+    """The model less one effect, or with simpler ones in its place, fitted anew; None: there is no such model."""
+    effects = tuple(e for present in trial.effects for e in (instead if present == name else (present,)))
+    if len(set(effects)) < len(effects):
+        return None
+    if not model_exists(effects):
+        return None
+    values = as_simpler(trial.values, name, instead)
+    for p in (p for e in effects for p in effects_by_name()[e].parameters):
+        values.setdefault(p.name, p.nominal)
+    return fit_trial(data, effects, values, parts=parts, like=trial)

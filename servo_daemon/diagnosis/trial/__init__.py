@@ -1,0 +1,1 @@
+"""A model fitted on one part of the data and scored on another; two such models compared."""

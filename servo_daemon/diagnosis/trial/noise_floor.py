@@ -1,0 +1,85 @@
+"""What noise alone would leave of free runs: the chosen model simulated with sensor and input noise of the levels that
+the signals show.
+
+A level comes from no simulation's residual. It is what a filter cannot follow in which torque and voltage that the
+model lacks walk as fast as the data want (`missing`): what is wrong in a model goes into these walks. No sensor is
+noisier than third differences of its channel allow, in which motion is hardly left, and none is more exact than its
+steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from servo_daemon.diagnosis.missing.missing import Missing
+from servo_daemon.diagnosis.missing.noise_levels import NoiseLevels
+from servo_daemon.diagnosis.trial.scored import Scored, scored_states
+from servo_daemon.diagnosis.trial.trial import Trial
+from servo_daemon.identification.output_error.problem.rollout import INPUT, free_run
+from servo_daemon.identification.output_error.solver.solver import solve
+from servo_daemon.samples import F64
+
+_SEED = 11
+#: The noise is drawn so often for each free run: within one an input's noise adds up to a drift of a few degrees of
+#: freedom, and one draw of it is half of its mean square off.
+_DRAWS = 4
+#: Third differences of white noise have 20 times its variance. The largest twentieth of their squares, where the motion
+#: has edges, is left out, which leaves 75.9 % of the variance of Gaussian noise.
+_THIRD, _WITHOUT_EDGES, _LEFT = 20.0, 0.95, 0.7588
+
+
+def measured_levels(missing: Missing) -> NoiseLevels:
+    """Of the input and of each channel, over the samples that may be seen.
+
+    Args:
+        missing: under the model, of the longest recording, over what may be seen.
+    """
+    channels, stretches = missing.augmented.channels, missing.stretches
+    c = len(channels)
+    variances = {}
+    for k, name in enumerate(channels):
+        values = [s.rows[s.rows[:, 3 + c + k] > 0, 3 + k] for s in stretches]
+        least = missing.resolution[name] ** 2 / 12.0
+        most = max(third_differences(values), least)
+        variances[name] = float(np.clip(missing.levels.channel_var[name], least, most))
+    return replace(missing.levels, channel_var=variances)
+
+
+def third_differences(parts: Sequence[F64]) -> float:
+    """Variance of white noise with these third differences: the most that a signal's noise can be.
+
+    Args:
+        parts: shapes (n,), consecutive samples.
+    """
+    squares = np.square(np.concatenate([np.diff(x, 3) for x in parts]))
+    if len(squares) == 0:
+        return float("inf")
+    return float(np.mean(squares[squares <= np.quantile(squares, _WITHOUT_EDGES)])) / (_THIRD * _LEFT)
+
+
+def noise_floor(levels: NoiseLevels, trial: Trial, part: int) -> Scored:
+    """Errors of the free runs of a part if nothing but noise were left.
+
+    Each is made anew by the trial's model with noise on its input and on its sensors, and scored like a measured one.
+
+    Args:
+        levels: of the noise.
+        trial: whose parameters hold.
+        part: which free runs.
+    """
+    problem, rng = trial.states(part), np.random.default_rng(_SEED)
+    sensor = np.sqrt([levels.channel_var[name] for name in problem.channels])
+    found = solve(problem, problem.start({}), robust=False, max_iterations=8, curved=False)
+    unknowns = problem.start({}) if found is None else found.point.unknowns
+    segments, starts = [], problem.starts(unknowns, problem.carried(unknowns))
+    for segment, x0 in [*zip(problem.segments, starts, strict=True)] * _DRAWS:
+        rows = segment.rows.copy()
+        rows[:, INPUT] += rng.normal(0.0, np.sqrt(levels.input_var), len(rows))
+        shown, _ = free_run(problem.plant, problem.channels, problem.acting(unknowns, segment.recording), x0, rows)
+        segments.append(replace(segment, measured=shown + rng.normal(size=shown.shape) * sensor, x0=x0))
+    drawn = scored_states(replace(problem, segments=tuple(segments)))
+    squares, counts = (x.reshape(_DRAWS, len(problem.segments), -1) for x in (drawn.squares, drawn.counts))
+    return Scored(squares.mean(axis=0), counts[0], problem.spread)

@@ -1,0 +1,256 @@
+"""Whether the names that a search came to can be believed.
+
+A search always finds something that fits a little better. A name is believed if its effect takes most of the error that
+is not noise, if all of them together do, and if what they leave is small beside what they explain: a friction that is
+not quite Coulomb's leaves a fifth of itself. All this is judged on the parts that fit and decide; the held-out part is
+seen by what is published, when all is decided.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from servo_daemon.diagnosis.missing.missing import Missing
+from servo_daemon.diagnosis.missing.noise_levels import NoiseLevels
+from servo_daemon.diagnosis.screening.dependence import Dependence, dependences
+from servo_daemon.diagnosis.search.evidence import LEAST_OWN, LEAST_TOGETHER, is_what_it_is_called, working_shares
+from servo_daemon.diagnosis.search.select import Selection, without_effect
+from servo_daemon.diagnosis.trial.cuts import mean_over_cuts
+from servo_daemon.diagnosis.trial.data import Data
+from servo_daemon.diagnosis.trial.everything import (
+    WholeFits,
+    by_predictions,
+    exactness,
+    fit_everything,
+    fit_runs,
+    over_a_gap,
+)
+from servo_daemon.diagnosis.trial.lacking import longest_missing
+from servo_daemon.diagnosis.trial.likelihood import as_likely, plainly_worse
+from servo_daemon.diagnosis.trial.noise_floor import measured_levels, noise_floor
+from servo_daemon.diagnosis.trial.split import CHOICE, shorter_s
+from servo_daemon.diagnosis.trial.trial import Trial, fit_trial
+from servo_daemon.diagnosis.trial.twins import told_from_twin
+from servo_daemon.diagnosis.verdict.determined import is_determined
+from servo_daemon.diagnosis.verdict.elsewhere import helps_no_other
+from servo_daemon.errors import NumericalError
+from servo_daemon.identification.output_error import OutputErrorFit
+from servo_daemon.identification.output_error.precision.parameters import FittedParameter
+
+#: What is left may follow something at this share of what the effects explain, not more.
+_LEFT = 0.15
+#: Standard deviations by which two estimates differ that cannot both be right.
+_DIFFERENT = 3.0
+
+
+@dataclass(frozen=True)
+class Believed:
+    """What remains of a search.
+
+    Attributes:
+        selection: with the effects that are believed; none: the model it began with.
+        extended: fitted to everything; None: no effect is believed.
+        missing: what it lacks, of the longest capture.
+        depends_on: what that follows.
+        levels: of the noise, as the samples show it that decided; None: no effect is believed.
+    """
+
+    selection: Selection
+    extended: OutputErrorFit | None
+    missing: Missing | None
+    depends_on: tuple[Dependence, ...]
+    levels: NoiseLevels | None
+
+
+def believed(selection: Selection, whole_fits: WholeFits) -> Believed:
+    """Drop the names that cannot be believed, the weakest first."""
+    data = selection.data
+    before = longest_missing(data, selection.base) if selection.added else None
+    while selection.added:
+        assert before is not None
+        extended = _to_all(data, selection, whole_fits)
+        missing = longest_missing(data, extended)
+        levels = measured_levels(missing)
+        floor = noise_floor(levels, selection.chosen, CHOICE).nrmse
+        fewer = _weakest(selection, floor) or _without_the_unneeded(selection, extended, whole_fits)
+        if fewer is not None:
+            selection = fewer
+            continue
+        if not is_what_it_is_called(selection.added, selection.chosen.values):
+            break
+        removed = removed_share(selection.base.choice.nrmse, selection.chosen.choice.nrmse, floor)
+        # A motor with a gap runs freely nowhere for long: the balances, which run nowhere, may speak for it.
+        if max(removed, _removed_of_missing(before, missing)) < LEAST_TOGETHER:
+            break
+        straight = _straight(data, selection.chosen, extended)
+        if straight is not extended:
+            extended, missing = straight, longest_missing(data, straight)
+        depends = () if extended.white else dependences(extended, missing)
+        # Impacts and first steps come a sample early or late in the best of models: what is left at moments is no sign.
+        follows = [d.relative for d in depends if d.on != "moments"]
+        if follows and max(follows) > _LEFT * _explained(selection, before, missing):
+            break
+        if elsewhere := helps_no_other(selection):
+            if set(elsewhere) == set(selection.added):
+                break
+            selection = _without(selection, elsewhere[0])
+            continue
+        if vague := [name for name in selection.added if not is_determined(name, extended)]:
+            if len(vague) == len(selection.added):
+                break
+            selection = _without(selection, vague[0])
+            continue
+        return _published(selection, levels)
+    return Believed(replace(selection, chosen=selection.base, added=(), equivalent={}), None, None, (), None)
+
+
+def _without(selection: Selection, name: str) -> Selection:
+    """The search's result less one of its effects, fitted anew."""
+    others = tuple(a for a in selection.added if a != name)
+    without = without_effect(selection.data, selection.chosen, name)
+    if without is None or not others:
+        return replace(selection, chosen=selection.base, added=(), equivalent={})
+    return replace(selection, chosen=without, added=others)
+
+
+def _published(selection: Selection, levels: NoiseLevels) -> Believed:
+    """What was decided on the parts for fitting and choosing, fitted to all the data."""
+    data, trial = selection.data.everything, selection.chosen
+    extended = _straight(data, trial, _to_all(data, selection, WholeFits(data)))
+    missing = longest_missing(data, extended)
+    depends = () if extended.white else dependences(extended, missing)
+    better = by_predictions(data, extended)
+    if better is not extended:
+        extended, missing, depends = better, longest_missing(data, better), ()
+    return Believed(selection, over_a_gap(data, extended, trial.values), missing, depends, levels)
+
+
+def _to_all(data: Data, selection: Selection, whole_fits: WholeFits) -> OutputErrorFit:
+    """As `fit_everything`; where the data are not white from where the search has come to, from where screening put the
+    effect: free runs that follow a drift may have bent a spring to follow it, too."""
+    fit = fit_everything(data, selection.chosen, whole_fits)
+    taken = [c for candidates in selection.rounds for c in candidates if c.taken]
+    if fit.white or len(taken) != 1 or taken[0].start is None or taken[0].trial.effects != selection.chosen.effects:
+        return fit
+    other = whole_fits.of(selection.chosen, taken[0].start)
+    return other if other is not None and other.white else fit
+
+
+def _straight(data: Data, trial: Trial, fit: OutputErrorFit) -> OutputErrorFit:
+    """The fit, less what free runs of one length do to it."""
+    straight = _unbent(data, trial, fit)
+    straight = _told_from_twin(data, trial, straight, short=straight is not fit)
+    return mean_over_cuts(data, trial, straight)
+
+
+def _unbent(data: Data, trial: Trial, fit: OutputErrorFit) -> OutputErrorFit:
+    """The fit, or one over shorter free runs if that contradicts it.
+
+    If the model and noise of the sensors were all there is, both would be right, and the longer runs tell more. Noise
+    that enters the motor adds up along a run, at a reversal with dry friction or beside a detent without bound, and
+    bends what is fitted to it: where the two differ the shorter runs are to be believed. Of a given torque or current
+    nothing adds up: see `cuts`.
+    """
+    shorter = shorter_s(data.recordings, data.split.segment_s)
+    if fit.white or shorter is None or fit.problem.plant.drive != "voltage":
+        return fit
+    begun = fit_trial(data.cut(trial.effects, shorter), trial.effects, trial.values) or trial
+    with suppress(NumericalError):
+        short = fit_runs(data, begun, begun.values, shorter)
+        if contradicts(fit.parameters, short.parameters):
+            return short
+    return fit
+
+
+def _told_from_twin(data: Data, trial: Trial, fit: OutputErrorFit, *, short: bool) -> OutputErrorFit:
+    """See `twins`; over the same runs.
+
+    Args:
+        short: the fit is that of `_unbent` over shorter ones.
+    """
+    runs_s = shorter_s(data.recordings, data.split.segment_s) if short else data.split.segment_s
+
+    def again(values: Mapping[str, float]) -> OutputErrorFit | None:
+        with suppress(NumericalError):
+            return fit_runs(data, trial, values, None if fit.white else runs_s)
+        return None
+
+    return told_from_twin(fit, again)
+
+
+def contradicts(fit: Mapping[str, FittedParameter], other: Mapping[str, FittedParameter]) -> bool:
+    """Whether two estimates from the same data, of which the first should be the more exact, differ too much: the
+    variance of their difference is then that of their variances (Hausman, *Econometrica* 46, 1978)."""
+    for name, p in fit.items():
+        q = other[name]
+        if p.value is None or q.value is None or not p.std or not q.std:
+            continue
+        spread = math.hypot(math.sqrt(max(q.std**2 - p.std**2, 0.0)), exactness(name, p))
+        if abs(p.value - q.value) > _DIFFERENT * spread:
+            return True
+    return False
+
+
+def removed_share(before: float, after: float, floor: float) -> float:
+    """(b² − e²)/(b² − n²) of normalised errors; 0 where there is nothing to remove."""
+    room = before**2 - min(floor, after) ** 2
+    return 0.0 if room <= 0 else (before**2 - after**2) / room
+
+
+def _removed_of_missing(before: Missing, after: Missing) -> float:
+    """The same share of missing torque and voltage, in mean squares beyond what their standard deviations explain."""
+    room, taken = 0.0, 0.0
+    for n, was in before.mean_square.items():
+        left = after.mean_square.get(n, 0.0)
+        noise = float(np.mean(np.square(after.std[n]))) / before.size[n] ** 2 if n in after.std else 0.0
+        room += max(was - min(noise, left), 0.0)
+        taken += was - left
+    return taken / room if room > 0.0 else 0.0
+
+
+def _weakest(selection: Selection, floor: float) -> Selection | None:
+    """Without the effect that takes least of what the others leave, if that is too little; None: all take enough."""
+    if len(selection.added) < 2:
+        return None
+    own: list[tuple[float, str, Trial]] = []
+    for name in selection.added:
+        without = without_effect(selection.data, selection.chosen, name)
+        if without is not None and np.isfinite(without.choice.squares).all():
+            share = removed_share(without.choice.nrmse, selection.chosen.choice.nrmse, floor)
+            own.append((share, name, without))
+    share, name, without = min(own, key=lambda o: o[0], default=(1.0, "", selection.chosen))
+    if share >= LEAST_OWN:
+        return None
+    return replace(selection, chosen=without, added=tuple(a for a in selection.added if a != name))
+
+
+def _without_the_unneeded(selection: Selection, extended: OutputErrorFit, whole_fits: WholeFits) -> Selection | None:
+    """The search's result less an effect without which the data are as likely; None: all are needed, or it cannot be
+    told.
+
+    Args:
+        extended: fitted to everything, with noise that enters the motor.
+    """
+    if not extended.white:
+        return None
+    for name in selection.added:
+        others = tuple(a for a in selection.added if a != name)
+        without = without_effect(selection.data, selection.chosen, name) if others else selection.base
+        if without is None or plainly_worse(without, selection.chosen):
+            continue
+        if as_likely(without, extended, whole_fits.of):
+            return replace(selection, chosen=without, added=others)
+    return None
+
+
+def _explained(selection: Selection, before: Missing, after: Missing) -> float:
+    """The effects' torques and voltages as a share of what the motor works with; at least what is told by the missing
+    series themselves."""
+    left = after.mean_square
+    by_series = [math.sqrt(max(was - left[n], 0.0)) for n, was in before.mean_square.items() if n in left]
+    return max([*working_shares(selection.added, selection.chosen, after).values(), *by_series], default=0.0)

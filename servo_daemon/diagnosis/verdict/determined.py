@@ -1,0 +1,46 @@
+"""Whether the data determine an effect that is to be named."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from servo_daemon.identification.output_error import OutputErrorFit
+from servo_daemon.identification.output_error.precision.parameters import FittedParameter
+from servo_daemon.parameters import Parameter
+from servo_daemon.plant.effects import effects_by_name
+
+#: A value is known with a standard deviation below this share of it, a phase below this much, rad.
+_KNOWN, _KNOWN_PHASE_RAD = 0.5, 0.5
+#: Part of a gradient along a direction without a trace beyond which a combination is open.
+_LEAK = 1e-4
+#: What a torque, an inertia or a stiffness is compared with where its own unit is open: without a current (the voltage
+#: that overcomes it, N·m Ω/(N·m/A)), without a voltage (its current), without either (its acceleration).
+_RELATIVE_TO = ({"R": 1.0, "K": -1.0}, {"K": -1.0}, {"J": -1.0})
+
+
+def is_determined(name: str, fit: OutputErrorFit) -> bool:
+    """Whether every parameter of an effect has a value that is known, by itself or as a multiple of the motor's.
+
+    Args:
+        fit: with the effect, as it is published.
+    """
+    free = [p for p in effects_by_name()[name].parameters if p.held != "always" and p.name in fit.problem.free]
+    return all(_known(fit.parameters[p.name]) or _known_relatively(p, fit) for p in free)
+
+
+def _known_relatively(p: Parameter, fit: OutputErrorFit) -> bool:
+    """Of a positive parameter: logarithms add up."""
+    info = fit.after
+    for others in _RELATIVE_TO if p.transform == "log" else ():
+        weights = {p.name: 1.0, **others}
+        gradient = np.array([weights.get(name, 0.0) for name in info.names])
+        leak = float(np.max(np.abs(info.exact @ gradient), initial=0.0))
+        if leak <= _LEAK * float(np.linalg.norm(gradient)) and float(np.linalg.norm(gradient @ info.root)) < _KNOWN:
+            return True
+    return False
+
+
+def _known(p: FittedParameter) -> bool:
+    if p.status != "estimated" or p.value is None or not p.std:
+        return False
+    return p.std < (_KNOWN_PHASE_RAD if p.unit == "rad" else _KNOWN * abs(p.value))

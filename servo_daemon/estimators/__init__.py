@@ -1,1 +1,0 @@
-"""Estimators: pure objects with `reset`, `update(block)` and `estimate()`; no I/O, no clock."""

@@ -1,5 +1,0 @@
-"""Parameters from predictions of each sample by those before it."""
-
-from servo_daemon.estimators.prediction_error.refine import predicted_fit
-
-__all__ = ["predicted_fit"]

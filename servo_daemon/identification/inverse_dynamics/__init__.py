@@ -1,0 +1,1 @@
+"""Identification by the inverse dynamic model: filtered balances, least squares."""

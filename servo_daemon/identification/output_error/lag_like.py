@@ -1,0 +1,75 @@
+"""L without a current: what else is as slow leaves the same trace.
+
+The speed answers the voltage by g/((1 + s τ₁)(1 + s τ₂)). Where both poles are real the faster one may be the
+winding's, or all of it that of the drive's output stage or of a filter in the speed's sensor, with a winding that is as
+good as none; a delay of either differs from these only beyond 1/τ₂. So L lies anywhere from zero to what was fitted,
+and J, which makes τ₁ + τ₂ with it, between what was fitted and τ₁/(τ₁ + τ₂) of that. A pair of complex poles no lag
+makes, but beside a lag it is fitted as another pair: then the model with a lag tells by how much."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from servo_daemon.identification.output_error.fitted import OutputErrorFit
+from servo_daemon.identification.output_error.problem.problem import Problem
+from servo_daemon.kalman.gaussian import natural_values
+from servo_daemon.samples import F64
+
+#: The lag that stands for all of them; and the effects that L may be.
+_LAG = "drive_lag"
+LAGS = (_LAG, "measurement_delay", "speed_filter")
+#: Of a share between zero and one that nothing is known of, root of the mean square.
+_SHARE = 1.0 / np.sqrt(3.0)
+#: No logarithm is moved by more.
+_AT_MOST = 3.0
+
+#: Fits the model with these effects from these natural values.
+Refit = Callable[[tuple[str, ...], Mapping[str, float]], "OutputErrorFit | None"]
+
+
+def leaves_the_trace_of_l(problem: Problem) -> bool:
+    """Whether a lag of something else would pass for L here."""
+    if problem.plant.drive != "voltage" or "current_A" in problem.channels or "L" not in problem.free:
+        return False
+    return not set(LAGS) & set(problem.plant.effects)
+
+
+def equivalents(problem: Problem) -> dict[str, tuple[str, ...]]:
+    """By parameter, the effects whose trace it may be."""
+    if not leaves_the_trace_of_l(problem):
+        return {}
+    return {"L": LAGS if "velocity_rad_s" in problem.channels else LAGS[:2]}
+
+
+def by_other_lags(fit: OutputErrorFit, again: Refit) -> F64 | None:
+    """By how much the coordinates of the free parameters may be off, in one direction, where some of the lag is not the
+    winding's: 1 σ, shape (k,). None: they are not."""
+    problem = fit.problem
+    if not leaves_the_trace_of_l(problem):
+        return None
+    values = natural_values(problem.plant.parameters, problem.coordinates(fit.solution.point.unknowns, 0))
+    names, column = problem.parameter_of_column, np.zeros(len(problem.parameter_of_column))
+    poles = _poles(values)
+    if poles is not None:
+        fast, slow = poles
+        for name, change in (("L", 1.0), ("J", fast / (fast + slow))):
+            if name in names:
+                column[names.index(name)] = _SHARE * change
+        return column
+    lag_s = values["L"] / values["R"] / 2.0
+    other = again((*problem.plant.effects, _LAG), {**values, "L": values["L"] / 2.0, "t_lag": lag_s})
+    if other is None:
+        return None
+    there = dict(zip(other.problem.parameter_of_column, other.solution.point.unknowns, strict=False))
+    moved = [there[n] - fit.solution.point.unknowns[k] if n in there else 0.0 for k, n in enumerate(names)]
+    return np.clip(moved, -_AT_MOST, _AT_MOST)
+
+
+def _poles(q: Mapping[str, float]) -> tuple[float, float] | None:
+    """Time constants, s, the faster first; None where they are no real ones."""
+    braking = q["B"] * q["R"] + q["K"] ** 2
+    p, square = (q["J"] * q["R"] + q["L"] * q["B"]) / braking, q["J"] * q["L"] / braking
+    root = p * p - 4.0 * square
+    return None if root <= 0.0 else ((p - root**0.5) / 2.0, (p + root**0.5) / 2.0)

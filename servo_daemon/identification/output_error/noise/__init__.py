@@ -1,0 +1,1 @@
+"""Noise levels from the residuals: coloured residuals whitened, Fisher scoring."""

@@ -1,0 +1,1 @@
+"""The free run of a model and its residuals, with their derivatives."""

@@ -1,0 +1,125 @@
+"""The plant run freely over a recording, with the exact derivatives of what the sensors show.
+
+Forward sensitivities of the discrete step x⁺ = f(x, u, q, t, h), carried along with it:
+
+    X⁺ = F X,  X(0) = I          ∂x/∂x₀               F = ∂f/∂x
+    Q⁺ = F Q + G,  Q(0) = 0      ∂x/∂q                G = ∂f/∂q
+
+They are the derivatives of the very numbers the simulation gives, not of a differential equation near it, so a
+Gauss–Newton method meets no noise of an integrator's step control. One pass costs about as much as two of the EKF.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import casadi as ca
+import numpy as np
+
+from servo_daemon.kalman.layout import MEASURABLE
+from servo_daemon.kalman.model import natural
+from servo_daemon.plant.build import PlantModel
+from servo_daemon.plant.compiled import SampleLoop
+from servo_daemon.samples import F64
+
+#: Columns of a sample: s since the recording began, s to the next sample, the input until then.
+TIME, STEP, INPUT = range(3)
+
+
+@dataclass(frozen=True, slots=True)
+class Simulated:
+    """A free run.
+
+    Attributes:
+        shown: shape (n, c), what the sensors of the measured channels show.
+        by_state: shape (n, c, nx), derivative by the initial state.
+        by_parameter: shape (n, c, np), derivative by the parameters' coordinates (logarithms where positive).
+        last: shape (nx,), the state after the last step.
+    """
+
+    shown: F64
+    by_state: F64
+    by_parameter: F64
+    last: F64
+
+
+@cache
+def _sensitivity_step(plant: PlantModel, channels: tuple[str, ...]) -> ca.Function:
+    n, n_q = len(plant.states), len(plant.parameters)
+    state, q, row = ca.SX.sym("state", n * (1 + n + n_q)), ca.SX.sym("q", n_q), ca.SX.sym("row", 3)
+    x, S = state[:n], ca.reshape(state[n:], n, n + n_q)
+    x_next = plant.step(x, row[INPUT], natural(plant, q), row[TIME], row[STEP])
+    shown = _shown(plant, channels, x, q, row[TIME])
+    F, G = ca.jacobian(x_next, x), ca.jacobian(x_next, q)
+    S_next = F @ S + ca.horzcat(ca.SX.zeros(n, n), G)
+    slopes = ca.jacobian(shown, x) @ S + ca.horzcat(ca.SX.zeros(len(channels), n), ca.jacobian(shown, q))
+    outputs = ca.vertcat(shown, ca.vec(slopes.T))
+    return ca.Function("step", [state, q, row], ca.cse([ca.vertcat(x_next, ca.vec(S_next)), outputs]))
+
+
+@cache
+def _plain_step(plant: PlantModel, channels: tuple[str, ...]) -> ca.Function:
+    n, n_q = len(plant.states), len(plant.parameters)
+    x, q, row = ca.SX.sym("x", n), ca.SX.sym("q", n_q), ca.SX.sym("row", 3)
+    x_next = plant.step(x, row[INPUT], natural(plant, q), row[TIME], row[STEP])
+    outputs = ca.vertcat(_shown(plant, channels, x, q, row[TIME]), x)
+    return ca.Function("step", [x, q, row], ca.cse([x_next, outputs]))
+
+
+def _shown(plant: PlantModel, channels: Sequence[str], x: ca.SX, q: ca.SX, t: ca.SX) -> ca.SX:
+    sensed = plant.sensed(x, natural(plant, q), t)
+    return ca.vertcat(*[sensed[MEASURABLE.index(c)] for c in channels])
+
+
+@cache
+def _loop(plant: PlantModel, channels: tuple[str, ...], sensitivities: bool) -> SampleLoop:
+    """Compiled once in a process: a fit calls it many times."""
+    return SampleLoop((_sensitivity_step if sensitivities else _plain_step)(plant, channels))
+
+
+def simulate(plant: PlantModel, channels: tuple[str, ...], q: F64, x0: F64, rows: F64) -> Simulated:
+    """Free run with sensitivities.
+
+    Args:
+        channels: which of current_A, velocity_rad_s, position_rad are shown.
+        q: shape (np,), the parameters' coordinates in the plant's order.
+        x0: shape (nx,), the state at the first sample.
+        rows: shape (n, 3), C-contiguous: `TIME`, `STEP`, `INPUT`.
+    """
+    one = simulate_many(plant, channels, q, x0[None], rows[None])
+    return Simulated(one.shown[0], one.by_state[0], one.by_parameter[0], one.last[0])
+
+
+def simulate_many(plant: PlantModel, channels: tuple[str, ...], q: F64, x0: F64, rows: F64) -> Simulated:
+    """The same of many runs at once: everything has a first axis more, of length k.
+
+    Args:
+        x0: shape (k, nx).
+        rows: shape (k, n, 3), C-contiguous.
+    """
+    n, n_q, c = len(plant.states), len(plant.parameters), len(channels)
+    states = np.zeros((len(rows), n * (1 + n + n_q)))
+    states[:, :n] = x0
+    states[:, n : n + n * n] = np.eye(n).ravel()
+    out = _loop(plant, channels, True).run_many(states, q, rows)
+    slopes = out[:, :, c:].reshape(*rows.shape[:2], c, n + n_q)
+    return Simulated(out[:, :, :c], slopes[..., :n], slopes[..., n:], states[:, :n].copy())
+
+
+def free_run(plant: PlantModel, channels: tuple[str, ...], q: F64, x0: F64, rows: F64) -> tuple[F64, F64]:
+    """Free run without sensitivities: what is shown, shape (n, c), and the plant's states, shape (n, nx)."""
+    out = _loop(plant, channels, False).run(np.array(x0, dtype=np.float64), q, rows)
+    return out[:, : len(channels)], out[:, len(channels) :]
+
+
+def free_runs(plant: PlantModel, channels: tuple[str, ...], q: F64, x0: F64, rows: F64) -> F64:
+    """Many free runs: what is shown, shape (k, n, c).
+
+    Args:
+        x0: shape (k, nx).
+        rows: shape (k, n, 3), C-contiguous.
+    """
+    out = _loop(plant, channels, False).run_many(np.array(x0, dtype=np.float64, order="C"), q, rows)
+    return out[:, :, : len(channels)]

@@ -1,0 +1,1 @@
+"""Bounded Gauss–Newton least squares, robust where asked."""

@@ -1,0 +1,174 @@
+"""Where the search begins: the nominal values if there are any, the regression, and guesses from the signals' sizes.
+
+The cost has one minimum near the truth and long flat valleys far from it (a motor ten times too slow does not move in
+the recording). Guesses from sizes are never far in that sense; they cost one simulation each to compare.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from servo_daemon.conditioning.layout import Stretches
+from servo_daemon.identification.output_error.problem.problem import HELD_SHAFT, Problem
+from servo_daemon.identification.output_error.problem.setup import (
+    Recording,
+    acceleration_size,
+    current_size,
+    speed_size,
+)
+from servo_daemon.identification.output_error.window_regression import window_starts
+from servo_daemon.kalman.gaussian import to_coordinate
+from servo_daemon.parameters import LINEAR, Parameter
+from servo_daemon.plant.build import PlantModel
+from servo_daemon.regression.motor_rls import MotorRls
+from servo_daemon.regression.rls import SPANS_S
+from servo_daemon.samples import SampleBlock
+
+#: Mechanical and electrical time constants that are tried, s: from small coreless motors to geared axes.
+_MECHANICAL_S, _ELECTRICAL_S = (0.005, 0.03, 0.2), (0.0003, 0.003)
+#: Viscous friction as a share of the back-EMF's braking K²/R; an effect's torque as a share of the motor's.
+_FRICTION_SHARE, _EFFECT_SHARE = 0.2, 0.05
+#: Sources of starts of which only the best are searched from.
+BY_WINDOWS, BY_SIZES = "regression over windows", "signal sizes"
+#: Samples handed to the regression at once: its windows are short against them.
+_TICK = 500
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """A set of values in natural units and where it comes from."""
+
+    source: str
+    values: Mapping[str, float]
+
+
+def starting_points(recordings: Sequence[Recording], problem: Problem, nominal: Mapping[str, float]) -> list[Start]:
+    """Starts, the nominal one first if it is complete, then the rest in no particular order.
+
+    Args:
+        nominal: what the user gave, natural units.
+    """
+    turning = [r.seen_block for k, r in enumerate(recordings) if k not in problem.blocked]
+    block = max(turning or [r.seen_block for r in recordings], key=len)
+    guesses = [Start(BY_SIZES, values) for values in _from_sizes(block, problem.plant, nominal)]
+    regression = regression_values(block, problem.plant)
+    starts = []
+    needed = {p.name for p in LINEAR} & {*problem.free, *problem.local}
+    if nominal and needed <= nominal.keys():
+        starts.append(Start("nominal values", _complete(nominal, guesses[0].values, problem.plant)))
+    if regression:
+        starts.append(Start("regression", _complete(regression, guesses[0].values, problem.plant)))
+    if nominal and not needed <= nominal.keys():
+        starts += [Start(f"nominal values, {BY_SIZES}", _complete(nominal, g.values, problem.plant)) for g in guesses]
+    if problem.plant.drive == "voltage" and turning and problem.channels != ("current_A",):
+        given = {n: v for n, v in nominal.items() if n in problem.given}
+        starts += [
+            Start(f"{BY_WINDOWS} of {length} samples", _complete({**values, **given}, guesses[0].values, problem.plant))
+            for length, values in window_starts(block, _core(guesses[0].values))
+        ]
+    starts += guesses
+    return starts if turning else [replace(s, values={**s.values, **HELD_SHAFT}) for s in starts]
+
+
+def _core(values: Mapping[str, float]) -> dict[str, float]:
+    return {p.name: values[p.name] for p in LINEAR}
+
+
+def coordinates(start: Start, problem: Problem) -> dict[str, float]:
+    """The start in the estimated coordinates, given parameters included."""
+    table = {p.name: p for p in problem.plant.parameters}
+    out = {n: to_coordinate(p, float(np.clip(start.values[n], p.lower, p.upper))) for n, p in table.items()}
+    return out | dict(problem.given)
+
+
+def _complete(some: Mapping[str, float], rest: Mapping[str, float], plant: PlantModel) -> dict[str, float]:
+    return {n: some.get(n, rest[n]) for n in plant.parameter_names}
+
+
+def _from_sizes(block: SampleBlock, plant: PlantModel, nominal: Mapping[str, float]) -> list[dict[str, float]]:
+    speed = max(speed_size(block), 1e-9)
+    core: list[dict[str, float]] = []
+    if plant.drive == "voltage":
+        assert block.voltage_V is not None
+        voltage = max(float(np.percentile(np.abs(block.voltage_V), 95.0)), 1e-9)
+        moves = block.position_rad is not None or block.velocity_rad_s is not None
+        K = 0.7 * voltage / speed if moves else 0.05
+        R = 0.5 * voltage / max(current_size(block), 1e-9) if block.current_A is not None else 1.0
+        if block.current_A is None and "Tg" in nominal:  # a known weight says how much torque a volt makes
+            R = K * voltage / (2.0 * nominal["Tg"])
+        for mechanical, electrical in product(_MECHANICAL_S, _ELECTRICAL_S):
+            braking = K * K / R
+            J = mechanical * braking * (1 + _FRICTION_SHARE)
+            core.append({"R": R, "L": R * electrical, "K": K, "J": J, "B": _FRICTION_SHARE * braking})
+    else:
+        known = block.torque_Nm if plant.drive == "torque" else block.current_A
+        assert known is not None
+        torque = max(float(np.percentile(np.abs(known), 95.0)), 1e-12)
+        acceleration = max(acceleration_size(block), 1e-9)
+        core = [{"K": 1.0, "J": (1 - s) * torque / acceleration, "B": s * torque / speed} for s in (0.1, 0.5)]
+    return [_with_effects(values, block, plant) for values in core]
+
+
+def torque_size(values: Mapping[str, float], block: SampleBlock, drive: str) -> float:
+    """N·m: what the motor typically exerts."""
+    if drive == "torque" and block.torque_Nm is not None:
+        return float(np.percentile(np.abs(block.torque_Nm), 95.0))
+    if block.current_A is None and block.voltage_V is not None:
+        return values["K"] * float(np.percentile(np.abs(block.voltage_V), 95.0)) / values["R"]
+    return values["K"] * current_size(block)
+
+
+def sizes(values: Mapping[str, float], block: SampleBlock, plant: PlantModel) -> dict[str, float]:
+    """What a parameter's `Scale` multiplies, from signals and the motor's values."""
+    voltage = float(np.percentile(np.abs(block.voltage_V), 95.0)) if block.voltage_V is not None else 1.0
+    travel = float(np.ptp(block.position_rad)) / 2 if block.position_rad is not None else 1.0
+    seconds = float(block.time_s[-1] - block.time_s[0])
+    measured = {
+        "torque": torque_size(values, block, plant.drive),
+        "voltage": voltage,
+        "current": current_size(block),
+        "speed": speed_size(block),
+        "travel": travel,
+        "seconds": seconds,
+    }
+    return {**{n: values[n] for n in ("R", "J", "B") if n in values}, **{n: v or 1.0 for n, v in measured.items()}}
+
+
+def _with_effects(values: dict[str, float], block: SampleBlock, plant: PlantModel) -> dict[str, float]:
+    size = sizes(values, block, plant)
+    for p in plant.parameters:
+        if p.name not in values:
+            values[p.name] = _effect_start(p, size)
+    return values
+
+
+def _effect_start(p: Parameter, size: Mapping[str, float]) -> float:
+    if p.scale is not None and p.scale.share:
+        return float(np.clip(p.scale.share * p.scale.product(size), p.lower, p.upper))
+    if p.unit == "N·m" and p.transform == "log":
+        return _EFFECT_SHARE * size["torque"]
+    return p.nominal
+
+
+def regression_values(block: SampleBlock, plant: PlantModel) -> dict[str, float]:
+    """What the daemon's own regression finds of R, L, K, J and B, where it can be used at all; empty otherwise."""
+    if plant.drive != "voltage" or block.current_A is None:
+        return {}
+    if block.position_rad is None and block.velocity_rad_s is None:
+        return {}
+    rls, stretches = MotorRls(plant, {}, spans_s=(SPANS_S[-1],)), Stretches()
+    period = float(np.median(np.diff(block.time_s)))
+    for begin in range(0, len(block), _TICK):
+        part = block.slice(begin, begin + _TICK)
+        last = float(block.time_s[begin - 1]) if begin else None
+        rls.update(stretches.of(part, float(block.time_s[0]), last, period), {})
+    found = rls.estimate()
+    if found is None:
+        return {}
+    table = {p.name: p for p in plant.parameters}
+    good = [k for k, n in enumerate(found.names) if n in table and table[n].lower < found.value[k] < table[n].upper]
+    return {found.names[k]: float(found.value[k]) for k in good}

@@ -1,0 +1,1 @@
+"""The paper's methods side by side on one capture, and its own numbers redone."""

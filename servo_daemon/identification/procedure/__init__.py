@@ -1,0 +1,1 @@
+"""Captures in, fitted and validated model out."""

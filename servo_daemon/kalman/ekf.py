@@ -1,0 +1,307 @@
+"""The extended Kalman filter as an object: state, constants and the compiled loop over `ekf_model`'s step."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_daemon.kalman.gaussian import Gaussian, to_coordinate
+from servo_daemon.kalman.layout import STATISTICS, EkfLayout
+from servo_daemon.kalman.model import INSTRUMENT_S, NO_INSTRUMENT_S, build_ekf_step
+from servo_daemon.kalman.records import ChannelStatistics, Innovations, NoiseLevels
+from servo_daemon.plant.build import PlantModel
+from servo_daemon.plant.compiled import SampleLoop
+from servo_daemon.plant.effects.base import LATE
+from servo_daemon.samples import F64
+
+#: Standard deviations of the plant's states when nothing is known of them: current A, speed rad/s, angle rad.
+_UNKNOWN_STATE_STD = {"current_A": 100.0, "velocity_rad_s": 1000.0, "position_rad": 100.0}
+
+#: Variance of a parameter the filter must not move.
+_HELD_VARIANCE = 1e-18
+_LAST = STATISTICS.index("last")
+
+
+class Loop(Protocol):
+    """What runs the step: `SampleLoop`, or the one in `filterpy_ekf`."""
+
+    def run(self, state: F64, constants: F64, samples: F64) -> F64: ...
+
+
+class Ekf:
+    """Joint state and parameter filter.
+
+    Args:
+        plant: the model.
+        channels: measured channels, some of `ekf_model.MEASURABLE`.
+        loop: engine of the running recursion; the compiled one if None.
+    """
+
+    def __init__(self, plant: PlantModel, channels: tuple[str, ...], loop: Loop | None = None) -> None:
+        self.plant, self.channels = plant, channels
+        layout, function = build_ekf_step(plant, channels)
+        self._lay: EkfLayout = layout
+        self._compiled: Loop = SampleLoop(function)
+        self._running: Loop = self._compiled if loop is None else loop
+        self._state = np.zeros(layout.n_state)
+        self._constants = np.zeros(layout.n_constants)
+        self.use_instrument(True)
+        rows, columns = np.tril_indices(layout.n_z)
+        order = np.lexsort((rows, columns))  # by columns, as the step packs it
+        self._rows, self._columns = rows[order], columns[order]
+        # Where each element of P is in the state, shape (n_z, n_z), and of the parameters' part alone.
+        self._elements = np.empty((layout.n_z, layout.n_z), dtype=np.intp)
+        self._elements[self._rows, self._columns] = np.arange(layout.tri.start, layout.tri.stop)
+        self._elements[self._columns, self._rows] = self._elements[self._rows, self._columns]
+        self._parameter_elements = self._elements[layout.q, layout.q].copy()
+        self._variances = self._elements.diagonal().copy()
+        self._parameter_variances = self._variances[layout.q].copy()
+        self.started = False
+
+    @property
+    def layout(self) -> EkfLayout:
+        return self._lay
+
+    def reset(self) -> None:
+        self._state[:] = 0.0
+        self.started = False
+
+    def start(self, parameters: Gaussian, x: F64 | None = None, held_input: float = 0.0, held_var: float = 0.0) -> None:
+        """Begin from these parameters and, if given, these plant states (as a mean; their spread is wide)."""
+        mean, covariance = self._ordered(parameters)
+        z, P = np.zeros(self._lay.n_z), np.zeros((self._lay.n_z, self._lay.n_z))
+        z[self._lay.q] = mean
+        P[self._lay.q, self._lay.q] = covariance
+        self._state[:] = 0.0
+        self._state[self._lay.held_input], self._state[self._lay.held_variance] = held_input, held_var
+        self._put(z, P)
+        self.forget_state(x)
+        self.started = True
+
+    def forget_state(self, x: F64 | None = None) -> None:
+        """After a pause or a restart of the device: parameters are kept, the plant's states are unknown again."""
+        initial = np.array([s.initial for s in self.plant.states]) if x is None else x
+        self._forget(list(range(self._lay.n_x)), initial)
+
+    def forget_motion(self, x: F64) -> None:
+        """After missing samples: current, speed and angle are unknown again, and what a late sensor kept of them; what
+        changes slowly (a temperature) is known as before.
+
+        Args:
+            x: where the plant's states are to start, shape (n_x,); those that are not forgotten are not looked at.
+        """
+        self._forget([k for k, s in enumerate(self.plant.states) if s.name in _UNKNOWN_STATE_STD or s in LATE], x)
+
+    def _forget(self, which: list[int], x: F64) -> None:
+        z, P = self.mean, self.covariance
+        z[which] = x[which]
+        P[which, :] = 0.0
+        P[:, which] = 0.0
+        for k in which:
+            state = self.plant.states[k]
+            P[k, k] = _UNKNOWN_STATE_STD.get(state.name, 3 * state.scale) ** 2
+        self._put(z, P)
+        self._state[self._lay.instrument] = z[self._lay.x]
+        self._state[-1] = 0.0
+
+    def know_state(self, name: str, mean: float, var: float) -> None:
+        """What is known of a state of the plant from elsewhere; it is correlated with nothing."""
+        z, P, k = self.mean, self.covariance, self.plant.state_names.index(name)
+        z[k] = mean
+        P[k, :] = 0.0
+        P[:, k] = 0.0
+        P[k, k] = var
+        self._put(z, P)
+        self._state[self._lay.instrument] = z[self._lay.x]
+
+    def set_noise(self, noise: NoiseLevels) -> None:
+        self._constants[0], self._constants[1] = noise.input_var, noise.torque_psd
+        self._constants[self._lay.r] = noise.channel_var
+
+    @property
+    def noise(self) -> NoiseLevels:
+        """As it was set."""
+        r = tuple(self._constants[self._lay.r].tolist())
+        return NoiseLevels(float(self._constants[0]), float(self._constants[1]), r)
+
+    @property
+    def constants(self) -> F64:
+        """A copy of what the filter is told: noise, walks, which parameters may move, whether it has an instrument."""
+        return self._constants.copy()
+
+    def put_constants(self, constants: F64) -> None:
+        """As they were."""
+        self._constants[:] = constants
+
+    def set_active(self, active: NDArray[np.bool_] | F64, walk_var_per_s: F64) -> None:
+        """How the parameters may move.
+
+        Args:
+            active: shape (n_q,), 1 or 0: whether the gain's row acts.
+            walk_var_per_s: shape (n_q,): process noise of each coordinate, 1/s.
+        """
+        self._constants[self._lay.walk] = walk_var_per_s
+        self._constants[self._lay.active] = active
+
+    def hold(self) -> None:
+        """No parameter moves."""
+        self._constants[self._lay.active] = 0.0
+
+    def use_instrument(self, use: bool) -> None:
+        """Whether derivatives are taken along the instrument (`ekf_model`); for parameters that are nearly right."""
+        self._constants[-1] = INSTRUMENT_S if use else NO_INSTRUMENT_S
+
+    def update(self, samples: F64, *, again: bool = False) -> Innovations:
+        """Run over samples laid out as `EkfLayout` says, shape (n, n_sample).
+
+        Args:
+            again: they are gone over again: with the compiled step whatever the engine is, for these are a hundred
+                times as many as there are samples.
+        """
+        outputs = (self._compiled if again else self._running).run(self._state, self._constants, samples)
+        return Innovations(outputs[:, 0::3], outputs[:, 1::3], outputs[:, 2::3])
+
+    def take_information(self) -> F64:
+        """Information gained on each parameter's coordinate since the last call: Σ (1/σ²_after − 1/σ²_before)."""
+        gained = self._state[self._lay.information].copy()
+        self._state[self._lay.information] = 0.0
+        return gained
+
+    def take_statistics(self) -> dict[str, ChannelStatistics]:
+        """Sums over the innovations of each channel since the last call."""
+        sums = self._state[self._lay.statistics].reshape(len(self.channels), len(STATISTICS))
+        taken = {name: ChannelStatistics.of(row) for name, row in zip(self.channels, sums.tolist(), strict=True)}
+        last = sums[:, _LAST].copy()
+        sums[:] = 0.0
+        sums[:, _LAST] = last  # goes on from sample to sample
+        return taken
+
+    @property
+    def mean(self) -> F64:
+        return self._state[self._lay.z].copy()
+
+    @property
+    def covariance(self) -> F64:
+        return self._state[self._elements]
+
+    @property
+    def x(self) -> F64:
+        """The plant's states, shape (n_x,)."""
+        return self._state[self._lay.x].copy()
+
+    @property
+    def state_var(self) -> F64:
+        """Variances of the plant's states, shape (n_x,)."""
+        return self._state[self._variances[self._lay.x]]
+
+    def estimate(self) -> Gaussian:
+        lay = self._lay
+        return Gaussian(self.plant.parameter_names, self._state[lay.q].copy(), self._state[self._parameter_elements])
+
+    @property
+    def coordinates(self) -> F64:
+        """The parameters' coordinates, shape (n_q,)."""
+        return self._state[self._lay.q].copy()
+
+    @property
+    def coordinate_std(self) -> F64:
+        """1 σ of the parameters' coordinates, shape (n_q,)."""
+        return np.asarray(np.sqrt(np.maximum(self._state[self._parameter_variances], 0.0)))
+
+    def correlation(self, k: int, j: int) -> float:
+        """Of two coordinates' errors."""
+        variances = self._state[self._parameter_variances[k]] * self._state[self._parameter_variances[j]]
+        return float(self._state[self._parameter_elements[k, j]] / np.sqrt(max(variances, 1e-300)))
+
+    def snapshot(self) -> F64:
+        """A copy of everything the filter carries, for `parameters_of`; cheap."""
+        return self._state.copy()
+
+    def restore(self, snapshot: F64) -> None:
+        """Everything as it was then."""
+        self._state[:] = snapshot
+
+    def parameters_of(self, snapshot: F64) -> tuple[F64, F64]:
+        """The parameters' coordinates (n_q,) and their covariance (n_q, n_q) in a snapshot."""
+        return snapshot[self._lay.q].copy(), snapshot[self._parameter_elements]
+
+    def moments_of(self, snapshot: F64) -> tuple[F64, F64]:
+        """The parameters' coordinates and their variances in a snapshot, shape (n_q,) each."""
+        return snapshot[self._lay.q], snapshot[self._parameter_variances]
+
+    def put_parameters(self, mean: F64, covariance: F64) -> None:
+        """Replace what is known of the parameters; the plant's states stay and are no longer correlated with them.
+
+        Args:
+            mean: coordinates, shape (n_q,).
+            covariance: shape (n_q, n_q).
+        """
+        z, P = self.mean, self.covariance
+        z[self._lay.q] = mean
+        P[self._lay.q, :] = 0.0
+        P[:, self._lay.q] = 0.0
+        P[self._lay.q, self._lay.q] = covariance
+        self._put(z, P)
+
+    def recall(self, which: NDArray[np.bool_], mean: F64, covariance: F64) -> None:
+        """What was known of some coordinates, and was left out of the filter meanwhile, holds again: taken as a
+        measurement.
+
+        Args:
+            which: coordinates, shape (n_q,).
+            mean, covariance: of all coordinates then, shapes (n_q,) and (n_q, n_q).
+        """
+        index = np.flatnonzero(which)
+        if len(index) == 0:
+            return
+        z, P, at = self.mean, self.covariance, self._lay.n_x + index
+        S = P[np.ix_(at, at)] + covariance[np.ix_(index, index)]
+        size = np.sqrt(np.diag(S))
+        gain = np.linalg.solve(S / np.outer(size, size), P[at] / size[:, None]).T / size
+        z = z + gain @ (mean[index] - z[at])
+        left = np.eye(len(z))
+        left[:, at] -= gain
+        P = left @ P @ left.T + gain @ covariance[np.ix_(index, index)] @ gain.T
+        self._put(z, (P + P.T) / 2)
+
+    def widen_parameters(self, var: F64) -> None:
+        """Add to the variances of the coordinates, shape (n_q,)."""
+        self._state[self._parameter_variances] += var
+
+    def put_coordinate(self, k: int, coordinate: float) -> None:
+        """Coordinate k is somewhere else; nothing else moves."""
+        self._state[self._lay.n_x + k] = coordinate
+
+    def is_plausible(self) -> bool:
+        """Everything finite and every variance positive; cheap."""
+        return bool(
+            np.logical_and.reduce(np.isfinite(self._state)) and np.minimum.reduce(self._state[self._variances]) > 0.0
+        )
+
+    def is_sound(self) -> bool:
+        """Plausible, and the covariance has a Cholesky factor."""
+        if not self.is_plausible():
+            return False
+        P = self.covariance
+        scale = np.sqrt(np.diag(P))
+        try:
+            np.linalg.cholesky(P / np.outer(scale, scale) + 1e-12 * np.eye(len(P)))
+        except np.linalg.LinAlgError:
+            return False
+        return True
+
+    def _put(self, z: F64, P: F64) -> None:
+        self._state[self._lay.z] = z
+        self._state[self._lay.tri] = P[self._rows, self._columns]
+
+    def _ordered(self, g: Gaussian) -> tuple[F64, F64]:
+        """The given estimates in the plant's order; a parameter not given is held at its table value."""
+        n = self._lay.n_q
+        mean = np.array([to_coordinate(p, p.nominal) for p in self.plant.parameters])
+        covariance = np.diag(np.full(n, _HELD_VARIANCE))
+        index = [self.plant.parameter_names.index(name) for name in g.names]
+        mean[index] = g.mean
+        covariance[np.ix_(index, index)] = g.covariance + np.diag(np.full(len(index), _HELD_VARIANCE))
+        return mean, covariance

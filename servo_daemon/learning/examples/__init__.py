@@ -1,0 +1,1 @@
+"""Simulated motors and their windows, from which is learned."""

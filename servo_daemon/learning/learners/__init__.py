@@ -1,0 +1,1 @@
+"""The learners: forest, generalised regression network, their screening, intervals and familiarity."""

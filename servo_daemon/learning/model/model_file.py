@@ -1,0 +1,275 @@
+"""Models on disk: a zip of `manifest.json`, for people and for every check, and `model.skops`, the learned numbers.
+
+skops, not pickle: a file names the types it is made of, and what is not on the list below is refused before anything is
+built from it. The hashes find damage and careless editing; they are no signature: who can write the file can write new
+hashes, and still gets nothing executed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from servo_daemon import __version__
+from servo_daemon.errors import BadInputError
+from servo_daemon.learning.examples.drawing import TrainingSpec
+from servo_daemon.learning.examples.drive import same_rate
+from servo_daemon.learning.examples.targets import TARGET_KINDS
+from servo_daemon.learning.examples.training import TARGETS
+from servo_daemon.learning.features import catalogue
+from servo_daemon.learning.learners.conformal import Intervals
+from servo_daemon.learning.learners.learners import LEARNERS
+from servo_daemon.learning.model.model import LearnedModel
+from servo_daemon.plant.build import build_plant
+
+SCHEMA = 5
+_KIND = "servo-daemon learned model"
+_MANIFEST, _MODEL = "manifest.json", "model.skops"
+#: No model is larger, bytes; a zip can promise anything.
+_LARGEST = 500_000_000
+#: Of a SHA-256 hash, as text.
+_DIGITS = 64
+#: Types a model may be made of, beside those that skops itself knows to be harmless.
+_TYPES = frozenset(
+    {
+        "servo_daemon.learning.learners.grnn.GRNN",
+        "servo_daemon.learning.features.preparation.Preparation",
+        "servo_daemon.learning.learners.familiarity.Familiarity",
+        "servo_daemon.learning.model.strangeness.Strangeness",
+        "servo_daemon.learning.learners.trees.BoostedTrees",
+        "sklearn.tree._tree.Tree",
+        "sklearn.metrics._dist_metrics.EuclideanDistance64",
+        "sklearn.neighbors._kd_tree.KDTree",
+        "sklearn.neighbors._ball_tree.BallTree",
+    }
+)
+
+
+@dataclass(frozen=True)
+class DriveIdentity:
+    """For which drive a model is.
+
+    Attributes:
+        effects, nominal, channels: of the drive, as in `TrainingSpec`.
+        rate_hz: its sample rate; None: not known yet.
+    """
+
+    effects: tuple[str, ...]
+    nominal: Mapping[str, float]
+    channels: tuple[str, ...]
+    rate_hz: float | None = None
+
+
+def save_model(model: LearnedModel, path: Path) -> None:
+    """Written beside and renamed, so that a file is whole or not there.
+
+    Raises:
+        BadInputError: it cannot be written there.
+    """
+    import skops.io
+
+    parts = {
+        "preparation": model.preparation,
+        "kept": model.kept,
+        "estimator": model.estimator,
+        "familiarity": model.familiarity,
+        "strangeness": model.strangeness,
+        "intervals": {k: np.asarray(v) for k, v in asdict(model.intervals).items()},
+    }
+    numbers = skops.io.dumps(parts)
+    manifest = _manifest(model, hashlib.sha256(numbers).hexdigest())
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+            file.write(_packed(manifest, numbers))
+            file.flush()
+            os.fsync(file.fileno())
+        Path(file.name).replace(path)
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _packed(manifest: Mapping[str, Any], numbers: bytes) -> bytes:
+    """The file: a zip whose comment is the hash of all bytes before it, so that no byte can change unnoticed."""
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(_MANIFEST, json.dumps(manifest, indent=1, ensure_ascii=False))
+        archive.writestr(_MODEL, numbers)
+        archive.comment = bytes(_DIGITS)
+    content = packed.getvalue()[:-_DIGITS]
+    return content + hashlib.sha256(content).hexdigest().encode()
+
+
+def _manifest(model: LearnedModel, numbers_sha256: str) -> dict[str, Any]:
+    p, spec = model.preparation, model.spec
+    names = [catalogue.NAMES[k] for k in p.used_]
+    content: dict[str, Any] = {
+        "kind": _KIND,
+        "schema": SCHEMA,
+        "versions": _versions(),
+        "spec": asdict(spec) | {"nominal": dict(spec.nominal)},
+        "plant": build_plant(spec.plant_effects).content_hash,
+        "targets": list(TARGETS),
+        "target": model.target,
+        "learner": model.learner,
+        "features": list(catalogue.NAMES),
+        "features_kept": list(model.feature_names),
+        # logarithms for positive features
+        "ranges": {n: [float(p.points_[0, k]), float(p.points_[-1, k])] for k, n in enumerate(names)},
+        "facts": dict(model.facts),
+        "model_sha256": numbers_sha256,
+    }
+    return content | {"manifest_sha256": _hash(content)}
+
+
+def _versions() -> dict[str, str]:
+    import sklearn
+
+    return {
+        "servo_daemon": __version__,
+        "features": str(catalogue.VERSION),
+        "scikit-learn": ".".join(sklearn.__version__.split(".")[:2]),
+    }
+
+
+def _hash(content: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True, ensure_ascii=False).encode()).hexdigest()
+
+
+def load_model(path: Path, drive: DriveIdentity | None = None) -> LearnedModel:
+    """A model from its file.
+
+    Args:
+        drive: for which it must have been trained; None: any.
+
+    Raises:
+        BadInputError: the file is not a model, is damaged or altered, is made of types that no model is made of, was
+            trained by other versions, or for another drive; one line that says which.
+    """
+    manifest, numbers = _unpacked(path)
+    _check_versions(path, manifest)
+    spec = _spec(path, manifest)
+    if drive is not None:
+        _check_drive(path, spec, drive)
+    parts = _built(path, numbers)
+    try:
+        return LearnedModel(
+            spec,
+            manifest["target"],
+            manifest["learner"],
+            parts["preparation"],
+            parts["kept"],
+            parts["estimator"],
+            Intervals(**parts["intervals"]),
+            parts["familiarity"],
+            parts["strangeness"],
+            manifest["facts"],
+        )
+    except (KeyError, TypeError) as error:
+        raise BadInputError(f"{path}: a part of the model is missing: {error}") from error
+
+
+def trained_as(path: Path) -> tuple[TrainingSpec, str]:
+    """On what the model in a file was trained, and which learner it is; its numbers are not built.
+
+    Raises:
+        BadInputError: see `load_model`.
+    """
+    manifest, _ = _unpacked(path)
+    _check_versions(path, manifest)
+    return _spec(path, manifest), str(manifest["learner"])
+
+
+def _unpacked(path: Path) -> tuple[dict[str, Any], bytes]:
+    try:
+        packed = path.read_bytes()
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    try:
+        with zipfile.ZipFile(io.BytesIO(packed)) as archive:
+            if sum(i.file_size for i in archive.infolist()) > _LARGEST:
+                raise BadInputError(f"{path}: larger than any model")
+            manifest, numbers = json.loads(archive.read(_MANIFEST)), archive.read(_MODEL)
+    except BadInputError:
+        raise
+    except Exception as error:  # a byte that has changed leads anywhere: into zlib, a wrong offset, a password
+        raise BadInputError(f"{path}: not a model of servo-daemon, or damaged: {error}") from error
+    if not isinstance(manifest, dict) or manifest.get("kind") != _KIND:
+        raise BadInputError(f"{path}: not a model of servo-daemon")
+    if manifest.get("schema") != SCHEMA:
+        raise BadInputError(f"{path}: a model of schema {manifest.get('schema')}, here is {SCHEMA}: train it again")
+    content = {k: v for k, v in manifest.items() if k != "manifest_sha256"}
+    if manifest.get("manifest_sha256") != _hash(content):
+        raise BadInputError(f"{path}: its manifest has been altered: the content hash does not match")
+    if manifest.get("model_sha256") != hashlib.sha256(numbers).hexdigest():
+        raise BadInputError(f"{path}: the model has been altered: the content hash does not match")
+    if packed[-_DIGITS:] != hashlib.sha256(packed[:-_DIGITS]).hexdigest().encode():
+        raise BadInputError(f"{path}: the file has been altered: its hash does not match")
+    return manifest, numbers
+
+
+def _check_versions(path: Path, manifest: Mapping[str, Any]) -> None:
+    here, there = _versions(), manifest.get("versions", {})
+    # Another version of the program is fine as long as features and equations are the same.
+    for name in ("features", "scikit-learn"):
+        if there.get(name) != here[name]:
+            raise BadInputError(f"{path}: trained with {name} {there.get(name)}, here is {here[name]}: train it again")
+    if manifest.get("features") != list(catalogue.NAMES) or manifest.get("targets") != list(TARGETS):
+        raise BadInputError(f"{path}: trained on other features than this version computes: train it again")
+    if manifest.get("target") not in TARGET_KINDS or manifest.get("learner") not in LEARNERS:
+        raise BadInputError(f"{path}: its target or learner is none of this version's: train it again")
+
+
+def _spec(path: Path, manifest: Mapping[str, Any]) -> TrainingSpec:
+    try:
+        table = dict(manifest["spec"])
+        table |= {name: tuple(table[name]) for name in ("effects", "channels")}
+        spec = TrainingSpec(**table)
+        plant = build_plant(spec.plant_effects).content_hash
+    except (KeyError, TypeError, BadInputError) as error:
+        raise BadInputError(f"{path}: what it was trained on cannot be read: {error}") from error
+    if manifest.get("plant") != plant:
+        raise BadInputError(f"{path}: trained on other equations of the motor than this version's: train it again")
+    return spec
+
+
+def _check_drive(path: Path, spec: TrainingSpec, drive: DriveIdentity) -> None:
+    """Raises BadInputError where the model was trained for another one."""
+    if spec.effects != drive.effects:
+        ours, its = (", ".join(e) or "linear motor" for e in (drive.effects, spec.effects))
+        raise BadInputError(f"{path}: trained for the model {its}, the drive has {ours}")
+    if set(spec.channels) != set(drive.channels):
+        have, had = ", ".join(drive.channels), ", ".join(spec.channels)
+        raise BadInputError(f"{path}: trained for the signals {had}, the drive has {have}")
+    for name, value in spec.nominal.items():
+        if name in drive.nominal and not np.isclose(value, drive.nominal[name], rtol=1e-6):
+            raise BadInputError(f"{path}: trained around {name} = {value:g}, the drive has {drive.nominal[name]:g}")
+    if drive.rate_hz is not None and not same_rate(spec.rate_hz, drive.rate_hz):
+        raise BadInputError(f"{path}: trained for {spec.rate_hz:g} Hz, the drive has {drive.rate_hz:g} Hz")
+
+
+def _built(path: Path, numbers: bytes) -> dict[str, Any]:
+    import skops.io
+
+    try:
+        foreign = sorted(set(skops.io.get_untrusted_types(data=numbers)) - _TYPES)
+        if foreign:
+            raise BadInputError(f"{path}: refused: it contains {', '.join(foreign[:3])}, which no model does")
+        parts = skops.io.loads(numbers, trusted=sorted(_TYPES))
+    except BadInputError:
+        raise
+    except Exception as error:  # whatever a file of somebody else's making runs into
+        raise BadInputError(f"{path}: the model cannot be read: {error}") from error
+    if not isinstance(parts, dict):
+        raise BadInputError(f"{path}: not a model of servo-daemon")
+    return parts

@@ -1,0 +1,1 @@
+"""From examples to a model, in the foreground or beside a running daemon."""

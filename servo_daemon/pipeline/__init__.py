@@ -1,0 +1,1 @@
+"""From sample blocks to what is published of them: no thread, no socket, no clock."""

@@ -1,0 +1,49 @@
+"""What warns of a drive's parameters: alarms and the watch over the margins of its control loop, together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from servo_daemon.config import DriveConfig
+from servo_daemon.pipeline.alarms import Alarms
+from servo_daemon.pipeline.controller import incomplete, loop_facts
+from servo_daemon.pipeline.margin_watch import ALARM, MarginWatch
+from servo_daemon.published.snapshot import Estimate
+from servo_daemon.tracking.plan.settings import Message
+
+
+class DriveWarnings:
+    """One drive's. Pure: fed estimates, answers with what is to be told.
+
+    Args:
+        config: the drive's.
+
+    Attributes:
+        at_start: to be told once.
+    """
+
+    def __init__(self, config: DriveConfig) -> None:
+        self._alarms, self._margins = Alarms(config), MarginWatch(loop_facts(config))
+        self.at_start: list[Message] = list(self._alarms.impossible)
+        if (why := incomplete(config.controller)) is not None:
+            self.at_start.append(("margin_impossible", f"margins cannot be watched: {why}", {}))
+
+    def update(self, estimate: Estimate) -> tuple[Estimate, list[Message]]:
+        """The estimate with what warns of it in its health record, and what begins or ends with it."""
+        told = [*self._alarms.update(estimate), *self._margins.update(estimate)]
+        ringing = [name for name in (self._alarms.active, ALARM if self._margins.low else None) if name]
+        health = {**estimate.health, **self._margins.health, "alarms": ",".join(ringing) or None}
+        return replace(estimate, health=health), told
+
+    def follow(self, config: DriveConfig) -> list[Message]:
+        """The drive has another model."""
+        before, self._alarms = self._alarms, Alarms(config)
+        return self._alarms.follow(before)
+
+    def forget(self, why: str) -> list[Message]:
+        """What they were about is no longer known.
+
+        Args:
+            why: in words.
+        """
+        return [*self._alarms.forget(why), *self._margins.forget(why)]

@@ -1,0 +1,43 @@
+"""What happened to a drive: the last events, for the API, and the same as log lines."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import deque
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+from servo_daemon.published.snapshot import Event
+from servo_daemon.tracking.plan.settings import Message
+
+log = logging.getLogger(__name__)
+
+_EVENTS_KEPT: Final = 1000
+#: Events that a user should be warned of; the others are information.
+_WARNINGS: Final = (
+    "disconnected", "unavailable", "misconfigured", "silent", "device_restarted", "pipeline_failed", "filter_restarted",
+    "model_mismatch", "channel_frozen", "alarm", "alarm_impossible", "margin_low", "margin_impossible",
+    "diagnosis_failed", "overloaded",
+)  # fmt: skip
+
+
+class EventLog:
+    """One drive's. May be used from any thread."""
+
+    def __init__(self, drive: str) -> None:
+        self._drive = drive
+        self._events: deque[Event] = deque(maxlen=_EVENTS_KEPT)
+
+    def add(self, kind: str, message: str, data: Mapping[str, float | int | str | None] | None = None) -> None:
+        level = logging.WARNING if kind in _WARNINGS else logging.INFO
+        log.log(level, "drive %s: %s", self._drive, message)
+        self._events.append(Event(time.time(), kind, message, data or {}))
+
+    def tell(self, messages: Sequence[Message]) -> None:
+        for kind, message, data in messages:
+            self.add(kind, message, data)
+
+    def all(self) -> Sequence[Event]:
+        """The last events, oldest first."""
+        return tuple(self._events.copy())  # a copy is atomic; iterating while another thread appends is not

@@ -1,0 +1,299 @@
+"""Samples in, estimates out: the one object that the live daemon, `replay` and the tests run alike.
+
+Pure: no I/O, no wall clock, no randomness. The same samples give bit-identical estimates however they are cut into
+blocks (see `pipeline/stream.py`).
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drivers.base import DriveInfo
+from servo_daemon.config import DriveConfig
+from servo_daemon.pipeline import publish
+from servo_daemon.pipeline.model_change import ModelRequest, change_message
+from servo_daemon.pipeline.publish import Publisher, SavedState
+from servo_daemon.pipeline.refresher import Refresher
+from servo_daemon.pipeline.ring import SampleRing
+from servo_daemon.pipeline.stream import TickCutter
+from servo_daemon.published.snapshot import Estimate
+from servo_daemon.samples import SampleBlock, concatenate
+from servo_daemon.tracking.plan.settings import Message
+from servo_daemon.tracking.succession import inherited
+from servo_daemon.tracking.tracker import Tracker
+
+if TYPE_CHECKING:
+    from servo_daemon.learning.model.model import LearnedModel
+
+log = logging.getLogger(__name__)
+
+#: A filter with another model that has not settled by then speaks for the drive all the same, ticks.
+_TICKS_TO_TAKE_OVER = 50
+
+
+@dataclass(slots=True)
+class _Successor:
+    """A tracker with another model that sees the same samples and will take over."""
+
+    config: DriveConfig
+    tracker: Tracker
+    ticks: int = 0
+    told: list[Message] = field(default_factory=list)
+
+    @property
+    def ready(self) -> bool:
+        return self.tracker.settled or self.ticks >= _TICKS_TO_TAKE_OVER
+
+
+class Pipeline:
+    """One drive's estimators.
+
+    Args:
+        config: the drive's configuration; its driver and options are not looked at.
+        info: resolutions, where the driver knows them.
+        saved: knowledge from an earlier run, already checked.
+        ring: where the samples of every tick are kept for a while.
+    """
+
+    def __init__(
+        self,
+        config: DriveConfig,
+        info: DriveInfo | None = None,
+        saved: SavedState | None = None,
+        ring: SampleRing | None = None,
+    ) -> None:
+        self._config, self._info, self._saved, self._ring = config, info, saved, ring
+        self._tracker: Tracker | None = None
+        self._channels: tuple[str, ...] = ()
+        self._cutter = TickCutter()
+        self._tick: list[SampleBlock] = []
+        self._publisher = Publisher(config)
+        self._published: Estimate | None = None
+        self._wanted: tuple[ModelRequest, DriveConfig, Tracker | None] | None = None
+        self._successor: _Successor | None = None
+        self._learned: LearnedModel | None = None
+        self._refresher: Refresher | None = None
+        self._samples = 0
+        self.samples_repeated = 0  # those without a time of their own
+        self.preparing = False  # a tracker is being made
+        self.messages: list[Message] = []
+
+    @property
+    def config(self) -> DriveConfig:
+        """The drive's configuration with the model as it is now."""
+        return self._config
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Of the last samples; empty before the first."""
+        return self._channels
+
+    @property
+    def sample_period_s(self) -> float | None:
+        """Of the last tick, device time; None before the first."""
+        return None if self._tracker is None else self._tracker.sample_period_s
+
+    def use_learned(self, model: LearnedModel | None) -> None:
+        """The model that refreshes the estimates from the next tick on, if it was trained for this drive's effects;
+        None: no more."""
+        self._learned = model
+        self._begin_refresher()
+
+    def _begin_refresher(self) -> None:
+        model = self._learned
+        fits = model is not None and model.spec.effects == self._config.model
+        names = publish.published_names(self._config)
+        every_s = self._config.estimation.refresh_every_s
+        self._refresher = Refresher(model, names, every_s) if model is not None and fits else None
+        self._published = None
+
+    def reset(self, config: DriveConfig | None = None) -> None:
+        """Forget everything learned, the saved state included.
+
+        Args:
+            config: with which to begin again; None: the same.
+        """
+        if config is not None:
+            self._configure(config)
+        self._saved = None
+        self._wanted = self._successor = None
+        self._tracker = None
+        self._channels = ()
+        self._published = None
+        self._cutter = TickCutter()
+        self._tick = []
+        self._begin_refresher()
+
+    def prepare(self, config: DriveConfig) -> Tracker | None:
+        """A tracker for `change_model`, its plant compiled; None while the channels are not known. Any thread, and this
+        one may take ten seconds."""
+        return self._tracker_for(config) if self._channels else None
+
+    def change_model(self, request: ModelRequest, config: DriveConfig, prepared: Tracker | None) -> None:
+        """Go over to another model: from the next tick on a filter with it runs beside the present one, begins with
+        what that one knows, and takes its place once it has settled (about a second). Before the first samples at once.
+
+        Args:
+            config: the drive's with that model.
+            prepared: by `prepare`; None: made here.
+        """
+        if self._tracker is None:
+            self.messages.append(change_message(self._config.model, config.model))
+            self._configure(config)
+            self._saved = None
+        else:
+            self._wanted, self._successor = (request, config, prepared), None
+
+    def learn_info(self, info: DriveInfo) -> None:
+        """The driver has found out more (a description frame): used from the next start of the filter on."""
+        self._info = info
+        if self._tracker is not None:
+            self._tracker.resolutions = publish.resolutions(self._config, info)
+
+    def process(self, block: SampleBlock, *, rows: bool = True) -> list[Estimate]:
+        """Take samples; returns one estimate per tick that they completed, in order.
+
+        Args:
+            rows: False: return nothing. The live daemon asks for `current` instead and saves the work.
+        """
+        if block.channels != self._channels:
+            self._begin(block.channels)
+        estimates = []
+        restarts, repeated = self._cutter.restarts, self._cutter.repeated
+        segments = tuple(self._cutter.cut(block))
+        last = max((k for k, segment in enumerate(segments) if segment.closes_tick), default=-1)
+        for k, segment in enumerate(segments):
+            if segment.closes_tick and self._tick:
+                self._close_tick()
+                # At the tick's end, before the filter takes what came with it in one block: what is published must not
+                # depend on how the samples came.
+                if (rows or k == last) and self._tracker is not None and self._tracker.last_s is not None:
+                    estimates.append(self._publish())
+            assert self._tracker is not None
+            self._tracker.take(segment.block)
+            if self._successor is not None:
+                self._successor.tracker.take(segment.block)
+            self._tick.append(segment.block)
+            self._samples += len(segment.block)
+        self.samples_repeated += self._cutter.repeated - repeated
+        if self._cutter.restarts > restarts:
+            text = "device time began anew: the device restarted; its parameters are kept"
+            self.messages.append(("device_restarted", text, {"restarts": self._cutter.restarts}))
+        return estimates if rows else []
+
+    def finish(self) -> Estimate | None:
+        """At the end of a finite source: the estimate after the last, incomplete tick; None if there is none."""
+        if not self._tick:
+            return None
+        self._close_tick()
+        return self._publish()
+
+    def current(self) -> Estimate | None:
+        """The record after the very last sample, between ticks too; None before the first sample. Time, state and
+        count are of that sample, the parameters of the last tick."""
+        if self._tracker is None or self._tracker.last_s is None:
+            return None
+        return self._publish()
+
+    def save(self) -> SavedState | None:
+        """What is worth keeping over a restart; None unless the filter is well."""
+        if self._tracker is None:
+            return None
+        kept = self._tracker.worth_keeping()
+        if kept is None:
+            return None
+        covariance = tuple(tuple(float(c) for c in row) for row in kept.covariance)
+        return SavedState(self._config.model, kept.names, tuple(float(v) for v in kept.mean), covariance)
+
+    def _begin(self, channels: tuple[str, ...]) -> None:
+        if self._tracker is not None:
+            log.warning("drive %s: channels changed to %s: starting over", self._config.name, ", ".join(channels))
+        self._channels = channels
+        self._published = None
+        self._tick = []
+        self._cutter = TickCutter()
+        self.preparing = True
+        try:
+            self._tracker = self._tracker_for(self._config, self._saved)
+        finally:
+            self.preparing = False
+        self._begin_refresher()
+        if self._successor is not None or self._wanted is not None:
+            config = self._successor.config if self._successor is not None else self._wanted[1]  # type: ignore[index]
+            self._take_over(config, self._tracker_for(config))
+
+    def _tracker_for(self, config: DriveConfig, saved: SavedState | None = None) -> Tracker:
+        return Tracker(
+            self._channels,
+            publish.tracker_settings(config),
+            publish.resolutions(config, self._info),
+            publish.prior(config, saved),
+        )
+
+    def _configure(self, config: DriveConfig) -> None:
+        self._config, self._publisher, self._published = config, Publisher(config), None
+        self._begin_refresher()
+
+    def _close_tick(self) -> None:
+        assert self._tracker is not None
+        tick = concatenate(self._tick)
+        told = self._tracker.close_tick(tick)
+        self.messages += told
+        if self._refresher is not None:
+            self.messages += self._refresher.take(tick, self._tracker, told)
+        if self._ring is not None:
+            self._ring.append(tick)
+        self._tick = []
+        self._published = None
+        if self._successor is not None:
+            self._follow(self._successor, tick)
+        if self._wanted is not None:
+            self._begin_successor(*self._wanted)
+            self._wanted = None
+
+    def _begin_successor(self, request: ModelRequest, config: DriveConfig, prepared: Tracker | None) -> None:
+        """At the end of a tick, so that the estimates do not depend on how the samples came in blocks."""
+        assert self._tracker is not None
+        fits = prepared is not None and prepared.channels == self._channels
+        tracker = prepared if prepared is not None and fits else self._tracker_for(config)
+        heritage = inherited(self._tracker, tracker, request.start, request.origin_s)
+        if heritage is None:
+            self._take_over(config, tracker)
+        else:
+            tracker.inherit(heritage)
+            self._successor = _Successor(config, tracker)
+
+    def _follow(self, successor: _Successor, tick: SampleBlock) -> None:
+        """A tick of the filter that will take over; what it has to say is of interest once it speaks for the drive."""
+        successor.told += successor.tracker.close_tick(tick)
+        successor.ticks += 1
+        if successor.ready:
+            self._take_over(successor.config, successor.tracker)
+            self.messages += successor.told
+
+    def _take_over(self, config: DriveConfig, tracker: Tracker) -> None:
+        assert self._tracker is not None
+        tracker.watch.gated += self._tracker.watch.gated
+        tracker.restarts += self._tracker.restarts
+        before, self._tracker, self._successor, self._wanted = self._config, tracker, None, None
+        self._configure(config)
+        self.messages.append(change_message(before.model, config.model))
+
+    def _publish(self) -> Estimate:
+        assert self._tracker is not None
+        if self._published is None:
+            self._published = self._publisher.estimate(self._tracker, self._samples, self._refresher)
+        elif self._published.time_s != self._tracker.last_s:
+            self._published = publish.moved_on(self._published, self._tracker, self._samples)
+        return self._published
+
+
+def all_finite(estimate: Estimate) -> bool:
+    """Whether every published number is a number: the service's last line of defence, and the tests'."""
+    numbers = [v for p in estimate.parameters for v in (p.value, p.std) if v is not None]
+    numbers += [v for v in estimate.state.values() if v is not None]
+    return bool(np.isfinite(numbers).all()) if numbers else True

@@ -1,0 +1,73 @@
+"""What the regressions found, and the steps from their coefficients to it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from servo_daemon.regression.terms import SHARES
+from servo_daemon.samples import F64
+
+#: A regression knows a parameter when its std is below this share of it.
+KNOWS = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class RegressionEstimate:
+    """Parameters in natural units: value shape (n,), covariance shape (n, n). Values may come out impossible.
+
+    Attributes:
+        span_s: how far back the regressions look.
+        closes: the balances leave nothing beyond their noise.
+    """
+
+    names: tuple[str, ...]
+    value: F64
+    covariance: F64
+    span_s: float
+    closes: bool
+
+    @property
+    def std(self) -> F64:
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
+
+
+def as_current(value: F64, covariance: F64, k: int) -> tuple[F64, F64]:
+    """(R, …, i0, …) where coefficient k is the voltage −R i0, errors to first order; R is the first."""
+    R, constant_V = float(value[0]), float(value[k])
+    if R == 0.0:
+        return value, covariance
+    out, by = value.copy(), np.eye(len(value))
+    out[k] = -constant_V / R
+    by[k, 0], by[k, k] = constant_V / R**2, -1.0 / R
+    return out, by @ covariance @ by.T
+
+
+def side_by_side(covariances: list[F64]) -> F64:
+    """Of estimates that are independent of each other: a block diagonal matrix (`scipy.linalg.block_diag` at a fifth
+    of its time: two small blocks with every update)."""
+    ends = np.cumsum([len(c) for c in covariances]).tolist()
+    out = np.zeros((ends[-1], ends[-1]))
+    for end, c in zip(ends, covariances, strict=True):
+        out[end - len(c) : end, end - len(c) : end] = c
+    return out
+
+
+def times_torque_constant(value: F64, covariance: F64, names: Sequence[str], n_armature: int) -> tuple[F64, F64]:
+    """Shaft coefficients (those after the armature's) were found per unit of K (the third value): multiply, errors
+    included to first order. A share of the torque is one of the current as well."""
+    K = value[2]
+    per_K = np.array([k >= n_armature and name not in SHARES for k, name in enumerate(names)])
+    by = np.diag(np.where(per_K, K, 1.0))
+    by[per_K, 2] = value[per_K]
+    return np.where(per_K, K * value, value), by @ covariance @ by.T
+
+
+def without_lag(value: F64, covariance: F64, lag_s: float) -> tuple[F64, F64]:
+    """(J, B, …) where (v − K ω)/R stood for the current, which lags behind it by L/R: the coefficient of dω/dt was then
+    J + B L/R (to first order in the lag)."""
+    by = np.eye(len(value))
+    by[0, 1] = -lag_s
+    return by @ value, by @ covariance @ by.T

@@ -1,0 +1,73 @@
+"""R and L of a motor whose shaft has never turned: v = R i + L di/dt, without the column of the speed.
+
+A blocked-rotor test is the standard measurement of a winding, and the first thing that a new drive is given. A
+regression with a column of zeros says nothing, and a filter whose encoder has no noise would take the standstill for
+knowledge of friction and inertia.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from servo_daemon.regression.estimate import KNOWS, RegressionEstimate
+from servo_daemon.regression.rls_fit import CLOSES, OVERLAP, SYSTEMATIC, Block, fitted
+from servo_daemon.regression.stretch import Stretch
+from servo_daemon.samples import F64
+
+#: The winding's own.
+_NAMES = ("R", "L")
+#: A shaft that moves by no more (rad, rad/s) stands.
+_STILL = 1e-9
+
+
+class HeldShaft:
+    """From the first sample until the shaft moves.
+
+    Args:
+        columns: of the armature's regression.
+    """
+
+    def __init__(self, columns: Sequence[str]) -> None:
+        self._columns = [k for k, name in enumerate(columns) if name != "K" and not name.startswith("rip_")]
+        n = len(self._columns)
+        self._sums: Block | None = Block(0.0, np.zeros((n + 1, n + 1)), np.zeros(n), 0.0, 0.0, 0.0)
+        self._place: float | None = None
+        self._begin_s: float | None = None
+
+    def take(self, s: Stretch, Phi: F64, y: F64) -> None:
+        """A tick's rows of the armature's regression, shapes (n, k) and (n,)."""
+        if self._sums is None:
+            return
+        if not self._stands(s):
+            self._sums = None
+            return
+        rows = np.column_stack([Phi[:, self._columns], y])
+        time_s = float(s.time_s[-1])
+        self._begin_s = float(s.time_s[0]) if self._begin_s is None else self._begin_s
+        before = self._sums
+        self._sums = replace(before, time_s=time_s, gram=before.gram + rows.T @ rows, rows=before.rows + len(y))
+
+    def _stands(self, s: Stretch) -> bool:
+        """Whether the shaft is where it was at first."""
+        motion = s.position if s.position is not None else s.velocity
+        if motion is None or not len(motion):
+            return False
+        if self._place is None:
+            self._place = float(motion[0]) if s.position is not None else 0.0
+        return float(np.max(np.abs(motion - self._place))) <= _STILL
+
+    def estimate(self) -> RegressionEstimate | None:
+        """R and L (of a current that is constant, or settles within a sample, known to nothing); None where the shaft
+        has moved, R is not known, or they do not explain the voltage: then it is the sensor that stands."""
+        if self._sums is None or self._begin_s is None:
+            return None
+        span_s = self._sums.time_s - self._begin_s
+        fit = fitted(span_s, self._sums)
+        if fit is None or fit.left > CLOSES**2 * fit.energy:
+            return None
+        covariance = fit.inverse[:2, :2] * (fit.residual_var + SYSTEMATIC**2 * fit.energy) * OVERLAP
+        known = RegressionEstimate(_NAMES, fit.value[:2], covariance, span_s, True)
+        return known if known.std[0] < KNOWS * known.value[0] else None

@@ -1,0 +1,1 @@
+"""Parameters that jump: when, which, and what then."""

@@ -1,0 +1,164 @@
+"""Does with the filter what the watch for jumps decides, and knows what to publish meanwhile."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from servo_daemon.kalman.ekf import Ekf
+from servo_daemon.kalman.gaussian import Gaussian
+from servo_daemon.regression.motor_rls import MotorRls
+from servo_daemon.samples import F64
+from servo_daemon.tracking.changes import jumps
+from servo_daemon.tracking.changes.jumps import JumpWatch, Known
+from servo_daemon.tracking.changes.search import Found, JumpSearch
+from servo_daemon.tracking.noise.watch import TickVerdict
+from servo_daemon.tracking.plan.roster import Roster
+from servo_daemon.tracking.plan.settings import Message
+from servo_daemon.tracking.validity.parameter_judge import ParameterJudge
+
+
+class JumpActions:
+    """One drive's. `watch` decides, `remember` is called after every tick that is quiet."""
+
+    def __init__(self, roster: Roster, ekf: Ekf, rls: MotorRls, judge: ParameterJudge, search: JumpSearch) -> None:
+        self._roster, self._ekf, self._rls, self._judge = roster, ekf, rls, judge
+        self.watch = JumpWatch()
+        self.search = search
+        self._before: tuple[F64, float] | None = None
+
+    def reset(self) -> None:
+        self.watch.reset()
+        self.search.clear()
+        self._before = None
+
+    @property
+    def quiet(self) -> bool:
+        """Nothing is being looked into."""
+        return self.watch.quiet and not self.search.running
+
+    @property
+    def is_open(self) -> bool:
+        """Something has changed, and it is not certain yet what."""
+        return self.watch.is_open or self.search.promising
+
+    def remember(self, time_s: float) -> None:
+        """What is known now, unless something is being looked into."""
+        if self.quiet:
+            self._before = self._ekf.snapshot(), time_s
+
+    def take(
+        self, verdict: TickVerdict, end_s: float, *, explained: bool, judged: bool, searched: bool | None
+    ) -> tuple[jumps.Action, list[Message]]:
+        """The tick that has just passed: what is done with it, and what is to be told.
+
+        Args:
+            verdict: of its innovations.
+            end_s: of device time.
+            explained: the model has explained the samples before it.
+            judged: it is complete, and the filter has run for long enough.
+            searched: which parameter has stepped may be looked for; None: nothing that is seen now says anything of it.
+        """
+        self.watch.observe(verdict.unexplained, explained)
+        action: jumps.Action = "learn"
+        if judged:
+            action = self.watch.judge(verdict.unexplained, verdict.settled, self.search.running)
+        messages = self._act(action, end_s)
+        if searched is None:
+            self.search.clear()
+            return action, messages
+        self.search.take(end_s)
+        may_begin = searched and self.watch.sudden and not self.watch.is_open
+        found = self.search.look(verdict.unexplained, may_begin)
+        if found is None:
+            return action, messages
+        return "accept", messages + self._take_over(found, end_s)
+
+    def _act(self, action: jumps.Action, time_s: float) -> list[Message]:
+        """Do with the last tick what the watch for jumps has decided.
+
+        Args:
+            time_s: the tick's end.
+        """
+        if self._before is None or action in ("learn", "settle"):
+            return []
+        before = self._known_before()
+        if action in ("undo", "open", "reject"):
+            self._ekf.put_parameters(before.mean, before.covariance)
+            self._ekf.forget_motion(self._ekf.x)  # it was led astray as well
+        if action == "open":
+            self._ekf.widen_parameters(self._opening())
+        if action == "accept":
+            return self._report(before, time_s)
+        return []
+
+    def _take_over(self, found: Found, time_s: float) -> list[Message]:
+        """A parameter has stepped: the filter goes on with it.
+
+        Args:
+            time_s: the tick's end.
+        """
+        self._ekf.restore(found.state)
+        self._ekf.take_statistics()
+        self._ekf.take_information()
+        self.watch.explain()
+        self._rls.expect_change()
+        self._judge.stepped(found.k)
+        before = Known(self._roster.names, found.mean, found.covariance, found.before_s)
+        candidates = (self._roster.published & self._judge.qualification.qualified) | self._roster.nuisance
+        alone = np.zeros_like(candidates)
+        alone[found.k] = candidates[found.k]
+        scales = self._judge.excitation.scales
+        moved = jumps.jumped(before, self._ekf.coordinates, self._ekf.coordinate_std, scales, alone)
+        after = self._ekf.coordinates
+        return [
+            jumps.message(self._roster.parameters[k], before, float(after[k]), time_s)
+            for k in moved
+            if self._roster.published[k]
+        ]
+
+    def _known_before(self) -> Known:
+        """What was known of the parameters before something happened."""
+        assert self._before is not None
+        state, time_s = self._before
+        mean, covariance = self._ekf.parameters_of(state)
+        return Known(self._roster.names, mean, covariance, time_s)
+
+    def _opening(self) -> F64:
+        """Added to the coordinates' variances while a jump is looked for, shape (n,)."""
+        std = np.where(self._roster.logarithmic, jumps.OPEN_STD, jumps.OPEN_SIGNED_STD) * self._judge.excitation.scales
+        return np.asarray(np.where(self._roster.free, std**2, 0.0))
+
+    def _report(self, before: Known, time_s: float) -> list[Message]:
+        excitation, qualified = self._judge.excitation, self._judge.qualification.qualified
+        candidates = (self._roster.published & qualified & excitation.excited) | self._roster.nuisance
+        moved = jumps.jumped(before, self._ekf.coordinates, self._ekf.coordinate_std, excitation.scales, candidates)
+        self._rls.expect_change()
+        stayed = self._roster.free.copy()
+        stayed[moved] = False
+        self._ekf.recall(stayed, before.mean, before.covariance)
+        after = self._ekf.coordinates
+        return [
+            jumps.message(self._roster.parameters[k], before, float(after[k]), time_s)
+            for k in moved
+            if self.watch.sudden and self._roster.published[k]
+        ]
+
+    def published(self) -> Gaussian | None:
+        """What is to be published of all parameters; None before the filter runs. Beside the filter's own spread: what
+        the balances leave open. While something unexplained is being looked into it is what was known before, with the
+        spread that it has by now."""
+        if not self._ekf.started:
+            return None
+        balance = np.square(self._judge.mismatch_std)
+        if self._before is None or not self.is_open:
+            g = self._ekf.estimate()
+            return Gaussian(g.names, g.mean, _widened(g.covariance, balance))
+        before = self._known_before()
+        return Gaussian(before.names, before.mean, _widened(before.covariance, self._opening() + balance))
+
+
+def _widened(covariance: F64, var: F64) -> F64:
+    """With more on its diagonal, var shape (n,)."""
+    out = covariance.copy()
+    out.flat[:: len(var) + 1] += var
+    return out

@@ -1,0 +1,246 @@
+"""Which parameter stepped, when and by how much.
+
+A filter that has been sure of its parameters for long does not follow one of them that steps: it shares out what it
+sees among all of them, and is sure of that as well. So the samples of the last seconds are kept. When they are no
+longer as they should be, each parameter in turn is supposed to have stepped, alone, in each of some moments
+(`jump_trials`). What is likeliest by far, and leaves innovations as the noise has them, has happened, and the filter
+goes on from there: the other parameters have never been told anything else. Where something that has passed by, with no
+parameter changed, is as likely, none has.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from servo_daemon.kalman.ekf import Ekf
+from servo_daemon.samples import F64
+from servo_daemon.tracking.changes.trials import ALL, MOMENT, Section, Trial, Trials, sections_of
+from servo_daemon.tracking.noise.watch import InnovationWatch, WatchMark
+from servo_daemon.tracking.plan.roster import Roster
+from servo_daemon.tracking.samples.filtering import Filtering, Forget
+from servo_daemon.tracking.validity.parameter_judge import ParameterJudge
+
+#: So many ticks are kept, and no more samples than these.
+_TICKS, _SAMPLES = 31, 20_000
+#: A change that is seen as one came at most so many ticks before; one that only shows in where the filter has gone.
+_BACK_SUDDEN, _BACK_SLOW = 10, 30
+#: First it is looked for so many ticks before it was seen, and then around where it is likeliest.
+_COARSE = (0, 2, 5, 10, 20, 30)
+#: In the tick in which it was seen and the one before it is looked for in so many parts of them.
+_PARTS = 5
+#: It is looked for at these ticks after it was seen; the last time is the last.
+_LOOKS = (3, 6, 10, 13, 16, 20, 25, 30)
+#: Not accepted before so many ticks after it.
+_CONFIRM = 10
+#: After one that was not found no other is looked for, ticks.
+_REST = 50
+#: Twice the logarithm of the likelihood ratio to no change, and to one that has only passed by; to the next likeliest
+#: parameter; and what a change of all parameters may be likelier by.
+_CHANGED, _MARGIN, _OF_ALL = 60.0, 20.0, 30.0
+#: A parameter has stepped by this many standard deviations of what was known of it before and after.
+_STEPPED_STDS = 6.0
+#: The filter's estimate has moved by more of its own standard deviations than its information allows, and by this share
+#: of the scale.
+_MOVED_STDS, _MOVED_SHARE = 6.0, 0.01
+#: Whether it has is asked every so many ticks.
+_LOOKED_AT_EVERY = 3
+#: Of a variance this much is believed to be no better known than that.
+_CERTAIN = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class _Tick:
+    """One that has passed: the filter's state at its begin, what it was told and what was known of the noise then, its
+    samples, when it ended."""
+
+    state: F64
+    constants: F64
+    noise: WatchMark
+    pieces: tuple[Forget | F64, ...]
+    samples: int
+    end_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A parameter that has stepped.
+
+    Attributes:
+        k: its number.
+        before_s: the last moment at which all was as before, s of device time.
+        mean, covariance: what was known then, (n,) and (n, n).
+        state: the filter's now.
+    """
+
+    k: int
+    before_s: float
+    mean: F64
+    covariance: F64
+    state: F64
+
+
+class JumpSearch:
+    """One drive's.
+
+    Attributes:
+        promising: a change has been found that explains the samples, and is not certain yet; or nothing is known yet of
+            what was seen.
+    """
+
+    def __init__(
+        self, roster: Roster, ekf: Ekf, filtering: Filtering, judge: ParameterJudge, watch: InnovationWatch
+    ) -> None:
+        self._roster, self._ekf, self._filtering = roster, ekf, filtering
+        self._judge, self._watch = judge, watch
+        self.clear()
+
+    @property
+    def running(self) -> bool:
+        """A change is being looked for."""
+        return self._trials is not None
+
+    def clear(self) -> None:
+        """What was kept is of another filter."""
+        self._filtering.take_passed()
+        self._count = 0
+        self._ticks: list[_Tick] = []
+        self._begins: tuple[F64, F64, WatchMark] | None = None
+        self._rest = 0
+        self._end()
+
+    def _end(self) -> None:
+        self.promising = False
+        self._age = 0
+        self._trials: Trials | None = None
+        self._new: list[Section] = []  # not gone over yet
+        self._best: dict[int, Trial] = {}
+
+    def mark(self) -> None:
+        """A tick begins, and the filter is as it is."""
+        self._begins = self._ekf.snapshot(), self._ekf.constants, self._watch.mark()
+
+    def take(self, end_s: float) -> None:
+        """A tick has ended.
+
+        Args:
+            end_s: of device time.
+        """
+        pieces = self._filtering.take_passed()
+        if self._begins is None:
+            return
+        self._count += 1
+        samples = sum(0 if isinstance(p, Forget) else len(p) for p in pieces)
+        self._ticks.append(_Tick(*self._begins, tuple(pieces), samples, end_s))
+        if not self.running:
+            while len(self._ticks) > _TICKS or sum([t.samples for t in self._ticks]) > _SAMPLES:
+                del self._ticks[0]
+
+    def look(self, unexplained: bool, may_begin: bool) -> Found | None:
+        """After each tick.
+
+        Args:
+            unexplained: its innovations are beyond what the noise explains.
+            may_begin: a change may be looked for at all.
+        """
+        if self._trials is None:
+            self._rest = max(self._rest - 1, 0)
+            if not may_begin or self._rest or len(self._ticks) < 2:
+                return None
+            if not unexplained and (self._count % _LOOKED_AT_EVERY or not self._has_moved()):
+                return None
+            self._trials = self._begin(slow=not unexplained)
+        else:
+            self._new += sections_of(self._ticks[-1].pieces, len(self._ticks) - 1, 1, coarse=False)
+        self._age += 1
+        return self._look(self._trials) if self._age in _LOOKS else None
+
+    def _begin(self, *, slow: bool) -> Trials:
+        self._end()
+        self._ticks = self._ticks[-(_BACK_SLOW if slow else _BACK_SUDDEN) - 1 :]
+        last = len(self._ticks) - 1
+        for number, tick in enumerate(self._ticks):
+            fine = _PARTS if number >= last - 1 and not slow else 1
+            self._new += sections_of(tick.pieces, number, fine, coarse=fine > 1 or (last - number) in _COARSE)
+        self.promising, self._age = not slow, _CONFIRM - 1 if slow else 0
+        begin = self._ticks[0]
+        scales, whiteness = self._judge.excitation.scales, begin.noise.whiteness
+        return Trials(self._roster, self._ekf, self._filtering, scales, begin.state, dict(whiteness), slow=slow)
+
+    def _look(self, trials: Trials) -> Found | None:
+        """Over the samples, and back to where the filter was."""
+        before = self._ekf.snapshot(), self._ekf.constants
+        self._ekf.put_constants(self._ticks[0].constants)
+        trials.extend(self._new)
+        self._new = []
+        found, passed_by = self._examine(trials)
+        self._ekf.restore(before[0])
+        self._ekf.put_constants(before[1])
+        too_many = sum(t.samples for t in self._ticks) > _SAMPLES
+        if found is not None or passed_by:  # from here on another motor is seen, or the same one
+            if found is not None:
+                self._watch.back_to(self._ticks[0].noise)
+            self._end()
+            self._ticks = []
+        elif self._age == _LOOKS[-1] or too_many or self._is_hopeless():
+            self._end()
+            self._rest = _REST
+        return found
+
+    def _has_moved(self) -> bool:
+        """Whether the filter has gone further than what it has learned allows: an estimate's change has the variance by
+        which it has become better known, and what the process noise adds."""
+        now, scales = self._ekf.coordinates, self._judge.excitation.scales
+        var = np.square(self._ekf.coordinate_std)
+        known = self._roster.published & self._judge.qualification.qualified
+        walk = self._judge.walk(self._roster.free)
+        for back in (_BACK_SUDDEN, _BACK_SLOW):
+            if len(self._ticks) <= back:
+                break
+            then = self._ticks[-back]
+            mean, before = self._ekf.moments_of(then.state)
+            added = walk * (self._ticks[-1].end_s - then.end_s)
+            allowed = np.maximum(before + added - var, 0.0) + _CERTAIN * before
+            moved = np.abs(now - mean)
+            if np.any(known & (moved > _MOVED_STDS * np.sqrt(allowed)) & (moved > _MOVED_SHARE * scales)):
+                return True
+        return False
+
+    def _examine(self, trials: Trials) -> tuple[Found | None, bool]:
+        """What has stepped, if it is certain; and whether something has only passed by."""
+        for k in (MOMENT, *map(int, np.flatnonzero(self._roster.free))):
+            self._best[k] = trials.likeliest(k, self._best.get(k))
+        ranked = self._ranked()
+        for trial in (self._best[MOMENT], *ranked[:2]):
+            self._best[trial.k] = trials.elsewhere(trial)
+        ranked, moment = self._ranked(), self._best[MOMENT]
+        best = ranked[0]
+        if moment.explained and moment.cost - best.cost < _CHANGED:
+            return None, True
+        unlike = min(trials.cost, moment.cost) - best.cost > _CHANGED
+        self.promising = best.explained and unlike and self._has_stepped(trials, best)
+        after = trials.sections[-1].tick - trials.sections[best.section].tick
+        if not self.promising or after < _CONFIRM or (len(ranked) > 1 and ranked[1].cost - best.cost < _MARGIN):
+            return None, False
+        if best.cost - trials.run(ALL, best.section).cost > _OF_ALL:
+            return None, False
+        tick = trials.sections[best.section].tick
+        mean, covariance = trials.known_before(best.section)
+        return Found(best.k, self._ticks[max(tick - 1, 0)].end_s, mean, covariance, best.state), False
+
+    def _is_hopeless(self) -> bool:
+        """Whether no parameter is likelier to have stepped than something to have passed by, whatever that was."""
+        return self._age >= _CONFIRM and self._best[MOMENT].cost - self._ranked()[0].cost < _CHANGED
+
+    def _ranked(self) -> list[Trial]:
+        """Of each parameter the likeliest change, the likeliest parameter first."""
+        return sorted((t for t in self._best.values() if t.k >= 0), key=lambda t: t.cost)
+
+    @staticmethod
+    def _has_stepped(trials: Trials, best: Trial) -> bool:
+        """Whether the parameter is another one than it was, and not only free to follow what has passed by."""
+        mean, covariance = trials.known_before(best.section)
+        moved = abs(best.coordinate - float(mean[best.k]))
+        return moved > _STEPPED_STDS * math.sqrt(float(covariance[best.k, best.k]) + best.std**2)

@@ -1,0 +1,267 @@
+"""What the samples of the last seconds say of a supposed change: generalised likelihood ratios (Willsky & Jones, *IEEE
+Trans. Autom. Control* 21, 1976).
+
+From what the filter knew at some moment it runs over the samples since, with one parameter unknown and all others as
+they were; or with none unknown: something has passed by (a wrong sample, a knock), and only where the motor is was lost
+by it. In the section in which it is supposed to have happened nothing is learned, and after it the motion is unknown:
+the moment itself lies somewhere within, and what a step some samples early does to current and speed is no word on any
+parameter (K was 1.5 standard deviations off on average after a step of the load, told so).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from servo_daemon.kalman.ekf import Ekf
+from servo_daemon.kalman.records import ChannelStatistics
+from servo_daemon.samples import F64
+from servo_daemon.tracking.noise.levels import Whiteness
+from servo_daemon.tracking.noise.watch import judged
+from servo_daemon.tracking.plan.roster import Roster
+from servo_daemon.tracking.samples.filtering import Filtering, Forget
+
+#: In place of a parameter's number: none has stepped, something has passed by; all are others.
+MOMENT, ALL = -1, -2
+#: 1 σ by which the parameter in question may have stepped, over its scale: a logarithm, a signed parameter. All
+#: parameters at once: so much of it.
+_STEP_STD, _SIGNED_STEP_STD, _OF_ALL = 0.3, 1.0, 0.4
+#: Moments further and further off the likeliest, sections.
+_STEPS = (4, 2, 1)
+#: Passes until none moves the value by more than this (standard deviations, share of the scale).
+_PASSES, _SETTLED_STDS, _SETTLED_SHARE = 4, 0.5, 0.01
+#: Innovations over all ticks since are white below this correlation, and below this mean of ν²/s over what it usually
+#: is; standard deviations that chance may make.
+_WHITE, _NIS_MORE, _CHANCE = 0.25, 3.0, 4.0
+#: ν²/s at which an outlier counts.
+_OUTLIER_SQUARE = 25.0
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """Samples in a row as the filter takes them, within a tick.
+
+    Attributes:
+        tick: its number among those that are examined.
+        coarse: a change is looked for in it first.
+    """
+
+    pieces: tuple[Forget | F64, ...]
+    tick: int
+    coarse: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """A supposed change and what the samples say of it.
+
+    Attributes:
+        k: the parameter's number, `MOMENT` or `ALL`.
+        section: in which it has happened.
+        cost: −2 log p of all samples.
+        coordinate, std: of the parameter, with its 1 σ.
+        state: the filter's at the end.
+        explained: the innovations since are as the noise has them.
+    """
+
+    k: int
+    section: int
+    cost: float
+    coordinate: float
+    std: float
+    state: F64
+    explained: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Unchanged:
+    """The filter's state and −2 log p so far at a section's begin, without any change."""
+
+    state: F64
+    cost: float
+
+
+class Trials:
+    """Over one stretch of samples, which may grow.
+
+    Args:
+        scales: one unit of each coordinate, shape (n,).
+        state: the filter's at the begin.
+        whiteness: of the innovations before, by channel.
+        slow: nothing sudden was seen: costs are Σ ν²/s with the variances s of the filter without a change. With an R
+            that is another one there should be more noise of the voltage in the current or less, but whose that noise
+            is the filter does not know for certain, and in seconds of samples that adds up to more than the slow
+            change.
+
+    Attributes:
+        sections: what has been gone over.
+        cost: −2 log p of all samples without a change.
+    """
+
+    def __init__(
+        self,
+        roster: Roster,
+        ekf: Ekf,
+        filtering: Filtering,
+        scales: F64,
+        state: F64,
+        whiteness: dict[str, Whiteness],
+        *,
+        slow: bool,
+    ) -> None:
+        self._ekf, self._filtering, self._whiteness, self._slow = ekf, filtering, whiteness, slow
+        self._scales, self._logarithmic = scales, roster.logarithmic
+        self._step_std: F64 = np.where(self._logarithmic, _STEP_STD, _SIGNED_STEP_STD) * scales
+        self._all_var: F64 = np.where(roster.free, np.square(_OF_ALL * self._step_std), 0.0)
+        self.sections: list[Section] = []
+        self._unchanged = [Unchanged(state, 0.0)]
+        self._var: list[list[F64]] = []
+
+    @property
+    def cost(self) -> float:
+        return self._unchanged[-1].cost
+
+    def extend(self, sections: Sequence[Section]) -> None:
+        """Go over more samples without a change."""
+        self._ekf.restore(self._unchanged[-1].state)
+        for section in sections:
+            self.sections.append(section)
+            cost = self.cost + self._over(len(self.sections) - 1)
+            self._unchanged.append(Unchanged(self._ekf.snapshot(), cost))
+
+    def known_before(self, section: int) -> tuple[F64, F64]:
+        """The parameters' coordinates and covariance at a section's begin."""
+        return self._ekf.parameters_of(self._unchanged[section].state)
+
+    def likeliest(self, k: int, known: Trial | None) -> Trial:
+        """Of a change of parameter k: where it was likeliest the last time, or looked for everywhere."""
+        if known is not None:
+            return self.settled(known)
+        coarse = [number for number, section in enumerate(self.sections) if section.coarse]
+        trials = [self.run(k, number, self._coordinate_before(k, number)) for number in coarse]
+        return self.settled(min(trials, key=lambda t: t.cost))
+
+    def settled(self, trial: Trial) -> Trial:
+        """Begun again at the value that was found, until that is where it ends."""
+        best = trial
+        for _ in range(_PASSES):
+            again = self.run(trial.k, trial.section, trial.coordinate)
+            if not np.isfinite(again.cost):
+                break
+            moved, trial = abs(again.coordinate - trial.coordinate), again
+            if trial.k < 0 or moved < _SETTLED_STDS * again.std + _SETTLED_SHARE * self._scales[trial.k]:
+                return again
+            best = min(best, again, key=lambda t: t.cost)
+        return best
+
+    def elsewhere(self, trial: Trial) -> Trial:
+        """The same change at another moment, if it is likelier then: by smaller and smaller steps."""
+        best = trial
+        for step in _STEPS:
+            for number in (best.section - step, best.section + step):
+                if 0 <= number < len(self.sections):
+                    best = min(best, self.run(trial.k, number, best.coordinate), key=lambda t: t.cost)
+        return trial if best is trial else self.settled(best)
+
+    def run(self, k: int, number: int, coordinate: float = 0.0) -> Trial:
+        """A change in section `number` of parameter k to about this coordinate, of none, or of all."""
+        self._ekf.restore(self._unchanged[number].state)
+        if k >= 0:
+            self._ekf.put_coordinate(k, coordinate)
+        cost = self._unchanged[number].cost + self._untaught(number)
+        if k != MOMENT:
+            self._ekf.widen_parameters(self._opened(k))
+        more, explained = self._after(number)
+        found, std = (self._ekf.coordinates, self._ekf.coordinate_std) if k >= 0 else (np.zeros(1), np.zeros(1))
+        cost = cost + more if self._ekf.is_plausible() else np.inf
+        at = max(k, 0)
+        return Trial(k, number, cost, float(found[at]), float(std[at]), self._ekf.snapshot(), explained)
+
+    def _opened(self, k: int) -> F64:
+        if k == ALL:
+            return self._all_var
+        var = np.zeros(len(self._step_std))
+        var[k] = self._step_std[k] ** 2
+        return var
+
+    def _coordinate_before(self, k: int, number: int) -> float:
+        return float(self.known_before(number)[0][k]) if k >= 0 else 0.0
+
+    def _untaught(self, number: int) -> float:
+        """What a section costs in which no parameter learns, and after which the motion is unknown."""
+        constants = self._ekf.constants
+        self._ekf.hold()
+        cost = self._over(number)
+        self._ekf.put_constants(constants)
+        self._ekf.forget_motion(self._ekf.x)
+        return cost
+
+    def _after(self, number: int) -> tuple[float, bool]:
+        """What the sections after this one cost, and whether their innovations are as the noise has them."""
+        self._ekf.take_statistics()
+        begins = tick = self.sections[number].tick
+        cost, explained = 0.0, True
+        pooled: dict[str, ChannelStatistics] = {}
+        for at in range(number + 1, len(self.sections) + 1):
+            section = self.sections[at] if at < len(self.sections) else None
+            if section is None or section.tick != tick:
+                statistics = self._ekf.take_statistics()
+                if tick > begins:
+                    explained &= not judged(statistics).unexplained
+                    pooled = {c: s.joined(pooled[c]) if c in pooled else s for c, s in statistics.items()}
+            if section is not None:
+                tick = section.tick
+                cost += self._over(at)
+        return cost, explained and bool(pooled) and all(self._as_usual(c, s) for c, s in pooled.items())
+
+    def _as_usual(self, channel: str, s: ChannelStatistics) -> bool:
+        """Larger innovations that are white are noise that has grown, as that of a drive does with its current."""
+        usual = self._whiteness.get(channel)
+        nis = max(1.0, usual.nis if usual is not None else 1.0) * _NIS_MORE
+        return s.count < 1 or (s.nis < nis and s.correlation < max(_WHITE, _CHANCE / math.sqrt(s.count)))
+
+    def _over(self, number: int) -> float:
+        """What a section's samples cost: −2 log p, or see `slow`."""
+        first = self._slow and number == len(self._var)
+        if first:
+            self._var.append([])
+        cost, var = 0.0, iter(self._var[number] if self._slow else ())
+        for piece in self.sections[number].pieces:
+            innovations = self._filtering.run(piece)
+            if innovations is None:
+                continue
+            if first:
+                self._var[number].append(innovations.variance)
+            s = innovations.variance if first or not self._slow else next(var)
+            cost += float(np.sum(np.minimum(np.square(innovations.innovation) / s, _OUTLIER_SQUARE)))
+            if not self._slow:
+                cost += float(np.sum(np.log(s)))
+        return cost
+
+
+def sections_of(passed: Sequence[Forget | F64], number: int, parts: int, *, coarse: bool) -> list[Section]:
+    """A tick's samples in as few pieces as can be, or in some parts of equal length.
+
+    Args:
+        passed: what the filter took in it.
+        number: the tick's.
+    """
+    pieces: list[Forget | F64] = []
+    run: list[F64] = []
+    for piece in passed:
+        if isinstance(piece, Forget):
+            pieces += [*_joined(run), piece]
+            run = []
+        else:
+            run.append(piece)
+    pieces += _joined(run)
+    if parts > 1 and len(pieces) == 1 and not isinstance(pieces[0], Forget) and len(pieces[0]) >= parts:
+        return [Section((part,), number, coarse) for part in np.array_split(pieces[0], parts)]
+    return [Section(tuple(pieces), number, coarse)]
+
+
+def _joined(run: Sequence[F64]) -> list[F64]:
+    return [np.concatenate(run)] if run else []

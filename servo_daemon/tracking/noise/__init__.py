@@ -1,0 +1,1 @@
+"""How large sensor and process noise are, from the data."""

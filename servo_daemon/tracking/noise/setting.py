@@ -1,0 +1,104 @@
+"""Tells the filter how large its noise is: the watch's factors, the signals' levels, and what the balances leave."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from servo_daemon.kalman.ekf import Ekf
+from servo_daemon.regression.motor_rls import MotorRls
+from servo_daemon.regression.sampling import Sampling, coarse
+from servo_daemon.regression.stretch import Stretch
+from servo_daemon.samples import F64
+from servo_daemon.tracking.noise.coarse_input import CoarseInput
+from servo_daemon.tracking.noise.watch import InnovationWatch
+from servo_daemon.tracking.plan.roster import Roster
+from servo_daemon.tracking.samples.signal_scales import Levels
+
+
+class NoiseSetting:
+    """One drive's. A filter whose noise is set too low learns the wrong thing for certain, and what it learned stays:
+    torque and voltage noise begin with what the regressions' balances leave unexplained before it starts."""
+
+    def __init__(self, roster: Roster, ekf: Ekf, rls: MotorRls, watch: InnovationWatch, levels: Levels) -> None:
+        self._roster, self._ekf, self._rls, self._watch, self._levels = roster, ekf, rls, watch, levels
+        self._coarse = CoarseInput()
+        self._input_lsb = self._torque_Nm = 0.0
+        self._value: dict[str, float] = {}
+
+    def begin(self, input_lsb: float, sampling: Sampling) -> F64:
+        """A filter has started. Returns one unit of each coordinate, shape (n,).
+
+        Args:
+            input_lsb: step of the held input, in its unit; 0 where there is none.
+        """
+        self._input_lsb = input_lsb
+        self._coarse.lsb_V = input_lsb if self._ekf.plant.drive == "voltage" else 0.0
+        scales = self.rescale(sampling)
+        found = self._rls.window.current_noise(sampling)
+        hidden = self._hidden_in_current(sampling, found)
+        if found is not None and "current_A" in sampling.noise_var:
+            self._watch.expect_sensor("current_A", found)
+            sampling = replace(sampling, noise_var=self._watch.least_noise_var)
+        var = max(self._rls.window.input_noise(self._value, sampling) or 0.0, hidden)
+        self._watch.expect_input(var, self._levels.input_square**0.5, self._input_lsb)
+        self.set()
+        return scales
+
+    def _hidden_in_current(self, sampling: Sampling, sensor_var: float | None) -> float:
+        """Variance of a held voltage that makes the current's noise, as far as that is not its sensor's and the winding
+        is faster than the sampling: there the two look alike. Taken for nothing but the sensor's, the current's noise
+        would move no shaft.
+
+        Args:
+            sensor_var: what the shaft's balance leaves to the sensor, A²; None: not known, and half of it is.
+        """
+        whole = sampling.noise_var.get("current_A", 0.0)
+        flows = max(whole - (whole / 2 if sensor_var is None else sensor_var), 0.0)
+        R, slow = self._value.get("R", 0.0), coarse("armature", sampling.period_s)  # there motion passes for noise
+        return flows * (R * self._watch.settled) ** 2 * (1.0 - slow)
+
+    def take(self, tick: Stretch, period_s: float) -> None:
+        """A tick's samples while the filter runs."""
+        if tick.voltage is not None and len(tick.voltage) and "L" in self._roster.names:
+            self._coarse.take(tick.voltage, period_s, self._value)
+
+    def rescale(self, sampling: Sampling) -> F64:
+        """The levels of the signals, and the torque that the shaft's balance leaves, have changed. Returns one unit of
+        each coordinate, shape (n,)."""
+        self._value = self._roster.values(self._ekf.coordinates)
+        self._torque_Nm = self._levels.torque_Nm(self._value)
+        if {"R", "L"} <= self._value.keys():
+            self._watch.settled = 1.0 - math.exp(-sampling.period_s * self._value["R"] / self._value["L"])
+        unexplained = self._rls.window.unexplained_torque(self._value, sampling, self._torque_Nm)
+        self._watch.expect_torque(unexplained, self._torque_Nm)
+        return np.array(self._levels.scales(self._value))
+
+    def set(self) -> None:
+        """Noise as it is known by now."""
+        input_rms = self._levels.input_square**0.5
+        self._ekf.set_noise(self._watch.levels(input_rms, self._input_lsb, self._torque_Nm))
+
+    @property
+    def of_current(self) -> tuple[float, float] | None:
+        """Variances of the current's sensor and of the held voltage, A² and V²; None: one of them is not there."""
+        if self._ekf.plant.drive != "voltage" or "current_A" not in self._ekf.channels:
+            return None
+        return self._watch.noise_var["current_A"], self._ekf.noise.input_var
+
+    def put_of_current(self, sensor_A2: float, voltage_V2: float) -> None:
+        """See `of_current`; as far as resolutions and what a voltage has at least allow."""
+        self._watch.put_sensor("current_A", sensor_A2)
+        self._watch.put_input(voltage_V2, self._levels.input_square**0.5, self._input_lsb)
+        self.set()
+
+    def learned(self, information: F64, period_s: float) -> None:
+        """What the filter gained of each coordinate in a second of the last window, shape (n,)."""
+        if "L" in self._roster.names:
+            self._coarse.learned(float(information[self._roster.names.index("L")]) * period_s)
+
+    def inductance_std(self, period_s: float) -> float:
+        """1 σ of ln L that the steps of the recorded voltage leave open."""
+        return self._coarse.inductance_std(period_s, self._value, self.of_current) if "L" in self._value else 0.0

@@ -1,0 +1,1 @@
+"""What is to be estimated, from which signals, with which settings."""

@@ -1,0 +1,210 @@
+"""What a set of signals can determine: which model runs, what it measures, which parameters are free.
+
+With voltage, current and motion all five parameters of the linear motor are visible. Without the current only three
+combinations of five are (the coefficients of ω/v), without the voltage only J/K and B/K; the rest is held at the
+nominal value or, without one, not published at all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from servo_daemon.parameters import LINEAR, Parameter
+from servo_daemon.plant.build import PlantModel, build_plant
+from servo_daemon.plant.core import Drive
+from servo_daemon.plant.effects import INSTANTS
+
+
+@dataclass(frozen=True, slots=True)
+class SignalPlan:
+    """What will be estimated from these signals.
+
+    Attributes:
+        plant: the model driven by the best input there is; None if nothing can be run.
+        measured: channels the filter corrects with.
+        held: parameters kept at a given value.
+        free: parameters that are estimated.
+        unclaimed: why a free parameter is estimated and yet not to be believed.
+        nuisance: parameters estimated beside them and not published: small offsets that every drive has and that would
+            bend the others at full confidence. Those of the user's model are among the free ones instead.
+        reasons: why a parameter is not free, in words.
+    """
+
+    plant: PlantModel | None
+    measured: tuple[str, ...]
+    held: Mapping[str, float]
+    free: tuple[str, ...]
+    reasons: Mapping[str, str]
+    nuisance: tuple[str, ...] = ()
+    unclaimed: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def known(self) -> Mapping[str, float]:
+        """The motor's own parameters among the held ones: what stands for a missing signal."""
+        own = {p.name for p in LINEAR}
+        return {name: value for name, value in self.held.items() if name in own}
+
+
+#: Offsets that are always in the filter's model: of the torque (a hanging cable, a tilted axis) and, where a voltage
+#: lets it be told apart, of the current sensor (one of the voltage leaves the same trace).
+_NUISANCE: Mapping[str, str] = {"constant_load_torque": "TL", "current_sensor_offset": "i0"}
+#: Whoever has an effect on the left in the model has one that leaves the same trace as the offset on the right, or that
+#: is one together with it: only one of them is estimated.
+_STANDS_FOR: Mapping[str, str] = {
+    "asymmetric_friction": "constant_load_torque",  # levels that differ by direction: equal ones and a constant load
+    "voltage_sensor_offset": "current_sensor_offset",
+}
+#: Which effect a nuisance parameter stands for.
+EFFECT_OF: Mapping[str, str] = {parameter: effect for effect, parameter in _NUISANCE.items()}
+_HIDDEN_BY: dict[Drive, tuple[str, ...]] = {"voltage": (), "current": ("R", "L"), "torque": ("R", "L", "K")}
+#: Heating is driven by R i², which nothing shows without a voltage; effects on the armature have no say then. Where the
+#: torque is the input, none on the torque constant has.
+_ARMATURE_ONLY = (
+    "winding_heating",
+    "resistance_step",
+    "brush_voltage_drop",
+    "freewheel_drive",
+    "current_sensor_offset",
+    "current_sensor_gain",
+    "voltage_sensor_offset",
+)
+_SILENT: dict[Drive, tuple[str, ...]] = {
+    "voltage": (),
+    "current": (*_ARMATURE_ONLY, "drive_lag"),
+    "torque": (*_ARMATURE_ONLY, "torque_ripple", "magnetic_saturation"),
+}
+_NOT_SEARCHED = "held {}: a filter that runs along cannot search for it"
+_AS_GIVEN, _AT_START = "as given", "at its start value, for none is given"
+#: What a second inertia on a spring has to do with.
+_SHAFT = ("J", "B", "k_s", "c_s", "J_l")
+#: What no motion shows beside other parameters, or only to a filter that begins near it; and of what nothing can be
+#: said while nobody has given it. (R/g_i, L/g_i and every torque times g_i are all that voltage, current and motion
+#: hold; L and a lag trade places; an eccentricity is a small wave in everything.)
+_UNSEEN: Mapping[str, tuple[str, ...]] = {
+    "g_i": (
+        *("R", "L", "J", "B", "B_neg", "Tc", "Tc_neg", "Ts", "c2", "TL", "dTL"),
+        *("Tg", "Tper", "Tcog", "Tcog_2", "Tcog_3", "Tcog_4"),
+    ),
+    "t_lag": ("t_lag", "R", "L", "K", "J", "B"),
+    "t_f": ("t_f",),
+    "phi_enc": ("e_enc", "phi_enc", "R", "L", "K", "J", "B"),
+    "k_s": _SHAFT,
+    "J_l": _SHAFT,
+}
+#: Within a gap the load is where no sensor sees it, and a filter that has taken it for pressed against the wrong flank
+#: is sure of what it makes of that (k_s 96 % off at 300 std): it runs along, and what it finds is not published.
+_NEVER_CLAIMED: Mapping[str, tuple[str, ...]] = {"gap": _SHAFT}
+_HELD_UNSEEN = ("g_i",)
+#: Without a current sensor the armature's share must be given: R and K close the two null directions of ω/v, and L/R is
+#: far too short to show in the motion.
+_NEEDED_WITHOUT_CURRENT = ("R", "L", "K")
+
+
+def is_held(p: Parameter) -> bool:
+    """Whether a filter that runs along holds it at the value that is given."""
+    return p.held != "no" or p.name in _HELD_UNSEEN
+
+
+def plan_signals(channels: tuple[str, ...], effects: tuple[str, ...], nominal: Mapping[str, float]) -> SignalPlan:
+    """Choose input, measurements and free parameters.
+
+    Args:
+        channels: what the drive delivers (`samples.CHANNELS`).
+        nominal: given values, natural units.
+    """
+    plan = _by_signals(channels, effects, nominal)
+    if plan.plant is None:
+        return plan
+    held = [p.name for p in plan.plant.parameters if is_held(p)]
+    why = {name: _NOT_SEARCHED.format(_AS_GIVEN if name in nominal else _AT_START) for name in held}
+    for size, instant in INSTANTS.items():  # from a wrong one on it could not be told from what it changes
+        if instant not in nominal:
+            why[size] = f"held as given: give {instant} as nominal value, before which there is nothing of it"
+    given = {p.name: nominal.get(p.name, p.nominal) for p in plan.plant.parameters if p.name in why}
+    given = {name: value for name, value in given.items() if name in plan.free}
+    free = tuple(n for n in plan.free if n not in given)
+    return replace(
+        plan,
+        held={**plan.held, **given},
+        free=free,
+        reasons={**plan.reasons, **{name: why[name] for name in given}},
+        unclaimed=_unclaimed(plan.plant.parameter_names, free, nominal),
+    )
+
+
+def _unclaimed(names: Sequence[str], free: Sequence[str], nominal: Mapping[str, float]) -> dict[str, str]:
+    out: dict[str, str] = {}
+    for unseen, concerned in _UNSEEN.items():
+        if unseen in names and unseen not in nominal:
+            why = f"nothing shows it while {unseen} is not given: give it as nominal value (a diagnosis finds one)"
+            out |= {n: why for n in free if n in concerned}
+    for parameter, concerned in _NEVER_CLAIMED.items():
+        if parameter in names:
+            why = f"a filter that runs along cannot tell how sure it is beside a {parameter}: `fit` and `diagnose` can"
+            out |= {n: why for n in free if n in concerned}
+    return out
+
+
+def _by_signals(channels: tuple[str, ...], effects: tuple[str, ...], nominal: Mapping[str, float]) -> SignalPlan:
+    motion = tuple(c for c in ("position_rad", "velocity_rad_s") if c in channels)[:1]
+    if "voltage_V" in channels and (motion or "current_A" in channels):
+        return _with_voltage(channels, motion, effects, nominal)
+    if motion and "current_A" in channels:
+        return _without_voltage("current", motion, effects, nominal)
+    if motion and "torque_Nm" in channels:
+        return _without_voltage("torque", motion, effects, nominal)
+    have = ", ".join(channels) or "nothing"
+    why = f"the drive delivers {have}: no pair of an input and a response"
+    return SignalPlan(None, (), {}, (), {p.name: why for p in LINEAR})
+
+
+def _with_voltage(
+    channels: tuple[str, ...], motion: tuple[str, ...], effects: tuple[str, ...], nominal: Mapping[str, float]
+) -> SignalPlan:
+    if not motion:
+        why = "no position or speed is measured: the motion is not visible"
+        return SignalPlan(None, (), {}, (), {p.name: why for p in LINEAR})
+    if "current_A" in channels:
+        plant, nuisance = _with_offsets(effects, "voltage", tuple(_NUISANCE))
+        return SignalPlan(plant, ("current_A", *motion), {}, _own(plant, nuisance), {}, nuisance)
+    why = "no current is measured: of R, L, K, J, B only combinations are visible"
+    missing = [name for name in _NEEDED_WITHOUT_CURRENT if name not in nominal]
+    if missing:
+        why += f"; give {', '.join(missing)} as nominal values to determine the others"
+        return SignalPlan(None, (), {}, (), {p.name: why for p in LINEAR})
+    held = {name: nominal[name] for name in _NEEDED_WITHOUT_CURRENT}
+    plant, nuisance = _with_offsets(effects, "voltage", ("constant_load_torque",))
+    free = tuple(n for n in _own(plant, nuisance) if n not in held)
+    reasons = dict.fromkeys(held, f"held at the nominal value: {why}")
+    return SignalPlan(plant, motion, held, free, reasons, nuisance)
+
+
+def _with_offsets(
+    effects: tuple[str, ...], drive: Drive, offsets: tuple[str, ...]
+) -> tuple[PlantModel, tuple[str, ...]]:
+    """The plant with the offsets that are not in it already, and their parameters."""
+    there = (*effects, *(_STANDS_FOR[e] for e in effects if e in _STANDS_FOR))
+    added = tuple(e for e in offsets if e not in there)
+    return build_plant((*effects, *added), drive), tuple(_NUISANCE[e] for e in added)
+
+
+def _own(plant: PlantModel, nuisance: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(n for n in plant.parameter_names if n not in nuisance)
+
+
+def _without_voltage(
+    drive: Drive, motion: tuple[str, ...], effects: tuple[str, ...], nominal: Mapping[str, float]
+) -> SignalPlan:
+    shown = tuple(e for e in effects if e not in _SILENT[drive])
+    plant, nuisance = _with_offsets(shown, drive, ("constant_load_torque",))
+    missing_signal = "voltage" if drive == "current" else "voltage and current"
+    reasons = {name: f"no {missing_signal} measured: {name} not visible" for name in _HIDDEN_BY[drive]}
+    if drive == "torque":
+        return SignalPlan(plant, motion, {}, _own(plant, nuisance), reasons, nuisance)
+    if "K" not in nominal:
+        why = "no voltage is measured: only J/K and B/K are visible; give K as nominal value to determine J and B"
+        return SignalPlan(None, (), {}, (), {p.name: why for p in LINEAR})
+    reasons["K"] = "held at the nominal value: no voltage is measured, only J/K and B/K are visible"
+    free = tuple(n for n in _own(plant, nuisance) if n != "K")
+    return SignalPlan(plant, motion, {"K": nominal["K"]}, free, reasons, nuisance)

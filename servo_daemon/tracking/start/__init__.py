@@ -1,0 +1,1 @@
+"""From the first samples to a filter that runs."""

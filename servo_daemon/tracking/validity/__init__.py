@@ -1,0 +1,1 @@
+"""Whether a parameter may be published: information, agreement with the regression, history."""
