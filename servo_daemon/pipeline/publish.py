@@ -242,6 +242,8 @@ class Publisher:
         value, std = known.get(p.name, (None, None))
         if value is None or std is None:
             return Fused(nominal, None, "estimating", "the motion does not show it (is the shaft held?)")
+        if (why := tracker.plan.unclaimed.get(p.name)) is not None:
+            return Fused(nominal, None, "estimating", why)
         floor = self._config.estimation.skew_s * _value_of(winding, "R") if p.name == "L" else 0.0
         return Fused(value, math.hypot(std, floor), "tracking", None, 0.0)
 

@@ -36,7 +36,7 @@ from servo_daemon.tracking.restart.likelihood_look import LikelihoodLook
 from servo_daemon.tracking.restart.second_look import SecondLook
 from servo_daemon.tracking.samples.filtering import Filtering
 from servo_daemon.tracking.samples.signal_scales import Levels
-from servo_daemon.tracking.start.starter import LATEST_S, Start, Starter
+from servo_daemon.tracking.start.starter import Start, Starter
 from servo_daemon.tracking.telling import Telling
 from servo_daemon.tracking.validity.excitation import Excitation
 from servo_daemon.tracking.validity.fusion import Qualification, Trusted
@@ -179,12 +179,8 @@ class Tracker:
 
     @property
     def winding(self) -> RegressionEstimate | None:
-        """R and L by the regression where no filter can start, for nothing shows the motor's motion; else None."""
-        if self.rls is None or self.last_s is None or self._seen_s is None:
-            return None
-        found = self.rls.estimate()
-        waits = self.last_s - self._seen_s > LATEST_S
-        return found if found is not None and waits and found.closes else self.rls.winding
+        """R and L by the regression where the shaft has never turned, so that no filter can start; else None."""
+        return None if self.rls is None else self.rls.winding
 
     def last_known(self, name: str) -> Trusted | None:
         """A parameter of the plant as it was when it was last known; None: it never was."""

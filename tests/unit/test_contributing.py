@@ -3,6 +3,7 @@ makes them, then `simulate` and `fit` from outside, on data of another integrato
 
 from __future__ import annotations
 
+import ast
 import json
 import math
 import os
@@ -48,7 +49,8 @@ def stranger(repo_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     text = table.read_text(encoding="utf-8")
     names = re.search(r"^NAMES = \(\n(?:    \"\w+\",\n)+", text, re.MULTILINE)
     assert names is not None
-    table.write_text(text[: names.end()] + name + text[names.end() :], encoding="utf-8")
+    (added,) = ast.literal_eval(name)
+    table.write_text(f'{text[: names.end()]}    "{added}",\n{text[names.end() :]}', encoding="utf-8")
     return folder
 
 

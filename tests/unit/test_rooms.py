@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 #: What one sitting reads. `plant/effects/` has one small file an effect, so only its lines count.
-_MOST_FILES, _MOST_LINES = 15, 2500
+_MOST_FILES, _MOST_LINES = 16, 2500
 _MANY_FILES = {"servo_daemon/plant/effects"}
 
 

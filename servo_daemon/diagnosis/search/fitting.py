@@ -26,6 +26,9 @@ _HOPELESS = 0.01
 #: Where fewer of what a fit leaves are independent samples, it may be caught among the initial states that it has from
 #: the model before (a shaft that stuck in that one): it is begun again from the measured ones.
 COLOURED = 0.5
+#: Where free runs err by more than this share of the signal nothing is known of the motor yet (a pendulum called a
+#: linear motor: 0.28 to 0.39; a linear motor with dry friction, a dead zone or a delay: 0.002 to 0.1).
+_MUCH = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +89,7 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: in
         return current.solution.point.value - trial.solution.point.value
 
     # Without a current R and K may have any values, and a motor that lacks much ends far from the real one.
-    bent = has_no_current(current) and current.independent < COLOURED
+    bent = has_no_current(current) and current.independent < COLOURED and current.choice.nrmse > _MUCH
     with ThreadPoolExecutor(workers) as pool:
         begun = [(p, t) for p, t in zip(proposed, pool.map(begin, proposed), strict=True) if t is not None]
         most = max((gained(t) for _, t in begun), default=0.0)

@@ -92,7 +92,7 @@ DIALECTS: dict[str, tuple[str | bytes, str]] = {
         "Time → time_s",
     ),
     "ms since 1970": (
-        table(([f"{1714600000000 + 1e3 * t:.0f}" for t in M.t], *VIX[1:]), "timestamp,voltage_V,current_A,theta_rad"),
+        table(([f"{1.7146e12 + 1e3 * t:.0f}" for t in M.t], *VIX[1:]), "timestamp,voltage_V,current_A,theta_rad"),
         "timestamp → time_s",
     ),
     "thousands": (
