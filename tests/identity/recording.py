@@ -14,6 +14,7 @@ import io
 import json
 import os
 import platform
+import re
 from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -32,6 +33,8 @@ BLOCKS = (1, 7, 64, 1_000_000)
 REAL = ("unal_prbs", "xl330_up_and_down_kp100", "odrive_spinup_comp_25")
 #: What of a JSON document depends on the machine's speed.
 _TIMES = frozenset({"seconds", "created", "time"})
+#: … and of a text: "trained now, in 31 s, and kept".
+_SECONDS = re.compile(r", in \d+ s\b")
 
 _CONFIG = """[[drive]]
 name = "axis1"
@@ -59,7 +62,8 @@ def record(folder: Path, data: Path | None) -> Recording:
     Args:
         data: the folder of real captures; without it those are left out.
     """
-    with contextlib.chdir(folder):
+    models = mock.patch("servo_daemon.learning.model.cache.cache_directory", lambda: folder)  # no model of another day
+    with contextlib.chdir(folder), models:
         answers = dict(_answers(_captures(data)))
     return {"machine": machine(), "answers": answers}
 
@@ -122,7 +126,7 @@ _COMMANDS: dict[str, tuple[str, ...]] = {
     "fit no_speed": ("fit", "no_speed"),
     "fit unal validated": ("fit", "unal_prbs", "--validate", "unal_prbs", "--adapt", "0.3"),
     "fit gap": ("fit", "steps.csv", "--effect", "backlash"),
-    "compare full": ("compare", "full"),
+    "compare full": ("compare", "full", "--motors", "100"),
     "compare paper": ("compare", "--paper"),
     "tune full": ("tune", "full"),
     "excite": ("excite", "--config", "compiled.toml", "--out", "motion.csv"),
@@ -145,7 +149,9 @@ def _document(*words: str) -> str:
 def _timeless(value: Any) -> Any:
     if isinstance(value, dict):
         return {k: _timeless(v) for k, v in value.items() if k not in _TIMES}
-    return [_timeless(v) for v in value] if isinstance(value, list) else value
+    if isinstance(value, list):
+        return [_timeless(v) for v in value]
+    return _SECONDS.sub("", value) if isinstance(value, str) else value
 
 
 def _run(*words: str) -> str:
