@@ -52,7 +52,8 @@ class Candidate:
 
 def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: int) -> tuple[Candidate, ...]:
     """Fitted together with the motor, best first. All get a few iterations; those that then have some of what the best
-    one has gained go on to their end, and those that are still worse than the model that they contain."""
+    one has gained go on to their end; beside a motor of which nothing is known yet, those too that are still worse than
+    the model that they contain."""
 
     def begin(p: Proposal) -> Trial | None:
         best = None
@@ -72,7 +73,7 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: in
         over = _over_the_gap(data, current, p, trial) if loads >= little else None
         if over is not None:
             trial = over
-        elif gained(trial) < 0.0 or gained(trial) >= max(_KEPT * most, little):  # it contains the other: not there yet
+        elif (bent and gained(trial) < 0.0) or gained(trial) >= max(_KEPT * most, little):
             trial = fit_trial(data, p.effects, trial.values, like=trial) or trial
             if not trial.solution.converged and gained(trial) >= _KEPT * most:
                 trial = fit_trial(data, p.effects, trial.values, like=trial, careful=True) or trial
