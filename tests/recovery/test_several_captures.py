@@ -110,6 +110,16 @@ def test_nothing_that_warms_at_once_is_a_winding() -> None:
     assert noticeable("winding_heating", replace(warm, values={**warm.values, "C_th": 5.0}), missing)
 
 
+def test_a_step_of_a_hair_of_the_resistance_is_none() -> None:
+    block = block_of({}, 1)
+    data = Data.of([Recording("capture", block)], {}, (), 0.5)
+    base = first_trial(data, (), {})
+    missing = missing_inputs(base, block)
+    for share, is_one in ((3e-4, False), (0.02, True)):
+        stepped = replace(base, values={**base.values, "dR": -share * base.values["R"], "t_R": 3.0})
+        assert noticeable("resistance_step", stepped, missing) is is_one
+
+
 def test_half_of_the_evidence_is_a_reason_to_look_beside() -> None:
     assert half_convinces(Advantage(gain=0.6, low=-0.2, high=1.0, delta_bic=-80.0))
     assert not half_convinces(Advantage(gain=0.6, low=0.3, high=1.0, delta_bic=3.0))

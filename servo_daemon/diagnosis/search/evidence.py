@@ -104,6 +104,8 @@ def noticeable(name: str, trial: Trial, missing: Missing) -> bool:
     shares = working_shares((name,), trial, missing)
     shares |= {p.name: abs(trial.values[p.name]) for p in effects_by_name()[name].parameters if p.name in _SHARES}
     shares.pop("Ts", None)
+    if name == "resistance_step":
+        shares["dR"] = abs(trial.values["dR"]) / trial.values["R"]
     return (not shares or max(shares.values()) > LEAST_SHARE) and not _warms_at_once(name, trial.values)
 
 
