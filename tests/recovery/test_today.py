@@ -4,9 +4,9 @@ A case is right if what is hidden was named and nothing else, its parameters are
 removes at least 90 % of what the true causes remove (where that can be said). Of the README's matrix 94 % are: 96 % of
 the names, and of these in one of fifty a parameter is not. Whatever of the three becomes a tenth worse makes that 85 %.
 
-Those that are right of n are binomial. P(48 of 56 or fewer) is 1.8 % for a share of 0.94 and 65 % for 0.9 · 0.94 (for
-0.95: 0.7 and 58 %): the bound fails a code that is as it was on one day in two months, one that is a tenth worse on two
-days of three. With half of the cases a bound that sees a tenth on every second day fails by itself on one of twelve.
+Those that are right of n are binomial. P(27 of 32 or fewer) is 4 % for a share of 0.94 and 56 % for 0.9 · 0.94 (for 0.95:
+2 and 50 %): the bound fails a code that is as it was on one day in 25, one that is a tenth worse on more than every
+second. 56 cases tell that better (2 and 65 %) and take eight minutes more of `.ci/run`, which has 50.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from tests.recovery.matrix import OF_TRUE, right
 
 pytestmark = pytest.mark.usefixtures("generator_built")
 #: How many cases, and how many of them must be right: see the module.
-CASES, RIGHT = 56, 49
+CASES, RIGHT = 32, 28
 _SHARE, _WORSE = 0.94, 0.9
 
 
@@ -86,12 +86,12 @@ def test_todays_sample(number: int, draw: int, folder: Path) -> None:
 
 def test_a_code_a_tenth_worse_fails_more_often_than_not() -> None:
     by_chance = binom.cdf(RIGHT - 1, CASES, _SHARE)
-    assert by_chance < 0.02
+    assert by_chance < 0.05
     assert binom.cdf(RIGHT - 1, CASES, _WORSE * _SHARE) > 0.5
 
 
 def test_the_sample_is_of_the_whole_pool() -> None:
-    drawn = [c for day in range(20) for c in sample(740_000 + day)]
+    drawn = [c for day in range(40) for c in sample(740_000 + day)]
     pool = {(c.cause, c.strength) for c in cases(1) if c.cause not in INVISIBLE}
     assert {(c.cause, c.strength) for c in drawn} == pool
     assert len({c.seed for c in drawn}) == len(drawn)
@@ -106,5 +106,5 @@ def row(**other: object) -> dict[str, Any]:
 )
 def test_each_kind_of_fault_counts(fault: dict[str, object]) -> None:
     assert verdict([row()] * RIGHT + [row(**fault)] * (CASES - RIGHT)) == ""
-    assert "48 of 56 right" in verdict([row()] * (RIGHT - 1) + [row(**fault)] * (CASES - RIGHT + 1))
+    assert f"{RIGHT - 1} of {CASES} right" in verdict([row()] * (RIGHT - 1) + [row(**fault)] * (CASES - RIGHT + 1))
     assert all_right(row(of_true=None))
