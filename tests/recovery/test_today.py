@@ -4,9 +4,9 @@ A case is right if what is hidden was named and nothing else, its parameters are
 removes at least 90 % of what the true causes remove (where that can be said). Of the README's matrix 94 % are: 96 % of
 the names, and of these in one of fifty a parameter is not. Whatever of the three becomes a tenth worse makes that 85 %.
 
-Those that are right of n are binomial. P(27 of 32 or fewer) is 4 % for a share of 0.94 and 56 % for 0.9 · 0.94 (for 0.95:
-2 and 50 %): the bound fails a code that is as it was on one day in 25, one that is a tenth worse on more than every
-second. 56 cases tell that better (2 and 65 %) and take eight minutes more of `.ci/run`, which has 50.
+Those that are right of n are binomial. P(27 of 32 or fewer) is 4 % for a share of 0.94 and 56 % for 0.9 · 0.94 (for
+0.95: 2 and 50 %): the bound fails a code that is as it was on one day in 25, one that is a tenth worse on more than
+every second. 56 cases tell that better (2 and 65 %) and take eight minutes more of `.ci/run`, which has 50.
 """
 
 from __future__ import annotations
