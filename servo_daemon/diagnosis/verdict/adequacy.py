@@ -100,12 +100,15 @@ def believed(selection: Selection, whole_fits: WholeFits) -> Believed:
                 break
             selection = _without(selection, elsewhere[0])
             continue
-        if vague := [name for name in selection.added if not is_determined(name, extended)]:
+        found = _published(selection, levels)
+        assert found.extended is not None
+        # Of what is published: the only thing that everything has a say in, and only to take a name away.
+        if vague := [name for name in selection.added if not is_determined(name, found.extended)]:
             if len(vague) == len(selection.added):
                 break
             selection = _without(selection, vague[0])
             continue
-        return _published(selection, levels)
+        return found
     return Believed(replace(selection, chosen=selection.base, added=(), equivalent={}), None, None, (), None)
 
 
