@@ -26,9 +26,9 @@ _HOPELESS = 0.01
 #: Where fewer of what a fit leaves are independent samples, it may be caught among the initial states that it has from
 #: the model before (a shaft that stuck in that one): it is begun again from the measured ones.
 COLOURED = 0.5
-#: Where free runs err by more than this share of the signal nothing is known of the motor yet (a pendulum called a
-#: linear motor: 0.28 to 0.39; a linear motor with dry friction, a dead zone or a delay: 0.002 to 0.1).
-_MUCH = 0.2
+#: Where free runs err by more than this share of the signal little is known of the motor yet (a pendulum called a
+#: linear motor: 0.28 to 0.39; one with a dead zone and a late speed: 0.1; with dry friction alone: 0.002).
+_MUCH = 0.05
 
 
 @dataclass(frozen=True, slots=True)
