@@ -45,6 +45,9 @@ _PLAINLY = 0.2
 _AT_REST = 0.95
 #: Thermal time constants of windings in catalogues: 2 s (6 mm across) to minutes.
 _FASTEST_HEAT_S = 1.0
+#: What is late, and by which parameter; later than this share of a sample, at least: L takes what is less.
+_LATE = {"drive_lag": "t_lag", "measurement_delay": "t_d", "speed_filter": "t_f"}
+_LEAST_LATE = 0.1
 _SERIES = {"N·m": "torque", "V": "voltage"}
 
 
@@ -106,6 +109,8 @@ def noticeable(name: str, trial: Trial, missing: Missing) -> bool:
     shares.pop("Ts", None)
     if name == "resistance_step":
         shares["dR"] = abs(trial.values["dR"]) / trial.values["R"]
+    if name in _LATE and trial.values[_LATE[name]] < _LEAST_LATE * trial.problem.sample_period_s:
+        return False
     return (not shares or max(shares.values()) > LEAST_SHARE) and not _warms_at_once(name, trial.values)
 
 

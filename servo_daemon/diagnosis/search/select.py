@@ -27,6 +27,7 @@ from servo_daemon.diagnosis.search.candidates import (
 )
 from servo_daemon.diagnosis.search.evidence import (
     at_odds,
+    convinces,
     half_convinces,
     needless,
     noticeable,
@@ -114,7 +115,7 @@ def select(data: Data, base: Trial, progress: Progress, whole: Whole, workers: i
         search.equivalent |= {name: ties(best, candidates) if len(names) == 1 else () for name in names}
         search.added = [*(a for a in search.added if a in best.trial.effects), *names]
         search.current = closer(search.data, best.trial)
-    chosen, added = _pruned(search.data, search.current, search.added)
+    chosen, added = pruned(search.data, search.current, search.added)
     return Selection(search.data, search.base, chosen, tuple(added), tuple(search.rounds), search.equivalent)
 
 
@@ -156,7 +157,7 @@ def _round(search: _Search, missing: Missing, progress: Progress, workers: int) 
         found = _with_shorter_runs(found, [p for p in proposed if p.name.startswith(_UNSTABLE)], workers)
     search, candidates, best = found
     first = candidates[0] if candidates and candidates[0] is not best else None
-    if first is not None and half_convinces(first.against):
+    if first is not None and half_convinces(first.against) and not convinces(first.against):
         progress(0.3, f"{first.name} and another")
         beside = _beside(search, first, candidates, workers)
         if beside[2] is not None:
@@ -285,7 +286,7 @@ def _with_shorter_runs(had: _Found, proposed: Sequence[Proposal], workers: int) 
     return found, again, best
 
 
-def _pruned(data: Data, current: Trial, added: Sequence[str]) -> tuple[Trial, list[str]]:
+def pruned(data: Data, current: Trial, added: Sequence[str]) -> tuple[Trial, list[str]]:
     """Effects that a later one has made needless go, and what is richer than needed becomes what it contains."""
     kept = list(added)
     for name in list(added):

@@ -18,8 +18,14 @@ import numpy as np
 from servo_daemon.diagnosis.missing.missing import Missing
 from servo_daemon.diagnosis.missing.noise_levels import NoiseLevels
 from servo_daemon.diagnosis.screening.dependence import Dependence, dependences
-from servo_daemon.diagnosis.search.evidence import LEAST_OWN, LEAST_TOGETHER, is_what_it_is_called, working_shares
-from servo_daemon.diagnosis.search.select import Selection, without_effect
+from servo_daemon.diagnosis.search.evidence import (
+    LEAST_OWN,
+    LEAST_TOGETHER,
+    is_what_it_is_called,
+    noticeable,
+    working_shares,
+)
+from servo_daemon.diagnosis.search.select import Selection, pruned, without_effect
 from servo_daemon.diagnosis.trial.cuts import mean_over_cuts
 from servo_daemon.diagnosis.trial.data import Data
 from servo_daemon.diagnosis.trial.everything import (
@@ -103,7 +109,9 @@ def believed(selection: Selection, whole_fits: WholeFits) -> Believed:
         found = _published(selection, levels)
         assert found.extended is not None
         # Of what is published: the only thing that everything has a say in, and only to take a name away.
-        if vague := [name for name in selection.added if not is_determined(name, found.extended)]:
+        chosen = selection.chosen
+        known = [n for n in selection.added if noticeable(n, chosen, missing) and is_determined(n, found.extended)]
+        if vague := [name for name in selection.added if name not in known]:
             if len(vague) == len(selection.added):
                 break
             selection = _without(selection, vague[0])
@@ -118,7 +126,9 @@ def _without(selection: Selection, name: str) -> Selection:
     without = without_effect(selection.data, selection.chosen, name)
     if without is None or not others:
         return replace(selection, chosen=selection.base, added=(), equivalent={})
-    return replace(selection, chosen=without, added=others)
+    # What had its place beside it may have none now.
+    chosen, kept = pruned(selection.data, without, others)
+    return replace(selection, chosen=chosen, added=tuple(kept))
 
 
 def _published(selection: Selection, levels: NoiseLevels) -> Believed:
