@@ -44,9 +44,7 @@ def written(made: Made, folder: Path) -> Capture:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="named, 19.2 ± 2.4 ms for 15 ms and L/R: the interval holds the lag of the winding", strict=False)
-    reason="named, 19.2 ± 2.4 ms for 15 ms and L/R: the interval holds the winding's lag now", strict=False
-)
+@pytest.mark.xfail(reason="named, 19.2 ± 2.4 ms for 15 ms and L/R: the winding's lag is in the interval", strict=False)
 def test_a_late_angle_is_named_beside_dry_friction(tmp_path: Path) -> None:
     found = diagnosed(_DRY | _LATE, tmp_path)
     assert [e.name for e in found.effects] == ["coulomb_friction", "measurement_delay"]
