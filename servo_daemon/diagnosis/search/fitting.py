@@ -15,7 +15,7 @@ from servo_daemon.diagnosis.trial.data import Data
 from servo_daemon.diagnosis.trial.split import shorter_s
 from servo_daemon.diagnosis.trial.trial import Trial, fit_trial
 from servo_daemon.diagnosis.trial.twins import lag_twin
-from servo_daemon.identification.output_error.starts import starting_points
+from servo_daemon.identification.output_error.starts import by_sizes
 from servo_daemon.identification.short_runs import begun_short_runs, is_placed, with_all_inertia
 from servo_daemon.plant.effects import effects_by_name
 
@@ -104,8 +104,7 @@ def _by_sizes(data: Data, p: Proposal) -> Iterator[Mapping[str, float]]:
     known = effects_by_name()
     held = {q.name: p.start[q.name] for e in p.effects for q in known[e].parameters if q.held == "always"}
     held = {**held, **data.fixed}
-    starts = starting_points(data.recordings, data.problem(p.effects, held), held)
-    for begun in {s.values["J"]: s.values for s in starts if s.source.endswith("signal sizes")}.values():
+    for begun in by_sizes(data.recordings, data.problem(p.effects, held), held):
         yield {**begun, **held}
 
 

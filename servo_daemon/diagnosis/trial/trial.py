@@ -17,7 +17,7 @@ from servo_daemon.identification.output_error.lost_runs import ENOUGH, begun_aga
 from servo_daemon.identification.output_error.problem.problem import Problem, Segment
 from servo_daemon.identification.output_error.problem.setup import carrying
 from servo_daemon.identification.output_error.solver.solver import Solution, solve
-from servo_daemon.identification.output_error.starts import BY_WINDOWS, starting_points
+from servo_daemon.identification.output_error.starts import starting_points
 from servo_daemon.identification.short_runs.placed import is_placed, placed
 from servo_daemon.kalman.gaussian import natural_values, to_coordinate
 from servo_daemon.parameters import Parameter
@@ -185,9 +185,8 @@ def first_trial(data: Data, effects: tuple[str, ...], nominal: Mapping[str, floa
     """
     choices = {p.name: nominal.get(p.name, p.nominal) for p in _counts_and_choices(effects)}
     problem = data.problem(effects, {n: v for n, v in choices.items() if n not in data.fixed})
-    starts = starting_points(data.recordings, problem, {**choices, **nominal, **data.fixed})
     # A regression over windows takes what the model lacks for its parameters: a better end, and further from the motor.
-    starts = [s for s in starts if not s.source.startswith(BY_WINDOWS)]
+    starts = starting_points(data.recordings, problem, {**choices, **nominal, **data.fixed}, windows=False)
     begun = [t for s in starts if (t := fit_trial(data, effects, s.values, max_iterations=_START_ITERATIONS))]
     if not begun:
         raise NumericalError("the motor cannot be simulated over these data from any start: values out of range?")

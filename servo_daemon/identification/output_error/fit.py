@@ -84,8 +84,8 @@ def fit_output_error(
     problem = make_problem(recordings, effects, options.fixed, segment_s=options.segment_s)
     if not options.thorough:
         problem = carrying(problem, recordings)
-    starts = starting_points(recordings, problem, {**options.nominal, **options.fixed})
-    starts = starts if options.thorough else starts[:1]
+    points = starting_points(recordings, problem, {**options.nominal, **options.fixed})
+    starts = list(points) if options.thorough else [next(points)]
     scale = _coordinate_scale(problem, recordings, starts[0])
     solution, start = _search(problem, starts, options)
     solution = _from_elsewhere_on(problem, solution, recordings, options)

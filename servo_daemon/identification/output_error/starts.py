@@ -6,7 +6,7 @@ the recording). Guesses from sizes are never far in that sense; they cost one si
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -46,32 +46,55 @@ class Start:
     values: Mapping[str, float]
 
 
-def starting_points(recordings: Sequence[Recording], problem: Problem, nominal: Mapping[str, float]) -> list[Start]:
-    """Starts, the nominal one first if it is complete, then the rest in no particular order.
+def starting_points(
+    recordings: Sequence[Recording], problem: Problem, nominal: Mapping[str, float], *, windows: bool = True
+) -> Iterator[Start]:
+    """Starts, the nominal one first if it is complete, then the rest in no particular order; each made when it is asked
+    for.
 
     Args:
         nominal: what the user gave, natural units.
+        windows: with those by regression over windows.
     """
+    block, turns = _longest(recordings, problem)
+    for start in _starts(block, problem, nominal, windows=windows and turns):
+        yield start if turns else replace(start, values={**start.values, **HELD_SHAFT})
+
+
+def by_sizes(
+    recordings: Sequence[Recording], problem: Problem, nominal: Mapping[str, float]
+) -> Iterator[Mapping[str, float]]:
+    """Guesses from the signals' sizes alone, natural values, one for each mechanical time constant."""
+    guesses = _from_sizes(_longest(recordings, problem)[0], problem.plant, nominal)
+    yield from {values["J"]: values for values in guesses}.values()
+
+
+def _longest(recordings: Sequence[Recording], problem: Problem) -> tuple[SampleBlock, bool]:
+    """The longest recording in which the shaft turns, else of all; and whether it turns in any."""
     turning = [r.seen_block for k, r in enumerate(recordings) if k not in problem.blocked]
-    block = max(turning or [r.seen_block for r in recordings], key=len)
-    guesses = [Start(BY_SIZES, values) for values in _from_sizes(block, problem.plant, nominal)]
-    regression = regression_values(block, problem.plant)
-    starts = []
+    return max(turning or [r.seen_block for r in recordings], key=len), bool(turning)
+
+
+def _starts(block: SampleBlock, problem: Problem, nominal: Mapping[str, float], *, windows: bool) -> Iterator[Start]:
+    guesses = _from_sizes(block, problem.plant, nominal)
+
+    def complete(some: Mapping[str, float], rest: Mapping[str, float] = guesses[0]) -> dict[str, float]:
+        return {name: some.get(name, rest[name]) for name in problem.plant.parameter_names}
+
     needed = {p.name for p in LINEAR} & {*problem.free, *problem.local}
     if nominal and needed <= nominal.keys():
-        starts.append(Start("nominal values", _complete(nominal, guesses[0].values, problem.plant)))
-    if regression:
-        starts.append(Start("regression", _complete(regression, guesses[0].values, problem.plant)))
+        yield Start("nominal values", complete(nominal))
+    if regression := regression_values(block, problem.plant):
+        yield Start("regression", complete(regression))
     if nominal and not needed <= nominal.keys():
-        starts += [Start(f"nominal values, {BY_SIZES}", _complete(nominal, g.values, problem.plant)) for g in guesses]
-    if problem.plant.drive == "voltage" and turning and problem.channels != ("current_A",):
+        for guess in guesses:
+            yield Start(f"nominal values, {BY_SIZES}", complete(nominal, guess))
+    if windows and problem.plant.drive == "voltage" and problem.channels != ("current_A",):
         given = {n: v for n, v in nominal.items() if n in problem.given}
-        starts += [
-            Start(f"{BY_WINDOWS} of {length} samples", _complete({**values, **given}, guesses[0].values, problem.plant))
-            for length, values in window_starts(block, _core(guesses[0].values))
-        ]
-    starts += guesses
-    return starts if turning else [replace(s, values={**s.values, **HELD_SHAFT}) for s in starts]
+        for length, values in window_starts(block, _core(guesses[0])):
+            yield Start(f"{BY_WINDOWS} of {length} samples", complete({**values, **given}))
+    for guess in guesses:
+        yield Start(BY_SIZES, guess)
 
 
 def _core(values: Mapping[str, float]) -> dict[str, float]:
@@ -83,10 +106,6 @@ def coordinates(start: Start, problem: Problem) -> dict[str, float]:
     table = {p.name: p for p in problem.plant.parameters}
     out = {n: to_coordinate(p, float(np.clip(start.values[n], p.lower, p.upper))) for n, p in table.items()}
     return out | dict(problem.given)
-
-
-def _complete(some: Mapping[str, float], rest: Mapping[str, float], plant: PlantModel) -> dict[str, float]:
-    return {n: some.get(n, rest[n]) for n in plant.parameter_names}
 
 
 def _from_sizes(block: SampleBlock, plant: PlantModel, nominal: Mapping[str, float]) -> list[dict[str, float]]:
