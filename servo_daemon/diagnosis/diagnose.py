@@ -89,7 +89,7 @@ def _diagnose(
     belief = believed(selection, whole_fits)
     every = data.everything
     baseline = fit_everything(every, base, WholeFits(every) if belief.extended is None else None)
-    diagnosis = _by_free_runs(captures, data, belief, baseline, _within(progress, 0.88, 1.0))
+    diagnosis = _by_free_runs(captures, every, belief, baseline, _within(progress, 0.88, 1.0))
     if not diagnosis.effects:
         with suppress(ServoDaemonError):  # then the free runs have the last word
             diagnosis = _otherwise(diagnosis, data, belief.selection, options.nominal, whole_fits)
@@ -100,14 +100,18 @@ def _diagnose(
 
 
 def _by_free_runs(
-    captures: Sequence[Capture], data: Data, belief: Believed, baseline: OutputErrorFit, progress: Progress
+    captures: Sequence[Capture], every: Data, belief: Believed, baseline: OutputErrorFit, progress: Progress
 ) -> Diagnosis:
-    """What the search came to, scored; `validation` and `seconds` are yet to come."""
+    """What the search came to, scored; `validation` and `seconds` are yet to come.
+
+    Args:
+        every: with nothing held out.
+    """
     progress(0.0, "scoring on what was held out")
     gained = gain(belief)
     selection, final = belief.selection, belief.extended or baseline
     progress(0.33, "what is left")
-    before = longest_missing(data.everything, baseline)
+    before = longest_missing(every, baseline)
     depends, remains = belief.depends_on, bool(belief.depends_on)
     if belief.extended is None and not baseline.white:
         depends = dependences(baseline, before)
@@ -115,9 +119,8 @@ def _by_free_runs(
             bool(depends) or is_large(before) or _speaks_for_something(selection) or _unexplained(selection, before)
         )
     progress(0.58, "what differs between the captures")
-    held = {**data.fixed, **selection.chosen.held}
-    recordings = data.everything.recordings
-    spreads, own_models = differences(recordings, final, held, selection.data.split.segment_s)
+    held = {**every.fixed, **selection.chosen.held}
+    spreads, own_models = differences(every.recordings, final, held, selection.data.split.segment_s)
     return Diagnosis(
         captures=tuple(captures),
         verdict="found" if gained.effects else "unexplained" if remains else "none",

@@ -7,7 +7,7 @@ fewer samples they are). Each alone is fooled by encoders and converters.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -179,12 +179,10 @@ def _beside(search: _Search, first: Candidate, candidates: tuple[Candidate, ...]
         missing = seen_missing(search.data, current)
     except NumericalError:
         return search, candidates, None
-    proposed = proposals(current, screen(current, missing), missing, 0.0, given=search.data.fixed)
-    scaled = scaled_friction(current.effects, current.problem.channels, current.values, current.values)
-    rest = {p.name: p for p in (*scaled, *proposed)}.values()
+    proposed = _whatever(current, screen(current, missing), missing, search.data.fixed)
     two = tuple(
         replace(c, name=f"{first.name} + {c.name}", against=advantage(search.current, c.trial))
-        for c in fitted(search.data, current, tuple(rest), workers)
+        for c in fitted(search.data, current, proposed, workers)
         if worth_a_name(c.trial, current, search.base)
     )
     return search, (*two, *candidates), best_of(tuple(sorted(two, key=lambda c: -c.against.gain)))
@@ -196,12 +194,23 @@ def _thought_little_of(
     """What gets a fit although screening saw little of it. If it is not noise that is left, everything: screening is
     linear in what may be far from it, and what it sees depends on what it took for noise. What is late, where no
     current is measured, whatever is left."""
-    late, rest = [*late_without_current(current), *open_at_zero(current)], dict[str, Proposal]()
+    late, rest = [*late_without_current(current), *open_at_zero(current)], tuple[Proposal, ...]()
     if _promised(screened) > _PROMISING or current.independent < COLOURED:
-        scaled = scaled_friction(current.effects, current.problem.channels, current.values, current.values)
-        rest = {p.name: p for p in (*scaled, *proposals(current, screened, missing, 0.0))}
-    others = [p for p in rest.values() if p.name not in {q.name for q in late}]
+        rest = _whatever(current, screened, missing)
+    others = [p for p in rest if p.name not in {q.name for q in late}]
     return [p for p in (*others, *late) if p.name not in {q.name for q in proposed}]
+
+
+def _whatever(
+    current: Trial, screened: Sequence[ScreenedCandidate], missing: Missing, given: Collection[str] = ()
+) -> tuple[Proposal, ...]:
+    """All that could be tried, whatever screening saw of it, and what only scales a friction that is there.
+
+    Args:
+        given: see `proposals`.
+    """
+    scaled = scaled_friction(current.effects, current.problem.channels, current.values, current.values)
+    return tuple({p.name: p for p in (*scaled, *proposals(current, screened, missing, 0.0, given))}.values())
 
 
 def _worthy(search: _Search, missing: Missing, proposed: Sequence[Proposal], workers: int) -> tuple[Candidate, ...]:

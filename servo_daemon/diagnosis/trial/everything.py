@@ -44,16 +44,34 @@ class WholeFits:
             self._known[asked] = fit_whole(self._data, trial, begin, below)
         return self._known[asked]
 
+    def from_either(
+        self, trial: Trial, start: Mapping[str, float] | None, below: float = math.inf
+    ) -> OutputErrorFit | None:
+        """From where the search has come to; if the data are not white with that, from where screening put it, if they
+        are then: free runs that follow a drift may have bent a spring to follow it, too.
 
-def fit_everything(data: Data, trial: Trial, whole_fits: WholeFits | None) -> OutputErrorFit:
+        Args:
+            start: of screening, natural values; None: there is none.
+        """
+        fit = self.of(trial, below=below)
+        if start is None or (fit is not None and fit.white):
+            return fit
+        other = self.of(trial, start, below)
+        return other if other is not None and other.white else fit
+
+
+def fit_everything(
+    data: Data, trial: Trial, whole_fits: WholeFits | None, start: Mapping[str, float] | None = None
+) -> OutputErrorFit:
     """A trial's model fitted to all parts, with standard deviations: in one run if that explains the data to their
     noise (then noise that enters the motor is told from what the sensors add), else in the free runs of the search.
 
     Args:
         whole_fits: over the same recordings; None: no noise that enters the motor is looked for, and the fit cannot be
             found white.
+        start: where screening put it, natural values.
     """
-    whole = None if whole_fits is None else whole_fits.of(trial)
+    whole = None if whole_fits is None else whole_fits.from_either(trial, start)
     return whole if whole is not None and whole.white else fit_runs(data, trial, trial.values, data.split.segment_s)
 
 

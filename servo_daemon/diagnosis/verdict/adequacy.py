@@ -2,8 +2,8 @@
 
 A search always finds something that fits a little better. A name is believed if its effect takes most of the error that
 is not noise, if all of them together do, and if what they leave is small beside what they explain: a friction that is
-not quite Coulomb's leaves a fifth of itself. All this is judged on the parts that fit and decide; the held-out part is
-seen by what is published, when all is decided.
+not quite Coulomb's leaves a fifth of itself. All this is judged on the parts that fit and decide. The held-out part is
+seen by what is published, and a name of which the published values are open is taken away.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def believed(selection: Selection, whole_fits: WholeFits) -> Believed:
     before = longest_missing(data, selection.base) if selection.added else None
     while selection.added:
         assert before is not None
-        extended = _to_all(data, selection, whole_fits)
+        extended = fit_everything(data, selection.chosen, whole_fits, _screened_start(selection))
         missing = longest_missing(data, extended)
         levels = measured_levels(missing)
         floor = noise_floor(levels, selection.chosen, CHOICE).nrmse
@@ -134,7 +134,7 @@ def _without(selection: Selection, name: str) -> Selection:
 def _published(selection: Selection, levels: NoiseLevels) -> Believed:
     """What was decided on the parts for fitting and choosing, fitted to all the data."""
     data, trial = selection.data.everything, selection.chosen
-    extended = _straight(data, trial, _to_all(data, selection, WholeFits(data)))
+    extended = _straight(data, trial, fit_everything(data, trial, WholeFits(data), _screened_start(selection)))
     missing = longest_missing(data, extended)
     depends = () if extended.white else dependences(extended, missing)
     better = by_predictions(data, extended)
@@ -143,15 +143,11 @@ def _published(selection: Selection, levels: NoiseLevels) -> Believed:
     return Believed(selection, over_a_gap(data, extended, trial.values), missing, depends, levels)
 
 
-def _to_all(data: Data, selection: Selection, whole_fits: WholeFits) -> OutputErrorFit:
-    """As `fit_everything`; where the data are not white from where the search has come to, from where screening put the
-    effect: free runs that follow a drift may have bent a spring to follow it, too."""
-    fit = fit_everything(data, selection.chosen, whole_fits)
+def _screened_start(selection: Selection) -> Mapping[str, float] | None:
+    """Where screening put the model, where it is what a single round has taken; natural values."""
     taken = [c for candidates in selection.rounds for c in candidates if c.taken]
-    if fit.white or len(taken) != 1 or taken[0].start is None or taken[0].trial.effects != selection.chosen.effects:
-        return fit
-    other = whole_fits.of(selection.chosen, taken[0].start)
-    return other if other is not None and other.white else fit
+    alone = len(taken) == 1 and taken[0].trial.effects == selection.chosen.effects
+    return taken[0].start if alone else None
 
 
 def _straight(data: Data, trial: Trial, fit: OutputErrorFit) -> OutputErrorFit:

@@ -143,12 +143,8 @@ def _unscreened(selection: Selection, tried: Collection[str]) -> list[Candidate]
 
 def _fitted(whole_fits: WholeFits, c: Candidate, below: float = math.inf) -> OutputErrorFit | None:
     """To everything, as far as the deviance may come below this; of two lags in a row in the order that the data
-    prefer. Free runs that follow a drift may have bent a spring to follow it, too: if the data are not white with what
-    the search has come to, from where screening put it."""
-    fit = whole_fits.of(c.trial, below=below)
-    if (fit is None or not fit.white) and c.start is not None:
-        other = whole_fits.of(c.trial, c.start, below)
-        fit = other if other is not None and other.white else fit
+    prefer."""
+    fit = whole_fits.from_either(c.trial, c.start, below)
     return None if fit is None else told_from_twin(fit, partial(whole_fits.of, c.trial, below=below))
 
 
