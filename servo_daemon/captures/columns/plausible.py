@@ -13,6 +13,7 @@ import numpy as np
 
 from servo_daemon.captures.capture.model import Capture, capture_error
 from servo_daemon.captures.meaning.finding import mend
+from servo_daemon.column_names import RPM
 from servo_daemon.samples import F64
 
 #: Sampling periods of a servo drive, s: slower shows no motor's dynamics, faster is no drive's log.
@@ -44,7 +45,7 @@ class _Range:
 _RANGES = (
     _Range("voltage_V", 1500.0, "is it in millivolts?", 1e-3, 0.05, "is it in kilovolts, or a duty cycle?"),
     _Range("current_A", 1000.0, "is it in milliamperes?", 1e-3, 3e-4, "is it in kiloamperes?"),
-    _Range("velocity_rad_s", 12000.0, "is it in rpm, degrees or counts a second?", 2 * math.pi / 60),
+    _Range("velocity_rad_s", 12000.0, "is it in rpm, degrees or counts a second?", RPM),
 )
 #: Resistances that windings have, Ω, with a factor of three to spare: starter motors 3 mΩ, millimetre motors 1 kΩ.
 _LEAST_R, _MOST_R = 1e-3, 3e3

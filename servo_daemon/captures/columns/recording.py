@@ -28,6 +28,7 @@ from servo_daemon.captures.columns.time_base import BASE_ORDER, BRIDGE_FACTOR, T
 from servo_daemon.captures.columns.understand import understand
 from servo_daemon.captures.columns.understood import Understood
 from servo_daemon.captures.meaning.restored import restored_current
+from servo_daemon.captures.meaning.windows import travel_of
 from servo_daemon.errors import BadInputError, CaptureError, ConfigError
 from servo_daemon.samples import F64
 
@@ -100,14 +101,10 @@ def _motor_current(
     shown = next((column.shown for column in columns if column.shown is not None), None)
     if shown is None:
         return (), None
-    voltage, travel = values.get("voltage_V"), None
+    voltage = values.get("voltage_V")
     if voltage is None:
         raise capture_error(path, f'shows = "{shown.shows}" needs voltage_V in the map', column="current_A")
-    if "position_rad" in values:
-        travel = np.diff(values["position_rad"])
-    elif "velocity_rad_s" in values:
-        speed = values["velocity_rad_s"]
-        travel = np.asarray((speed[1:] + speed[:-1]) / 2 * np.diff(time_s))
+    travel = travel_of(time_s, values.get("position_rad"), values.get("velocity_rad_s"))
     try:
         values["current_A"], known = restored_current(shown, time_s, voltage, values["current_A"], travel)
     except BadInputError as error:

@@ -9,6 +9,7 @@ import numpy as np
 
 from servo_daemon.captures.capture.model import Capture
 from servo_daemon.captures.meaning.finding import Finding, column_name, mend
+from servo_daemon.column_names import RPM, TURN
 from servo_daemon.samples import F64
 
 #: Whole numbers of fewer different values may be a physical value: steps of 0, 6 and 12 V.
@@ -22,11 +23,8 @@ _MOST_CODE = 1024.0
 #: A voltage beyond the limit that the config tells, by more than the margin of a fresh supply.
 _BEYOND = 1.3
 #: rad (or rad/s) in a unit.
-_ANGLES = {
-    "degrees": math.pi / 180,
-    "turns": 2 * math.pi,
-}
-_SPEEDS = {"rpm": 2 * math.pi / 60, "degrees a second": math.pi / 180, "turns a second": 2 * math.pi}
+_ANGLES = {"degrees": math.pi / 180, "turns": TURN}
+_SPEEDS = {"rpm": RPM, "degrees a second": math.pi / 180, "turns a second": TURN}
 #: A ratio of two columns is a unit's factor if it comes so near.
 _RATIO = 0.03
 #: Angle and integral of the speed go together if so little (power) stands apart.
@@ -45,7 +43,7 @@ def unit_findings(capture: Capture, limit_V: float | None) -> list[Finding]:
         *_whole_position(capture),
         *_speed_against_position(capture),
         *_encoder_step(capture),
-        *_whole(capture, "velocity_rad_s", 2 * math.pi / 60, "rpm (or counts a second)"),
+        *_whole(capture, "velocity_rad_s", RPM, "rpm (or counts a second)"),
         *_voltage(capture, limit_V),
         *_whole(capture, "current_A", 1e-3, "milliamperes (or counts of a converter)"),
     ]

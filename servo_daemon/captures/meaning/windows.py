@@ -19,13 +19,18 @@ _WINDOW_S, _LEAST = 0.01, 4
 FEWEST = 40
 
 
-def travelled(capture: Capture) -> F64 | None:
-    """Δθ of every interval, shape (n − 1,); None without a motion."""
-    if capture.position_rad is not None:
-        return np.diff(capture.position_rad)
-    if capture.velocity_rad_s is not None:
-        return np.asarray((capture.velocity_rad_s[1:] + capture.velocity_rad_s[:-1]) / 2 * np.diff(capture.time_s))
+def travel_of(time_s: F64, position_rad: F64 | None, velocity_rad_s: F64 | None) -> F64 | None:
+    """Δθ of every interval, shape (n − 1,), by the angle, else by the speed, shapes (n,); None without a motion."""
+    if position_rad is not None:
+        return np.diff(position_rad)
+    if velocity_rad_s is not None:
+        return np.asarray((velocity_rad_s[1:] + velocity_rad_s[:-1]) / 2 * np.diff(time_s))
     return None
+
+
+def travelled(capture: Capture) -> F64 | None:
+    """`travel_of` a capture."""
+    return travel_of(capture.time_s, capture.position_rad, capture.velocity_rad_s)
 
 
 def window_length(time_s: F64) -> int:
