@@ -1,4 +1,5 @@
-"""`python -m tests.identity` compares with the references, `python -m tests.identity --write` makes them anew.
+"""`python -m tests.identity --write --references F` records every answer before a change that must not change any,
+`python -m tests.identity --references F` compares with that after it, on the same machine.
 
 About two minutes on one core.
 """
@@ -12,13 +13,13 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tests.identity.recording import REFERENCES, differences, record, references
+from tests.identity.recording import differences, record, references
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--write", action="store_true", help="make the references anew")
-    parser.add_argument("--references", type=Path, default=REFERENCES, metavar="F", help="another file of references")
+    parser.add_argument("--references", type=Path, required=True, metavar="F", help="the file of the recording")
     arguments = parser.parse_args()
     data = Path(os.environ.get("SERVO_DATA") or Path(__file__).resolve().parents[3] / "shared" / "data")
     with tempfile.TemporaryDirectory() as folder:

@@ -10,9 +10,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import hashlib
-import io
 import json
-import os
 import platform
 import re
 from collections.abc import Iterator, Sequence
@@ -23,9 +21,7 @@ from unittest import mock
 
 import numpy as np
 
-from servo_daemon import cli
-
-REFERENCES = Path(__file__).with_name("references.json")
+from tests.command_line import run_command
 
 #: Samples handed to the pipeline at once; the last is more than any capture has.
 BLOCKS = (1, 7, 64, 1_000_000)
@@ -80,7 +76,7 @@ def machine() -> dict[str, str]:
     }
 
 
-def references(path: Path = REFERENCES) -> Recording:
+def references(path: Path) -> Recording:
     """The recording to compare with."""
     return dict(json.loads(path.read_text()))
 
@@ -155,18 +151,11 @@ def _timeless(value: Any) -> Any:
 
 
 def _run(*words: str) -> str:
-    """`servo-daemon WORDS…` in this process, without this machine's overrides: stdout."""
-    bare = {k: v for k, v in os.environ.items() if not k.startswith("SERVO_DAEMON_")}
-    out, err = io.StringIO(), io.StringIO()
-    with (
-        mock.patch.dict(os.environ, bare, clear=True),
-        contextlib.redirect_stdout(out),
-        contextlib.redirect_stderr(err),
-    ):
-        code = cli.main(list(words))
-    if code != 0:
-        raise RuntimeError(f"servo-daemon {' '.join(words)}: exit code {code}\n{err.getvalue()}")
-    return out.getvalue()
+    """`servo-daemon WORDS…` in this process: stdout."""
+    result = run_command(*words)
+    if result.code != 0:
+        raise RuntimeError(f"servo-daemon {' '.join(words)}: exit code {result.code}\n{result.err}")
+    return result.out
 
 
 def _without(source: str, target: str, columns: Sequence[str]) -> None:

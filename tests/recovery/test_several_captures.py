@@ -120,6 +120,16 @@ def test_a_step_of_a_hair_of_the_resistance_is_none() -> None:
         assert noticeable("resistance_step", stepped, missing) is is_one
 
 
+def test_a_lag_of_a_small_part_of_a_sample_is_none() -> None:
+    block = block_of({}, 1)
+    data = Data.of([Recording("capture", block)], {}, (), 0.5)
+    base = first_trial(data, (), {})
+    missing, period_s = missing_inputs(base, block), base.problem.sample_period_s
+    for share, is_one in ((0.05, False), (0.5, True)):
+        late = replace(base, values={**base.values, "t_lag": share * period_s})
+        assert noticeable("drive_lag", late, missing) is is_one
+
+
 def test_half_of_the_evidence_is_a_reason_to_look_beside() -> None:
     assert half_convinces(Advantage(gain=0.6, low=-0.2, high=1.0, delta_bic=-80.0))
     assert not half_convinces(Advantage(gain=0.6, low=0.3, high=1.0, delta_bic=3.0))
