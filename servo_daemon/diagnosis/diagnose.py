@@ -95,7 +95,7 @@ def _diagnose(
             diagnosis = _otherwise(diagnosis, data, belief.selection, options.nominal, whole_fits)
     scores = tuple(validated(c, baseline, diagnosis.extended, recordings, options.adapt) for c in validation)
     held = FitOptions(fixed=options.fixed, segment_s=data.split.segment_s)
-    shown = published(diagnosis.baseline, data.recordings, held)
+    shown = published(diagnosis.baseline, every.recordings, held)
     return replace(diagnosis, baseline=shown, validation=scores, seconds=time.perf_counter() - began)
 
 
