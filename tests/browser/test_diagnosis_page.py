@@ -60,7 +60,7 @@ def test_a_verdict_and_its_adoption(open_page: OpenPage, server: LiveServer) -> 
     for part in (
         "coulomb friction removes 93.0 % of the error", "bearings and brushes rub", "Tc = 12.50 ± 0.13 mN·m",
         "asymmetric friction or load dependent friction + constant load torque as well",
-        "93.0 % of the error is gone (95 %: 91.0 % to 95.0 %)", "60 s of samples, linear motor:",
+        "93.0 % of the error is gone (95 %: from 91.0 % to 95.0 %)", "60 s of samples, linear motor:",
     ):  # fmt: skip
         assert part in said, (part, said)
     assert page.evaluate("document.getElementById('report-link').getAttribute('href')") == (

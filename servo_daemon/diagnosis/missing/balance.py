@@ -99,7 +99,7 @@ def _if_possible(fit: Fitted, where: _Where, q: F64 | None = None, levels: Noise
 
 def _share(missing: Missing) -> float:
     """RMS of what is missing over the working size, a tenth of it for the torque: the larger of both."""
-    rms = {name: float(np.sqrt(np.mean(series**2))) / missing.size[name] for name, series in missing.series.items()}
+    rms = {name: float(np.sqrt(square)) for name, square in missing.mean_square.items()}
     return max(share if name == "voltage" else 0.1 * share for name, share in rms.items())
 
 
@@ -123,7 +123,7 @@ def _changes(fit: Fitted, missing: Missing) -> dict[str, float]:
     if "voltage" in missing.series and "torque" in missing.series:
         winding = {"R": m.p["R"] * m.i, "L": m.p["L"] * m.i_rate, "K": m.p["K"] * m.omega}
         traces = {name: Trace(voltage=values) for name, values in winding.items() if name in free}
-        out = _least_squares(missing, "voltage", traces, missing.series["voltage"], np.ones(len(m.t), dtype=bool))
+        out = _least_squares(missing, "voltage", traces, missing.series["voltage"], missing.seen)
     if "torque" in missing.series and not m.rest.all():
         shaft = {"J": m.p["J"] * m.omega_rate, "B": m.p["B"] * m.omega}
         traces = {name: Trace(torque=values) for name, values in shaft.items() if name in free}
@@ -131,7 +131,7 @@ def _changes(fit: Fitted, missing: Missing) -> dict[str, float]:
         torque = missing.series["torque"]
         if "K" in out:
             torque = torque + out["K"] * m.p["K"] * m.i
-        out |= _least_squares(missing, "torque", traces, torque, ~m.rest)
+        out |= _least_squares(missing, "torque", traces, torque, ~m.rest & missing.seen)
         out.pop("dry", None)
     return out
 

@@ -81,7 +81,8 @@ class Missing:
         augmented, coordinates: model and parameters of the passes.
         stretches: what the linear response needs.
         resolution: step of each measured channel, 0: none.
-        unseen: shape (n,): samples that the screening must not look at, because a choice is scored on them.
+        unseen: shape (n,): samples that tell where the motor is and nothing else: neither the levels nor any statistic
+            of the series counts them, because they are held out.
     """
 
     visible: Visible
@@ -99,9 +100,14 @@ class Missing:
     unseen: NDArray[np.bool_]
 
     @property
+    def seen(self) -> NDArray[np.bool_]:
+        """Shape (n,)."""
+        return ~self.unseen
+
+    @property
     def mean_square(self) -> Mapping[str, float]:
-        """Of each series over what the motor works with."""
-        return {n: float(np.mean(np.square(v))) / self.size[n] ** 2 for n, v in self.series.items()}
+        """Of each series over what the motor works with, where it may be seen."""
+        return {n: float(np.mean(np.square(v[self.seen]))) / self.size[n] ** 2 for n, v in self.series.items()}
 
 
 def missing_inputs(
@@ -123,7 +129,7 @@ def missing_inputs(
         coordinates: parameters to use instead, as in `Missing.coordinates`.
         levels: intensities; None: by maximum likelihood from this capture.
         least_walk: the walks are not slower than this, unit²/s.
-        seen: shape (n,): where the measurements are used; None: everywhere.
+        seen: shape (n,): see `Missing.unseen`; None: everywhere.
 
     Raises:
         BadInputError: signals or samples are missing.
@@ -131,12 +137,14 @@ def missing_inputs(
     """
     plant = _with_load(fit.problem.plant)
     q = coordinates_with_load(fit, recording)[1] if coordinates is None else coordinates
-    problem = _in_runs(Recording("capture", block, seen), fit.problem.plant, q)
+    problem = _in_runs(Recording("capture", block), fit.problem.plant, q)
+    marks = np.ones(len(block), dtype=bool) if seen is None else seen
+    shown = [marks[s.begin : s.begin + len(s.rows)] for s in problem.segments]
     disturbances, visible = _unknown(plant, problem.channels)
     a = Augmented(plant, problem.channels, disturbances)
     size = _sizes(plant, q, problem)
     near = placed_within(problem, q) if is_placed(problem) else None
-    stretches = [_stretch(a, s, size, near) for s in problem.segments]
+    stretches = [_stretch(a, s, size, near, where) for s, where in zip(problem.segments, shown, strict=True)]
     steps = {
         c: resolution(np.concatenate([s.measured[s.valid[:, k], k] for s in problem.segments]))
         for k, c in enumerate(a.channels)
@@ -162,7 +170,7 @@ def missing_inputs(
         coordinates=q,
         stretches=smoothed,
         resolution=steps,
-        unseen=np.zeros(len(time), dtype=bool),
+        unseen=~np.concatenate(shown),
     )
 
 
@@ -215,11 +223,14 @@ def _sizes(plant: PlantModel, q: F64, problem: Problem) -> dict[str, float]:
     return {"torque": float(np.exp(p["K"])) * current, "voltage": rms}
 
 
-def _stretch(a: Augmented, segment: Segment, size: Mapping[str, float], near: F64 | None) -> Stretch:
+def _stretch(
+    a: Augmented, segment: Segment, size: Mapping[str, float], near: F64 | None, shown: NDArray[np.bool_]
+) -> Stretch:
     """A segment for the passes.
 
     Args:
         near: shape (nx,), 1 σ of the state that it begins in; None: little is known of that.
+        shown: shape (n,), which samples the likelihood may take.
     """
     rows = np.ascontiguousarray(
         np.hstack([segment.rows, np.where(segment.valid, segment.measured, 0.0), segment.valid.astype(float)])
@@ -228,7 +239,7 @@ def _stretch(a: Augmented, segment: Segment, size: Mapping[str, float], near: F6
     z0 = np.concatenate([segment.x0, np.zeros(n_d)])
     states = _STATE_PRIOR * segment.x0_scale if near is None else near
     spread = np.concatenate([states, [_PRIOR * size[d] for d in a.disturbances]])
-    counted = segment.valid.copy()
+    counted = segment.valid & shown[:, None]
     for k in range(len(a.channels)):
         values = np.where(segment.valid[:, k], segment.measured[:, k], np.nan)
         if resolution(values[segment.valid[:, k]]) > 0:

@@ -80,7 +80,7 @@ def dependences(fit: Fitted, missing: Missing) -> tuple[Dependence, ...]:
         quantities = list(_quantities(context, name))
         traces = [*nuisance, *(_trace(name, column) for q in quantities for column in q.columns)]
         regression = Regression.of(missing, motion, traces, stiff)
-        unit, whole = float(np.median(missing.std[name])), float(np.sqrt(np.mean(np.square(missing.series[name]))))
+        unit, whole = float(np.median(missing.std[name])), float(np.sqrt(missing.mean_square[name])) * missing.size[name]
         found = _forward(
             name, regression, len(nuisance), quantities, (unit, missing.size[name]), int((~motion.rest).sum())
         )
@@ -100,7 +100,8 @@ def is_large(missing: Missing) -> bool:
 def _moments(name: str, missing: Missing) -> list[Dependence]:
     """What came at a few moments and follows nothing else: a load that dropped, a contact that opened. A series that is
     small nearly everywhere holds its energy in few samples (Gaussian noise: 14 % in the largest 2 %)."""
-    series, std, size = missing.series[name], missing.std[name], missing.size[name]
+    where = missing.seen
+    series, std, size = missing.series[name][where], missing.std[name][where], missing.size[name]
     energy = np.square(series)
     largest = energy >= np.quantile(energy, 1.0 - _FEW)
     share = float(energy[largest].sum() / max(float(energy.sum()), 1e-300))
@@ -108,7 +109,7 @@ def _moments(name: str, missing: Missing) -> list[Dependence]:
     if share < _HELD_BY_FEW or (np.abs(series) < _BEYOND_NOISE * std).all() or rms < _MOMENT_SIZE * size:
         return []
     k = int(np.argmax(energy))
-    return [Dependence(name, "moments", share, rms, rms / size, {"time_s": float(missing.time_s[k])})]
+    return [Dependence(name, "moments", share, rms, rms / size, {"time_s": float(missing.time_s[where][k])})]
 
 
 def _trace(series: str, values: F64) -> Trace:

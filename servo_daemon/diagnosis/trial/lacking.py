@@ -6,15 +6,12 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servo_daemon.diagnosis.missing.balance import balanced_missing_inputs
 from servo_daemon.diagnosis.missing.missing import Fitted, Missing, missing_inputs
 from servo_daemon.diagnosis.trial.data import Data
-from servo_daemon.diagnosis.trial.split import BEGUN, HELD_OUT
 from servo_daemon.diagnosis.trial.trial import Trial
 from servo_daemon.errors import NumericalError
-from servo_daemon.identification.output_error.problem.rollout import TIME
 
 #: For screening the missing torque and voltage walk at least by this share of the working ones in this time, s. A cause
 #: that changes fast (a ripple over the turn) may look most like white noise of the voltage; taken for that, nothing of
@@ -37,7 +34,7 @@ def longest_missing(data: Data, fit: Fitted) -> Missing:
 
 
 def seen_missing(data: Data, trial: Trial) -> Missing:
-    """The same for screening: never all of it taken for noise, the held-out part marked as unseen.
+    """The same for screening: never all of it taken for noise.
 
     Raises:
         NumericalError: see `balanced_missing_inputs`.
@@ -56,18 +53,7 @@ def seen_missing(data: Data, trial: Trial) -> Missing:
             least_walk=least,
             seen=data.recordings[number].seen,
         )
-    return replace(missing, unseen=_unseen(data, trial, number, missing))
-
-
-def _unseen(data: Data, trial: Trial, number: int, missing: Missing) -> NDArray[np.bool_]:
-    """Which samples of a recording are in neither the part that is fitted nor the one that decides, shape (n,)."""
-    out = np.zeros(len(missing.time_s), dtype=bool)
-    time = missing.time_s - data.recordings[number].block.time_s[0]
-    for k in data.split.of(HELD_OUT, BEGUN):
-        segment = trial.problem.segments[int(k)]
-        if segment.recording == number:
-            out |= (time >= segment.rows[0, TIME]) & (time <= segment.rows[-1, TIME])
-    return out
+    return missing
 
 
 def leaves(data: Data, trial: Trial, before: Missing) -> float:

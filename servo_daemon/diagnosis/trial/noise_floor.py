@@ -39,9 +39,10 @@ def measured_levels(missing: Missing) -> NoiseLevels:
     """
     channels, stretches = missing.augmented.channels, missing.stretches
     c = len(channels)
+    shown = np.split(missing.seen, np.cumsum([len(s.rows) for s in stretches])[:-1])
     variances = {}
     for k, name in enumerate(channels):
-        values = [s.rows[s.rows[:, 3 + c + k] > 0, 3 + k] for s in stretches]
+        values = [s.rows[where & (s.rows[:, 3 + c + k] > 0), 3 + k] for s, where in zip(stretches, shown, strict=True)]
         least = missing.resolution[name] ** 2 / 12.0
         most = max(third_differences(values), least)
         variances[name] = float(np.clip(missing.levels.channel_var[name], least, most))

@@ -216,7 +216,7 @@ def _removed_of_missing(before: Missing, after: Missing) -> float:
     room, taken = 0.0, 0.0
     for n, was in before.mean_square.items():
         left = after.mean_square.get(n, 0.0)
-        noise = float(np.mean(np.square(after.std[n]))) / before.size[n] ** 2 if n in after.std else 0.0
+        noise = float(np.mean(np.square(after.std[n][after.seen]))) / before.size[n] ** 2 if n in after.std else 0.0
         room += max(was - min(noise, left), 0.0)
         taken += was - left
     return taken / room if room > 0.0 else 0.0
