@@ -13,6 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from servo_daemon.plant.effects import parameter_table
+from servo_daemon.regression.derived_terms import DerivedTerms, derived_terms
 from servo_daemon.regression.stretch import Stretch, speed_sign
 from servo_daemon.regression.stretch import speed as speed_of
 from servo_daemon.samples import F64
@@ -75,11 +77,35 @@ _GIVES: Mapping[str, str] = {
     **{w.sine: w.amplitude for w in WAVES.values()},
     **{w.cosine: w.phase for w in WAVES.values()},
 }
+#: Effects without which the balances are judged: small, or no terms of theirs but errors of a sensor.
+_NO_COLUMNS = frozenset(
+    {
+        "load_torque_step",
+        "current_sensor_gain",
+        "encoder_eccentricity",
+        "resistance_step",
+        "magnetic_saturation",
+        "winding_heating",
+        "freewheel_drive",
+        "drive_lag",
+        "measurement_delay",
+        "speed_filter",
+    }
+)
 #: Effects that are a constant in the armature's balance, and their parameters.
 ARMATURE_OFFSETS = {"current_sensor_offset": "i0", "voltage_sensor_offset": "v0"}
 
 #: Columns whose coefficient is not the parameter itself.
 _CHANGED = frozenset({*(w.sine for w in WAVES.values()), "boundary", *_ALONG})
+
+
+#: Effects that have their columns here, or are known to have none.
+_TOLD = _NO_COLUMNS | TWO_MASSES | {*WAVES, *_SHAFT, *ARMATURE_OFFSETS, "brush_voltage_drop"}
+
+
+def derived_of(effects: Sequence[str]) -> tuple[DerivedTerms, ...]:
+    """Of those effects that have their columns from their terms."""
+    return tuple(derived_terms(e) for e in effects if e not in _TOLD)
 
 
 def columns_of(effect: str, effects: Sequence[str]) -> tuple[str, ...]:
@@ -92,7 +118,7 @@ def columns_of(effect: str, effects: Sequence[str]) -> tuple[str, ...]:
         return WAVES[effect].sine, WAVES[effect].cosine
     if effect == "position_dependent_friction" and "coulomb_friction" not in effects:
         return ()  # the level that varies is no single column
-    return _SHAFT.get(effect, ())
+    return _SHAFT[effect] if effect in _SHAFT else tuple(c for d in derived_of((effect,)) for c in d.columns["shaft"])
 
 
 def shaft_columns(effects: Sequence[str]) -> tuple[str, ...]:
@@ -105,7 +131,7 @@ def armature_columns(effects: Sequence[str]) -> tuple[str, ...]:
     offset = ("one",) if ARMATURE_OFFSETS.keys() & set(effects) else ()
     brushes = ("Vb",) if "brush_voltage_drop" in effects else ()
     ripple = ("rip_sin", "rip_cos") if "torque_ripple" in effects else ()
-    return (*offset, *brushes, *ripple)
+    return (*offset, *brushes, *ripple, *(c for d in derived_of(effects) for c in d.columns["armature"]))
 
 
 def waves_per_turn(phase: str, held: Mapping[str, float]) -> float:
@@ -141,7 +167,12 @@ def coefficient(column: str, value: Mapping[str, float]) -> tuple[float, dict[st
         return value["Ts"] - value["Tc"], {"Ts": value["Ts"], "Tc": -value["Tc"]}
     if column == "one":
         return value.get("TL", 0.0), {"TL": 1.0}
-    return value[column], {column: value[column]}
+    return value[column], _by_itself(column, value)
+
+
+def _by_itself(column: str, value: Mapping[str, float]) -> dict[str, float]:
+    """Derivative of a parameter by its own estimated coordinate."""
+    return {column: value[column] if parameter_table()[column].transform == "log" else 1.0}
 
 
 def armature_coefficient(column: str, value: Mapping[str, float]) -> tuple[float, dict[str, float]]:
@@ -151,7 +182,7 @@ def armature_coefficient(column: str, value: Mapping[str, float]) -> tuple[float
     if column in SHARES:
         share, by = coefficient(column, value)
         return value["K"] * share, {"K": value["K"] * share, **{p: value["K"] * slope for p, slope in by.items()}}
-    return value[column], {column: value[column]}
+    return value[column], _by_itself(column, value)
 
 
 def as_parameters(columns: Sequence[str], value: F64, covariance: F64) -> tuple[F64, F64]:
@@ -239,3 +270,12 @@ SIGNALS: Mapping[str, Signals] = {
     "torque_ripple": _ripple,
     **{f"cogging_torque{e}": _by_angle(f"n_cog{e}") for e in _ENDINGS},
 }
+
+
+def shaft_signals(effect: str, s: Stretch, value: Mapping[str, float]) -> list[F64]:
+    """What an effect's columns in the shaft's balance are the modulated integrals of, shapes (n,).
+
+    Args:
+        value: what is held, and where what is not linear is taken, natural units.
+    """
+    return SIGNALS[effect](s, value) if effect in SIGNALS else derived_terms(effect).signals("shaft", s, value)

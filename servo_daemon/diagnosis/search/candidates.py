@@ -99,7 +99,8 @@ def proposals(
         effects = extended(current.effects, name)
         if name not in known or effects is None:
             continue
-        certain = any(p.name in given for p in known[name].parameters) or (hidden and s.effect == "coulomb_friction")
+        certain = s.unseen or any(p.name in given for p in known[name].parameters)
+        certain |= hidden and s.effect == "coulomb_friction"
         if s.heldout_share <= 0 and not certain:
             continue
         simpler = any(s.effect == small and p.name in large for small, large in NESTED.items() for p in out)

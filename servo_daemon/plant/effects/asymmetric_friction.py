@@ -48,4 +48,5 @@ EFFECT = Effect(
     equation=r"T_c + B\omega \ (\omega > 0), \quad -T_c^- + B^-\omega \ (\omega < 0)",
     parameters=(TC, TC_NEG, B_NEG),
     terms=_terms,
+    ladder=20,
 )

@@ -27,6 +27,7 @@ EFFECT = Effect(
         J_L,
     ),
     terms=_terms,
+    ladder=260,
     states=TWIST,
     substeps=2,
 )

@@ -60,6 +60,7 @@ def _harmonic(ending: str) -> Effect:
             ),
         ),
         terms=terms,
+        ladder=110,
         substeps=2,
         further="cogging_torque" if ending else "",
     )

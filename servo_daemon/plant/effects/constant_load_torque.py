@@ -28,4 +28,5 @@ EFFECT = Effect(
     equation=r"T_L",
     parameters=(TL,),
     terms=_terms,
+    ladder=70,
 )

@@ -28,4 +28,5 @@ EFFECT = Effect(
     equation=r"T_c \operatorname{sgn}\omega",
     parameters=(TC,),
     terms=_terms,
+    ladder=10,
 )

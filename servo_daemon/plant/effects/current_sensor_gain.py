@@ -19,4 +19,5 @@ EFFECT = Effect(
     equation=r"i_{\mathrm{shown}} = g_i\,i",
     parameters=(G_I,),
     terms=_terms,
+    ladder=140,
 )

@@ -28,4 +28,5 @@ EFFECT = Effect(
     equation=r"i_{\mathrm{shown}} = i + i_0",
     parameters=(I0,),
     terms=_terms,
+    ladder=130,
 )

@@ -21,6 +21,7 @@ EFFECT = Effect(
     equation=r"t_{lag}\,\dot v = v_{\mathrm{shown}} - v",
     parameters=(T_LAG,),
     terms=_terms,
+    ladder=220,
     substeps=4,
     states=(LAGGED,),
 )

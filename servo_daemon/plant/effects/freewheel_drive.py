@@ -22,6 +22,7 @@ EFFECT = Effect(
     equation=r"i = 0 \quad (v_{\mathrm{command}} = 0)",
     parameters=(),
     terms=_terms,
+    ladder=210,
     # The current ends early in the step, see `brush_voltage_drop`.
     substeps=4,
 )

@@ -31,4 +31,5 @@ EFFECT = Effect(
     equation=r"T_g \sin(\theta + \varphi_g)",
     parameters=(TG, PHI_G),
     terms=_terms,
+    ladder=80,
 )

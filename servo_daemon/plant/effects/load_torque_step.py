@@ -44,4 +44,5 @@ EFFECT = Effect(
         T_TL,
     ),
     terms=_terms,
+    ladder=90,
 )

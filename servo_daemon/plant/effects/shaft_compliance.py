@@ -48,5 +48,6 @@ EFFECT = Effect(
         J_L,
     ),
     terms=_terms,
+    ladder=250,
     states=TWIST,
 )

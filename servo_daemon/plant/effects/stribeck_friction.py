@@ -49,5 +49,6 @@ EFFECT = Effect(
         WS,
     ),
     terms=_terms,
+    ladder=30,
     substeps=4,
 )

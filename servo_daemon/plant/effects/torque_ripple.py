@@ -53,5 +53,6 @@ EFFECT = Effect(
         PHI_RIP,
     ),
     terms=_terms,
+    ladder=120,
     substeps=4,
 )

@@ -51,5 +51,6 @@ EFFECT = Effect(
     equation=r"R\,(1 + 0.0039\,\vartheta),\quad C_{th}\,\dot\vartheta = R\,i^2 - \vartheta/R_{th}",
     parameters=(R_TH, C_TH),
     terms=_terms,
+    ladder=200,
     states=(WARMING,),
 )

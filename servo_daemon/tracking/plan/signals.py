@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 from servo_daemon.parameters import LINEAR, Parameter
 from servo_daemon.plant.build import PlantModel, build_plant
+from servo_daemon.plant.contribution import contribution
 from servo_daemon.plant.core import Drive
 from servo_daemon.plant.effects import INSTANTS
 
@@ -58,22 +59,6 @@ _STANDS_FOR: Mapping[str, str] = {
 #: Which effect a nuisance parameter stands for.
 EFFECT_OF: Mapping[str, str] = {parameter: effect for effect, parameter in _NUISANCE.items()}
 _HIDDEN_BY: dict[Drive, tuple[str, ...]] = {"voltage": (), "current": ("R", "L"), "torque": ("R", "L", "K")}
-#: Heating is driven by R i², which nothing shows without a voltage; effects on the armature have no say then. Where the
-#: torque is the input, none on the torque constant has.
-_ARMATURE_ONLY = (
-    "winding_heating",
-    "resistance_step",
-    "brush_voltage_drop",
-    "freewheel_drive",
-    "current_sensor_offset",
-    "current_sensor_gain",
-    "voltage_sensor_offset",
-)
-_SILENT: dict[Drive, tuple[str, ...]] = {
-    "voltage": (),
-    "current": (*_ARMATURE_ONLY, "drive_lag"),
-    "torque": (*_ARMATURE_ONLY, "torque_ripple", "magnetic_saturation"),
-}
 _NOT_SEARCHED = "held {}: a filter that runs along cannot search for it"
 _AS_GIVEN, _AT_START = "as given", "at its start value, for none is given"
 #: What a second inertia on a spring has to do with.
@@ -196,7 +181,7 @@ def _own(plant: PlantModel, nuisance: tuple[str, ...]) -> tuple[str, ...]:
 def _without_voltage(
     drive: Drive, motion: tuple[str, ...], effects: tuple[str, ...], nominal: Mapping[str, float]
 ) -> SignalPlan:
-    shown = tuple(e for e in effects if e not in _SILENT[drive])
+    shown = tuple(e for e in effects if contribution(e).shows(drive))
     plant, nuisance = _with_offsets(shown, drive, ("constant_load_torque",))
     missing_signal = "voltage" if drive == "current" else "voltage and current"
     reasons = {name: f"no {missing_signal} measured: {name} not visible" for name in _HIDDEN_BY[drive]}
