@@ -125,6 +125,12 @@ class Contribution:
                 return False
         return True
 
+    def is_offset(self, balance: str) -> bool:
+        """Whether some part of what it adds to a balance is a constant of any size, whatever the motion."""
+        motion, states, _ = self._inputs
+        slopes = (ca.gradient(self.adds[balance], self.signals.p[p.name]) for p in self.linear)
+        return any(not g.is_zero() and not ca.depends_on(g, ca.vertcat(motion, states)) for g in slopes)
+
     @property
     def names(self) -> tuple[str, ...]:
         """Parameters that the expressions may depend on: the motor's, Tc, its own."""

@@ -29,14 +29,12 @@ class DerivedTerms:
     Attributes:
         columns: parameters that are the coefficients of columns, by balance.
         open: balances that do not close with these columns.
-        by_current, by_angle, by_current_direction: whether what it adds follows them.
+        by_current_direction: whether what it adds follows that.
     """
 
     effect: str
     columns: Mapping[str, tuple[str, ...]]
     open: frozenset[str]
-    by_current: bool
-    by_angle: bool
     by_current_direction: bool
 
     def signals(self, which: str, s: Stretch, value: Mapping[str, float]) -> list[F64]:
@@ -49,11 +47,11 @@ class DerivedTerms:
         if not self.columns[which]:
             return []
         current = np.zeros_like(s.time_s) if s.current is None else s.current
-        motion = {
+        motion: dict[str, F64] = {
             "t": s.time_s,
             "i": current,
             "omega": speed(s),
-            "h": np.median(np.diff(s.time_s)) if len(s.time_s) > 1 else np.zeros(1),
+            "h": np.full_like(s.time_s, np.median(np.diff(s.time_s))),
             "sliding": speed_sign(s),
             "flowing": np.sign(current),
         }
@@ -83,14 +81,14 @@ def derived_terms(effect: str) -> DerivedTerms:
         effect=effect,
         columns=columns,
         open=frozenset(open_),
-        by_current=c.follows(s.i, s.i_square, s.torque),
-        by_angle=c.follows(s.theta),
         by_current_direction=c.follows(c.direction[1]),
     )
 
 
 def _closes(effect: str, which: str, columns: Mapping[str, tuple[str, ...]]) -> bool:
     c, balance = contribution(effect), ADDED_TO[which]
+    if c.terms.shaft is not None and c.terms.lag_s is None and c.terms.delay is None:
+        return which == "armature"  # a torque of a spring that no sensor shows
     if not c.is_along_motion or c.effect.states or any(map(c.touches, SENSORS)):
         return False
     if not c.touches(balance):

@@ -35,9 +35,6 @@ from servo_daemon.regression.stretch import Stretch, between_samples, joined, la
 from servo_daemon.regression.stretch import speed as speed_of
 from servo_daemon.regression.terms import (
     ARMATURE_OFFSETS,
-    NEED_ANGLE,
-    NEED_EFFORT,
-    TWO_MASSES,
     armature_columns,
     as_parameters,
     columns_of,
@@ -45,6 +42,7 @@ from servo_daemon.regression.terms import (
     given_by,
     shaft_columns,
     shaft_signals,
+    unseen_in,
 )
 from servo_daemon.samples import F64
 
@@ -86,16 +84,11 @@ class MotorRls:
         self._current_gain = self._taken_at.get("g_i", 1.0)
         self._lag = Lag(self._taken_at["t_lag"]) if "drive_lag" in plant.effects else None
         given_torque = plant.drive == "voltage" and bool(known)
-        # Columns of zeros would keep a regression from any estimate: no torque that friction or ripple are a share of
-        # without a current, no waves of an angle that nobody measures.
-        unseen = (NEED_EFFORT if given_torque else frozenset()) | (frozenset() if sees_angle else NEED_ANGLE)
+        unseen = unseen_in(plant.effects, sees_current=not given_torque, sees_angle=sees_angle)
         derived = derived_of(plant.effects)
-        unseen |= {d.effect for d in derived if (given_torque and d.by_current) or (d.by_angle and not sees_angle)}
         self._derived = tuple(d for d in derived if d.effect not in unseen)
         #: Balances that do not close, and judge nothing.
-        self._open = frozenset({"shaft"} if TWO_MASSES.intersection(plant.effects) else ()).union(
-            *(d.open if d in self._derived else ADDED_TO for d in derived)
-        )
+        self._open = frozenset[str]().union(*(d.open if d in self._derived else ADDED_TO for d in derived))
         self._shaft_effects = tuple(e for e in plant.effects if e not in unseen)
         self._shaft_columns = ("J", "B", *shaft_columns(self._shaft_effects))
         self._offsets = tuple(name for effect, name in ARMATURE_OFFSETS.items() if effect in plant.effects)

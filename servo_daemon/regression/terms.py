@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from servo_daemon.plant.contribution import contribution
 from servo_daemon.plant.effects import parameter_table
 from servo_daemon.regression.derived_terms import DerivedTerms, derived_terms
 from servo_daemon.regression.stretch import Stretch, speed_sign
@@ -22,10 +23,6 @@ from servo_daemon.samples import F64
 #: Signals of an effect's columns, from a stretch and the values that are held or begun with.
 Signals = Callable[[Stretch, Mapping[str, float]], list[F64]]
 
-#: Effects with a second inertia: the shaft's own balance holds the torque of a spring that no sensor shows.
-TWO_MASSES = frozenset({"shaft_compliance", "backlash"})
-#: Effects whose torque is a share of the motor's.
-NEED_EFFORT = frozenset({"torque_ripple", "load_dependent_friction"})
 #: Columns whose coefficient is a share of the motor torque.
 SHARES = frozenset({"mu", "rip_sin", "rip_cos"})
 
@@ -53,8 +50,6 @@ WAVES: Mapping[str, Wave] = {
     "torque_ripple": Wave("rip_sin", "rip_cos", "k_rip", "phi_rip"),
     **{f"cogging_torque{e}": Wave(f"cog{e}_sin", f"cog{e}_cos", f"Tcog{e}", f"phi_cog{e}") for e in _ENDINGS},
 }
-#: Effects that follow the angle: no column of them without a measured one.
-NEED_ANGLE = frozenset({*WAVES, "position_dependent_friction"} - {"periodic_disturbance"})
 #: The order of a wave, by its phase.
 _ORDER_OF = {"phi_rip": "n_rip", **{f"phi_cog{e}": f"n_cog{e}" for e in _ENDINGS}}
 _WAVE_OF = {column: wave for wave in WAVES.values() for column in (wave.sine, wave.cosine)}
@@ -100,12 +95,20 @@ _CHANGED = frozenset({*(w.sine for w in WAVES.values()), "boundary", *_ALONG})
 
 
 #: Effects that have their columns here, or are known to have none.
-_TOLD = _NO_COLUMNS | TWO_MASSES | {*WAVES, *_SHAFT, *ARMATURE_OFFSETS, "brush_voltage_drop"}
+_TOLD = _NO_COLUMNS | {*WAVES, *_SHAFT, *ARMATURE_OFFSETS, "brush_voltage_drop"}
 
 
 def derived_of(effects: Sequence[str]) -> tuple[DerivedTerms, ...]:
     """Of those effects that have their columns from their terms."""
     return tuple(derived_terms(e) for e in effects if e not in _TOLD)
+
+
+def unseen_in(effects: Sequence[str], *, sees_current: bool, sees_angle: bool) -> frozenset[str]:
+    """Effects that follow what is not measured: columns of zeros would keep a regression from any estimate."""
+    of = {e: contribution(e) for e in effects}
+    by_current = {e for e, c in of.items() if c.follows(c.signals.i, c.signals.i_square, c.signals.torque)}
+    by_angle = {e for e, c in of.items() if c.follows(c.signals.theta)}
+    return frozenset((set() if sees_current else by_current) | (set() if sees_angle else by_angle))
 
 
 def columns_of(effect: str, effects: Sequence[str]) -> tuple[str, ...]:

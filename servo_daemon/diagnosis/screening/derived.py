@@ -7,7 +7,7 @@ nothing is linear, the whole is a column, near whose coefficient of one its valu
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import product
 
 import numpy as np
@@ -57,11 +57,17 @@ def motion_for(c: Context) -> dict[str, F64]:
     """As `Contribution.along` takes it."""
     m = c.motion
     torque = m.p["K"] * m.i if "K" in m.p else m.u
-    directions = {"sliding": c.rest_friction, "flowing": np.sign(m.i)}
-    return {  # (where the input is a voltage R is a parameter)
-        "t": m.t + m.h / 2, "v": m.u * ("R" in m.p), "i": m.i, "omega": m.omega, "theta": m.theta, "torque": torque, "h": m.h,
-        **directions,
-    }  # fmt: skip
+    return {
+        "t": m.t + m.h / 2,
+        "v": m.u if "R" in m.p else np.zeros_like(m.u),  # else the input is no voltage
+        "i": m.i,
+        "omega": m.omega,
+        "theta": m.theta,
+        "torque": torque,
+        "h": m.h,
+        "sliding": c.rest_friction,
+        "flowing": np.sign(m.i),
+    }
 
 
 def usual_values(added: Contribution, m: Motion) -> dict[str, float]:
@@ -100,7 +106,7 @@ def _trace(columns: Mapping[str, F64], k: int) -> Trace:
     return Trace(torque if torque.any() else None, voltage if voltage.any() else None, shown)
 
 
-def _start(added: Contribution, values: Mapping[str, float]):  # type: ignore[no-untyped-def]
+def _start(added: Contribution, values: Mapping[str, float]) -> Callable[[F64], Start | None]:
     own = {p.name: values[p.name] for p in added.effect.parameters}
 
     def start(b: F64) -> Start | None:

@@ -66,11 +66,11 @@ def families(plant: PlantModel, free: Collection[str]) -> dict[str, Family]:
     if {"J", "B"} <= set(free) and ({"R", "L"} <= set(free) or plant.drive != "voltage"):
         known.pop("current_sensor_gain", None)  # the same as all of these scaled
     known |= SENSORS | TWO_MASS
-    known |= {n: derived(n) for n in effects_by_name() if _has_no_formula(n) and contribution(n).shows(plant.drive)}
+    known |= {n: derived(n) for n in effects_by_name() if has_no_formula(n) and contribution(n).shows(plant.drive)}
     return {name: family for name, family in known.items() if name not in plant.effects}
 
 
-def _has_no_formula(name: str) -> bool:
+def has_no_formula(name: str) -> bool:
     """Whether an effect is screened by its terms alone."""
     return name not in _WITH_FORMULA and not effects_by_name()[name].further
 
@@ -100,7 +100,7 @@ def screen(fit: Fitted, missing: Missing) -> tuple[ScreenedCandidate, ...]:
         )
         if scored is not None and (basis.effect not in best or scored[0] < best[basis.effect][0]):
             best[basis.effect] = scored
-    unseen = [contribution(name) for name in tried if _has_no_formula(name) and not contribution(name).is_along_motion]
+    unseen = [contribution(name) for name in tried if has_no_formula(name) and not contribution(name).is_along_motion]
     return (
         *(candidate for _, candidate in sorted(best.values(), key=lambda pair: pair[0])),
         *(ScreenedCandidate(c.effect.name, 0.0, usual_values(c, motion), 0.0, {}, unseen=True) for c in unseen),

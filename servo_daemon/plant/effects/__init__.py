@@ -40,9 +40,9 @@ def effects_by_name() -> Mapping[str, Effect]:
     for file in sorted(m.name for m in iter_modules(__path__) if m.name != "base"):
         module = import_module(f"{__name__}.{file}")
         effects = getattr(module, "EFFECTS", None) or (getattr(module, "EFFECT", None),)
-        if not all(isinstance(effect, Effect) for effect in effects):
+        found += [effect for effect in effects if isinstance(effect, Effect)]
+        if len(effects) != sum(isinstance(effect, Effect) for effect in effects):
             raise ImportError(f"{module.__file__}: no effect: give it EFFECT = Effect(...)")
-        found += effects
     table = {p.name: p for p in (*LINEAR, J_M)}
     out: dict[str, Effect] = {}
     for effect in sorted(found, key=lambda effect: effect.ladder):
@@ -51,7 +51,8 @@ def effects_by_name() -> Mapping[str, Effect]:
         out[effect.name] = effect
         for p in effect.parameters:
             if table.setdefault(p.name, p) != p:
-                raise ImportError(f"{__path__[0]}: {effect.name} has a parameter {p.name}, which is another's: rename it")
+                where = f"{__path__[0]}: {effect.name}"
+                raise ImportError(f"{where}: its parameter {p.name} is another's, too, and not the same: rename it")
     return out
 
 

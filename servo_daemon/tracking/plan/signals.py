@@ -50,12 +50,11 @@ class SignalPlan:
 #: Offsets that are always in the filter's model: of the torque (a hanging cable, a tilted axis) and, where a voltage
 #: lets it be told apart, of the current sensor (one of the voltage leaves the same trace).
 _NUISANCE: Mapping[str, str] = {"constant_load_torque": "TL", "current_sensor_offset": "i0"}
-#: Whoever has an effect on the left in the model has one that leaves the same trace as the offset on the right, or that
-#: is one together with it: only one of them is estimated.
-_STANDS_FOR: Mapping[str, str] = {
-    "asymmetric_friction": "constant_load_torque",  # levels that differ by direction: equal ones and a constant load
-    "voltage_sensor_offset": "current_sensor_offset",
-}
+#: A constant in a balance leaves the same trace as this offset: only one of them is estimated.
+_SAME_AS: Mapping[str, str] = {"torque": "constant_load_torque", "voltage": "current_sensor_offset"}
+#: An effect that is such an offset together with something else: levels that differ by direction are equal ones and a
+#: constant load.
+_STANDS_FOR: Mapping[str, str] = {"asymmetric_friction": "constant_load_torque"}
 #: Which effect a nuisance parameter stands for.
 EFFECT_OF: Mapping[str, str] = {parameter: effect for effect, parameter in _NUISANCE.items()}
 _HIDDEN_BY: dict[Drive, tuple[str, ...]] = {"voltage": (), "current": ("R", "L"), "torque": ("R", "L", "K")}
@@ -169,7 +168,8 @@ def _with_offsets(
     effects: tuple[str, ...], drive: Drive, offsets: tuple[str, ...]
 ) -> tuple[PlantModel, tuple[str, ...]]:
     """The plant with the offsets that are not in it already, and their parameters."""
-    there = (*effects, *(_STANDS_FOR[e] for e in effects if e in _STANDS_FOR))
+    there = {*effects, *(_STANDS_FOR[e] for e in effects if e in _STANDS_FOR)}
+    there |= {same for balance, same in _SAME_AS.items() if any(contribution(e).is_offset(balance) for e in effects)}
     added = tuple(e for e in offsets if e not in there)
     return build_plant((*effects, *added), drive), tuple(_NUISANCE[e] for e in added)
 
