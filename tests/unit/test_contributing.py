@@ -1,5 +1,5 @@
-"""The example effect of CONTRIBUTING.md, exactly as it stands there: one file in a copy of the source, then every command
-from outside, on data of another integrator."""
+"""The example effect of CONTRIBUTING.md, exactly as it stands there: one file in a copy of the source, then every
+command from outside, on data of another integrator."""
 
 from __future__ import annotations
 

@@ -53,6 +53,10 @@ def effects_by_name() -> Mapping[str, Effect]:
             if table.setdefault(p.name, p) != p:
                 where = f"{__path__[0]}: {effect.name}"
                 raise ImportError(f"{where}: its parameter {p.name} is another's, too, and not the same: rename it")
+    for effect in out.values():
+        for name in (*effect.told_from, *(n for instead in effect.simpler for n in instead)):
+            if name not in out:
+                raise ImportError(f"{__path__[0]}: {effect.name} names {name}, which is no effect")
     return out
 
 

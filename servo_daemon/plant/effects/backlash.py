@@ -28,6 +28,7 @@ EFFECT = Effect(
     ),
     terms=_terms,
     ladder=260,
+    simpler=(("shaft_compliance",),),
     states=TWIST,
     substeps=2,
 )

@@ -135,6 +135,8 @@ class Effect:
         scales_friction: it is nothing without a dry friction in the model.
         further: the effect of which this is a further harmonic; "" if none.
         ladder: its place among the others, simpler causes first.
+        simpler: what may stand in its place where a search ends, simplest first; it contains each single one of them.
+        told_from: by another effect's name, the experiment that tells the two apart, in words; one of the two has it.
     """
 
     name: str
@@ -147,6 +149,8 @@ class Effect:
     scales_friction: bool = False
     further: str = ""
     ladder: int = 1_000
+    simpler: tuple[tuple[str, ...], ...] = ()
+    told_from: Mapping[str, str] = field(default_factory=dict)
 
 
 def probe(effect: Effect) -> tuple[Signals, Terms]:

@@ -20,4 +20,8 @@ EFFECT = Effect(
     parameters=(G_I,),
     terms=_terms,
     ladder=140,
+    told_from={
+        "magnetic_saturation": "measure the back-EMF: turn it by hand with the drive off, and hold that K against "
+        "the torque's.",
+    },
 )

@@ -29,4 +29,7 @@ EFFECT = Effect(
     parameters=(I0,),
     terms=_terms,
     ladder=130,
+    told_from={
+        "voltage_sensor_offset": "record a few seconds with the drive off: each sensor shows its own offset then.",
+    },
 )

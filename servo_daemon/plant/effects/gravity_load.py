@@ -32,4 +32,10 @@ EFFECT = Effect(
     parameters=(TG, PHI_G),
     terms=_terms,
     ladder=80,
+    told_from={
+        "encoder_eccentricity": "turn slowly by hand or hold several angles: gravity takes current to hold, an "
+        "eccentric encoder none.",
+        "cogging_torque": "turn slowly through whole revolutions: gravity comes once a turn, cogging as often as "
+        "there are poles.",
+    },
 )

@@ -45,4 +45,5 @@ EFFECT = Effect(
     ),
     terms=_terms,
     ladder=90,
+    simpler=(("constant_load_torque",),),
 )

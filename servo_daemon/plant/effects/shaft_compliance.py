@@ -49,5 +49,9 @@ EFFECT = Effect(
     ),
     terms=_terms,
     ladder=250,
+    told_from={
+        "backlash": "small motions under a constant load, then about zero torque: a gap shows only where the sign "
+        "changes.",
+    },
     states=TWIST,
 )

@@ -50,5 +50,6 @@ EFFECT = Effect(
     ),
     terms=_terms,
     ladder=30,
+    simpler=(("coulomb_friction",),),
     substeps=4,
 )

@@ -54,5 +54,9 @@ EFFECT = Effect(
     ),
     terms=_terms,
     ladder=120,
+    told_from={
+        "periodic_disturbance": "repeat it at another speed: ripple stays with the angle, a disturbance with the "
+        "clock.",
+    },
     substeps=4,
 )

@@ -52,5 +52,10 @@ EFFECT = Effect(
     parameters=(R_TH, C_TH),
     terms=_terms,
     ladder=200,
+    told_from={
+        "resistance_step": "let it cool and start again: heat comes back slowly, a bad contact comes and goes at once.",
+        "magnetic_saturation": "short pulses of high current, with pauses: saturation follows each at once, heat "
+        "does not.",
+    },
     states=(WARMING,),
 )
