@@ -164,7 +164,6 @@ def test_beside_an_effect_of_a_stranger_the_motor_becomes_known(
         assert std < 0.05 * value, name
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize(
     ("capture", "effect", "true"),

@@ -22,11 +22,9 @@ __all__ = [
     "dry_frictions",
     "effects_by_name",
     "further_harmonics",
+    "instants",
     "parameter_table",
 ]
-
-#: What steps, and the parameter that says when.
-INSTANTS: Mapping[str, str] = {"dTL": "t_TL", "dR": "t_R"}
 
 
 @cache
@@ -65,6 +63,17 @@ def dry_frictions() -> tuple[str, ...]:
     """Effects that are a dry friction of their own."""
     terms = {name: probe(effect)[1] for name, effect in effects_by_name().items()}
     return tuple(n for n, t in terms.items() if any(not ca.SX(level).is_zero() for level in t.dry_levels))
+
+
+@cache
+def instants() -> Mapping[str, str]:
+    """What steps, and the parameter that says when: a time that no filter finds along the way."""
+    out: dict[str, str] = {}
+    for effect in effects_by_name().values():
+        at = [p.name for p in effect.parameters if p.held == "live" and p.unit == "s"]
+        if len(at) == 1:
+            out |= {p.name: at[0] for p in effect.parameters if p.held == "no"}
+    return out
 
 
 def further_harmonics(name: str) -> tuple[str, ...]:
