@@ -27,15 +27,13 @@ from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.plant.effects.cogging_torque import HARMONICS as COGGING
 from servo_daemon.samples import F64
 
-#: Effects that are linear in coefficients with a standard deviation. The others are rivals only: where one of them does
-#: better, nothing is named.
+#: Effects that are linear in coefficients with a standard deviation, beside those that are so in their own parameters.
+#: The others are rivals only: where one of them does better, nothing is named.
 NAMED = (
     "cogging_torque",
-    "coulomb_friction",
     "gravity_load",
     "load_dependent_friction",
     "position_dependent_friction",
-    "quadratic_drag",
 )
 #: Of causes that do as well the one that every machine has.
 _USUAL = "coulomb_friction"

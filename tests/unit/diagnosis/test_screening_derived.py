@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from servo_daemon.diagnosis.missing.response import Trace
 from servo_daemon.diagnosis.missing.signals import Motion
 from servo_daemon.diagnosis.screening.basis import Context
 from servo_daemon.diagnosis.screening.derived import derived, scan
-from servo_daemon.diagnosis.screening.torque_families import FAMILIES
 from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.effects import parameter_table
 
@@ -24,20 +24,34 @@ def context() -> Context:
     return Context(motion, {"torque": np.zeros(N)}, np.sign(omega), ("current_A", "position_rad"))
 
 
+MOTION = context().motion
+
+
 @pytest.mark.parametrize(
-    ("name", "b"), [("quadratic_drag", [0.02]), ("coulomb_friction", [0.3]), ("constant_load_torque", [-0.4])]
+    ("name", "expected", "start"),
+    [
+        ("quadratic_drag", Trace(torque=MOTION.omega * np.abs(MOTION.omega)), {"c2": 0.3}),
+        ("coulomb_friction", Trace(torque=np.sign(MOTION.omega)), {"Tc": 0.3}),
+        ("constant_load_torque", Trace(torque=np.ones(N)), {"TL": 0.3}),
+        ("brush_voltage_drop", Trace(voltage=np.sign(MOTION.i)), {"Vb": 0.3}),
+        ("voltage_sensor_offset", Trace(voltage=np.ones(N)), {"v0": 0.3}),
+        ("encoder_eccentricity", None, None),
+    ],
 )
-def test_what_is_linear_is_what_the_formula_says(name: str, b: list[float]) -> None:
+def test_what_is_linear_is_a_column(name: str, expected: Trace | None, start: dict[str, float] | None) -> None:
     c = context()
-    (found,), (by_hand,) = list(derived(name)(c)), list(FAMILIES[name](c))
-    for key, other in zip(found.columns, by_hand.columns, strict=True):
-        torque, expected = c.traces[key].torque, c.traces[other].torque
-        assert torque is not None
-        assert expected is not None
-        assert c.traces[key].voltage is None
-        np.testing.assert_allclose(torque, expected, rtol=1e-12)
-    assert found.start(np.array(b)) == by_hand.start(np.array(b))
-    assert found.parameters == by_hand.parameters
+    bases = list(derived(name)(c))
+    if expected is None:  # an angle beside the size: scanned, and shown by a sensor
+        assert {*c.traces[bases[0].columns[0]].shown} == {"position_rad"}
+        return
+    (found,) = bases
+    trace = c.traces[found.columns[0]]
+    for values, wanted in ((trace.torque, expected.torque), (trace.voltage, expected.voltage)):
+        assert (values is None) == (wanted is None)
+        if values is not None and wanted is not None:
+            np.testing.assert_array_equal(values, wanted)
+    assert found.start(np.array([0.3])) == start
+    assert found.parameters == 1
 
 
 def test_what_is_negative_and_must_not_be_is_no_start() -> None:
