@@ -15,7 +15,18 @@ from numpy.typing import NDArray
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.regression.balance_window import BalanceWindow
 from servo_daemon.regression.balances import Sums, expected_square, noise_squares
-from servo_daemon.regression.derived_terms import ADDED_TO
+from servo_daemon.regression.columns.derived_terms import ADDED_TO
+from servo_daemon.regression.columns.terms import (
+    ARMATURE_OFFSETS,
+    armature_columns,
+    as_parameters,
+    columns_of,
+    derived_of,
+    given_by,
+    shaft_columns,
+    shaft_signals,
+    unseen_in,
+)
 from servo_daemon.regression.estimate import (
     RegressionEstimate,
     as_current,
@@ -33,17 +44,6 @@ from servo_daemon.regression.sampling import FEWEST_SAMPLES, SPAN_S, Sampling
 from servo_daemon.regression.small_matrices import in_columns
 from servo_daemon.regression.stretch import Stretch, between_samples, joined, last, median, motion, speed_sign
 from servo_daemon.regression.stretch import speed as speed_of
-from servo_daemon.regression.terms import (
-    ARMATURE_OFFSETS,
-    armature_columns,
-    as_parameters,
-    columns_of,
-    derived_of,
-    given_by,
-    shaft_columns,
-    shaft_signals,
-    unseen_in,
-)
 from servo_daemon.samples import F64
 
 #: After the first updates (a tick each) so many are worked off together: fewer calls on longer arrays.

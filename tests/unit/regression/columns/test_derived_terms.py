@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from servo_daemon.plant.effects import effects_by_name, parameter_table
-from servo_daemon.regression.derived_terms import derived_terms
+from servo_daemon.regression.columns.derived_terms import derived_terms
+from servo_daemon.regression.columns.terms import SIGNALS, columns_of, unseen_in
 from servo_daemon.regression.stretch import Stretch
-from servo_daemon.regression.terms import SIGNALS, columns_of, unseen_in
 
 NOMINAL = {name: p.nominal for name, p in parameter_table().items()} | {"f_per": 3.0}
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from servo_daemon.plant.contribution import contribution
 from servo_daemon.plant.effects import parameter_table
-from servo_daemon.regression.derived_terms import DerivedTerms, derived_terms
+from servo_daemon.regression.columns.derived_terms import DerivedTerms, derived_terms
 from servo_daemon.regression.stretch import Stretch, speed_sign
 from servo_daemon.regression.stretch import speed as speed_of
 from servo_daemon.samples import F64
