@@ -7,25 +7,23 @@ is that of some wakeups a second, whatever the baud rate and however thinly the 
 from __future__ import annotations
 
 import contextlib
-import errno
 import os
 import select
-import termios
 import threading
 import time
-from pathlib import Path
 from typing import Any, Literal
 
 import serial
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
-from serial.tools import list_ports
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from drivers.base import DriveInfo, Driver, disconnected
+from drivers.options import checked
 from drivers.serial.decoder import BinaryDecoder
+from drivers.serial.port import open_port
 from drivers.serial.text import TextDecoder
 from drivers.serial.text_format import TextFormat, named_format
 from drivers.serial.wire import Description, Quantity
-from servo_daemon.errors import DriverConfigError, DriverDisconnectedError, DriverUnavailableError
+from servo_daemon.errors import DriverDisconnectedError
 from servo_daemon.samples import SampleBlock
 
 #: The system's buffer of a tty holds 4 kB, with what is still in flight behind it 64 kB: one read takes it all.
@@ -86,33 +84,6 @@ class SerialOptions(BaseModel):
         return None if self.columns is None else named_format(self.columns)
 
 
-def parse_options(name: str, options: dict[str, Any]) -> SerialOptions:
-    """Checked options.
-
-    Raises:
-        DriverConfigError: one line that names the drive and the option.
-    """
-    try:
-        return SerialOptions.model_validate(options)
-    except ValidationError as error:
-        complaints = error.errors()  # a misspelt option before the one it leaves missing
-        first = next((e for e in complaints if e["type"] == "extra_forbidden"), complaints[0])
-        key = ".".join(str(part) for part in first["loc"])
-        if first["type"] == "extra_forbidden":
-            known = ", ".join(SerialOptions.model_fields)
-            raise DriverConfigError(f"drive {name}: unknown option '{key}': known are {known}") from error
-        message = first["msg"].removeprefix("Value error, ")
-        where = f"option '{key}': " if key else ""
-        raise DriverConfigError(f"drive {name}: {where}{message}") from error
-
-
-class _KeepingPort(serial.Serial):  # type: ignore[misc]  # pyserial has no types
-    """A port whose opening keeps what has arrived before: the sketch's header line may be in it."""
-
-    def _reset_input_buffer(self) -> None:
-        """Called by `open` of pyserial."""
-
-
 class SerialDriver(Driver):
     """A drive on a serial port. Options: see `SerialOptions`.
 
@@ -124,7 +95,7 @@ class SerialDriver(Driver):
 
     def __init__(self, name: str, options: dict[str, Any]) -> None:
         super().__init__(name, options)
-        self._settings = parse_options(name, options)
+        self._settings = checked(SerialOptions, name, options)
         self._decoder = self._make_decoder()
         self._port: serial.Serial | None = None
         self._wake_r, self._wake_w = -1, -1
@@ -175,31 +146,12 @@ class SerialDriver(Driver):
 
     def _open(self) -> None:
         settings = self._settings
-        try:
-            make = _KeepingPort if settings.wire == "text" else serial.Serial
-            self._port = make(settings.port, settings.baudrate, timeout=0, exclusive=True)
-        except (ValueError, OverflowError) as error:
-            raise DriverConfigError(f"drive {self.name}: {settings.port}: {error}") from error
-        except (OSError, termios.error) as error:
-            raise self._unavailable(error) from error
+        self._port = open_port(self.name, settings.port, settings.baudrate, keep=settings.wire == "text")
         self._wake_r, self._wake_w = os.pipe()
         self._decoder.reattach()
         if isinstance(self._decoder, TextDecoder):
             with contextlib.suppress(OSError):  # gone already: `read` will say so
                 self._decoder.hear(bytes(self._port.read(_READ_SIZE)))
-
-    def _unavailable(self, error: Exception) -> DriverUnavailableError:
-        port = self._settings.port
-        code = error.errno if isinstance(error, OSError) else None
-        if code == errno.ENOENT:
-            why = f"does not exist; {existing_ports()}"
-        elif code in (errno.EACCES, errno.EPERM):
-            why = "may not be opened by this user (is it in the group that owns the port, often 'dialout'?)"
-        elif code in (errno.EAGAIN, errno.EWOULDBLOCK, errno.EBUSY):
-            why = "is in use by another program"
-        else:
-            why = f"cannot be opened: {error}"
-        return DriverUnavailableError(f"drive {self.name}: serial port {port} {why}")
 
     def _read(self, timeout_s: float) -> SampleBlock | None:
         if self._decoder.has_ready:
@@ -267,11 +219,3 @@ def info_of(description: Description, port: str) -> DriveInfo:
         voltage_lsb_V=lsb(Quantity.VOLTAGE),
         channels=description.channel_names,
     )
-
-
-def existing_ports() -> str:
-    """In words, which serial ports this machine has, by their stable names where udev gives some."""
-    by_id = Path("/dev/serial/by-id")
-    names = sorted(str(p) for p in by_id.iterdir()) if by_id.is_dir() else []
-    names = names or sorted(p.device for p in list_ports.comports())
-    return f"ports here: {', '.join(names)}" if names else "there are no serial ports here"
