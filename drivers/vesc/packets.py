@@ -3,7 +3,7 @@
     02 len      payload crc_high crc_low 03     payloads of up to 255 bytes
     03 len len  payload crc_high crc_low 03     longer ones, big-endian length
 
-The CRC is CCITT with start value 0 (XMODEM), over the payload. Format as in tests/drivers/golden/vesc.json, whose packets
+The CRC is CCITT with start value 0 (XMODEM), over the payload. As in tests/drivers/golden/vesc.json, whose packets
 the firmware's own code made.
 """
 
