@@ -23,6 +23,7 @@ BUILT_IN: dict[str, tuple[str, str]] = {
     "serial": ("drivers.serial.line", "SerialDriver"),
     "can": ("drivers.can.bus", "CanDriver"),
     "replay": ("servo_daemon.captures.driver", "ReplayDriver"),
+    "mit": ("drivers.mit", "MitDriver"),
     "simplefoc": ("drivers.simplefoc", "SimpleFocDriver"),
 }
 
