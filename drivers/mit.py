@@ -20,11 +20,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from drivers.base import DriveInfo
 from drivers.can.decode import EXTENDED, Field, FrameBatch
 from drivers.can.listener import BusListener, FrameDecoder
 from drivers.can.map import MappedChannel, Operand, SignalMap
 from drivers.can.vendor import VendorDecoder
-from drivers.base import DriveInfo
 from servo_daemon.errors import DriverConfigError
 from servo_daemon.samples import F64, U8, SampleBlock
 
@@ -181,9 +181,7 @@ class MitDriver(BusListener):
         limits, motor_id = self._limits(), self._number("motor_id", 1, 127)
         reply_id = self._number("reply_id", _ROBSTRIDE_HOST if limits.layout == "robstride" else 0, 0x7FF)
         key, same = _identifiers(limits.layout, motor_id, reply_id)
-        frames = VendorDecoder(
-            feedback_map(limits, key, motor_id), self.counters, period_s=self._positive("period_s")
-        )
+        frames = VendorDecoder(feedback_map(limits, key, motor_id), self.counters, period_s=self._positive("period_s"))
         where = f"{self._settings['interface']}:{self._settings.get('channel')}"
         self._decoder = MitDecoder(frames, key, same, f"mit:{where}:{motor_id}")
 

@@ -1,4 +1,4 @@
-"""The `[drive.options]` of a driver, checked by a pydantic model, with one wording of every complaint."""
+"""The `[drive.options]` of a driver, checked against a pydantic model."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from servo_daemon.errors import DriverConfigError
 
-M = TypeVar("M", bound=BaseModel)
-
 #: Of every model of options: unknown keys are refused, nothing is converted.
 STRICT = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
+Options = TypeVar("Options", bound=BaseModel)
 
-def checked(model: type[M], name: str, options: dict[str, Any]) -> M:
-    """Checked options.
+
+def checked(model: type[Options], name: str, options: dict[str, Any]) -> Options:
+    """The options of drive `name` as the model has them.
 
     Raises:
         DriverConfigError: one line that names the drive and the option.

@@ -24,6 +24,7 @@ from drivers.serial.text import TextDecoder
 from drivers.serial.text_format import TextFormat
 from servo_daemon.column_names import Meaning
 from servo_daemon.samples import SampleBlock
+from servo_daemon.signal_meaning import SignalMeaning
 
 #: What may leave the port: nothing.
 MAY_SEND: frozenset[bytes] = frozenset()
@@ -111,6 +112,10 @@ class SimpleFocDriver(SerialListener):
     @property
     def _stream(self) -> MonitorDecoder:
         return self._decoder
+
+    @property
+    def meaning(self) -> SignalMeaning:
+        return SignalMeaning("instant", "instant", "dq", pole_pairs=self._settings.pole_pairs)
 
     @property
     def info(self) -> DriveInfo:

@@ -27,6 +27,7 @@ from servo_daemon.errors import DriverConfigError
 _OWN_OPTIONS = ("drive_id", "counts_per_rev")
 _VENDOR_OPTIONS = ("dbc", "signals", "trigger", "counts_per_rev", "period_s", "stale_s")
 
+
 class CanDriver(BusListener):
     """One drive on a CAN bus. Options: see docs/protocol-can.md.
 

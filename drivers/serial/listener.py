@@ -7,20 +7,17 @@ is that of some wakeups a second, whatever the baud rate and however thinly the 
 from __future__ import annotations
 
 import contextlib
-import errno
 import os
 import select
-import termios
 import threading
 import time
-from pathlib import Path
 from typing import Any, Protocol
 
 import serial
-from serial.tools import list_ports
 
 from drivers.base import Driver, disconnected
-from servo_daemon.errors import DriverConfigError, DriverDisconnectedError, DriverUnavailableError
+from drivers.serial.port import open_port
+from servo_daemon.errors import DriverDisconnectedError
 from servo_daemon.samples import SampleBlock
 
 #: The system's buffer of a tty holds 4 kB, with what is still in flight behind it 64 kB: one read takes it all.
@@ -43,13 +40,6 @@ class StreamDecoder(Protocol):
 
     def feed(self, data: bytes, host_time_s: float = 0.0) -> SampleBlock | None:
         """Take bytes as they arrived; the samples that they complete, or None."""
-
-
-class _KeepingPort(serial.Serial):  # type: ignore[misc]  # pyserial has no types
-    """A port whose opening keeps what has arrived before: the sketch's header line may be in it."""
-
-    def _reset_input_buffer(self) -> None:
-        """Called by `open` of pyserial."""
 
 
 class SerialListener(Driver):
@@ -77,31 +67,12 @@ class SerialListener(Driver):
         """What had arrived before the port was opened; only with `keep`."""
 
     def _open(self) -> None:
-        try:
-            make = _KeepingPort if self._keep else serial.Serial
-            self._port = make(self._where, self._baudrate, timeout=0, exclusive=True)
-        except (ValueError, OverflowError) as error:
-            raise DriverConfigError(f"drive {self.name}: {self._where}: {error}") from error
-        except (OSError, termios.error) as error:
-            raise self._unavailable(error) from error
+        self._port = open_port(self.name, self._where, self._baudrate, keep=self._keep)
         self._wake_r, self._wake_w = os.pipe()
         self._stream.reattach()
         if self._keep:
             with contextlib.suppress(OSError):  # gone already: `read` will say so
                 self._hear(bytes(self._port.read(_READ_SIZE)))
-
-    def _unavailable(self, error: Exception) -> DriverUnavailableError:
-        port = self._where
-        code = error.errno if isinstance(error, OSError) else None
-        if code == errno.ENOENT:
-            why = f"does not exist; {existing_ports()}"
-        elif code in (errno.EACCES, errno.EPERM):
-            why = "may not be opened by this user (is it in the group that owns the port, often 'dialout'?)"
-        elif code in (errno.EAGAIN, errno.EWOULDBLOCK, errno.EBUSY):
-            why = "is in use by another program"
-        else:
-            why = f"cannot be opened: {error}"
-        return DriverUnavailableError(f"drive {self.name}: serial port {port} {why}")
 
     def _read(self, timeout_s: float) -> SampleBlock | None:
         if self._stream.has_ready:
@@ -152,11 +123,3 @@ class SerialListener(Driver):
             os.close(wake_w)
             os.close(self._wake_r)
             self._wake_r = -1
-
-
-def existing_ports() -> str:
-    """In words, which serial ports this machine has, by their stable names where udev gives some."""
-    by_id = Path("/dev/serial/by-id")
-    names = sorted(str(p) for p in by_id.iterdir()) if by_id.is_dir() else []
-    names = names or sorted(p.device for p in list_ports.comports())
-    return f"ports here: {', '.join(names)}" if names else "there are no serial ports here"

@@ -37,7 +37,7 @@ class MitActuator:
         self._motor_id, self._reply_id = motor_id, reply_id
         self.period_s: float | None = period_s
 
-    def receive(self, frame: BusFrame) -> Sequence[BusFrame]:
+    def receive(self, frame: BusFrame) -> Sequence[BusFrame]:  # noqa: ARG002
         """It obeys its own controller only."""
         return ()
 

@@ -37,9 +37,7 @@ class Device(Protocol):
         ...
 
 
-def serve(
-    link: Path, device: Device, *, stop: threading.Event, heard: Callable[[bytes], None] | None = None
-) -> None:
+def serve(link: Path, device: Device, *, stop: threading.Event, heard: Callable[[bytes], None] | None = None) -> None:
     """Serve `device` at `link` until `stop` is set. What a slow reader leaves no room for is lost.
 
     Args:

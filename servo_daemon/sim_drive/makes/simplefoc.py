@@ -22,7 +22,7 @@ class SimpleFocMonitor:
         self._motor, self._monitor = motor, monitor
         self.period_s: float | None = period_s
 
-    def receive(self, data: bytes) -> bytes:
+    def receive(self, data: bytes) -> bytes:  # noqa: ARG002
         """Nobody reads what the host says: the sketch has no Commander."""
         return b""
 

@@ -157,9 +157,9 @@ class TestMitConformance(DriverConformance):
 def test_values_of_a_live_actuator(tmp_path: Path) -> None:
     bus = _actuator(motor_id=9, reply_id=0x11)
     options = {"interface": "slcan", "bitrate": 1_000_000, "model": "AK80-9", "motor_id": 9, "reply_id": 0x11}
-    with line(tmp_path / "can", bus) as rig:
-        with make_driver("mit", "axis1", options | {"channel": str(rig.link), "period_s": 2e-3}) as driver:
-            block = concatenate(read_until(driver, 800))
+    options |= {"channel": str(tmp_path / "can"), "period_s": 2e-3}
+    with line(tmp_path / "can", bus), make_driver("mit", "axis1", options) as driver:
+        block = concatenate(read_until(driver, 800))
     assert_follows_the_sine(block, voltage=None)
     assert block.torque_Nm is not None and block.position_rad is not None and block.voltage_V is None
     np.testing.assert_allclose(block.torque_Nm, 0.5 * current_of(block.position_rad), atol=0.02)

@@ -1,0 +1,147 @@
+"""What the voltage and the current of a drive are, and how they become those of a DC motor.
+
+The drives that people own are brushless motors under field-oriented control. They report the q axis of the
+amplitude-invariant dq frame, whose power is 1.5 v i, as values of one instant or as means over what passed. The plant
+knows a DC motor (power v i). So samples are converted once, where they come in: v and i each take a factor, and the
+two together 1.5. Three choices are in use; which one the published R, L and K are in is `publish`:
+
+    publish   v factor    i factor     R          L        K                  as in
+    phase     √1.5        √1.5         R_phase    L_q      √1.5 p λ           the drive's own calibration
+    line      √3          √3/2         2 R_phase  2 L_q    √3 p λ = 1/KV      the datasheet: terminal to terminal
+    kt        1.5         1            1.5 R      1.5 L_q  1.5 p λ = Kt       a torque constant per ampere of i_q
+
+p pole pairs, λ the rotor's flux. J, B and every torque are the same in all three.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+from servo_daemon.errors import BadInputError
+from servo_daemon.samples import F64, SampleBlock
+
+VOLTAGES = ("held", "instant", "mean")
+CURRENTS = ("instant", "mean")
+CONVENTIONS = ("dc", "dq")
+PUBLISHED = ("phase", "line", "kt")
+_CHOICES = {"voltage": VOLTAGES, "current": CURRENTS, "convention": CONVENTIONS, "publish": PUBLISHED}
+
+#: Factors of the q axis's voltage and current by what is published: their product is the 1.5 of the dq frame's power.
+_FACTORS: Mapping[str, tuple[float, float]] = {
+    "phase": (math.sqrt(1.5), math.sqrt(1.5)),
+    "line": (math.sqrt(3.0), math.sqrt(3.0) / 2.0),
+    "kt": (1.5, 1.0),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class SignalMeaning:
+    """What the signals of a drive mean.
+
+    Attributes:
+        voltage: `held` (applied from this sample until the next), `instant` (its value at the sample's instant,
+            changing in between), `mean` (over the interval that ends at this sample).
+        current: `instant` or `mean`.
+        convention: `dc`, or `dq` (q axis, amplitude-invariant: the power is 1.5 v i).
+        publish: with `dq`, which equivalent DC motor R, L and K are of: `phase`, `line` or `kt`.
+        pole_pairs: of the motor, from 1 on.
+        gear_ratio: turns of the motor for one turn of what the position is measured at, greater than 0.
+
+    Raises:
+        BadInputError: a value is none of these; the text names the field.
+    """
+
+    voltage: str = "held"
+    current: str = "instant"
+    convention: str = "dc"
+    publish: str = "phase"
+    pole_pairs: int = 1
+    gear_ratio: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, known in _CHOICES.items():
+            value = getattr(self, name)
+            if value not in known:
+                raise BadInputError(f"{name} = {value!r} is none of {', '.join(known)}")
+        if isinstance(self.pole_pairs, bool) or not isinstance(self.pole_pairs, int) or self.pole_pairs < 1:
+            raise BadInputError(f"pole_pairs = {self.pole_pairs!r} must be a whole number from 1 on")
+        if not (isinstance(self.gear_ratio, int | float) and math.isfinite(self.gear_ratio) and self.gear_ratio > 0.0):
+            raise BadInputError(f"gear_ratio = {self.gear_ratio!r} must be a number greater than 0")
+
+    @property
+    def measures_voltage(self) -> bool:
+        """Whether the voltage is a measurement of the winding's balance, and not what was applied until the next."""
+        return self.voltage != "held"
+
+    @property
+    def words(self) -> str:
+        """Of the voltage and the current, for a reason: "an instant's", "a mean"."""
+        return {"held": "held", "instant": "an instant's", "mean": "a mean"}[self.voltage]
+
+    @property
+    def factors(self) -> tuple[float, float]:
+        """By which voltage and current as the drive reports them become those of the DC motor."""
+        return _FACTORS[self.publish] if self.convention == "dq" else (1.0, 1.0)
+
+    def equivalents(self) -> dict[str, dict[str, float]]:
+        """By the other choices of `publish`: factors of R, L and K from what is published to theirs. Empty with `dc`."""
+        if self.convention == "dc":
+            return {}
+        v, i = self.factors
+        others = {name: _FACTORS[name] for name in PUBLISHED if name != self.publish}
+        return {n: {"R": (a / b) / (v / i), "L": (a / b) / (v / i), "K": a / v} for n, (a, b) in others.items()}
+
+    def converted(self, block: SampleBlock) -> SampleBlock:
+        """The block with the DC motor's voltage and current, and position, speed and torque of the motor's shaft.
+
+        Samples of a drive with `dc` and no gear are returned as they are.
+        """
+        v, i = self.factors
+        n = self.gear_ratio
+        factors = {"voltage_V": v, "current_A": i, "position_rad": n, "velocity_rad_s": n, "torque_Nm": 1.0 / n}
+        changed: dict[str, F64] = {
+            name: array * factor
+            for name, factor in factors.items()
+            if factor != 1.0 and (array := getattr(block, name)) is not None
+        }
+        return replace(block, **changed) if changed else block
+
+    @property
+    def as_dc(self) -> SignalMeaning:
+        """Of samples that `converted` has gone over."""
+        return replace(self, convention="dc", gear_ratio=1.0)
+
+
+#: Names of the fields: keys of `[drive.signals]` and of a capture's metadata.
+KEYS = tuple(f.name for f in fields(SignalMeaning))
+
+
+def from_texts(texts: Mapping[str, str]) -> SignalMeaning | None:
+    """The meaning that a capture's metadata tell; None where they say nothing of it.
+
+    Raises:
+        BadInputError: a value is impossible; the text names the key.
+    """
+    given: dict[str, Any] = {key: texts[key].strip() for key in KEYS if key in texts}
+    if not given:
+        return None
+    for key, read in (("pole_pairs", int), ("gear_ratio", float)):
+        if key in given:
+            try:
+                given[key] = read(given[key])
+            except ValueError:
+                raise BadInputError(f"{key} = {given[key]!r} is not a number") from None
+    return SignalMeaning(**given)
+
+
+def as_texts(meaning: SignalMeaning) -> dict[str, str]:
+    """As metadata of a capture: what differs from the default."""
+    plain = SignalMeaning()
+    return {
+        key: f"{value:g}" if isinstance(value := getattr(meaning, key), float) else str(value)
+        for key in KEYS
+        if getattr(meaning, key) != getattr(plain, key)
+    }
