@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from servo_daemon.errors import DriverConfigError
+
+#: Of every model of options: unknown keys are refused, nothing is converted.
+STRICT = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 Options = TypeVar("Options", bound=BaseModel)
 

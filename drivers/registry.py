@@ -25,6 +25,8 @@ BUILT_IN: dict[str, tuple[str, str]] = {
     "vesc": ("drivers.vesc.driver", "VescDriver"),
     "odrive": ("drivers.odrive.driver", "OdriveDriver"),
     "replay": ("servo_daemon.captures.driver", "ReplayDriver"),
+    "mit": ("drivers.mit", "MitDriver"),
+    "simplefoc": ("drivers.simplefoc", "SimpleFocDriver"),
 }
 
 

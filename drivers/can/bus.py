@@ -14,10 +14,10 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
-from drivers.can.bus_driver import BusDriver, FrameDecoder, needed_text
 from drivers.can.decode import load_dbc
+from drivers.can.listener import BusListener, FrameDecoder
 from drivers.can.map import COUNTS, parse_signal_map
 from drivers.can.own import OwnDecoder
 from drivers.can.vendor import STALE_S, VendorDecoder
@@ -28,7 +28,7 @@ _OWN_OPTIONS = ("drive_id", "counts_per_rev")
 _VENDOR_OPTIONS = ("dbc", "signals", "trigger", "counts_per_rev", "period_s", "stale_s")
 
 
-class CanDriver(BusDriver):
+class CanDriver(BusListener):
     """One drive on a CAN bus. Options: see docs/protocol-can.md.
 
     Raises:
@@ -37,16 +37,16 @@ class CanDriver(BusDriver):
 
     kind: ClassVar[str] = "can"
 
+    def __init__(self, name: str, options: dict[str, Any]) -> None:
+        own = "dbc" not in options and "signals" not in options
+        super().__init__(name, options, _OWN_OPTIONS if own else _VENDOR_OPTIONS)
+        self._decoder: FrameDecoder = self._own_decoder() if own else self._vendor_decoder()
+
     @property
-    def _is_ours(self) -> bool:
-        """Whether the drive sends our own frames."""
-        return "dbc" not in self.options and "signals" not in self.options
+    def _frames(self) -> FrameDecoder:
+        return self._decoder
 
-    def _own_options(self) -> tuple[str, ...]:
-        return _OWN_OPTIONS if self._is_ours else _VENDOR_OPTIONS
-
-    def _make_decoder(self) -> FrameDecoder:
-        return self._own_decoder() if self._is_ours else self._vendor_decoder()
+    # ---- options
 
     def _own_decoder(self) -> OwnDecoder:
         drive_id = self.options.get("drive_id", FIRST_DRIVE)
@@ -60,7 +60,7 @@ class CanDriver(BusDriver):
         for first, second in (("dbc", "signals"), ("signals", "dbc")):
             if first in self.options and second not in self.options:
                 raise DriverConfigError(f"{self._where}: '{first}' needs '{second}' as well")
-        path = Path(needed_text(self.options, "dbc", self._where)).expanduser()
+        path = Path(self._text("dbc")).expanduser()
         where = f"{self._where}: {path}"
         signals = parse_signal_map(self.options["signals"], load_dbc(path), where, self.options.get("trigger"))
         counts_per_rev = self._counts_per_rev()
@@ -81,12 +81,4 @@ class CanDriver(BusDriver):
             return None
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or not value:
             raise DriverConfigError(f"{self._where}: counts_per_rev must be a number other than 0, not {value!r}")
-        return float(value)
-
-    def _positive(self, key: str) -> float | None:
-        value = self.options.get(key)
-        if value is None:
-            return None
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
-            raise DriverConfigError(f"{self._where}: {key} must be a positive number, not {value!r}")
         return float(value)

@@ -1,0 +1,34 @@
+"""A SimpleFOC sketch that prints its monitor."""
+
+from __future__ import annotations
+
+from servo_daemon.sim_drive.makes.moving import MovingMotor
+
+#: Uq is the amplitude of the phase voltage, whose power is 1.5 v i: with Iq = i the motor's R and K are those of its
+#: torque constant per ampere of Iq (`kt`, servo_daemon/signal_meaning.py).
+DQ_VOLTAGE = 1.5
+
+
+class SimpleFocMonitor:
+    """Lines of `motor.monitor()`.
+
+    Args:
+        motor: what turns.
+        monitor: the mask in binary, seven digits.
+        period_s: from line to line.
+    """
+
+    def __init__(self, motor: MovingMotor, *, monitor: str = "1101011", period_s: float = 2e-3) -> None:
+        self._motor, self._monitor = motor, monitor
+        self.period_s: float | None = period_s
+
+    def receive(self, data: bytes) -> bytes:  # noqa: ARG002
+        """Nobody reads what the host says: the sketch has no Commander."""
+        return b""
+
+    def due(self) -> bytes:
+        """The next line: four decimals, tabs (Arduino-FOC, `FOCMotor::monitor`)."""
+        s = self._motor.now()
+        values = (0.0, s.voltage_V / DQ_VOLTAGE, 0.0, 1e3 * s.current_A, 0.0, s.velocity_rad_s, s.position_rad)
+        chosen = [f"{v:.4f}" for bit, v in zip(self._monitor, values, strict=True) if bit == "1"]
+        return "\t".join(chosen).encode() + b"\r\n"
