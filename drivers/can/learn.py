@@ -44,10 +44,11 @@ class Heard:
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """What was decided: a decoder, or in words why there is none (yet)."""
+    """What was decided: a decoder, or in words why there is none (yet), or what is missing; and which drive it is."""
 
     decoder: VendorDecoder | None = None
     remark: str | None = None
+    identity: str | None = None
 
 
 def heard_in(batches: list[FrameBatch]) -> dict[int, Heard]:
@@ -108,7 +109,7 @@ class LearningDecoder:
         keys: identifiers that may be the drive's.
         choose: what to make of what was heard; asked again every `LEARN_S` until it gives a decoder.
         counters: counted up while nothing is decided: `frames_before_decision`.
-        identity, channels: of a drive of which nothing was heard yet.
+        identity: of a drive of which nothing was heard yet.
     """
 
     keys: frozenset[int]
@@ -146,6 +147,7 @@ class LearningDecoder:
             self._looked_s = now
             choice = self.choose(heard_in(self._batches))
             self._decoder, self.remark = choice.decoder, choice.remark
+            self.identity = choice.identity or self.identity
             if self._decoder is not None:
                 self._batches.clear()
         return []

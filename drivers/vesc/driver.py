@@ -15,7 +15,8 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from drivers.base import Driver
-from servo_daemon.signal_meaning import SignalMeaning
+from drivers.vesc.listening import ListenedVesc
+from drivers.vesc.polling import PolledVesc
 
 
 class VescDriver(Driver):
@@ -25,13 +26,5 @@ class VescDriver(Driver):
 
     @classmethod
     def made(cls, name: str, options: dict[str, Any]) -> Driver:
-        from drivers.vesc.listening import ListenedVesc
-        from drivers.vesc.polling import PolledVesc
-
         return ListenedVesc(name, options) if "interface" in options else PolledVesc(name, options)
 
-
-#: What a poll brings: averages since the poll before, of every control cycle.
-POLLED = SignalMeaning(voltage="mean", current="mean", convention="dq")
-#: What status messages bring: the duty cycle and the filtered current of one instant.
-LISTENED = SignalMeaning(voltage="instant", current="instant", convention="dq")

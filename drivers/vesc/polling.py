@@ -16,12 +16,13 @@ from drivers.polling.link import SerialLink
 from drivers.polling.poller import Answer, Pace
 from drivers.serial.port import open_port
 from drivers.vesc.dialogue import Polled, VescDialogue
-from drivers.vesc.driver import POLLED
 from drivers.vesc.shaft import Shaft, Source
 from drivers.vesc.values import Firmware
 from servo_daemon.samples import F64, U8, Quality, SampleBlock
 from servo_daemon.signal_meaning import SignalMeaning
 
+#: What a poll brings: averages since the poll before, of every control cycle.
+POLLED = SignalMeaning(voltage="mean", current="mean", convention="dq")
 #: One step of the averages, A and V.
 CURRENT_LSB_A, VOLTAGE_LSB_V = 1e-2, 1e-3
 #: From this duty cycle on the firmware limits the voltage (its default l_max_duty is 0.95).
@@ -63,9 +64,9 @@ class PolledVesc(PollingDriver[Firmware | Polled]):
         self._shaft = Shaft(settings.position, settings.pole_pairs, settings.encoder_inverted)
         self._dialogue: VescDialogue | None = None
         self._asked_before: int | None = None  # number of the last answer with values
-        self._distrusted_until_s = -math.inf
+        self._reset_s = -math.inf  # when another program was last seen to read the averages
         self._disturbed = False
-        self._last_time_s = -math.inf
+        self.counters.extra["averages_reset"] = 0
 
     @property
     def meaning(self) -> SignalMeaning:
@@ -112,7 +113,7 @@ class PolledVesc(PollingDriver[Firmware | Polled]):
     def _new_dialogue(self) -> VescDialogue:
         self._dialogue = VescDialogue(self._settings.can_id, self.counters)
         self._shaft.restart()
-        self._asked_before, self._distrusted_until_s, self._disturbed = None, -math.inf, False
+        self._asked_before, self._reset_s, self._disturbed = None, -math.inf, False
         return self._dialogue
 
     def _samples(self, answers: list[Answer[Firmware | Polled]]) -> SampleBlock | None:
@@ -153,13 +154,11 @@ class PolledVesc(PollingDriver[Firmware | Polled]):
         quality[gap] |= int(Quality.GAP_BEFORE) | _MEANS
         quality[np.abs(duty) >= _FULL_DUTY] |= int(Quality.SATURATED)
         nothing = np.isnan(iq) | np.isnan(vq)
-        for at in np.flatnonzero(nothing).tolist():
-            self._distrusted_until_s, self._disturbed = float(time_s[at]) + _DISTRUST_S, True
-            self.counters.extra["averages_reset"] = self.counters.extra.get("averages_reset", 0) + 1
-        self._disturbed &= bool(time_s[-1] < self._distrusted_until_s)
-        if self._distrusted_until_s > time_s[0]:
-            from_s = self._distrusted_until_s - _DISTRUST_S
-            quality[(time_s < self._distrusted_until_s) & ((time_s >= from_s) | nothing)] |= _MEANS
+        reset_s = np.maximum.accumulate(np.where(nothing, time_s, self._reset_s))
+        quality[time_s - reset_s < _DISTRUST_S] |= _MEANS
+        self._reset_s = float(reset_s[-1])
+        self._disturbed = bool(time_s[-1] - reset_s[-1] < _DISTRUST_S)
+        self.counters.extra["averages_reset"] += int(np.count_nonzero(nothing))
         return quality
 
 

@@ -13,6 +13,8 @@ from __future__ import annotations
 
 import math
 import random
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 #: Control cycles a second.
@@ -23,6 +25,8 @@ _CURRENT_BANDWIDTH, _SPEED_BANDWIDTH = 1_000.0, 40.0
 _SPEED_EVERY = 20
 #: Noise is drawn once and gone through again and again; a prime, so that both currents take all of it.
 _NOISE_VALUES = 8_191
+#: A host that stood still longer than this continues from now instead of catching up.
+_MAX_BEHIND_S = 1.0
 #: Friction turns round within so many rad/s.
 _FRICTION_WIDTH = 0.01
 
@@ -152,3 +156,27 @@ class FocDrive:
         self._integral_d, self._integral_q, self.v_d, self.v_q = integral_d, integral_q, v_d, v_q
         self._wanted = wanted
         self.sums = Sums(s.n + cycles, sum_id, sum_iq, sum_vd, sum_vq)
+
+
+class RunningFoc:
+    """A drive that runs by the clock.
+
+    Args:
+        clock: seconds, monotonic.
+    """
+
+    def __init__(self, drive: FocDrive, clock: Callable[[], float] = time.monotonic) -> None:
+        self._drive, self._clock, self._start_s = drive, clock, clock()
+
+    @property
+    def now_s(self) -> float:
+        """Where the drive is, on the clock."""
+        return self._start_s + self._drive.time_s
+
+    def now(self) -> FocDrive:
+        """The drive at this instant. After a pause longer than `_MAX_BEHIND_S` it goes on from where it was."""
+        ahead_s = self._clock() - self._start_s - self._drive.time_s
+        if ahead_s > _MAX_BEHIND_S:
+            self._start_s += ahead_s
+        self._drive.advance_to(self._clock() - self._start_s)
+        return self._drive
