@@ -60,15 +60,15 @@ class TestVesc(DriverConformance):
 
 
 class Timed(VescDevice):
-    """Keeps the time of every answer with values."""
+    """Keeps time and angle of every answer with values."""
 
     def __init__(self, motor: RunningFoc, **kwargs: Any) -> None:
         super().__init__(motor, **kwargs)
-        self.at_s: list[float] = []
+        self.at: list[tuple[float, float]] = []
 
     def _values(self, mask: int) -> bytes:
         body = super()._values(mask)
-        self.at_s.append(self._motor.now_s)
+        self.at.append((self._motor.now_s, self._motor.theta))
         return body
 
 
@@ -95,7 +95,8 @@ def test_means_and_angle_are_the_motors(tmp_path: Path, encoder: bool, extra: di
         assert (driver.meaning.voltage, driver.meaning.current, driver.meaning.convention) == ("mean", "mean", "dq")
     sent = payloads_in(rig)
     assert set(sent) == ALLOWED and sent[0] == b"\x00"
-    at_s = np.array(device.at_s)[block.sequence - sent.count(b"\x00")]
+    at_s, theta = np.array(device.at)[block.sequence - sent.count(b"\x00")].T
+    np.testing.assert_allclose(block.position_rad - block.position_rad[0], theta - theta[0], atol=1e-5)
     R, K = balance(block, at_s)
     motor = FocDrive().motor
     assert pytest.approx(motor.R, rel=0.02) == R
