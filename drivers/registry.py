@@ -24,6 +24,7 @@ BUILT_IN: dict[str, tuple[str, str]] = {
     "can": ("drivers.can.bus", "CanDriver"),
     "replay": ("servo_daemon.captures.driver", "ReplayDriver"),
     "mit": ("drivers.mit", "MitDriver"),
+    "moteus": ("drivers.moteus.drive", "MoteusDriver"),
     "simplefoc": ("drivers.simplefoc", "SimpleFocDriver"),
 }
 

@@ -92,7 +92,7 @@ class Silent:
 
     period_s: float | None = None
 
-    def receive(self, data: bytes) -> bytes:  # noqa: ARG002
+    def receive(self, data: bytes) -> bytes:
         return b""
 
     def due(self) -> bytes:
