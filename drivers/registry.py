@@ -23,6 +23,8 @@ BUILT_IN: dict[str, tuple[str, str]] = {
     "serial": ("drivers.serial.line", "SerialDriver"),
     "can": ("drivers.can.bus", "CanDriver"),
     "replay": ("servo_daemon.captures.driver", "ReplayDriver"),
+    "dynamixel": ("drivers.servo_bus.drive", "DynamixelDriver"),
+    "feetech": ("drivers.servo_bus.drive", "FeetechDriver"),
     "mit": ("drivers.mit", "MitDriver"),
     "moteus": ("drivers.moteus.drive", "MoteusDriver"),
     "simplefoc": ("drivers.simplefoc", "SimpleFocDriver"),
