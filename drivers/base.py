@@ -66,6 +66,15 @@ class Driver(ABC):
         self.counters = DriverCounters()
         self._is_open = False
 
+    @classmethod
+    def made(cls, name: str, options: dict[str, Any]) -> Driver:
+        """A closed driver for these options; a drive that is reached in several ways chooses its class here.
+
+        Raises:
+            DriverConfigError: the options are wrong; the text names the drive and the option.
+        """
+        return cls(name, options)
+
     @property
     def is_open(self) -> bool:
         return self._is_open
