@@ -63,6 +63,7 @@ def filled(
             np.insert(quality, where, of_new)[shift:],
             block.host_time_s,
             *channels,
+            block.current_mean,
         ),
         new,
     )

@@ -1,0 +1,158 @@
+"""The winding's balance as rows of a regression, where the voltage is a measurement.
+
+A drive under field-oriented control changes its voltage thousands of times between two samples. What it reports is the
+voltage of one instant or a mean, and so is its current; nothing needs to be known of what happened in between:
+
+    v = R i + K ω + L di/dt                   of one instant
+    v̄ = R ī + K Δθ/T + L Δi/T                 of means over an interval T, exactly
+
+Rows are added up under a smooth weight over windows, which keeps them exact and averages what is noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from servo_daemon.samples import F64, SampleBlock
+from servo_daemon.signal_meaning import SignalMeaning
+
+#: A step of time longer than so many usual ones has lost samples (`captures.capture.model.GAP_FACTOR`).
+_GAP = 1.75
+#: Samples on either side from which a derivative is taken: 5 points are exact to h⁴, 3 points to h².
+FINE, COARSE = 2, 1
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """One equation a row, n of them.
+
+    Attributes:
+        voltage, current, speed, current_rate: shape (n,), of the row's instant or interval.
+        voltage_rate: shape (n,), V/s: what a voltage of another moment would be off by.
+        other_speed, other_rate: the same by a coarser derivative: what the two differ by is what sampling hides.
+        time_s, step_s: shape (n,), the instant (or the interval's end) and the usual distance of rows.
+        whole: shape (n,): nothing is missing before it.
+    """
+
+    time_s: F64
+    step_s: float
+    voltage: F64
+    current: F64
+    speed: F64
+    current_rate: F64
+    other_speed: F64
+    other_rate: F64
+    voltage_rate: F64
+    whole: NDArray[np.bool_]
+
+
+def winding_rows(block: SampleBlock, meaning: SignalMeaning, *, by_position: bool = True) -> Rows | None:
+    """Rows of a block's samples; None where it has no voltage, current or motion, or fewer than five samples.
+
+    Args:
+        block: in a DC motor's units.
+        meaning: of its voltage and current.
+        by_position: the speed is taken from the position where there is one; False: from the speed channel.
+    """
+    v, i, theta, omega = block.voltage_V, block.current_A, block.position_rad, block.velocity_rad_s
+    if v is None or i is None or (theta is None and omega is None) or len(block) < 2 * FINE + 1:
+        return None
+    t = block.time_s
+    whole = _whole(block)
+    use_position = theta is not None and (by_position or omega is None)
+    if meaning.voltage == "mean":
+        return _of_means(t, v, i, theta if use_position else None, omega, whole, meaning)
+    if meaning.current == "mean":  # of the two intervals beside the instant
+        i = np.append(0.5 * (i[:-1] + i[1:]), i[-1])
+    speed, other = (omega, omega) if not use_position else (_rate(t, theta, FINE), _rate(t, theta, COARSE))
+    assert speed is not None and other is not None
+    whole = whole & np.roll(whole, -1) & np.roll(whole, -2) & np.roll(whole, 1)
+    cut = slice(FINE, len(t) - FINE)
+    rate, coarse = _rate(t, i, FINE), _rate(t, i, COARSE)
+    parts = (v, i, speed, rate, other, coarse, _rate(t, v, FINE))
+    return Rows(t[cut], float(np.median(np.diff(t))), *(p[cut] for p in parts), whole[cut])
+
+
+def _whole(block: SampleBlock) -> NDArray[np.bool_]:
+    """Shape (n,): the sample is good and none is missing between it and the one before."""
+    steps = np.diff(block.time_s)
+    good = block.quality == 0
+    out = good.copy()
+    out[0] = False
+    out[1:] &= good[:-1] & (steps <= _GAP * np.median(steps))
+    return out
+
+
+def _of_means(
+    t: F64, v: F64, i: F64, theta: F64 | None, omega: F64 | None, whole: NDArray[np.bool_], meaning: SignalMeaning
+) -> Rows:
+    step = np.diff(t)
+    if theta is not None:
+        speed = other = np.diff(theta) / step
+    else:
+        assert omega is not None  # Euler–Maclaurin, its second term with differences
+        other = 0.5 * (omega[1:] + omega[:-1])
+        slope = _rate(t, omega, FINE)
+        speed = other - step / 12.0 * np.diff(slope)
+    if meaning.current == "mean":
+        rate, coarse = _rate(t - 0.5 * np.append(step[:1], step), i, FINE)[1:], _rate(t, i, COARSE)[1:]
+        current = i[1:]
+    else:
+        current = 0.5 * (i[1:] + i[:-1]) - step / 12.0 * np.diff(_rate(t, i, FINE))
+        rate = coarse = np.diff(i) / step
+    cut = slice(FINE, len(step) - FINE)
+    parts = (v[1:], current, speed, rate, other, coarse, _rate(t, v, FINE)[1:])
+    ahead = whole & np.roll(whole, -1) & np.roll(whole, -2)
+    return Rows(t[1:][cut], float(np.median(step)), *(p[cut] for p in parts), ahead[1:][cut])
+
+
+def _rate(t: F64, x: F64, reach: int) -> F64:
+    """dx/dt at every sample by the polynomial through `reach` samples on either side, of any distances; at the ends
+    that of the nearest sample which has so many. Shape (n,)."""
+    width = 2 * reach + 1
+    usual = float(np.median(np.diff(t)))
+    d = (sliding_window_view(t, width) - t[reach : len(t) - reach, None]) / usual
+    powers = np.arange(width)
+    V = np.swapaxes(d[:, :, None] ** powers, 1, 2)
+    unit = np.zeros((len(d), width, 1))
+    unit[:, 1] = 1.0
+    weights = np.linalg.solve(V, unit)[:, :, 0]
+    inner = np.einsum("nw,nw->n", weights, sliding_window_view(x, width)) / usual
+    return np.concatenate([np.full(reach, inner[0]), inner, np.full(reach, inner[-1])])
+
+
+@dataclass(frozen=True, slots=True)
+class Sums:
+    """Rows added up under a smooth weight over w windows.
+
+    Attributes:
+        X, other: shape (w, 3): current, current's rate, speed; and by the coarser derivatives.
+        y, y_rate: shape (w,): voltage, and its rate.
+        last: shape (w,), the last row of each window.
+    """
+
+    X: F64
+    other: F64
+    y: F64
+    y_rate: F64
+    last: NDArray[np.intp]
+
+
+def added_up(rows: Rows, length: int) -> Sums:
+    """Windows of `length` rows that overlap by half, none over a gap; possibly none."""
+    phi = np.hanning(length + 2)[1:-1] if length > 1 else np.ones(1)
+    phi /= phi.sum()
+    parts = (rows.current, rows.current_rate, rows.speed, rows.other_rate, rows.other_speed)
+    signals = np.stack([*parts, rows.voltage, rows.voltage_rate], axis=1)
+    first = np.arange(0, len(signals) - length + 1, max(1, length // 2), dtype=np.intp)
+    if len(first):
+        lost = np.concatenate([[0], np.cumsum(~rows.whole)])
+        first = first[lost[first + length] == lost[first]]
+    sums = np.empty((0, 7))
+    if len(first):
+        sums = sliding_window_view(signals, length, axis=0)[first] @ phi
+    return Sums(sums[:, :3], sums[:, [0, 3, 4]], sums[:, 5], sums[:, 6], first + length - 1)
