@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import IntFlag
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,21 +115,17 @@ class SampleBlock:
         """Samples start..stop-1 as a block of their own (views, no copy)."""
         if start == 0 and stop >= len(self):
             return self
-        cut = [None if (a := getattr(self, name)) is None else a[start:stop] for name in CHANNELS]
-        return SampleBlock(
-            self.time_s[start:stop],
-            self.sequence[start:stop],
-            self.quality[start:stop],
-            self.host_time_s,
-            *cut,
-            self.current_mean,
-        )
+        return self._with(lambda values: values[start:stop])
 
     def select(self, keep: NDArray[np.bool_]) -> SampleBlock:
         """The samples for which `keep`, shape (n,), is true; possibly none (a copy)."""
-        chosen = [None if (a := getattr(self, name)) is None else a[keep] for name in CHANNELS]
-        times = self.time_s[keep], self.sequence[keep], self.quality[keep], self.host_time_s
-        return SampleBlock(*times, *chosen, self.current_mean)
+        return self._with(lambda values: values[keep])
+
+    def _with(self, chosen: Callable[[Any], Any]) -> SampleBlock:
+        """The samples that are chosen of each array."""
+        channels: dict[str, Any] = {n: None if (a := getattr(self, n)) is None else chosen(a) for n in CHANNELS}
+        times = chosen(self.time_s), chosen(self.sequence), chosen(self.quality)
+        return SampleBlock(*times, self.host_time_s, current_mean=self.current_mean, **channels)
 
 
 def make_block(

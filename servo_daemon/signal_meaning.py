@@ -87,7 +87,7 @@ class SignalMeaning:
         return _FACTORS[self.publish] if self.convention == "dq" else (1.0, 1.0)
 
     def equivalents(self) -> dict[str, dict[str, float]]:
-        """By the other choices of `publish`: factors of R, L and K from what is published to theirs; empty with `dc`."""
+        """By the other choices of `publish`: factors of R, L and K from what is published to theirs."""
         if self.convention == "dc":
             return {}
         v, i = self.factors
@@ -115,7 +115,6 @@ class SignalMeaning:
     def as_dc(self) -> SignalMeaning:
         """Of samples that `converted` has gone over."""
         return replace(self, convention="dc", gear_ratio=1.0)
-
 
     def with_keys(self, given: Mapping[str, Any]) -> SignalMeaning:
         """The same with some fields given otherwise.
@@ -161,7 +160,8 @@ def told(meaning: SignalMeaning) -> str:
     parts = [f"voltage {meaning.voltage}", f"current {meaning.current}"]
     if meaning.convention == "dq":
         v, i = meaning.factors
-        parts.append(f"dq, {meaning.publish} values (voltage × {v:.4g}, current × {i:.4g}) of {meaning.pole_pairs} pole pairs")
+        pairs = f"{meaning.pole_pairs} pole pairs"
+        parts.append(f"dq of {pairs}, {meaning.publish} values (voltage × {v:.4g}, current × {i:.4g})")
     if meaning.gear_ratio != 1.0:
         parts.append(f"gear {meaning.gear_ratio:g}: at the motor's shaft")
     return ", ".join(parts)

@@ -28,6 +28,8 @@ _KNOWN = 0.2
 #: constant. Either bends R and K where the model has none; it is seen beyond so many standard deviations.
 _EXTRAS = {"Vb": "a voltage against the current's direction", "v0": "a constant voltage"}
 _SEEN = 3.0
+#: Samples within L/R that follow the current.
+_FOLLOWED = 4.0
 #: Of which moment of a control period a value is no drive says: within ± 50 µs (a period at 20 kHz), 1 σ.
 _SKEW_S = 5e-5 / np.sqrt(3.0)
 
@@ -63,6 +65,12 @@ class WindingEstimate:
         k = self.names.index(name)
         return float(self.value[k]), float(self.std[k])
 
+    @property
+    def badness(self) -> float:
+        """Sum of squares of the relative errors of R and K; one that is not determined counts as all of itself."""
+        pairs = [self.of(name) for name in ("R", "K")]
+        return sum(1.0 if p is None else (p[1] / p[0]) ** 2 for p in pairs)
+
 
 def estimate_winding(
     recordings: Sequence[Rows], held: Mapping[str, float] | None = None, added: Sequence[str] = ()
@@ -77,28 +85,22 @@ def estimate_winding(
     """
     found = [_at_length(recordings, window_s, dict(held or {}), tuple(added)) for window_s in _WINDOWS_S]
     good = [f for f in found if f is not None]
-    return min(good, key=_badness) if good else None
+    return min(good, key=lambda f: f.badness) if good else None
 
 
 def without_hidden_inductance(found: WindingEstimate, period_s: float) -> WindingEstimate:
-    """The same without L where the current of such a winding settles between two instants: what the voltage did for it
-    meanwhile no sample shows.
+    """The same without L where instants are further apart than a quarter of what the current of such a winding takes:
+    what the voltage did for it meanwhile no sample shows.
 
     Args:
         period_s: usual distance of two samples.
     """
     R, L = found.of("R"), found.of("L")
-    if L is None or (R is not None and not settles_between(R[0], L[0], period_s)):
+    if L is None or (R is not None and not settles_between(R[0], L[0], _FOLLOWED * period_s)):
         return found
     keep = [k for k, name in enumerate(found.names) if name != "L"]
     names = tuple(found.names[k] for k in keep)
     return replace(found, names=names, value=found.value[keep], covariance=found.covariance[np.ix_(keep, keep)])
-
-
-def _badness(e: WindingEstimate) -> float:
-    """Sum of squares of the relative errors of R and K; one that is not determined counts as all of itself."""
-    pairs = [e.of(name) for name in ("R", "K")]
-    return sum(1.0 if p is None else (p[1] / p[0]) ** 2 for p in pairs)
 
 
 def _at_length(

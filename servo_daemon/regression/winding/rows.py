@@ -59,28 +59,31 @@ def winding_rows(block: SampleBlock, meaning: SignalMeaning, *, by_position: boo
         by_position: the speed is taken from the position where there is one; False: from the speed channel.
     """
     v, i, theta, omega = block.voltage_V, block.current_A, block.position_rad, block.velocity_rad_s
+    if theta is not None and omega is not None:
+        theta, omega = (theta, None) if by_position else (None, omega)
     if v is None or i is None or (theta is None and omega is None) or len(block) < 2 * FINE + 1:
         return None
     t = block.time_s
     whole = _whole(block)
-    use_position = theta is not None and (by_position or omega is None)
     if meaning.voltage == "mean":
-        return _of_means(t, v, i, theta if use_position else None, omega, whole, meaning)
+        return _of_means(t, v, i, theta, omega, whole, meaning)
     if meaning.current == "mean":  # of the two intervals beside the instant
         i = np.append(0.5 * (i[:-1] + i[1:]), i[-1])
-    speed, other = (omega, omega) if not use_position else (_rate(t, theta, FINE), _rate(t, theta, COARSE))
-    assert speed is not None and other is not None
+    if theta is not None:
+        speed, other = _rate(t, theta, FINE), _rate(t, theta, COARSE)
+    else:
+        assert omega is not None
+        speed = other = omega
     whole = whole & np.roll(whole, -1) & np.roll(whole, -2) & np.roll(whole, 1)
-    cut = slice(FINE, len(t) - FINE)
     rate, coarse = _rate(t, i, FINE), _rate(t, i, COARSE)
     parts = (v, i, speed, rate, other, coarse, _rate(t, v, FINE))
-    return Rows(t[cut], float(np.median(np.diff(t))), *(p[cut] for p in parts), whole[cut])
+    return _rows(t, parts, whole, float(np.median(np.diff(t))))
 
 
 def _whole(block: SampleBlock) -> NDArray[np.bool_]:
     """Shape (n,): the sample is good and none is missing between it and the one before."""
     steps = np.diff(block.time_s)
-    good = block.quality == 0
+    good: NDArray[np.bool_] = block.quality == 0
     out = good.copy()
     out[0] = False
     out[1:] &= good[:-1] & (steps <= _GAP * np.median(steps))
@@ -104,10 +107,16 @@ def _of_means(
     else:
         current = 0.5 * (i[1:] + i[:-1]) - step / 12.0 * np.diff(_rate(t, i, FINE))
         rate = coarse = np.diff(i) / step
-    cut = slice(FINE, len(step) - FINE)
     parts = (v[1:], current, speed, rate, other, coarse, _rate(t, v, FINE)[1:])
     ahead = whole & np.roll(whole, -1) & np.roll(whole, -2)
-    return Rows(t[1:][cut], float(np.median(step)), *(p[cut] for p in parts), ahead[1:][cut])
+    return _rows(t[1:], parts, ahead[1:], float(np.median(step)))
+
+
+def _rows(t: F64, parts: tuple[F64, ...], whole: NDArray[np.bool_], step_s: float) -> Rows:
+    """Without the ends, whose derivatives are of their neighbours; parts in the order of `Rows`."""
+    v, i, speed, rate, other_speed, other_rate, v_rate = (p[FINE : len(t) - FINE] for p in parts)
+    cut = slice(FINE, len(t) - FINE)
+    return Rows(t[cut], step_s, v, i, speed, rate, other_speed, other_rate, v_rate, whole[cut])
 
 
 def _rate(t: F64, x: F64, reach: int) -> F64:

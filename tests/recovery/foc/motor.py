@@ -79,7 +79,9 @@ def pick_and_place(size: float) -> Callable[[float], float]:
     return speed
 
 
-def run(motor: FocMotor, speed: Callable[[float], float], seconds: float, *, noise_A: float = 0.0, seed: int = 0) -> Trace:
+def run(
+    motor: FocMotor, speed: Callable[[float], float], seconds: float, *, noise_A: float = 0.0, seed: int = 0
+) -> Trace:
     """The motor following speeds; `noise_A` is that of the current's sensor, which the current loop acts on."""
     n = round(seconds * CONTROL_HZ)
     dt = 1.0 / CONTROL_HZ
