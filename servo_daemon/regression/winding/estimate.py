@@ -14,7 +14,7 @@ from servo_daemon.samples import F64
 
 NAMES = ("R", "L", "K")
 #: Windows that are tried, s; beyond, what the shaft does between their ends is averaged away.
-_WINDOWS_S = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
+WINDOWS_S = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
 #: Fewest rows for each column.
 _ROWS_PER_COLUMN = 8
 #: A bound that holds in the worst case, as 1 σ of what is equally likely anywhere below it.
@@ -73,7 +73,10 @@ class WindingEstimate:
 
 
 def estimate_winding(
-    recordings: Sequence[Rows], held: Mapping[str, float] | None = None, added: Sequence[str] = ()
+    recordings: Sequence[Rows],
+    held: Mapping[str, float] | None = None,
+    added: Sequence[str] = (),
+    windows_s: Sequence[float] = WINDOWS_S,
 ) -> WindingEstimate | None:
     """The estimate whose standard deviations are smallest over the lengths of windows; None where there are too few
     rows or nothing is determined.
@@ -82,8 +85,9 @@ def estimate_winding(
         recordings: rows of each, of one motor.
         held: parameters that are given.
         added: further columns that the model has: "Vb" (V sgn i), "v0" (a constant).
+        windows_s: lengths that are tried.
     """
-    found = [_at_length(recordings, window_s, dict(held or {}), tuple(added)) for window_s in _WINDOWS_S]
+    found = [_at_length(recordings, window_s, dict(held or {}), tuple(added)) for window_s in windows_s]
     good = [f for f in found if f is not None]
     return min(good, key=lambda f: f.badness) if good else None
 

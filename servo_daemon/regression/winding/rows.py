@@ -11,7 +11,8 @@ Rows are added up under a smooth weight over windows, which keeps them exact and
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -69,14 +70,14 @@ def winding_rows(block: SampleBlock, meaning: SignalMeaning, *, by_position: boo
         return _of_means(t, v, i, theta, omega, whole, meaning)
     if meaning.current == "mean":  # of the two intervals beside the instant
         i = np.append(0.5 * (i[:-1] + i[1:]), i[-1])
+    fine, coarse = _Rates(t, FINE), _Rates(t, COARSE)
     if theta is not None:
-        speed, other = _rate(t, theta, FINE), _rate(t, theta, COARSE)
+        speed, other = fine.of(theta), coarse.of(theta)
     else:
         assert omega is not None
         speed = other = omega
     whole = whole & np.roll(whole, -1) & np.roll(whole, -2) & np.roll(whole, 1)
-    rate, coarse = _rate(t, i, FINE), _rate(t, i, COARSE)
-    parts = (v, i, speed, rate, other, coarse, _rate(t, v, FINE))
+    parts = (v, i, speed, fine.of(i), other, coarse.of(i), fine.of(v))
     return _rows(t, parts, whole, float(np.median(np.diff(t))))
 
 
@@ -93,21 +94,20 @@ def _whole(block: SampleBlock) -> NDArray[np.bool_]:
 def _of_means(
     t: F64, v: F64, i: F64, theta: F64 | None, omega: F64 | None, whole: NDArray[np.bool_], meaning: SignalMeaning
 ) -> Rows:
-    step = np.diff(t)
+    step, fine = np.diff(t), _Rates(t, FINE)
     if theta is not None:
         speed = other = np.diff(theta) / step
     else:
         assert omega is not None  # Euler–Maclaurin, its second term with differences
         other = 0.5 * (omega[1:] + omega[:-1])
-        slope = _rate(t, omega, FINE)
-        speed = other - step / 12.0 * np.diff(slope)
+        speed = other - step / 12.0 * np.diff(fine.of(omega))
     if meaning.current == "mean":
-        rate, coarse = _rate(t - 0.5 * np.append(step[:1], step), i, FINE)[1:], _rate(t, i, COARSE)[1:]
-        current = i[1:]
+        middle = t - 0.5 * np.append(step[:1], step)
+        current, rate, coarse = i[1:], _Rates(middle, FINE).of(i)[1:], _Rates(middle, COARSE).of(i)[1:]
     else:
-        current = 0.5 * (i[1:] + i[:-1]) - step / 12.0 * np.diff(_rate(t, i, FINE))
+        current = 0.5 * (i[1:] + i[:-1]) - step / 12.0 * np.diff(fine.of(i))
         rate = coarse = np.diff(i) / step
-    parts = (v[1:], current, speed, rate, other, coarse, _rate(t, v, FINE)[1:])
+    parts = (v[1:], current, speed, rate, other, coarse, fine.of(v)[1:])
     ahead = whole & np.roll(whole, -1) & np.roll(whole, -2)
     return _rows(t[1:], parts, ahead[1:], float(np.median(step)))
 
@@ -119,19 +119,29 @@ def _rows(t: F64, parts: tuple[F64, ...], whole: NDArray[np.bool_], step_s: floa
     return Rows(t[cut], step_s, v, i, speed, rate, other_speed, other_rate, v_rate, whole[cut])
 
 
-def _rate(t: F64, x: F64, reach: int) -> F64:
-    """dx/dt at every sample by the polynomial through `reach` samples on either side, of any distances; at the ends
-    that of the nearest sample which has so many. Shape (n,)."""
-    width = 2 * reach + 1
-    usual = float(np.median(np.diff(t)))
-    d = (sliding_window_view(t, width) - t[reach : len(t) - reach, None]) / usual
-    powers = np.arange(width)
-    V = np.swapaxes(d[:, :, None] ** powers, 1, 2)
-    unit = np.zeros((len(d), width, 1))
-    unit[:, 1] = 1.0
-    weights = np.linalg.solve(V, unit)[:, :, 0]
-    inner = np.einsum("nw,nw->n", weights, sliding_window_view(x, width)) / usual
-    return np.concatenate([np.full(reach, inner[0]), inner, np.full(reach, inner[-1])])
+class _Rates:
+    """d/dt at every sample by the polynomial through `reach` samples on either side, of any distances; at the ends that
+    of the nearest sample which has so many."""
+
+    def __init__(self, t: F64, reach: int) -> None:
+        self._reach, self._width = reach, 2 * reach + 1
+        self._usual = float(np.median(np.diff(t)))
+        d = (sliding_window_view(t, self._width) - t[reach : len(t) - reach, None]) / self._usual
+        V = np.swapaxes(d[:, :, None] ** np.arange(self._width), 1, 2)
+        unit = np.zeros((len(d), self._width, 1))
+        unit[:, 1] = 1.0
+        self._weights = np.linalg.solve(V, unit)[:, :, 0]
+
+    def of(self, x: F64) -> F64:
+        """Shape (n,)."""
+        inner = np.einsum("nw,nw->n", self._weights, sliding_window_view(x, self._width)) / self._usual
+        return np.concatenate([np.full(self._reach, inner[0]), inner, np.full(self._reach, inner[-1])])
+
+
+def joined(parts: Sequence[Rows]) -> Rows:
+    """Rows that follow on each other; at least one part."""
+    arrays = {f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Rows) if f.name != "step_s"}
+    return Rows(step_s=float(np.median([p.step_s for p in parts])), **arrays)
 
 
 @dataclass(frozen=True, slots=True)
