@@ -242,7 +242,8 @@ class DriveRuntime:
             saved = self._keeper.load(info.identity)
             if saved is not None:
                 self._restored(saved)
-            self._pipeline = Pipeline(self.active, info, saved, self.ring)
+            meaning = self.config.signals.meaning(self.reader.driver.meaning)
+            self._pipeline = Pipeline(self.active, info, saved, self.ring, meaning)
             if self._seat is not None:
                 self._seat.begin_again()
             self._identity, self.info = info.identity, info

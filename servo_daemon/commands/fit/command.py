@@ -97,7 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
         found.append(drift_note(result.drift, result.fit, linear=result.captures[0].axis == "linear"))
     for text in found:
         common.note(text)
-    document = {**fit_document(result), "notes": [*inputs.notes, *found]}
+    document = {**fit_document(result, inputs.winding, inputs.meaning), "notes": [*inputs.notes, *found]}
     if arguments.out is not None:
         _write(arguments, result, document)
     if arguments.json:
