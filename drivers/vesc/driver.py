@@ -27,4 +27,3 @@ class VescDriver(Driver):
     @classmethod
     def made(cls, name: str, options: dict[str, Any]) -> Driver:
         return ListenedVesc(name, options) if "interface" in options else PolledVesc(name, options)
-

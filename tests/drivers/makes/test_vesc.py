@@ -105,9 +105,10 @@ def test_means_and_angle_are_the_motors(tmp_path: Path, encoder: bool, extra: di
 
 
 def test_a_drive_behind_another_is_asked_by_forwarding(tmp_path: Path) -> None:
-    with line(tmp_path / "vesc", vesc(can_id=3)) as rig, make_driver(
-        "vesc", "axis1", {"port": str(tmp_path / "vesc"), "can_id": 3}
-    ) as driver:
+    with (
+        line(tmp_path / "vesc", vesc(can_id=3)) as rig,
+        make_driver("vesc", "axis1", {"port": str(tmp_path / "vesc"), "can_id": 3}) as driver,
+    ):
         read_until(driver, 20)
         assert driver.info.identity.endswith("#3")
     assert {p[2:] for p in payloads_in(rig)} == ALLOWED
@@ -138,9 +139,10 @@ def test_another_poller_is_noticed_and_its_averages_are_not_believed(tmp_path: P
             return self._drive
 
     running = RunningFoc(FocDrive())
-    with line(tmp_path / "vesc", Shared(running)), make_driver(
-        "vesc", "axis1", {"port": str(tmp_path / "vesc"), "position": "encoder"}
-    ) as driver:
+    with (
+        line(tmp_path / "vesc", Shared(running)),
+        make_driver("vesc", "axis1", {"port": str(tmp_path / "vesc"), "position": "encoder"}) as driver,
+    ):
         block = concatenate(read_until(driver, 100))
         assert driver.remark is not None and "another program" in driver.remark
         assert driver.counters.extra["averages_reset"] >= 5
@@ -151,9 +153,10 @@ def test_another_poller_is_noticed_and_its_averages_are_not_believed(tmp_path: P
 
 
 def test_without_an_encoder_the_pole_pairs_are_asked_for(tmp_path: Path) -> None:
-    with line(tmp_path / "vesc", vesc(encoder=False)), make_driver(
-        "vesc", "axis1", {"port": str(tmp_path / "vesc")}
-    ) as driver:
+    with (
+        line(tmp_path / "vesc", vesc(encoder=False)),
+        make_driver("vesc", "axis1", {"port": str(tmp_path / "vesc")}) as driver,
+    ):
         deadline = time.monotonic() + 30.0
         while "pole_pairs" not in (driver.remark or ""):
             assert driver.read(0.1) is None
@@ -162,9 +165,10 @@ def test_without_an_encoder_the_pole_pairs_are_asked_for(tmp_path: Path) -> None
 
 def test_a_motor_at_rest_says_what_is_missing(tmp_path: Path) -> None:
     still = RunningFoc(FocDrive(motion=Motion(())))
-    with line(tmp_path / "vesc", VescDevice(still)), make_driver(
-        "vesc", "axis1", {"port": str(tmp_path / "vesc")}
-    ) as driver:
+    with (
+        line(tmp_path / "vesc", VescDevice(still)),
+        make_driver("vesc", "axis1", {"port": str(tmp_path / "vesc")}) as driver,
+    ):
         end = time.monotonic() + 0.5
         while time.monotonic() < end:
             assert driver.read(0.1) is None
@@ -172,9 +176,10 @@ def test_a_motor_at_rest_says_what_is_missing(tmp_path: Path) -> None:
 
 
 def test_a_port_without_a_vesc_is_told(tmp_path: Path) -> None:
-    with line(tmp_path / "silent", Silent()) as rig, make_driver(
-        "vesc", "axis1", {"port": str(tmp_path / "silent")}
-    ) as driver:
+    with (
+        line(tmp_path / "silent", Silent()) as rig,
+        make_driver("vesc", "axis1", {"port": str(tmp_path / "silent")}) as driver,
+    ):
         assert isinstance(driver, PolledVesc)
         for _ in range(5):
             assert driver.read(0.1) is None
