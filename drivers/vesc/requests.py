@@ -7,10 +7,14 @@ from drivers.vesc.packets import encode_packet
 #: Command numbers of the firmware's datatypes.h, as in tests/drivers/golden/vesc.json.
 FW_VERSION, GET_VALUES, GET_VALUES_SELECTIVE, FORWARD_CAN = 0, 4, 50, 34
 
-IQ, DUTY, ERPM, V_IN, TACHOMETER, FAULT, PID_POS, VQ = (1 << bit for bit in (5, 6, 7, 8, 13, 15, 16, 20))
-#: What every poll asks for; with and without the fault code (one byte), so that the mask, which the drive sends back,
-#: tells the answers of neighbouring requests apart.
-POLL_MASKS = tuple(IQ | DUTY | ERPM | V_IN | TACHOMETER | PID_POS | VQ | fault for fault in (0, FAULT))
+IQ, DUTY, ERPM, V_IN, TACHOMETER, PID_POS, VQ = (1 << bit for bit in (5, 6, 7, 8, 13, 16, 20))
+_FAULT, _CONTROLLER_ID = 1 << 15, 1 << 17
+#: What every poll asks for; with and without two fields of a byte, so that the mask, which the drive sends back, tells
+#: the answers of four requests in a row apart.
+POLL_MASKS = tuple(
+    IQ | DUTY | ERPM | V_IN | TACHOMETER | PID_POS | VQ | byte
+    for byte in (0, _FAULT, _CONTROLLER_ID, _FAULT | _CONTROLLER_ID)
+)
 
 #: Payloads that may leave, by what they ask; forwarded to a drive behind this one, `FORWARD_CAN` and its id come first.
 MAY_SEND: dict[str, tuple[bytes, ...]] = {

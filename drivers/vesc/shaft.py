@@ -49,7 +49,7 @@ class Shaft:
         """The next values may be another motor's."""
         self.source, self.inverted = self._told, self._told_inverted
         self._steps = WrappedPosition(_TACHOMETER_WRAP)
-        self._degrees = WrappedPosition(360.0)
+        self._degrees = _Guided(0.0 if self._pole_pairs is None else 360.0 / STEPS / self._pole_pairs)
         self._offset: float | None = None
         self._seen: dict[float, float] = {}  # step: degrees
 
@@ -66,13 +66,13 @@ class Shaft:
         """The shaft's angle in rad for the next values, shapes (n,); None while it is not known what they are."""
         steps = self._steps.unwrap(tachometer)
         if self.source == "auto":
-            self._decide(steps, self._degrees.unwrap(pid_pos_deg))
+            self._decide(steps, self._degrees.unwrap(pid_pos_deg, steps))
             return None
         if self.source == "electrical":
             if self._pole_pairs is None:
                 return None
             return self._electrical(pid_pos_deg, steps) / self._pole_pairs
-        return np.radians(self._degrees.unwrap(pid_pos_deg)) * (-1.0 if self.inverted else 1.0)
+        return np.radians(self._degrees.unwrap(pid_pos_deg, steps)) * (-1.0 if self.inverted else 1.0)
 
     def _electrical(self, degrees: F64, steps: F64) -> F64:
         """Electrical angle, rad: the turns are the tachometer's, which does not miss any between two polls."""
@@ -91,3 +91,43 @@ class Shaft:
         self.source = "electrical" if electrical else "encoder"
         self.inverted = not electrical and float((step - step.mean()) @ degree) < 0.0
         self._seen.clear()
+
+
+class _Guided:
+    """An encoder's angle in degrees, continued over its wraps by how far the tachometer went: after a pause of the host
+    the shaft may have gone on by several turns.
+
+    Args:
+        degrees_a_step: of the tachometer, without its sign, if it is known; 0: it is found from the motion.
+    """
+
+    def __init__(self, degrees_a_step: float) -> None:
+        self._told = degrees_a_step
+        self._slope = 0.0  # with its sign, as found so far
+        self._from: tuple[float, float] | None = None  # steps and degrees at the start
+        self._longest = _ENOUGH_STEPS - 1.0
+        self._last = (0.0, 0.0)
+        self._turns = 0.0
+
+    def unwrap(self, degrees: F64, steps: F64) -> F64:
+        """The next values, shapes (n,)."""
+        if self._from is None:
+            self._from = self._last = float(steps[0]), float(degrees[0])
+        went = np.diff(degrees, prepend=self._last[1])
+        expected = self._slope * np.diff(steps, prepend=self._last[0])
+        turns = self._turns - np.cumsum(np.rint((went - expected) / 360.0))
+        self._last, self._turns = (float(steps[-1]), float(degrees[-1])), float(turns[-1])
+        continued: F64 = degrees + 360.0 * turns
+        self._learn(continued, steps)
+        return continued
+
+    def _learn(self, continued: F64, steps: F64) -> None:
+        """The longest way so far tells best how far a step is."""
+        assert self._from is not None
+        span = steps - self._from[0]
+        at = int(np.argmax(np.abs(span)))
+        if abs(span[at]) > self._longest:
+            self._longest = abs(float(span[at]))
+            self._slope = float(continued[at] - self._from[1]) / float(span[at])
+            if self._told:
+                self._slope = math.copysign(self._told, self._slope)

@@ -173,6 +173,11 @@ class RunningFoc:
         """Where the drive is, on the clock."""
         return self._start_s + self._drive.time_s
 
+    @property
+    def theta(self) -> float:
+        """Its angle there, rad."""
+        return self._drive.theta
+
     def now(self) -> FocDrive:
         """The drive at this instant. After a pause longer than `_MAX_BEHIND_S` it goes on from where it was."""
         ahead_s = self._clock() - self._start_s - self._drive.time_s

@@ -60,20 +60,21 @@ class TestVesc(DriverConformance):
 
 
 class Timed(VescDevice):
-    """Keeps the time of every answer with values."""
+    """Keeps time and angle of every answer with values."""
 
     def __init__(self, motor: RunningFoc, **kwargs: Any) -> None:
         super().__init__(motor, **kwargs)
-        self.at_s: list[float] = []
+        self.at: list[tuple[float, float]] = []
 
     def _values(self, mask: int) -> bytes:
         body = super()._values(mask)
-        self.at_s.append(self._motor.now_s)
+        self.at.append((self._motor.now_s, self._motor.theta))
         return body
 
 
 def balance(block: Any, time_s: F64) -> F64:
-    """R and K by least squares of ∫v = R ∫i + K Δθ over good intervals; L Δi is left out: 16 µV·s an ampere, against 0.2 mV·s of R i."""
+    """R and K by least squares of ∫v = R ∫i + K Δθ over good intervals. L Δi is left out: 16 µV·s an ampere, against
+    200 of R i."""
     bad = (block.quality & int(Quality.VOLTAGE_INVALID | Quality.CURRENT_INVALID)) != 0
     T = np.diff(time_s)
     columns = np.c_[block.current_A[1:] * T, np.diff(block.position_rad)]
@@ -95,7 +96,8 @@ def test_means_and_angle_are_the_motors(tmp_path: Path, encoder: bool, extra: di
         assert (driver.meaning.voltage, driver.meaning.current, driver.meaning.convention) == ("mean", "mean", "dq")
     sent = payloads_in(rig)
     assert set(sent) == ALLOWED and sent[0] == b"\x00"
-    at_s = np.array(device.at_s)[block.sequence - sent.count(b"\x00")]
+    at_s, theta = np.array(device.at)[block.sequence - sent.count(b"\x00")].T
+    np.testing.assert_allclose(block.position_rad - block.position_rad[0], theta - theta[0], atol=1e-5)
     R, K = balance(block, at_s)
     motor = FocDrive().motor
     assert pytest.approx(motor.R, rel=0.02) == R
@@ -217,7 +219,8 @@ def test_status_messages_are_the_motors(tmp_path: Path, encoder: bool) -> None:
     with line(tmp_path / "can0", bus), make_driver("vesc", "axis1", options) as driver:
         block = concatenate(read_until(driver, 1500))
         assert driver.info.identity.endswith(":7")
-        assert driver.info.sample_period_s == pytest.approx(1 / 200.0, rel=0.02)
+        # on a busy machine the simulated drive may be late, never early
+        assert driver.info.sample_period_s is not None and 0.0049 < driver.info.sample_period_s < 0.0075
         assert driver.meaning is not None and driver.meaning.voltage == "instant"
     speed = block.velocity_rad_s if not encoder else np.gradient(block.position_rad, block.time_s)
     good = np.isfinite(block.current_A) & np.isfinite(block.voltage_V)
