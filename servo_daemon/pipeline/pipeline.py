@@ -315,6 +315,7 @@ class Pipeline:
             self._published = self._publisher.estimate(self._tracker, self._samples, self._refresher)
             if self._link is not None:
                 self._published = self._link.instead(self._published)
+            self._published = publish.with_equivalents(self._published, self.meaning)
         elif self._published.time_s != self._tracker.last_s:
             self._published = publish.moved_on(self._published, self._tracker, self._samples)
         return self._published
