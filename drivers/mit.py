@@ -79,7 +79,7 @@ class _Clipped(Field):
 
     def physical(self, data: U8) -> F64:
         raw = self.raw(data).astype(np.int64)
-        value = raw * self.scale + self.offset
+        value: F64 = raw.astype(np.float64) * self.scale + self.offset
         value[(raw == 0) | (raw == (1 << self.length) - 1)] = np.nan
         return value
 
@@ -109,8 +109,9 @@ def feedback_map(limits: Limits, key: int, motor_id: int) -> SignalMap:
         motor_id: in the frame's first byte (`damiao`: in its lower half, the fault in its upper); robstride's is in
             the identifier.
     """
+    selected: tuple[tuple[Field, tuple[int, ...]], ...] = ()
     if limits.layout == "robstride":
-        places, selected = ((0, 16), (16, 16), (32, 16)), ()
+        places = ((0, 16), (16, 16), (32, 16))
         temperature = _plain(key, "Feedback.temperature", (48, 16), 0.1)
     else:
         ident, value = ((4, 4), motor_id & 0xF) if limits.layout == "damiao" else ((0, 8), motor_id)
@@ -203,10 +204,11 @@ class MitDriver(BusListener):
         layout = self.options.get("layout", "mit")
         if layout not in LAYOUTS:
             raise DriverConfigError(f"{self._where}: layout {layout!r} is none of {', '.join(LAYOUTS)}")
-        usable = isinstance(given, list) and len(given) == 3
-        if not usable or not all(isinstance(x, int | float) and not isinstance(x, bool) and 0 < x < 1e6 for x in given):
+        numbers = [x for x in given if isinstance(x, int | float) and 0 < x < 1e6] if isinstance(given, list) else []
+        if len(numbers) != 3 or numbers != given:
             raise DriverConfigError(f"{self._where}: limits must be three positive numbers, ±rad, ±rad/s and ±N·m")
-        return Limits(*(float(x) for x in given), layout)
+        position, velocity, torque = map(float, numbers)
+        return Limits(position, velocity, torque, layout)
 
     def _number(self, key: str, default: int, most: int) -> int:
         value = self.options.get(key, default)

@@ -25,7 +25,11 @@ BUILT_IN: dict[str, tuple[str, str]] = {
     "vesc": ("drivers.vesc.driver", "VescDriver"),
     "odrive": ("drivers.odrive.driver", "OdriveDriver"),
     "replay": ("servo_daemon.captures.driver", "ReplayDriver"),
+    "cia402": ("drivers.cia402.drive", "Cia402Driver"),
+    "dynamixel": ("drivers.servo_bus.drive", "DynamixelDriver"),
+    "feetech": ("drivers.servo_bus.drive", "FeetechDriver"),
     "mit": ("drivers.mit", "MitDriver"),
+    "moteus": ("drivers.moteus.drive", "MoteusDriver"),
     "simplefoc": ("drivers.simplefoc", "SimpleFocDriver"),
 }
 

@@ -1,7 +1,7 @@
 """Driver "simplefoc": the monitor of an Arduino-FOC sketch (`motor.monitor()`), listened to.
 
-A line has the values that the sketch's `monitor_variables` asks for, tab-separated, without time and names, in the
-order of the mask's bits (Arduino-FOC, `FOCMotor.h` and `FOCMotor::monitor`). Voltage and current are the q axis's of one
+A line has what the mask `monitor_variables` of the sketch asks for, tab-separated, without time and names, in the
+order of the mask's bits (Arduino-FOC, `FOCMotor.h`, `FOCMotor::monitor`). Voltage and current are the q axis's of one
 instant, amplitude-invariant; the current is in mA. Nothing is ever sent: the sketch's settings stay as they are.
 
     [drive.options]

@@ -21,7 +21,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from servo_daemon.errors import BadInputError
-from servo_daemon.samples import F64, SampleBlock
+from servo_daemon.samples import SampleBlock
 
 VOLTAGES = ("held", "instant", "mean")
 CURRENTS = ("instant", "mean")
@@ -78,7 +78,7 @@ class SignalMeaning:
 
     @property
     def words(self) -> str:
-        """Of the voltage and the current, for a reason: "an instant's", "a mean"."""
+        """What the voltage is, for a reason."""
         return {"held": "held", "instant": "an instant's", "mean": "a mean"}[self.voltage]
 
     @property
@@ -87,7 +87,7 @@ class SignalMeaning:
         return _FACTORS[self.publish] if self.convention == "dq" else (1.0, 1.0)
 
     def equivalents(self) -> dict[str, dict[str, float]]:
-        """By the other choices of `publish`: factors of R, L and K from what is published to theirs. Empty with `dc`."""
+        """By the other choices of `publish`: factors of R, L and K from what is published to theirs."""
         if self.convention == "dc":
             return {}
         v, i = self.factors
@@ -97,16 +97,18 @@ class SignalMeaning:
     def converted(self, block: SampleBlock) -> SampleBlock:
         """The block with the DC motor's voltage and current, and position, speed and torque of the motor's shaft.
 
-        Samples of a drive with `dc` and no gear are returned as they are.
+        Samples of a drive with `dc`, no gear and an instant's current are returned as they are.
         """
         v, i = self.factors
         n = self.gear_ratio
         factors = {"voltage_V": v, "current_A": i, "position_rad": n, "velocity_rad_s": n, "torque_Nm": 1.0 / n}
-        changed: dict[str, F64] = {
+        changed: dict[str, Any] = {
             name: array * factor
             for name, factor in factors.items()
             if factor != 1.0 and (array := getattr(block, name)) is not None
         }
+        if self.current == "mean" and not block.current_mean:
+            changed["current_mean"] = True
         return replace(block, **changed) if changed else block
 
     @property
@@ -114,34 +116,52 @@ class SignalMeaning:
         """Of samples that `converted` has gone over."""
         return replace(self, convention="dc", gear_ratio=1.0)
 
+    def with_keys(self, given: Mapping[str, Any]) -> SignalMeaning:
+        """The same with some fields given otherwise.
+
+        Raises:
+            BadInputError: a value is impossible; the text names the field.
+        """
+        return replace(self, **given) if given else self
+
 
 #: Names of the fields: keys of `[drive.signals]` and of a capture's metadata.
 KEYS = tuple(f.name for f in fields(SignalMeaning))
 
 
-def from_texts(texts: Mapping[str, str]) -> SignalMeaning | None:
-    """The meaning that a capture's metadata tell; None where they say nothing of it.
+def keys_of_texts(texts: Mapping[str, str]) -> dict[str, Any]:
+    """What a capture's metadata tell of the meaning, by field. A `voltage` or `current` that begins with a digit is a
+    note of somebody's (`# voltage: 24 V`) and none of it.
 
     Raises:
         BadInputError: a value is impossible; the text names the key.
     """
     given: dict[str, Any] = {key: texts[key].strip() for key in KEYS if key in texts}
-    if not given:
-        return None
+    for key in ("voltage", "current"):
+        if key in given and given[key][:1] in "0123456789.+-":
+            del given[key]
     for key, read in (("pole_pairs", int), ("gear_ratio", float)):
         if key in given:
             try:
                 given[key] = read(given[key])
             except ValueError:
                 raise BadInputError(f"{key} = {given[key]!r} is not a number") from None
-    return SignalMeaning(**given)
+    SignalMeaning(**given)
+    return given
 
 
 def as_texts(meaning: SignalMeaning) -> dict[str, str]:
-    """As metadata of a capture: what differs from the default."""
-    plain = SignalMeaning()
-    return {
-        key: f"{value:g}" if isinstance(value := getattr(meaning, key), float) else str(value)
-        for key in KEYS
-        if getattr(meaning, key) != getattr(plain, key)
-    }
+    """As metadata of a capture: every field, for a capture's own lines stand above a configuration."""
+    return {k: f"{v!r}" if isinstance(v := getattr(meaning, k), float) else str(v) for k in KEYS}
+
+
+def told(meaning: SignalMeaning) -> str:
+    """In one line, for the user."""
+    parts = [f"voltage {meaning.voltage}", f"current {meaning.current}"]
+    if meaning.convention == "dq":
+        v, i = meaning.factors
+        pairs = f"{meaning.pole_pairs} pole pairs"
+        parts.append(f"dq of {pairs}, {meaning.publish} values (voltage × {v:.4g}, current × {i:.4g})")
+    if meaning.gear_ratio != 1.0:
+        parts.append(f"gear {meaning.gear_ratio:g}: at the motor's shaft")
+    return ", ".join(parts)

@@ -85,6 +85,7 @@ def estimates_document(drive: DriveView, snapshot: Snapshot) -> Document:
             "model": list(drive.model),
             "parameters": _parameters(drive.initial_parameters),
             "state": {"current_A": None, "velocity_rad_s": None, "position_rad": None},
+            "equivalents": {},
             "estimators": {},
             "health": health,
         }
@@ -95,11 +96,10 @@ def estimates_document(drive: DriveView, snapshot: Snapshot) -> Document:
         "model": list(estimate.model),
         "parameters": _parameters(estimate.parameters),
         "state": _scalars(estimate.state),
+        "equivalents": {name: _pairs(values) for name, values in estimate.equivalents.items()},
         "estimators": {
             name: {
-                "parameters": {
-                    p: {"value": scalar(value), "std": scalar(std)} for p, (value, std) in view.parameters.items()
-                },
+                "parameters": _pairs(view.parameters),
                 "detail": _scalars(view.detail),
             }
             for name, view in estimate.estimators.items()
@@ -107,6 +107,10 @@ def estimates_document(drive: DriveView, snapshot: Snapshot) -> Document:
         # Totals of the line win over the pipeline's own: they also count what was lost before it.
         "health": {**_scalars(estimate.health), **health},
     }
+
+
+def _pairs(values: Mapping[str, tuple[float | None, float | None]]) -> Document:
+    return {p: {"value": scalar(value), "std": scalar(std)} for p, (value, std) in values.items()}
 
 
 class EstimatesEncoder:

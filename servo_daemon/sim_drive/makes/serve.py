@@ -17,6 +17,8 @@ from servo_daemon.sim_drive.pty_link import PtyLink
 _POLL_S = 0.05
 #: A device that has nothing to read waits so long for a reader.
 _ABSENT_S = 0.01
+#: A host that stood still longer than this continues from now instead of catching up.
+_MAX_BEHIND_S = 1.0
 
 
 class Device(Protocol):
@@ -65,7 +67,7 @@ def serve(link: Path, device: Device, *, stop: threading.Event, heard: Callable[
                 stop.wait(_ABSENT_S)
             now_s = time.monotonic()
             if period_s is not None and now_s >= next_s:
-                next_s = max(next_s + period_s, now_s - _POLL_S)  # never a burst for a pause of this process
+                next_s = max(next_s + period_s, now_s - _MAX_BEHIND_S)
                 line = device.due()
                 if present:
                     _write(pty.master, line)

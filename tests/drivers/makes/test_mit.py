@@ -17,10 +17,9 @@ from servo_daemon.errors import DriverConfigError
 from servo_daemon.samples import Quality, concatenate
 from servo_daemon.sim_drive.makes.can_nodes import SlcanBus
 from servo_daemon.sim_drive.makes.mit import MitActuator
-from servo_daemon.sim_drive.makes.moving import MovingMotor
 from tests.drivers.conformance import DriverConformance, read_until
 from tests.drivers.makes.can_rig import batch
-from tests.drivers.makes.rig import Sine, assert_follows_the_sine, current_of, line
+from tests.drivers.makes.rig import assert_follows_the_sine, current_of, line, sine_motor
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "mit.json").read_text())["frames"]
 REPLIES = [f for f in GOLDEN if "decoded" in f and f["decoded"]["temperature"] is not None]
@@ -131,7 +130,7 @@ def test_any_frames_come_to_nothing_worse_than_an_invalid_sample(seed: int) -> N
 
 
 def _actuator(**options: Any) -> SlcanBus:
-    return SlcanBus(MitActuator(MovingMotor(Sine()), torque_per_ampere=0.5, **options))
+    return SlcanBus(MitActuator(sine_motor(2e-3), torque_per_ampere=0.5, **options))
 
 
 class TestMitConformance(DriverConformance):
@@ -160,7 +159,7 @@ def test_values_of_a_live_actuator(tmp_path: Path) -> None:
     options |= {"channel": str(tmp_path / "can"), "period_s": 2e-3}
     with line(tmp_path / "can", bus), make_driver("mit", "axis1", options) as driver:
         block = concatenate(read_until(driver, 800))
-    assert_follows_the_sine(block, voltage=None)
+    assert_follows_the_sine(block, 2e-3, voltage=None)
     assert block.torque_Nm is not None and block.position_rad is not None and block.voltage_V is None
     np.testing.assert_allclose(block.torque_Nm, 0.5 * current_of(block.position_rad), atol=0.02)
     assert bus.heard == []
