@@ -65,6 +65,4 @@ def _device(arguments: argparse.Namespace) -> tuple[Path, Device]:
     if generation not in ("0.5", "0.6"):
         raise BadInputError(f"--odrive {generation}: the generation is 0.5 or 0.6")
     period_s = 1.0 / (arguments.rate or _ODRIVE_HZ)
-    return Path(link), SlcanBus(
-        OdriveNode(motor, generation=generation, node_id=arguments.drive_id, period_s=period_s)
-    )
+    return Path(link), SlcanBus(OdriveNode(motor, generation=generation, node_id=arguments.drive_id, period_s=period_s))
