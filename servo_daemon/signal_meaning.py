@@ -136,6 +136,18 @@ class SignalMeaning:
         return replace(self, **given) if given else self
 
 
+def _whole(text: str) -> int:
+    """A whole number, also as "7.0".
+
+    Raises:
+        ValueError: it is none.
+    """
+    number = float(text)
+    if not number.is_integer():
+        raise ValueError
+    return int(number)
+
+
 #: Names of the fields: keys of `[drive.signals]` and of a capture's metadata.
 KEYS = tuple(f.name for f in fields(SignalMeaning))
 
@@ -151,12 +163,15 @@ def keys_of_texts(texts: Mapping[str, str]) -> dict[str, Any]:
     for key in ("voltage", "current"):
         if key in given and given[key][:1] in "0123456789.+-":
             del given[key]
-    for key, read in (("pole_pairs", int), *((name, float) for name in ("gear_ratio", "truncated_A", "truncated_V"))):
+    for key, read in (
+        ("pole_pairs", _whole),
+        *((name, float) for name in ("gear_ratio", "truncated_A", "truncated_V")),
+    ):
         if key in given:
             try:
                 given[key] = read(given[key])
-            except ValueError:
-                raise BadInputError(f"{key} = {given[key]!r} is not a number") from None
+            except (ValueError, OverflowError):
+                raise BadInputError(f"{key} = {given[key]!r} is not such a number") from None
     SignalMeaning(**given)
     return given
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from servo_daemon.config import DriveConfig
 from servo_daemon.plant.effects import parameter_table
-from servo_daemon.published.snapshot import Covariance, Estimate, EstimatorView, ParameterEstimate
+from servo_daemon.published.snapshot import Covariance, Estimate, EstimatorView, ParameterEstimate, Status
 from servo_daemon.regression.winding.estimate import (
     WINDOWS_S,
     WindingEstimate,
@@ -35,7 +35,7 @@ _EVERY_S, _ALL_LENGTHS_EVERY = 1.0, 10
 _LEAST_S = 3.0
 #: What the filter's motion is exact to beside its own noise, 1 σ of J, B and every torque: a current runs on between
 #: two samples, and one of them may come a tenth of a period late. Measured on the independent plant of
-#: tests/recovery/foc (two motors, two motions, 50 to 1000 Hz): 0.3 % and a hundredth for every 20 ms of the period hold all of it.
+#: tests/recovery/foc (two motors, two motions, 50 to 1000 Hz): 0.3 % and a hundredth for every 20 ms of the period.
 _MOTION, _MOTION_PER_S = 3e-3, 0.01 / 0.02
 #: A K that is known so well, 1 σ, is good enough for the filter to begin with.
 _TO_BEGIN = 0.1
@@ -180,9 +180,9 @@ class MeasuredLink:
             return replace(old, value=old.nominal, std=None, status="estimating", reason=why, age_s=None)
         age_s = max(0.0, self._end_s - known.time_s)
         fresh = self._estimate is not None and name in self._estimate.names
-        why = None if fresh else f"{self.link}: its balance says nothing of {name} now"
-        status = "tracking" if fresh else "unexcited"
-        return replace(old, value=known.value, std=known.std, status=status, reason=why, age_s=age_s)
+        silent = None if fresh else f"{self.link}: its balance says nothing of {name} now"
+        status: Status = "tracking" if fresh else "unexcited"
+        return replace(old, value=known.value, std=known.std, status=status, reason=silent, age_s=age_s)
 
     def _motion(self, p: ParameterEstimate, scale: float, K_std: float, *, white: bool) -> ParameterEstimate:
         if "K" not in self._known and p.status == "tracking":
