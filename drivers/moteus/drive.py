@@ -28,7 +28,7 @@ from drivers.polling.placing import Placing
 from drivers.polling.poller import Answer, Pace, Reply, Request
 from drivers.serial.port import open_port
 from servo_daemon.errors import DriverError
-from servo_daemon.samples import F64, Quality, SampleBlock
+from servo_daemon.samples import F64, Quality, SampleBlock, make_block
 from servo_daemon.signal_meaning import SignalMeaning
 
 #: The drive's counter of milliseconds has 32 bits. It tells a restart; the time is the host's, which is finer.
@@ -167,8 +167,8 @@ class MoteusDriver(PollingDriver[bytes]):
         quality[~np.isfinite(position)] |= np.uint8(Quality.POSITION_INVALID)
         quality[~np.isfinite(torque_like)] |= np.uint8(Quality.CURRENT_INVALID)
         named = {"torque_Nm" if self._settings.signal == "torque" else "current_A": torque_like}
-        return SampleBlock(
-            time_s, number, quality, answers[-1].received_s,
+        return make_block(
+            time_s, sequence=number, quality=quality, host_time_s=answers[-1].received_s,
             position_rad=position, velocity_rad_s=_of_turns(state["velocity"]),
             temperature_C=state["temperature"].astype(np.float64), **named,
         )  # fmt: skip
