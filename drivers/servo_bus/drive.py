@@ -1,8 +1,8 @@
 """Drivers "dynamixel" and "feetech": a servo in a chain on one half-duplex line, asked for its registers.
 
 Brushed motors: the voltage is the share of the supply that the bridge is switched to. The servo changes it at its own
-rate, which is faster than it can be asked, so that it is an instant's. Several drives with the same `port` share the line, and are asked for together. Nothing is sent but reads
-of the registers in `families`.
+rate, which is faster than it can be asked, so that it is an instant's. Several drives with the same `port` share the
+line, and are asked for together. Nothing is sent but reads of the registers in `families`.
 
     [drive.options]
     port = "/dev/ttyUSB0"

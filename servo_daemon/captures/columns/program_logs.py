@@ -2,7 +2,8 @@
 
 Sources: VESC Tool 6 (`RT Data` and `Sampled Data` logs), moteus tview (`servo_stats`, `servo_control`), SimpleFOC's
 monitor, TMotorCANControl. VESC, moteus and SimpleFOC report amplitude-invariant dq values; they are taken as they are,
-and the capture's metadata say so (`convention: dq`).
+and the capture's metadata say so (`convention: dq`). VESC Tool's real-time log has the means since the row before
+(`COMM_GET_VALUES`), the others have values of the row's instant (`servo_daemon/signal_meaning.py`).
 """
 
 from __future__ import annotations
@@ -15,7 +16,9 @@ import numpy as np
 
 from servo_daemon.column_names import RPM, TURN, Meaning
 
-_DQ = {"convention": "dq"}
+_DQ_MEANS = {"convention": "dq", "voltage": "mean", "current": "mean"}
+#: Metadata of dq values of one instant.
+DQ_INSTANTS = {"convention": "dq", "voltage": "instant", "current": "instant"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,13 +63,13 @@ PROGRAM_LOGS = (
             "encoder_position": Meaning("position_rad", math.pi / 180),
             "erpm": Meaning("erpm", RPM),
         },
-        _DQ,
+        _DQ_MEANS,
     ),
     ProgramLog(
         "VESC Tool, sampled data",
         frozenset({"T", "I1", "I2", "I3", "V1", "V2", "V3", "Phase"}),
         {"T": Meaning("time_s")},
-        _DQ,
+        DQ_INSTANTS,
         {"voltage_V": _q_axis("V"), "current_A": _q_axis("I")},
     ),
     *(
@@ -82,7 +85,7 @@ PROGRAM_LOGS = (
                 "q_V": Meaning("voltage_V"),
                 "torque_Nm": Meaning("torque_Nm"),
             },
-            _DQ,
+            DQ_INSTANTS,
             channel="servo_stats",
         )
         for beside in ("d_A", "power_W")
@@ -91,7 +94,7 @@ PROGRAM_LOGS = (
         "moteus, servo_control",
         frozenset({"timestamp", "i_q_A", "q_V"}),
         {"timestamp": Meaning("time_s"), "q_V": Meaning("voltage_V"), "i_q_A": Meaning("current_A")},
-        _DQ,
+        DQ_INSTANTS,
     ),
     ProgramLog(
         "TMotorCANControl",

@@ -1,4 +1,4 @@
-"""From the wire of each make to the estimate: the simulated drive, its driver, the pipeline, in lockstep on one clock."""
+"""From the wire of each make to the estimate: simulated drive, driver and pipeline in lockstep on one clock."""
 
 from __future__ import annotations
 
