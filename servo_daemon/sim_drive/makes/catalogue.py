@@ -1,4 +1,4 @@
-"""Which makes there are as simulated drives, each with the motor that it drives."""
+"""Simulated drives with the motor that each drives, ready to be served."""
 
 from __future__ import annotations
 
@@ -10,11 +10,9 @@ from servo_daemon.sim_drive.makes.foc import FocDrive, Motion, Pmsm, RunningFoc
 from servo_daemon.sim_drive.makes.mit import MitActuator
 from servo_daemon.sim_drive.makes.moteus import Fdcanusb, Moteus
 from servo_daemon.sim_drive.makes.moving import FocMotor, MovingMotor
-from servo_daemon.sim_drive.makes.odrive import OdriveNode, OdriveText
 from servo_daemon.sim_drive.makes.serve import Device
 from servo_daemon.sim_drive.makes.servos import DynamixelChain, FeetechChain
 from servo_daemon.sim_drive.makes.simplefoc import SimpleFocMonitor
-from servo_daemon.sim_drive.makes.vesc import VescDevice
 from servo_daemon.sim_drive.source import SampleSource
 
 #: An actuator with its load at the output: the size of an AK80-9, within its 50 rad/s and 18 N·m.
@@ -32,9 +30,6 @@ def _actuator(seed: int) -> FocMotor:
 
 #: A motor under field-oriented control: seed and the drive's number on the wire -> the device.
 FOC: Mapping[str, Callable[[int, int], Device]] = {
-    "vesc": lambda seed, _: VescDevice(_outrunner(seed)),
-    "odrive-0.5": lambda seed, _: OdriveText(_outrunner(seed)),
-    "odrive-0.6": lambda seed, drive_id: SlcanBus(OdriveNode(_outrunner(seed), node_id=drive_id)),
     "moteus": lambda seed, drive_id: Fdcanusb(
         Moteus(FocMotor(_outrunner(seed)), torque_constant=Pmsm().Kt, drive_id=drive_id)
     ),
@@ -51,9 +46,3 @@ BRUSHED: Mapping[str, Callable[[SampleSource, int], Device]] = {
     "dynamixel": lambda source, drive_id: DynamixelChain({drive_id: MovingMotor(source)}),
     "feetech": lambda source, drive_id: FeetechChain({drive_id: MovingMotor(source)}),
 }
-
-
-def truth(make: str) -> dict[str, float]:
-    """R, L and K (phase values), J, B of a make's motor under field-oriented control."""
-    motor = ACTUATOR if make == "mit" else Pmsm()
-    return {"R": motor.R, "L": motor.L, "K": motor.K_phase, "J": motor.J, "B": motor.B}
