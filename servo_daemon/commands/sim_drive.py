@@ -66,7 +66,7 @@ def _check(arguments: argparse.Namespace) -> None:
     Raises:
         BadInputError: naming the flag.
     """
-    from drivers.can.wire import FIRST_DRIVE, LAST_DRIVE
+    from drivers.can.ours.wire import FIRST_DRIVE, LAST_DRIVE
     from servo_daemon.errors import BadInputError
 
     lowest, highest = (FIRST_DRIVE, LAST_DRIVE) if arguments.slcan is not None else (0, 255)

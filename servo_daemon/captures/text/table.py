@@ -43,7 +43,9 @@ def with_columns(path: Path, preamble: Preamble, options: ReadOptions) -> Preamb
             raise _nameless(path, preamble, guess)
         names = guess[0]
     if guess is not None and tuple(names) == guess[0]:
-        preamble = replace(preamble, told=("SimpleFOC monitor", *preamble.told), metadata={**DQ_INSTANTS, **preamble.metadata})
+        preamble = replace(
+            preamble, told=("SimpleFOC monitor", *preamble.told), metadata={**DQ_INSTANTS, **preamble.metadata}
+        )
     if not names:
         return preamble
     if len(names) != preamble.width:

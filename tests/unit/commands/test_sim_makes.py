@@ -15,12 +15,13 @@ from servo_daemon.errors import BadInputError
 from tests.drivers.conformance import read_until
 
 ON_CAN = {"interface": "slcan", "bitrate": 1_000_000}
+PDO = {"0x183": ["statusword", "position", "torque"]}
 MAKES: dict[str, dict[str, Any]] = {
     "moteus": {"drive_id": 3, "rate_hz": 200.0},
     "dynamixel": {"drive_id": 3},
     "feetech": {"drive_id": 3},
     "simplefoc": {},
-    "cia402": ON_CAN | {"node_id": 3, "counts_per_rev": 8192, "rated_torque_Nm": 2.0, "pdo": {"0x183": ["statusword", "position", "torque"]}},
+    "cia402": ON_CAN | {"node_id": 3, "counts_per_rev": 8192, "rated_torque_Nm": 2.0, "pdo": PDO},
     "mit": ON_CAN | {"model": "AK80-9", "motor_id": 3},
 }  # fmt: skip
 
