@@ -38,7 +38,7 @@ from drivers.polling.link import Link
 from drivers.polling.placing import Placing
 from drivers.polling.poller import Answer, Pace
 from servo_daemon.errors import DriverConfigError, DriverError
-from servo_daemon.samples import CHANNELS, F64, Quality, SampleBlock, make_block
+from servo_daemon.samples import CHANNELS, F64, Quality, SampleBlock
 from servo_daemon.signal_meaning import SignalMeaning
 
 #: SYNC (CiA 301): its default identifier, no data.
@@ -251,7 +251,11 @@ class _Asking(PollingDriver[float]):
                 invalid = Quality.VOLTAGE_INVALID if thing.channel == "voltage_V" else Quality.CURRENT_INVALID
                 quality[~np.isfinite(value)] |= np.uint8(invalid)
                 columns[thing.channel] = value * unit
-        return make_block(time_s, sequence=number, quality=quality, host_time_s=firsts[-1].received_s, **columns)
+        return SampleBlock(
+            time_s, number, quality, firsts[-1].received_s,
+            voltage_V=columns.get("voltage_V"), current_A=columns.get("current_A"), torque_Nm=columns.get("torque_Nm"),
+            position_rad=columns.get("position_rad"), velocity_rad_s=columns.get("velocity_rad_s"),
+        )  # fmt: skip
 
 
 class Cia402Driver(Driver):
