@@ -59,6 +59,11 @@ class BusListener(Driver):
         self._inbox: Inbox | None = None
 
     @property
+    def settings(self) -> dict[str, Any]:
+        """Keyword arguments for `can.Bus`."""
+        return dict(self._settings)
+
+    @property
     def _frames(self) -> FrameDecoder:
         """What turns this drive's frames into samples."""
         raise NotImplementedError

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.base import DriveInfo
+from drivers.can.decode import Bits
 from drivers.options import checked
 from drivers.polling.driver import PollingDriver
 from drivers.polling.link import SerialLink
@@ -18,7 +19,8 @@ from drivers.serial.port import open_port
 from drivers.vesc.dialogue import Polled, VescDialogue
 from drivers.vesc.shaft import Shaft, Source
 from drivers.vesc.values import Firmware
-from servo_daemon.samples import F64, U8, Quality, SampleBlock
+from drivers.vesc.when import SampleTimes
+from servo_daemon.samples import F64, I64, U8, Quality, SampleBlock
 from servo_daemon.signal_meaning import SignalMeaning
 
 #: What a poll brings: averages since the poll before, of every control cycle.
@@ -65,7 +67,9 @@ class PolledVesc(PollingDriver[Firmware | Polled]):
         self._dialogue: VescDialogue | None = None
         self._asked_before: int | None = None  # number of the last answer with values
         self._reset_s = -math.inf  # when another program was last seen to read the averages
+        self._received_s = -math.inf  # the last answer
         self._disturbed = False
+        self._times = SampleTimes()
         self.counters.extra["averages_reset"] = 0
 
     @property
@@ -113,6 +117,8 @@ class PolledVesc(PollingDriver[Firmware | Polled]):
     def _new_dialogue(self) -> VescDialogue:
         self._dialogue = VescDialogue(self._settings.can_id, self.counters)
         self._shaft.restart()
+        self._times.restart()
+        self._received_s = -math.inf
         self._asked_before, self._reset_s, self._disturbed = None, -math.inf, False
         return self._dialogue
 
@@ -120,23 +126,21 @@ class PolledVesc(PollingDriver[Firmware | Polled]):
         polled = [(answer, answer.value) for answer in answers if isinstance(answer.value, Polled)]
         if not polled:
             return None
-        column = np.array(
-            [(p.iq_A, p.vq_V, p.duty, p.pid_pos_deg, p.tachometer) for _, p in polled], np.float64
-        ).T  # fmt: skip
-        iq, vq, duty, degrees, tachometer = column
+        rows = [(p.iq_A, p.vq_V, p.duty, p.pid_pos_deg, p.tachometer, p.erpm) for _, p in polled]
+        iq, vq, duty, degrees, tachometer, erpm = np.array(rows, np.float64).T
         number = np.array([a.number for a, _ in polled], np.int64)
-        time_s = np.array([a.sent_s for a, _ in polled])
+        sent_s, received_s = np.array([(a.sent_s, a.received_s) for a, _ in polled]).T
         before, self._asked_before = self._asked_before, int(number[-1])
         angle = self._shaft.angle(degrees, tachometer)
-        quality = self._quality(time_s, np.diff(number, prepend=number[0] if before is None else before), iq, vq, duty)
-        if angle is None:
+        steps = np.diff(number, prepend=number[0] if before is None else before)
+        quality = self._quality(sent_s, received_s, steps, np.isnan(iq) | np.isnan(vq))
+        quality[np.abs(duty) >= _FULL_DUTY] |= int(Quality.SATURATED)
+        first = 1 if before is None else 0  # its averages began when somebody last looked
+        if angle is None or first == len(polled):
             return None
         bad = (quality & _MEANS) != 0
-        first = 1 if before is None else 0  # its averages began when somebody last looked
-        if first == len(polled):
-            return None
         block = SampleBlock(
-            time_s,
+            self._times.times(sent_s, received_s, angle, self._speed(erpm)),
             number,
             quality,
             answers[-1].received_s,
@@ -146,19 +150,28 @@ class PolledVesc(PollingDriver[Firmware | Polled]):
         )
         return block.slice(first, len(block))
 
-    def _quality(self, time_s: F64, steps: F64, iq: F64, vq: F64, duty: F64) -> U8:
-        """After an answer that is missing the average's interval is not known: its request may have arrived or not."""
-        quality = np.zeros(len(time_s), np.uint8)
+    def _speed(self, erpm: F64) -> F64 | None:
+        """Of the shaft, rad/s, with the sign of the angle."""
+        pole_pairs = self._shaft.pole_pairs
+        return None if pole_pairs is None else _centred(erpm, 1.0) * (2.0 * math.pi / 60.0 / pole_pairs)
+
+    def _quality(self, sent_s: F64, received_s: F64, steps: I64, nothing: Bits) -> U8:
+        """After an answer that is missing the average's interval is not known: its request may have arrived or not.
+        An average over nothing is another program's doing, unless the drive may have served two of our requests at
+        once: the one before was then not answered yet when this one left."""
+        quality = np.zeros(len(sent_s), np.uint8)
         gap = steps > 1
         self.counters.samples_lost += int((steps[gap] - 1).sum())
         quality[gap] |= int(Quality.GAP_BEFORE) | _MEANS
-        quality[np.abs(duty) >= _FULL_DUTY] |= int(Quality.SATURATED)
-        nothing = np.isnan(iq) | np.isnan(vq)
-        reset_s = np.maximum.accumulate(np.where(nothing, time_s, self._reset_s))
-        quality[time_s - reset_s < _DISTRUST_S] |= _MEANS
+        quality[nothing] |= _MEANS
+        answered_s = np.concatenate([[self._received_s], received_s[:-1]])
+        self._received_s = float(received_s[-1])
+        reset = nothing & (sent_s > answered_s)
+        reset_s = np.maximum.accumulate(np.where(reset, sent_s, self._reset_s))
+        quality[sent_s - reset_s < _DISTRUST_S] |= _MEANS
         self._reset_s = float(reset_s[-1])
-        self._disturbed = bool(time_s[-1] - reset_s[-1] < _DISTRUST_S)
-        self.counters.extra["averages_reset"] += int(np.count_nonzero(nothing))
+        self._disturbed = bool(sent_s[-1] - reset_s[-1] < _DISTRUST_S)
+        self.counters.extra["averages_reset"] += int(np.count_nonzero(reset))
         return quality
 
 

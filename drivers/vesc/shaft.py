@@ -62,6 +62,11 @@ class Shaft:
             return "it has no encoder: option pole_pairs is needed"
         return None
 
+    @property
+    def pole_pairs(self) -> int | None:
+        """As told, else as an encoder's angle and the tachometer have shown; None: not known (yet)."""
+        return self._pole_pairs or (self._degrees.pole_pairs if self.source == "encoder" else None)
+
     def angle(self, pid_pos_deg: F64, tachometer: F64) -> F64 | None:
         """The shaft's angle in rad for the next values, shapes (n,); None while it is not known what they are."""
         steps = self._steps.unwrap(tachometer)
@@ -108,6 +113,12 @@ class _Guided:
         self._longest = _ENOUGH_STEPS - 1.0
         self._last = (0.0, 0.0)
         self._turns = 0.0
+
+    @property
+    def pole_pairs(self) -> int | None:
+        """By the longest way so far, once one step of it is less than half a pole pair; None before."""
+        pairs = 360.0 / STEPS / abs(self._slope) if self._slope else math.inf
+        return round(pairs) if pairs / self._longest < 0.4 else None
 
     def unwrap(self, degrees: F64, steps: F64) -> F64:
         """The next values, shapes (n,)."""

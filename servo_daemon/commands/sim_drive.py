@@ -14,7 +14,7 @@ HELP = "a simulated drive that speaks the real wire on a pseudo-terminal, until 
 EXAMPLE = """  servo-daemon sim-drive --serial /tmp/servo0    # then: driver = "serial", port = "/tmp/servo0"
   servo-daemon sim-drive --slcan /tmp/can0       # then: driver = "can", interface = "slcan", channel = "/tmp/can0"
   servo-daemon sim-drive --vesc /tmp/vesc0       # then: driver = "vesc", port = "/tmp/vesc0"
-  servo-daemon sim-drive --odrive 0.6 /tmp/can0  # then: driver = "odrive", interface = "slcan", channel = "/tmp/can0\""""
+  servo-daemon sim-drive --odrive 0.6 /tmp/can0  # then: driver = "odrive", interface and channel as above"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

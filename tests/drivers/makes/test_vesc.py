@@ -85,8 +85,8 @@ def balance(block: Any, time_s: F64) -> F64:
 
 @pytest.mark.parametrize(("encoder", "extra"), [(True, {}), (False, {"pole_pairs": 7})])
 def test_means_and_angle_are_the_motors(tmp_path: Path, encoder: bool, extra: dict[str, Any]) -> None:
-    """The port alone is enough with an encoder. R and K by the electrical balance, on the device's own times: how well
-    the host knows them is another matter, and depends on how busy this machine is."""
+    """The port alone is enough with an encoder. R and K by the electrical balance, on the device's own times; the
+    driver's own are close to them, though this machine may be busy."""
     device = Timed(RunningFoc(FocDrive()), encoder=encoder)
     options = {"port": str(tmp_path / "vesc"), **extra}
     with line(tmp_path / "vesc", device) as rig, make_driver("vesc", "axis1", options) as driver:
@@ -102,8 +102,8 @@ def test_means_and_angle_are_the_motors(tmp_path: Path, encoder: bool, extra: di
     motor = FocDrive().motor
     assert pytest.approx(motor.R, rel=0.02) == R
     assert pytest.approx(motor.pole_pairs * motor.flux, rel=0.01) == K
-    late_s = at_s - block.time_s
-    assert late_s.min() > -1e-3 and np.median(late_s) < 5e-3
+    off_s = np.abs(at_s - block.time_s)
+    assert np.median(off_s) < 1e-3 and np.percentile(off_s, 90) < 2e-3
 
 
 def test_a_drive_behind_another_is_asked_by_forwarding(tmp_path: Path) -> None:
