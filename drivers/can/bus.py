@@ -19,9 +19,9 @@ from typing import Any, ClassVar
 from drivers.can.decode import load_dbc
 from drivers.can.listener import BusListener, FrameDecoder
 from drivers.can.map import COUNTS, parse_signal_map
-from drivers.can.own import OwnDecoder
+from drivers.can.ours.own import OwnDecoder
+from drivers.can.ours.wire import FIRST_DRIVE, LAST_DRIVE
 from drivers.can.vendor import STALE_S, VendorDecoder
-from drivers.can.wire import FIRST_DRIVE, LAST_DRIVE
 from servo_daemon.errors import DriverConfigError
 
 _OWN_OPTIONS = ("drive_id", "counts_per_rev")

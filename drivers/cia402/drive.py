@@ -46,8 +46,8 @@ SYNC = Frame(0x80, b"")
 MOST_NODE = 127
 
 _OPTIONS = (
-    "node_id", "pdo", "eds", "sync_s", "counts_per_rev", "rated_current_A", "rated_torque_Nm", "velocity_unit", "voltage",
-    "rate_hz", "period_s",
+    "node_id", "pdo", "eds", "sync_s", "counts_per_rev", "rated_current_A", "rated_torque_Nm", "velocity_unit",
+    "voltage", "rate_hz", "period_s",
 )  # fmt: skip
 
 
@@ -142,16 +142,17 @@ def _read_options(driver: _Listening) -> dict[int, list[Object]] | None:
 
 def _voltage(options: dict[str, Any], where: str) -> Object | None:
     given = options.get("voltage")
-    if given is None or isinstance(given, str) and given in VOLTAGES:
-        return None if given is None else VOLTAGES[given]
+    if given is None:
+        return None
+    if isinstance(given, str) and given in VOLTAGES:
+        return VOLTAGES[given]
     keys = {"index", "sub", "bits"}
     if isinstance(given, dict) and keys <= set(given) <= {*keys, "signed", "real", "unit_V"}:
         numbers = [given[k] for k in sorted(keys)] + [given.get("unit_V", 1.0)]
         if all(isinstance(n, int | float) and not isinstance(n, bool) for n in numbers) and given["bits"] in (16, 32):
-            return Object(
-                int(given["index"]), int(given["sub"]), "voltage_V", int(given["bits"]), bool(given.get("signed", True)),
-                bool(given.get("real", False)), float(given.get("unit_V", 1.0)),
-            )  # fmt: skip
+            index, sub, bits = int(given["index"]), int(given["sub"]), int(given["bits"])
+            signed, real = bool(given.get("signed", True)), bool(given.get("real", False))
+            return Object(index, sub, "voltage_V", bits, signed, real, float(given.get("unit_V", 1.0)))
     raise DriverConfigError(
         f"{where}: voltage must be one of {', '.join(VOLTAGES)}, or {{index = …, sub = …, bits = 16 or 32, unit_V = …}}"
     )
@@ -250,7 +251,11 @@ class _Asking(PollingDriver[float]):
                 invalid = Quality.VOLTAGE_INVALID if thing.channel == "voltage_V" else Quality.CURRENT_INVALID
                 quality[~np.isfinite(value)] |= np.uint8(invalid)
                 columns[thing.channel] = value * unit
-        return SampleBlock(time_s, number, quality, firsts[-1].received_s, **columns)
+        return SampleBlock(
+            time_s, number, quality, firsts[-1].received_s,
+            voltage_V=columns.get("voltage_V"), current_A=columns.get("current_A"), torque_Nm=columns.get("torque_Nm"),
+            position_rad=columns.get("position_rad"), velocity_rad_s=columns.get("velocity_rad_s"),
+        )  # fmt: skip
 
 
 class Cia402Driver(Driver):

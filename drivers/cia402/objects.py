@@ -36,7 +36,7 @@ class Object:
         return self.index, self.sub
 
 
-#: CiA 402-2. The actual velocity has a unit of the maker's; torque and current are ‰ of the rated ones (0x6076, 0x6075).
+#: CiA 402-2. Velocity has a unit of the maker's; torque and current are ‰ of the rated ones (0x6076, 0x6075).
 STANDARD: Mapping[str, Object] = {
     "statusword": Object(0x6041, 0, "", 16, signed=False),
     "mode": Object(0x6061, 0, "", 8),

@@ -162,17 +162,26 @@ class MoteusDriver(PollingDriver[bytes]):
         _, restarted = self._device_time.unwrap(1e-3 * state["counter_ms"], time_s)
         self.counters.device_restarts += int(np.count_nonzero(restarted))
         quality[restarted] |= np.uint8(Quality.TIME_RESTART)
-        position = _of_turns(state["position"])
-        torque_like = state["torque" if self._settings.signal == "torque" else "q_current"].astype(np.float64)
-        quality[~np.isfinite(position)] |= np.uint8(Quality.POSITION_INVALID)
-        quality[~np.isfinite(torque_like)] |= np.uint8(Quality.CURRENT_INVALID)
-        named = {"torque_Nm" if self._settings.signal == "torque" else "current_A": torque_like}
+        position, velocity = _of_turns(state["position"]), _of_turns(state["velocity"])
+        by_torque = self._settings.signal == "torque"
+        drive = _known(state["torque" if by_torque else "q_current"])
+        quality[np.isnan(position)] |= np.uint8(Quality.POSITION_INVALID)
+        quality[np.isnan(drive)] |= np.uint8(Quality.CURRENT_INVALID)
         return SampleBlock(
             time_s, number, quality, answers[-1].received_s,
-            position_rad=position, velocity_rad_s=_of_turns(state["velocity"]),
-            temperature_C=state["temperature"].astype(np.float64), **named,
+            current_A=None if by_torque else drive,
+            torque_Nm=drive if by_torque else None,
+            position_rad=position, velocity_rad_s=velocity, temperature_C=state["temperature"].astype(np.float64),
         )  # fmt: skip
 
 
+def _known(values: np.ndarray[Any, np.dtype[np.float32]]) -> F64:
+    """With NaN for all that is no number: the wire may carry any bits."""
+    with np.errstate(invalid="ignore"):
+        wide = values.astype(np.float64)
+    wide[~np.isfinite(wide)] = np.nan
+    return wide
+
+
 def _of_turns(turns: np.ndarray[Any, np.dtype[np.float32]]) -> F64:
-    return turns.astype(np.float64) * (2.0 * math.pi)
+    return _known(turns) * (2.0 * math.pi)

@@ -51,7 +51,7 @@ class ChainDialogue:
     def __init__(self, family: Family, servos: tuple[int, ...], clock: Callable[[], float] = time.monotonic) -> None:
         self._family, self._clock = family, clock
         self._decoder = family.decoder()
-        self._absent = {servo: 0.0 for servo in servos}  # when it is to be asked for its model
+        self._absent = dict.fromkeys(servos, 0.0)  # when it is to be asked for its model
         self._missed = dict.fromkeys(servos, 0)
         self._asked: tuple[int, ...] = ()
         self._round: Round = {}

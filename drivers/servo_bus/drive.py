@@ -1,8 +1,8 @@
 """Drivers "dynamixel" and "feetech": a servo in a chain on one half-duplex line, asked for its registers.
 
-Brushed motors: the voltage is the share of the supply that the bridge is switched to, held until the servo's next
-control step. Several drives with the same `port` share the line, and are asked for together. Nothing is sent but reads
-of the registers in `families`.
+Brushed motors: the voltage is the share of the supply that the bridge is switched to. The servo changes it at its own
+rate, which is faster than it can be asked, so that it is an instant's. Several drives with the same `port` share the
+line, and are asked for together. Nothing is sent but reads of the registers in `families`.
 
     [drive.options]
     port = "/dev/ttyUSB0"
@@ -30,7 +30,7 @@ from drivers.servo_bus.chain import Chain, Place, State
 from drivers.servo_bus.families import COUNTS_PER_REV, DynamixelX, Family, FeetechSts, Model, Readings
 from drivers.servo_bus.protocol2 import MOST_ID
 from servo_daemon.errors import DriverError
-from servo_daemon.samples import F64, Quality, SampleBlock
+from servo_daemon.samples import F64, Quality, SampleBlock, make_block
 from servo_daemon.signal_meaning import SignalMeaning
 
 #: An answer that has not come by then will not: the servos' return delay is at most half a millisecond each.
@@ -78,7 +78,7 @@ class _ServoDriver(Driver):
 
     @property
     def meaning(self) -> SignalMeaning:
-        return SignalMeaning("held", "instant", "dc")
+        return SignalMeaning("instant", "instant", "dc")
 
     @property
     def _model(self) -> Model:
@@ -163,11 +163,11 @@ class _ServoDriver(Driver):
         if current is not None:
             quality[~np.isfinite(current)] |= np.uint8(Quality.CURRENT_INVALID)
         counts = self._unwrapper.unwrap(shown.counts)
-        return SampleBlock(
-            time_s, number, quality, answers[-1].received_s,
+        return make_block(
+            time_s, sequence=number, quality=quality, host_time_s=answers[-1].received_s,
             voltage_V=shown.duty * shown.supply_V,
             current_A=current,
-            position_rad=counts * (2.0 * math.pi / COUNTS_PER_REV),
+            position_rad=counts.astype(np.float64) * (2.0 * math.pi / COUNTS_PER_REV),
             velocity_rad_s=shown.velocity_rad_s,
             temperature_C=shown.temperature_C,
         )  # fmt: skip

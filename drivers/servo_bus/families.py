@@ -130,7 +130,7 @@ class DynamixelX:
             supply_V=raw["supply"] / 10.0,
             current_steps=raw["current"].astype(np.float64),
             counts=raw["position"].astype(np.int64),
-            velocity_rad_s=raw["velocity"] * (_RPM_STEP * 2.0 * math.pi / 60.0),
+            velocity_rad_s=raw["velocity"].astype(np.float64) * (_RPM_STEP * 2.0 * math.pi / 60.0),
             temperature_C=raw["temperature"].astype(np.float64),
         )
 
@@ -171,13 +171,14 @@ class FeetechSts:
             supply_V=raw["supply"] / 10.0,
             current_steps=_signed(raw["current"], _SIGN).astype(np.float64),
             counts=_signed(raw["position"], _SIGN),
-            velocity_rad_s=_signed(raw["speed"], _SIGN) * (2.0 * math.pi / COUNTS_PER_REV),
+            velocity_rad_s=_signed(raw["speed"], _SIGN).astype(np.float64) * (2.0 * math.pi / COUNTS_PER_REV),
             temperature_C=raw["temperature"].astype(np.float64),
         )
 
 
 def _signed(raw: NDArray[np.uint16], bit: int) -> I64:
     """Size and sign in one word: the sign's bit, and the size below it."""
-    value = raw.astype(np.int64)
-    size = value & ((1 << bit) - 1)
-    return np.where(value >> bit & 1, -size, size)
+    value: I64 = raw.astype(np.int64)
+    size: I64 = value & ((1 << bit) - 1)
+    negative: I64 = value >> bit & 1
+    return size * (1 - 2 * negative)

@@ -34,8 +34,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from servo_daemon.simulate import DEFAULT_AGEING, DEFAULT_J_M, SimulatedDrive, make_settings
-
     _check(arguments)
     stop = threading.Event()
     for number in common.stop_signals():
@@ -48,15 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
         sim_makes.serve(arguments, stop)
         return 0
     rate_hz = 1000.0 if arguments.rate is None else arguments.rate
-    source = SimulatedDrive(
-        make_settings(
-            J_m=DEFAULT_J_M,
-            effects=arguments.effect,
-            ageing=DEFAULT_AGEING if arguments.ageing is None else arguments.ageing,
-            rate_hz=rate_hz,
-            seed=arguments.seed,
-        )
-    )
+    source = sim_makes.brushed_motor(arguments)
     link = arguments.serial or arguments.slcan
     common.note(f"{link}: drive {arguments.drive_id}, {rate_hz:g} samples a second; Ctrl-C ends it")
     if arguments.serial is not None:
@@ -76,12 +66,14 @@ def _check(arguments: argparse.Namespace) -> None:
     Raises:
         BadInputError: naming the flag.
     """
-    from drivers.can.wire import FIRST_DRIVE, LAST_DRIVE
+    from drivers.can.ours.wire import FIRST_DRIVE, LAST_DRIVE
     from servo_daemon.errors import BadInputError
 
     lowest, highest = (FIRST_DRIVE, LAST_DRIVE) if arguments.slcan is not None else (0, 255)
     if arguments.odrive:
         highest = 63
+    elif sim_makes.is_asked_for(arguments):
+        highest = 126  # of moteus; the others have more
     if arguments.rate is not None and not 0.0 < arguments.rate <= 1e5:
         raise BadInputError(f"--rate must be greater than zero and at most 100000, not {arguments.rate:g}")
     if not lowest <= arguments.drive_id <= highest:

@@ -11,10 +11,20 @@ from servo_daemon.errors import BadInputError
 
 if TYPE_CHECKING:
     from servo_daemon.sim_drive.makes.serve import Device
+    from servo_daemon.simulate import SimulatedDrive
 
 #: Status messages a second, where --rate does not say otherwise.
 _CAN_HZ = 200.0
 _ODRIVE_HZ = 100.0
+#: Makes of the catalogue: whether their motor is brushed, and what they are for the user.
+_MORE = {
+    "moteus": (False, "a moteus behind an fdcanusb adapter, which answers queries"),
+    "dynamixel": (True, "a Dynamixel X, which answers reads"),
+    "feetech": (True, "a Feetech STS, which answers reads"),
+    "simplefoc": (False, "the monitor of a SimpleFOC sketch"),
+    "cia402": (False, "a CANopen drive (PDO 1, SDO) behind a USB-CAN adapter"),
+    "mit": (False, "an AK80-9 actuator's feedback behind a USB-CAN adapter"),
+}
 
 
 def add_arguments(wire: argparse._MutuallyExclusiveGroup) -> None:
@@ -26,10 +36,33 @@ def add_arguments(wire: argparse._MutuallyExclusiveGroup) -> None:
     )
     wire.add_argument("--odrive-text", type=Path, metavar="LINK", help="an ODrive 0.5 on USB, which answers text")
 
+    for make, (_, what) in _MORE.items():
+        wire.add_argument(f"--{make}", type=Path, metavar="LINK", help=what)
+
 
 def is_asked_for(arguments: argparse.Namespace) -> bool:
     """Whether one of them is asked for."""
-    return any((arguments.vesc, arguments.vesc_can, arguments.odrive, arguments.odrive_text))
+    return any((arguments.vesc, arguments.vesc_can, arguments.odrive, arguments.odrive_text, _one_more(arguments)))
+
+
+def _one_more(arguments: argparse.Namespace) -> str | None:
+    """Which of `_MORE` is asked for."""
+    return next((make for make in _MORE if getattr(arguments, make) is not None), None)
+
+
+def brushed_motor(arguments: argparse.Namespace) -> SimulatedDrive:
+    """The brushed motor that the flags describe."""
+    from servo_daemon.simulate import DEFAULT_AGEING, DEFAULT_J_M, SimulatedDrive, make_settings
+
+    return SimulatedDrive(
+        make_settings(
+            J_m=DEFAULT_J_M,
+            effects=arguments.effect,
+            ageing=DEFAULT_AGEING if arguments.ageing is None else arguments.ageing,
+            rate_hz=arguments.rate or 1000.0,
+            seed=arguments.seed,
+        )
+    )
 
 
 def serve(arguments: argparse.Namespace, stop: threading.Event) -> None:
@@ -40,14 +73,25 @@ def serve(arguments: argparse.Namespace, stop: threading.Event) -> None:
     """
     from servo_daemon.sim_drive.makes.serve import serve as serve_device
 
+    make = _one_more(arguments)
+    if make is not None and _MORE[make][0]:
+        from servo_daemon.sim_drive.makes.catalogue import BRUSHED
+
+        serve_device(getattr(arguments, make), BRUSHED[make](brushed_motor(arguments), arguments.drive_id), stop=stop)
+        return
     for flag, given in (("--effect", arguments.effect), ("--ageing", arguments.ageing)):
         if given:
-            raise BadInputError(f"{flag} is for --serial and --slcan: this motor is brushless, with a controller")
+            raise BadInputError(f"{flag} is for a brushed motor: this one is brushless, with a controller")
     link, device = _device(arguments)
     serve_device(link, device, stop=stop)
 
 
 def _device(arguments: argparse.Namespace) -> tuple[Path, Device]:
+    make = _one_more(arguments)
+    if make is not None:
+        from servo_daemon.sim_drive.makes.catalogue import FOC
+
+        return getattr(arguments, make), FOC[make](arguments.seed, arguments.drive_id)
     from servo_daemon.sim_drive.makes.can_nodes import SlcanBus
     from servo_daemon.sim_drive.makes.foc import FocDrive, RunningFoc
     from servo_daemon.sim_drive.makes.odrive import OdriveNode, OdriveText

@@ -6,7 +6,7 @@ import math
 import struct
 from collections.abc import Sequence
 
-from servo_daemon.sim_drive.makes.moving import MovingMotor, Shown
+from servo_daemon.sim_drive.makes.moving import Motor, Shown
 from servo_daemon.sim_drive.slcan_adapter import BusFrame
 
 _SYNC, _PDO1, _SDO_ANSWER, _SDO_REQUEST = 0x80, 0x180, 0x580, 0x600
@@ -27,7 +27,7 @@ class Cia402Node:
 
     def __init__(
         self,
-        motor: MovingMotor,
+        motor: Motor,
         *,
         torque_per_ampere: float,
         node_id: int = 1,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from servo_daemon.sim_drive.makes.moving import MovingMotor
+from servo_daemon.sim_drive.makes.moving import Motor
 from servo_daemon.sim_drive.slcan_adapter import BusFrame
 
 #: What the actuator takes the temperature of its MOSFETs for.
@@ -25,7 +25,7 @@ class MitActuator:
 
     def __init__(
         self,
-        motor: MovingMotor,
+        motor: Motor,
         *,
         limits: tuple[float, float, float] = (12.5, 50.0, 18.0),
         torque_per_ampere: float,

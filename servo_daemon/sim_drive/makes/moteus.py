@@ -6,7 +6,7 @@ import math
 import struct
 import time
 
-from servo_daemon.sim_drive.makes.moving import MovingMotor
+from servo_daemon.sim_drive.makes.moving import Motor
 
 #: Registers: those of a state as floats, the counter of milliseconds, and what does not change here.
 _MODE, _POSITION, _VELOCITY, _TORQUE, _Q, _D, _POWER, _VOLTAGE, _TEMPERATURE, _FAULT = 0, 1, 2, 3, 4, 5, 7, 13, 14, 15
@@ -28,7 +28,7 @@ class Moteus:
         drive_id: 1 .. 126.
     """
 
-    def __init__(self, motor: MovingMotor, *, torque_constant: float, drive_id: int = 1) -> None:
+    def __init__(self, motor: Motor, *, torque_constant: float, drive_id: int = 1) -> None:
         self._motor, self._torque_constant, self._drive_id = motor, torque_constant, drive_id
         self._start_s = time.monotonic()
 

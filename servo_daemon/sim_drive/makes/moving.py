@@ -5,9 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
+from servo_daemon.sim_drive.makes.foc import RunningFoc
 from servo_daemon.sim_drive.source import SampleSource
 
+#: The q axis's power is 1.5 v i.
+DQ_VOLTAGE = 1.5
 #: A host that stood still longer than this continues from now instead of catching up.
 _MAX_BEHIND_S = 1.0
 
@@ -21,6 +25,27 @@ class Shown:
     current_A: float
     position_rad: float
     velocity_rad_s: float
+
+
+class Motor(Protocol):
+    """What turns."""
+
+    def now(self) -> Shown:
+        """What it shows now."""
+        ...
+
+
+class FocMotor:
+    """A motor under field-oriented control. Voltage and current are those of the DC motor whose torque constant is per
+    ampere of iq (`kt`, servo_daemon/signal_meaning.py): v = 1.5 vq, i = iq."""
+
+    def __init__(self, foc: RunningFoc) -> None:
+        self._foc = foc
+
+    def now(self) -> Shown:
+        """What it shows now."""
+        drive = self._foc.now()
+        return Shown(drive.time_s, DQ_VOLTAGE * drive.v_q, drive.i_q, drive.theta, drive.omega)
 
 
 class MovingMotor:

@@ -6,7 +6,7 @@ import math
 import struct
 from collections.abc import Mapping
 
-from servo_daemon.sim_drive.makes.moving import MovingMotor, Shown
+from servo_daemon.sim_drive.makes.moving import Motor, Shown
 
 #: What a chain is supplied with, V, and how warm a servo is.
 SUPPLY_V, _CELSIUS = 12.0, 35
@@ -39,7 +39,7 @@ class DynamixelChain:
 
     period_s: float | None = None
 
-    def __init__(self, motors: Mapping[int, MovingMotor], *, model: int = 1020, current_lsb_A: float = 2.69e-3) -> None:
+    def __init__(self, motors: Mapping[int, Motor], *, model: int = 1020, current_lsb_A: float = 2.69e-3) -> None:
         self._motors, self._model, self._current_lsb_A = dict(motors), model, current_lsb_A
         self._buffer = b""
 
@@ -106,7 +106,7 @@ class FeetechChain:
 
     period_s: float | None = None
 
-    def __init__(self, motors: Mapping[int, MovingMotor], *, model: int = 777) -> None:
+    def __init__(self, motors: Mapping[int, Motor], *, model: int = 777) -> None:
         self._motors, self._model = dict(motors), model
         self._buffer = b""
 

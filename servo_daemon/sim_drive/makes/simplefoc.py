@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-from servo_daemon.sim_drive.makes.moving import MovingMotor
-
-#: Uq is the amplitude of the phase voltage, whose power is 1.5 v i: with Iq = i the motor's R and K are those of its
-#: torque constant per ampere of Iq (`kt`, servo_daemon/signal_meaning.py).
-DQ_VOLTAGE = 1.5
+from servo_daemon.sim_drive.makes.moving import DQ_VOLTAGE, Motor
 
 
 class SimpleFocMonitor:
@@ -18,7 +14,7 @@ class SimpleFocMonitor:
         period_s: from line to line.
     """
 
-    def __init__(self, motor: MovingMotor, *, monitor: str = "1101011", period_s: float = 2e-3) -> None:
+    def __init__(self, motor: Motor, *, monitor: str = "1101011", period_s: float = 2e-3) -> None:
         self._motor, self._monitor = motor, monitor
         self.period_s: float | None = period_s
 

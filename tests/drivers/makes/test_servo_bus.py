@@ -216,7 +216,7 @@ def test_a_servo_that_is_not_there_does_not_silence_the_others(tmp_path: Path) -
 
 def test_values_of_a_live_servo(tmp_path: Path) -> None:
     for kind in ("dynamixel", "feetech"):
-        with line(tmp_path / kind, _chain(kind, 1)) as rig:
-            with make_driver(kind, "axis1", {"port": str(rig.link), "rate_hz": 100.0}) as driver:
-                block = concatenate(read_until(driver, 100))
+        options = {"port": str(tmp_path / kind), "rate_hz": 100.0}
+        with line(tmp_path / kind, _chain(kind, 1)), make_driver(kind, "axis1", options) as driver:
+            block = concatenate(read_until(driver, 100))
         assert_follows_the_sine(block, 0.01)
