@@ -4,8 +4,8 @@
     python benchmarks/drives.py --quick     # the larger motor
 
 The motor is that of tests/recovery/foc: under field-oriented control at 20 kHz, with equations of its own. Shown are
-errors in % and, in brackets, the claimed 1 σ; "–" is not claimed. Inside: how many of all claimed values are within their
-95 % intervals, and within 4 σ or 3 %.
+errors in % and, in brackets, the claimed 1 σ; "–" is not claimed. Inside: how many of all claimed values are within
+their 95 % intervals, and within 4 σ or 3 %.
 """
 
 from __future__ import annotations
