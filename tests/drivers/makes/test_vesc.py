@@ -223,7 +223,7 @@ def test_status_messages_are_the_motors(tmp_path: Path, encoder: bool) -> None:
         assert driver.info.sample_period_s is not None and 0.0049 < driver.info.sample_period_s < 0.0075
         assert driver.meaning is not None and driver.meaning.voltage == "instant"
     speed = block.velocity_rad_s if not encoder else np.gradient(block.position_rad, block.time_s)
-    good = np.isfinite(block.current_A) & np.isfinite(block.voltage_V)
+    good = np.isfinite(block.current_A) & np.isfinite(block.voltage_V) & np.isfinite(speed)
     assert good.mean() > 0.95
     columns = np.c_[block.current_A, speed][good]
     R, K = np.linalg.lstsq(columns, block.voltage_V[good], rcond=None)[0]
