@@ -222,13 +222,17 @@ def test_status_messages_are_the_motors(tmp_path: Path, encoder: bool) -> None:
         # on a busy machine the simulated drive may be late, never early
         assert driver.info.sample_period_s is not None and 0.0049 < driver.info.sample_period_s < 0.0075
         assert driver.meaning is not None and driver.meaning.voltage == "instant"
-    speed = block.velocity_rad_s if not encoder else np.gradient(block.position_rad, block.time_s)
-    good = np.isfinite(block.current_A) & np.isfinite(block.voltage_V) & np.isfinite(speed)
+    good = np.isfinite(block.current_A) & np.isfinite(block.voltage_V)
     assert good.mean() > 0.95
-    columns = np.c_[block.current_A, speed][good]
-    R, K = np.linalg.lstsq(columns, block.voltage_V[good], rcond=None)[0]
-    assert pytest.approx(FocDrive().motor.pole_pairs * FocDrive().motor.flux, rel=0.03) == K
-    assert pytest.approx(FocDrive().motor.R, rel=0.25) == R  # an instant's, 0.1 A steps: only its sign and size here
+    if encoder:  # how exact its angle and times are is tested in lockstep (test_estimates_listed.py)
+        assert block.position_rad is not None and np.ptp(block.position_rad[1:]) > 1.0
+    else:
+        assert block.velocity_rad_s is not None
+        good &= np.isfinite(block.velocity_rad_s)
+        columns = np.c_[block.current_A, block.velocity_rad_s][good]
+        R, K = np.linalg.lstsq(columns, block.voltage_V[good], rcond=None)[0]
+        assert pytest.approx(FocDrive().motor.pole_pairs * FocDrive().motor.flux, rel=0.03) == K
+        assert pytest.approx(FocDrive().motor.R, rel=0.25) == R  # an instant's, in steps of 0.1 A
     assert bus.heard == [], "a frame was put on the bus"
 
 
