@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 
 from servo_daemon.errors import DriverDisconnectedError, DriverError
 from servo_daemon.samples import SampleBlock
+from servo_daemon.signal_meaning import SignalMeaning
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +66,15 @@ class Driver(ABC):
         self.counters = DriverCounters()
         self._is_open = False
 
+    @classmethod
+    def made(cls, name: str, options: dict[str, Any]) -> Driver:
+        """A closed driver for these options; a drive that is reached in several ways chooses its class here.
+
+        Raises:
+            DriverConfigError: the options are wrong; the text names the drive and the option.
+        """
+        return cls(name, options)
+
     @property
     def is_open(self) -> bool:
         return self._is_open
@@ -78,6 +88,12 @@ class Driver(ABC):
     @property
     def remark(self) -> str | None:
         """In words, what it hears and cannot read; None: nothing to say."""
+        return None
+
+    @property
+    def meaning(self) -> SignalMeaning | None:
+        """What its voltage and current are, where the kind of drive decides it; blocks stay as the drive reports them.
+        Keys of `[drive.signals]` stand above it. None: held voltage, a DC motor's."""
         return None
 
     @property

@@ -22,7 +22,15 @@ BUILT_IN: dict[str, tuple[str, str]] = {
     "simulated": ("servo_daemon.simulate.driver", "SimulatedDriver"),
     "serial": ("drivers.serial.line", "SerialDriver"),
     "can": ("drivers.can.bus", "CanDriver"),
+    "vesc": ("drivers.vesc.driver", "VescDriver"),
+    "odrive": ("drivers.odrive.driver", "OdriveDriver"),
     "replay": ("servo_daemon.captures.driver", "ReplayDriver"),
+    "cia402": ("drivers.cia402.drive", "Cia402Driver"),
+    "dynamixel": ("drivers.servo_bus.drive", "DynamixelDriver"),
+    "feetech": ("drivers.servo_bus.drive", "FeetechDriver"),
+    "mit": ("drivers.mit", "MitDriver"),
+    "moteus": ("drivers.moteus.drive", "MoteusDriver"),
+    "simplefoc": ("drivers.simplefoc", "SimpleFocDriver"),
 }
 
 
@@ -67,4 +75,4 @@ def make_driver(kind: str, name: str, options: dict[str, Any]) -> Driver:
         cls = driver_class(kind)
     except DriverConfigError as error:
         raise DriverConfigError(f"drive {name}: {error}") from error
-    return cls(name, options)
+    return cls.made(name, options)

@@ -35,6 +35,7 @@ COMMANDS = {
     "tune": "servo_daemon.commands.tune.command",
     "train": "servo_daemon.commands.train",
     "check": "servo_daemon.commands.check",
+    "scan": "servo_daemon.commands.scan.command",
 }
 
 

@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from servo_daemon.config_texts import is_limit, parse_drift
 from servo_daemon.errors import ConfigError
 from servo_daemon.plant.effects import check_effects, parameter_table
+from servo_daemon.signal_meaning import SignalMeaning
 
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 FiniteFloat = Annotated[float, Field(allow_inf_nan=False)]
@@ -112,6 +113,23 @@ class LimitsConfig(BaseModel):
         return dict(self.model_extra or {})
 
 
+class SignalsConfig(_Section):
+    """`[drive.signals]`: what voltage and current are (`signal_meaning.py`); a key left out is as the driver says."""
+
+    voltage: Literal["held", "instant", "mean"] | None = None
+    current: Literal["instant", "mean"] | None = None
+    convention: Literal["dc", "dq"] | None = None
+    publish: Literal["phase", "line", "kt"] | None = None
+    pole_pairs: int | None = Field(None, ge=1)
+    gear_ratio: PositiveFloat | None = None
+    truncated_A: float | None = Field(None, ge=0)
+    truncated_V: float | None = Field(None, ge=0)
+
+    def meaning(self, otherwise: SignalMeaning | None = None) -> SignalMeaning:
+        """With these keys; the others as the driver says."""
+        return (otherwise or SignalMeaning()).with_keys(self.model_dump(exclude_none=True))
+
+
 class ControllerConfig(_Section):
     """`[drive.controller]`: the gains now in use (position loop around speed loop, `tuning/laws.py`), the loop's
     timing, when its margins are too small, and what `tune` is to aim at."""
@@ -146,6 +164,7 @@ class DriveConfig(_Section):
     model: tuple[str, ...] = ()
     nominal: dict[str, FiniteFloat] = {}
     estimation: EstimationConfig = EstimationConfig()
+    signals: SignalsConfig = SignalsConfig()
     drift: dict[str, str] = {}
     load: LoadConfig = LoadConfig()
     limits: LimitsConfig = LimitsConfig()

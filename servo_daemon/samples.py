@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import IntFlag
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +54,7 @@ class SampleBlock:
         host_time_s: s, monotonic host clock at reception.
         voltage_V, current_A, position_rad, velocity_rad_s, temperature_C, torque_Nm: shape (n,) or None.
             Position is continuous (unwrapped), counted from where the device counts from.
+        current_mean: the current is the mean over the interval that ends at its sample, not its value there.
     """
 
     time_s: F64
@@ -65,6 +67,7 @@ class SampleBlock:
     velocity_rad_s: F64 | None = None
     temperature_C: F64 | None = None
     torque_Nm: F64 | None = None
+    current_mean: bool = False
     # Asked for several times of each block; looked up once.
     _all_good: bool | None = field(default=None, init=False, repr=False, compare=False)
     _longest_step_s: float | None = field(default=None, init=False, repr=False, compare=False)
@@ -112,15 +115,17 @@ class SampleBlock:
         """Samples start..stop-1 as a block of their own (views, no copy)."""
         if start == 0 and stop >= len(self):
             return self
-        cut = [None if (a := getattr(self, name)) is None else a[start:stop] for name in CHANNELS]
-        return SampleBlock(
-            self.time_s[start:stop], self.sequence[start:stop], self.quality[start:stop], self.host_time_s, *cut
-        )
+        return self._with(lambda values: values[start:stop])
 
     def select(self, keep: NDArray[np.bool_]) -> SampleBlock:
         """The samples for which `keep`, shape (n,), is true; possibly none (a copy)."""
-        chosen = [None if (a := getattr(self, name)) is None else a[keep] for name in CHANNELS]
-        return SampleBlock(self.time_s[keep], self.sequence[keep], self.quality[keep], self.host_time_s, *chosen)
+        return self._with(lambda values: values[keep])
+
+    def _with(self, chosen: Callable[[Any], Any]) -> SampleBlock:
+        """The samples that are chosen of each array."""
+        channels: dict[str, Any] = {n: None if (a := getattr(self, n)) is None else chosen(a) for n in CHANNELS}
+        times = chosen(self.time_s), chosen(self.sequence), chosen(self.quality)
+        return SampleBlock(*times, self.host_time_s, current_mean=self.current_mean, **channels)
 
 
 def make_block(
@@ -129,6 +134,7 @@ def make_block(
     sequence: I64 | None = None,
     quality: U8 | None = None,
     host_time_s: float = 0.0,
+    current_mean: bool = False,
     **channels: F64 | None,
 ) -> SampleBlock:
     """A block from arrays; without them `sequence` counts from 0 and `quality` is good."""
@@ -138,6 +144,7 @@ def make_block(
         sequence=np.arange(n, dtype=np.int64) if sequence is None else sequence,
         quality=np.zeros(n, dtype=np.uint8) if quality is None else quality,
         host_time_s=host_time_s,
+        current_mean=current_mean,
         **channels,
     )
 
@@ -160,5 +167,6 @@ def concatenate(blocks: Sequence[SampleBlock]) -> SampleBlock:
         sequence=np.concatenate([b.sequence for b in blocks]),
         quality=np.concatenate([b.quality for b in blocks]),
         host_time_s=blocks[-1].host_time_s,
+        current_mean=blocks[-1].current_mean,
         **{name: np.concatenate([getattr(b, name) for b in blocks]) for name in channels},
     )

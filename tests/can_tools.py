@@ -14,7 +14,7 @@ import numpy as np
 
 from drivers.base import DriveInfo, Driver, DriverCounters
 from drivers.can.decode import EXTENDED, FrameBatch, batch_of
-from drivers.can.own import OwnDecoder
+from drivers.can.ours.own import OwnDecoder
 from servo_daemon.samples import SampleBlock, make_block
 from servo_daemon.sim_drive.can_frames import CanFrame, FrameEncoder
 from servo_daemon.sim_drive.slcan_device import NO_FAULTS, SlcanFaults, run_slcan_device

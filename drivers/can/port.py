@@ -25,6 +25,8 @@ from servo_daemon.errors import DriverConfigError
 
 #: How long the thread waits at most before it looks whether it shall stop.
 SLICE_S = 0.1
+#: A bus that takes no frame for so long has no other node or is broken.
+SEND_S = 0.1
 #: Frames waiting for a drive that does not read: eight seconds of a full bus. Beyond it the oldest go, and are counted.
 INBOX_FRAMES = 65_536
 
@@ -44,6 +46,7 @@ class Inbox:
         batches: what has been received and not been taken, in the order of arrival.
         waiting: frames in them.
         sorted_out: this drive's of the messages being handed out now.
+        prompt: every frame is handed on at once: the drive waits for answers.
     """
 
     keys: frozenset[int]
@@ -51,6 +54,7 @@ class Inbox:
     batches: deque[FrameBatch] = field(default_factory=deque)
     waiting: int = 0
     sorted_out: list[can.Message] = field(default_factory=list)
+    prompt: bool = False
 
     def put(self, batch: FrameBatch) -> None:
         """Append; where that is too much, the oldest go and are counted."""
@@ -80,6 +84,7 @@ class CanPort:
         self._ready = threading.Condition()
         self._inboxes: list[Inbox] = []
         self._routes: dict[int, list[list[can.Message]]] = {}
+        self._prompt = False
         self._stopping = False
         self._failure: str | None = None
         self._thread = threading.Thread(target=self._run, name=f"can-{key[1]}", daemon=True)
@@ -144,7 +149,26 @@ class CanPort:
                 raise ConnectionError(self._failure)
             return None
 
+    def send(self, message: can.Message) -> None:
+        """Put a frame on the bus.
+
+        Raises:
+            OSError: the adapter does not take it.
+        """
+        try:
+            self._bus.send(message, timeout=SEND_S)
+        except OSError:
+            raise
+        except Exception as error:  # every vendor's library has errors of its own
+            raise OSError(f"{type(error).__name__}: {error}") from error
+
+    def wake(self) -> None:
+        """End the waits of `take` whose drive has been closed."""
+        with self._ready:
+            self._ready.notify_all()
+
     def _reroute(self) -> None:
+        self._prompt = any(inbox.prompt for inbox in self._inboxes)
         self._routes = {}
         for inbox in self._inboxes:
             for key in inbox.keys:
@@ -156,7 +180,7 @@ class CanPort:
         receiver = Receiver(self._bus)
         try:
             while not self._stopping:
-                messages = receiver.receive(SLICE_S)
+                messages = receiver.receive(SLICE_S, prompt=self._prompt)
                 if messages or receiver.bad_lines:
                     self._dispatch(messages, receiver.take_bad_lines())
         except Exception as error:  # whatever an adapter's library raises, the drives must hear of it

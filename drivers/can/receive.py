@@ -51,8 +51,9 @@ class Receiver:
         bad, self.bad_lines = self.bad_lines, 0
         return bad
 
-    def receive(self, timeout_s: float) -> list[can.Message]:
-        """Everything that has arrived `GATHER_S` after the first frame; nothing after `timeout_s` of silence.
+    def receive(self, timeout_s: float, *, prompt: bool = False) -> list[can.Message]:
+        """Everything that has arrived `GATHER_S` after the first frame, or `prompt` with it; nothing after `timeout_s`
+        of silence.
 
         Raises:
             can.CanError, OSError: the adapter is gone.
@@ -68,8 +69,8 @@ class Receiver:
         elif not self._read_ahead() and not self._selector.select(timeout_s):
             return messages
         try:
-            for _ in range(round(GATHER_S / FETCH_S)):
-                time.sleep(FETCH_S)
+            for _ in range(1 if prompt else round(GATHER_S / FETCH_S)):
+                time.sleep(0.0 if prompt else FETCH_S)
                 self._drain(messages)
         except Exception as error:
             if not messages:

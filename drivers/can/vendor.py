@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -171,7 +172,7 @@ class VendorDecoder:
         sequence = self._numbers(heard, at, time_s, restart, quality)
         if self._cadence is not None:
             time_s = self._cadence.times(time_s, sequence)
-        columns: dict[str, F64] = {}
+        columns: dict[str, Any] = {}
         for channel in self._channels:
             value, invalid = self._combined(channel, heard, at, stamp_s)
             value[invalid] = np.nan

@@ -257,7 +257,7 @@ class BinaryDecoder:
         if placed.flags is not None:
             quality[:, 0] = placed.flags
             restarts = np.flatnonzero(placed.flags & Quality.TIME_RESTART) * offsets.shape[1]
-        values: dict[str, NDArray[np.float64]] = {}
+        values: dict[str, Any] = {}
         for field, channel in zip(description.fields, description.channels, strict=True):
             raw = records[field]
             if channel.quantity == Quantity.STATUS:

@@ -1,39 +1,18 @@
-"""A drive on a serial port: pyserial for the port, `wire_decoder` or `wire_text` for the bytes.
-
-Every wakeup takes all bytes the system has in one read, and wakeups are kept `_MIN_READ_SPACING_S` apart, so the cost
-is that of some wakeups a second, whatever the baud rate and however thinly the bytes trickle in.
-"""
+"""A drive on a serial port: `wire_decoder` or `wire_text` for the bytes, `listener` for the port."""
 
 from __future__ import annotations
 
-import contextlib
-import errno
-import os
-import select
-import termios
-import threading
-import time
-from pathlib import Path
 from typing import Any, Literal
 
-import serial
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
-from serial.tools import list_ports
+from pydantic import BaseModel, Field, model_validator
 
-from drivers.base import DriveInfo, Driver, disconnected
+from drivers.base import DriveInfo
+from drivers.options import STRICT, checked
 from drivers.serial.decoder import BinaryDecoder
+from drivers.serial.listener import SerialListener
 from drivers.serial.text import TextDecoder
 from drivers.serial.text_format import TextFormat, named_format
 from drivers.serial.wire import Description, Quantity
-from servo_daemon.errors import DriverConfigError, DriverDisconnectedError, DriverUnavailableError
-from servo_daemon.samples import SampleBlock
-
-#: The system's buffer of a tty holds 4 kB, with what is still in flight behind it 64 kB: one read takes it all.
-_READ_SIZE = 65536
-
-#: A wakeup costs the same for one frame as for ten, and a UART without buffer would wake for every few bytes. 40 ms
-#: keep a drive at 1 kHz at 25 wakeups a second and leave a third of the 60 ms from sample to API.
-_MIN_READ_SPACING_S = 0.04
 
 #: Channels that the wire has as something else.
 _COUNTED = {"position_counts": "position_rad"}
@@ -49,7 +28,7 @@ class SerialOptions(BaseModel):
     32 bits, `sample_period_s` if sampling is regular, and the resolutions of the converters.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = STRICT
 
     port: str = Field(min_length=1)
     baudrate: int = Field(921600, gt=0)
@@ -86,34 +65,7 @@ class SerialOptions(BaseModel):
         return None if self.columns is None else named_format(self.columns)
 
 
-def parse_options(name: str, options: dict[str, Any]) -> SerialOptions:
-    """Checked options.
-
-    Raises:
-        DriverConfigError: one line that names the drive and the option.
-    """
-    try:
-        return SerialOptions.model_validate(options)
-    except ValidationError as error:
-        complaints = error.errors()  # a misspelt option before the one it leaves missing
-        first = next((e for e in complaints if e["type"] == "extra_forbidden"), complaints[0])
-        key = ".".join(str(part) for part in first["loc"])
-        if first["type"] == "extra_forbidden":
-            known = ", ".join(SerialOptions.model_fields)
-            raise DriverConfigError(f"drive {name}: unknown option '{key}': known are {known}") from error
-        message = first["msg"].removeprefix("Value error, ")
-        where = f"option '{key}': " if key else ""
-        raise DriverConfigError(f"drive {name}: {where}{message}") from error
-
-
-class _KeepingPort(serial.Serial):  # type: ignore[misc]  # pyserial has no types
-    """A port whose opening keeps what has arrived before: the sketch's header line may be in it."""
-
-    def _reset_input_buffer(self) -> None:
-        """Called by `open` of pyserial."""
-
-
-class SerialDriver(Driver):
+class SerialDriver(SerialListener):
     """A drive on a serial port. Options: see `SerialOptions`.
 
     Over `close` and `open` the time goes on if the same device still answers; otherwise the first sample is flagged
@@ -123,13 +75,10 @@ class SerialDriver(Driver):
     kind = "serial"
 
     def __init__(self, name: str, options: dict[str, Any]) -> None:
-        super().__init__(name, options)
-        self._settings = parse_options(name, options)
+        settings = self._settings = checked(SerialOptions, name, options)
+        text = settings.wire == "text"
+        super().__init__(name, options, port=settings.port, baudrate=settings.baudrate, keep=text)
         self._decoder = self._make_decoder()
-        self._port: serial.Serial | None = None
-        self._wake_r, self._wake_w = -1, -1
-        self._io = threading.Lock()  # held by whoever uses the port: `close` waits for `read` to leave it
-        self._last_read_s = 0.0
 
     def _make_decoder(self) -> BinaryDecoder | TextDecoder:
         settings = self._settings
@@ -173,83 +122,13 @@ class SerialDriver(Driver):
             return f"its lines hold {names}, which needs {lacks}: {line!r}"
         return f"a line that is not {names}: {line!r}; a header line or the option columns says what it is"
 
-    def _open(self) -> None:
-        settings = self._settings
-        try:
-            make = _KeepingPort if settings.wire == "text" else serial.Serial
-            self._port = make(settings.port, settings.baudrate, timeout=0, exclusive=True)
-        except (ValueError, OverflowError) as error:
-            raise DriverConfigError(f"drive {self.name}: {settings.port}: {error}") from error
-        except (OSError, termios.error) as error:
-            raise self._unavailable(error) from error
-        self._wake_r, self._wake_w = os.pipe()
-        self._decoder.reattach()
+    @property
+    def _stream(self) -> BinaryDecoder | TextDecoder:
+        return self._decoder
+
+    def _hear(self, data: bytes) -> None:
         if isinstance(self._decoder, TextDecoder):
-            with contextlib.suppress(OSError):  # gone already: `read` will say so
-                self._decoder.hear(bytes(self._port.read(_READ_SIZE)))
-
-    def _unavailable(self, error: Exception) -> DriverUnavailableError:
-        port = self._settings.port
-        code = error.errno if isinstance(error, OSError) else None
-        if code == errno.ENOENT:
-            why = f"does not exist; {existing_ports()}"
-        elif code in (errno.EACCES, errno.EPERM):
-            why = "may not be opened by this user (is it in the group that owns the port, often 'dialout'?)"
-        elif code in (errno.EAGAIN, errno.EWOULDBLOCK, errno.EBUSY):
-            why = "is in use by another program"
-        else:
-            why = f"cannot be opened: {error}"
-        return DriverUnavailableError(f"drive {self.name}: serial port {port} {why}")
-
-    def _read(self, timeout_s: float) -> SampleBlock | None:
-        if self._decoder.has_ready:
-            return self._decoder.feed(b"", time.monotonic())
-        deadline = time.monotonic() + max(timeout_s, 0.0)
-        while self.is_open:
-            with self._io:
-                data = self._wait_and_read(deadline)
-            if data is None:
-                return None
-            block = self._decoder.feed(data, self._last_read_s)
-            if block is not None:
-                return block
-        return None
-
-    def _wait_and_read(self, deadline: float) -> bytes | None:
-        """Everything that has arrived, as soon as there is something; None at the deadline or on `close`."""
-        port = self._port
-        if port is None or not self._is_open:
-            return None
-        try:
-            pause = min(self._last_read_s + _MIN_READ_SPACING_S, deadline) - time.monotonic()
-            if pause > 0 and select.select([self._wake_r], [], [], pause)[0]:
-                return None
-            wait = max(deadline - time.monotonic(), 0.0)
-            ready = select.select([port.fileno(), self._wake_r], [], [], wait)[0]
-            if not ready or self._wake_r in ready:
-                return None
-            data = bytes(port.read(_READ_SIZE))  # timeout 0: one read of the system, no waiting
-        except OSError as error:  # SerialException is one: hang-up, EIO, a read of nothing
-            raise self._gone(error) from error
-        self._last_read_s = time.monotonic()
-        return data
-
-    def _gone(self, error: OSError) -> DriverDisconnectedError:
-        return disconnected(self.name, f"{self._settings.port}: {error}")
-
-    def _close(self) -> None:
-        wake_w, self._wake_w = self._wake_w, -1
-        if wake_w < 0:
-            return
-        os.write(wake_w, b"x")  # frees a reader from its wait
-        with self._io:
-            port, self._port = self._port, None
-            if port is not None:
-                with contextlib.suppress(OSError):  # the device may be gone: then there is nothing left to release
-                    port.close()
-            os.close(wake_w)
-            os.close(self._wake_r)
-            self._wake_r = -1
+            self._decoder.hear(data)
 
 
 def info_of(description: Description, port: str) -> DriveInfo:
@@ -267,11 +146,3 @@ def info_of(description: Description, port: str) -> DriveInfo:
         voltage_lsb_V=lsb(Quantity.VOLTAGE),
         channels=description.channel_names,
     )
-
-
-def existing_ports() -> str:
-    """In words, which serial ports this machine has, by their stable names where udev gives some."""
-    by_id = Path("/dev/serial/by-id")
-    names = sorted(str(p) for p in by_id.iterdir()) if by_id.is_dir() else []
-    names = names or sorted(p.device for p in list_ports.comports())
-    return f"ports here: {', '.join(names)}" if names else "there are no serial ports here"

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -228,7 +229,7 @@ class TextDecoder:
         index, unit_us, wrap_us = time
         return np.rint(rows[:, index] * unit_us).astype(np.int64), wrap_us or _NEVER
 
-    def _channels(self, rows: Rows, restarts: I64) -> dict[str, F64]:
+    def _channels(self, rows: Rows, restarts: I64) -> dict[str, Any]:
         channels: dict[str, F64] = {}
         for name in self.format.channels:
             index = self.format.index(name)

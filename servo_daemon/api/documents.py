@@ -88,6 +88,7 @@ def estimates_document(drive: DriveView, snapshot: Snapshot) -> Document:
             "estimators": {},
             "health": health,
         }
+    equivalents = {name: _pairs(values) for name, values in estimate.equivalents.items()}
     return {
         **common,
         "samples": int(estimate.samples),
@@ -97,16 +98,19 @@ def estimates_document(drive: DriveView, snapshot: Snapshot) -> Document:
         "state": _scalars(estimate.state),
         "estimators": {
             name: {
-                "parameters": {
-                    p: {"value": scalar(value), "std": scalar(std)} for p, (value, std) in view.parameters.items()
-                },
+                "parameters": _pairs(view.parameters),
                 "detail": _scalars(view.detail),
             }
             for name, view in estimate.estimators.items()
         },
         # Totals of the line win over the pipeline's own: they also count what was lost before it.
         "health": {**_scalars(estimate.health), **health},
+        **({"equivalents": equivalents} if equivalents else {}),
     }
+
+
+def _pairs(values: Mapping[str, tuple[float | None, float | None]]) -> Document:
+    return {p: {"value": scalar(value), "std": scalar(std)} for p, (value, std) in values.items()}
 
 
 class EstimatesEncoder:

@@ -21,6 +21,7 @@ from drivers.base import DriveInfo, Driver, disconnected
 from servo_daemon.captures import Capture, read_capture
 from servo_daemon.errors import BadInputError, DriverConfigError, DriverUnavailableError, EndOfStreamError
 from servo_daemon.samples import Quality, SampleBlock
+from servo_daemon.signal_meaning import SignalMeaning
 
 log = logging.getLogger(__name__)
 
@@ -171,6 +172,11 @@ class ReplayDriver(Driver):
             counts_per_rev=capture.counts_per_rev,
             channels=capture.channels,
         )
+
+    @property
+    def meaning(self) -> SignalMeaning | None:
+        """As the capture's own lines have it, once it has been opened."""
+        return None if self._capture is None else self._capture.meaning()
 
     @property
     def capture(self) -> Capture | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,8 @@ from servo_daemon.commands.shared import common
 from servo_daemon.config import DriveConfig, load_config
 from servo_daemon.errors import BadInputError, DriverConfigError, DriverError, EndOfStreamError
 from servo_daemon.samples import SampleBlock
-from servo_daemon.tracking.plan.signals import plan_signals
+from servo_daemon.signal_meaning import SignalMeaning, told
+from servo_daemon.tracking.plan.signals import SignalPlan, plan_signals
 
 HELP = "validate a config, open each driver and say what it sees"
 EXAMPLE = "  servo-daemon check --config /etc/servo-daemon.toml"
@@ -85,7 +87,8 @@ def _look(drive: DriveConfig, driver: Driver, listen_s: float) -> dict[str, Any]
         problem = f"open, but no samples in {listen_s:g} s ({counters.framing_errors} framing errors)"
         problem += f"; {remark}" if remark else ""
     channels = last.channels if last is not None else driver.info.channels
-    plan = plan_signals(channels, drive.model, drive.nominal) if last is not None else None
+    meaning = drive.signals.meaning(driver.meaning)
+    plan = _plan(channels, drive, meaning) if last is not None else None
     span = 0.0 if first is None or last is None else float(last.time_s[-1] - first.time_s[0])
     return {
         "name": drive.name,
@@ -98,12 +101,25 @@ def _look(drive: DriveConfig, driver: Driver, listen_s: float) -> dict[str, Any]
         "samples_lost": counters.samples_lost,
         "crc_errors": counters.crc_errors,
         "framing_errors": counters.framing_errors,
-        "assumes": _assumptions(driver, drive, channels),
+        "assumes": _assumptions(driver, drive, channels) + ([] if meaning == SignalMeaning() else [told(meaning)]),
         "remarks": _remarks(driver, settled, last, remark),
         "sample_rate_hz": None if span <= 0 else (counters.samples - 1) / span,
         "estimated": [] if plan is None else list(plan.free),
         "not_estimated": {} if plan is None else dict(plan.reasons),
     }
+
+
+def _plan(channels: tuple[str, ...], drive: DriveConfig, meaning: SignalMeaning) -> SignalPlan:
+    """What will be estimated: of a measured voltage R, L and K by its balance, the rest as driven by the current."""
+    if not (meaning.measures_voltage and {"voltage_V", "current_A"} <= {*channels}):
+        return plan_signals(channels, drive.model, drive.nominal)
+    driven = tuple(c for c in channels if c != "voltage_V")
+    plan = plan_signals(driven, drive.model, {"K": 1.0, **drive.nominal})
+    if plan.plant is None:
+        return plan
+    own = ("R", "L", "K")
+    reasons = {name: why for name, why in plan.reasons.items() if name not in own}
+    return replace(plan, free=(*own, *plan.free), reasons=reasons)
 
 
 def _assumptions(driver: Driver, drive: DriveConfig, channels: tuple[str, ...]) -> list[str]:

@@ -12,6 +12,7 @@ from drivers.base import Driver
 from servo_daemon.commands.shared import common
 from servo_daemon.errors import BadInputError, DriverError, DriverUnavailableError, EndOfStreamError
 from servo_daemon.samples import SampleBlock
+from servo_daemon.signal_meaning import SignalMeaning, as_texts
 
 if TYPE_CHECKING:
     from tqdm import tqdm
@@ -48,6 +49,9 @@ def run(arguments: argparse.Namespace) -> int:
         if first is None:
             raise DriverError(f"drive {drive.name}: stopped before the first sample: nothing is recorded")
         metadata["identity"] = driver.info.identity
+        meaning = drive.signals.meaning(driver.meaning)
+        if meaning != SignalMeaning():
+            metadata |= as_texts(meaning)
         if driver.info.counts_per_rev:
             metadata.setdefault("counts_per_rev", f"{driver.info.counts_per_rev:g}")
         with (

@@ -7,20 +7,24 @@ import signal
 import threading
 from pathlib import Path
 
+from servo_daemon.commands import sim_makes
 from servo_daemon.commands.shared import common
 
 HELP = "a simulated drive that speaks the real wire on a pseudo-terminal, until it is stopped"
 EXAMPLE = """  servo-daemon sim-drive --serial /tmp/servo0    # then: driver = "serial", port = "/tmp/servo0"
-  servo-daemon sim-drive --slcan /tmp/can0       # then: driver = "can", interface = "slcan", channel = "/tmp/can0\""""
+  servo-daemon sim-drive --slcan /tmp/can0       # then: driver = "can", interface = "slcan", channel = "/tmp/can0"
+  servo-daemon sim-drive --vesc /tmp/vesc0       # then: driver = "vesc", port = "/tmp/vesc0"
+  servo-daemon sim-drive --odrive 0.6 /tmp/can0  # then: driver = "odrive", interface and channel as above"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     wire = parser.add_mutually_exclusive_group(required=True)
     wire.add_argument("--serial", type=Path, metavar="LINK", help="serial line: LINK becomes a link to its terminal")
     wire.add_argument("--slcan", type=Path, metavar="LINK", help="a USB-CAN adapter speaking SLCAN, with the drive")
+    sim_makes.add_arguments(wire)
     parser.add_argument("--wire", choices=("binary", "text"), default="binary", help="of the serial line")
     parser.add_argument("--drive-id", type=int, default=1, help="the drive's number on the wire (default: 1)")
-    parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="samples a second (default: 1000)")
+    parser.add_argument("--rate", type=float, default=None, metavar="HZ", help="samples a second (default: 1000)")
     parser.add_argument("--seed", type=int, default=0, help="same seed, same motor noise (default: 0)")
     parser.add_argument("--effect", action="append", default=[], metavar="NAME[:k=v,…]", help="repeatable")
     parser.add_argument(
@@ -30,8 +34,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from servo_daemon.simulate import DEFAULT_AGEING, DEFAULT_J_M, SimulatedDrive, make_settings
-
     _check(arguments)
     stop = threading.Event()
     for number in common.stop_signals():
@@ -40,17 +42,13 @@ def run(arguments: argparse.Namespace) -> int:
         timer = threading.Timer(arguments.seconds, stop.set)
         timer.daemon = True
         timer.start()
-    source = SimulatedDrive(
-        make_settings(
-            J_m=DEFAULT_J_M,
-            effects=arguments.effect,
-            ageing=DEFAULT_AGEING if arguments.ageing is None else arguments.ageing,
-            rate_hz=arguments.rate,
-            seed=arguments.seed,
-        )
-    )
+    if sim_makes.is_asked_for(arguments):
+        sim_makes.serve(arguments, stop)
+        return 0
+    rate_hz = 1000.0 if arguments.rate is None else arguments.rate
+    source = sim_makes.brushed_motor(arguments)
     link = arguments.serial or arguments.slcan
-    common.note(f"{link}: drive {arguments.drive_id}, {arguments.rate:g} samples a second; Ctrl-C ends it")
+    common.note(f"{link}: drive {arguments.drive_id}, {rate_hz:g} samples a second; Ctrl-C ends it")
     if arguments.serial is not None:
         from servo_daemon.sim_drive.serial_device import run_serial_device
 
@@ -68,10 +66,16 @@ def _check(arguments: argparse.Namespace) -> None:
     Raises:
         BadInputError: naming the flag.
     """
-    from drivers.can.wire import FIRST_DRIVE, LAST_DRIVE
+    from drivers.can.ours.wire import FIRST_DRIVE, LAST_DRIVE
     from servo_daemon.errors import BadInputError
 
-    lowest, highest = (0, 255) if arguments.serial is not None else (FIRST_DRIVE, LAST_DRIVE)
+    lowest, highest = (FIRST_DRIVE, LAST_DRIVE) if arguments.slcan is not None else (0, 255)
+    if arguments.odrive:
+        highest = 63
+    elif sim_makes.is_asked_for(arguments):
+        highest = 126  # of moteus; the others have more
+    if arguments.rate is not None and not 0.0 < arguments.rate <= 1e5:
+        raise BadInputError(f"--rate must be greater than zero and at most 100000, not {arguments.rate:g}")
     if not lowest <= arguments.drive_id <= highest:
         raise BadInputError(f"--drive-id {arguments.drive_id} is outside {lowest} .. {highest}")
     if arguments.seconds is not None and not 0.0 < arguments.seconds <= threading.TIMEOUT_MAX:

@@ -154,8 +154,11 @@ def _measured(paths: Sequence[Path], arguments: argparse.Namespace, window_s: fl
             for key in (f"truth_{name}", f"truth_end_{name}")
             if (value := capture.metadata_number(key)) is not None
         }
+        meaning = capture.meaning()
+        if meaning.measures_voltage:
+            raise BadInputError(f"{capture.path}: voltage = {meaning.voltage}: features are those of a held voltage")
         try:
-            known.append(measured_training([(capture.block(), found)], window_s))
+            known.append(measured_training([(capture.as_dc(meaning).block(), found)], window_s))
         except BadInputError as error:
             raise BadInputError(f"{capture.path}: {str(error).partition(': ')[2]}") from error
     first, *others = known

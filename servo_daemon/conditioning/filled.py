@@ -10,6 +10,7 @@ s²/2 where the steps add up, by ¾ s² where they do not.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,14 +56,15 @@ def filled(
     quality[at[missing > 0]] &= ~_GAP  # which there is none any more
     of_new = (quality[where - 1] | quality[where]) & ~_BEFORE
     new = np.insert(np.zeros(len(extended), dtype=bool), where, True)[shift:]
-    channels = [None if (a := getattr(extended, name)) is None else line(a) for name in CHANNELS]
+    channels: dict[str, Any] = {n: None if (a := getattr(extended, n)) is None else line(a) for n in CHANNELS}
     return (
         SampleBlock(
             line(time_s),
             np.insert(extended.sequence, where, extended.sequence[where])[shift:],
             np.insert(quality, where, of_new)[shift:],
             block.host_time_s,
-            *channels,
+            current_mean=block.current_mean,
+            **channels,
         ),
         new,
     )

@@ -33,6 +33,7 @@ from servo_daemon.published.knowledge import LoopFacts
 from servo_daemon.published.snapshot import Estimate, Event, ParameterEstimate, Snapshot
 from servo_daemon.published.view import ModelChange, StartValues, initial_parameters
 from servo_daemon.samples import SampleBlock, concatenate
+from servo_daemon.signal_meaning import SignalMeaning
 
 log = logging.getLogger(__name__)
 
@@ -102,6 +103,11 @@ class DriveRuntime:
     def model(self) -> tuple[str, ...]:
         """Effects on top of the linear motor, as they are now."""
         return self.active.model
+
+    @property
+    def meaning(self) -> SignalMeaning:
+        """Of its signals: as configured, and else as the driver says."""
+        return self.config.signals.meaning(self.reader.driver.meaning)
 
     @property
     def initial_parameters(self) -> Sequence[ParameterEstimate]:
@@ -242,7 +248,7 @@ class DriveRuntime:
             saved = self._keeper.load(info.identity)
             if saved is not None:
                 self._restored(saved)
-            self._pipeline = Pipeline(self.active, info, saved, self.ring)
+            self._pipeline = Pipeline(self.active, info, saved, self.ring, self.meaning)
             if self._seat is not None:
                 self._seat.begin_again()
             self._identity, self.info = info.identity, info

@@ -7,7 +7,7 @@ blocks (see `pipeline/stream.py`).
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from drivers.base import DriveInfo
 from servo_daemon.config import DriveConfig
 from servo_daemon.pipeline import publish
+from servo_daemon.pipeline.measured_link import MeasuredLink
 from servo_daemon.pipeline.model_change import ModelRequest, change_message
 from servo_daemon.pipeline.publish import Publisher, SavedState
 from servo_daemon.pipeline.refresher import Refresher
@@ -22,6 +23,7 @@ from servo_daemon.pipeline.ring import SampleRing
 from servo_daemon.pipeline.stream import TickCutter
 from servo_daemon.published.snapshot import Estimate
 from servo_daemon.samples import SampleBlock, concatenate
+from servo_daemon.signal_meaning import SignalMeaning
 from servo_daemon.tracking.plan.settings import Message
 from servo_daemon.tracking.succession import inherited
 from servo_daemon.tracking.tracker import Tracker
@@ -56,7 +58,8 @@ class Pipeline:
         config: the drive's configuration; its driver and options are not looked at.
         info: resolutions, where the driver knows them.
         saved: knowledge from an earlier run, already checked.
-        ring: where the samples of every tick are kept for a while.
+        ring: where the samples of every tick are kept for a while, in a DC motor's units.
+        meaning: of the drive's signals; None: as the configuration has it.
     """
 
     def __init__(
@@ -65,12 +68,16 @@ class Pipeline:
         info: DriveInfo | None = None,
         saved: SavedState | None = None,
         ring: SampleRing | None = None,
+        meaning: SignalMeaning | None = None,
     ) -> None:
+        self.meaning = meaning or config.signals.meaning()
+        self._link: MeasuredLink | None = None
         self._config, self._info, self._saved, self._ring = config, info, saved, ring
         self._tracker: Tracker | None = None
         self._channels: tuple[str, ...] = ()
         self._cutter = TickCutter()
         self._tick: list[SampleBlock] = []
+        self._driven: list[SampleBlock] = []  # the same as the trackers take them
         self._publisher = Publisher(config)
         self._published: Estimate | None = None
         self._wanted: tuple[ModelRequest, DriveConfig, Tracker | None] | None = None
@@ -78,6 +85,7 @@ class Pipeline:
         self._learned: LearnedModel | None = None
         self._refresher: Refresher | None = None
         self._samples = 0
+        self._last_s = 0.0  # of the last sample
         self.samples_repeated = 0  # those without a time of their own
         self.preparing = False  # a tracker is being made
         self.messages: list[Message] = []
@@ -105,7 +113,8 @@ class Pipeline:
 
     def _begin_refresher(self) -> None:
         model = self._learned
-        fits = model is not None and model.spec.effects == self._config.model
+        # (A learned model's features are those of a held voltage.)
+        fits = model is not None and model.spec.effects == self._config.model and not self.meaning.measures_voltage
         names = publish.published_names(self._config)
         every_s = self._config.estimation.refresh_every_s
         self._refresher = Refresher(model, names, every_s) if model is not None and fits else None
@@ -125,7 +134,7 @@ class Pipeline:
         self._channels = ()
         self._published = None
         self._cutter = TickCutter()
-        self._tick = []
+        self._tick, self._driven, self._link = [], [], None
         self._begin_refresher()
 
     def prepare(self, config: DriveConfig) -> Tracker | None:
@@ -160,6 +169,7 @@ class Pipeline:
         Args:
             rows: False: return nothing. The live daemon asks for `current` instead and saves the work.
         """
+        block = self.meaning.converted(block)
         if block.channels != self._channels:
             self._begin(block.channels)
         estimates = []
@@ -173,17 +183,23 @@ class Pipeline:
                 # depend on how the samples came.
                 if (rows or k == last) and self._tracker is not None and self._tracker.last_s is not None:
                     estimates.append(self._publish())
-            assert self._tracker is not None
-            self._tracker.take(segment.block)
-            if self._successor is not None:
-                self._successor.tracker.take(segment.block)
-            self._tick.append(segment.block)
+            self._take(segment.block)
             self._samples += len(segment.block)
         self.samples_repeated += self._cutter.repeated - repeated
         if self._cutter.restarts > restarts:
             text = "device time began anew: the device restarted; its parameters are kept"
             self.messages.append(("device_restarted", text, {"restarts": self._cutter.restarts}))
         return estimates if rows else []
+
+    def _take(self, block: SampleBlock) -> None:
+        assert self._tracker is not None
+        driven = block if self._link is None else self._link.driven(block)
+        self._tracker.take(driven)
+        if self._successor is not None:
+            self._successor.tracker.take(driven)
+        self._last_s = float(block.time_s[-1])
+        self._tick.append(block)
+        self._driven.append(driven)
 
     def finish(self) -> Estimate | None:
         """At the end of a finite source: the estimate after the last, incomplete tick; None if there is none."""
@@ -214,8 +230,9 @@ class Pipeline:
             log.warning("drive %s: channels changed to %s: starting over", self._config.name, ", ".join(channels))
         self._channels = channels
         self._published = None
-        self._tick = []
+        self._tick, self._driven = [], []
         self._cutter = TickCutter()
+        self._link = MeasuredLink(self._config, self.meaning) if self._is_measured else None
         self.preparing = True
         try:
             self._tracker = self._tracker_for(self._config, self._saved)
@@ -227,12 +244,22 @@ class Pipeline:
             self._take_over(config, self._tracker_for(config))
 
     def _tracker_for(self, config: DriveConfig, saved: SavedState | None = None) -> Tracker:
+        channels = self._channels
+        if self._link is not None:
+            channels = tuple(c for c in channels if c != "voltage_V")
+            config = self._link.filter_config(config)
+        mean = self._link is not None and self.meaning.current == "mean"
         return Tracker(
-            self._channels,
-            publish.tracker_settings(config),
+            channels,
+            replace(publish.tracker_settings(config), mean_current=mean),
             publish.resolutions(config, self._info),
             publish.prior(config, saved),
         )
+
+    @property
+    def _is_measured(self) -> bool:
+        """Whether the drive's voltage is a measurement of its winding's balance."""
+        return self.meaning.measures_voltage and "voltage_V" in self._channels
 
     def _configure(self, config: DriveConfig) -> None:
         self._config, self._publisher, self._published = config, Publisher(config), None
@@ -240,17 +267,19 @@ class Pipeline:
 
     def _close_tick(self) -> None:
         assert self._tracker is not None
-        tick = concatenate(self._tick)
-        told = self._tracker.close_tick(tick)
+        tick, driven = concatenate(self._tick), concatenate(self._driven)
+        told = self._tracker.close_tick(driven)
         self.messages += told
         if self._refresher is not None:
             self.messages += self._refresher.take(tick, self._tracker, told)
         if self._ring is not None:
             self._ring.append(tick)
-        self._tick = []
+        self._tick, self._driven = [], []
         self._published = None
         if self._successor is not None:
-            self._follow(self._successor, tick)
+            self._follow(self._successor, driven)
+        if self._link is not None and self._link.close_tick(tick):
+            self._tracker = self._tracker_for(self._config, self._saved)  # K is known: the filter can begin
         if self._wanted is not None:
             self._begin_successor(*self._wanted)
             self._wanted = None
@@ -258,7 +287,7 @@ class Pipeline:
     def _begin_successor(self, request: ModelRequest, config: DriveConfig, prepared: Tracker | None) -> None:
         """At the end of a tick, so that the estimates do not depend on how the samples came in blocks."""
         assert self._tracker is not None
-        fits = prepared is not None and prepared.channels == self._channels
+        fits = prepared is not None and prepared.channels == self._tracker.channels
         tracker = prepared if prepared is not None and fits else self._tracker_for(config)
         heritage = inherited(self._tracker, tracker, request.start, request.origin_s)
         if heritage is None:
@@ -287,8 +316,12 @@ class Pipeline:
         assert self._tracker is not None
         if self._published is None:
             self._published = self._publisher.estimate(self._tracker, self._samples, self._refresher)
-        elif self._published.time_s != self._tracker.last_s:
-            self._published = publish.moved_on(self._published, self._tracker, self._samples)
+            if self._link is not None:
+                self._published = self._link.instead(self._published)
+            self._published = publish.with_equivalents(self._published, self.meaning)
+            self._published = replace(self._published, time_s=self._last_s)
+        elif self._published.time_s != self._last_s:
+            self._published = publish.moved_on(self._published, self._tracker, self._last_s, self._samples)
         return self._published
 
 

@@ -17,6 +17,7 @@ from servo_daemon.plant.effects import effects_by_name, parameter_table
 from servo_daemon.published.snapshot import Covariance, Estimate, EstimatorView, ParameterEstimate, finite_or_none
 from servo_daemon.regression.columns.terms import waves_per_turn
 from servo_daemon.regression.estimate import KNOWS, RegressionEstimate
+from servo_daemon.signal_meaning import SignalMeaning
 from servo_daemon.tracking.plan.settings import Resolutions, TrackerSettings
 from servo_daemon.tracking.tracker import Tracker
 from servo_daemon.tracking.validity import excitation
@@ -291,10 +292,26 @@ def _value_of(e: RegressionEstimate, name: str) -> float:
     return float(e.value[e.names.index(name)])
 
 
-def moved_on(last: Estimate, tracker: Tracker, samples: int) -> Estimate:
+def with_equivalents(estimate: Estimate, meaning: SignalMeaning) -> Estimate:
+    """With R, L and K of the other DC motors that stand for a drive of dq values."""
+    by_choice = meaning.equivalents()
+    if not by_choice:
+        return estimate
+    own = {p.name: p for p in estimate.parameters}
+
+    def times(value: float | None, factor: float) -> float | None:
+        return None if value is None else value * factor
+
+    equivalents = {
+        choice: {n: (times(own[n].value, f), times(own[n].std, f)) for n, f in factors.items()}
+        for choice, factors in by_choice.items()
+    }
+    return replace(estimate, equivalents=equivalents)
+
+
+def moved_on(last: Estimate, tracker: Tracker, time_s: float, samples: int) -> Estimate:
     """The record between two ticks: time, state and count are of now, the parameters (ten times a second) stay."""
-    assert tracker.last_s is not None
-    return replace(last, time_s=tracker.last_s, samples=samples, state=_state(tracker))
+    return replace(last, time_s=time_s, samples=samples, state=_state(tracker))
 
 
 def _load_inertia(config: DriveConfig, J: ParameterEstimate) -> ParameterEstimate:

@@ -48,7 +48,7 @@ _HEALTH_UNITS: Final = (
     ("_A", "_ampere", 1.0),
     ("_V", "_volt", 1.0),
 )
-_GAUGES_AMONG_COUNTERS: Final = re.compile(r"(^|_)(depth|length|capacity)$|^queue_samples$")
+_GAUGES_AMONG_COUNTERS: Final = re.compile(r"(^|_)(depth|length|capacity)$|^queue_samples$|^poll_")
 
 
 def render_metrics(daemon: DaemonView) -> str:

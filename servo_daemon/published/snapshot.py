@@ -60,7 +60,10 @@ class EstimatorView:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """The pipeline's output at one moment of device time. Free of wall-clock time."""
+    """The pipeline's output at one moment of device time. Free of wall-clock time.
+
+    `equivalents`: R, L and K (value, std) of the other DC motors that stand for a drive of dq values, by name.
+    """
 
     time_s: float
     samples: int
@@ -71,6 +74,7 @@ class Estimate:
     estimators: Mapping[str, EstimatorView]
     health: Mapping[str, float | int | bool | str | None]
     covariance: Covariance | None = None
+    equivalents: Mapping[str, Mapping[str, tuple[float | None, float | None]]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.base import DriveInfo
-from drivers.can.wire import (
+from drivers.can.ours.wire import (
     AT_LIMIT,
     DESCRIPTION_ID,
     FIRST_DRIVE,

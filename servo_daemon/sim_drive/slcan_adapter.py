@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import string
 from collections.abc import Callable
+from dataclasses import dataclass
 
 CR, BEL = b"\r", b"\a"
 VERSION, SERIAL_NUMBER = b"V1013", b"NSD01"
@@ -19,11 +20,25 @@ _HEX = frozenset(string.hexdigits.encode())
 _SENDS = {ord("t"): 3, ord("T"): 8, ord("r"): 3, ord("R"): 8}
 
 
+@dataclass(frozen=True, slots=True)
+class BusFrame:
+    """A data frame on the bus."""
+
+    frame_id: int
+    data: bytes
+    extended: bool = False
+
+
 class SlcanAdapter:
-    """State and answers of the adapter. `channel_open` says whether frames may be sent to the host."""
+    """State and answers of the adapter. `channel_open` says whether frames may be sent to the host.
+
+    Attributes:
+        on_bus: data frames that the host has put on the bus; who reads them empties the list.
+    """
 
     def __init__(self) -> None:
         self.channel_open = False
+        self.on_bus: list[BusFrame] = []
         self.timestamps = False
         self._listen_only = False
         self._line = bytearray()
@@ -39,10 +54,11 @@ class SlcanAdapter:
                 self._line.append(byte)
         return bytes(answers)
 
-    def frame_line(self, frame_id: int, data: bytes, time_ms: int) -> bytes:
+    def frame_line(self, frame_id: int, data: bytes, time_ms: int, *, extended: bool = False) -> bytes:
         """A received frame as the host gets it; with a time stamp of 0..59999 ms after `Z1`."""
         stamp = b"%04X" % (time_ms % 60_000) if self.timestamps else b""
-        return b"t%03X%d%s%s\r" % (frame_id, len(data), data.hex().upper().encode(), stamp)
+        head = b"T%08X" % frame_id if extended else b"t%03X" % frame_id
+        return b"%s%d%s%s\r" % (head, len(data), data.hex().upper().encode(), stamp)
 
     def _answer(self, line: bytes) -> bytes:
         if not line:
@@ -87,7 +103,7 @@ class SlcanAdapter:
         return CR
 
     def _send(self, command: int, arguments: bytes) -> bytes:
-        """A frame onto the bus: nobody on this one listens, so a well-formed one is simply acknowledged."""
+        """A frame onto the bus: a well-formed one is acknowledged, and kept for the devices there."""
         digits = _SENDS[command]
         length = arguments[digits : digits + 1]
         if not self.channel_open or self._listen_only or not length or length not in b"012345678":
@@ -95,4 +111,7 @@ class SlcanAdapter:
         payload = 0 if command in b"rR" else 2 * int(length)
         if len(arguments) != digits + 1 + payload or not _HEX.issuperset(arguments):
             return BEL
+        if command in b"tT":
+            data = bytes.fromhex(arguments[digits + 1 :].decode())
+            self.on_bus.append(BusFrame(int(arguments[:digits], 16), data, command == ord("T")))
         return (b"z" if command in b"tr" else b"Z") + CR

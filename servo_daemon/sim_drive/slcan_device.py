@@ -176,5 +176,6 @@ class _Device:
             return
         with contextlib.suppress(BlockingIOError):
             answers = self._adapter.feed(os.read(self._master, 4096))
+            self._adapter.on_bus.clear()  # nobody on this bus listens
             self._pending += answers
             self._write(b"")

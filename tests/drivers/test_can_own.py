@@ -11,7 +11,7 @@ import pytest
 
 from drivers.base import DriveInfo
 from drivers.can.bus import CanDriver
-from drivers.can.own import MAX_HELD
+from drivers.can.ours.own import MAX_HELD
 from servo_daemon.errors import BadInputError
 from servo_daemon.samples import Quality, make_block
 from servo_daemon.sim_drive.can_frames import CanFrame, FrameEncoder

@@ -17,7 +17,8 @@ from serial.tools import list_ports
 
 from drivers.base import DriveInfo
 from drivers.serial.frame import encode_frame
-from drivers.serial.line import SerialDriver, existing_ports
+from drivers.serial.line import SerialDriver
+from drivers.serial.port import existing_ports
 from drivers.serial.wire import encode_samples
 from servo_daemon.errors import DriverConfigError, DriverDisconnectedError, DriverUnavailableError
 from servo_daemon.samples import Quality, SampleBlock, concatenate

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from drivers.base import DriverCounters
 from drivers.can.decode import FrameBatch, load_dbc
 from drivers.can.map import parse_signal_map
-from drivers.can.own import OwnDecoder
+from drivers.can.ours.own import OwnDecoder
 from drivers.can.vendor import VendorDecoder
 from servo_daemon.samples import SampleBlock
 from servo_daemon.sim_drive.can_frames import FrameEncoder

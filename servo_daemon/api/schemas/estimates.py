@@ -109,6 +109,10 @@ class EstimatesDocument(_Document):
         "counters of the line; `overloaded`: samples come faster than they are worked off, and the oldest are left out "
         "(in `queue_dropped`, and so in `samples_lost`); units in the names."
     )
+    equivalents: dict[str, dict[str, EstimatorParameterDocument]] | None = Field(
+        None,
+        description="Of a drive of dq values only: R, L and K of the other DC motors that stand for it.",
+    )
 
 
 class DriveSummaryDocument(_Document):

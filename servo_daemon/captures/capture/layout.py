@@ -9,7 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from servo_daemon.captures.capture.model import LINEAR_COLUMNS, NUMERIC_METADATA, Axis, capture_error
+from servo_daemon.errors import BadInputError
 from servo_daemon.samples import CHANNELS
+from servo_daemon.signal_meaning import KEYS, keys_of_texts
 
 #: Column name in the file -> field of `Capture`.
 KNOWN_COLUMNS: Mapping[str, str] = {"time_s": "time_s", **{c: c for c in CHANNELS}, **LINEAR_COLUMNS}
@@ -73,6 +75,7 @@ def make_layout(
     _check_usable(path, stripped, columns, line)
     lines = metadata_lines or {}
     _check_numbers(path, metadata, lines)
+    _check_meaning(path, metadata, lines)
     axis = _axis(path, columns, metadata, line=line, metadata_line=lines.get("axis"))
     return Layout(len(stripped), columns, axis, _notes(stripped, columns))
 
@@ -115,6 +118,14 @@ def _check_numbers(path: Path, metadata: Mapping[str, str], lines: Mapping[str, 
         if not (math.isfinite(value) and value > 0.0):
             message = f"metadata {key}: {text!r} is not a number greater than zero"
             raise capture_error(path, message, line=lines.get(key))
+
+
+def _check_meaning(path: Path, metadata: Mapping[str, str], lines: Mapping[str, int]) -> None:
+    try:
+        keys_of_texts(metadata)
+    except BadInputError as error:
+        key = next((k for k in KEYS if str(error).startswith(k)), "")
+        raise capture_error(path, f"metadata {error}", line=lines.get(key)) from error
 
 
 def _axis(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
@@ -11,8 +11,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_daemon.errors import CaptureError
+from servo_daemon.errors import BadInputError, CaptureError
 from servo_daemon.samples import CHANNELS, F64, U8, Quality, SampleBlock, make_block
+from servo_daemon.signal_meaning import SignalMeaning, as_texts, keys_of_texts
 
 Axis = Literal["rotary", "linear"]
 
@@ -138,6 +139,36 @@ class Capture:
         """Encoder counts per revolution."""
         return self.metadata_number("counts_per_rev")
 
+    def meaning(self, otherwise: SignalMeaning | None = None) -> SignalMeaning:
+        """What its voltage and current are: its own lines, and where they are silent what is given otherwise.
+
+        Raises:
+            CaptureError: a line says what cannot be.
+        """
+        try:
+            return (otherwise or SignalMeaning()).with_keys(keys_of_texts(self.metadata))
+        except BadInputError as error:
+            raise capture_error(self.path, f"metadata {error}") from error
+
+    def as_dc(self, meaning: SignalMeaning) -> Capture:
+        """The same in a DC motor's voltage and current, at the motor's shaft; its lines say so.
+
+        Args:
+            meaning: of its signals as they are.
+
+        Raises:
+            CaptureError: a gear on a linear axis.
+        """
+        if self.axis == "linear" and meaning.gear_ratio != 1.0:
+            raise capture_error(self.path, "gear_ratio belongs to a rotary axis")
+        block = meaning.converted(self.block())
+        channels = {name: getattr(block, name) for name in self.channels}
+        return replace(self, metadata={**self.metadata, **as_texts(meaning.as_dc)}, **channels)
+
+    def without_voltage(self) -> Capture:
+        """The same as of a drive that does not tell its voltage."""
+        return replace(self, voltage_V=None)
+
     def quality(self) -> U8:
         """Shape (n,): `Quality.GAP_BEFORE` where more than `GAP_FACTOR` median periods passed, and
         `Quality.CURRENT_INVALID` where the current is no measurement; else good."""
@@ -151,7 +182,8 @@ class Capture:
     def block(self) -> SampleBlock:
         """All samples as one block (views of the arrays); `sequence` counts from 0, no host time."""
         channels = {name: getattr(self, name) for name in self.channels}
-        return make_block(self.time_s, quality=self.quality(), **channels)
+        mean = self.meaning().current == "mean"
+        return make_block(self.time_s, quality=self.quality(), current_mean=mean, **channels)
 
     def blocks(self, samples: int) -> Iterator[SampleBlock]:
         """The capture in blocks of `samples` (the last one may be shorter): `block()` cut up, nothing else."""

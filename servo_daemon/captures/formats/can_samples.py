@@ -15,9 +15,9 @@ import numpy as np
 from drivers.base import DriverCounters
 from drivers.can.decode import FrameBatch, frame_key, key_text, load_dbc
 from drivers.can.map import COUNTS, parse_signal_map
-from drivers.can.own import OwnDecoder
+from drivers.can.ours.own import OwnDecoder
+from drivers.can.ours.wire import FIRST_DRIVE, LAST_DRIVE, SAMPLE_ID
 from drivers.can.vendor import STALE_S, VendorDecoder
-from drivers.can.wire import FIRST_DRIVE, LAST_DRIVE, SAMPLE_ID
 from servo_daemon.captures.capture.layout import make_layout
 from servo_daemon.captures.capture.model import (
     LINEAR_COLUMNS,

@@ -15,7 +15,7 @@ from servo_daemon.captures.capture.model import MIN_SAMPLES, Capture, capture_er
 from servo_daemon.captures.capture.read_options import ReadOptions
 from servo_daemon.captures.columns.foreign import Series
 from servo_daemon.captures.columns.held import HeldSignal, describe
-from servo_daemon.captures.columns.program_logs import simplefoc
+from servo_daemon.captures.columns.program_logs import INSTANT, simplefoc
 from servo_daemon.captures.columns.signal_map import SignalRef
 from servo_daemon.captures.columns.understood import only_ours
 from servo_daemon.captures.text.dialect import clock_seconds, is_number
@@ -37,13 +37,15 @@ def with_columns(path: Path, preamble: Preamble, options: ReadOptions) -> Preamb
     Raises:
         CaptureError: not as many as there are columns; or the file has no header and none are given.
     """
-    names = options.columns
+    names, guess = options.columns, None if preamble.names else simplefoc(preamble.sample)
     if not names and not preamble.names:
-        guess = simplefoc(preamble.sample)
         if guess is None or options.rate_hz is None:
             raise _nameless(path, preamble, guess)
         names = guess[0]
-        preamble = replace(preamble, told=("SimpleFOC monitor", *preamble.told), metadata={"convention": "dq"})
+    if guess is not None and tuple(names) == guess[0]:
+        preamble = replace(
+            preamble, told=("SimpleFOC monitor", *preamble.told), metadata={**INSTANT, **preamble.metadata}
+        )
     if not names:
         return preamble
     if len(names) != preamble.width:

@@ -18,6 +18,7 @@ from servo_daemon.diagnosis.missing.missing import Missing
 from servo_daemon.diagnosis.screening.dependence import Dependence
 from servo_daemon.diagnosis.verdict.result import Diagnosis, HeldOut, NamedEffect, OwnModel, Spread
 from servo_daemon.identification.output_error import OutputErrorFit
+from servo_daemon.identification.winding import joined_parameters
 from servo_daemon.plant.effects import effects_by_name, parameter_table
 
 SCHEMA = 1
@@ -72,7 +73,7 @@ def diagnosis_document(d: Diagnosis, inputs: Inputs, evidence: Evidence) -> dict
         "null_directions": [null_row(n) for n in final.null_directions],
         "combinations": [combination_row(c, linear=linear) for c in final.combinations],
         "toml": toml_lines(final, d.effects) if d.effects else None,
-        "notes": [*inputs.notes, *result_notes(final, inputs.nominal)],
+        "notes": [*inputs.notes, *result_notes(final, inputs.nominal, inputs.meaning)],
         "seconds": d.seconds,
     }
     return {key: plain(value) for key, value in document.items()}
@@ -108,7 +109,7 @@ def _parameter_rows(fit: OutputErrorFit, inputs: Inputs, *, linear: bool) -> dic
     """As in fit's document; counts and choices that the search has found are `searched`, not `fixed`. What the data do
     not determine has its nominal value or none, never the one that the search ran with."""
     table, rows = parameter_table(), {}
-    for name, p in fit.parameters.items():
+    for name, p in joined_parameters(fit.parameters, inputs.winding).items():
         row = parameter_row(p, linear=linear)
         if p.status == "fixed" and table[name].held == "always" and name not in inputs.fixed:
             row |= {"status": "searched", "value": None if p.value is None else float(f"{p.value:.12g}")}

@@ -92,12 +92,12 @@ def run(arguments: argparse.Namespace) -> int:
     result = identify(
         inputs.captures, inputs.validation, IdentifyOptions(inputs.effects, inputs.baseline, options, arguments.adapt)
     )
-    found = result_notes(result.fit, {**inputs.nominal, **inputs.fixed})
+    found = result_notes(result.fit, {**inputs.nominal, **inputs.fixed}, inputs.meaning)
     if result.drift is not None:
         found.append(drift_note(result.drift, result.fit, linear=result.captures[0].axis == "linear"))
     for text in found:
         common.note(text)
-    document = {**fit_document(result), "notes": [*inputs.notes, *found]}
+    document = {**fit_document(result, inputs.winding, inputs.meaning), "notes": [*inputs.notes, *found]}
     if arguments.out is not None:
         _write(arguments, result, document)
     if arguments.json:

@@ -15,20 +15,31 @@ from servo_daemon.identification.output_error.misfit import unexplained
 from servo_daemon.identification.output_error.precision.combinations import Combination
 from servo_daemon.identification.output_error.precision.information import NullDirection
 from servo_daemon.identification.output_error.problem.score import Score
+from servo_daemon.identification.winding import Winding, equivalents_of, joined_correlation, joined_parameters
+from servo_daemon.signal_meaning import SignalMeaning
 
 
-def fit_document(result: Identification) -> dict[str, Any]:
-    """Everything `fit` says, in plain types; no NaN."""
+def fit_document(
+    result: Identification, winding: Winding | None = None, meaning: SignalMeaning | None = None
+) -> dict[str, Any]:
+    """Everything `fit` says, in plain types; no NaN.
+
+    Args:
+        winding: what the voltage says where it is a measurement, and the fit is of the motion alone.
+        meaning: of the signals before they were converted to a DC motor's.
+    """
     fit, linear = result.fit, result.captures[0].axis == "linear"
+    parameters = joined_parameters(fit.parameters, winding)
     return {
         "method": "output-error",
         "captures": [str(c.path) for c in result.captures],
         "model": list(fit.problem.plant.effects),
         "input": fit.problem.plant.drive,
         "measured": [shown_column(c, linear=linear) for c in fit.problem.channels],
-        "parameters": {name: parameter_row(p, linear=linear) for name, p in fit.parameters.items()},
+        "parameters": {name: parameter_row(p, linear=linear) for name, p in parameters.items()},
+        "equivalents": equivalents_of(parameters, meaning or SignalMeaning()),
         "offsets": [{name: parameter_row(p, linear=linear) for name, p in o.items()} for o in fit.offsets],
-        "correlation": {name: dict(row) for name, row in fit.correlation.items()},
+        "correlation": joined_correlation(fit.correlation, fit.parameters, winding),
         "equivalent": {name: list(effects) for name, effects in equivalents(fit.problem).items()},
         "unexplained": [shown_column(c, linear=linear) for c in unexplained(fit)],
         "null_directions": [null_row(d) for d in fit.null_directions],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from servo_daemon.captures import Capture, in_canonical_order
@@ -16,8 +16,10 @@ from servo_daemon.config import DriveConfig
 from servo_daemon.errors import BadInputError
 from servo_daemon.identification.output_error.problem.setup import FEWEST_SAMPLES, choose_signals
 from servo_daemon.identification.procedure.validate import check_input, check_share
+from servo_daemon.identification.winding import Winding, one_meaning, winding_of
 from servo_daemon.parameters import LINEAR
 from servo_daemon.plant.effects import effects_by_name
+from servo_daemon.signal_meaning import SignalMeaning, told
 from servo_daemon.simulate.settings import parse_effect, with_harmonics
 
 #: m/s², standard acceleration of gravity (CGPM 1901).
@@ -37,6 +39,9 @@ class Inputs:
         nominal: start values, natural units.
         fixed: held values.
         notes: for the user.
+        winding: what the voltage says where it is a measurement; the captures are then without it, and K is held at
+            what it says.
+        meaning: of the captures' signals before they were converted to a DC motor's.
     """
 
     drive: DriveConfig
@@ -47,6 +52,8 @@ class Inputs:
     nominal: Mapping[str, float]
     fixed: Mapping[str, float]
     notes: tuple[str, ...]
+    winding: Winding | None = None
+    meaning: SignalMeaning = field(default_factory=SignalMeaning)
 
 
 def gather(
@@ -66,7 +73,9 @@ def gather(
         BadInputError: a file, the config or a flag is wrong; one line naming it.
     """
     drive = common.offline_drive(arguments)
-    captures, said = _as_meant(in_canonical_order(common.read_captures(paths, arguments)), drive)
+    read = in_canonical_order(common.read_captures(paths, arguments))
+    meaning = one_meaning(read, drive.signals.meaning())
+    captures, said = _as_meant(read, drive)
     validation, said_there = _as_meant(common.read_captures(validation_paths, arguments), drive)
     for capture in (*captures, *validation):
         check_length(capture)
@@ -85,21 +94,32 @@ def gather(
     notes += [f"{c.path}: {text}" for c in captures for text in excluded_values(c, {**nominal, **fixed})]
     notes += [f"{c.path}: {text}" for c in (*captures, *validation) for text in plausibility_notes(c)]
     notes += lost
+    winding = None
+    if meaning != SignalMeaning():
+        notes.append(f"signals: {told(meaning)}")
+    if meaning.measures_voltage:
+        winding = winding_of(captures, meaning, effects, fixed)
+        captures, validation = (tuple(c.without_voltage() for c in cs) for cs in (captures, validation))
+        fixed |= {"K": K[0]} if "K" not in fixed and (K := winding.of("K")) is not None else {}
+        nominal = {k: v for k, v in nominal.items() if k not in ("R", "L")}  # which the motion knows nothing of
+        fixed = {k: v for k, v in fixed.items() if k not in ("R", "L")}
+        notes += winding.notes
     weight = known_weight(drive, captures[0])
     if (searches or "gravity_load" in effects) and weight is not None and "Tg" not in fixed:
         fixed["Tg"] = weight
         notes.append(f"gravity_load: Tg = {weight:.6g} N·m is held, from the known mass and arm length")
-    return Inputs(drive, captures, validation, effects, drive.model, nominal, fixed, tuple(notes))
+    return Inputs(drive, captures, validation, effects, drive.model, nominal, fixed, tuple(notes), winding, meaning)
 
 
 def _as_meant(captures: Sequence[Capture], drive: DriveConfig) -> tuple[tuple[Capture, ...], list[str]]:
-    """The captures without columns that do not mean what they say, and what was found.
+    """The captures in a DC motor's units, without columns that do not mean what they say, and what was found.
 
     Raises:
         CaptureError: one cannot be used so.
     """
     kept, notes = [], []
-    for capture in captures:
+    for read in captures:
+        capture = read.as_dc(read.meaning(drive.signals.meaning()))
         found = findings(capture, limit_V=drive.limits.voltage_V)
         kept.append(without_unusable(capture, found))
         notes += [f"{capture.path}: {one.text}" for one in found]

@@ -11,6 +11,7 @@ from servo_daemon.identification.output_error.lag_like import equivalents
 from servo_daemon.identification.output_error.misfit import unexplained
 from servo_daemon.identification.procedure.drift import SEGMENT_S, Drift
 from servo_daemon.parameters import spaced
+from servo_daemon.signal_meaning import SignalMeaning
 
 #: An estimate further from its nominal value than this factor is no ageing: a unit, a sign, another motor.
 _FAR = 10.0
@@ -18,11 +19,12 @@ _FAR = 10.0
 _NEAR, _SQUARE_NEAR = 0.1, 0.35
 
 
-def result_notes(fit: OutputErrorFit, nominal: Mapping[str, float]) -> list[str]:
+def result_notes(fit: OutputErrorFit, nominal: Mapping[str, float], meaning: SignalMeaning | None = None) -> list[str]:
     """Remarks on estimates far from their nominal values, at a bound, and on how the input is taken.
 
     Args:
         nominal: all values that are given, held ones too.
+        meaning: of the captures' signals; None: as they are by default.
     """
     notes = [
         f"the model explains next to nothing of {name}, and no parameter has a value: is its sign turned, or its unit "
@@ -49,13 +51,15 @@ def result_notes(fit: OutputErrorFit, nominal: Mapping[str, float]) -> list[str]
                 "is a column in another unit, or its sign turned?"
             )
     notes += _counts_hint({n: p.value for n, p in fit.parameters.items() if p.status == "estimated"}, nominal)
-    if fit.problem.plant.drive != "voltage":
+    meaning = meaning or SignalMeaning()
+    if fit.problem.plant.drive != "voltage" and meaning.current != "mean":
         what = "current" if fit.problem.plant.drive == "current" else "torque"
         notes.append(
             f"the {what} is known at the samples and taken as straight between them; the standard deviations hold "
             "what that may be off by (half a sample's delay at the most)"
         )
-    if (loss := _held_voltage(fit)) is not None and "R" not in nominal:
+    loss = None if meaning.measures_voltage else _held_voltage(fit)
+    if loss is not None and "R" not in nominal:
         notes.append(
             f"if the drive holds its voltage for whole samples, J is too small by up to {100 * loss:.2g} % over R in "
             "Ω, which no residual shows and no standard deviation holds; `--fix R=…` puts it there"

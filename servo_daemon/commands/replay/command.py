@@ -53,7 +53,8 @@ def run(arguments: argparse.Namespace) -> int:
     common.keep_inputs(arguments.out, arguments.capture, arguments.config, arguments.learned, arguments.signals)
     drive = common.offline_drive(arguments)
     (capture,) = common.read_captures([arguments.capture], arguments)
-    pipeline = Pipeline(drive, common.capture_info(capture))
+    meaning = capture.meaning(drive.signals.meaning())
+    pipeline = Pipeline(drive, common.capture_info(capture), meaning=meaning)
     names = published_names(drive)
     estimators: tuple[str, ...] = ("ekf", "rls")
     if arguments.learned is not None:

@@ -47,12 +47,14 @@ def known_motor(drive: DriveConfig, capture: Capture | None, fixed: Mapping[str,
     """
     if capture is None:
         return _nominal(drive, fixed)
+    meaning = capture.meaning(drive.signals.meaning())
     try:
         if "current_A" in capture.channels:
             return _tracked(drive, capture, fixed)
     except TuningError:  # too short for the daemon's filter, perhaps not for a fit
-        pass
-    return _fitted(drive, capture, fixed)
+        if meaning.measures_voltage:
+            raise
+    return _fitted(drive, capture.as_dc(meaning), fixed)
 
 
 def _nominal(drive: DriveConfig, fixed: Mapping[str, float]) -> MotorKnowledge:
@@ -85,7 +87,8 @@ def _estimate(capture: Capture, drive: DriveConfig) -> Estimate:
     """
     from servo_daemon.pipeline.pipeline import Pipeline
 
-    pipeline = Pipeline(drive, common.capture_info(capture))
+    meaning = capture.meaning(drive.signals.meaning())
+    pipeline = Pipeline(drive, common.capture_info(capture), meaning=meaning)
     with common.progress(capture.duration_s, "s", "estimating") as bar:
         for block in capture.blocks(_BLOCK_SAMPLES):
             pipeline.process(block, rows=False)

@@ -25,6 +25,7 @@ from servo_daemon.pipeline.ring import SampleRing
 from servo_daemon.published.diagnosis_state import Adoption, Diagnosis, DiagnosisView, Trigger
 from servo_daemon.published.snapshot import Estimate
 from servo_daemon.published.view import ModelChange
+from servo_daemon.signal_meaning import SignalMeaning
 
 #: A recording that is shorter than this says too little, s.
 LEAST_S: Final = 10.0
@@ -40,6 +41,10 @@ class Drive(Protocol):
     @property
     def info(self) -> DriveInfo:
         """What the driver knows."""
+
+    @property
+    def meaning(self) -> SignalMeaning:
+        """Of its signals."""
 
     @property
     def estimate(self) -> Estimate | None:
@@ -194,7 +199,7 @@ class DiagnosisDesk:
             if not blocks:
                 raise BusyError("no samples are there")
             span_s = float(blocks[-1].time_s[-1]) - float(blocks[0].time_s[0])
-            metadata = capture_metadata(active, self._drive.info, __version__)
+            metadata = capture_metadata(active, self._drive.info, __version__, self._drive.meaning)
             job = Job(
                 active.name,
                 self._runner.folder(active.name),

@@ -22,6 +22,7 @@ from servo_daemon.published.diagnosis_state import Diagnosis
 from servo_daemon.published.snapshot import Estimate
 from servo_daemon.published.view import StartValues
 from servo_daemon.samples import SampleBlock
+from servo_daemon.signal_meaning import SignalMeaning, as_texts
 
 log = logging.getLogger(__name__)
 
@@ -59,12 +60,18 @@ def _pairs(table: Mapping[str, Any]) -> list[str]:
     return [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in table.items()]
 
 
-def capture_metadata(config: DriveConfig, info: DriveInfo, version: str) -> dict[str, str]:
-    """As `record` writes it."""
+def capture_metadata(config: DriveConfig, info: DriveInfo, version: str, meaning: SignalMeaning) -> dict[str, str]:
+    """As `record` writes it.
+
+    Args:
+        meaning: of the drive's signals; those of the ring have been converted.
+    """
     metadata = {"generator": f"servo-daemon {version} run", "drive": config.name, "driver": config.driver}
     metadata |= {key: f"{value:g}" for key, value in config.load.model_dump().items() if value is not None}
     if info.identity:
         metadata["identity"] = info.identity
+    if meaning != SignalMeaning():
+        metadata |= as_texts(meaning.as_dc)
     if info.counts_per_rev:
         metadata.setdefault("counts_per_rev", f"{info.counts_per_rev:g}")
     return metadata

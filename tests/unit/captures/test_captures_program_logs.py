@@ -58,7 +58,8 @@ def read(folder: Path, content: str, name: str = "log.csv", **options: object) -
 def test_vesc_real_time_log(tmp_path: Path) -> None:
     capture = read(tmp_path, vesc_rt())
     assert_close(capture, voltage_V=M.v, current_A=M.i, position_rad=M.x, time_s=M.t)
-    assert capture.metadata["convention"] == "dq" and capture.metadata["pole_pairs"] == "7"
+    meaning = capture.meaning()
+    assert (meaning.voltage, meaning.current, meaning.convention, meaning.pole_pairs) == ("mean", "mean", "dq", 7)
     assert capture.notes[0].startswith(
         "semicolons, a separator at the end of every row, 600 rows at 500.0 Hz, VESC Tool"
     )
@@ -89,6 +90,7 @@ def test_vesc_sampled_log_is_the_q_axis(tmp_path: Path) -> None:
     columns |= {"I_tot": np.abs(M.i), "V_zero": ZERO + 12.0, "Phase": np.degrees(angle) % 360.0}
     capture = read(tmp_path, table(columns.values(), ";".join(columns), ";", digits=".9g", tail=";"))
     assert capture.channels == ("voltage_V", "current_A")
+    assert capture.meaning().voltage == "instant"
     assert_close(capture, voltage_V=M.v, current_A=M.i)
     assert capture.sample_period_s == pytest.approx(5e-5)
 
@@ -121,6 +123,7 @@ def test_moteus_jsonl_brings_its_channels_together(tmp_path: Path) -> None:
             lines.append(json.dumps({"controller": "1", "timestamp": stamp, "channel": channel, "data": data}))
     capture = read(tmp_path, "\n".join(lines) + "\n", "log.jsonl")
     assert {"voltage_V", "current_A", "position_rad"} <= set(capture.channels)
+    assert (capture.meaning().voltage, capture.meaning().convention) == ("instant", "dq")
     assert capture.position_rad is not None
     np.testing.assert_allclose(capture.position_rad, M.x[N - len(capture) :], atol=1e-6)
     assert "JSON lines" in capture.notes[0]
@@ -134,6 +137,14 @@ def test_a_bad_line_of_json_is_named(tmp_path: Path, line: str, message: str) ->
     rows = [json.dumps({"t": k * 1e-3, "v": 1.0, "i": 0.1 * k}) for k in range(9)]
     with pytest.raises(CaptureError, match=message):
         read(tmp_path, "\n".join([*rows[:2], line, *rows[2:]]) + "\n")
+
+
+def test_simplefoc_monitor_is_dq_however_its_columns_are_told(tmp_path: Path) -> None:
+    text = table((ZERO, M.v, 1e3 * M.i, M.w, M.x), None, "\t", digits=".4f")
+    names = ("target", "Uq_V", "Iq_mA", "vel_rad/s", "angle_rad")
+    for options in ({"rate_hz": 500.0}, {"rate_hz": 500.0, "columns": names}):
+        meaning = read(tmp_path, text, "monitor.txt", **options).meaning()
+        assert (meaning.voltage, meaning.current, meaning.convention) == ("instant", "instant", "dq")
 
 
 def test_simplefoc_monitor_suggests_what_reads_it(tmp_path: Path) -> None:

@@ -180,7 +180,10 @@ def _channel(block: SampleBlock, name: str) -> F64:
 
 def input_rows(block: SampleBlock, drive: Drive, share: float = STRAIGHT) -> F64:
     """Shape (n, 3): time, step, input. A voltage is held from its sample on (the capture contract); a measured current
-    or torque is a sample of a continuous signal, whose mean over the step lies at `share` of the way between them."""
+    or torque is a sample of a continuous signal, whose mean over the step lies at `share` of the way between them. A
+    current that is a mean over the interval that ends at its sample is that mean."""
+    if drive == "current" and block.current_mean:
+        share = 1.0
     time = block.time_s - block.time_s[0]
     rows = np.empty((len(time), 3))
     rows[:, TIME] = time

@@ -9,7 +9,7 @@ from importlib.resources import as_file, files
 import numpy as np
 
 from drivers.can.decode import CLASSIC_BYTES, Field, find_field, load_dbc
-from drivers.can.wire import WIRE_VERSION
+from drivers.can.ours.wire import WIRE_VERSION
 from servo_daemon.samples import F64, U8
 
 log = logging.getLogger(__name__)

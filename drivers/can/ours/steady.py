@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drivers.can.dating import U16, Last
 from drivers.can.decode import CLASSIC_BYTES, FrameBatch
-from drivers.can.wire import AT_LIMIT, FIRST_DRIVE, LAST_DRIVE, POSITION, SAMPLE_ID, TIME
+from drivers.can.ours.dating import U16, Last
+from drivers.can.ours.wire import AT_LIMIT, FIRST_DRIVE, LAST_DRIVE, POSITION, SAMPLE_ID, TIME
 from servo_daemon.samples import F64, U8
 
 #: Steps of time are read as signed words together with those of position. Drives slower than 46 Hz are never steady.

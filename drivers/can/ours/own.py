@@ -14,11 +14,11 @@ from itertools import pairwise
 import numpy as np
 
 from drivers.base import DriveInfo, DriverCounters
-from drivers.can.dating import U16, Anchor, Dated, Timeline, signed
 from drivers.can.decode import CLASSIC_BYTES, Bits, FrameBatch, frame_key
-from drivers.can.description import Description
-from drivers.can.steady import Claim, Run, follow, sample_runs, words_of
-from drivers.can.wire import (
+from drivers.can.ours.dating import U16, Anchor, Dated, Timeline, signed
+from drivers.can.ours.description import Description
+from drivers.can.ours.steady import Claim, Run, follow, sample_runs, words_of
+from drivers.can.ours.wire import (
     AT_LIMIT,
     CURRENT,
     DESCRIPTION_ID,

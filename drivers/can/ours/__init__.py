@@ -1,0 +1,1 @@
+"""The project's own CAN frames (docs/protocol-can.md), decoded and dated."""

@@ -1,0 +1,1 @@
+"""moteus: queries over an fdcanusb adapter or a CAN FD bus."""

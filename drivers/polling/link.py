@@ -1,0 +1,60 @@
+"""What a poller asks over: bytes out, bytes in, and a way to end a wait."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+from typing import Protocol
+
+import serial
+
+#: The system's buffer of a tty holds 4 kB, with what is still in flight behind it 64 kB: one read takes it all.
+_READ_SIZE = 65536
+
+
+class Link(Protocol):
+    """An open line to a drive. `OSError` from `send` or `receive` means that it is gone."""
+
+    def send(self, data: bytes) -> None:
+        """Put one request on the line."""
+        ...
+
+    def receive(self, timeout_s: float) -> bytes:
+        """What has arrived, as soon as there is something; nothing at the end of the time, or on `wake`."""
+        ...
+
+    def wake(self) -> None:
+        """End a wait of `receive` that another thread is in, and every later one."""
+        ...
+
+    def close(self) -> None:
+        """Release it. Never raises."""
+        ...
+
+
+class SerialLink:
+    """A serial port whose reads never wait, as `drivers.serial.port.open_port` opens it."""
+
+    def __init__(self, port: serial.Serial) -> None:
+        self._port = port
+        self._port.write_timeout = 1.0  # a request is a few bytes: a line that takes none of them for so long is dead
+        self._wake_r, self._wake_w = os.pipe()
+
+    def send(self, data: bytes) -> None:
+        self._port.write(data)
+
+    def receive(self, timeout_s: float) -> bytes:
+        ready = select.select([self._port.fileno(), self._wake_r], [], [], max(timeout_s, 0.0))[0]
+        if not ready or self._wake_r in ready:
+            return b""
+        return bytes(self._port.read(_READ_SIZE))
+
+    def wake(self) -> None:
+        os.write(self._wake_w, b"x")
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):  # the device may be gone: then there is nothing left to release
+            self._port.close()
+        os.close(self._wake_r)
+        os.close(self._wake_w)

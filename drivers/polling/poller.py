@@ -1,0 +1,196 @@
+"""Requests at a steady pace, and the answers that belong to them.
+
+Requests leave at absolute deadlines, so that a late one does not delay those after it; a few may be on their way
+together. A drive that does not answer is asked more and more seldom, until it does.
+
+When an answer's values were taken lies between the request's leaving and the answer's arrival. The sample gets the
+time at which its request left: the drive takes its values an almost constant time later, while arrival also waits for
+the line and for the host. How much longer than the shortest the round trips take is published as the jitter.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
+
+from drivers.polling.link import Link
+
+V = TypeVar("V")
+
+#: So many requests in a row without an answer, and the drive is asked half as often, down to once in so many seconds.
+_PATIENCE = 3
+_LONGEST_PAUSE_S = 1.0
+#: Rate and jitter are those of so long a time.
+_WINDOW_S = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What is sent. An answer with another tag is not the answer to it."""
+
+    data: bytes
+    tag: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Reply(Generic[V]):
+    """What came back."""
+
+    tag: int
+    value: V
+
+
+@dataclass(frozen=True, slots=True)
+class Answer(Generic[V]):
+    """A reply with its place in time.
+
+    Attributes:
+        number: of its request, counted from 0; a missing one was asked and not answered.
+        sent_s, received_s: monotonic host clock.
+    """
+
+    number: int
+    sent_s: float
+    received_s: float
+    value: V
+
+
+class Dialogue(Protocol[V]):
+    """What one kind of drive is asked and how it answers; knows nothing of time."""
+
+    def next_request(self) -> Request | None:
+        """What to send now; None: nothing at this time."""
+        ...
+
+    def feed(self, data: bytes) -> list[Reply[V]]:
+        """The replies that these bytes complete. Bytes that are none are counted, never raised."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """How a drive is asked.
+
+    Attributes:
+        rate_hz: requests a second.
+        together: requests that may be on their way at once; 1 where the line carries one direction at a time, or where
+            one answer looks like the next (all have one tag): a lost one would shift all that follow.
+        timeout_s: a request without an answer for so long is given up.
+    """
+
+    rate_hz: float
+    together: int = 1
+    timeout_s: float = 0.1
+
+
+class Poller(Generic[V]):
+    """Asks over a link and collects the answers.
+
+    Args:
+        extra: counted up here: polls sent, answered, timed out, missed (not sent: no room or too late) and answers
+            that nobody asked for; `poll_rate_hz` and `poll_jitter_us` are those of the last seconds.
+        clock: monotonic host clock, s.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        dialogue: Dialogue[V],
+        pace: Pace,
+        extra: dict[str, int],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._link, self._dialogue, self._pace, self._extra, self._clock = link, dialogue, pace, extra, clock
+        self._due_s = clock()
+        self._on_their_way: deque[tuple[int, int, float]] = deque()  # number, tag, sent
+        self._number = 0
+        self._unanswered = 0  # in a row
+        self._trips: list[tuple[float, float]] = []  # received, how long it took
+        for name in ("sent", "answered", "timed_out", "missed", "unasked"):
+            extra.setdefault(f"polls_{name}", 0)
+
+    @property
+    def period_s(self) -> float:
+        """From one request to the next now."""
+        halvings = max(0, self._unanswered - _PATIENCE + 1)
+        slowest = max(1 / self._pace.rate_hz, _LONGEST_PAUSE_S)
+        return min(slowest, 2.0 ** min(halvings, 30) / self._pace.rate_hz)
+
+    def step(self, until_s: float) -> list[Answer[V]]:
+        """Send what is due and wait for answers, at most until then.
+
+        Raises:
+            OSError: the link is gone.
+        """
+        now = self._clock()
+        self._give_up(now)
+        self._send_due(now)
+        data = self._link.receive(min(until_s, self._next_event()) - self._clock())
+        return self._matched(self._dialogue.feed(data)) if data else []
+
+    def _next_event(self) -> float:
+        due = self._due_s if len(self._on_their_way) < self._pace.together else math.inf
+        oldest = self._on_their_way[0][2] + self._pace.timeout_s if self._on_their_way else math.inf
+        return min(due, oldest)
+
+    def _give_up(self, now: float) -> None:
+        """After a time-out nothing that is on its way is waited for, and the line has time to fall silent: a late
+        answer must not be taken for the answer to a later request."""
+        if self._on_their_way and now >= self._on_their_way[0][2] + self._pace.timeout_s:
+            self._count("timed_out", len(self._on_their_way))
+            self._on_their_way.clear()
+            self._unanswered += 1
+            self._due_s = now + max(self.period_s, self._pace.timeout_s)
+
+    def _send_due(self, now: float) -> None:
+        if now < self._due_s:
+            return
+        late = int((now - self._due_s) / self.period_s)
+        self._count("missed", late)
+        self._due_s += late * self.period_s
+        if len(self._on_their_way) >= self._pace.together:
+            return
+        self._due_s += self.period_s
+        request = self._dialogue.next_request()
+        if request is None:
+            return
+        self._on_their_way.append((self._number, request.tag, self._clock()))
+        self._number += 1
+        self._count("sent")
+        self._link.send(request.data)
+
+    def _matched(self, replies: list[Reply[V]]) -> list[Answer[V]]:
+        now = self._clock()
+        answers = []
+        for reply in replies:
+            if all(tag != reply.tag for _, tag, _ in self._on_their_way):
+                self._count("unasked")
+                continue
+            number, tag, sent_s = self._on_their_way.popleft()
+            while tag != reply.tag:  # drives answer in the order in which they were asked: that answer is lost
+                self._count("timed_out")
+                number, tag, sent_s = self._on_their_way.popleft()
+            self._unanswered = 0
+            self._count("answered")
+            self._trips.append((now, now - sent_s))
+            answers.append(Answer(number, sent_s, now, reply.value))
+        self._measure(now)
+        return answers
+
+    def _measure(self, now: float) -> None:
+        """Rate and jitter, once in `_WINDOW_S`."""
+        trips = self._trips
+        if len(trips) < 2 or now - trips[0][0] < _WINDOW_S:
+            return
+        least = min(took for _, took in trips)
+        mean_square = sum((took - least) ** 2 for _, took in trips) / len(trips)
+        self._extra["poll_rate_hz"] = round((len(trips) - 1) / (now - trips[0][0]))
+        self._extra["poll_jitter_us"] = round(math.sqrt(mean_square) * 1e6)
+        trips.clear()
+
+    def _count(self, what: str, n: int = 1) -> None:
+        self._extra[f"polls_{what}"] += n

@@ -1,0 +1,1 @@
+"""VESC: packets on USB and UART, status frames on CAN."""

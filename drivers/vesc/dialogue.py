@@ -1,0 +1,75 @@
+"""What a VESC is asked: its firmware first, then the same selection of values again and again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from drivers.base import DriverCounters
+from drivers.polling.poller import Reply, Request
+from drivers.vesc.packets import PacketReader
+from drivers.vesc.requests import FW_VERSION, GET_VALUES_SELECTIVE, POLL_MASKS, request
+from drivers.vesc.values import Firmware, decode_firmware, decode_values
+from servo_daemon.errors import WireError
+
+_HELLO = -1  # the tag of the question after the firmware: no mask
+
+
+@dataclass(frozen=True, slots=True)
+class Polled:
+    """The values of one poll."""
+
+    iq_A: float
+    vq_V: float
+    duty: float
+    erpm: float
+    v_in_V: float
+    tachometer: float
+    pid_pos_deg: float
+
+
+class VescDialogue:
+    """Requests and replies of one drive.
+
+    Args:
+        can_id: of a drive behind the one on the line; None: that one itself.
+        counters: bytes and payloads that cannot be read are counted here.
+
+    Attributes:
+        firmware: what the drive said of itself; None until it has.
+    """
+
+    def __init__(self, can_id: int | None, counters: DriverCounters) -> None:
+        self.firmware: Firmware | None = None
+        self._reader, self._counters = PacketReader(counters), counters
+        self._hello = Request(request(bytes([FW_VERSION]), can_id), _HELLO)
+        self._polls = tuple(
+            Request(request(bytes([GET_VALUES_SELECTIVE]) + mask.to_bytes(4, "big"), can_id), mask)
+            for mask in POLL_MASKS
+        )
+        self._turn = 0
+
+    def next_request(self) -> Request:
+        if self.firmware is None:
+            return self._hello
+        self._turn += 1
+        return self._polls[self._turn % len(self._polls)]
+
+    def feed(self, data: bytes) -> list[Reply[Firmware | Polled]]:
+        replies = []
+        for payload in self._reader.feed(data):
+            try:
+                replies.append(self._read(payload))
+                self._counters.frames += 1
+            except (WireError, KeyError):  # whole and well-formed, but no answer to what we ask
+                self._counters.unknown_frames += 1
+        return replies
+
+    def _read(self, payload: bytes) -> Reply[Firmware | Polled]:
+        if payload[0] == FW_VERSION:
+            self.firmware = decode_firmware(payload)
+            return Reply(_HELLO, self.firmware)
+        mask, v = decode_values(payload)
+        polled = Polled(
+            v["avg_iq_A"], v["avg_vq_V"], v["duty"], v["erpm"], v["v_in_V"], v["tachometer"], v["pid_pos_deg"]
+        )
+        return Reply(mask, polled)

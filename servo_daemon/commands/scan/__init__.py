@@ -1,0 +1,1 @@
+"""`servo-daemon scan`: which drives are there."""

@@ -1,0 +1,1 @@
+"""Simulated drives that speak the wires of the makes that people own."""

@@ -1,0 +1,130 @@
+"""From the wire of each make to the estimate: simulated drive, driver and pipeline in lockstep on one clock."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+import pytest
+
+from drivers.base import Driver
+from drivers.cia402.drive import Cia402Driver
+from drivers.polling.poller import Reply, Request
+from drivers.servo_bus.chain import State
+from drivers.servo_bus.families import Family
+from servo_daemon.config import DriveConfig
+from servo_daemon.pipeline.pipeline import Pipeline
+from servo_daemon.samples import SampleBlock
+from servo_daemon.sim_drive.makes.catalogue import ACTUATOR, SLOW
+from servo_daemon.sim_drive.makes.cia402 import Cia402Node
+from servo_daemon.sim_drive.makes.foc import FocDrive, Pmsm, RunningFoc
+from servo_daemon.sim_drive.makes.mit import MitActuator
+from servo_daemon.sim_drive.makes.moteus import Fdcanusb, Moteus
+from servo_daemon.sim_drive.makes.moving import FocMotor, MovingMotor
+from servo_daemon.sim_drive.makes.servos import DynamixelChain, FeetechChain
+from servo_daemon.sim_drive.makes.simplefoc import SimpleFocMonitor
+from servo_daemon.simulate import SimulatedDrive, make_settings
+from servo_daemon.simulate.settings import PAPER_MOTOR
+from tests.drivers.makes.can_rig import batch
+from tests.recovery.foc.lockstep import Clock, closed, closed_can, polled
+
+MOTOR = Pmsm()
+TRUTH = {"R": MOTOR.R, "K": MOTOR.K_phase, "J": MOTOR.J, "B": MOTOR.B}
+
+
+def _motor(clock: Clock) -> FocMotor:
+    return FocMotor(RunningFoc(FocDrive(MOTOR), clock))
+
+
+def _check(
+    driver: Driver, blocks: Iterable[SampleBlock], truth: Mapping[str, float], within: Mapping[str, float]
+) -> None:
+    """Exactly the parameters of `within` are claimed, each so near (a share of its truth) and within 4 of its std and
+    3 %: what the std leaves out, as the project promises."""
+    pipeline = Pipeline(DriveConfig(), driver.info, meaning=driver.meaning)
+    for block in blocks:
+        pipeline.process(block, rows=False)
+    estimate = pipeline.finish() or pipeline.current()
+    assert estimate is not None
+    claimed = {p.name: p for p in estimate.parameters if p.status == "tracking"}
+    assert set(claimed) == set(within)
+    for name, share in within.items():
+        value, std = claimed[name].value, claimed[name].std
+        assert value is not None and std is not None
+        error = abs(value - truth[name])
+        assert error <= share * truth[name], (name, value / truth[name])
+        assert error <= 4.0 * std + 0.03 * truth[name], (name, value / truth[name], std / truth[name])
+
+
+def _monitor(decoder: Any, device: SimpleFocMonitor, clock: Clock, period_s: float, n: int) -> Iterator[SampleBlock]:
+    decoder.feed(b"\n", 0.0)
+    for k in range(n):
+        clock.now_s = k * period_s
+        block = decoder.feed(device.due(), clock.now_s)
+        if block is not None:
+            yield block
+
+
+def test_simplefoc_tells_everything_but_the_inductance() -> None:
+    clock, driver = Clock(), closed("simplefoc", period_s=2e-3, pole_pairs=7)
+    device = SimpleFocMonitor(_motor(clock), period_s=2e-3)
+    blocks = _monitor(driver._decoder, device, clock, 2e-3, 7500)
+    _check(driver, blocks, TRUTH, {"R": 0.01, "K": 0.01, "J": 0.02, "B": 0.03})
+
+
+def test_moteus_tells_the_mechanics_by_its_torque() -> None:
+    clock, driver = Clock(), closed("moteus", pole_pairs=7)
+    device = Fdcanusb(Moteus(_motor(clock), torque_constant=MOTOR.Kt))
+    blocks = polled(driver, driver._query, device, clock, 1000.0, 12_000)
+    _check(driver, blocks, TRUTH, {"J": 0.02, "B": 0.03})
+
+
+class _OneServo:
+    """Reads of the registers of servo 1."""
+
+    def __init__(self, family: Family) -> None:
+        self._family, self._decoder = family, family.decoder()
+
+    def next_request(self) -> Request:
+        return Request(self._family.read(1, self._family.address, self._family.length))
+
+    def feed(self, data: bytes) -> list[Reply[State]]:
+        return [Reply(0, State(s.data, s.error)) for s in self._decoder.feed(data)]
+
+
+@pytest.mark.parametrize("kind", ["dynamixel", "feetech"])
+def test_a_brushed_servo_tells_everything_but_the_inductance(kind: str) -> None:
+    clock, driver = Clock(), closed(kind, rate_hz=500.0)
+    driver._place.model = 1020
+    motor = MovingMotor(SimulatedDrive(make_settings(rate_hz=1000.0, supply_V=12.0)), clock)
+    device = DynamixelChain({1: motor}) if kind == "dynamixel" else FeetechChain({1: motor})
+    blocks = polled(driver, _OneServo(driver._family), device, clock, 500.0, 15_000)
+    _check(driver, blocks, PAPER_MOTOR, {"R": 0.03, "K": 0.02, "J": 0.05, "B": 0.05})
+
+
+def _frames(decoder: Any, node: Any, clock: Clock, period_s: float, n: int) -> Iterator[SampleBlock]:
+    """What a node sends by itself, a bunch of frames at a time, stamped when they were sent."""
+    for start in range(0, n, 20):
+        sent = []
+        for k in range(start, start + 20):
+            clock.now_s = k * period_s
+            sent += [(f.frame_id, f.data) for f in node.due()]
+        yield from decoder.feed(batch(sent, period_s=period_s, start_s=start * period_s))
+
+
+def test_mit_tells_the_mechanics_by_its_torque() -> None:
+    clock, driver = Clock(), closed_can("mit", model="AK80-9", period_s=2e-3)
+    motor = FocMotor(RunningFoc(FocDrive(ACTUATOR, SLOW), clock))
+    node = MitActuator(motor, torque_per_ampere=ACTUATOR.Kt)
+    blocks = _frames(driver._frames, node, clock, 2e-3, 10_000)
+    _check(driver, blocks, {"J": ACTUATOR.J, "B": ACTUATOR.B}, {"J": 0.02, "B": 0.05})
+
+
+def test_cia402_tells_the_mechanics_by_its_torque() -> None:
+    pdo = {"0x181": ["statusword", "position", "torque"]}
+    clock = Clock()
+    driver = closed_can("cia402", pdo=pdo, counts_per_rev=8192, rated_torque_Nm=0.5, period_s=2e-3)
+    assert isinstance(driver, Cia402Driver)
+    node = Cia402Node(_motor(clock), torque_per_ampere=MOTOR.Kt, rated_torque_Nm=0.5)
+    inner: Any = driver._inner
+    _check(driver, _frames(inner._frames, node, clock, 2e-3, 10_000), TRUTH, {"J": 0.02, "B": 0.03})

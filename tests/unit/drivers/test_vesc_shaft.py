@@ -1,0 +1,60 @@
+"""The shaft's angle out of `pid_pos` and tachometer, with and without an encoder, over pauses of the host."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers.vesc.shaft import Shaft
+
+
+def shown(theta: np.ndarray, pole_pairs: int, encoder: bool, inverted: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """`pid_pos` and tachometer of a shaft at these angles."""
+    turn = theta * (1 if encoder else pole_pairs) * (-1.0 if inverted else 1.0)
+    return np.degrees(turn % (2 * np.pi)), np.floor(theta * pole_pairs / (np.pi / 3))
+
+
+def run(shaft: Shaft, degrees: np.ndarray, steps: np.ndarray, block: int = 10) -> np.ndarray:
+    """The angle, NaN while it is not known."""
+    parts = []
+    for k in range(0, len(degrees), block):
+        angle = shaft.angle(degrees[k : k + block], steps[k : k + block])
+        parts.append(np.full(len(degrees[k : k + block]), np.nan) if angle is None else angle)
+    return np.concatenate(parts)
+
+
+TIME = np.arange(0.0, 4.0, 0.005)
+MOTION = 8.0 * np.sin(1.7 * TIME) + 0.9 * np.sin(11.0 * TIME)
+
+
+@pytest.mark.parametrize("pole_pairs", [2, 3, 7, 14, 21])
+@pytest.mark.parametrize(("encoder", "inverted"), [(True, False), (True, True), (False, False)])
+def test_what_pid_pos_is_is_found(pole_pairs: int, encoder: bool, inverted: bool) -> None:
+    shaft = Shaft("auto", None if encoder else pole_pairs)
+    angle = run(shaft, *shown(MOTION, pole_pairs, encoder, inverted))
+    assert (shaft.source, shaft.inverted) == ("encoder" if encoder else "electrical", inverted)
+    known = np.isfinite(angle)
+    assert known.mean() > 0.9
+    np.testing.assert_allclose(np.diff(angle[known]), np.diff(MOTION[known]), atol=1e-9)
+
+
+def test_a_swing_between_two_steps_decides_nothing() -> None:
+    shaft = Shaft("auto", 7)
+    small = 0.2 * np.sin(9.0 * TIME)
+    assert np.isnan(run(shaft, *shown(small, 7, True))).all()
+    assert shaft.source == "auto" and shaft.remark is not None
+
+
+@pytest.mark.parametrize(("encoder", "told"), [(True, None), (True, 7), (False, 7)])
+def test_turns_in_a_pause_of_the_host_are_not_lost(encoder: bool, told: int | None) -> None:
+    theta = np.concatenate([MOTION, MOTION[-1] + 21.3 + MOTION])  # 3.4 turns within a pause
+    angle = run(Shaft("auto", told), *shown(theta, 7, encoder))
+    known = np.isfinite(angle)
+    np.testing.assert_allclose(np.diff(angle[known]), np.diff(theta[known]), atol=1e-9)
+
+
+def test_the_tachometer_wraps() -> None:
+    degrees, steps = shown(MOTION, 7, False)
+    raw = (steps + 2**31 - 5 + 2**31) % 2**32 - 2**31
+    angle = run(Shaft("electrical", 7), degrees, raw)
+    np.testing.assert_allclose(np.diff(angle), np.diff(MOTION), atol=1e-9)
