@@ -17,11 +17,7 @@ from servo_daemon.plant.effects import effects_by_name, parameter_table
 from servo_daemon.published.snapshot import Covariance, Estimate, EstimatorView, ParameterEstimate, finite_or_none
 from servo_daemon.regression.columns.terms import waves_per_turn
 from servo_daemon.regression.estimate import KNOWS, RegressionEstimate
-<<<<<<< HEAD
-from servo_daemon.regression.terms import waves_per_turn
 from servo_daemon.signal_meaning import SignalMeaning
-=======
->>>>>>> main
 from servo_daemon.tracking.plan.settings import Resolutions, TrackerSettings
 from servo_daemon.tracking.tracker import Tracker
 from servo_daemon.tracking.validity import excitation
