@@ -9,10 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.base import DriveInfo
 from servo_daemon.captures import read_capture, write_capture
 from servo_daemon.captures.driver import ReplayDriver
-from servo_daemon.config import parse_config
+from servo_daemon.config import DriveConfig, parse_config
+from servo_daemon.daemon.diagnosis.files import capture_metadata
 from servo_daemon.errors import BadInputError, CaptureError, ConfigError
+from servo_daemon.pipeline.pipeline import Pipeline
+from servo_daemon.pipeline.ring import SampleRing
 from servo_daemon.samples import concatenate, make_block
 from servo_daemon.signal_meaning import SignalMeaning, as_texts, keys_of_texts
 
@@ -155,3 +159,19 @@ def test_a_replayed_capture_is_a_driver_that_says_what_it_means(tmp_path: Path) 
     write_capture(path, block, metadata=as_texts(SignalMeaning("mean", "mean", "dq")))
     with ReplayDriver("axis1", {"path": str(path), "speed": 0}) as driver:
         assert driver.meaning == SignalMeaning("mean", "mean", "dq")
+
+
+def test_a_ring_holds_what_was_converted_and_its_capture_says_so() -> None:
+    """Else a diagnosis would convert it once more."""
+    meaning, ring = SignalMeaning("mean", "mean", "dq", "kt", gear_ratio=2.0), SampleRing(60.0)
+    t = np.arange(200) / 100.0
+    ones = np.ones(200)
+    pipeline = Pipeline(DriveConfig(), ring=ring, meaning=meaning)
+    pipeline.process(make_block(t, voltage_V=ones, current_A=ones, position_rad=t), rows=False)
+    kept = ring.blocks()[0]
+    assert kept.voltage_V is not None and kept.voltage_V[0] == pytest.approx(1.5)
+    assert kept.position_rad is not None and kept.position_rad[5] == pytest.approx(2.0 * t[5])
+    texts = capture_metadata(DriveConfig(), DriveInfo("x"), "0", meaning)
+    said = SignalMeaning(**keys_of_texts(texts))
+    assert said == meaning.as_dc and said.factors == (1.0, 1.0) and said.voltage == "mean"
+    assert "voltage" not in capture_metadata(DriveConfig(), DriveInfo("x"), "0", SignalMeaning())

@@ -80,6 +80,10 @@ def run(arguments: argparse.Namespace) -> int:
     document: dict[str, Any] = {
         "capture": str(capture.path),
         "out": str(arguments.out),
+        "equivalents": {
+            choice: {name: {"value": value, "std": std} for name, (value, std) in row.items()}
+            for choice, row in last.equivalents.items()
+        },
         "rows": rows,
         "samples": last.samples,
         "time_s": last.time_s,
