@@ -122,6 +122,8 @@ class SignalsConfig(_Section):
     publish: Literal["phase", "line", "kt"] | None = None
     pole_pairs: int | None = Field(None, ge=1)
     gear_ratio: PositiveFloat | None = None
+    truncated_A: float | None = Field(None, ge=0)
+    truncated_V: float | None = Field(None, ge=0)
 
     def meaning(self, otherwise: SignalMeaning | None = None) -> SignalMeaning:
         """With these keys; the others as the driver says."""

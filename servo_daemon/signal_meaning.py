@@ -20,6 +20,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+import numpy as np
+
 from servo_daemon.errors import BadInputError
 from servo_daemon.samples import SampleBlock
 
@@ -49,6 +51,8 @@ class SignalMeaning:
         publish: with `dq`, which equivalent DC motor R, L and K are of: `phase`, `line` or `kt`.
         pole_pairs: of the motor, from 1 on.
         gear_ratio: turns of the motor for one turn of what the position is measured at, greater than 0.
+        truncated_A, truncated_V: steps in which current and voltage are cut off toward zero, as the drive reports them;
+            0: they are not. A value is then on average half a step further from zero than it says.
 
     Raises:
         BadInputError: a value is none of these; the text names the field.
@@ -60,6 +64,8 @@ class SignalMeaning:
     publish: str = "phase"
     pole_pairs: int = 1
     gear_ratio: float = 1.0
+    truncated_A: float = 0.0
+    truncated_V: float = 0.0
 
     def __post_init__(self) -> None:
         for name, known in _CHOICES.items():
@@ -70,6 +76,10 @@ class SignalMeaning:
             raise BadInputError(f"pole_pairs = {self.pole_pairs!r} must be a whole number from 1 on")
         if not (isinstance(self.gear_ratio, int | float) and math.isfinite(self.gear_ratio) and self.gear_ratio > 0.0):
             raise BadInputError(f"gear_ratio = {self.gear_ratio!r} must be a number greater than 0")
+        for name in ("truncated_A", "truncated_V"):
+            step = getattr(self, name)
+            if not (isinstance(step, int | float) and math.isfinite(step) and step >= 0.0):
+                raise BadInputError(f"{name} = {step!r} must be a number from 0 on")
 
     @property
     def measures_voltage(self) -> bool:
@@ -102,10 +112,11 @@ class SignalMeaning:
         v, i = self.factors
         n = self.gear_ratio
         factors = {"voltage_V": v, "current_A": i, "position_rad": n, "velocity_rad_s": n, "torque_Nm": 1.0 / n}
+        steps = {"voltage_V": self.truncated_V, "current_A": self.truncated_A}
         changed: dict[str, Any] = {
-            name: array * factor
+            name: factor * (array + 0.5 * step * np.sign(array) if (step := steps.get(name, 0.0)) else array)
             for name, factor in factors.items()
-            if factor != 1.0 and (array := getattr(block, name)) is not None
+            if (factor != 1.0 or steps.get(name)) and (array := getattr(block, name)) is not None
         }
         if self.current == "mean" and not block.current_mean:
             changed["current_mean"] = True
@@ -114,7 +125,7 @@ class SignalMeaning:
     @property
     def as_dc(self) -> SignalMeaning:
         """Of samples that `converted` has gone over."""
-        return replace(self, convention="dc", gear_ratio=1.0)
+        return replace(self, convention="dc", gear_ratio=1.0, truncated_A=0.0, truncated_V=0.0)
 
     def with_keys(self, given: Mapping[str, Any]) -> SignalMeaning:
         """The same with some fields given otherwise.
@@ -123,6 +134,18 @@ class SignalMeaning:
             BadInputError: a value is impossible; the text names the field.
         """
         return replace(self, **given) if given else self
+
+
+def _whole(text: str) -> int:
+    """A whole number, also as "7.0".
+
+    Raises:
+        ValueError: it is none.
+    """
+    number = float(text)
+    if not number.is_integer():
+        raise ValueError
+    return int(number)
 
 
 #: Names of the fields: keys of `[drive.signals]` and of a capture's metadata.
@@ -140,12 +163,15 @@ def keys_of_texts(texts: Mapping[str, str]) -> dict[str, Any]:
     for key in ("voltage", "current"):
         if key in given and given[key][:1] in "0123456789.+-":
             del given[key]
-    for key, read in (("pole_pairs", int), ("gear_ratio", float)):
+    for key, read in (
+        ("pole_pairs", _whole),
+        *((name, float) for name in ("gear_ratio", "truncated_A", "truncated_V")),
+    ):
         if key in given:
             try:
                 given[key] = read(given[key])
-            except ValueError:
-                raise BadInputError(f"{key} = {given[key]!r} is not a number") from None
+            except (ValueError, OverflowError):
+                raise BadInputError(f"{key} = {given[key]!r} is not such a number") from None
     SignalMeaning(**given)
     return given
 
@@ -164,4 +190,6 @@ def told(meaning: SignalMeaning) -> str:
         parts.append(f"dq of {pairs}, {meaning.publish} values (voltage × {v:.4g}, current × {i:.4g})")
     if meaning.gear_ratio != 1.0:
         parts.append(f"gear {meaning.gear_ratio:g}: at the motor's shaft")
+    if meaning.truncated_A or meaning.truncated_V:
+        parts.append("cut off toward zero: half a step is added")
     return ", ".join(parts)

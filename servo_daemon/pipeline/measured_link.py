@@ -10,19 +10,20 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from servo_daemon.config import DriveConfig
 from servo_daemon.plant.effects import parameter_table
-from servo_daemon.published.snapshot import Covariance, Estimate, EstimatorView, ParameterEstimate
+from servo_daemon.published.snapshot import Covariance, Estimate, EstimatorView, ParameterEstimate, Status
 from servo_daemon.regression.winding.estimate import (
     WINDOWS_S,
     WindingEstimate,
     estimate_winding,
     without_hidden_inductance,
 )
-from servo_daemon.regression.winding.rows import FINE, Rows, joined, winding_rows
+from servo_daemon.regression.winding.rows import FINE, RESOLVED, Rows, joined, unresolved, winding_rows
 from servo_daemon.samples import F64, Quality, SampleBlock, concatenate
 from servo_daemon.signal_meaning import SignalMeaning
 
@@ -33,8 +34,8 @@ _EVERY_S, _ALL_LENGTHS_EVERY = 1.0, 10
 #: Fewest seconds of samples from which anything is published.
 _LEAST_S = 3.0
 #: What the filter's motion is exact to beside its own noise, 1 σ of J, B and every torque: a current runs on between
-#: two samples, and one of them may come a tenth of a period late. Measured on the independent plant of tests/recovery/foc
-#: (two motors, two motions, 50 to 1000 Hz): 0.3 % and a hundredth for every 20 ms of the period hold all of it.
+#: two samples, and one of them may come a tenth of a period late. Measured on the independent plant of
+#: tests/recovery/foc (two motors, two motions, 50 to 1000 Hz): 0.3 % and a hundredth for every 20 ms of the period.
 _MOTION, _MOTION_PER_S = 3e-3, 0.01 / 0.02
 #: A K that is known so well, 1 σ, is good enough for the filter to begin with.
 _TO_BEGIN = 0.1
@@ -73,6 +74,7 @@ class MeasuredLink:
     _due_s: float = -math.inf
     _count: int = 0
     _end_s: float = 0.0
+    _unresolved: float = 0.0
 
     def __post_init__(self) -> None:
         self.K = self.config.nominal.get("K")
@@ -86,13 +88,13 @@ class MeasuredLink:
         """The samples as the filter takes them: without the voltage.
 
         A mean current belongs to the middle of its interval. The filter takes the mean of two neighbouring currents for
-        what flowed between two samples; with the mean of two neighbouring angles beside it, both sides of the shaft's
-        balance have gone through the same average, and it holds as before.
+        what flowed between two samples; with the mean of two neighbouring angles and times beside it, both sides of the
+        shaft's balance have gone through the same average, and it holds as before.
         """
         if not block.current_mean:
             return replace(block, voltage_V=None)
         before, self._before = self._before, block.end
-        motion = {name: _averaged(block, before, name) for name in ("position_rad", "velocity_rad_s")}
+        motion: dict[str, Any] = {n: _averaged(block, before, n) for n in ("time_s", "position_rad", "velocity_rad_s")}
         return replace(block, voltage_V=None, current_mean=False, **motion)
 
     def close_tick(self, tick: SampleBlock) -> bool:
@@ -104,7 +106,7 @@ class MeasuredLink:
         rows = winding_rows(whole, self.meaning)
         keep = 2 * FINE + (self.meaning.voltage == "mean")
         self._tail = whole.slice(max(0, len(whole) - keep), len(whole))
-        if rows is not None:
+        if rows is not None and len(rows.time_s):
             self._rows.append(rows)
         while self._rows and self._end_s - float(self._rows[0].time_s[-1]) > _SPAN_S:
             self._rows.popleft()
@@ -122,6 +124,7 @@ class MeasuredLink:
         rows = joined(tuple(self._rows))
         if rows.time_s[-1] - rows.time_s[0] < _LEAST_S:
             return
+        self._unresolved = 0.0 if self.meaning.current == "mean" else unresolved([rows])
         every = self._count % _ALL_LENGTHS_EVERY == 0 or self._estimate is None
         self._count += 1
         lengths = WINDOWS_S if every or self._estimate is None else (self._estimate.window_s,)
@@ -177,9 +180,9 @@ class MeasuredLink:
             return replace(old, value=old.nominal, std=None, status="estimating", reason=why, age_s=None)
         age_s = max(0.0, self._end_s - known.time_s)
         fresh = self._estimate is not None and name in self._estimate.names
-        why = None if fresh else f"{self.link}: its balance says nothing of {name} now"
-        status = "tracking" if fresh else "unexcited"
-        return replace(old, value=known.value, std=known.std, status=status, reason=why, age_s=age_s)
+        silent = None if fresh else f"{self.link}: its balance says nothing of {name} now"
+        status: Status = "tracking" if fresh else "unexcited"
+        return replace(old, value=known.value, std=known.std, status=status, reason=silent, age_s=age_s)
 
     def _motion(self, p: ParameterEstimate, scale: float, K_std: float, *, white: bool) -> ParameterEstimate:
         if "K" not in self._known and p.status == "tracking":
@@ -188,8 +191,11 @@ class MeasuredLink:
         if is_torque(p.name) and p.value is not None:
             std = None if p.std is None else scale * math.hypot(p.std, p.value * K_std)
             p = replace(p, value=scale * p.value, std=std)
-        if p.status == "tracking" and not white:
-            return replace(p, status="estimating", reason=f"{self.link}: innovations are not white")
+        why = "" if white else "innovations are not white"
+        if self._unresolved > RESOLVED:
+            why = "its current changes too much from one sample to the next"
+        if p.status == "tracking" and why:
+            return replace(p, status="estimating", reason=f"{self.link}: {why}")
         return p
 
     def _covariance(

@@ -7,7 +7,7 @@ blocks (see `pipeline/stream.py`).
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -85,6 +85,7 @@ class Pipeline:
         self._learned: LearnedModel | None = None
         self._refresher: Refresher | None = None
         self._samples = 0
+        self._last_s = 0.0  # of the last sample
         self.samples_repeated = 0  # those without a time of their own
         self.preparing = False  # a tracker is being made
         self.messages: list[Message] = []
@@ -196,6 +197,7 @@ class Pipeline:
         self._tracker.take(driven)
         if self._successor is not None:
             self._successor.tracker.take(driven)
+        self._last_s = float(block.time_s[-1])
         self._tick.append(block)
         self._driven.append(driven)
 
@@ -316,8 +318,9 @@ class Pipeline:
             if self._link is not None:
                 self._published = self._link.instead(self._published)
             self._published = publish.with_equivalents(self._published, self.meaning)
-        elif self._published.time_s != self._tracker.last_s:
-            self._published = publish.moved_on(self._published, self._tracker, self._samples)
+            self._published = replace(self._published, time_s=self._last_s)
+        elif self._published.time_s != self._last_s:
+            self._published = publish.moved_on(self._published, self._tracker, self._last_s, self._samples)
         return self._published
 
 

@@ -309,10 +309,9 @@ def with_equivalents(estimate: Estimate, meaning: SignalMeaning) -> Estimate:
     return replace(estimate, equivalents=equivalents)
 
 
-def moved_on(last: Estimate, tracker: Tracker, samples: int) -> Estimate:
+def moved_on(last: Estimate, tracker: Tracker, time_s: float, samples: int) -> Estimate:
     """The record between two ticks: time, state and count are of now, the parameters (ten times a second) stay."""
-    assert tracker.last_s is not None
-    return replace(last, time_s=tracker.last_s, samples=samples, state=_state(tracker))
+    return replace(last, time_s=time_s, samples=samples, state=_state(tracker))
 
 
 def _load_inertia(config: DriveConfig, J: ParameterEstimate) -> ParameterEstimate:

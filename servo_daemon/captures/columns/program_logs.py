@@ -1,9 +1,8 @@
 """Logs of the programs that come with a drive, known by the names of their columns: what these mean there.
 
 Sources: VESC Tool 6 (`RT Data` and `Sampled Data` logs), moteus tview (`servo_stats`, `servo_control`), SimpleFOC's
-monitor, TMotorCANControl. VESC, moteus and SimpleFOC report amplitude-invariant dq values; they are taken as they are,
-and the capture's metadata say so (`convention: dq`). VESC Tool's real-time log has the means since the row before
-(`COMM_GET_VALUES`), the others have values of the row's instant (`servo_daemon/signal_meaning.py`).
+monitor, TMotorCANControl. VESC, moteus and SimpleFOC report amplitude-invariant dq values of one instant, VESC's
+real-time data means since the row before; the capture's metadata say so (`signal_meaning.py`).
 """
 
 from __future__ import annotations
@@ -16,9 +15,8 @@ import numpy as np
 
 from servo_daemon.column_names import RPM, TURN, Meaning
 
-_DQ_MEANS = {"convention": "dq", "voltage": "mean", "current": "mean"}
-#: Metadata of dq values of one instant.
-DQ_INSTANTS = {"convention": "dq", "voltage": "instant", "current": "instant"}
+INSTANT = {"voltage": "instant", "convention": "dq"}
+_MEAN = {"voltage": "mean", "current": "mean", "convention": "dq"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,13 +61,13 @@ PROGRAM_LOGS = (
             "encoder_position": Meaning("position_rad", math.pi / 180),
             "erpm": Meaning("erpm", RPM),
         },
-        _DQ_MEANS,
+        _MEAN,
     ),
     ProgramLog(
         "VESC Tool, sampled data",
         frozenset({"T", "I1", "I2", "I3", "V1", "V2", "V3", "Phase"}),
         {"T": Meaning("time_s")},
-        DQ_INSTANTS,
+        INSTANT,
         {"voltage_V": _q_axis("V"), "current_A": _q_axis("I")},
     ),
     *(
@@ -85,7 +83,7 @@ PROGRAM_LOGS = (
                 "q_V": Meaning("voltage_V"),
                 "torque_Nm": Meaning("torque_Nm"),
             },
-            DQ_INSTANTS,
+            INSTANT,
             channel="servo_stats",
         )
         for beside in ("d_A", "power_W")
@@ -94,7 +92,7 @@ PROGRAM_LOGS = (
         "moteus, servo_control",
         frozenset({"timestamp", "i_q_A", "q_V"}),
         {"timestamp": Meaning("time_s"), "q_V": Meaning("voltage_V"), "i_q_A": Meaning("current_A")},
-        DQ_INSTANTS,
+        INSTANT,
     ),
     ProgramLog(
         "TMotorCANControl",

@@ -15,7 +15,7 @@ from servo_daemon.captures.capture.model import MIN_SAMPLES, Capture, capture_er
 from servo_daemon.captures.capture.read_options import ReadOptions
 from servo_daemon.captures.columns.foreign import Series
 from servo_daemon.captures.columns.held import HeldSignal, describe
-from servo_daemon.captures.columns.program_logs import DQ_INSTANTS, simplefoc
+from servo_daemon.captures.columns.program_logs import INSTANT, simplefoc
 from servo_daemon.captures.columns.signal_map import SignalRef
 from servo_daemon.captures.columns.understood import only_ours
 from servo_daemon.captures.text.dialect import clock_seconds, is_number
@@ -44,7 +44,7 @@ def with_columns(path: Path, preamble: Preamble, options: ReadOptions) -> Preamb
         names = guess[0]
     if guess is not None and tuple(names) == guess[0]:
         preamble = replace(
-            preamble, told=("SimpleFOC monitor", *preamble.told), metadata={**DQ_INSTANTS, **preamble.metadata}
+            preamble, told=("SimpleFOC monitor", *preamble.told), metadata={**INSTANT, **preamble.metadata}
         )
     if not names:
         return preamble

@@ -80,7 +80,10 @@ def dependences(fit: Fitted, missing: Missing) -> tuple[Dependence, ...]:
         quantities = list(_quantities(context, name))
         traces = [*nuisance, *(_trace(name, column) for q in quantities for column in q.columns)]
         regression = Regression.of(missing, motion, traces, stiff)
-        unit, whole = float(np.median(missing.std[name])), float(np.sqrt(missing.mean_square[name])) * missing.size[name]
+        unit, whole = (
+            float(np.median(missing.std[name])),
+            float(np.sqrt(missing.mean_square[name])) * missing.size[name],
+        )
         found = _forward(
             name, regression, len(nuisance), quantities, (unit, missing.size[name]), int((~motion.rest).sum())
         )

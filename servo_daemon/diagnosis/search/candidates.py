@@ -86,7 +86,7 @@ def proposals(
     linear motor bends R and K around it until it looks like a spring in the shaft.
 
     Args:
-        worth: share of what the best explains that a cause must explain.
+        worth: share of what the best explains that a cause must explain, beside something; −∞: all are fitted.
         given: parameters that the user holds. Who gives the weight of an arm has one: that cause is fitted, whatever
             screening sees of it beside a bent motor.
     """
@@ -100,6 +100,7 @@ def proposals(
         if name not in known or effects is None:
             continue
         certain = any(p.name in given for p in known[name].parameters) or (hidden and s.effect == "coulomb_friction")
+        certain = certain or worth == -math.inf
         if s.heldout_share <= 0 and not certain:
             continue
         simpler = any(s.effect == small and p.name in large for small, large in NESTED.items() for p in out)

@@ -12,6 +12,7 @@ from servo_daemon.diagnosis.missing.missing import Missing
 from servo_daemon.diagnosis.trial.compare import Advantage, advantage, bootstrapped
 from servo_daemon.diagnosis.trial.scored import Scored
 from servo_daemon.diagnosis.trial.trial import Trial
+from servo_daemon.identification.output_error import OutputErrorFit
 from servo_daemon.plant.effects import effects_by_name
 
 #: Least gain of a new effect: error of the free runs (log of its RMS; the 98 % interval must be above 0), and BIC.
@@ -98,7 +99,7 @@ def at_odds(a: Advantage) -> bool:
     return a.delta_bic < OVERWHELMING_BIC and not convinces(a)
 
 
-def noticeable(name: str, trial: Trial, missing: Missing) -> bool:
+def noticeable(name: str, trial: Trial | OutputErrorFit, missing: Missing) -> bool:
     """Whether an effect's torques and voltages are a noticeable share of what the motor works with, and its load's
     inertia of the motor's: encoders feign less. Of a friction the level at speed counts, not that of the first step out
     of rest."""
@@ -131,7 +132,7 @@ def worth_a_name(trial: Trial, current: Trial, base: Trial) -> bool:
     return current.choice.nrmse**2 - trial.choice.nrmse**2 > _LEAST_OF_ALL * base.choice.nrmse**2
 
 
-def working_shares(names: Iterable[str], trial: Trial, missing: Missing) -> dict[str, float]:
+def working_shares(names: Iterable[str], trial: Trial | OutputErrorFit, missing: Missing) -> dict[str, float]:
     """The effects' torques and voltages, by parameter, as shares of what the motor works with."""
     known = effects_by_name()
     return {

@@ -7,6 +7,7 @@ fewer samples they are). Each alone is fooled by encoders and converters.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -179,7 +180,7 @@ def _beside(search: _Search, first: Candidate, candidates: tuple[Candidate, ...]
         missing = seen_missing(search.data, current)
     except NumericalError:
         return search, candidates, None
-    proposed = _whatever(current, screen(current, missing), missing, search.data.fixed)
+    proposed = _whatever(current, screen(current, missing), missing, search.data.fixed, worth=-math.inf)
     two = tuple(
         replace(c, name=f"{first.name} + {c.name}", against=advantage(search.current, c.trial))
         for c in fitted(search.data, current, proposed, workers)
@@ -202,15 +203,19 @@ def _thought_little_of(
 
 
 def _whatever(
-    current: Trial, screened: Sequence[ScreenedCandidate], missing: Missing, given: Collection[str] = ()
+    current: Trial,
+    screened: Sequence[ScreenedCandidate],
+    missing: Missing,
+    given: Collection[str] = (),
+    worth: float = 0.0,
 ) -> tuple[Proposal, ...]:
-    """All that could be tried, whatever screening saw of it, and what only scales a friction that is there.
+    """All of which screening saw anything, however little, and what only scales a friction that is there.
 
     Args:
-        given: see `proposals`.
+        given, worth: see `proposals`.
     """
     scaled = scaled_friction(current.effects, current.problem.channels, current.values, current.values)
-    return tuple({p.name: p for p in (*scaled, *proposals(current, screened, missing, 0.0, given))}.values())
+    return tuple({p.name: p for p in (*scaled, *proposals(current, screened, missing, worth, given))}.values())
 
 
 def _worthy(search: _Search, missing: Missing, proposed: Sequence[Proposal], workers: int) -> tuple[Candidate, ...]:

@@ -26,7 +26,7 @@ from servo_daemon.parameters import LINEAR, Parameter
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.regression.motor_rls import MotorRls
 from servo_daemon.regression.rls import SPANS_S
-from servo_daemon.samples import SampleBlock
+from servo_daemon.samples import F64, SampleBlock
 
 #: Mechanical and electrical time constants that are tried, s: from small coreless motors to geared axes.
 _MECHANICAL_S, _ELECTRICAL_S = (0.005, 0.03, 0.2), (0.0003, 0.003)
@@ -56,8 +56,8 @@ def starting_points(
         nominal: what the user gave, natural units.
         windows: with those by regression over windows.
     """
-    block, turns = _longest(recordings, problem)
-    for start in _starts(block, problem, nominal, windows=windows and turns):
+    blocks, turns = _turning(recordings, problem)
+    for start in _starts(blocks, problem, nominal, windows=windows and turns):
         yield start if turns else replace(start, values={**start.values, **HELD_SHAFT})
 
 
@@ -65,18 +65,32 @@ def by_sizes(
     recordings: Sequence[Recording], problem: Problem, nominal: Mapping[str, float]
 ) -> Iterator[Mapping[str, float]]:
     """Guesses from the signals' sizes alone, natural values, one for each mechanical time constant."""
-    guesses = _from_sizes(_longest(recordings, problem)[0], problem.plant, nominal)
+    guesses = _from_sizes(_liveliest(_turning(recordings, problem)[0]), problem.plant, nominal)
     yield from {values["J"]: values for values in guesses}.values()
 
 
-def _longest(recordings: Sequence[Recording], problem: Problem) -> tuple[SampleBlock, bool]:
-    """The longest recording in which the shaft turns, else of all; and whether it turns in any."""
+def _turning(recordings: Sequence[Recording], problem: Problem) -> tuple[list[SampleBlock], bool]:
+    """The recordings in which the shaft turns, else all; and whether it turns in any."""
     turning = [r.seen_block for k, r in enumerate(recordings) if k not in problem.blocked]
-    return max(turning or [r.seen_block for r in recordings], key=len), bool(turning)
+    return turning or [r.seen_block for r in recordings], bool(turning)
 
 
-def _starts(block: SampleBlock, problem: Problem, nominal: Mapping[str, float], *, windows: bool) -> Iterator[Start]:
-    guesses = _from_sizes(block, problem.plant, nominal)
+def _liveliest(blocks: Sequence[SampleBlock]) -> SampleBlock:
+    """The recording with most speed for its voltage: in the others more of that holds a weight or overcomes friction,
+    and K ≤ V/ω in all of them."""
+    return max(blocks, key=lambda b: speed_size(b) / (_large(b.voltage_V) or 1.0))
+
+
+def _large(values: F64 | None) -> float:
+    """The size that all but one sample in twenty are below."""
+    return 0.0 if values is None else float(np.percentile(np.abs(values), 95.0))
+
+
+def _starts(
+    blocks: Sequence[SampleBlock], problem: Problem, nominal: Mapping[str, float], *, windows: bool
+) -> Iterator[Start]:
+    block = max(blocks, key=len)
+    guesses = _from_sizes(_liveliest(blocks), problem.plant, nominal)
 
     def complete(some: Mapping[str, float], rest: Mapping[str, float] = guesses[0]) -> dict[str, float]:
         return {name: some.get(name, rest[name]) for name in problem.plant.parameter_names}
@@ -113,7 +127,7 @@ def _from_sizes(block: SampleBlock, plant: PlantModel, nominal: Mapping[str, flo
     core: list[dict[str, float]] = []
     if plant.drive == "voltage":
         assert block.voltage_V is not None
-        voltage = max(float(np.percentile(np.abs(block.voltage_V), 95.0)), 1e-9)
+        voltage = max(_large(block.voltage_V), 1e-9)
         moves = block.position_rad is not None or block.velocity_rad_s is not None
         K = 0.7 * voltage / speed if moves else 0.05
         R = 0.5 * voltage / max(current_size(block), 1e-9) if block.current_A is not None else 1.0
@@ -126,7 +140,7 @@ def _from_sizes(block: SampleBlock, plant: PlantModel, nominal: Mapping[str, flo
     else:
         known = block.torque_Nm if plant.drive == "torque" else block.current_A
         assert known is not None
-        torque = max(float(np.percentile(np.abs(known), 95.0)), 1e-12)
+        torque = max(_large(known), 1e-12)
         acceleration = max(acceleration_size(block), 1e-9)
         core = [{"K": 1.0, "J": (1 - s) * torque / acceleration, "B": s * torque / speed} for s in (0.1, 0.5)]
     return [_with_effects(values, block, plant) for values in core]
@@ -135,15 +149,15 @@ def _from_sizes(block: SampleBlock, plant: PlantModel, nominal: Mapping[str, flo
 def torque_size(values: Mapping[str, float], block: SampleBlock, drive: str) -> float:
     """N·m: what the motor typically exerts."""
     if drive == "torque" and block.torque_Nm is not None:
-        return float(np.percentile(np.abs(block.torque_Nm), 95.0))
+        return _large(block.torque_Nm)
     if block.current_A is None and block.voltage_V is not None:
-        return values["K"] * float(np.percentile(np.abs(block.voltage_V), 95.0)) / values["R"]
+        return values["K"] * _large(block.voltage_V) / values["R"]
     return values["K"] * current_size(block)
 
 
 def sizes(values: Mapping[str, float], block: SampleBlock, plant: PlantModel) -> dict[str, float]:
     """What a parameter's `Scale` multiplies, from signals and the motor's values."""
-    voltage = float(np.percentile(np.abs(block.voltage_V), 95.0)) if block.voltage_V is not None else 1.0
+    voltage = _large(block.voltage_V) if block.voltage_V is not None else 1.0
     travel = float(np.ptp(block.position_rad)) / 2 if block.position_rad is not None else 1.0
     seconds = float(block.time_s[-1] - block.time_s[0])
     measured = {

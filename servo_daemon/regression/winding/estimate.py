@@ -9,7 +9,7 @@ import numpy as np
 
 from servo_daemon.regression.linear_regression import long_run
 from servo_daemon.regression.sampling import settles_between
-from servo_daemon.regression.winding.rows import Rows, added_up
+from servo_daemon.regression.winding.rows import RESOLVED, Rows, added_up, unresolved
 from servo_daemon.samples import F64
 
 NAMES = ("R", "L", "K")
@@ -20,7 +20,8 @@ _ROWS_PER_COLUMN = 8
 #: A bound that holds in the worst case, as 1 σ of what is equally likely anywhere below it.
 _UNIFORM = 1.0 / np.sqrt(3.0)
 #: Of two derivatives the finer one is exact to h⁴: at the fastest motion that five points still follow (a tenth of the
-#: sampling rate) its error is a twelfth of the coarser one's ((ωh)⁴/30 against (ωh)²/6 at ωh = 0.63: 1/13).
+#: sampling rate) its error is a twelfth of the coarser one's ((ωh)⁴/30 against (ωh)²/6 at ωh = 0.63: 1/13). Where
+#: samples do not follow the current it is no better than that.
 _FINER = 1.0 / 12.0
 #: A parameter is determined below this share of itself, 1 σ: as in `regression.estimate.KNOWS`.
 _KNOWN = 0.2
@@ -125,7 +126,8 @@ def _at_length(
     if not free:
         return None
     fit = _Fit.of(X[:, free], y)
-    covariance = fit.covariance + fit.pulled() + fit.moved_by(_FINER * (other - X)[:, free] @ fit.value)
+    finer = min(1.0, _FINER + (unresolved(recordings) / RESOLVED) ** 2)
+    covariance = fit.covariance + fit.pulled() + fit.moved_by(finer * (other - X)[:, free] @ fit.value)
     covariance += fit.moved_by(_SKEW_S * y_rate)
     extra = None
     for name, words in _EXTRAS.items():

@@ -11,6 +11,7 @@ Rows are added up under a smooth weight over windows, which keeps them exact and
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
@@ -25,6 +26,9 @@ from servo_daemon.signal_meaning import SignalMeaning
 _GAP = 1.75
 #: Samples on either side from which a derivative is taken: 5 points are exact to h⁴, 3 points to h².
 FINE, COARSE = 2, 1
+#: Instants tell of what happens between them as long as the current bends by less than this share of itself: on the
+#: plant of tests/recovery/foc the inertia is right to 3 % below, and up to 8 % off above.
+RESOLVED = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,6 +140,16 @@ class _Rates:
         """Shape (n,)."""
         inner = np.einsum("nw,nw->n", self._weights, sliding_window_view(x, self._width)) / self._usual
         return np.concatenate([np.full(self._reach, inner[0]), inner, np.full(self._reach, inner[-1])])
+
+
+def unresolved(parts: Sequence[Rows]) -> float:
+    """What of the current a line between samples two apart does not follow, as a share of its size (rms): how far what
+    happens between samples is unknown."""
+    left, size, n = 0.0, 0.0, 0
+    for rows in parts:
+        bend = 0.25 * (rows.current[2:] - 2.0 * rows.current[1:-1] + rows.current[:-2])[rows.whole[1:-1]]
+        left, size, n = left + float(bend @ bend), size + float(rows.current @ rows.current), n + len(bend)
+    return math.sqrt(left / size) if size > 0.0 and n else 0.0
 
 
 def joined(parts: Sequence[Rows]) -> Rows:
