@@ -42,7 +42,6 @@ def test_xl330_lifts_a_pendulum(servo_data: Path) -> None:
 
 
 @pytest.mark.timeout(900)
-@pytest.mark.xfail(reason="a quarter is kept from the decisions: a spring beside both, or gravity alone", strict=False)
 def test_xl330_gear_rubs_more_under_load(servo_data: Path) -> None:
     """Six captures of 6 s together: the gear's friction has a name, and R and K are no longer bent (published with a
     friction that depends on load: R 2.4 to 2.8 Ω, K 0.304 to 0.366; with Coulomb friction R 4.0 to 4.8)."""
@@ -80,7 +79,6 @@ def test_odrive_is_dragged_over_its_detents(servo_data: Path, capture: str) -> N
     assert 0.93 < document["gain"]["error_removed"] < 0.99
 
 
-@pytest.mark.xfail(reason="a lag of 1.6 ± 0.6 ms, of samples of 20 ms, is named beside both", strict=False)
 def test_unal_has_a_dead_zone_and_a_late_speed(servo_data: Path) -> None:
     """0.2 V and 20 ms (a sample) of them, published. Its speed never reverses: Coulomb friction, a constant load and an
     offset of the voltage are the same there, and that is said. Without a current L/R takes a part of the delay."""

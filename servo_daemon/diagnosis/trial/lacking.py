@@ -41,7 +41,7 @@ def seen_missing(data: Data, trial: Trial) -> Missing:
     """
     number, missing = data.longest, longest_missing(data, trial)
     least = {name: (_LEAST_WALK * size) ** 2 / _WITHIN_S for name, size in missing.size.items()}
-    most = _MOST_INPUT**2 * float(np.mean(np.square(missing.input))) or math.inf
+    most = most_input_var(missing)
     levels = missing.levels
     if levels.input_var > most or any(walk < least[name] for name, walk in levels.walk.items()):
         missing = missing_inputs(
@@ -54,6 +54,11 @@ def seen_missing(data: Data, trial: Trial) -> Missing:
             seen=data.recordings[number].seen,
         )
     return missing
+
+
+def most_input_var(missing: Missing) -> float:
+    """The most that white noise of the input can be, squared; infinite where there is no input."""
+    return _MOST_INPUT**2 * float(np.mean(np.square(missing.input))) or math.inf
 
 
 def leaves(data: Data, trial: Trial, before: Missing) -> float:

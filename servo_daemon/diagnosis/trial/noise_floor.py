@@ -3,8 +3,8 @@ the signals show.
 
 A level comes from no simulation's residual. It is what a filter cannot follow in which torque and voltage that the
 model lacks walk as fast as the data want (`missing`): what is wrong in a model goes into these walks. No sensor is
-noisier than third differences of its channel allow, in which motion is hardly left, and none is more exact than its
-steps.
+noisier than third differences of its channel allow, in which motion is hardly left, none is more exact than its steps,
+and no input is noisier than converters are.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 
 from servo_daemon.diagnosis.missing.missing import Missing
 from servo_daemon.diagnosis.missing.noise_levels import NoiseLevels
+from servo_daemon.diagnosis.trial.lacking import most_input_var
 from servo_daemon.diagnosis.trial.scored import Scored, scored_states
 from servo_daemon.diagnosis.trial.trial import Trial
 from servo_daemon.identification.output_error.problem.rollout import INPUT, free_run
@@ -46,7 +47,8 @@ def measured_levels(missing: Missing) -> NoiseLevels:
         least = missing.resolution[name] ** 2 / 12.0
         most = max(third_differences(values), least)
         variances[name] = float(np.clip(missing.levels.channel_var[name], least, most))
-    return replace(missing.levels, channel_var=variances)
+    input_var = min(missing.levels.input_var, most_input_var(missing))
+    return replace(missing.levels, input_var=input_var, channel_var=variances)
 
 
 def third_differences(parts: Sequence[F64]) -> float:

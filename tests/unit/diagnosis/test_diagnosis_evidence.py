@@ -191,6 +191,7 @@ def test_what_comes_at_moments_is_told_from_noise() -> None:
             std={"torque": np.full(len(series), 0.02)},
             size={"torque": 1.0},
             time_s=np.arange(len(series)) / 1000.0,
+            seen=np.ones(len(series), dtype=bool),
         )
 
     assert _moments("torque", missing(noise)) == []

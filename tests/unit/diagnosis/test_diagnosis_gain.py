@@ -10,6 +10,7 @@ import pytest
 
 from servo_daemon.diagnosis.inverse.rows import balance_rows
 from servo_daemon.diagnosis.missing.noise_levels import NoiseLevels
+from servo_daemon.diagnosis.screening.dependence import dependences
 from servo_daemon.diagnosis.search.select import Selection
 from servo_daemon.diagnosis.trial.compare import error_removed
 from servo_daemon.diagnosis.trial.data import Data
@@ -187,13 +188,32 @@ def test_what_is_held_out_stays_so_however_the_runs_are_cut(data: Data) -> None:
         assert {TRAIN, CHOICE, HELD_OUT} == set(cut.split.part.tolist())
 
 
-def test_a_smoother_that_must_not_look_does_not(data: Data) -> None:
+def test_held_out_samples_tell_where_the_motor_is_and_nothing_else(data: Data) -> None:
     trial = fitted(data)
     one = longest_missing(data, trial)
+    assert (one.seen == data.recordings[0].seen).all()
+    wild = {name: np.where(one.unseen, 1e3, series) for name, series in one.series.items()}
+    other = replace(one, series=wild)
+    assert other.mean_square == one.mean_square
+    for a, b in zip(dependences(trial, other), dependences(trial, one), strict=True):
+        assert (a.series, a.on) == (b.series, b.on)
+        assert a.size == pytest.approx(b.size, rel=1e-5)
+    assert measured_levels(other) == measured_levels(one)
+
+
+def test_no_innovation_that_is_held_out_counts_for_the_levels(data: Data) -> None:
+    """A quarter of the samples with noise of 10 mrad would make the sensor's variance a quarter of its square. (What is
+    left of that is the state that the noisy samples hand on.)"""
     noise = np.random.default_rng(1).normal(0.0, 0.01, len(data.recordings[0].block))
-    other = longest_missing(held_out_otherwise(data, lambda x: x + noise), trial)
-    assert all((one.series[name] == other.series[name]).all() for name in one.series)
-    assert one.levels == other.levels
+    levels = longest_missing(held_out_otherwise(data, lambda x: x + noise), fitted(data)).levels
+    assert levels.channel_var["position_rad"] < 0.01 * 0.25 * 0.01**2
+
+
+def test_no_input_is_noisier_than_converters_are(data: Data) -> None:
+    """Friction that sticks and slides passes for noise of the voltage as large as the voltage itself."""
+    missing = longest_missing(data, fitted(data))
+    noisy = replace(missing, levels=replace(missing.levels, input_var=1e3))
+    assert measured_levels(noisy).input_var == pytest.approx(0.05**2 * np.mean(missing.input**2))
 
 
 @pytest.mark.parametrize("effects", [("coulomb_friction",), ()])
