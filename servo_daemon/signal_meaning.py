@@ -16,7 +16,7 @@ p pole pairs, λ the rotor's flux. J, B and every torque are the same in all thr
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -163,13 +163,11 @@ def keys_of_texts(texts: Mapping[str, str]) -> dict[str, Any]:
     for key in ("voltage", "current"):
         if key in given and given[key][:1] in "0123456789.+-":
             del given[key]
-    for key, read in (
-        ("pole_pairs", _whole),
-        *((name, float) for name in ("gear_ratio", "truncated_A", "truncated_V")),
-    ):
+    readers: dict[str, Callable[[str], float]] = {"pole_pairs": _whole}
+    for key in ("pole_pairs", "gear_ratio", "truncated_A", "truncated_V"):
         if key in given:
             try:
-                given[key] = read(given[key])
+                given[key] = readers.get(key, float)(given[key])
             except (ValueError, OverflowError):
                 raise BadInputError(f"{key} = {given[key]!r} is not such a number") from None
     SignalMeaning(**given)

@@ -76,7 +76,8 @@ class OdriveDialogue:
                 self._feedback = numbers
             elif self._feedback is not None:
                 self._counters.frames += 1
-                replies.append(Reply(0, Told(*self._feedback, numbers[0])))
+                position, velocity = self._feedback
+                replies.append(Reply(0, Told(position, velocity, numbers[0])))
                 self._feedback = None
         return replies
 

@@ -85,10 +85,10 @@ def estimates_document(drive: DriveView, snapshot: Snapshot) -> Document:
             "model": list(drive.model),
             "parameters": _parameters(drive.initial_parameters),
             "state": {"current_A": None, "velocity_rad_s": None, "position_rad": None},
-            "equivalents": {},
             "estimators": {},
             "health": health,
         }
+    equivalents = {name: _pairs(values) for name, values in estimate.equivalents.items()}
     return {
         **common,
         "samples": int(estimate.samples),
@@ -96,7 +96,6 @@ def estimates_document(drive: DriveView, snapshot: Snapshot) -> Document:
         "model": list(estimate.model),
         "parameters": _parameters(estimate.parameters),
         "state": _scalars(estimate.state),
-        "equivalents": {name: _pairs(values) for name, values in estimate.equivalents.items()},
         "estimators": {
             name: {
                 "parameters": _pairs(view.parameters),
@@ -106,6 +105,7 @@ def estimates_document(drive: DriveView, snapshot: Snapshot) -> Document:
         },
         # Totals of the line win over the pipeline's own: they also count what was lost before it.
         "health": {**_scalars(estimate.health), **health},
+        **({"equivalents": equivalents} if equivalents else {}),
     }
 
 

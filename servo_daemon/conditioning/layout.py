@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -256,6 +257,29 @@ class Layout:
         return out
 
 
+def with_mean_motion(block: SampleBlock, before: SampleBlock | None) -> SampleBlock:
+    """Samples whose current is a mean over the interval before each, as integrals by the trapezoidal rule take them.
+
+    That rule has the mean of two neighbouring currents between two samples. With the mean of two neighbouring angles
+    and times beside it both sides of the shaft's balance have gone through the same average, and it holds as before.
+
+    Args:
+        before: the samples before them; None: there are none.
+    """
+    broken = (block.quality & (_GAP | _RESTART)) != 0
+
+    def averaged(name: str) -> F64 | None:
+        values: F64 | None = getattr(block, name)
+        if values is None:
+            return None
+        earlier = None if before is None else getattr(before, name)
+        previous = np.concatenate([values[:1] if earlier is None else earlier[-1:], values[:-1]])
+        return np.where(broken, values, 0.5 * (values + previous))
+
+    motion: dict[str, Any] = {name: averaged(name) for name in ("time_s", "position_rad", "velocity_rad_s")}
+    return replace(block, current_mean=False, **motion)
+
+
 class Stretches:
     """Blocks as the regressions take them; remembers how long a current has shown one value."""
 
@@ -283,7 +307,10 @@ class Stretches:
             origin_s: time is counted from here.
             last_s, period_s: as for `gaps`.
         """
+        before = self._last
         block = self._without_short_gaps(block, last_s, period_s)
+        if block.current_mean:
+            block = with_mean_motion(block, before)
         usable = np.ones(len(block), dtype=bool) if block.all_good else (block.quality & _RESTART) == 0
         holes = gaps(block, last_s, period_s)
         gap = None

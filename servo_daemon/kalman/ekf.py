@@ -37,11 +37,14 @@ class Ekf:
         plant: the model.
         channels: measured channels, some of `ekf_model.MEASURABLE`.
         loop: engine of the running recursion; the compiled one if None.
+        mean_input: see `build_ekf_step`.
     """
 
-    def __init__(self, plant: PlantModel, channels: tuple[str, ...], loop: Loop | None = None) -> None:
+    def __init__(
+        self, plant: PlantModel, channels: tuple[str, ...], loop: Loop | None = None, *, mean_input: bool = False
+    ) -> None:
         self.plant, self.channels = plant, channels
-        layout, function = build_ekf_step(plant, channels)
+        layout, function = build_ekf_step(plant, channels, mean_input)
         self._lay: EkfLayout = layout
         self._compiled: Loop = SampleLoop(function)
         self._running: Loop = self._compiled if loop is None else loop

@@ -37,7 +37,8 @@ _PAUSE_S = 1e-6
 class FilterpyLoop:
     """Drop-in for `SampleLoop`: `run(state, constants, samples)` changes `state`, returns the innovations."""
 
-    def __init__(self, plant: PlantModel, channels: tuple[str, ...]) -> None:
+    def __init__(self, plant: PlantModel, channels: tuple[str, ...], mean_input: bool = False) -> None:
+        self._mean_input = mean_input
         self._lay = EkfLayout(plant, channels)
         self._predict = _prediction(plant)
         self._follow = _following(plant)
@@ -82,7 +83,9 @@ class FilterpyLoop:
             state[lay.held_input] += sample[-1]
             state[lay.held_variance] += sample[-1] ** 2
         u, var_u = state[lay.held_input], state[lay.held_variance]
-        if lay.plant.drive != "voltage":
+        if self._mean_input:
+            u, var_u = sample[2], constants[0] + sample[3]
+        elif lay.plant.drive != "voltage":
             u, var_u = (u + sample[2]) / 2, (var_u + constants[0] + sample[3]) / 4
         at = lay.plant.state_names.index("velocity_rad_s")
         x_next, modelled, by_z, noise = self._predict(

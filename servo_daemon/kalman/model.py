@@ -153,11 +153,14 @@ def predict(
 
 
 @cache
-def build_ekf_step(plant: PlantModel, channels: tuple[str, ...]) -> tuple[EkfLayout, ca.Function]:
+def build_ekf_step(
+    plant: PlantModel, channels: tuple[str, ...], mean_input: bool = False
+) -> tuple[EkfLayout, ca.Function]:
     """The filter's step as a function for `SampleLoop`.
 
     Args:
         channels: which of `MEASURABLE` are measured, in that order.
+        mean_input: a current as the input is the mean over the interval that ends at its sample.
 
     Raises:
         ValueError: an unknown channel, none at all, or current where the current is the input.
@@ -170,7 +173,7 @@ def build_ekf_step(plant: PlantModel, channels: tuple[str, ...]) -> tuple[EkfLay
     given, const = ca.SX.sym("state", lay.n_state), ca.SX.sym("const", lay.n_constants)
     sample = ca.SX.sym("sample", lay.n_sample)
     state = _corrected(lay, given, sample)
-    z, P, modelled = _time_update(lay, state, const, sample)
+    z, P, modelled = _time_update(lay, state, const, sample, mean_input=mean_input)
     z, P, sums, output = _measurement_update(lay, z, P, state, const, sample)
     held = ca.vertcat(sample[2], const[0] + sample[3])
     # Where the input was not known the model knows nothing; after an outlier, which may have been the input's, neither.
@@ -215,12 +218,16 @@ def instrument_after(plant: PlantModel, modelled: ca.SX, x: ca.SX, slowly: ca.SX
     return x + slow * slowly * (modelled - x)
 
 
-def _time_update(lay: EkfLayout, state: ca.SX, const: ca.SX, sample: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+def _time_update(
+    lay: EkfLayout, state: ca.SX, const: ca.SX, sample: ca.SX, *, mean_input: bool
+) -> tuple[ca.SX, ca.SX, ca.SX]:
     n_x = lay.n_x
     x, q, P = state[lay.x], state[lay.q], unpack(state[lay.tri], lay.n_z)
     h = ca.fmax(sample[1], _SHORTEST_STEP_S)
     u, var_u = state[lay.held_input], state[lay.held_variance]
-    if lay.plant.drive != "voltage":  # a measured current or torque is a sample of a continuous signal: trapezoid
+    if mean_input:
+        u, var_u = sample[2], const[0] + sample[3]
+    elif lay.plant.drive != "voltage":  # a measured current or torque is a sample of a continuous signal: trapezoid
         u, var_u = (u + sample[2]) / 2, (var_u + const[0] + sample[3]) / 4
     at = lay.plant.state_names.index("velocity_rad_s")
     step = predict(lay.plant, x, state[lay.instrument], q, u, sample[0] - h, h, var_u, const[1], P[at, at])

@@ -10,7 +10,6 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -37,6 +36,10 @@ _LEAST_S = 3.0
 #: two samples, and one of them may come a tenth of a period late. Measured on the independent plant of
 #: tests/recovery/foc (two motors, two motions, 50 to 1000 Hz): 0.3 % and a hundredth for every 20 ms of the period.
 _MOTION, _MOTION_PER_S = 3e-3, 0.01 / 0.02
+#: From this correlation of neighbours on innovations are not white, as `tracking/noise/watch.py` has it. (That they are
+#: white by raised process noise alone is no reproach here: a current in coarse steps is such a noise, and the filter's
+#: standard deviations hold it.)
+_NOT_WHITE = 0.25
 #: A K that is known so well, 1 σ, is good enough for the filter to begin with.
 _TO_BEGIN = 0.1
 _OWN = ("R", "L", "K")
@@ -68,7 +71,6 @@ class MeasuredLink:
     K: float | None = None
     _rows: deque[Rows] = field(default_factory=deque)
     _tail: SampleBlock | None = None  # the last samples, whose rows need those after them
-    _before: SampleBlock | None = None  # the last sample of the motion
     _estimate: WindingEstimate | None = None
     _known: dict[str, _Known] = field(default_factory=dict)
     _due_s: float = -math.inf
@@ -85,17 +87,8 @@ class MeasuredLink:
         return config.model_copy(update={"nominal": {**config.nominal, **K}})
 
     def driven(self, block: SampleBlock) -> SampleBlock:
-        """The samples as the filter takes them: without the voltage.
-
-        A mean current belongs to the middle of its interval. The filter takes the mean of two neighbouring currents for
-        what flowed between two samples; with the mean of two neighbouring angles and times beside it, both sides of the
-        shaft's balance have gone through the same average, and it holds as before.
-        """
-        if not block.current_mean:
-            return replace(block, voltage_V=None)
-        before, self._before = self._before, block.end
-        motion: dict[str, Any] = {n: _averaged(block, before, n) for n in ("time_s", "position_rad", "velocity_rad_s")}
-        return replace(block, voltage_V=None, current_mean=False, **motion)
+        """The samples as the filter takes them: without the voltage."""
+        return replace(block, voltage_V=None)
 
     def close_tick(self, tick: SampleBlock) -> bool:
         """Take a tick's samples, in a DC motor's units. Returns whether K has become known."""
@@ -148,10 +141,13 @@ class MeasuredLink:
         """The record with R, L and K from the winding's balance, and all torques by its K."""
         own = {name: self._parameter(name, estimate) for name in _OWN}
         scale, K_std = self._scale()
-        white = estimate.health.get("innovation_white")
+        white = all(
+            isinstance(value, float) and abs(value) < _NOT_WHITE
+            for name, value in estimate.health.items()
+            if name.startswith("innovation_correlation")
+        )
         parameters = tuple(
-            own[p.name] if p.name in own else self._motion(p, scale, K_std, white=white is not False)
-            for p in estimate.parameters
+            own[p.name] if p.name in own else self._motion(p, scale, K_std, white=white) for p in estimate.parameters
         )
         regression = EstimatorView({n: (k.value, k.std) for n, k in self._known.items() if n in _OWN})
         views = dict(estimate.estimators)
@@ -251,15 +247,3 @@ def _scaled(
         f = scale if is_torque(name) else 1.0
         out[name] = (None if value is None else value * f, None if std is None else std * f)
     return out
-
-
-def _averaged(block: SampleBlock, before: SampleBlock | None, name: str) -> F64 | None:
-    """The mean of each value and the one before; after missing samples the value itself."""
-    values: F64 | None = getattr(block, name)
-    if values is None:
-        return None
-    earlier = None if before is None else getattr(before, name)
-    first = values[0] if earlier is None else earlier[-1]
-    previous = np.concatenate([[first], values[:-1]])
-    broken = (block.quality & (Quality.GAP_BEFORE | Quality.TIME_RESTART)) != 0
-    return np.where(broken, values, 0.5 * (values + previous))

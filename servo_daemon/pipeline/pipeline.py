@@ -248,9 +248,10 @@ class Pipeline:
         if self._link is not None:
             channels = tuple(c for c in channels if c != "voltage_V")
             config = self._link.filter_config(config)
+        mean = self._link is not None and self.meaning.current == "mean"
         return Tracker(
             channels,
-            publish.tracker_settings(config),
+            replace(publish.tracker_settings(config), mean_current=mean),
             publish.resolutions(config, self._info),
             publish.prior(config, saved),
         )

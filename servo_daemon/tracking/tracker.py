@@ -94,8 +94,8 @@ class Tracker:
         if self.settings.engine == "filterpy":
             from servo_daemon.kalman.filterpy_ekf import FilterpyLoop
 
-            loop = FilterpyLoop(plant, self.plan.measured)
-        self.ekf = Ekf(plant, self.plan.measured, loop)
+            loop = FilterpyLoop(plant, self.plan.measured, self.settings.mean_current)
+        self.ekf = Ekf(plant, self.plan.measured, loop, mean_input=self.settings.mean_current)
         sees_angle = "position_rad" in self.plan.measured
         self.rls = MotorRls(plant, self.plan.known, self.plan.nuisance, self.nominal, sees_angle=sees_angle)
         self._roster = make_roster(self.plan, self.settings, self.rls.in_regression)

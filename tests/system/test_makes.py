@@ -30,13 +30,17 @@ def close(document: dict[str, Any], name: str, truth: float, relative: float) ->
 
 @pytest.mark.slow
 def test_a_vesc_is_its_port_and_nothing_else(tmp_path: Path) -> None:
-    """R, K and J of the motor, from averages of vq and iq."""
+    """R and K of the motor, from averages of vq and iq; J and B are right where they are claimed, which a machine too
+    busy to ask in time keeps them from being."""
     link = tmp_path / "vesc0"
     config = write_config(tmp_path / "c.toml", f'name = "axis1"\ndriver = "vesc"\n[drive.options]\nport = "{link}"')
     drive = simulated(link, "--vesc", str(link))
     try:
         with daemon("--config", config, "--state-dir", tmp_path / "state") as program:
-            shown = program.until(lambda d: close(d, "K", MOTOR.K_phase, 0.05) and close(d, "J", MOTOR.J, 0.1), "K, J")
+            shown = program.until(lambda d: close(d, "K", MOTOR.K_phase, 0.02) and close(d, "R", MOTOR.R, 0.02), "R, K")
+            for name, truth in {"J": MOTOR.J, "B": MOTOR.B}.items():
+                value, std = (shown["parameters"][name][key] for key in ("value", "std"))
+                assert value is None or abs(value - truth) < 4.0 * std + 0.03 * truth
             assert shown["health"]["polls_answered"] > 100
             (listed,) = program.get("/drives")["drives"]
             assert listed["driver"] == "vesc"

@@ -80,7 +80,6 @@ class EstimatesDocument(_Document):
         model=["coulomb_friction"],
         parameters={"R": _EXAMPLE_R},
         state={"current_A": 1.52, "velocity_rad_s": 6.07, "position_rad": 0.873},
-        equivalents={},
         estimators={"ekf": {"parameters": {"R": {"value": 0.6391, "std": 0.0012}}, "detail": {"resets": 0}}},
         health={
             "innovation_white": True,
@@ -102,9 +101,6 @@ class EstimatesDocument(_Document):
     state: dict[str, float | None] = Field(
         description="Current (A), speed (rad/s), position (rad), and voltage (V) where it is known."
     )
-    equivalents: dict[str, dict[str, EstimatorParameterDocument]] = Field(
-        description="Of a drive of dq values: R, L and K of the other DC motors that stand for it (phase, line, kt)."
-    )
     estimators: dict[str, EstimatorDocument] = Field(
         description="The estimators behind the estimate, by name: `ekf`, `rls`, with a learned model `grnn`."
     )
@@ -112,6 +108,10 @@ class EstimatesDocument(_Document):
         description="How well it goes: `connection` and its reason, `innovation_white`, `samples_lost` and the other "
         "counters of the line; `overloaded`: samples come faster than they are worked off, and the oldest are left out "
         "(in `queue_dropped`, and so in `samples_lost`); units in the names."
+    )
+    equivalents: dict[str, dict[str, EstimatorParameterDocument]] | None = Field(
+        None,
+        description="Of a drive of dq values only: R, L and K of the other DC motors that stand for it.",
     )
 
 

@@ -6,8 +6,8 @@ import time
 from typing import Any
 
 from drivers.base import DriverCounters
-from drivers.can.port import CanPort, Inbox
 from drivers.can.ours.wire import DESCRIPTION_ID, FIRST_DRIVE, LAST_DRIVE, SAMPLE_ID
+from drivers.can.port import CanPort, Inbox
 from drivers.odrive.listening import ENCODER, HEARTBEAT, NODES
 from drivers.odrive.listening import key_of as odrive_key
 from drivers.vesc.listening import MESSAGES, STATUS_1, ListenedVesc

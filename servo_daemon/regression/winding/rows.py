@@ -117,7 +117,10 @@ def _of_means(
 
 
 def _rows(t: F64, parts: tuple[F64, ...], whole: NDArray[np.bool_], step_s: float) -> Rows:
-    """Without the ends, whose derivatives are of their neighbours; parts in the order of `Rows`."""
+    """Without the ends, whose derivatives are of their neighbours; parts in the order of `Rows`. Where a part is no
+    number (a sample that was not measured reaches into its neighbours' derivatives) the row is none either."""
+    known = np.isfinite(parts).all(axis=0)
+    whole, parts = whole & known, tuple(np.where(known, p, 0.0) for p in parts)
     v, i, speed, rate, other_speed, other_rate, v_rate = (p[FINE : len(t) - FINE] for p in parts)
     cut = slice(FINE, len(t) - FINE)
     return Rows(t[cut], step_s, v, i, speed, rate, other_speed, other_rate, v_rate, whole[cut])

@@ -38,12 +38,14 @@ class TrackerSettings:
         nominal: given values by parameter, natural units.
         drift_per_sqrt_s: 1 σ of each coordinate's random walk over its scale, 1/√s; defaults where absent.
         engine: "compiled" or "filterpy".
+        mean_current: a current as the input is the mean over the interval that ends at its sample.
     """
 
     effects: tuple[str, ...] = ()
     nominal: Mapping[str, float] | None = None
     drift_per_sqrt_s: Mapping[str, float] | None = None
     engine: str = "compiled"
+    mean_current: bool = False
 
     def drift_of(self, name: str, *, offset: bool = False) -> float:
         """1 σ of this parameter's random walk over its scale, 1/√s.

@@ -1,0 +1,101 @@
+"""VESC and ODrive from the wire to the estimate: simulated drive, driver and pipeline in lockstep on one clock."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import can
+import pytest
+
+from drivers.can.decode import batch_of
+from servo_daemon.config import parse_config
+from servo_daemon.pipeline.pipeline import Pipeline
+from servo_daemon.samples import SampleBlock
+from servo_daemon.sim_drive.makes.foc import FocDrive, Pmsm, RunningFoc
+from servo_daemon.sim_drive.makes.odrive import OdriveNode
+from servo_daemon.sim_drive.makes.vesc import VescDevice, VescNode
+from tests.recovery.foc.lockstep import Clock, closed, closed_can, polled
+
+MOTOR = Pmsm()
+TRUTH = {"R": MOTOR.R, "L": MOTOR.L, "K": MOTOR.K_phase, "J": MOTOR.J, "B": MOTOR.B}
+#: From one frame of a burst to the next on a bus of 500 kbit/s.
+FRAME_S = 2.6e-4
+
+
+def bursts(driver: Any, node: Any, clock: Clock, n: int) -> Iterator[SampleBlock]:
+    """What a node sends by itself, a batch a burst."""
+    for k in range(n):
+        clock.now_s = k * node.period_s
+        messages = [
+            can.Message(
+                timestamp=clock.now_s + j * FRAME_S,
+                arbitration_id=f.frame_id,
+                data=f.data,
+                is_extended_id=f.extended,
+            )
+            for j, f in enumerate(node.due())
+        ]
+        yield from driver._frames.feed(batch_of(messages, clock.now_s + 2e-3, 1e9 + clock.now_s))
+
+
+def claimed(driver: Any, blocks: Iterator[SampleBlock], nominal: Mapping[str, float] | None = None) -> dict[str, Any]:
+    """What is tracking at the end."""
+    table = {"name": "axis1", "driver": driver.kind, "options": driver.options, "nominal": dict(nominal or {})}
+    pipeline: Pipeline | None = None
+    for block in blocks:
+        if pipeline is None:
+            pipeline = Pipeline(parse_config({"drive": [table]}).drive[0], driver.info, meaning=driver.meaning)
+        pipeline.process(block, rows=False)
+    assert pipeline is not None
+    estimate = pipeline.finish() or pipeline.current()
+    assert estimate is not None
+    return {p.name: p for p in estimate.parameters if p.status == "tracking"}
+
+
+def check(found: dict[str, Any], truth: Mapping[str, float], within: Mapping[str, float], may: set[str]) -> None:
+    """At least those of `within`, each so near; whatever is claimed is within 4 of its std and 3 %."""
+    assert set(within) <= set(found) <= set(within) | may, {n: (p.value, p.std) for n, p in found.items()}
+    for name, p in found.items():
+        error = abs(p.value - truth[name])
+        assert error <= 4.0 * p.std + 0.03 * truth[name], (name, p.value / truth[name], p.std / truth[name])
+        assert name not in within or error <= within[name] * truth[name], (name, p.value / truth[name])
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "within"),
+    [
+        (50.0, {"R": 0.02, "K": 0.01}),
+        (200.0, {"R": 0.01, "K": 0.005, "J": 0.02, "B": 0.03}),
+        (500.0, {"R": 0.01, "K": 0.005, "J": 0.02, "B": 0.03}),
+    ],
+)
+def test_a_polled_vesc_tells_everything(rate_hz: float, within: dict[str, float]) -> None:
+    """At 50 Hz, in these 20 s, the winding; L only as far as its claim holds."""
+    clock, driver = Clock(), closed("vesc", rate_hz=rate_hz)
+    device = VescDevice(RunningFoc(FocDrive(MOTOR), clock))
+    found = claimed(driver, polled(driver, driver._new_dialogue(), device, clock, rate_hz, round(20 * rate_hz)))
+    check(found, TRUTH, within, set(TRUTH))
+
+
+@pytest.mark.parametrize("rate_hz", [200.0, 1000.0])
+def test_a_vesc_on_can_tells_what_its_steps_let_it(rate_hz: float) -> None:
+    clock, driver = Clock(), closed_can("vesc", can_id=7)
+    node = VescNode(RunningFoc(FocDrive(MOTOR), clock), rate_hz=rate_hz)
+    found = claimed(driver, bursts(driver, node, clock, round(20 * rate_hz)))
+    check(found, TRUTH, {"K": 0.02}, {"R", "L", "J", "B"})
+
+
+def test_odrives_torque_tells_the_mechanics() -> None:
+    clock, driver = Clock(), closed_can("odrive")
+    node = OdriveNode(RunningFoc(FocDrive(MOTOR), clock), generation="0.6", node_id=5)
+    found = claimed(driver, bursts(driver, node, clock, 3000))
+    check(found, TRUTH, {"J": 0.02}, {"B"})
+
+
+def test_odrives_current_tells_the_mechanics_with_its_torque_constant() -> None:
+    """K of the equivalent that is in use, `kt`: the drive's own torque constant, N·m a peak ampere."""
+    clock, driver = Clock(), closed_can("odrive")
+    node = OdriveNode(RunningFoc(FocDrive(MOTOR), clock), generation="0.5", node_id=5)
+    found = claimed(driver, bursts(driver, node, clock, 3000), {"K": MOTOR.Kt})
+    check(found, TRUTH, {"J": 0.02}, {"B"})
