@@ -15,8 +15,8 @@ from servo_daemon.parameters import J_D, LINEAR, Parameter
 from servo_daemon.pipeline.refresher import Refresher
 from servo_daemon.plant.effects import effects_by_name, parameter_table
 from servo_daemon.published.snapshot import Covariance, Estimate, EstimatorView, ParameterEstimate, finite_or_none
+from servo_daemon.regression.columns.terms import waves_per_turn
 from servo_daemon.regression.estimate import KNOWS, RegressionEstimate
-from servo_daemon.regression.terms import waves_per_turn
 from servo_daemon.signal_meaning import SignalMeaning
 from servo_daemon.tracking.plan.settings import Resolutions, TrackerSettings
 from servo_daemon.tracking.tracker import Tracker

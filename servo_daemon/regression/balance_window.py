@@ -22,9 +22,9 @@ from servo_daemon.regression.balances import (
     shaft_slopes,
 )
 from servo_daemon.regression.closure import Confronted, Verdict
+from servo_daemon.regression.columns.terms import SHARES, armature_coefficient, coefficient
 from servo_daemon.regression.rls_fit import OVERLAP
 from servo_daemon.regression.sampling import WINDOW_S, Sampling, between_samples, blind_std, of_standing_counts
-from servo_daemon.regression.terms import SHARES, armature_coefficient, coefficient
 from servo_daemon.samples import F64
 
 #: Share of the window's rows that must have been held against the filter.

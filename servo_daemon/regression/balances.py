@@ -21,7 +21,7 @@ from functools import reduce
 
 import numpy as np
 
-from servo_daemon.regression import terms as regression_terms
+from servo_daemon.regression.columns import terms as regression_terms
 from servo_daemon.regression.rls_fit import SYSTEMATIC
 from servo_daemon.regression.sampling import Sampling, between_samples, coarse
 from servo_daemon.samples import F64

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from servo_daemon.regression.terms import SHARES
+from servo_daemon.regression.columns.terms import SHARES
 from servo_daemon.samples import F64
 
 #: A regression knows a parameter when its std is below this share of it.

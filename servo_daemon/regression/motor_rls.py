@@ -13,9 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.plant.build import PlantModel
-from servo_daemon.plant.effects import DRY
 from servo_daemon.regression.balance_window import BalanceWindow
 from servo_daemon.regression.balances import Sums, expected_square, noise_squares
+from servo_daemon.regression.columns.derived_terms import ADDED_TO
+from servo_daemon.regression.columns.terms import (
+    ARMATURE_OFFSETS,
+    armature_columns,
+    as_parameters,
+    columns_of,
+    derived_of,
+    given_by,
+    shaft_columns,
+    shaft_signals,
+    unseen_in,
+)
 from servo_daemon.regression.estimate import (
     RegressionEstimate,
     as_current,
@@ -33,18 +44,6 @@ from servo_daemon.regression.sampling import FEWEST_SAMPLES, SPAN_S, Sampling
 from servo_daemon.regression.small_matrices import in_columns
 from servo_daemon.regression.stretch import Stretch, between_samples, joined, last, median, motion, speed_sign
 from servo_daemon.regression.stretch import speed as speed_of
-from servo_daemon.regression.terms import (
-    ARMATURE_OFFSETS,
-    NEED_ANGLE,
-    NEED_EFFORT,
-    SIGNALS,
-    TWO_MASSES,
-    armature_columns,
-    as_parameters,
-    columns_of,
-    given_by,
-    shaft_columns,
-)
 from servo_daemon.samples import F64
 
 #: After the first updates (a tick each) so many are worked off together: fewer calls on longer arrays.
@@ -53,8 +52,9 @@ _EAGER_UPDATES, _BATCH = 50, 10
 _ARMATURE = ("R", "L", "K")
 #: A current has a direction beyond so many standard deviations of its noise.
 _DIRECTED = 3.0
-#: With a second inertia the shaft's regression finds the sum of both, by slow motion: known to this share at best, 1 σ.
-_BOTH_MASSES_STD = 0.3
+#: What a balance that does not close gives is known to this share at best, 1 σ (with a second inertia the shaft's
+#: regression finds the sum of both, by slow motion).
+_OPEN_STD = 0.3
 
 
 class MotorRls:
@@ -83,17 +83,19 @@ class MotorRls:
         self._taken_at = {p.name: p.nominal for p in plant.parameters} | dict(nominal or {})
         self._current_gain = self._taken_at.get("g_i", 1.0)
         self._lag = Lag(self._taken_at["t_lag"]) if "drive_lag" in plant.effects else None
-        self._two_masses = bool(TWO_MASSES.intersection(plant.effects))
         given_torque = plant.drive == "voltage" and bool(known)
-        # Columns of zeros would keep a regression from any estimate: no torque that friction or ripple are a share of
-        # without a current, no waves of an angle that nobody measures.
-        unseen = (NEED_EFFORT if given_torque else frozenset()) | (frozenset() if sees_angle else NEED_ANGLE)
+        unseen = unseen_in(plant.effects, sees_current=not given_torque, sees_angle=sees_angle)
+        derived = derived_of(plant.effects)
+        self._derived = tuple(d for d in derived if d.effect not in unseen)
+        #: Balances that do not close, and judge nothing.
+        self._open = frozenset[str]().union(*(d.open if d in self._derived else ADDED_TO for d in derived))
         self._shaft_effects = tuple(e for e in plant.effects if e not in unseen)
         self._shaft_columns = ("J", "B", *shaft_columns(self._shaft_effects))
         self._offsets = tuple(name for effect, name in ARMATURE_OFFSETS.items() if effect in plant.effects)
         self._armature_columns = (*_ARMATURE, *armature_columns(self._shaft_effects))
         asked = len(self._offsets) == 1 and self._offsets[0] not in nuisance
-        named = {c: c for c in (*_ARMATURE, "Vb")} | ({"one": self._offsets[0]} if asked else {})
+        of_terms = [c for d in self._derived for c in d.columns["armature"]]
+        named = {c: c for c in (*_ARMATURE, "Vb", *of_terms)} | ({"one": self._offsets[0]} if asked else {})
         self._armature_named = {c: named[c] for c in self._armature_columns if c in named}
         self.window = BalanceWindow(self._armature_columns, self._shaft_columns, judges_mismatch=not given_torque)
         self._armature: SlidingRls | None = None
@@ -192,7 +194,9 @@ class MotorRls:
     @property
     def in_regression(self) -> tuple[str, ...]:
         """Parameters that some column of these regressions stands for, and that they can judge."""
-        names = [n for n in self.names if not (self._two_masses and n in map(given_by, self._shaft_columns))]
+        columns = {"armature": self._armature_named.values(), "shaft": [given_by(c) for c in self._shaft_columns]}
+        left_out = {name for which in self._open for name in columns[which]}
+        names = [n for n in self.names if n not in left_out]
         return tuple(dict.fromkeys((*names, *(self._offsets if "R" in names else ()))))
 
     def _windows(self, s: Stretch, period: float, which: str) -> Windows | None:
@@ -220,7 +224,8 @@ class MotorRls:
 
     def _armature_rows(self, s: Stretch, period: float) -> None:
         direction = None
-        if "Vb" in self._armature_columns and s.current is not None:
+        brushes = "Vb" in self._armature_columns
+        if (brushes or any(d.by_current_direction for d in self._derived)) and s.current is not None:
             direction = self._direction(s.current)
             s = replace(s, usable=s.usable & (direction != 0.0))
         w = self._windows(s, period, "armature")
@@ -233,16 +238,17 @@ class MotorRls:
         columns = [current + self._sag * acceleration, -current_rate, speed]
         if "one" in self._armature_columns:
             columns.append(w.of_one)
-        if direction is not None:
+        if direction is not None and brushes:
             columns.append(w.integral(direction))
         if "rip_sin" in self._armature_columns:
             columns += self._rippled_speed(w, s)
+        columns += [w.integral(x) for d in self._derived for x in d.signals("armature", s, self._taken_at)]
         Phi, y = in_columns(columns), w.held(s.voltage)
         self._take("armature", self._armature, float(s.time_s[-1]), Phi, y, w)
         self._held.take(s, Phi, y)
 
     def _shaft_rows(self, s: Stretch, period: float) -> None:
-        if set(DRY) & set(self._plant.effects):
+        if self._plant.may_stick:
             s = replace(s, usable=s.usable & (speed_sign(s) != 0.0))
         w = self._windows(s, period, "shaft")
         if w is None:
@@ -272,7 +278,7 @@ class MotorRls:
         sums = Sums.of(Phi, y, w.weight_squares)
         noise = noise_squares(columns, sums.weight_squares, self._noise_var)
         rls.update(time_s, sums.gram, sums.rows, noise, self._expected(which, rls, sums))
-        if which == "armature" or not self._two_masses:  # of which the shaft's balance does not close
+        if which not in self._open:
             self.window.add(which, time_s, sums)
 
     def _expected(self, which: str, rls: SlidingRls, sums: Sums) -> float | None:
@@ -285,7 +291,7 @@ class MotorRls:
     def _effect_columns(self, effect: str, w: Windows, s: Stretch) -> list[F64]:
         if not columns_of(effect, self._shaft_effects):
             return []
-        return [w.integral(signal) for signal in SIGNALS[effect](s, self._taken_at)]
+        return [w.integral(signal) for signal in shaft_signals(effect, s, self._taken_at)]
 
     def _direction(self, current: F64) -> F64:
         """Sign of the current per sample, 0 where its noise may have made it."""
@@ -346,8 +352,9 @@ class MotorRls:
             value, covariance = without_lag(value, covariance, self._known["L"] / self._known["R"])
         if shaft is not None:
             value, covariance = as_parameters(columns, value, covariance)
-        if self._two_masses and shaft is not None:
-            doubt = np.array([k >= len(own) for k in range(len(value))]) * _BOTH_MASSES_STD * value
+        if self._open and (shaft is not None or "armature" in self._open):
+            first = 0 if "armature" in self._open else len(own)
+            doubt = np.array([k >= first for k in range(len(value))]) * _OPEN_STD * value
             covariance = covariance + np.diag(doubt**2)
         span_s = max(e.span_s for e in blocks)
         names = (*own, *map(given_by, columns[len(own) :]))

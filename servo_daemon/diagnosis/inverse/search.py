@@ -16,22 +16,24 @@ import numpy as np
 from servo_daemon.diagnosis.inverse.fit import OFFSET, OWN, Explained, Start, Torque, own_torques
 from servo_daemon.diagnosis.inverse.rows import BalanceRows
 from servo_daemon.diagnosis.screening.basis import Context, phase
+from servo_daemon.diagnosis.screening.derived import derived
+from servo_daemon.diagnosis.screening.screen import has_no_formula
 from servo_daemon.diagnosis.screening.torque_families import FAMILIES, HARMONICS
 from servo_daemon.diagnosis.search.evidence import LEAST_OWN, LEAST_SHARE, LEAST_TOGETHER, convinces, ties_with
 from servo_daemon.diagnosis.trial.compare import Advantage, bootstrapped
 from servo_daemon.diagnosis.trial.split import CHOICE, HELD_OUT, TRAIN
+from servo_daemon.plant.contribution import contribution
+from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.plant.effects.cogging_torque import HARMONICS as COGGING
 from servo_daemon.samples import F64
 
-#: Effects that are linear in coefficients with a standard deviation. The others are rivals only: where one of them does
-#: better, nothing is named.
+#: Effects that are linear in coefficients with a standard deviation, beside those that are so in their own parameters.
+#: The others are rivals only: where one of them does better, nothing is named.
 NAMED = (
     "cogging_torque",
-    "coulomb_friction",
     "gravity_load",
     "load_dependent_friction",
     "position_dependent_friction",
-    "quadratic_drag",
 )
 #: Of causes that do as well the one that every machine has.
 _USUAL = "coulomb_friction"
@@ -80,7 +82,7 @@ def search_balance(rows: BalanceRows) -> Found | None:
         if not tried or not _takes_enough(current, tried[0]):
             break
         best, alike = _simplest(tried)
-        if best.torque.name not in NAMED:
+        if not _may_be_named(best.torque.name):
             return None
         equivalent[best.torque.name] = tuple(dict.fromkeys(t.torque.name for t in alike))
         current = best.explained
@@ -130,7 +132,8 @@ def _torques(current: Explained) -> Iterator[Torque]:
     direction = np.where(m.rest, 0.0, m.direction)
     left = rows.factor * m.u - np.column_stack(own_torques(rows)) @ current.coefficients[: len(OWN)]
     context = Context(m, {"torque": np.asarray(left)}, direction, ())
-    for name, family in FAMILIES.items():
+    of_terms = {name: derived(name) for name in effects_by_name() if _is_by_terms(name)}
+    for name, family in {**FAMILIES, **of_terms}.items():
         if name in (OFFSET, "cogging_torque"):
             continue
         for basis in family(context):
@@ -140,6 +143,18 @@ def _torques(current: Explained) -> Iterator[Torque]:
     cogging = _cogging(current)
     if cogging is not None:
         yield cogging
+
+
+def _is_by_terms(name: str) -> bool:
+    """Whether an effect without a formula of its own is a torque along the motion, and nothing beside it."""
+    added = contribution(name)
+    return has_no_formula(name) and added.is_along_motion and [n for n in added.adds if added.touches(n)] == ["torque"]
+
+
+def _may_be_named(name: str) -> bool:
+    """Whether its coefficients have a standard deviation: see `NAMED`."""
+    added = contribution(name)
+    return name in NAMED or (_is_by_terms(name) and added.linear == added.effect.parameters)
 
 
 def _plain(start: Callable[[F64], Mapping[str, float | str] | None]) -> Start:

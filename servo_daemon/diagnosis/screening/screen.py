@@ -18,14 +18,19 @@ from servo_daemon.diagnosis.missing.missing import Fitted, Missing
 from servo_daemon.diagnosis.missing.response import Trace, smoothed
 from servo_daemon.diagnosis.missing.signals import Motion, motion_of
 from servo_daemon.diagnosis.screening.basis import Basis, Context, Family
+from servo_daemon.diagnosis.screening.derived import derived, usual_values
 from servo_daemon.diagnosis.screening.regression import Regression, bent_names, of_parameters
 from servo_daemon.diagnosis.screening.torque_families import FAMILIES
 from servo_daemon.diagnosis.screening.two_mass_families import FAMILIES as TWO_MASS
 from servo_daemon.diagnosis.screening.winding_families import CURRENT, SENSORS, WINDING
 from servo_daemon.plant.build import PlantModel
+from servo_daemon.plant.contribution import contribution
+from servo_daemon.plant.effects import effects_by_name
 
 #: A parameter more must lower what is left by this share to come before.
 _WORTH = 0.05
+#: Effects with a formula of their own; and what the search proposes by other signs (`candidates.open_at_zero`).
+_WITH_FORMULA = frozenset({*FAMILIES, *WINDING, *CURRENT, *SENSORS, *TWO_MASS, "freewheel_drive"})
 #: The motor's own parameters, and by what factors a missing effect may have bent them.
 _MOTOR, _BENT = ("R", "L", "K", "J", "B"), (0.2, 5.0)
 
@@ -40,6 +45,7 @@ class ScreenedCandidate:
         start: start values of its parameters, SI units ("channel" of a delay: the channel's name).
         heldout_share: the same on blocks the coefficients have not seen; negative: worse than nothing.
         motor: R, L, K, J and B, as far as they are free, with this effect beside them.
+        unseen: no column along a motion stands for it (a second inertia, a lag): only a fit can tell.
     """
 
     effect: str
@@ -47,6 +53,7 @@ class ScreenedCandidate:
     start: Mapping[str, float | str]
     heldout_share: float
     motor: Mapping[str, float]
+    unseen: bool = False
 
 
 def families(plant: PlantModel, free: Collection[str]) -> dict[str, Family]:
@@ -59,7 +66,13 @@ def families(plant: PlantModel, free: Collection[str]) -> dict[str, Family]:
     if {"J", "B"} <= set(free) and ({"R", "L"} <= set(free) or plant.drive != "voltage"):
         known.pop("current_sensor_gain", None)  # the same as all of these scaled
     known |= SENSORS | TWO_MASS
+    known |= {n: derived(n) for n in effects_by_name() if has_no_formula(n) and contribution(n).shows(plant.drive)}
     return {name: family for name, family in known.items() if name not in plant.effects}
+
+
+def has_no_formula(name: str) -> bool:
+    """Whether an effect is screened by its terms alone."""
+    return name not in _WITH_FORMULA and not effects_by_name()[name].further
 
 
 def screen(fit: Fitted, missing: Missing) -> tuple[ScreenedCandidate, ...]:
@@ -73,12 +86,9 @@ def screen(fit: Fitted, missing: Missing) -> tuple[ScreenedCandidate, ...]:
     names = bent_names(fit, missing)
     nuisance, stiff = of_parameters(motion, fit, missing)
     context = context_of(missing, motion, nuisance)
+    tried = families(fit.problem.plant, (*fit.problem.free, *fit.problem.local))
     with np.errstate(all="ignore"):  # a speed or a current that is always 0; see `Regression.of`
-        bases = [
-            b
-            for family in families(fit.problem.plant, (*fit.problem.free, *fit.problem.local)).values()
-            for b in family(context)
-        ]
+        bases = [b for family in tried.values() for b in family(context)]
     keys = list(context.traces)
     equations = Regression.of(missing, motion, [*nuisance, *context.traces.values()], stiff)
     before = equations.errors(range(len(nuisance)))
@@ -90,7 +100,11 @@ def screen(fit: Fitted, missing: Missing) -> tuple[ScreenedCandidate, ...]:
         )
         if scored is not None and (basis.effect not in best or scored[0] < best[basis.effect][0]):
             best[basis.effect] = scored
-    return tuple(candidate for _, candidate in sorted(best.values(), key=lambda pair: pair[0]))
+    unseen = [contribution(name) for name in tried if has_no_formula(name) and not contribution(name).is_along_motion]
+    return (
+        *(candidate for _, candidate in sorted(best.values(), key=lambda pair: pair[0])),
+        *(ScreenedCandidate(c.effect.name, 0.0, usual_values(c, motion), 0.0, {}, unseen=True) for c in unseen),
+    )
 
 
 def _scored(

@@ -23,13 +23,6 @@ _MOST_MU = 0.6
 _RESOLVED, _SECTORS = 1.5, 4096
 
 
-def _coulomb(c: Context) -> Iterator[Basis]:
-    def start(b: F64) -> dict[str, float] | None:
-        return {"Tc": b[0]} if positive(b[0]) else None
-
-    yield Basis("coulomb_friction", (c.torque("sgn", c.rest_friction),), start, 1)
-
-
 def _asymmetric(c: Context) -> Iterator[Basis]:
     m, Tc = c.motion, c.motion.p.get("Tc", 0.0)
     columns = (
@@ -86,13 +79,6 @@ def _by_load(c: Context) -> Iterator[Basis]:
     yield Basis("load_dependent_friction", (c.torque("load sgn", load),), start, 1)
 
 
-def _drag(c: Context) -> Iterator[Basis]:
-    def start(b: F64) -> dict[str, float] | None:
-        return {"c2": b[0]} if positive(b[0]) else None
-
-    yield Basis("quadratic_drag", (c.torque("drag", c.motion.omega * np.abs(c.motion.omega)),), start, 1)
-
-
 def _gravity(c: Context) -> Iterator[Basis]:
     def start(b: F64) -> dict[str, float]:
         size, angle = phase(b[0], b[1])
@@ -131,10 +117,6 @@ def _cogging(c: Context) -> Iterator[Basis]:
 
         columns = (c.torque(f"sin {n}", np.sin(n * theta)), c.torque(f"cos {n}", np.cos(n * theta)))
         yield Basis("cogging_torque", columns, start, 3)
-
-
-def _constant(c: Context) -> Iterator[Basis]:
-    yield Basis("constant_load_torque", (c.torque("one", np.ones(len(c.motion.t))),), lambda b: {"TL": b[0]}, 1)
 
 
 def step_instants(r: F64, weight: F64) -> list[int]:
@@ -182,15 +164,12 @@ def _periodic(c: Context) -> Iterator[Basis]:
 
 
 FAMILIES: dict[str, Family] = {
-    "coulomb_friction": _coulomb,
     "asymmetric_friction": _asymmetric,
     "stribeck_friction": _stribeck,
     "position_dependent_friction": _along_travel,
     "load_dependent_friction": _by_load,
-    "quadratic_drag": _drag,
     "gravity_load": _gravity,
     "cogging_torque": _cogging,
-    "constant_load_torque": _constant,
     "load_torque_step": _load_step,
     "periodic_disturbance": _periodic,
 }

@@ -33,13 +33,6 @@ _MOST_GAIN = 0.6
 _MOST_ECCENTRIC = 0.3
 
 
-def _brush(c: Context) -> Iterator[Basis]:
-    def start(b: F64) -> dict[str, float] | None:
-        return {"Vb": b[0]} if positive(b[0]) else None
-
-    yield Basis("brush_voltage_drop", (c.voltage("sgn i", np.sign(c.motion.i)),), start, 1)
-
-
 def _ripple(c: Context) -> Iterator[Basis]:
     m = c.motion
     if "K" not in m.p or "torque" not in c.residual:
@@ -138,10 +131,6 @@ def _current_gain(c: Context) -> Iterator[Basis]:
     yield Basis("current_sensor_gain", (c.add("g_i", trace),), start, 1)
 
 
-def _voltage_offset(c: Context) -> Iterator[Basis]:
-    yield Basis("voltage_sensor_offset", (c.voltage("v0", np.ones(len(c.motion.t))),), lambda b: {"v0": b[0]}, 1)
-
-
 def _delay(c: Context) -> Iterator[Basis]:
     m = c.motion
     rates = {"position_rad": -m.at_sample["velocity_rad_s"], "velocity_rad_s": -m.omega_rate}
@@ -188,10 +177,8 @@ def _speed_filter(c: Context) -> Iterator[Basis]:
 
 #: What needs a voltage as input, what a current signal or K, what anything.
 WINDING: dict[str, Family] = {
-    "brush_voltage_drop": _brush,
     "winding_heating": _heating,
     "resistance_step": _resistance_step,
-    "voltage_sensor_offset": _voltage_offset,
 }
 CURRENT: dict[str, Family] = {
     "torque_ripple": _ripple,

@@ -27,19 +27,13 @@ _LEFT_TO_L = 0.2
 _LEAST_ZERO = 0.02
 #: Of the proposals so many are tried in pairs.
 _IN_PAIRS = 4
-#: simpler → what contains it.
-NESTED: Mapping[str, tuple[str, ...]] = {
-    "coulomb_friction": ("stribeck_friction", "asymmetric_friction"),
-    "shaft_compliance": ("backlash",),
+#: simpler → what contains it: the richer one fits as well as the simpler one by being it.
+CONTAINED: Mapping[str, tuple[str, ...]] = {
+    small: tuple(n for n, e in effects_by_name().items() if (small,) in e.simpler) for small in effects_by_name()
 }
-#: The same, where both can be in one model: the richer one fits as well as the simpler one by being it.
-CONTAINED: Mapping[str, tuple[str, ...]] = {**NESTED, "constant_load_torque": ("load_torque_step",)}
-#: What may stand in the place of an effect at the end of a search, simplest first.
-SIMPLER: Mapping[str, tuple[tuple[str, ...], ...]] = {
-    "asymmetric_friction": (("coulomb_friction",), ("coulomb_friction", "constant_load_torque")),
-    "stribeck_friction": (("coulomb_friction",),),
-    "backlash": (("shaft_compliance",),),
-    "load_torque_step": (("constant_load_torque",),),
+#: The same, where not both can be in one model.
+NESTED: Mapping[str, tuple[str, ...]] = {
+    small: tuple(n for n in rich if not model_exists((small, n))) for small, rich in CONTAINED.items()
 }
 
 
@@ -99,8 +93,8 @@ def proposals(
         effects = extended(current.effects, name)
         if name not in known or effects is None:
             continue
-        certain = any(p.name in given for p in known[name].parameters) or (hidden and s.effect == "coulomb_friction")
-        certain = certain or worth == -math.inf
+        certain = s.unseen or any(p.name in given for p in known[name].parameters)
+        certain |= worth == -math.inf or (hidden and s.effect == "coulomb_friction")
         if s.heldout_share <= 0 and not certain:
             continue
         simpler = any(s.effect == small and p.name in large for small, large in NESTED.items() for p in out)

@@ -16,7 +16,6 @@ import numpy as np
 from servo_daemon.diagnosis.missing.missing import Missing
 from servo_daemon.diagnosis.screening.screen import ScreenedCandidate, screen
 from servo_daemon.diagnosis.search.candidates import (
-    SIMPLER,
     WORTH_A_PAIR,
     Proposal,
     as_simpler,
@@ -304,7 +303,7 @@ def pruned(data: Data, current: Trial, added: Sequence[str]) -> tuple[Trial, lis
     """Effects that a later one has made needless go, and what is richer than needed becomes what it contains."""
     kept = list(added)
     for name in list(added):
-        for instead in ((),) * (len(added) > 1) + SIMPLER.get(name, ()):
+        for instead in ((),) * (len(added) > 1) + effects_by_name()[name].simpler:
             if "constant_load_torque" in instead and name == "asymmetric_friction" and not _only_levels(current):
                 continue
             without = without_effect(data, current, name, instead=instead)

@@ -17,7 +17,7 @@ from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.problem.rollout import TIME
 from servo_daemon.identification.output_error.problem.spectrum import spectral_lines
 from servo_daemon.identification.output_error.solver.solver import Solution, solve
-from servo_daemon.plant.effects import INSTANTS
+from servo_daemon.plant.effects import instants
 from servo_daemon.samples import F64
 
 #: Instants that are tried, iterations of each (the first finds the step's size, the others the instant), and how often
@@ -35,7 +35,7 @@ _SHARE = 0.05
 
 def is_to_be_searched(problem: Problem) -> bool:
     """Whether an instant or a frequency is free."""
-    return not {*INSTANTS.values(), "f_per"}.isdisjoint(problem.free)
+    return not {*instants().values(), "f_per"}.isdisjoint(problem.free)
 
 
 def from_elsewhere(
@@ -50,7 +50,7 @@ def from_elsewhere(
         torque_Nm: what the motor typically exerts.
     """
     best = found
-    for size, name in INSTANTS.items():
+    for size, name in instants().items():
         if name in problem.free:
             best = _from_instants(problem, best, name, size, seconds, robust=robust)
     if "f_per" in problem.free:

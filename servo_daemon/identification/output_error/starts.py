@@ -175,11 +175,11 @@ def _with_effects(values: dict[str, float], block: SampleBlock, plant: PlantMode
     size = sizes(values, block, plant)
     for p in plant.parameters:
         if p.name not in values:
-            values[p.name] = _effect_start(p, size)
+            values[p.name] = effect_start(p, size)
     return values
 
 
-def _effect_start(p: Parameter, size: Mapping[str, float]) -> float:
+def effect_start(p: Parameter, size: Mapping[str, float]) -> float:
     if p.scale is not None and p.scale.share:
         return float(np.clip(p.scale.share * p.scale.product(size), p.lower, p.upper))
     if p.unit == "N·m" and p.transform == "log":

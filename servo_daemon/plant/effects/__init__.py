@@ -1,68 +1,79 @@
-"""The library of effects: one file each, named as in the contract."""
+"""The library of effects: one file each, found by being here."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import import_module
+from pkgutil import iter_modules
+
+import casadi as ca
 
 from servo_daemon.errors import ConfigError
 from servo_daemon.parameters import J_M, LINEAR, Parameter
-from servo_daemon.plant.effects.base import Effect, Signals, State, Terms
+from servo_daemon.plant.effects.base import Effect, Signals, State, Terms, probe
 
 __all__ = [
-    "NAMES",
     "Effect",
     "Signals",
     "State",
     "Terms",
     "check_effects",
+    "dry_frictions",
     "effects_by_name",
     "further_harmonics",
+    "instants",
     "parameter_table",
 ]
-
-#: Order of the ladder: simpler causes first.
-NAMES = (
-    "coulomb_friction",
-    "asymmetric_friction",
-    "stribeck_friction",
-    "load_dependent_friction",
-    "position_dependent_friction",
-    "quadratic_drag",
-    "constant_load_torque",
-    "gravity_load",
-    "load_torque_step",
-    "periodic_disturbance",
-    "cogging_torque",
-    "torque_ripple",
-    "current_sensor_offset",
-    "current_sensor_gain",
-    "voltage_sensor_offset",
-    "encoder_eccentricity",
-    "brush_voltage_drop",
-    "resistance_step",
-    "magnetic_saturation",
-    "winding_heating",
-    "freewheel_drive",
-    "drive_lag",
-    "measurement_delay",
-    "speed_filter",
-    "shaft_compliance",
-    "backlash",
-)
-#: Effects that are a dry friction of their own.
-DRY = ("coulomb_friction", "asymmetric_friction", "stribeck_friction", "load_dependent_friction")
-#: What steps, and the parameter that says when.
-INSTANTS: Mapping[str, str] = {"dTL": "t_TL", "dR": "t_R"}
 
 
 @cache
 def effects_by_name() -> Mapping[str, Effect]:
-    """Every effect there is, by name, in the order of the ladder."""
-    modules = [import_module(f"{__name__}.{name}") for name in NAMES]
-    each = [getattr(module, "EFFECTS", None) or (module.EFFECT,) for module in modules]
-    return {effect.name: effect for effects in each for effect in effects}
+    """Every effect there is, by name, in the order of the ladder, then by name of its file.
+
+    Raises:
+        ImportError: a file of this folder has no effect, or one whose name or parameter is another's.
+    """
+    found: list[Effect] = []
+    for file in sorted(m.name for m in iter_modules(__path__) if m.name != "base"):
+        module = import_module(f"{__name__}.{file}")
+        effects = getattr(module, "EFFECTS", None) or (getattr(module, "EFFECT", None),)
+        found += [effect for effect in effects if isinstance(effect, Effect)]
+        if len(effects) != sum(isinstance(effect, Effect) for effect in effects):
+            raise ImportError(f"{module.__file__}: no effect: give it EFFECT = Effect(...)")
+    table = {p.name: p for p in (*LINEAR, J_M)}
+    out: dict[str, Effect] = {}
+    for effect in sorted(found, key=lambda effect: effect.ladder):
+        if effect.name in out:
+            raise ImportError(f"{__path__[0]}: two effects are called {effect.name}: rename one")
+        out[effect.name] = effect
+        for p in effect.parameters:
+            if table.setdefault(p.name, p) != p:
+                where = f"{__path__[0]}: {effect.name}"
+                raise ImportError(f"{where}: its parameter {p.name} is another's, too, and not the same: rename it")
+    for effect in out.values():
+        for name in (*effect.told_from, *(n for instead in effect.simpler for n in instead)):
+            if name not in out:
+                raise ImportError(f"{__path__[0]}: {effect.name} names {name}, which is no effect")
+    return out
+
+
+@cache
+def dry_frictions() -> tuple[str, ...]:
+    """Effects that are a dry friction of their own."""
+    terms = {name: probe(effect)[1] for name, effect in effects_by_name().items()}
+    return tuple(n for n, t in terms.items() if any(not ca.SX(level).is_zero() for level in t.dry_levels))
+
+
+@cache
+def instants() -> Mapping[str, str]:
+    """What steps, and the parameter that says when: a time that no filter finds along the way."""
+    out: dict[str, str] = {}
+    for effect in effects_by_name().values():
+        at = [p.name for p in effect.parameters if p.held == "live" and p.unit == "s"]
+        if len(at) == 1:
+            out |= {p.name: at[0] for p in effect.parameters if p.held == "no"}
+    return out
 
 
 def further_harmonics(name: str) -> tuple[str, ...]:
@@ -97,7 +108,7 @@ def check_effects(names: Sequence[str]) -> None:
         if len(sharing) > 1:
             raise ConfigError(f"{' and '.join(sharing)} are {what}: a model has one of them")
     for name in names:
-        if known[name].scales_friction and not set(names) & set(DRY):
-            raise ConfigError(f"{name} varies a dry friction: the model needs one of {', '.join(DRY)}")
+        if known[name].scales_friction and not set(names) & set(dry_frictions()):
+            raise ConfigError(f"{name} varies a dry friction: the model needs one of {', '.join(dry_frictions())}")
         if known[name].further and known[name].further not in names:
             raise ConfigError(f"{name} is a further harmonic of {known[name].further}: name that, too")

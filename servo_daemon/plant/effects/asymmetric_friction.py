@@ -48,4 +48,10 @@ EFFECT = Effect(
     equation=r"T_c + B\omega \ (\omega > 0), \quad -T_c^- + B^-\omega \ (\omega < 0)",
     parameters=(TC, TC_NEG, B_NEG),
     terms=_terms,
+    ladder=20,
+    simpler=(("coulomb_friction",), ("coulomb_friction", "constant_load_torque")),
+    told_from={
+        "constant_load_torque": "turn the axis round, or take the load off: a load keeps its direction in space, "
+        "friction that of motion.",
+    },
 )

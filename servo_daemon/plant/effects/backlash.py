@@ -27,6 +27,8 @@ EFFECT = Effect(
         J_L,
     ),
     terms=_terms,
+    ladder=260,
+    simpler=(("shaft_compliance",),),
     states=TWIST,
     substeps=2,
 )

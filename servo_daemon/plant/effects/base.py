@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 
-from servo_daemon.parameters import Parameter
+from servo_daemon.parameters import LINEAR, Parameter
 
 #: Half angles below this: sin x/x by its series, whose next term is x⁴/120.
 _SMALL_ANGLE = 1e-3
@@ -134,6 +134,9 @@ class Effect:
         substeps: a step is split into so many: where the term changes much within a sample at ordinary rates.
         scales_friction: it is nothing without a dry friction in the model.
         further: the effect of which this is a further harmonic; "" if none.
+        ladder: its place among the others, simpler causes first.
+        simpler: what may stand in its place where a search ends, simplest first; it contains each single one of them.
+        told_from: by another effect's name, the experiment that tells the two apart, in words; one of the two has it.
     """
 
     name: str
@@ -145,6 +148,21 @@ class Effect:
     substeps: int = 1
     scales_friction: bool = False
     further: str = ""
+    ladder: int = 1_000
+    simpler: tuple[tuple[str, ...], ...] = ()
+    told_from: Mapping[str, str] = field(default_factory=dict)
+
+
+def probe(effect: Effect) -> tuple[Signals, Terms]:
+    """Symbols of its own, and what an effect makes of them; with the motor's parameters and the dry friction Tc."""
+    names = (*(p.name for p in LINEAR), "Tc", *(p.name for p in effect.parameters))
+    scalars = ("t", "v", "i", "i_square", "omega", "theta", "torque", "h")
+    signals = Signals(
+        **{name: ca.SX.sym(name) for name in scalars},
+        states={state.name: ca.SX.sym(state.name) for state in effect.states},
+        p={name: ca.SX.sym(name) for name in dict.fromkeys(names)},
+    )
+    return signals, effect.terms(signals)
 
 
 def mean_sine(phase: ca.SX, change: ca.SX) -> ca.SX:

@@ -60,6 +60,17 @@ def _harmonic(ending: str) -> Effect:
             ),
         ),
         terms=terms,
+        ladder=110,
+        told_from={}
+        if ending
+        else {
+            "torque_ripple": "turn slowly through a revolution, once idle and once under load: ripple grows with the "
+            "current, cogging is there without any.",
+            "encoder_eccentricity": "let it coast with the drive off: cogging still pulls the speed, an eccentric "
+            "encoder only seems to.",
+            "periodic_disturbance": "repeat it at another speed: cogging stays with the angle, a disturbance with "
+            "the clock.",
+        },
         substeps=2,
         further="cogging_torque" if ending else "",
     )

@@ -28,4 +28,11 @@ EFFECT = Effect(
     equation=r"T_L",
     parameters=(TL,),
     terms=_terms,
+    ladder=70,
+    told_from={
+        "current_sensor_offset": "record a few seconds with the drive off: what the current sensor shows then is its "
+        "offset.",
+        "voltage_sensor_offset": "record a few seconds with the output shorted or off: what is shown then is an "
+        "offset, not a load.",
+    },
 )

@@ -28,4 +28,17 @@ EFFECT = Effect(
     equation=r"T_c \operatorname{sgn}\omega",
     parameters=(TC,),
     terms=_terms,
+    ladder=10,
+    told_from={
+        "brush_voltage_drop": "lock the shaft and step the voltage: friction leaves no trace then, a brush drop its "
+        "volts. Or record the current: friction raises it, a brush drop does not.",
+        "load_dependent_friction": "slow reversals through standstill, a few seconds each way, once idle and once "
+        "with a second load: load friction grows with it, Coulomb does not.",
+        "stribeck_friction": "slow reversals through standstill, a few seconds each way, so slow that the axis "
+        "sticks: only Stribeck friction falls as it starts to slide.",
+        "quadratic_drag": "hold several constant speeds up to the highest: drag grows with the square of the speed, "
+        "Coulomb stays.",
+        "backlash": "let it reverse without load and watch the angle: in a gap the motor turns freely, in friction "
+        "it stands.",
+    },
 )

@@ -19,4 +19,9 @@ EFFECT = Effect(
     equation=r"i_{\mathrm{shown}} = g_i\,i",
     parameters=(G_I,),
     terms=_terms,
+    ladder=140,
+    told_from={
+        "magnetic_saturation": "measure the back-EMF: turn it by hand with the drive off, and hold that K against "
+        "the torque's.",
+    },
 )

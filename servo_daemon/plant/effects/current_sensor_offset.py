@@ -28,4 +28,8 @@ EFFECT = Effect(
     equation=r"i_{\mathrm{shown}} = i + i_0",
     parameters=(I0,),
     terms=_terms,
+    ladder=130,
+    told_from={
+        "voltage_sensor_offset": "record a few seconds with the drive off: each sensor shows its own offset then.",
+    },
 )

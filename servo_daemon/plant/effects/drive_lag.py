@@ -21,6 +21,12 @@ EFFECT = Effect(
     equation=r"t_{lag}\,\dot v = v_{\mathrm{shown}} - v",
     parameters=(T_LAG,),
     terms=_terms,
+    ladder=220,
+    told_from={
+        "measurement_delay": "excite higher frequencies: a lag also lowers the amplitude, a delay only turns the "
+        "phase.",
+        "shaft_compliance": "excite higher frequencies: a spring has a resonance, a lag has none.",
+    },
     substeps=4,
     states=(LAGGED,),
 )

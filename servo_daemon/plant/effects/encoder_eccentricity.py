@@ -28,4 +28,5 @@ EFFECT = Effect(
         PHI_ENC,
     ),
     terms=_terms,
+    ladder=160,
 )

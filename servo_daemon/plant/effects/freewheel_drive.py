@@ -22,6 +22,11 @@ EFFECT = Effect(
     equation=r"i = 0 \quad (v_{\mathrm{command}} = 0)",
     parameters=(),
     terms=_terms,
+    ladder=210,
+    told_from={
+        "coulomb_friction": "command zero at speed: an open bridge lets the motor coast, a closed one brakes it with "
+        "its own back-EMF.",
+    },
     # The current ends early in the step, see `brush_voltage_drop`.
     substeps=4,
 )

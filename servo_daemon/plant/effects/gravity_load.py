@@ -31,4 +31,11 @@ EFFECT = Effect(
     equation=r"T_g \sin(\theta + \varphi_g)",
     parameters=(TG, PHI_G),
     terms=_terms,
+    ladder=80,
+    told_from={
+        "encoder_eccentricity": "turn slowly by hand or hold several angles: gravity takes current to hold, an "
+        "eccentric encoder none.",
+        "cogging_torque": "turn slowly through whole revolutions: gravity comes once a turn, cogging as often as "
+        "there are poles.",
+    },
 )

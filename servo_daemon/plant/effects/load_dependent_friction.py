@@ -31,5 +31,6 @@ EFFECT = Effect(
     equation=r"\mu\,|K i|\operatorname{sgn}\omega",
     parameters=(MU,),
     terms=_terms,
+    ladder=40,
     substeps=2,
 )

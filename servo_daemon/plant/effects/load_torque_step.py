@@ -44,4 +44,6 @@ EFFECT = Effect(
         T_TL,
     ),
     terms=_terms,
+    ladder=90,
+    simpler=(("constant_load_torque",),),
 )

@@ -29,5 +29,6 @@ EFFECT = Effect(
     equation=r"K / (1 + (i/I_{sat})^2)",
     parameters=(I_SAT,),
     terms=_terms,
+    ladder=190,
     substeps=4,
 )

@@ -37,5 +37,6 @@ EFFECT = Effect(
         CHANNEL,
     ),
     terms=_terms,
+    ladder=230,
     states=LATE,
 )

@@ -41,4 +41,5 @@ EFFECT = Effect(
         PHI_PER,
     ),
     terms=_terms,
+    ladder=100,
 )

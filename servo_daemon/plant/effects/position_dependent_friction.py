@@ -47,5 +47,6 @@ EFFECT = Effect(
         TC_CURVE,
     ),
     terms=_terms,
+    ladder=50,
     scales_friction=True,
 )

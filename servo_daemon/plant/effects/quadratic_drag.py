@@ -32,4 +32,5 @@ EFFECT = Effect(
     equation=r"c_2\,\omega\,|\omega|",
     parameters=(C2,),
     terms=_terms,
+    ladder=60,
 )

@@ -52,4 +52,5 @@ EFFECT = Effect(
         T_R,
     ),
     terms=_terms,
+    ladder=180,
 )

@@ -48,5 +48,10 @@ EFFECT = Effect(
         J_L,
     ),
     terms=_terms,
+    ladder=250,
+    told_from={
+        "backlash": "small motions under a constant load, then about zero torque: a gap shows only where the sign "
+        "changes.",
+    },
     states=TWIST,
 )

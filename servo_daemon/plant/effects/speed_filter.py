@@ -24,6 +24,7 @@ EFFECT = Effect(
     equation=r"t_f\,\dot\omega_{\mathrm{shown}} = \omega - \omega_{\mathrm{shown}}",
     parameters=(T_F,),
     terms=_terms,
+    ladder=240,
     substeps=4,
     states=(FILTERED,),
 )

@@ -49,5 +49,7 @@ EFFECT = Effect(
         WS,
     ),
     terms=_terms,
+    ladder=30,
+    simpler=(("coulomb_friction",),),
     substeps=4,
 )

@@ -53,5 +53,10 @@ EFFECT = Effect(
         PHI_RIP,
     ),
     terms=_terms,
+    ladder=120,
+    told_from={
+        "periodic_disturbance": "repeat it at another speed: ripple stays with the angle, a disturbance with the "
+        "clock.",
+    },
     substeps=4,
 )

@@ -29,4 +29,5 @@ EFFECT = Effect(
     equation=r"v_{\mathrm{shown}} = v + v_0",
     parameters=(V0,),
     terms=_terms,
+    ladder=150,
 )

@@ -51,5 +51,11 @@ EFFECT = Effect(
     equation=r"R\,(1 + 0.0039\,\vartheta),\quad C_{th}\,\dot\vartheta = R\,i^2 - \vartheta/R_{th}",
     parameters=(R_TH, C_TH),
     terms=_terms,
+    ladder=200,
+    told_from={
+        "resistance_step": "let it cool and start again: heat comes back slowly, a bad contact comes and goes at once.",
+        "magnetic_saturation": "short pulses of high current, with pauses: saturation follows each at once, heat "
+        "does not.",
+    },
     states=(WARMING,),
 )

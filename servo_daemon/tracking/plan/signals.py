@@ -12,8 +12,9 @@ from dataclasses import dataclass, field, replace
 
 from servo_daemon.parameters import LINEAR, Parameter
 from servo_daemon.plant.build import PlantModel, build_plant
+from servo_daemon.plant.contribution import contribution
 from servo_daemon.plant.core import Drive
-from servo_daemon.plant.effects import INSTANTS
+from servo_daemon.plant.effects import instants
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,31 +50,14 @@ class SignalPlan:
 #: Offsets that are always in the filter's model: of the torque (a hanging cable, a tilted axis) and, where a voltage
 #: lets it be told apart, of the current sensor (one of the voltage leaves the same trace).
 _NUISANCE: Mapping[str, str] = {"constant_load_torque": "TL", "current_sensor_offset": "i0"}
-#: Whoever has an effect on the left in the model has one that leaves the same trace as the offset on the right, or that
-#: is one together with it: only one of them is estimated.
-_STANDS_FOR: Mapping[str, str] = {
-    "asymmetric_friction": "constant_load_torque",  # levels that differ by direction: equal ones and a constant load
-    "voltage_sensor_offset": "current_sensor_offset",
-}
+#: A constant in a balance leaves the same trace as this offset: only one of them is estimated.
+_SAME_AS: Mapping[str, str] = {"torque": "constant_load_torque", "voltage": "current_sensor_offset"}
+#: An effect that is such an offset together with something else: levels that differ by direction are equal ones and a
+#: constant load.
+_STANDS_FOR: Mapping[str, str] = {"asymmetric_friction": "constant_load_torque"}
 #: Which effect a nuisance parameter stands for.
 EFFECT_OF: Mapping[str, str] = {parameter: effect for effect, parameter in _NUISANCE.items()}
 _HIDDEN_BY: dict[Drive, tuple[str, ...]] = {"voltage": (), "current": ("R", "L"), "torque": ("R", "L", "K")}
-#: Heating is driven by R i², which nothing shows without a voltage; effects on the armature have no say then. Where the
-#: torque is the input, none on the torque constant has.
-_ARMATURE_ONLY = (
-    "winding_heating",
-    "resistance_step",
-    "brush_voltage_drop",
-    "freewheel_drive",
-    "current_sensor_offset",
-    "current_sensor_gain",
-    "voltage_sensor_offset",
-)
-_SILENT: dict[Drive, tuple[str, ...]] = {
-    "voltage": (),
-    "current": (*_ARMATURE_ONLY, "drive_lag"),
-    "torque": (*_ARMATURE_ONLY, "torque_ripple", "magnetic_saturation"),
-}
 _NOT_SEARCHED = "held {}: a filter that runs along cannot search for it"
 _AS_GIVEN, _AT_START = "as given", "at its start value, for none is given"
 #: What a second inertia on a spring has to do with.
@@ -118,7 +102,7 @@ def plan_signals(channels: tuple[str, ...], effects: tuple[str, ...], nominal: M
         return plan
     held = [p.name for p in plan.plant.parameters if is_held(p)]
     why = {name: _NOT_SEARCHED.format(_AS_GIVEN if name in nominal else _AT_START) for name in held}
-    for size, instant in INSTANTS.items():  # from a wrong one on it could not be told from what it changes
+    for size, instant in instants().items():  # from a wrong one on it could not be told from what it changes
         if instant not in nominal:
             why[size] = f"held as given: give {instant} as nominal value, before which there is nothing of it"
     given = {p.name: nominal.get(p.name, p.nominal) for p in plan.plant.parameters if p.name in why}
@@ -184,7 +168,8 @@ def _with_offsets(
     effects: tuple[str, ...], drive: Drive, offsets: tuple[str, ...]
 ) -> tuple[PlantModel, tuple[str, ...]]:
     """The plant with the offsets that are not in it already, and their parameters."""
-    there = (*effects, *(_STANDS_FOR[e] for e in effects if e in _STANDS_FOR))
+    there = {*effects, *(_STANDS_FOR[e] for e in effects if e in _STANDS_FOR)}
+    there |= {same for balance, same in _SAME_AS.items() if any(contribution(e).is_offset(balance) for e in effects)}
     added = tuple(e for e in offsets if e not in there)
     return build_plant((*effects, *added), drive), tuple(_NUISANCE[e] for e in added)
 
@@ -196,7 +181,7 @@ def _own(plant: PlantModel, nuisance: tuple[str, ...]) -> tuple[str, ...]:
 def _without_voltage(
     drive: Drive, motion: tuple[str, ...], effects: tuple[str, ...], nominal: Mapping[str, float]
 ) -> SignalPlan:
-    shown = tuple(e for e in effects if e not in _SILENT[drive])
+    shown = tuple(e for e in effects if contribution(e).shows(drive))
     plant, nuisance = _with_offsets(shown, drive, ("constant_load_torque",))
     missing_signal = "voltage" if drive == "current" else "voltage and current"
     reasons = {name: f"no {missing_signal} measured: {name} not visible" for name in _HIDDEN_BY[drive]}

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -10,6 +13,7 @@ from scipy.integrate import solve_ivp
 from servo_daemon.config import DriveConfig
 from servo_daemon.errors import BadInputError, ConfigError
 from servo_daemon.identification.output_error.problem.rollout import free_run, simulate
+from servo_daemon.plant import effects as library
 from servo_daemon.plant.build import PlantModel, build_plant
 from servo_daemon.plant.effects import effects_by_name, parameter_table
 from servo_daemon.plant.reference import reference_step
@@ -60,6 +64,28 @@ def test_the_library_is_the_contract() -> None:
     ours = {n: " ".join(p.name for p in e.parameters) for n, e in effects_by_name().items() if not e.further}
     assert ours == CONTRACT
     assert [n for n, e in effects_by_name().items() if e.further] == [f"cogging_torque_{k}" for k in (2, 3, 4)]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("EFFECTS = ()", "no effect: give it EFFECT"),
+        ("from servo_daemon.plant.effects.gravity_load import EFFECT", "two effects are called gravity_load"),
+        (
+            "from dataclasses import replace\nfrom servo_daemon.plant.effects import gravity_load as g\n"
+            "EFFECT = replace(g.EFFECT, name='weight', parameters=(replace(g.TG, nominal=2.0), g.PHI_G))",
+            "weight: its parameter Tg is another's, too",
+        ),
+    ],
+)
+def test_a_file_that_is_no_effect_of_its_own_is_refused(
+    text: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "of_a_stranger.py").write_text(text, encoding="utf-8")
+    monkeypatch.setattr(library, "__path__", [*library.__path__, str(tmp_path)])
+    monkeypatch.delitem(sys.modules, "servo_daemon.plant.effects.of_a_stranger", raising=False)
+    with pytest.raises(ImportError, match=says):
+        library.effects_by_name.__wrapped__()
 
 
 @pytest.mark.parametrize("name", list(effects_by_name()))

@@ -17,7 +17,7 @@ from scipy.integrate import trapezoid
 
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.problem.rollout import TIME
-from servo_daemon.plant.effects import INSTANTS
+from servo_daemon.plant.effects import instants
 from servo_daemon.samples import F64
 
 #: Distances from the best instant: one sample, and each so many times the one before.
@@ -29,7 +29,7 @@ _MOVES = 6
 def instants_of(problem: Problem) -> tuple[int, ...]:
     """Columns of the free instants whose step is free as well."""
     free = problem.free
-    return tuple(free.index(at) for size, at in INSTANTS.items() if at in free and size in free)
+    return tuple(dict.fromkeys(free.index(at) for size, at in instants().items() if at in free and size in free))
 
 
 def profile(problem: Problem, column: int, at_s: float, deviance: Callable[[float], float]) -> tuple[float, float]:

@@ -13,6 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from servo_daemon.plant.contribution import contribution
+from servo_daemon.plant.effects import parameter_table
+from servo_daemon.regression.columns.derived_terms import DerivedTerms, derived_terms
 from servo_daemon.regression.stretch import Stretch, speed_sign
 from servo_daemon.regression.stretch import speed as speed_of
 from servo_daemon.samples import F64
@@ -20,10 +23,6 @@ from servo_daemon.samples import F64
 #: Signals of an effect's columns, from a stretch and the values that are held or begun with.
 Signals = Callable[[Stretch, Mapping[str, float]], list[F64]]
 
-#: Effects with a second inertia: the shaft's own balance holds the torque of a spring that no sensor shows.
-TWO_MASSES = frozenset({"shaft_compliance", "backlash"})
-#: Effects whose torque is a share of the motor's.
-NEED_EFFORT = frozenset({"torque_ripple", "load_dependent_friction"})
 #: Columns whose coefficient is a share of the motor torque.
 SHARES = frozenset({"mu", "rip_sin", "rip_cos"})
 
@@ -51,8 +50,6 @@ WAVES: Mapping[str, Wave] = {
     "torque_ripple": Wave("rip_sin", "rip_cos", "k_rip", "phi_rip"),
     **{f"cogging_torque{e}": Wave(f"cog{e}_sin", f"cog{e}_cos", f"Tcog{e}", f"phi_cog{e}") for e in _ENDINGS},
 }
-#: Effects that follow the angle: no column of them without a measured one.
-NEED_ANGLE = frozenset({*WAVES, "position_dependent_friction"} - {"periodic_disturbance"})
 #: The order of a wave, by its phase.
 _ORDER_OF = {"phi_rip": "n_rip", **{f"phi_cog{e}": f"n_cog{e}" for e in _ENDINGS}}
 _WAVE_OF = {column: wave for wave in WAVES.values() for column in (wave.sine, wave.cosine)}
@@ -75,11 +72,43 @@ _GIVES: Mapping[str, str] = {
     **{w.sine: w.amplitude for w in WAVES.values()},
     **{w.cosine: w.phase for w in WAVES.values()},
 }
+#: Effects without which the balances are judged: small, or no terms of theirs but errors of a sensor.
+_NO_COLUMNS = frozenset(
+    {
+        "load_torque_step",
+        "current_sensor_gain",
+        "encoder_eccentricity",
+        "resistance_step",
+        "magnetic_saturation",
+        "winding_heating",
+        "freewheel_drive",
+        "drive_lag",
+        "measurement_delay",
+        "speed_filter",
+    }
+)
 #: Effects that are a constant in the armature's balance, and their parameters.
 ARMATURE_OFFSETS = {"current_sensor_offset": "i0", "voltage_sensor_offset": "v0"}
 
 #: Columns whose coefficient is not the parameter itself.
 _CHANGED = frozenset({*(w.sine for w in WAVES.values()), "boundary", *_ALONG})
+
+
+#: Effects that have their columns here, or are known to have none.
+_TOLD = _NO_COLUMNS | {*WAVES, *_SHAFT, *ARMATURE_OFFSETS, "brush_voltage_drop"}
+
+
+def derived_of(effects: Sequence[str]) -> tuple[DerivedTerms, ...]:
+    """Of those effects that have their columns from their terms."""
+    return tuple(derived_terms(e) for e in effects if e not in _TOLD)
+
+
+def unseen_in(effects: Sequence[str], *, sees_current: bool, sees_angle: bool) -> frozenset[str]:
+    """Effects that follow what is not measured: columns of zeros would keep a regression from any estimate."""
+    of = {e: contribution(e) for e in effects}
+    by_current = {e for e, c in of.items() if c.follows(c.signals.i, c.signals.i_square, c.signals.torque)}
+    by_angle = {e for e, c in of.items() if c.follows(c.signals.theta)}
+    return frozenset((set() if sees_current else by_current) | (set() if sees_angle else by_angle))
 
 
 def columns_of(effect: str, effects: Sequence[str]) -> tuple[str, ...]:
@@ -92,7 +121,7 @@ def columns_of(effect: str, effects: Sequence[str]) -> tuple[str, ...]:
         return WAVES[effect].sine, WAVES[effect].cosine
     if effect == "position_dependent_friction" and "coulomb_friction" not in effects:
         return ()  # the level that varies is no single column
-    return _SHAFT.get(effect, ())
+    return _SHAFT[effect] if effect in _SHAFT else tuple(c for d in derived_of((effect,)) for c in d.columns["shaft"])
 
 
 def shaft_columns(effects: Sequence[str]) -> tuple[str, ...]:
@@ -105,7 +134,7 @@ def armature_columns(effects: Sequence[str]) -> tuple[str, ...]:
     offset = ("one",) if ARMATURE_OFFSETS.keys() & set(effects) else ()
     brushes = ("Vb",) if "brush_voltage_drop" in effects else ()
     ripple = ("rip_sin", "rip_cos") if "torque_ripple" in effects else ()
-    return (*offset, *brushes, *ripple)
+    return (*offset, *brushes, *ripple, *(c for d in derived_of(effects) for c in d.columns["armature"]))
 
 
 def waves_per_turn(phase: str, held: Mapping[str, float]) -> float:
@@ -141,7 +170,12 @@ def coefficient(column: str, value: Mapping[str, float]) -> tuple[float, dict[st
         return value["Ts"] - value["Tc"], {"Ts": value["Ts"], "Tc": -value["Tc"]}
     if column == "one":
         return value.get("TL", 0.0), {"TL": 1.0}
-    return value[column], {column: value[column]}
+    return value[column], _by_itself(column, value)
+
+
+def _by_itself(column: str, value: Mapping[str, float]) -> dict[str, float]:
+    """Derivative of a parameter by its own estimated coordinate."""
+    return {column: value[column] if parameter_table()[column].transform == "log" else 1.0}
 
 
 def armature_coefficient(column: str, value: Mapping[str, float]) -> tuple[float, dict[str, float]]:
@@ -151,7 +185,7 @@ def armature_coefficient(column: str, value: Mapping[str, float]) -> tuple[float
     if column in SHARES:
         share, by = coefficient(column, value)
         return value["K"] * share, {"K": value["K"] * share, **{p: value["K"] * slope for p, slope in by.items()}}
-    return value[column], {column: value[column]}
+    return value[column], _by_itself(column, value)
 
 
 def as_parameters(columns: Sequence[str], value: F64, covariance: F64) -> tuple[F64, F64]:
@@ -239,3 +273,12 @@ SIGNALS: Mapping[str, Signals] = {
     "torque_ripple": _ripple,
     **{f"cogging_torque{e}": _by_angle(f"n_cog{e}") for e in _ENDINGS},
 }
+
+
+def shaft_signals(effect: str, s: Stretch, value: Mapping[str, float]) -> list[F64]:
+    """What an effect's columns in the shaft's balance are the modulated integrals of, shapes (n,).
+
+    Args:
+        value: what is held, and where what is not linear is taken, natural units.
+    """
+    return SIGNALS[effect](s, value) if effect in SIGNALS else derived_terms(effect).signals("shaft", s, value)

@@ -8,9 +8,7 @@ import pytest
 from servo_daemon.kalman.gaussian import from_coordinate, to_coordinate
 from servo_daemon.plant.build import build_plant
 from servo_daemon.plant.effects import parameter_table
-from servo_daemon.regression.motor_rls import MotorRls
-from servo_daemon.regression.stretch import Stretch
-from servo_daemon.regression.terms import (
+from servo_daemon.regression.columns.terms import (
     SHARES,
     SIGNALS,
     armature_columns,
@@ -20,6 +18,8 @@ from servo_daemon.regression.terms import (
     given_by,
     shaft_columns,
 )
+from servo_daemon.regression.motor_rls import MotorRls
+from servo_daemon.regression.stretch import Stretch
 
 TABLE = parameter_table()
 #: Of everything that some column needs, none of it at a special place.

@@ -1,0 +1,1 @@
+"""What effects add to the regressions: columns by hand, and those that their terms say."""
