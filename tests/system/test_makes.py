@@ -7,7 +7,9 @@ from typing import Any
 
 import pytest
 
+from servo_daemon.sim_drive.makes.catalogue import ACTUATOR
 from servo_daemon.sim_drive.makes.foc import Pmsm
+from servo_daemon.simulate.settings import PAPER_MOTOR
 from tests.system.harness import Program, daemon, wait_for, write_config
 
 MOTOR = Pmsm()
@@ -57,5 +59,45 @@ def test_an_odrives_torque_gives_inertia_and_friction_and_no_resistance(tmp_path
             shown = program.until(lambda d: close(d, "J", MOTOR.J, 0.1), "J")
             assert shown["parameters"]["R"]["value"] is None
             assert "voltage" in shown["parameters"]["R"]["reason"]
+    finally:
+        drive.end()
+
+
+#: The configuration of each make as docs/drives.md shows it, and what its REST API tells: truth and how near.
+MAKES: dict[str, tuple[str, dict[str, tuple[float, float]]]] = {
+    "simplefoc": (
+        'port = "{link}"\npole_pairs = 7',
+        {"R": (MOTOR.R, 0.05), "K": (MOTOR.K_phase, 0.05), "J": (MOTOR.J, 0.1)},
+    ),
+    "moteus": ('port = "{link}"\npole_pairs = 7', {"J": (MOTOR.J, 0.1)}),
+    "dynamixel": ('port = "{link}"\nrate_hz = 500.0', {"R": (PAPER_MOTOR["R"], 0.1), "K": (PAPER_MOTOR["K"], 0.1)}),
+    "feetech": ('port = "{link}"\nrate_hz = 500.0', {"R": (PAPER_MOTOR["R"], 0.1), "K": (PAPER_MOTOR["K"], 0.1)}),
+    "mit": (
+        'interface = "slcan"\nchannel = "{link}"\nbitrate = 1_000_000\nmodel = "AK80-9"\nperiod_s = 2e-3',
+        {"J": (ACTUATOR.J, 0.1)},
+    ),
+    "cia402": (
+        'interface = "slcan"\nchannel = "{link}"\nbitrate = 1_000_000\nperiod_s = 2e-3\ncounts_per_rev = 8192\n'
+        'rated_torque_Nm = 2.0\npdo = {{ "0x181" = ["statusword", "position", "torque"] }}',
+        {"J": (MOTOR.J, 0.1)},
+    ),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make", MAKES)
+def test_a_make_is_its_few_lines_of_configuration(make: str, tmp_path: Path) -> None:
+    options, wanted = MAKES[make]
+    link = tmp_path / "link"
+    text = f'name = "axis1"\ndriver = "{make}"\n[drive.options]\n{options.format(link=link)}'
+    config = write_config(tmp_path / "c.toml", text)
+    words = [f"--{make}", str(link)]
+    if make in ("dynamixel", "feetech"):
+        words += ["--ageing", "R=+0%/1h"]
+    drive = simulated(link, *words)
+    try:
+        with daemon("--config", config, "--state-dir", tmp_path / "state") as program:
+            what = ", ".join(wanted)
+            program.until(lambda d: all(close(d, name, *near) for name, near in wanted.items()), what)
     finally:
         drive.end()
