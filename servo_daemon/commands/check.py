@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 import math
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from drivers.base import Driver
 from servo_daemon.commands.shared import common
+from servo_daemon.commands.shared.listening import heard
 from servo_daemon.config import DriveConfig, load_config
 from servo_daemon.errors import BadInputError, DriverConfigError, DriverError, EndOfStreamError
 from servo_daemon.samples import SampleBlock
@@ -68,13 +68,10 @@ def _look(drive: DriveConfig, driver: Driver, listen_s: float) -> dict[str, Any]
     remark: str | None = None
     try:
         with driver:
-            deadline = time.monotonic() + listen_s
-            while time.monotonic() < deadline:
-                block = driver.read(0.1)
-                if block is not None:
-                    first, last = first or block, block
-                    if block.host_time_s - first.host_time_s < _SETTLED_S:
-                        settled = block
+            for block in heard(driver, listen_s):
+                first, last = first or block, block
+                if block.host_time_s - first.host_time_s < _SETTLED_S:
+                    settled = block
             remark = driver.remark
     except DriverConfigError:
         raise

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import time
 from dataclasses import dataclass, field
 from typing import Any
 
 from drivers.base import Driver
 from drivers.registry import make_driver
 from drivers.vesc.polling import PolledVesc
+from servo_daemon.commands.shared.listening import heard
 from servo_daemon.errors import DriverError
 from servo_daemon.tracking.plan.signals import plan_signals
 
@@ -59,11 +59,8 @@ def look(candidate: Candidate, seconds: float) -> Finding | str | None:
     first = last = None
     try:
         with driver:
-            end = time.monotonic() + seconds
-            while time.monotonic() < end:
-                block = driver.read(0.1)
-                if block is not None:
-                    first, last = first or block, block
+            for block in heard(driver, seconds):
+                first, last = first or block, block
             info, remark, options = driver.info, driver.remark, candidate.options | _found_out(driver)
     except DriverError as error:
         return str(error)

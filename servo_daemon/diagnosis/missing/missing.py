@@ -81,8 +81,8 @@ class Missing:
         augmented, coordinates: model and parameters of the passes.
         stretches: what the linear response needs.
         resolution: step of each measured channel, 0: none.
-        unseen: shape (n,): samples that tell where the motor is and nothing else: neither the levels nor any statistic
-            of the series counts them, because they are held out.
+        seen: shape (n,). The others are held out and tell where the motor is, nothing else: neither the levels nor any
+            statistic of the series counts them.
     """
 
     visible: Visible
@@ -97,12 +97,7 @@ class Missing:
     coordinates: F64
     stretches: tuple[SmoothedStretch, ...]
     resolution: Mapping[str, float]
-    unseen: NDArray[np.bool_]
-
-    @property
-    def seen(self) -> NDArray[np.bool_]:
-        """Shape (n,)."""
-        return ~self.unseen
+    seen: NDArray[np.bool_]
 
     @property
     def mean_square(self) -> Mapping[str, float]:
@@ -129,7 +124,7 @@ def missing_inputs(
         coordinates: parameters to use instead, as in `Missing.coordinates`.
         levels: intensities; None: by maximum likelihood from this capture.
         least_walk: the walks are not slower than this, unit²/s.
-        seen: shape (n,): see `Missing.unseen`; None: everywhere.
+        seen: shape (n,): see `Missing.seen`; None: everywhere.
 
     Raises:
         BadInputError: signals or samples are missing.
@@ -170,7 +165,7 @@ def missing_inputs(
         coordinates=q,
         stretches=smoothed,
         resolution=steps,
-        unseen=~np.concatenate(shown),
+        seen=np.concatenate(shown),
     )
 
 

@@ -53,7 +53,7 @@ class Regression:
         columns = {n: np.where(np.isfinite(c).all(axis=0), c, 0.0) for n, c in smoothed(missing, traces).items()}
         edges = np.linspace(0, len(motion.t), BLOCKS + 1).astype(int)
         XX, Xy, yy = np.zeros((BLOCKS, len(traces), len(traces))), np.zeros((BLOCKS, len(traces))), np.zeros(BLOCKS)
-        unknown, moving = 0.0, ~motion.rest & ~missing.unseen
+        unknown, moving = 0.0, ~motion.rest & missing.seen
         for name, series in missing.series.items():
             unit = float(np.median(missing.std[name]))
             unknown += float(np.sum((missing.std[name][moving] / unit) ** 2))

@@ -137,7 +137,7 @@ def _scored(
 
 def context_of(missing: Missing, motion: Motion, nuisance: Sequence[Trace]) -> Context:
     """What the formulas need: raw series less what the free parameters explain, and the friction held at rest."""
-    moving = ~motion.rest & ~missing.unseen
+    moving = ~motion.rest & missing.seen
     residual = {name: np.where(moving, series, 0.0) for name, series in missing.series.items()}
     columns = smoothed(missing, nuisance) if nuisance else {}
     stacked = [(columns[n] / np.median(missing.std[n])) * moving[:, None] for n in columns]

@@ -18,6 +18,7 @@ from servo_daemon.identification.output_error.problem.setup import (
     Recording,
     acceleration_size,
     current_size,
+    size_of,
     speed_size,
 )
 from servo_daemon.identification.output_error.window_regression import window_starts
@@ -26,7 +27,7 @@ from servo_daemon.parameters import LINEAR, Parameter
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.regression.motor_rls import MotorRls
 from servo_daemon.regression.rls import SPANS_S
-from servo_daemon.samples import F64, SampleBlock
+from servo_daemon.samples import SampleBlock
 
 #: Mechanical and electrical time constants that are tried, s: from small coreless motors to geared axes.
 _MECHANICAL_S, _ELECTRICAL_S = (0.005, 0.03, 0.2), (0.0003, 0.003)
@@ -78,12 +79,7 @@ def _turning(recordings: Sequence[Recording], problem: Problem) -> tuple[list[Sa
 def _liveliest(blocks: Sequence[SampleBlock]) -> SampleBlock:
     """The recording with most speed for its voltage: in the others more of that holds a weight or overcomes friction,
     and K ≤ V/ω in all of them."""
-    return max(blocks, key=lambda b: speed_size(b) / (_large(b.voltage_V) or 1.0))
-
-
-def _large(values: F64 | None) -> float:
-    """The size that all but one sample in twenty are below."""
-    return 0.0 if values is None else float(np.percentile(np.abs(values), 95.0))
+    return max(blocks, key=lambda b: speed_size(b) / (1.0 if b.voltage_V is None else size_of(b.voltage_V) or 1.0))
 
 
 def _starts(
@@ -127,7 +123,7 @@ def _from_sizes(block: SampleBlock, plant: PlantModel, nominal: Mapping[str, flo
     core: list[dict[str, float]] = []
     if plant.drive == "voltage":
         assert block.voltage_V is not None
-        voltage = max(_large(block.voltage_V), 1e-9)
+        voltage = max(size_of(block.voltage_V), 1e-9)
         moves = block.position_rad is not None or block.velocity_rad_s is not None
         K = 0.7 * voltage / speed if moves else 0.05
         R = 0.5 * voltage / max(current_size(block), 1e-9) if block.current_A is not None else 1.0
@@ -140,7 +136,7 @@ def _from_sizes(block: SampleBlock, plant: PlantModel, nominal: Mapping[str, flo
     else:
         known = block.torque_Nm if plant.drive == "torque" else block.current_A
         assert known is not None
-        torque = max(_large(known), 1e-12)
+        torque = max(size_of(known), 1e-12)
         acceleration = max(acceleration_size(block), 1e-9)
         core = [{"K": 1.0, "J": (1 - s) * torque / acceleration, "B": s * torque / speed} for s in (0.1, 0.5)]
     return [_with_effects(values, block, plant) for values in core]
@@ -149,15 +145,15 @@ def _from_sizes(block: SampleBlock, plant: PlantModel, nominal: Mapping[str, flo
 def torque_size(values: Mapping[str, float], block: SampleBlock, drive: str) -> float:
     """N·m: what the motor typically exerts."""
     if drive == "torque" and block.torque_Nm is not None:
-        return _large(block.torque_Nm)
+        return size_of(block.torque_Nm)
     if block.current_A is None and block.voltage_V is not None:
-        return values["K"] * _large(block.voltage_V) / values["R"]
+        return values["K"] * size_of(block.voltage_V) / values["R"]
     return values["K"] * current_size(block)
 
 
 def sizes(values: Mapping[str, float], block: SampleBlock, plant: PlantModel) -> dict[str, float]:
     """What a parameter's `Scale` multiplies, from signals and the motor's values."""
-    voltage = _large(block.voltage_V) if block.voltage_V is not None else 1.0
+    voltage = size_of(block.voltage_V) if block.voltage_V is not None else 1.0
     travel = float(np.ptp(block.position_rad)) / 2 if block.position_rad is not None else 1.0
     seconds = float(block.time_s[-1] - block.time_s[0])
     measured = {
@@ -180,6 +176,11 @@ def _with_effects(values: dict[str, float], block: SampleBlock, plant: PlantMode
 
 
 def effect_start(p: Parameter, size: Mapping[str, float]) -> float:
+    """Where a search begins of an effect's parameter, natural unit.
+
+    Args:
+        size: of `sizes`.
+    """
     if p.scale is not None and p.scale.share:
         return float(np.clip(p.scale.share * p.scale.product(size), p.lower, p.upper))
     if p.unit == "N·m" and p.transform == "log":

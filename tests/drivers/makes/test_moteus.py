@@ -25,7 +25,8 @@ from servo_daemon.errors import DriverConfigError
 from servo_daemon.samples import Quality, SampleBlock, concatenate
 from servo_daemon.sim_drive.makes.moteus import Fdcanusb, Moteus
 from tests.drivers.conformance import DriverConformance, read_until
-from tests.drivers.makes.rig import Silent, assert_follows_the_sine, current_of, line, sine_motor
+from tests.drivers.makes.conformance import OnAPort
+from tests.drivers.makes.rig import assert_follows_the_sine, current_of, line, sine_motor
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "moteus.json").read_text())["frames"]
 FLOATS = [f for f in GOLDEN if "decoded" in f and f["data"].startswith("2100")]
@@ -119,7 +120,7 @@ def _moteus() -> Moteus:
     return Moteus(sine_motor(1e-3), torque_constant=0.25)
 
 
-class TestFdcanusbConformance(DriverConformance):
+class TestFdcanusbConformance(OnAPort):
     kind = "moteus"
     wrong_types = {"port": 5, "drive_id": 0, "rate_hz": "x", "signal": "power", "pole_pairs": 0}  # noqa: RUF012
 
@@ -129,15 +130,6 @@ class TestFdcanusbConformance(DriverConformance):
             yield {"port": str(rig.link), "rate_hz": 400.0}
         allowed, _ = may_send(1)
         assert bytes(rig.heard).replace(allowed, b"") == b""
-
-    @pytest.fixture
-    def silent_options(self, tmp_path: Path) -> Iterator[dict[str, Any] | None]:
-        with line(tmp_path / "silent", Silent()) as rig:
-            yield {"port": str(rig.link)}
-
-    @pytest.fixture
-    def missing_options(self, tmp_path: Path) -> Iterator[dict[str, Any] | None]:
-        yield {"port": str(tmp_path / "nothing")}
 
 
 @contextlib.contextmanager

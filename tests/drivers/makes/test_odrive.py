@@ -21,9 +21,10 @@ from servo_daemon.samples import Quality, concatenate
 from servo_daemon.sim_drive.makes.can_nodes import SlcanBus
 from servo_daemon.sim_drive.makes.foc import FocDrive, RunningFoc
 from servo_daemon.sim_drive.makes.odrive import Generation, OdriveNode, OdriveText
-from tests.drivers.conformance import DriverConformance, read_until
+from tests.drivers.conformance import read_until
 from tests.drivers.makes.can_rig import batch
-from tests.drivers.makes.rig import Silent, line
+from tests.drivers.makes.conformance import OnABus, OnAPort
+from tests.drivers.makes.rig import line
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden/odrive.json").read_text())["frames"]
 USED = [f for f in GOLDEN if f["message"] in ("Get_Encoder_Estimates", "Get_Iq", "Get_Torques")]
@@ -45,7 +46,7 @@ def node(generation: Generation = "0.6", **kwargs: Any) -> SlcanBus:
     return SlcanBus(OdriveNode(RunningFoc(FocDrive()), generation=generation, **kwargs))
 
 
-class TestOdriveOnCan(DriverConformance):
+class TestOdriveOnCan(OnABus):
     kind = "odrive"
     wrong_types = {"node_id": 64, "firmware": 0.6, "channel": 0.5}  # noqa: RUF012
 
@@ -54,17 +55,8 @@ class TestOdriveOnCan(DriverConformance):
         with line(tmp_path / "can0", node()):
             yield {"interface": "slcan", "channel": str(tmp_path / "can0")}
 
-    @pytest.fixture
-    def silent_options(self, tmp_path: Path) -> Iterator[dict[str, Any] | None]:
-        with line(tmp_path / "silent", Silent()):
-            yield {"interface": "slcan", "channel": str(tmp_path / "silent")}
 
-    @pytest.fixture
-    def missing_options(self, tmp_path: Path) -> Iterator[dict[str, Any] | None]:
-        yield {"interface": "slcan", "channel": str(tmp_path / "nothing")}
-
-
-class TestOdriveText(DriverConformance):
+class TestOdriveText(OnAPort):
     kind = "odrive"
     wrong_types = {"baudrate": "fast", "rate_hz": 0.0, "axis": 2}  # noqa: RUF012
 
@@ -72,15 +64,6 @@ class TestOdriveText(DriverConformance):
     def options(self, tmp_path: Path) -> Iterator[dict[str, Any]]:
         with line(tmp_path / "odrive", OdriveText(RunningFoc(FocDrive()))):
             yield {"port": str(tmp_path / "odrive")}
-
-    @pytest.fixture
-    def silent_options(self, tmp_path: Path) -> Iterator[dict[str, Any] | None]:
-        with line(tmp_path / "silent", Silent()):
-            yield {"port": str(tmp_path / "silent")}
-
-    @pytest.fixture
-    def missing_options(self, tmp_path: Path) -> Iterator[dict[str, Any] | None]:
-        yield {"port": str(tmp_path / "nothing")}
 
 
 @pytest.mark.parametrize("node_id", [0, 9, 63])

@@ -20,8 +20,9 @@ from drivers.servo_bus.families import DYNAMIXEL, DynamixelX, FeetechSts
 from servo_daemon.errors import DriverConfigError
 from servo_daemon.samples import Quality, SampleBlock, concatenate
 from servo_daemon.sim_drive.makes.servos import DynamixelChain, FeetechChain
-from tests.drivers.conformance import DriverConformance, read_until
-from tests.drivers.makes.rig import Silent, assert_follows_the_sine, line, sine_motor
+from tests.drivers.conformance import read_until
+from tests.drivers.makes.conformance import OnAPort
+from tests.drivers.makes.rig import assert_follows_the_sine, line, sine_motor
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "dynamixel.json").read_text())["frames"]
 STATUSES = [f for f in GOLDEN if "status" in f]
@@ -150,7 +151,7 @@ def _heard_only(heard: bytes, allowed: frozenset[bytes]) -> bool:
     return True
 
 
-class _Servos(DriverConformance):
+class _Servos(OnAPort):
     wrong_types = {"port": 5, "baudrate": "x", "drive_id": 253, "rate_hz": 0, "fast": 1, "current_lsb_A": -1.0}  # noqa: RUF012
 
     @pytest.fixture
@@ -159,15 +160,6 @@ class _Servos(DriverConformance):
             yield {"port": str(rig.link), "drive_id": 3, "rate_hz": 200.0}
         family = X if self.kind == "dynamixel" else FeetechSts()
         assert _heard_only(bytes(rig.heard), may_send(family, (3,)))
-
-    @pytest.fixture
-    def silent_options(self, tmp_path: Path) -> Iterator[dict[str, Any] | None]:
-        with line(tmp_path / "silent", Silent()) as rig:
-            yield {"port": str(rig.link)}
-
-    @pytest.fixture
-    def missing_options(self, tmp_path: Path) -> Iterator[dict[str, Any] | None]:
-        yield {"port": str(tmp_path / "nothing")}
 
 
 class TestDynamixelConformance(_Servos):

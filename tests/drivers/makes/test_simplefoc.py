@@ -14,14 +14,15 @@ from drivers.simplefoc import MAY_SEND, MonitorDecoder, SimpleFocDriver, SimpleF
 from servo_daemon.errors import DriverConfigError
 from servo_daemon.samples import concatenate
 from servo_daemon.sim_drive.makes.simplefoc import SimpleFocMonitor
-from tests.drivers.conformance import DriverConformance, read_until
-from tests.drivers.makes.rig import Silent, assert_follows_the_sine, line, sine_motor, voltage_of
+from tests.drivers.conformance import read_until
+from tests.drivers.makes.conformance import OnAPort
+from tests.drivers.makes.rig import assert_follows_the_sine, line, sine_motor, voltage_of
 
 #: The first lines of a monitor with target, Uq, Iq, velocity and angle.
 GOLDEN = b"0.0000\t0.2746\t3617.8605\t7.7842\t0.0475\r\n0.0000\t0.3266\t-3431.8803\t9.1540\t0.1318\r\n"
 
 
-class TestSimpleFocConformance(DriverConformance):
+class TestSimpleFocConformance(OnAPort):
     kind = "simplefoc"
     wrong_types = {"port": 5, "baudrate": "fast", "monitor": 1101011, "period_s": 0, "pole_pairs": 0}  # noqa: RUF012
 
@@ -30,15 +31,6 @@ class TestSimpleFocConformance(DriverConformance):
         with line(tmp_path / "foc", SimpleFocMonitor(sine_motor(5e-3))) as rig:
             yield {"port": str(rig.link)}
         assert bytes(rig.heard) == b"", MAY_SEND
-
-    @pytest.fixture
-    def silent_options(self, tmp_path: Path) -> Iterator[dict[str, Any] | None]:
-        with line(tmp_path / "silent", Silent()) as rig:
-            yield {"port": str(rig.link)}
-
-    @pytest.fixture
-    def missing_options(self, tmp_path: Path) -> Iterator[dict[str, Any] | None]:
-        yield {"port": str(tmp_path / "nothing")}
 
 
 def _decoder(**options: Any) -> MonitorDecoder:

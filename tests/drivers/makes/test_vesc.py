@@ -21,7 +21,8 @@ from servo_daemon.samples import F64, Quality, concatenate
 from servo_daemon.sim_drive.makes.can_nodes import SlcanBus
 from servo_daemon.sim_drive.makes.foc import FocDrive, Motion, RunningFoc
 from servo_daemon.sim_drive.makes.vesc import UUID, VescDevice, VescNode
-from tests.drivers.conformance import DriverConformance, read_until
+from tests.drivers.conformance import read_until
+from tests.drivers.makes.conformance import OnABus, OnAPort
 from tests.drivers.makes.rig import Line, Silent, line
 
 ALLOWED = {payload for payloads in MAY_SEND.values() for payload in payloads}
@@ -38,7 +39,7 @@ def payloads_in(rig: Line) -> list[bytes]:
     return found
 
 
-class TestVesc(DriverConformance):
+class TestVesc(OnAPort):
     kind = "vesc"
     wrong_types = {  # noqa: RUF012
         "port": 5, "baudrate": "fast", "rate_hz": -1.0, "can_id": 300, "pole_pairs": 0, "position": "left",
@@ -48,15 +49,6 @@ class TestVesc(DriverConformance):
     def options(self, tmp_path: Path) -> Iterator[dict[str, Any]]:
         with line(tmp_path / "vesc", vesc()):
             yield {"port": str(tmp_path / "vesc"), "position": "encoder"}
-
-    @pytest.fixture
-    def silent_options(self, tmp_path: Path) -> Iterator[dict[str, Any] | None]:
-        with line(tmp_path / "silent", Silent()):
-            yield {"port": str(tmp_path / "silent")}
-
-    @pytest.fixture
-    def missing_options(self, tmp_path: Path) -> Iterator[dict[str, Any] | None]:
-        yield {"port": str(tmp_path / "nothing")}
 
 
 class Timed(VescDevice):
@@ -188,7 +180,7 @@ def test_a_port_without_a_vesc_is_told(tmp_path: Path) -> None:
     assert set(payloads_in(rig)) == {b"\x00"}
 
 
-class TestVescOnCan(DriverConformance):
+class TestVescOnCan(OnABus):
     kind = "vesc"
     wrong_types = {  # noqa: RUF012
         "channel": 0.5, "bitrate": -1, "can_id": "7", "pole_pairs": 0.5, "position": 3, "encoder_inverted": "no",
@@ -198,15 +190,6 @@ class TestVescOnCan(DriverConformance):
     def options(self, tmp_path: Path) -> Iterator[dict[str, Any]]:
         with line(tmp_path / "can0", SlcanBus(VescNode(RunningFoc(FocDrive())))):
             yield {"interface": "slcan", "channel": str(tmp_path / "can0"), "position": "encoder"}
-
-    @pytest.fixture
-    def silent_options(self, tmp_path: Path) -> Iterator[dict[str, Any] | None]:
-        with line(tmp_path / "silent", Silent()):
-            yield {"interface": "slcan", "channel": str(tmp_path / "silent")}
-
-    @pytest.fixture
-    def missing_options(self, tmp_path: Path) -> Iterator[dict[str, Any] | None]:
-        yield {"interface": "slcan", "channel": str(tmp_path / "nothing")}
 
 
 @pytest.mark.parametrize("encoder", [True, False])

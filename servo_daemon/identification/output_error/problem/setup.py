@@ -245,10 +245,10 @@ def _is_step_from_rest(block: SampleBlock) -> bool:
     v, speed = block.voltage_V, block.velocity_rad_s
     if v is None or speed is None or block.current_A is not None or moves(v):
         return False
-    return bool(abs(speed[0]) < _STANDS * _size(speed))
+    return bool(abs(speed[0]) < _STANDS * size_of(speed))
 
 
-def _size(values: F64) -> float:
+def size_of(values: F64) -> float:
     """The 95th percentile of the modulus: not moved by a few wild samples."""
     return float(np.percentile(np.abs(values), 95.0))
 
@@ -256,18 +256,18 @@ def _size(values: F64) -> float:
 def current_size(block: SampleBlock) -> float:
     """A: as measured; without a sensor what the voltage drives through 1 Ω."""
     if block.current_A is not None:
-        return _size(block.current_A)
-    return _size(block.voltage_V) if block.voltage_V is not None else 1.0
+        return size_of(block.current_A)
+    return size_of(block.voltage_V) if block.voltage_V is not None else 1.0
 
 
 def speed_size(block: SampleBlock) -> float:
     """rad/s: as measured, or from differences of the angle over 20 samples."""
     if block.velocity_rad_s is not None and block.position_rad is None:
-        return _size(block.velocity_rad_s)
+        return size_of(block.velocity_rad_s)
     if block.position_rad is None:
         return 0.0
     reach = min(20, len(block) - 1)
-    return _size(
+    return size_of(
         (block.position_rad[reach:] - block.position_rad[:-reach]) / (block.time_s[reach:] - block.time_s[:-reach])
     )
 
@@ -284,4 +284,4 @@ def acceleration_size(block: SampleBlock) -> float:
     else:
         speed = (block.position_rad[reach:] - block.position_rad[:-reach]) / (t[reach:] - t[:-reach])
         at = t[reach:]
-    return _size((speed[reach:] - speed[:-reach]) / (at[reach:] - at[:-reach]))
+    return size_of((speed[reach:] - speed[:-reach]) / (at[reach:] - at[:-reach]))
