@@ -63,9 +63,9 @@ def ticking(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., Pa
     def made(rate: float, remark: str | None = None) -> Path:
         clock = Clock()
         monkeypatch.setattr("drivers.registry.make_driver", lambda *_: Ticking(clock, rate, remark))
-        for command in ("check", "record"):
-            fake = type("time", (), {"monotonic": staticmethod(clock.monotonic), "sleep": staticmethod(time.sleep)})
-            monkeypatch.setattr(f"servo_daemon.commands.{command}.time", fake)
+        fake = type("time", (), {"monotonic": staticmethod(clock.monotonic), "sleep": staticmethod(time.sleep)})
+        for module in ("shared.listening", "record"):
+            monkeypatch.setattr(f"servo_daemon.commands.{module}.time", fake)
         path = tmp_path / "c.toml"
         path.write_text(CONFIG)
         return path
