@@ -75,6 +75,7 @@ def test_a_step_is_named_within_two_seconds_and_nothing_else(name: str, motor: s
     assert track.white[(track.time_s > CHANGE_S) & (track.time_s < CHANGE_S + 3.0)].all(), "what is explained is none"
 
 
+@pytest.mark.first_is_fast
 @each(*STEPS)
 def test_the_size_of_a_step_is_right_to_three_percent(name: str, motor: str) -> None:
     case, track = followed(name, motor)
@@ -83,6 +84,7 @@ def test_the_size_of_a_step_is_right_to_three_percent(name: str, motor: str) -> 
     assert told["to"] - told["from"] == pytest.approx(values[-1] - values[0], rel=NEAR)
 
 
+@pytest.mark.first_is_fast
 @each(*STEPS)
 def test_values_are_right_again_after_five_seconds(name: str, motor: str) -> None:
     """All but L, for which see the next test."""
@@ -108,6 +110,7 @@ def test_inductance_is_right_again_after_five_seconds(name: str, motor: str) -> 
 # -- a step that no parameter explains --------------------------------------------------------------------------------
 
 
+@pytest.mark.first_is_fast
 @each(HIDDEN_LOAD)
 def test_a_load_that_is_not_in_the_model_is_a_mismatch_and_bends_nothing(name: str, motor: str) -> None:
     case, track = followed(name, motor)
@@ -130,6 +133,7 @@ def clean(motion: str, motor: str) -> Track:
     return tracked(recording, nominal_of(MOTORS[motor]))
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("motion", ["multisine", "pick_and_place"])
 @pytest.mark.parametrize("motor", list(MOTORS))
 def test_a_clean_run_reports_no_jump(motor: str, motion: str) -> None:
@@ -144,6 +148,7 @@ def test_a_clean_run_reports_no_mismatch(motor: str, motion: str) -> None:
     assert track.white.all()
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("motor", list(MOTORS))
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_passing_fault_of_an_instrument_is_no_jump_and_teaches_nothing(name: str, motor: str) -> None:
@@ -169,6 +174,7 @@ def stepping(parameter: str, size: float, motion: str, motor: str, seed: int) ->
     return case, tracked(recording, nominal_of(of, 1.3))
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize(
     ("parameter", "size", "motion", "motor", "seed"),
     [

@@ -73,6 +73,7 @@ def test_an_odrive_on_a_port_is_found_with_reads_only(tmp_path: Path, capsys: py
     assert heard.replace(hello, b"").replace(ODRIVE_MAY_SEND[0], b"") == b""
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize(
     ("node", "driver", "option", "signals"),
     [
