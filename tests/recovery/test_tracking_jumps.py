@@ -6,13 +6,14 @@ hold is marked with what was measured.
 
 from __future__ import annotations
 
+import zlib
 from functools import cache
 
 import numpy as np
 import pytest
 
 from servo_daemon.samples import F64
-from tests.recovery.generator import MOTORS, Scenario, generate
+from tests.recovery.generator import MOTORS, Scenario, generate, typical
 from tests.recovery.tracking.cases import CASES, Case
 from tests.recovery.tracking.follow import NAMES, Told, Track, nominal_of, tracked
 from tests.recovery.tracking.scenarios import truth_of
@@ -105,6 +106,16 @@ def test_inductance_is_right_again_after_five_seconds(name: str, motor: str) -> 
     spread = track.std[late, k] / case.truth["L"][-1]
     assert (np.abs(errors(case, track)[late, k]) < np.maximum(NEAR, 3.0 * spread)).all()
     assert spread.max() < 0.07  # with the sampling skew (δ·R) in it, 3 % of this L
+
+
+@pytest.mark.slow
+def test_a_hidden_brush_drop_makes_values_wander_and_names_no_step() -> None:
+    """2 % of the voltage: little enough for white innovations, and K follows what the motor is doing by 3 %."""
+    motor, rng = MOTORS["gear"], np.random.default_rng(zlib.crc32(b"false-steps/gear/prbs/brush_voltage_drop/0.02/2"))
+    hidden = typical("brush_voltage_drop", motor, 0.02, seconds=300.0, rng=rng)
+    nominal = {name: float(getattr(motor, name) * (1 + rng.uniform(-0.4, 0.4))) for name in NAMES}
+    recording = generate(motor, Scenario("prbs", 300.0, effects=hidden, seed=2))
+    assert jumps(tracked(recording, nominal | {"J_m": 0.6 * min(nominal["J"], motor.J)})) == []
 
 
 # -- a step that no parameter explains --------------------------------------------------------------------------------
