@@ -17,8 +17,8 @@ from servo_daemon.regression.balance_window import BalanceWindow
 from servo_daemon.regression.balances import Sums, expected_square, noise_squares
 from servo_daemon.regression.columns.derived_terms import ADDED_TO
 from servo_daemon.regression.columns.terms import (
-    ARMATURE_OFFSETS,
     armature_columns,
+    armature_offsets,
     as_parameters,
     columns_of,
     derived_of,
@@ -42,8 +42,7 @@ from servo_daemon.regression.rls import SPANS_S, LinearEstimate, SlidingRls
 from servo_daemon.regression.rls_fit import OVERLAP
 from servo_daemon.regression.sampling import FEWEST_SAMPLES, SPAN_S, Sampling
 from servo_daemon.regression.small_matrices import in_columns
-from servo_daemon.regression.stretch import Stretch, between_samples, joined, last, median, motion, speed_sign
-from servo_daemon.regression.stretch import speed as speed_of
+from servo_daemon.regression.stretch import Stretch, between_samples, joined, last, median, motion
 from servo_daemon.samples import F64
 
 #: After the first updates (a tick each) so many are worked off together: fewer calls on longer arrays.
@@ -82,7 +81,7 @@ class MotorRls:
         self._plant, self._known, self._spans_s = plant, dict(known), tuple(spans_s)
         self._taken_at = {p.name: p.nominal for p in plant.parameters} | dict(nominal or {})
         self._current_gain = self._taken_at.get("g_i", 1.0)
-        self._lag = Lag(self._taken_at["t_lag"]) if "drive_lag" in plant.effects else None
+        self._lag = Lag(self._taken_at["t_lag"]) if "t_lag" in plant.parameter_names else None
         given_torque = plant.drive == "voltage" and bool(known)
         unseen = unseen_in(plant.effects, sees_current=not given_torque, sees_angle=sees_angle)
         derived = derived_of(plant.effects)
@@ -91,7 +90,7 @@ class MotorRls:
         self._open = frozenset[str]().union(*(d.open if d in self._derived else ADDED_TO for d in derived))
         self._shaft_effects = tuple(e for e in plant.effects if e not in unseen)
         self._shaft_columns = ("J", "B", *shaft_columns(self._shaft_effects))
-        self._offsets = tuple(name for effect, name in ARMATURE_OFFSETS.items() if effect in plant.effects)
+        self._offsets = armature_offsets(plant.effects)
         self._armature_columns = (*_ARMATURE, *armature_columns(self._shaft_effects))
         asked = len(self._offsets) == 1 and self._offsets[0] not in nuisance
         of_terms = [c for d in self._derived for c in d.columns["armature"]]
@@ -249,7 +248,7 @@ class MotorRls:
 
     def _shaft_rows(self, s: Stretch, period: float) -> None:
         if self._plant.may_stick:
-            s = replace(s, usable=s.usable & (speed_sign(s) != 0.0))
+            s = replace(s, usable=s.usable & (s.sliding != 0.0))
         w = self._windows(s, period, "shaft")
         if w is None:
             return
@@ -257,8 +256,8 @@ class MotorRls:
             self._shaft = SlidingRls(len(self._shaft_columns), self._spans_s)
         speed, acceleration = motion(w, s)
         columns = [acceleration, speed]
-        if "asymmetric_friction" in self._plant.effects:  # B is that of positive motion alone
-            columns[1] = speed - w.integral(np.minimum(speed_of(s), 0.0))
+        if "B_neg" in self._shaft_columns:  # B is that of positive motion alone
+            columns[1] = speed - w.integral(np.minimum(s.speed, 0.0))
         for effect in self._shaft_effects:
             columns += self._effect_columns(effect, w, s)
         y = self._driving_torque(w, s, speed, acceleration)

@@ -13,7 +13,7 @@ from servo_daemon.regression.estimate import RegressionEstimate
 from servo_daemon.regression.modulating import Windows, make_windows
 from servo_daemon.regression.motor_rls import MotorRls
 from servo_daemon.regression.rls import SPANS_S
-from servo_daemon.regression.stretch import Stretch, median, motion, speed, speed_sign
+from servo_daemon.regression.stretch import Stretch, median, motion
 from servo_daemon.samples import F64
 
 #: What the regression has beside R, L, K, J, B; the drop of the brushes only where the current flows both ways, which
@@ -164,7 +164,7 @@ def _shaft(w: Window, reg: dict[str, float], rms: F64) -> dict[str, float]:
     assert s.current is not None
     out: dict[str, float] = {}
     short, long = _windows(w, "shaft"), _windows(w, "shaft long")
-    direction = speed_sign(s)
+    direction = s.sliding
     if short is not None:
         out |= _shaft_short(short, s, reg, rms, direction, _shift(w))
     if long is not None:
@@ -178,7 +178,7 @@ def _shaft_short(
     w: Windows, s: Stretch, reg: dict[str, float], rms: F64, direction: F64, shift: int
 ) -> dict[str, float]:
     assert s.current is not None
-    K, omega = reg["reg_K"], speed(s)
+    K, omega = reg["reg_K"], s.speed
     current, minus_rate = w.integrals(s.current, 0, 1)
     columns = [*_shaft_columns(w, s), w.integral(direction), w.integral(omega * np.abs(omega)), minus_rate, current]
     columns += [w.moved(k).integral(s.current) for k in (shift, -shift)]
@@ -218,7 +218,7 @@ def closure(w: Window, value: Mapping[str, float]) -> tuple[float, float] | None
     acceleration, shaft_speed, shaft_one = _shaft_columns(shaft, s)
     torque = value["J"] * acceleration + value["B"] * shaft_speed
     shaft_left = shaft.integral(s.current) - torque / value["K"]
-    friction = shaft.integral(speed_sign(s))
+    friction = shaft.integral(s.sliding)
     return (
         _left(left, [one, drop], short.held(s.voltage)),
         _left(shaft_left, [shaft_one, friction], shaft.integral(s.current)),

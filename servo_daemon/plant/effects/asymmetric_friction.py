@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import casadi as ca
+import numpy as np
 
 from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
 from servo_daemon.plant.effects.coulomb_friction import TC
+from servo_daemon.plant.regressors import Course, Regressors, Values, itself
+from servo_daemon.samples import F64
 
 TC_NEG = Parameter(
     "Tc_neg",
@@ -42,12 +45,18 @@ def _terms(s: Signals) -> Terms:
     )
 
 
+def _signals(c: Course, _: Values) -> list[F64]:
+    return [np.maximum(c.sliding, 0.0), np.minimum(c.sliding, 0.0), np.minimum(c.speed, 0.0)]
+
+
 EFFECT = Effect(
     name="asymmetric_friction",
     cause="A worn screw or gear rubs harder in one direction: Coulomb and viscous friction differ by direction.",
     equation=r"T_c + B\omega \ (\omega > 0), \quad -T_c^- + B^-\omega \ (\omega < 0)",
     parameters=(TC, TC_NEG, B_NEG),
     terms=_terms,
+    regressors=Regressors(shaft=(itself(TC), itself(TC_NEG), itself(B_NEG)), signals=_signals),
+    kind="friction",
     ladder=20,
     simpler=(("coulomb_friction",), ("coulomb_friction", "constant_load_torque")),
     told_from={

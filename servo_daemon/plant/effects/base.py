@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 import casadi as ca
 
 from servo_daemon.parameters import LINEAR, Parameter
+from servo_daemon.plant.regressors import Regressors, Values
 
 #: Half angles below this: sin x/x by its series, whose next term is x⁴/120.
 _SMALL_ANGLE = 1e-3
@@ -137,6 +139,16 @@ class Effect:
         ladder: its place among the others, simpler causes first.
         simpler: what may stand in its place where a search ends, simplest first; it contains each single one of them.
         told_from: by another effect's name, the experiment that tells the two apart, in words; one of the two has it.
+        kind: what it is among others that one experiment tells apart ("": nothing of them).
+        regressors: its columns in the regressions; None: those that follow from its terms.
+        phases: its phases against the angle, and the parameter that says how often they repeat in a turn ("": once).
+        as_simpler: from all values, those of what stands in its place: the nearest that the simpler model has to it.
+        hides: by a parameter of its own, those of which no motion shows anything while nobody has given that one: it
+            trades places with them, or only a filter that begins near it sees it.
+        never_sure: parameters of which a filter that runs along does not know how sure it is beside this effect.
+        late: the parameter that says by how much something is late; what is as slow leaves nearly the same trace.
+        share_of: parameters that are a share ("") or, over another parameter, make one, of what the motor works with.
+        possible: whether there is such a thing with these values; else it is something else that they fit.
     """
 
     name: str
@@ -151,6 +163,15 @@ class Effect:
     ladder: int = 1_000
     simpler: tuple[tuple[str, ...], ...] = ()
     told_from: Mapping[str, str] = field(default_factory=dict)
+    kind: Literal["", "friction", "angle", "event"] = ""
+    regressors: Regressors | None = None
+    phases: Mapping[str, str] = field(default_factory=dict)
+    as_simpler: Callable[[Values], Values] = lambda _: {}
+    hides: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    never_sure: tuple[str, ...] = ()
+    late: str = ""
+    share_of: Mapping[str, str] = field(default_factory=dict)
+    possible: Callable[[Values], bool] = lambda _: True
 
 
 def probe(effect: Effect) -> tuple[Signals, Terms]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from servo_daemon.parameters import Parameter
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
+from servo_daemon.plant.regressors import NO_COLUMNS
 
 G_I = Parameter("g_i", "g_i", "1", 1.0, 0.05, 20.0, "log", "shown current over true current", "start value")
 
@@ -19,6 +20,7 @@ EFFECT = Effect(
     equation=r"i_{\mathrm{shown}} = g_i\,i",
     parameters=(G_I,),
     terms=_terms,
+    regressors=NO_COLUMNS,
     ladder=140,
     told_from={
         "magnetic_saturation": "measure the back-EMF: turn it by hand with the drive off, and hold that K against "

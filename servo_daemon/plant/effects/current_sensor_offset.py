@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from servo_daemon.parameters import Parameter
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
+from servo_daemon.plant.regressors import Regressors, constant
 
 I0 = Parameter(
     "i0",
@@ -28,6 +29,7 @@ EFFECT = Effect(
     equation=r"i_{\mathrm{shown}} = i + i_0",
     parameters=(I0,),
     terms=_terms,
+    regressors=Regressors(armature=(constant(I0, lambda value: -value["R"]),)),
     ladder=130,
     told_from={
         "voltage_sensor_offset": "record a few seconds with the drive off: each sensor shows its own offset then.",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.effects.base import LAGGED, Effect, Signals, Terms
+from servo_daemon.plant.regressors import NO_COLUMNS
 
 T_LAG = Parameter(
     "t_lag", "t_{lag}", "s", 0.001, 1e-07, 10.0, "log", "time constant of the lag", "start value", scale=Scale(0.001)
@@ -21,6 +22,7 @@ EFFECT = Effect(
     equation=r"t_{lag}\,\dot v = v_{\mathrm{shown}} - v",
     parameters=(T_LAG,),
     terms=_terms,
+    regressors=NO_COLUMNS,
     ladder=220,
     told_from={
         "measurement_delay": "excite higher frequencies: a lag also lowers the amplitude, a delay only turns the "

@@ -6,6 +6,7 @@ import casadi as ca
 
 from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
+from servo_daemon.plant.regressors import NO_COLUMNS
 
 E_ENC = Parameter(
     "e_enc", "e", "rad", 0.01, 1e-09, 3.0, "log", "amplitude of the encoder's error", "start value", scale=Scale(0.01)
@@ -28,5 +29,8 @@ EFFECT = Effect(
         PHI_ENC,
     ),
     terms=_terms,
+    regressors=NO_COLUMNS,
+    phases={PHI_ENC.name: ""},
+    kind="angle",
     ladder=160,
 )

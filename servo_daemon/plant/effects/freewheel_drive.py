@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
+from servo_daemon.plant.regressors import NO_COLUMNS
 
 #: V: more than any back-EMF that the bridge's diodes hold back (they conduct against the supply; what is left of the
 #: current is gone within L i / supply, 0.2 ms for 1 mH, 2 A and 12 V).
@@ -22,6 +23,7 @@ EFFECT = Effect(
     equation=r"i = 0 \quad (v_{\mathrm{command}} = 0)",
     parameters=(),
     terms=_terms,
+    regressors=NO_COLUMNS,
     ladder=210,
     told_from={
         "coulomb_friction": "command zero at speed: an open bridge lets the motor coast, a closed one brakes it with "

@@ -6,6 +6,7 @@ import casadi as ca
 
 from servo_daemon.parameters import Parameter
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
+from servo_daemon.plant.regressors import Regressors, sine_and_cosine, wave
 
 TG = Parameter("Tg", "T_g", "N·m", 0.1, 1e-9, 1e4, "log", "greatest gravity torque, m g l", "start value")
 PHI_G = Parameter(
@@ -31,6 +32,9 @@ EFFECT = Effect(
     equation=r"T_g \sin(\theta + \varphi_g)",
     parameters=(TG, PHI_G),
     terms=_terms,
+    regressors=Regressors(shaft=wave("grav", TG, PHI_G), signals=lambda c, _: sine_and_cosine(c.angle)),
+    phases={PHI_G.name: ""},
+    kind="angle",
     ladder=80,
     told_from={
         "encoder_eccentricity": "turn slowly by hand or hold several angles: gravity takes current to hold, an "

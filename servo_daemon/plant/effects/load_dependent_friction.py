@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import casadi as ca
+import numpy as np
 
 from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
+from servo_daemon.plant.regressors import Regressors, itself
 
 MU = Parameter(
     "mu",
@@ -31,6 +33,7 @@ EFFECT = Effect(
     equation=r"\mu\,|K i|\operatorname{sgn}\omega",
     parameters=(MU,),
     terms=_terms,
+    regressors=Regressors(shaft=(itself(MU, share=True),), signals=lambda c, _: [c.sliding * np.abs(c.effort)]),
     ladder=40,
     substeps=2,
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.effects.base import Effect, Signals, Terms, share_after
+from servo_daemon.plant.regressors import NO_COLUMNS
 
 DTL = Parameter(
     "dTL",
@@ -44,6 +45,8 @@ EFFECT = Effect(
         T_TL,
     ),
     terms=_terms,
+    regressors=NO_COLUMNS,
+    kind="event",
     ladder=90,
     simpler=(("constant_load_torque",),),
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
+from servo_daemon.plant.regressors import NO_COLUMNS
 
 I_SAT = Parameter(
     "I_sat",
@@ -29,6 +30,7 @@ EFFECT = Effect(
     equation=r"K / (1 + (i/I_{sat})^2)",
     parameters=(I_SAT,),
     terms=_terms,
+    regressors=NO_COLUMNS,
     ladder=190,
     substeps=4,
 )

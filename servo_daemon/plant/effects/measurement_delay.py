@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.effects.base import LATE, Delay, Effect, Signals, Terms
+from servo_daemon.plant.regressors import NO_COLUMNS
 
 T_D = Parameter(
     "t_d", "t_d", "s", 0.0005, 1e-07, 0.1, "log", "how late the channel is", "start value", scale=Scale(5e-4)
@@ -37,6 +38,7 @@ EFFECT = Effect(
         CHANNEL,
     ),
     terms=_terms,
+    regressors=NO_COLUMNS,
     ladder=230,
     states=LATE,
 )

@@ -6,6 +6,7 @@ import math
 
 from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.effects.base import Effect, Signals, Terms, mean_sine
+from servo_daemon.plant.regressors import Regressors, sine_and_cosine, wave
 
 TPER = Parameter(
     "Tper",
@@ -41,5 +42,9 @@ EFFECT = Effect(
         PHI_PER,
     ),
     terms=_terms,
+    regressors=Regressors(
+        shaft=wave("per", TPER, PHI_PER),
+        signals=lambda c, value: sine_and_cosine(2 * math.pi * value["f_per"] * c.time_s),
+    ),
     ladder=100,
 )

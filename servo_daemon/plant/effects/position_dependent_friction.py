@@ -6,6 +6,8 @@ import casadi as ca
 
 from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
+from servo_daemon.plant.regressors import Column, Course, Derived, Regressors, Values
+from servo_daemon.samples import F64
 
 TC_SLOPE = Parameter(
     "Tc_slope",
@@ -38,6 +40,24 @@ def _terms(s: Signals) -> Terms:
     return Terms(factor_dry=ca.fmax(factor, 0.0))
 
 
+def _per_level(p: Parameter) -> Column:
+    """A column whose coefficient is that times the level of Coulomb friction; another's is no single column."""
+
+    def coefficient(value: Values) -> Derived:
+        torque = value["Tc"] * value[p.name]
+        return torque, {"Tc": torque, p.name: value["Tc"]}
+
+    def solve(value: Values) -> Derived:
+        torque, Tc = value[p.name], value["Tc"]
+        return (torque, {p.name: 1.0}) if Tc == 0.0 else (torque / Tc, {p.name: 1.0 / Tc, "Tc": -torque / Tc**2})
+
+    return Column(p.name, p.name, coefficient, solve)
+
+
+def _signals(c: Course, _: Values) -> list[F64]:
+    return [c.sliding * c.angle, c.sliding * c.angle * c.angle]
+
+
 EFFECT = Effect(
     name="position_dependent_friction",
     cause="A screw, guide or seal rubs harder in one part of its travel: preload, straightness or wear vary along it.",
@@ -47,6 +67,9 @@ EFFECT = Effect(
         TC_CURVE,
     ),
     terms=_terms,
+    regressors=Regressors(
+        shaft=(_per_level(TC_SLOPE), _per_level(TC_CURVE)), signals=_signals, beside="coulomb_friction"
+    ),
     ladder=50,
     scales_friction=True,
 )

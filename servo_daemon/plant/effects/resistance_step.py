@@ -6,6 +6,7 @@ import casadi as ca
 
 from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.effects.base import Effect, Signals, Terms, share_after
+from servo_daemon.plant.regressors import NO_COLUMNS
 
 #: Whatever the step, this share of the resistance is left.
 _LEAST = 1e-3
@@ -52,5 +53,7 @@ EFFECT = Effect(
         T_R,
     ),
     terms=_terms,
+    regressors=NO_COLUMNS,
+    kind="event",
     ladder=180,
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.effects.base import Effect, Signals, State, Terms
+from servo_daemon.plant.regressors import NO_COLUMNS
 
 T_F = Parameter(
     "t_f", "t_f", "s", 0.003, 1e-07, 10.0, "log", "time constant of the filter", "start value", scale=Scale(0.003)
@@ -24,6 +25,7 @@ EFFECT = Effect(
     equation=r"t_f\,\dot\omega_{\mathrm{shown}} = \omega - \omega_{\mathrm{shown}}",
     parameters=(T_F,),
     terms=_terms,
+    regressors=NO_COLUMNS,
     ladder=240,
     substeps=4,
     states=(FILTERED,),

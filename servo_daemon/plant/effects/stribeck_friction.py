@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import casadi as ca
+import numpy as np
 
 from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
 from servo_daemon.plant.effects.coulomb_friction import TC
+from servo_daemon.plant.regressors import Column, Course, Regressors, Values, itself
+from servo_daemon.samples import F64
 
 TS = Parameter(
     "Ts",
@@ -39,6 +42,19 @@ def _terms(s: Signals) -> Terms:
     return Terms(dry_friction=level)
 
 
+#: The excess at rest over Tc.
+BOUNDARY = Column(
+    "boundary",
+    TS.name,
+    lambda value: (value["Ts"] - value["Tc"], {"Ts": value["Ts"], "Tc": -value["Tc"]}),
+    lambda value: (value["boundary"] + value["Tc"], {"boundary": 1.0, "Tc": 1.0}),
+)
+
+
+def _signals(c: Course, value: Values) -> list[F64]:
+    return [c.sliding, c.sliding * np.exp(-np.square(c.speed / value["ws"]))]
+
+
 EFFECT = Effect(
     name="stribeck_friction",
     cause="A boundary-lubricated bearing, screw or gear holds harder at rest than it rubs once grease carries it.",
@@ -49,6 +65,8 @@ EFFECT = Effect(
         WS,
     ),
     terms=_terms,
+    regressors=Regressors(shaft=(itself(TC), BOUNDARY), signals=_signals),
+    kind="friction",
     ladder=30,
     simpler=(("coulomb_friction",),),
     substeps=4,

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.effects.base import Effect, Signals, Terms, mean_sine, moment_of_sine
+from servo_daemon.plant.regressors import Course, Regressors, Values, sine_and_cosine, wave
+from servo_daemon.samples import F64
 
 K_RIP = Parameter(
     "k_rip",
@@ -43,6 +45,13 @@ def _terms(s: Signals) -> Terms:
     )
 
 
+WAVE = wave("rip", K_RIP, PHI_RIP, share=True)
+
+
+def _signals(c: Course, value: Values) -> list[F64]:
+    return [-c.effort * x for x in sine_and_cosine(value["n_rip"] * c.angle)]
+
+
 EFFECT = Effect(
     name="torque_ripple",
     cause="Few commutator bars, or windings and magnets that are not alike: the torque constant varies with the angle.",
@@ -53,6 +62,9 @@ EFFECT = Effect(
         PHI_RIP,
     ),
     terms=_terms,
+    regressors=Regressors(shaft=WAVE, armature=WAVE, signals=_signals),
+    phases={PHI_RIP.name: N_RIP.name},
+    kind="angle",
     ladder=120,
     told_from={
         "periodic_disturbance": "repeat it at another speed: ripple stays with the angle, a disturbance with the "

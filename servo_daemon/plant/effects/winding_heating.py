@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.effects.base import Effect, Signals, State, Terms
+from servo_daemon.plant.regressors import NO_COLUMNS
 
 #: Temperature coefficient of copper at 20 °C, 1/K (IEC 60028).
 ALPHA_COPPER_1_K = 0.0039
@@ -51,6 +52,7 @@ EFFECT = Effect(
     equation=r"R\,(1 + 0.0039\,\vartheta),\quad C_{th}\,\dot\vartheta = R\,i^2 - \vartheta/R_{th}",
     parameters=(R_TH, C_TH),
     terms=_terms,
+    regressors=NO_COLUMNS,
     ladder=200,
     told_from={
         "resistance_step": "let it cool and start again: heat comes back slowly, a bad contact comes and goes at once.",
