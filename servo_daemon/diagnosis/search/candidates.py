@@ -37,18 +37,6 @@ NESTED: Mapping[str, tuple[str, ...]] = {
 }
 
 
-def as_simpler(values: Mapping[str, float], name: str, instead: Sequence[str]) -> dict[str, float]:
-    """Start values of what stands in the place of an effect: the nearest that the simpler model has to it."""
-    out = dict(values)
-    if name == "asymmetric_friction":
-        out["Tc"] = (values["Tc"] + values["Tc_neg"]) / 2
-        if "constant_load_torque" in instead:
-            out["TL"] = (values["Tc"] - values["Tc_neg"]) / 2
-    if name == "load_torque_step" and "constant_load_torque" in instead:
-        out["TL"] = values["dTL"]
-    return out
-
-
 @dataclass(frozen=True, slots=True)
 class Proposal:
     """A model to try.

@@ -18,7 +18,6 @@ from servo_daemon.diagnosis.screening.screen import ScreenedCandidate, screen
 from servo_daemon.diagnosis.search.candidates import (
     WORTH_A_PAIR,
     Proposal,
-    as_simpler,
     late_without_current,
     open_at_zero,
     pairs,
@@ -47,8 +46,6 @@ from servo_daemon.plant.effects import effects_by_name
 
 #: At most so many effects are taken.
 _MOST_EFFECTS = 4
-#: Viscous frictions that differ by less are the same.
-_ALIKE = 0.15
 #: Screened so well, a cause must show in a fit: if none does, the free runs are too long for this motor.
 _PROMISING = 0.25
 #: … of these: with them a motor may stand where it cannot stay.
@@ -304,8 +301,6 @@ def pruned(data: Data, current: Trial, added: Sequence[str]) -> tuple[Trial, lis
     kept = list(added)
     for name in list(added):
         for instead in ((),) * (len(added) > 1) + effects_by_name()[name].simpler:
-            if "constant_load_torque" in instead and name == "asymmetric_friction" and not _only_levels(current):
-                continue
             without = without_effect(data, current, name, instead=instead)
             if without is None or not np.isfinite(without.choice.squares).all():
                 continue
@@ -316,11 +311,6 @@ def pruned(data: Data, current: Trial, added: Sequence[str]) -> tuple[Trial, lis
     return current, kept
 
 
-def _only_levels(trial: Trial) -> bool:
-    """Whether friction differs by direction in its dry level only, which is Coulomb friction and a constant load."""
-    return abs(trial.values["B_neg"] / trial.values["B"] - 1.0) < _ALIKE
-
-
 def without_effect(
     data: Data, trial: Trial, name: str, *, instead: tuple[str, ...] = (), parts: Sequence[int] = (TRAIN,)
 ) -> Trial | None:
@@ -328,9 +318,10 @@ def without_effect(
     effects = tuple(e for present in trial.effects for e in (instead if present == name else (present,)))
     if len(set(effects)) < len(effects):
         return None
-    if not model_exists(effects):
+    nearest = effects_by_name()[name].as_simpler(trial.values, instead)
+    if nearest is None or not model_exists(effects):
         return None
-    values = as_simpler(trial.values, name, instead)
+    values = {**trial.values, **nearest}
     for p in (p for e in effects for p in effects_by_name()[e].parameters):
         values.setdefault(p.name, p.nominal)
     return fit_trial(data, effects, values, parts=parts, like=trial)

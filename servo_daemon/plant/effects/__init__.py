@@ -64,9 +64,9 @@ def _check_names(effect: Effect, known: Mapping[str, Effect], table: Mapping[str
         if name not in known:
             raise ImportError(f"{__path__[0]}: {effect.name} names {name}, which is no effect")
     gives = (c.gives for c in (*columns.shaft, *columns.armature)) if columns is not None else ()
-    over = (*effect.phases.values(), *effect.share_of.values())
-    own = (*gives, *effect.phases, *effect.share_of, *effect.hides, *filter(None, (effect.late, *over)))
-    for name in (*own, *effect.never_sure, *(n for hidden in effect.hides.values() for n in hidden)):
+    of = {**effect.phases, **effect.share_of}
+    concerned = (n for by in (effect.hides, effect.never_sure) for own, others in by.items() for n in (own, *others))
+    for name in (*gives, *of, *filter(None, (effect.late, *of.values())), *concerned):
         if name not in table:
             raise ImportError(f"{__path__[0]}: {effect.name} names {name}, which is no parameter")
 

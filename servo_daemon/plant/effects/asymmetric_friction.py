@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import casadi as ca
 import numpy as np
 
@@ -35,6 +37,9 @@ B_NEG = Parameter(
     scale=Scale(1.0, B=1),
 )
 
+#: Viscous frictions that differ by less are the same: only the dry levels differ, as beside a constant load.
+_ALIKE = 0.15
+
 
 def _terms(s: Signals) -> Terms:
     return Terms(
@@ -49,6 +54,13 @@ def _signals(c: Course, _: Values) -> list[F64]:
     return [np.maximum(c.sliding, 0.0), np.minimum(c.sliding, 0.0), np.minimum(c.speed, 0.0)]
 
 
+def _as_simpler(value: Values, instead: Sequence[str]) -> Values | None:
+    mean, half = (value["Tc"] + value["Tc_neg"]) / 2, (value["Tc"] - value["Tc_neg"]) / 2
+    if "constant_load_torque" not in instead:
+        return {"Tc": mean}
+    return {"Tc": mean, "TL": half} if abs(value["B_neg"] / value["B"] - 1.0) < _ALIKE else None
+
+
 EFFECT = Effect(
     name="asymmetric_friction",
     cause="A worn screw or gear rubs harder in one direction: Coulomb and viscous friction differ by direction.",
@@ -57,6 +69,7 @@ EFFECT = Effect(
     terms=_terms,
     regressors=Regressors(shaft=(itself(TC), itself(TC_NEG), itself(B_NEG)), signals=_signals),
     kind="friction",
+    as_simpler=_as_simpler,
     ladder=20,
     simpler=(("coulomb_friction",), ("coulomb_friction", "constant_load_torque")),
     told_from={

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -142,13 +142,15 @@ class Effect:
         kind: what it is among others that one experiment tells apart ("": nothing of them).
         regressors: its columns in the regressions; None: those that follow from its terms.
         phases: its phases against the angle, and the parameter that says how often they repeat in a turn ("": once).
-        as_simpler: from all values, those of what stands in its place: the nearest that the simpler model has to it.
+        as_simpler: from all values, those of what stands in its place: the nearest that the simpler model has to it;
+            None: with these values that is not near.
         hides: by a parameter of its own, those of which no motion shows anything while nobody has given that one: it
-            trades places with them, or only a filter that begins near it sees it.
-        never_sure: parameters of which a filter that runs along does not know how sure it is beside this effect.
+            trades places with them, or only a filter that begins near it sees it. One that is not among them is held.
+        never_sure: by a parameter of its own, those of which a running filter cannot tell how sure it is beside it.
         late: the parameter that says by how much something is late; what is as slow leaves nearly the same trace.
         share_of: parameters that are a share ("") or, over another parameter, make one, of what the motor works with.
-        possible: whether there is such a thing with these values; else it is something else that they fit.
+        possible: whether there is such a thing with these values.
+        true_to_name: whether with these values it is what it is called; else it is something else that they fit.
     """
 
     name: str
@@ -166,12 +168,13 @@ class Effect:
     kind: Literal["", "friction", "angle", "event"] = ""
     regressors: Regressors | None = None
     phases: Mapping[str, str] = field(default_factory=dict)
-    as_simpler: Callable[[Values], Values] = lambda _: {}
+    as_simpler: Callable[[Values, Sequence[str]], Values | None] = lambda _, __: {}
     hides: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    never_sure: tuple[str, ...] = ()
+    never_sure: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     late: str = ""
     share_of: Mapping[str, str] = field(default_factory=dict)
     possible: Callable[[Values], bool] = lambda _: True
+    true_to_name: Callable[[Values], bool] = lambda _: True
 
 
 def probe(effect: Effect) -> tuple[Signals, Terms]:

@@ -8,6 +8,12 @@ from servo_daemon.plant.regressors import NO_COLUMNS
 
 G_I = Parameter("g_i", "g_i", "1", 1.0, 0.05, 20.0, "log", "shown current over true current", "start value")
 
+#: R/g_i, L/g_i and every torque times g_i are all that voltage, current and motion hold.
+_SCALED = (
+    *("R", "L", "J", "B", "B_neg", "Tc", "Tc_neg", "Ts", "c2", "TL", "dTL"),
+    *("Tg", "Tper", "Tcog", "Tcog_2", "Tcog_3", "Tcog_4"),
+)
+
 
 def _terms(s: Signals) -> Terms:
     return Terms(sensed={"current_A": (s.p["g_i"] - 1) * s.i})
@@ -21,6 +27,7 @@ EFFECT = Effect(
     parameters=(G_I,),
     terms=_terms,
     regressors=NO_COLUMNS,
+    hides={G_I.name: _SCALED},
     ladder=140,
     told_from={
         "magnetic_saturation": "measure the back-EMF: turn it by hand with the drive off, and hold that K against "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from servo_daemon.parameters import Parameter, Scale
+from servo_daemon.parameters import LINEAR, Parameter, Scale
 from servo_daemon.plant.effects.base import LAGGED, Effect, Signals, Terms
 from servo_daemon.plant.regressors import NO_COLUMNS
 
@@ -23,6 +23,8 @@ EFFECT = Effect(
     parameters=(T_LAG,),
     terms=_terms,
     regressors=NO_COLUMNS,
+    late=T_LAG.name,
+    hides={T_LAG.name: (T_LAG.name, *(p.name for p in LINEAR))},  # L and a lag trade places
     ladder=220,
     told_from={
         "measurement_delay": "excite higher frequencies: a lag also lowers the amplitude, a delay only turns the "

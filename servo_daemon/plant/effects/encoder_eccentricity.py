@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from servo_daemon.parameters import Parameter, Scale
+from servo_daemon.parameters import LINEAR, Parameter, Scale
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
 from servo_daemon.plant.regressors import NO_COLUMNS
 
@@ -32,5 +32,7 @@ EFFECT = Effect(
     regressors=NO_COLUMNS,
     phases={PHI_ENC.name: ""},
     kind="angle",
+    # A small wave in everything.
+    hides={PHI_ENC.name: (E_ENC.name, PHI_ENC.name, *(p.name for p in LINEAR))},
     ladder=160,
 )

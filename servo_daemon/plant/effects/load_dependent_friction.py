@@ -34,6 +34,7 @@ EFFECT = Effect(
     parameters=(MU,),
     terms=_terms,
     regressors=Regressors(shaft=(itself(MU, share=True),), signals=lambda c, _: [c.sliding * np.abs(c.effort)]),
+    share_of={MU.name: ""},
     ladder=40,
     substeps=2,
 )

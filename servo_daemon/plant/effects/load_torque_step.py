@@ -47,6 +47,7 @@ EFFECT = Effect(
     terms=_terms,
     regressors=NO_COLUMNS,
     kind="event",
+    as_simpler=lambda value, instead: {"TL": value["dTL"]} if "constant_load_torque" in instead else {},
     ladder=90,
     simpler=(("constant_load_torque",),),
 )

@@ -39,6 +39,7 @@ EFFECT = Effect(
     ),
     terms=_terms,
     regressors=NO_COLUMNS,
+    late=T_D.name,
     ladder=230,
     states=LATE,
 )

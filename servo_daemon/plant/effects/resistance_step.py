@@ -55,5 +55,6 @@ EFFECT = Effect(
     terms=_terms,
     regressors=NO_COLUMNS,
     kind="event",
+    share_of={DR.name: "R"},
     ladder=180,
 )

@@ -33,6 +33,9 @@ J_L = Parameter(
     scale=Scale(0.3, J=1),
 )
 
+#: What a second inertia on a spring has to do with.
+SHAFT = ("J", "B", K_S.name, C_S.name, J_L.name)
+
 
 def _terms(s: Signals) -> Terms:
     return Terms(shaft=Shaft(s.p["J_l"], s.p["k_s"], s.p["c_s"]))
@@ -48,6 +51,7 @@ EFFECT = Effect(
         J_L,
     ),
     terms=_terms,
+    hides={K_S.name: SHAFT, J_L.name: SHAFT},
     ladder=250,
     told_from={
         "backlash": "small motions under a constant load, then about zero torque: a gap shows only where the sign "

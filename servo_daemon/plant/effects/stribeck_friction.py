@@ -36,6 +36,10 @@ WS = Parameter(
     scale=Scale(0.03, speed=1),
 )
 
+#: Least friction at the first step out of rest, over that at speed: a curve that bends otherwise, with less friction at
+#: rest, is something else that fits it (a brake by eddy currents).
+_AT_REST = 0.95
+
 
 def _terms(s: Signals) -> Terms:
     level = s.p["Tc"] + (s.p["Ts"] - s.p["Tc"]) * ca.exp(-((s.omega / s.p["ws"]) ** 2))
@@ -67,6 +71,7 @@ EFFECT = Effect(
     terms=_terms,
     regressors=Regressors(shaft=(itself(TC), BOUNDARY), signals=_signals),
     kind="friction",
+    true_to_name=lambda value: value["Ts"] >= _AT_REST * value["Tc"],
     ladder=30,
     simpler=(("coulomb_friction",),),
     substeps=4,

@@ -65,6 +65,7 @@ EFFECT = Effect(
     regressors=Regressors(shaft=WAVE, armature=WAVE, signals=_signals),
     phases={PHI_RIP.name: N_RIP.name},
     kind="angle",
+    share_of={K_RIP.name: ""},
     ladder=120,
     told_from={
         "periodic_disturbance": "repeat it at another speed: ripple stays with the angle, a disturbance with the "

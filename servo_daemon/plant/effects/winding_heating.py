@@ -35,6 +35,10 @@ C_TH = Parameter(
 )
 WARMING = State("winding_rise_K", "K", 0.0, 20.0)
 
+#: Thermal time constants of windings in catalogues: 2 s (6 mm across) to minutes. What follows the current's square
+#: faster is no heat.
+_FASTEST_HEAT_S = 1.0
+
 
 def _terms(s: Signals) -> Terms:
     rise = s.states["winding_rise_K"]
@@ -53,6 +57,7 @@ EFFECT = Effect(
     parameters=(R_TH, C_TH),
     terms=_terms,
     regressors=NO_COLUMNS,
+    possible=lambda value: value["R_th"] * value["C_th"] >= _FASTEST_HEAT_S,
     ladder=200,
     told_from={
         "resistance_step": "let it cool and start again: heat comes back slowly, a bad contact comes and goes at once.",
