@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 
 from servo_daemon.diagnosis.missing.missing import Fitted, Missing, coordinates_with_load, missing_inputs
 from servo_daemon.diagnosis.missing.noise_levels import NoiseLevels
-from servo_daemon.diagnosis.missing.response import Trace, smoothed
+from servo_daemon.diagnosis.missing.response import smoothed
 from servo_daemon.diagnosis.missing.signals import motion_of
 from servo_daemon.errors import NumericalError
 from servo_daemon.identification.output_error import Recording
 from servo_daemon.identification.output_error.starts import regression_values
 from servo_daemon.kalman.gaussian import to_coordinate
+from servo_daemon.plant.columns.screening import Trace
 from servo_daemon.samples import F64, SampleBlock
 
 #: Parameters are changed where more than this share of the voltage (ten times as much of the torque) is missing, at

@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 
 from servo_daemon.diagnosis.missing.missing import Fitted, Missing
-from servo_daemon.diagnosis.missing.response import Trace, smoothed
-from servo_daemon.diagnosis.missing.signals import Motion
+from servo_daemon.diagnosis.missing.response import smoothed
+from servo_daemon.plant.columns.screening import Motion, Trace
 from servo_daemon.samples import F64
 
 #: Time blocks, and folds of the cross-validation: fold f holds out blocks f, f + FOLDS, …, so that a step or a slow

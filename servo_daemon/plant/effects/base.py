@@ -9,7 +9,8 @@ from typing import Literal
 import casadi as ca
 
 from servo_daemon.parameters import LINEAR, Parameter
-from servo_daemon.plant.regressors import Regressors, Values
+from servo_daemon.plant.columns.regressors import Regressors, Values
+from servo_daemon.plant.columns.screening import Family
 
 #: Half angles below this: sin x/x by its series, whose next term is x⁴/120.
 _SMALL_ANGLE = 1e-3
@@ -140,6 +141,8 @@ class Effect:
         simpler: what may stand in its place where a search ends, simplest first; it contains each single one of them.
         told_from: by another effect's name, the experiment that tells the two apart, in words; one of the two has it.
         kind: what it is among others that one experiment tells apart ("": nothing of them).
+        screening: its shapes in what a fit leaves, over a scan of what is not linear, with start values; None: those
+            that follow from its terms.
         regressors: its columns in the regressions; None: those that follow from its terms.
         phases: its phases against the angle, and the parameter that says how often they repeat in a turn ("": once).
         as_simpler: from all values, those of what stands in its place: the nearest that the simpler model has to it;
@@ -166,6 +169,7 @@ class Effect:
     simpler: tuple[tuple[str, ...], ...] = ()
     told_from: Mapping[str, str] = field(default_factory=dict)
     kind: Literal["", "friction", "angle", "event"] = ""
+    screening: Family | None = None
     regressors: Regressors | None = None
     phases: Mapping[str, str] = field(default_factory=dict)
     as_simpler: Callable[[Values, Sequence[str]], Values | None] = lambda _, __: {}

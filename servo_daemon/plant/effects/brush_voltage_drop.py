@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from servo_daemon.parameters import Parameter, Scale
+from servo_daemon.plant.columns.regressors import Regressors, itself
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
-from servo_daemon.plant.regressors import Regressors, itself
 
 VB = Parameter(
     "Vb",

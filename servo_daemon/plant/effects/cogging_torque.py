@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
+import numpy as np
+
 from servo_daemon.parameters import Parameter, Scale
+from servo_daemon.plant.columns.regressors import Regressors, sine_and_cosine, wave
+from servo_daemon.plant.columns.scans import best_harmonics
+from servo_daemon.plant.columns.screening import Basis, Context, phase
 from servo_daemon.plant.effects.base import Effect, Signals, Terms, mean_sine
-from servo_daemon.plant.regressors import Regressors, sine_and_cosine, wave
+from servo_daemon.samples import F64
 
 #: Endings of the harmonics' names: `cogging_torque_2` has `Tcog_2`, `n_cog_2` and `phi_cog_2`.
 HARMONICS = ("", "_2", "_3", "_4")
@@ -51,6 +58,20 @@ def _parameters(ending: str) -> tuple[Parameter, Parameter, Parameter]:
     )
 
 
+def _screening(c: Context) -> Iterator[Basis]:
+    if "torque" not in c.residual:
+        return
+    theta = c.motion.theta
+    for n in best_harmonics(c, np.ones(len(theta))):
+
+        def start(b: F64, n: int = n) -> dict[str, float]:
+            size, angle = phase(b[0], b[1])
+            return {"Tcog": size, "n_cog": float(n), "phi_cog": angle}
+
+        columns = (c.torque(f"sin {n}", np.sin(n * theta)), c.torque(f"cos {n}", np.cos(n * theta)))
+        yield Basis(columns, start, 3)
+
+
 def _harmonic(ending: str) -> Effect:
     parameters = _parameters(ending)
     Tcog, n_cog, phi_cog = (p.name for p in parameters)
@@ -67,6 +88,7 @@ def _harmonic(ending: str) -> Effect:
         equation=rf"{T}\sin({n}\theta + {phi})",
         parameters=parameters,
         terms=terms,
+        screening=None if ending else _screening,
         regressors=Regressors(
             shaft=wave(f"cog{ending}", parameters[0], parameters[2]),
             signals=lambda c, value: sine_and_cosine(value[n_cog] * c.angle),

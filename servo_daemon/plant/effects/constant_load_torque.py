@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from servo_daemon.parameters import Parameter
+from servo_daemon.plant.columns.regressors import Regressors, constant
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
-from servo_daemon.plant.regressors import Regressors, constant
 
 TL = Parameter(
     "TL",

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import casadi as ca
 
+from servo_daemon.plant.columns.regressors import NO_COLUMNS
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
-from servo_daemon.plant.regressors import NO_COLUMNS
 
 #: V: more than any back-EMF that the bridge's diodes hold back (they conduct against the supply; what is left of the
 #: current is gone within L i / supply, 0.2 ms for 1 mH, 2 A and 12 V).
@@ -23,6 +23,8 @@ EFFECT = Effect(
     equation=r"i = 0 \quad (v_{\mathrm{command}} = 0)",
     parameters=(),
     terms=_terms,
+    # Missing is a voltage as large as the back-EMF, in stretches of no command alone: a search proposes it by these.
+    screening=lambda _: (),
     regressors=NO_COLUMNS,
     ladder=210,
     told_from={

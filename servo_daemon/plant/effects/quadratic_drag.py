@@ -6,8 +6,8 @@ import casadi as ca
 import numpy as np
 
 from servo_daemon.parameters import Parameter, Scale
+from servo_daemon.plant.columns.regressors import Regressors, itself
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
-from servo_daemon.plant.regressors import Regressors, itself
 
 C2 = Parameter(
     "c2",

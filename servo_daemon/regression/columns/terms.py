@@ -10,9 +10,9 @@ from functools import cache
 
 import numpy as np
 
+from servo_daemon.plant.columns.regressors import Column, Derived, itself
 from servo_daemon.plant.contribution import contribution
 from servo_daemon.plant.effects import effects_by_name, parameter_table
-from servo_daemon.plant.regressors import Column, Derived, itself
 from servo_daemon.regression.columns.derived_terms import DerivedTerms, derived_terms
 from servo_daemon.regression.stretch import Stretch
 from servo_daemon.samples import F64
