@@ -19,7 +19,11 @@ from servo_daemon.tracking.plan.settings import Message
 from servo_daemon.tracking.plan.signals import is_held
 
 #: Events are over when a filter that runs along could adopt them: what stays of them, if anything, is another effect.
-_AFTER_EVENT: Mapping[str, str | None] = {"load_torque_step": "constant_load_torque", "resistance_step": None}
+_AFTER_EVENT: Mapping[str, str | None] = {
+    name: effect.simpler[0][0] if effect.simpler else None
+    for name, effect in effects_by_name().items()
+    if effect.kind == "event"
+}
 
 
 @dataclass(frozen=True, slots=True)

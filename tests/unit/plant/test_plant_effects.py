@@ -76,6 +76,16 @@ def test_the_library_is_the_contract() -> None:
             "EFFECT = replace(g.EFFECT, name='weight', parameters=(replace(g.TG, nominal=2.0), g.PHI_G))",
             "weight: its parameter Tg is another's, too",
         ),
+        (
+            "from dataclasses import replace\nfrom servo_daemon.plant.effects.drive_lag import EFFECT as lag\n"
+            "EFFECT = replace(lag, name='line', simpler=(('lag',),))",
+            "line names lag, which is no effect",
+        ),
+        (
+            "from dataclasses import replace\nfrom servo_daemon.plant.effects.drive_lag import EFFECT as lag\n"
+            "EFFECT = replace(lag, name='line', hides={'t_lag': ('L', 't_L')})",
+            "line names t_L, which is no parameter",
+        ),
     ],
 )
 def test_a_file_that_is_no_effect_of_its_own_is_refused(
