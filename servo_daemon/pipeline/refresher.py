@@ -16,7 +16,8 @@ from servo_daemon.samples import SampleBlock
 from servo_daemon.tracking.changes.jumps import JUMPED
 from servo_daemon.tracking.plan.settings import Message
 from servo_daemon.tracking.tracker import Tracker
-from servo_daemon.tracking.validity.fusion import LOST, Fused
+from servo_daemon.tracking.validity.fusion import Fused
+from servo_daemon.tracking.validity.gates import LOST
 
 if TYPE_CHECKING:  # scikit-learn takes a second to load: only where there is a model
     from servo_daemon.learning.model.model import LearnedModel

@@ -39,8 +39,10 @@ from servo_daemon.tracking.samples.signal_scales import Levels
 from servo_daemon.tracking.start.starter import Start, Starter
 from servo_daemon.tracking.telling import Telling
 from servo_daemon.tracking.validity.excitation import Excitation
-from servo_daemon.tracking.validity.fusion import Qualification, Trusted
-from servo_daemon.tracking.validity.parameter_judge import ParameterJudge, Tick
+from servo_daemon.tracking.validity.fusion import Trusted
+from servo_daemon.tracking.validity.gates import Qualification
+from servo_daemon.tracking.validity.parameter_judge import ParameterJudge
+from servo_daemon.tracking.validity.tick import Tick
 
 #: A saved state may be of yesterday's temperature and load: added 1 σ.
 _SAVED_STD = 0.03

@@ -173,8 +173,8 @@ NAMED: Sequence[Named] = (
     ),
     Named(
         "the regression overrules a filter that is white and calm",
-        "servo_daemon/tracking/validity/parameter_judge.py",
-        " or self.calm_s > found.span_s",
+        "servo_daemon/tracking/validity/confirmation.py",
+        " or calm_s > found.span_s",
         "",
         JUDGE,
     ),

@@ -10,19 +10,14 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from servo_daemon.kalman.gaussian import from_coordinate
 from servo_daemon.parameters import Parameter, spaced
 from servo_daemon.regression.estimate import KNOWS
-from servo_daemon.samples import F64
 from servo_daemon.tracking.validity import excitation
+from servo_daemon.tracking.validity.gates import QUALIFIED
 
 Status = Literal["estimating", "tracking", "unexcited", "at_bound", "fixed", "invalid"]
 
-#: A parameter qualifies below this (1 σ, relative) and loses its qualification above the second: hysteresis.
-QUALIFIED, LOST = 0.05, 0.15
 #: A held value further than so many standard deviations from the running filter's is not held any longer.
 EXCLUDED_STDS = 4.0
 #: A regression agrees with a value within this share of it and 3 σ.
@@ -53,19 +48,6 @@ class Trusted:
     std: float
     age_s: float
     unconfirmed_s: float
-
-
-class Qualification:
-    """Which parameters have ever been, and still are, known well enough; flags with hysteresis."""
-
-    def __init__(self, n: int) -> None:
-        self.qualified: NDArray[np.bool_] = np.zeros(n, dtype=bool)
-
-    def update(self, relative_std: F64, excited: NDArray[np.bool_], confirmed: NDArray[np.bool_]) -> None:
-        """All shape (n,). Only an excited parameter that is confirmed by another estimator can qualify; any can lose
-        it."""
-        gained = (relative_std < QUALIFIED) & excited & confirmed
-        self.qualified = (self.qualified | gained) & (relative_std < LOST)
 
 
 def confirms(found: float, found_std: float, value: float) -> bool:
