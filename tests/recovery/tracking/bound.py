@@ -19,6 +19,7 @@ from servo_daemon.kalman.ekf import Ekf
 from servo_daemon.kalman.gaussian import Gaussian
 from servo_daemon.kalman.layout import EkfLayout
 from servo_daemon.kalman.records import NoiseLevels
+from servo_daemon.parameters import LINEAR
 from servo_daemon.plant.build import build_plant
 from servo_daemon.samples import F64
 from servo_daemon.tracking.plan.roster import Roster
