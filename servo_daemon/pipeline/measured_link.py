@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from servo_daemon.config import DriveConfig
+from servo_daemon.parameters import WINDING_NAMES
 from servo_daemon.plant.effects import parameter_table
 from servo_daemon.published.snapshot import Covariance, Estimate, EstimatorView, ParameterEstimate, Status
 from servo_daemon.regression.winding.estimate import (
@@ -42,7 +43,6 @@ _MOTION, _MOTION_PER_S = 3e-3, 0.01 / 0.02
 _NOT_WHITE = 0.25
 #: A K that is known so well, 1 σ, is good enough for the filter to begin with.
 _TO_BEGIN = 0.1
-_OWN = ("R", "L", "K")
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +139,7 @@ class MeasuredLink:
 
     def instead(self, estimate: Estimate) -> Estimate:
         """The record with R, L and K from the winding's balance, and all torques by its K."""
-        own = {name: self._parameter(name, estimate) for name in _OWN}
+        own = {name: self._parameter(name, estimate) for name in WINDING_NAMES}
         scale, K_std = self._scale()
         white = all(
             isinstance(value, float) and abs(value) < _NOT_WHITE
@@ -149,7 +149,7 @@ class MeasuredLink:
         parameters = tuple(
             own[p.name] if p.name in own else self._motion(p, scale, K_std, white=white) for p in estimate.parameters
         )
-        regression = EstimatorView({n: (k.value, k.std) for n, k in self._known.items() if n in _OWN})
+        regression = EstimatorView({n: (k.value, k.std) for n, k in self._known.items() if n in WINDING_NAMES})
         views = dict(estimate.estimators)
         views["rls"] = replace(
             views.get("rls", regression),
@@ -202,8 +202,8 @@ class MeasuredLink:
         old = estimate.covariance
         inner = old.names if old is not None else ()
         known = {p.name: p for p in parameters if p.status in ("tracking", "unexcited") and p.std is not None}
-        motion = [n for n in inner if n in known and n not in _OWN]
-        winding = [n for n in _OWN if n in known]
+        motion = [n for n in inner if n in known and n not in WINDING_NAMES]
+        winding = [n for n in WINDING_NAMES if n in known]
         names = (*winding, *motion)
         if not names:
             return None

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_daemon.parameters import WINDING_NAMES
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.regression.balance_window import BalanceWindow
 from servo_daemon.regression.balances import Sums, expected_square, noise_squares
@@ -48,7 +49,6 @@ from servo_daemon.samples import F64
 #: After the first updates (a tick each) so many are worked off together: fewer calls on longer arrays.
 _EAGER_UPDATES, _BATCH = 50, 10
 
-_ARMATURE = ("R", "L", "K")
 #: A current has a direction beyond so many standard deviations of its noise.
 _DIRECTED = 3.0
 #: What a balance that does not close gives is known to this share at best, 1 σ (with a second inertia the shaft's
@@ -91,10 +91,10 @@ class MotorRls:
         self._shaft_effects = tuple(e for e in plant.effects if e not in unseen)
         self._shaft_columns = ("J", "B", *shaft_columns(self._shaft_effects))
         self._offsets = armature_offsets(plant.effects)
-        self._armature_columns = (*_ARMATURE, *armature_columns(self._shaft_effects))
+        self._armature_columns = (*WINDING_NAMES, *armature_columns(self._shaft_effects))
         asked = len(self._offsets) == 1 and self._offsets[0] not in nuisance
         of_terms = [c for d in self._derived for c in d.columns["armature"]]
-        named = {c: c for c in (*_ARMATURE, "Vb", *of_terms)} | ({"one": self._offsets[0]} if asked else {})
+        named = {c: c for c in (*WINDING_NAMES, "Vb", *of_terms)} | ({"one": self._offsets[0]} if asked else {})
         self._armature_named = {c: named[c] for c in self._armature_columns if c in named}
         self.window = BalanceWindow(self._armature_columns, self._shaft_columns, judges_mismatch=not given_torque)
         self._armature: SlidingRls | None = None
@@ -178,7 +178,7 @@ class MotorRls:
         if self._estimate is None or any(n not in names for n in ("R", "L")):
             return 0.0, 0.0
         values = dict(zip(names, self._estimate.value.tolist(), strict=True))
-        R, L, K = (values.get(n, 0.0) for n in _ARMATURE)
+        R, L, K = (values.get(n, 0.0) for n in WINDING_NAMES)
         if R <= 0.0 or L <= 0.0:
             return 0.0, 0.0
         x = min(max(period_s * R / L, 1e-3), 1e3)

@@ -21,6 +21,7 @@ from servo_daemon.errors import NumericalError
 from servo_daemon.identification.output_error import Recording
 from servo_daemon.identification.output_error.starts import regression_values
 from servo_daemon.kalman.gaussian import to_coordinate
+from servo_daemon.parameters import MOTOR_NAMES
 from servo_daemon.plant.columns.screening import Trace
 from servo_daemon.samples import F64, SampleBlock
 
@@ -29,7 +30,6 @@ from servo_daemon.samples import F64, SampleBlock
 _MUCH, _ROUNDS = 0.03, 4
 #: Factors by which a parameter moves at most in a round.
 _LEAP = (1e-3, 1e3)
-_LINEAR = ("R", "L", "K", "J", "B")
 
 
 def balanced_missing_inputs(
@@ -119,7 +119,7 @@ def _changes(fit: Fitted, missing: Missing) -> dict[str, float]:
     """Relative change of each free parameter of the linear motor: R, L and K from the winding's balance, which no load
     bends, then J and B from the shaft's."""
     m = motion_of(missing)
-    free = {name for name in fit.problem.free if name in _LINEAR}
+    free = {name for name in fit.problem.free if name in MOTOR_NAMES}
     out: dict[str, float] = {}
     if "voltage" in missing.series and "torque" in missing.series:
         winding = {"R": m.p["R"] * m.i, "L": m.p["L"] * m.i_rate, "K": m.p["K"] * m.omega}

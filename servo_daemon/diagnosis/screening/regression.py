@@ -10,6 +10,7 @@ import numpy as np
 
 from servo_daemon.diagnosis.missing.missing import Fitted, Missing
 from servo_daemon.diagnosis.missing.response import smoothed
+from servo_daemon.parameters import WINDING_NAMES
 from servo_daemon.plant.columns.screening import Motion, Trace
 from servo_daemon.samples import F64
 
@@ -98,7 +99,7 @@ def bent_names(fit: Fitted, missing: Missing) -> list[str]:
     Where a current is the input no data tell K: it scales all torques, and a K of nothing would leave nothing missing.
     """
     voltage = missing.augmented.plant.drive == "voltage"
-    known = ("J", "B", "Tc", "TL", "i0", "v0", *(("R", "L", "K") if voltage else ()))
+    known = ("J", "B", "Tc", "TL", "i0", "v0", *(WINDING_NAMES if voltage else ()))
     return [name for name in (*fit.problem.free, *fit.problem.local) if name in known]
 
 

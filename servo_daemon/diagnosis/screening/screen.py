@@ -19,6 +19,7 @@ from servo_daemon.diagnosis.missing.response import smoothed
 from servo_daemon.diagnosis.missing.signals import motion_of
 from servo_daemon.diagnosis.screening.derived import derived, usual_values
 from servo_daemon.diagnosis.screening.regression import Regression, bent_names, of_parameters
+from servo_daemon.parameters import MOTOR_NAMES
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.plant.columns.screening import Basis, Context, Family, Motion, Trace
 from servo_daemon.plant.contribution import contribution
@@ -27,7 +28,7 @@ from servo_daemon.plant.effects import effects_by_name
 #: A parameter more must lower what is left by this share to come before.
 _WORTH = 0.05
 #: The motor's own parameters, and by what factors a missing effect may have bent them.
-_MOTOR, _BENT = ("R", "L", "K", "J", "B"), (0.2, 5.0)
+_MOTOR, _BENT = MOTOR_NAMES, (0.2, 5.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ import numpy as np
 
 from servo_daemon.learning.features.balance_fits import Case, Fits, fit
 from servo_daemon.learning.features.window import Window
+from servo_daemon.parameters import MOTOR_NAMES
 from servo_daemon.plant.build import build_plant
 from servo_daemon.regression.estimate import RegressionEstimate
 from servo_daemon.regression.modulating import Windows, make_windows
@@ -26,7 +27,6 @@ _MEDIAN_TO_STD, _THIRD_DIFFERENCE_GAIN = 0.6745, 20.0
 _DIRECTED = 3.0
 #: The regression corrects what the current does between samples once it has an estimate: from this first share.
 _FIRST = 0.3
-_CORE = ("R", "L", "K", "J", "B")
 _FEWEST = 12
 #: Signals are shifted against each other by this much, s.
 _SHIFT_S = 0.004
@@ -55,7 +55,7 @@ def _regression(w: Window, effects: tuple[str, ...], noise: Mapping[str, float])
     for part in (_cut(s, 0, cut), _cut(s, cut, len(s.time_s))):
         rls.update(part, noise)
     found = rls.estimate()
-    return found if found is not None and set(_CORE) <= set(found.names) else None
+    return found if found is not None and set(MOTOR_NAMES) <= set(found.names) else None
 
 
 def _noise_var(signal: F64) -> float:
@@ -79,9 +79,9 @@ def regression_features(found: RegressionEstimate | None, rms_v: float, rms_i: f
         return {}
     value = dict(zip(found.names, found.value.tolist(), strict=True))
     std = dict(zip(found.names, found.std.tolist(), strict=True))
-    out = {f"reg_{n}": value[n] for n in _CORE}
-    out |= {f"reg_{n}_std": std[n] / max(abs(value[n]), 1e-300) for n in _CORE}
-    R, L, K, J, B = (value[n] for n in _CORE)
+    out = {f"reg_{n}": value[n] for n in MOTOR_NAMES}
+    out |= {f"reg_{n}_std": std[n] / max(abs(value[n]), 1e-300) for n in MOTOR_NAMES}
+    R, L, K, J, B = (value[n] for n in MOTOR_NAMES)
     torque = K * rms_i
     if rms_v > 0.0:
         out["reg_Vb_share"] = value.get("Vb", 0.0) / rms_v

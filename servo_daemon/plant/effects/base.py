@@ -8,7 +8,7 @@ from typing import Literal
 
 import casadi as ca
 
-from servo_daemon.parameters import LINEAR, Parameter
+from servo_daemon.parameters import MOTOR_NAMES, Parameter
 from servo_daemon.plant.columns.regressors import Regressors, Values
 from servo_daemon.plant.columns.screening import Family
 
@@ -183,7 +183,7 @@ class Effect:
 
 def probe(effect: Effect) -> tuple[Signals, Terms]:
     """Symbols of its own, and what an effect makes of them; with the motor's parameters and the dry friction Tc."""
-    names = (*(p.name for p in LINEAR), "Tc", *(p.name for p in effect.parameters))
+    names = (*MOTOR_NAMES, "Tc", *(p.name for p in effect.parameters))
     scalars = ("t", "v", "i", "i_square", "omega", "theta", "torque", "h")
     signals = Signals(
         **{name: ca.SX.sym(name) for name in scalars},

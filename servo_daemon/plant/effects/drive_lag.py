@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from servo_daemon.parameters import LINEAR, Parameter, Scale
+from servo_daemon.parameters import MOTOR_NAMES, Parameter, Scale
 from servo_daemon.plant.columns.regressors import NO_COLUMNS
 from servo_daemon.plant.columns.screening import LAGS_S, Basis, Context, Trace, positive, relaxed
 from servo_daemon.plant.effects.base import LAGGED, Effect, Signals, Terms
@@ -46,7 +46,7 @@ EFFECT = Effect(
     screening=_screening,
     regressors=NO_COLUMNS,
     late=T_LAG.name,
-    hides={T_LAG.name: (T_LAG.name, *(p.name for p in LINEAR))},  # L and a lag trade places
+    hides={T_LAG.name: (T_LAG.name, *MOTOR_NAMES)},  # L and a lag trade places
     ladder=220,
     told_from={
         "measurement_delay": "excite higher frequencies: a lag also lowers the amplitude, a delay only turns the "

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import casadi as ca
 import numpy as np
 
-from servo_daemon.parameters import LINEAR, Parameter, Scale
+from servo_daemon.parameters import MOTOR_NAMES, Parameter, Scale
 from servo_daemon.plant.columns.regressors import NO_COLUMNS
 from servo_daemon.plant.columns.screening import Basis, Context, Trace, phase
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
@@ -56,6 +56,6 @@ EFFECT = Effect(
     phases={PHI_ENC.name: ""},
     kind="angle",
     # A small wave in everything.
-    hides={PHI_ENC.name: (E_ENC.name, PHI_ENC.name, *(p.name for p in LINEAR))},
+    hides={PHI_ENC.name: (E_ENC.name, PHI_ENC.name, *MOTOR_NAMES)},
     ladder=160,
 )

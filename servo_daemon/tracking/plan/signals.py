@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from servo_daemon.parameters import LINEAR, Parameter
+from servo_daemon.parameters import LINEAR, MOTOR_NAMES, WINDING_NAMES, Parameter
 from servo_daemon.plant.build import PlantModel, build_plant
 from servo_daemon.plant.contribution import contribution
 from servo_daemon.plant.core import Drive
@@ -43,7 +43,7 @@ class SignalPlan:
     @property
     def known(self) -> Mapping[str, float]:
         """The motor's own parameters among the held ones: what stands for a missing signal."""
-        own = {p.name for p in LINEAR}
+        own = {*MOTOR_NAMES}
         return {name: value for name, value in self.held.items() if name in own}
 
 
@@ -55,12 +55,12 @@ _NUISANCE: Mapping[str, str] = {_LOAD: "TL", _SENSOR: "i0"}
 _SAME_AS: Mapping[str, str] = {"torque": _LOAD, "voltage": _SENSOR}
 #: Which effect a nuisance parameter stands for.
 EFFECT_OF: Mapping[str, str] = {parameter: effect for effect, parameter in _NUISANCE.items()}
-_HIDDEN_BY: dict[Drive, tuple[str, ...]] = {"voltage": (), "current": ("R", "L"), "torque": ("R", "L", "K")}
+_HIDDEN_BY: dict[Drive, tuple[str, ...]] = {"voltage": (), "current": ("R", "L"), "torque": WINDING_NAMES}
 _NOT_SEARCHED = "held {}: a filter that runs along cannot search for it"
 _AS_GIVEN, _AT_START = "as given", "at its start value, for none is given"
 #: Without a current sensor the armature's share must be given: R and K close the two null directions of ω/v, and L/R is
 #: far too short to show in the motion.
-_NEEDED_WITHOUT_CURRENT = ("R", "L", "K")
+_NEEDED_WITHOUT_CURRENT = WINDING_NAMES
 
 
 def is_held(p: Parameter) -> bool:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from servo_daemon.kalman.ekf import Ekf
-from servo_daemon.parameters import Parameter
+from servo_daemon.parameters import WINDING_NAMES, Parameter
 from servo_daemon.regression import closure
 from servo_daemon.regression.estimate import KNOWS
 from servo_daemon.regression.motor_rls import MotorRls
@@ -30,9 +30,8 @@ _ALONE_STD = 0.01
 #: A parameter that is known no better than this, 1 σ of its logarithm, is a guess.
 _GUESS_STD = 0.5
 #: Parameters of the armature's balance, which has its own say.
-_ARMATURE = ("R", "L", "K")
 #: Parameters that the balances judge by name (`BalanceWindow.verdicts`).
-_JUDGED = (*_ARMATURE, "J", "B", "Tc")
+_JUDGED = (*WINDING_NAMES, "J", "B", "Tc")
 
 
 class Mismatch:
@@ -119,7 +118,7 @@ class Mismatch:
         at = names.index("K")
         carried = coarse_input.along(self._ekf.estimate().covariance, at, float(self.std[at]))
         for k, name in enumerate(names):
-            if name not in _ARMATURE and self._excitation.excited[k] and self._roster.logarithmic[k]:
+            if name not in WINDING_NAMES and self._excitation.excited[k] and self._roster.logarithmic[k]:
                 self.std[k] = math.hypot(float(self.std[k]), float(carried[k]))
 
     def _left_by_steps(self, tick: Tick) -> F64:
