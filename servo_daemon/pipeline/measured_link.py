@@ -26,6 +26,7 @@ from servo_daemon.regression.winding.estimate import (
 from servo_daemon.regression.winding.rows import FINE, RESOLVED, Rows, joined, unresolved, winding_rows
 from servo_daemon.samples import F64, Quality, SampleBlock, concatenate
 from servo_daemon.signal_meaning import SignalMeaning
+from servo_daemon.tracking.noise.watch import WHITE_OUT
 
 #: How far back the regression looks, s: a winding warms up by a few per cent in a minute.
 _SPAN_S = 20.0
@@ -37,10 +38,6 @@ _LEAST_S = 3.0
 #: two samples, and one of them may come a tenth of a period late. Measured on the independent plant of
 #: tests/recovery/foc (two motors, two motions, 50 to 1000 Hz): 0.3 % and a hundredth for every 20 ms of the period.
 _MOTION, _MOTION_PER_S = 3e-3, 0.01 / 0.02
-#: From this correlation of neighbours on innovations are not white, as `tracking/noise/watch.py` has it. (That they are
-#: white by raised process noise alone is no reproach here: a current in coarse steps is such a noise, and the filter's
-#: standard deviations hold it.)
-_NOT_WHITE = 0.25
 #: A K that is known so well, 1 σ, is good enough for the filter to begin with.
 _TO_BEGIN = 0.1
 
@@ -141,8 +138,10 @@ class MeasuredLink:
         """The record with R, L and K from the winding's balance, and all torques by its K."""
         own = {name: self._parameter(name, estimate) for name in WINDING_NAMES}
         scale, K_std = self._scale()
+        # White by raised process noise alone is no reproach here: a current in coarse steps is such a noise, and the
+        # filter's standard deviations hold it.
         white = all(
-            isinstance(value, float) and abs(value) < _NOT_WHITE
+            isinstance(value, float) and abs(value) < WHITE_OUT
             for name, value in estimate.health.items()
             if name.startswith("innovation_correlation")
         )

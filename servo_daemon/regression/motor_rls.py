@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_daemon.numerics import upper_median
 from servo_daemon.parameters import WINDING_NAMES
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.regression.balance_window import BalanceWindow
@@ -43,7 +44,7 @@ from servo_daemon.regression.rls import SPANS_S, LinearEstimate, SlidingRls
 from servo_daemon.regression.rls_fit import OVERLAP
 from servo_daemon.regression.sampling import FEWEST_SAMPLES, SPAN_S, Sampling
 from servo_daemon.regression.small_matrices import in_columns
-from servo_daemon.regression.stretch import Stretch, between_samples, joined, last, median, motion
+from servo_daemon.regression.stretch import Stretch, between_samples, joined, last, motion
 from servo_daemon.samples import F64
 
 #: After the first updates (a tick each) so many are worked off together: fewer calls on longer arrays.
@@ -141,7 +142,7 @@ class MotorRls:
             if rls is not None:
                 rls.advance(end_s)
         if len(stretch.time_s) >= FEWEST_SAMPLES:
-            period = median(stretch.time_s[1:] - stretch.time_s[:-1])
+            period = upper_median(stretch.time_s[1:] - stretch.time_s[:-1])
             rest, self._sag = self._between_samples(period)
             stretch = between_samples(stretch, rest)
             if stretch.voltage is not None and stretch.current is not None:

@@ -57,12 +57,6 @@ class Stretch:
         return np.zeros_like(self.time_s) if effort is None else effort
 
 
-def median(values: F64) -> float:
-    """The upper median, without NumPy's overhead: it is asked for in every tick."""
-    middle = len(values) // 2
-    return float(np.partition(values, middle)[middle])
-
-
 def joined(parts: Sequence[Stretch]) -> Stretch:
     """Stretches with the same signals, one after the other, as one."""
     if len(parts) == 1:

@@ -15,12 +15,13 @@ from servo_daemon.conditioning.layout import Stretches
 from servo_daemon.kalman.assimilation import assimilate
 from servo_daemon.kalman.ekf import Ekf
 from servo_daemon.kalman.gaussian import Gaussian
+from servo_daemon.numerics import upper_median
 from servo_daemon.parameters import Parameter
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.regression.estimate import RegressionEstimate
 from servo_daemon.regression.motor_rls import MotorRls
 from servo_daemon.regression.sampling import Sampling
-from servo_daemon.regression.stretch import Stretch, median
+from servo_daemon.regression.stretch import Stretch
 from servo_daemon.samples import F64, SampleBlock
 from servo_daemon.tracking.changes import jumps
 from servo_daemon.tracking.changes.actions import JumpActions
@@ -244,7 +245,7 @@ class Tracker:
         before_s, self._tick_end_s = self._tick_end_s, float(tick.time_s[-1])
         known_s = self.sample_period_s
         if len(tick) > 1:
-            self.sample_period_s = median(tick.time_s[1:] - tick.time_s[:-1])
+            self.sample_period_s = upper_median(tick.time_s[1:] - tick.time_s[:-1])
         elif before_s is not None and (known_s is None or known_s >= _SLOW_S):
             distance_s = self._tick_end_s - before_s
             self.sample_period_s = distance_s if known_s is None else min(known_s, distance_s)

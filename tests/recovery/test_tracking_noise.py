@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import pytest
 
+from servo_daemon.numerics import white_noise_var
 from servo_daemon.samples import make_block
-from servo_daemon.tracking.noise.levels import white_noise_var
 from servo_daemon.tracking.plan.settings import Resolutions, TrackerSettings
 from servo_daemon.tracking.tracker import Tracker
 from tests.recovery.generator import MOTORS, RE40, Recording, Scenario, Sensors, generate

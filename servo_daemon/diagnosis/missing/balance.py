@@ -21,6 +21,7 @@ from servo_daemon.errors import NumericalError
 from servo_daemon.identification.output_error import Recording
 from servo_daemon.identification.output_error.starts import regression_values
 from servo_daemon.kalman.gaussian import to_coordinate
+from servo_daemon.numerics import least_squares
 from servo_daemon.parameters import MOTOR_NAMES
 from servo_daemon.plant.columns.screening import Trace
 from servo_daemon.samples import F64, SampleBlock
@@ -143,6 +144,4 @@ def _least_squares(
     if not traces:
         return {}
     columns = smoothed(missing, list(traces.values()))[name][where]
-    scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    found, *_ = np.linalg.lstsq(columns / scale, series[where], rcond=1e-9)
-    return dict(zip(traces, (found / scale).tolist(), strict=True))
+    return dict(zip(traces, least_squares(columns, series[where])[0].tolist(), strict=True))

@@ -8,21 +8,20 @@ import numpy as np
 
 from servo_daemon.learning.features.balance_fits import Case, Fits, fit
 from servo_daemon.learning.features.window import Window
+from servo_daemon.numerics import MEDIAN_TO_STD, THIRD_DIFFERENCE_GAIN, upper_median
 from servo_daemon.parameters import MOTOR_NAMES
 from servo_daemon.plant.build import build_plant
 from servo_daemon.regression.estimate import RegressionEstimate
 from servo_daemon.regression.modulating import Windows, make_windows
 from servo_daemon.regression.motor_rls import MotorRls
 from servo_daemon.regression.rls import SPANS_S
-from servo_daemon.regression.stretch import Stretch, median, motion
+from servo_daemon.regression.stretch import Stretch, motion
 from servo_daemon.samples import F64
 
 #: What the regression has beside R, L, K, J, B; the drop of the brushes only where the current flows both ways, which
 #: tells it from an offset: each for this share of the samples at least.
 _EFFECTS = ("coulomb_friction", "constant_load_torque", "current_sensor_offset")
 _DROP, _EACH_WAY = "brush_voltage_drop", 0.02
-#: Of white noise: the median of magnitudes over 1 σ, and the square's gain in third differences.
-_MEDIAN_TO_STD, _THIRD_DIFFERENCE_GAIN = 0.6745, 20.0
 #: A current has a direction beyond so many standard deviations of its noise.
 _DIRECTED = 3.0
 #: The regression corrects what the current does between samples once it has an estimate: from this first share.
@@ -59,10 +58,10 @@ def _regression(w: Window, effects: tuple[str, ...], noise: Mapping[str, float])
 
 
 def _noise_var(signal: F64) -> float:
-    """Variance of the white part of a signal: as `estimators.noise.white_noise_var`, from a quarter of the third
+    """Variance of the white part of a signal: as `numerics.white_noise_var`, from a quarter of the third
     differences, which tells it to a few percent."""
     a, b, c, d = signal[: len(signal) // 4 * 4].reshape(-1, 4).T
-    return (median(np.abs(d - a + 3.0 * (b - c))) / _MEDIAN_TO_STD) ** 2 / _THIRD_DIFFERENCE_GAIN
+    return (upper_median(np.abs(d - a + 3.0 * (b - c))) / MEDIAN_TO_STD) ** 2 / THIRD_DIFFERENCE_GAIN
 
 
 def _cut(s: Stretch, a: int, b: int) -> Stretch:
