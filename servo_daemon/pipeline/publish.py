@@ -19,6 +19,7 @@ from servo_daemon.regression.columns.terms import waves_per_turn
 from servo_daemon.regression.estimate import KNOWS, RegressionEstimate
 from servo_daemon.signal_meaning import SignalMeaning
 from servo_daemon.tracking.plan.settings import Resolutions, TrackerSettings
+from servo_daemon.tracking.plant_tracker import PlantTracker
 from servo_daemon.tracking.tracker import Tracker
 from servo_daemon.tracking.validity import excitation
 from servo_daemon.tracking.validity.fusion import Fused, as_last_known, fuse
@@ -130,7 +131,7 @@ class Publisher:
             state=_state(tracker),
             estimators=self._views(tracker) | ({} if refresher is None else {"grnn": refresher.view}),
             health=_health(tracker),
-            covariance=None if gaussian is None else self._covariance(tracker, gaussian, parameters, learned),
+            covariance=self._covariance(tracker, gaussian, parameters, learned),
         )
 
     def _refreshed(self, filtered: list[Fused], tracker: Tracker, refresher: Refresher | None) -> list[Fused]:
@@ -165,7 +166,7 @@ class Publisher:
         excited: list[bool] = []
         qualified: list[bool] = []
         ages_s = tracker.ages_s
-        if g is not None:
+        if isinstance(tracker, PlantTracker):
             excited, qualified = tracker.excitation.excited.tolist(), tracker.qualification.qualified.tolist()
         out = []
         for p in self._parameters:
@@ -193,13 +194,15 @@ class Publisher:
         return out
 
     def _covariance(
-        self, tracker: Tracker, g: Gaussian, parameters: tuple[ParameterEstimate, ...], learned: Collection[str]
+        self, tracker: Tracker, g: Gaussian | None, parameters: tuple[ParameterEstimate, ...], learned: Collection[str]
     ) -> Covariance | None:
-        """Of what is known, as published: with what unknown skew leaves open of L.
+        """Of what is known, as published: with what unknown skew leaves open of L; None before the filter runs.
 
         Args:
             learned: parameters whose value is not the filter's.
         """
+        if g is None or not isinstance(tracker, PlantTracker):
+            return None
         known = {p.name: p for p in parameters if p.status in ("tracking", "unexcited") and p.name in g.names}
         if not known:
             return None
@@ -233,7 +236,7 @@ class Publisher:
 
     def _before_the_filter(self, p: Parameter, tracker: Tracker, nominal: float | None) -> Fused:
         """A free parameter while no filter runs: at the start, while it starts again, and of a shaft that is held."""
-        last = None if tracker.plan.plant is None else tracker.last_known(p.name)
+        last = tracker.last_known(p.name)
         if last is not None:
             return as_last_known(p, last, "the filter is starting again")
         winding = tracker.winding
