@@ -47,9 +47,9 @@ NAMED: Sequence[Named] = (
     ),
     Named(
         "engine ignored: the tracker does not ask",
-        "servo_daemon/tracking/tracker.py",
-        'if self.settings.engine == "filterpy":',
-        'if self.settings.engine == "nothing":',
+        "servo_daemon/tracking/plant_tracker.py",
+        'if settings.engine == "filterpy":',
+        'if settings.engine == "nothing":',
         CONFIGURED,
     ),
     Named(

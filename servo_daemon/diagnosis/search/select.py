@@ -11,8 +11,6 @@ import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from servo_daemon.diagnosis.missing.missing import Missing
 from servo_daemon.diagnosis.screening.screen import ScreenedCandidate, screen
 from servo_daemon.diagnosis.search.candidates import (
@@ -28,21 +26,20 @@ from servo_daemon.diagnosis.search.evidence import (
     at_odds,
     convinces,
     half_convinces,
-    needless,
     noticeable,
     speaks_against_screening,
     worth_a_name,
 )
 from servo_daemon.diagnosis.search.fitting import COLOURED, Candidate, best_of, closer, fitted, ties
+from servo_daemon.diagnosis.search.pruning import pruned
 from servo_daemon.diagnosis.trial.compare import advantage
 from servo_daemon.diagnosis.trial.data import Data
 from servo_daemon.diagnosis.trial.lacking import leaves, leaves_less, seen_missing
 from servo_daemon.diagnosis.trial.likelihood import Whole, needs_no_effect
-from servo_daemon.diagnosis.trial.split import TRAIN, shorter_s
-from servo_daemon.diagnosis.trial.trial import Trial, fit_trial, model_exists
+from servo_daemon.diagnosis.trial.split import shorter_s
+from servo_daemon.diagnosis.trial.trial import Trial, fit_trial
 from servo_daemon.errors import NumericalError
 from servo_daemon.identification.short_runs import is_placed
-from servo_daemon.plant.effects import effects_by_name
 
 #: At most so many effects are taken.
 _MOST_EFFECTS = 4
@@ -294,34 +291,3 @@ def _with_shorter_runs(had: _Found, proposed: Sequence[Proposal], workers: int) 
     found = replace(search, data=data, base=base)
     found.current = current
     return found, again, best
-
-
-def pruned(data: Data, current: Trial, added: Sequence[str]) -> tuple[Trial, list[str]]:
-    """Effects that a later one has made needless go, and what is richer than needed becomes what it contains."""
-    kept = list(added)
-    for name in list(added):
-        for instead in ((),) * (len(added) > 1) + effects_by_name()[name].simpler:
-            without = without_effect(data, current, name, instead=instead)
-            if without is None or not np.isfinite(without.choice.squares).all():
-                continue
-            if needless(advantage(without, current)):
-                kept = [k for present in kept for k in (instead if present == name else (present,))]
-                current = without
-                break
-    return current, kept
-
-
-def without_effect(
-    data: Data, trial: Trial, name: str, *, instead: tuple[str, ...] = (), parts: Sequence[int] = (TRAIN,)
-) -> Trial | None:
-    """The model less one effect, or with simpler ones in its place, fitted anew; None: there is no such model."""
-    effects = tuple(e for present in trial.effects for e in (instead if present == name else (present,)))
-    if len(set(effects)) < len(effects):
-        return None
-    nearest = effects_by_name()[name].as_simpler(trial.values, instead)
-    if nearest is None or not model_exists(effects):
-        return None
-    values = {**trial.values, **nearest}
-    for p in (p for e in effects for p in effects_by_name()[e].parameters):
-        values.setdefault(p.name, p.nominal)
-    return fit_trial(data, effects, values, parts=parts, like=trial)

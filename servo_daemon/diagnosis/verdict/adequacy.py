@@ -26,7 +26,8 @@ from servo_daemon.diagnosis.search.evidence import (
     noticeable,
     working_shares,
 )
-from servo_daemon.diagnosis.search.select import Selection, pruned, without_effect
+from servo_daemon.diagnosis.search.pruning import pruned, without_effect
+from servo_daemon.diagnosis.search.select import Selection
 from servo_daemon.diagnosis.trial.cuts import mean_over_cuts
 from servo_daemon.diagnosis.trial.data import Data
 from servo_daemon.diagnosis.trial.everything import (
