@@ -16,10 +16,10 @@ from servo_daemon.identification.output_error.problem.rollout import free_run, s
 from servo_daemon.plant import effects as library
 from servo_daemon.plant.build import PlantModel, build_plant
 from servo_daemon.plant.effects import effects_by_name, parameter_table
-from servo_daemon.plant.reference import reference_step
 from servo_daemon.samples import F64
 from servo_daemon.simulate.settings import make_settings, parse_effect, parse_effects
 from servo_daemon.tracking.plan.signals import plan_signals
+from tests.twin import reference_step
 
 #: The table of the design's section 4.
 CONTRACT = {
