@@ -180,7 +180,8 @@ class Publisher:
                 floor = self._floor(p.name, g, tracker)
                 last = None if qualified[k] else tracker.last_known(p.name)
                 if last is None:
-                    found = fuse(p, mean[k], std[k], excited[k], qualified[k], nominal, floor)
+                    open_ = tracker.qualification.why_not(p.name) if isinstance(tracker, PlantTracker) else None
+                    found = fuse(p, mean[k], std[k], excited[k], qualified[k], nominal, floor, open_)
                     if qualified[k]:
                         found = replace(found, age_s=ages_s[k])
                     unclaimed = tracker.plan.unclaimed.get(p.name)

@@ -122,20 +122,22 @@ def inductance_without_resistance(e: Evidence, qualified: Mask) -> Mask:
     return _only(e, "L", e.few_samples and "R" in names and not qualified[names.index("R")])
 
 
+#: What is said where the filter alone is sure (`fusion.fuse`): balances or regressions leave more open.
+UNCONFIRMED = "the filter is sure of a value, which nothing confirms yet"
 #: What takes the hysteresis away: the parameter has to qualify anew.
 LAPSES = (
-    Gate("what the model lacks lies between two samples", blind_to_inductance),
+    Gate("the model lacks something, maybe what happens between two samples", blind_to_inductance),
     Gate("the model lacks something, and no regression confirms the filter", unexplained),
 )
 #: What keeps a parameter from qualifying.
 ENTRY = (
     Gate("the motion does not show it", unexcited),
-    Gate("nothing confirms it yet", unconfirmed),
-    Gate("it is not known well enough", vague),
+    Gate(UNCONFIRMED, unconfirmed),
+    Gate(UNCONFIRMED, vague),
 )
 #: What ends a qualification, and allows none.
 STAYS = (
-    Gate("it is not known well enough any more", lost),
+    Gate(UNCONFIRMED, lost),
     Gate("nothing shows it while something that it trades places with is not given", unclaimable),
     Gate("the model lacks something, and no regression judges this", without_second_opinion),
     Gate("the lags of winding and drive cannot be told apart", between_two_lags),
@@ -153,25 +155,28 @@ class Qualification:
 
     def __init__(self, n: int) -> None:
         self.qualified: Mask = np.zeros(n, dtype=bool)
+        self._evidence: Evidence | None = None
 
     def update(self, e: Evidence) -> None:
         """After a tick."""
-        self.qualified = self.qualified.copy()
+        self.qualified, self._evidence = self.qualified.copy(), e
         _close(LAPSES, e, self.qualified)
         gained = np.ones_like(self.qualified)
         _close(ENTRY, e, gained)
         self.qualified |= gained
         _close(STAYS, e, self.qualified)
 
+    def why_not(self, name: str) -> str | None:
+        """What keeps a parameter from being known, in words: what lasts first. None: it is known, or nobody has asked
+        yet."""
+        k = self._evidence.roster.names.index(name) if self._evidence is not None else 0
+        if self._evidence is None or self.qualified[k]:
+            return None
+        closed = (gate for gate in (*STAYS, *LAPSES, *ENTRY) if gate.stops(self._evidence, self.qualified)[k])
+        return next((gate.reason for gate in closed), None)
+
 
 def _close(gates: tuple[Gate, ...], e: Evidence, mask: Mask) -> None:
     """Take from a mask what the gates stop, one after the other."""
     for gate in gates:
         mask &= ~gate.stops(e, mask)
-
-
-def stopped_by(e: Evidence, qualified: Mask, name: str) -> tuple[str, ...]:
-    """Why a parameter is not published, in words; nothing where it may be."""
-    k = e.roster.names.index(name)
-    entry = () if qualified[k] else ENTRY
-    return tuple(gate.reason for gate in (*LAPSES, *entry, *STAYS) if gate.stops(e, qualified)[k])

@@ -10,7 +10,7 @@ import pytest
 
 from servo_daemon.parameters import LINEAR
 from servo_daemon.tracking.plan.roster import Mask, Roster
-from servo_daemon.tracking.validity.gates import LOST, QUALIFIED, Evidence, Qualification, stopped_by
+from servo_daemon.tracking.validity.gates import LOST, QUALIFIED, UNCONFIRMED, Evidence, Qualification
 
 NAMES = tuple(p.name for p in LINEAR)
 ALL = np.ones(5, dtype=bool)
@@ -76,11 +76,12 @@ def test_what_stays_qualified(changes: dict[str, Any], left: set[str]) -> None:
 
 
 def test_the_reasons() -> None:
-    none = np.zeros(5, dtype=bool)
-    assert stopped_by(evidence(), none, "J") == ()
-    assert stopped_by(evidence(excited=all_but("J"), lags_alike=True), none, "J") == (
-        "the motion does not show it",
-        "the lags of winding and drive cannot be told apart",
-    )
-    assert stopped_by(evidence(relative_std=WIDE), none, "J") == ("it is not known well enough",)
-    assert stopped_by(evidence(relative_std=WIDE), ALL, "J") == ()
+    q = Qualification(5)
+    assert q.why_not("J") is None
+    q.update(evidence(confirmed=all_but("J")))
+    assert q.why_not("J") == UNCONFIRMED and q.why_not("R") is None
+    q.update(evidence(confirmed=all_but("J"), lags_alike=True))
+    assert q.why_not("J") == q.why_not("R") == "the lags of winding and drive cannot be told apart"
+    q.update(evidence(confirmed=all_but("K"), excited=all_but("B"), correlation=lambda k, j: 1.0))
+    assert q.why_not("R") == "it trades places with K, which is not known"
+    assert q.why_not("B") == "the motion does not show it"
