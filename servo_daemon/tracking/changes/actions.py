@@ -155,7 +155,7 @@ class JumpActions:
         spread that it has by now."""
         if not self._ekf.started:
             return None
-        balance = np.square(self._judge.mismatch_std)
+        balance = np.square(self._judge.mismatch.std)
         if self._before is None or not self.is_open:
             g = self._ekf.estimate()
             return Gaussian(g.names, g.mean, _widened(g.covariance, balance))
