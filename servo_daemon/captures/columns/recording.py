@@ -80,6 +80,8 @@ def assemble(recording: Recording, signal_map: SignalMap | None, options: ReadOp
         metadata=metadata,
         notes=(*understood, *_unused(recording, columns), *notes, *restored),
         current_known=known,
+        lines={column.name: column.line for column in columns},
+        counted=per_rev,
         **values,
     )
 
