@@ -75,7 +75,8 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
     after = replace(fit.after, root=root, undetermined=fit.after.undetermined | lost)
     at_end = problem.coordinates(fit.solution.point.unknowns, 0)
     seen, bounded = (names, scale), at_bounds(problem, fit.solution)
-    more = added if lag is None else added[:, :-1]  # of which the lag is not: it is all in the answer
+    # The lag is all in the answer of a motor that an encoder shows; the sensor of a speed has one of its own.
+    more = added if lag is None or "velocity_rad_s" in problem.channels else added[:, :-1]
     answer = wider_answer(fit.answer, problem.plant, at_end, seen, more) if more.size else fit.answer
     return replace(
         fit,

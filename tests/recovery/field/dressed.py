@@ -16,14 +16,12 @@ class Mend:
         says: a regular expression that a message or note must hold.
         words: flags that the message asks for, with the user's values.
         put: numbers of the offered signal map that only the user knows, by key.
-        above: lines above the map.
         expects: parameters that are determined once it is mended.
     """
 
     says: str
     words: tuple[str, ...] = ()
     put: Mapping[str, str] = field(default_factory=dict)
-    above: str = ""
     expects: tuple[str, ...] = ("R", "K", "J", "B")
 
 

@@ -111,7 +111,7 @@ _MISNAMED: Mapping[str, Callable[[Draw], Dressed]] = {
     "counts called rad": _misnamed(
         lambda d, r: {"position_rad": r.counts},
         r"counts of an encoder",
-        above=lambda r: f"counts_per_rev = {r.counts_per_rev:g}\n",
+        put=lambda r: {"counts_per_rev": f"{r.counts_per_rev:g}"},
     ),
     "mA called A": _misnamed(lambda d, r: {"current_A": np.round(1e3 * r.i)}, r"milliamperes"),
     "rpm called rad/s": _misnamed(
@@ -129,7 +129,7 @@ _MISNAMED: Mapping[str, Callable[[Draw], Dressed]] = {
     "a full 16-bit counter": _misnamed(
         lambda d, r: {"position_rad": np.mod(r.counts + 65_400, 65_536)},
         r"wrap = 65536",
-        above=lambda r: f"counts_per_rev = {r.counts_per_rev:g}\n",
+        put=lambda r: {"counts_per_rev": f"{r.counts_per_rev:g}"},
     ),
     "an angle within a turn": _misnamed(lambda d, r: {"position_rad": np.mod(r.x, _TURN)}, r"wrap = 6\.28"),
     "|i|": _misnamed(lambda d, r: {"current_A": np.abs(r.i)}, r"\|i\|", left_out=True),
@@ -147,8 +147,16 @@ _MISNAMED: Mapping[str, Callable[[Draw], Dressed]] = {
 def _millis_called_micros(d: Draw) -> Dressed:
     r = d.run("multisine", rate_hz=200.0)
     columns = {"t_us": 1e3 * r.t, "voltage_V": r.v, "current_A": r.i, "position_rad": r.x}
-    mend = Mend(r"milliseconds", ("--columns", "t_ms,voltage_V,current_A,position_rad"))
-    return Dressed(r.motor.name, "log.csv", table(columns).encode(), r.truth, mend=mend)
+    return Dressed(r.motor.name, "log.csv", table(columns).encode(), r.truth, mend=Mend(r"milliseconds"))
+
+
+def _modulus_under_other_names(d: Draw) -> Dressed:
+    """Names and units of the file's own in the map that is offered."""
+    r = d.run("multisine")
+    columns = {"t_ms": 1e3 * r.t, "U_mV": 1e3 * r.v, "I_mA": np.abs(1e3 * r.i), "enc": np.mod(r.counts, 65_536)}
+    words = ("--counts-per-rev", f"{r.counts_per_rev:g}")
+    text = table(columns, separator=";")
+    return Dressed(r.motor.name, "log.csv", text.encode(), r.truth, words, mend=Mend(r"\|i\|"), told_only=True)
 
 
 # -- all ---------------------------------------------------------------------------------------------------------------
@@ -166,7 +174,11 @@ DRESSINGS: Mapping[str, Mapping[str, Callable[[Draw], Dressed]]] = {
         "micros() starts again, rpm": _micros_wrap,
         "PWM, mA and ticks": _duty_and_counts,
     },
-    "meaning": {**_MISNAMED, "millis() called microseconds": _millis_called_micros},
+    "meaning": {
+        **_MISNAMED,
+        "millis() called microseconds": _millis_called_micros,
+        "|i|, own names and units": _modulus_under_other_names,
+    },
     "readings": readings.DRESSINGS,
     "hidden": hidden.DRESSINGS,
 }

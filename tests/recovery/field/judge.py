@@ -145,11 +145,12 @@ def _mended(path: Path, of: Dressed, mend: Mend, message: str) -> Result | None:
     line = re.search(r"signals = \{.*\} \}|signals = \{.*\}", message)
     if line is None:
         return None
-    told = line[0]
+    above = re.search(r"above it.*?(counts_per_rev = \S+)", message)
+    told = f"{above[1] if above else ''}\n{line[0]}"
     for key, value in mend.put.items():
         told = re.sub(rf"{key} = [\d.e+-]+", f"{key} = {value}", told)
     made = path.with_suffix(".toml")
-    made.write_text(f"{mend.above}{told}\n", encoding="utf-8")
+    made.write_text(told + "\n", encoding="utf-8")
     return run_command("fit", path, *of.words, "--signals", made, "--json")
 
 
