@@ -55,7 +55,7 @@ def line(name: str, rows: Sequence[Mapping[str, Any]]) -> str:
         diagnosed or "",
         sum(len(r["wrong_names"]) for r in rows) if diagnosed else "",
     ]
-    return f"| {name} | {' | '.join(map(str, cells))} |"
+    return f"| {name.replace('|', chr(92) + '|')} | {' | '.join(map(str, cells))} |"
 
 
 def tables(rows: Sequence[Mapping[str, Any]]) -> str:

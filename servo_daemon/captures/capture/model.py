@@ -69,9 +69,8 @@ class Capture:
         metadata: the `# key: value` lines; a key given on several lines has them joined by newlines.
         notes: what the user should hear about the file (ignored columns), one sentence each.
         current_known: shape (n,): where the current is a measurement; None: everywhere.
-        lines: of a signal map, what the file's signals were taken for, by the map's column; empty: as they are called.
-        counted: counts in a turn of the map's `position_counts`, negative where they count backwards; None: no map
-            needs them.
+        as_map: what the file's signals were taken for, as a signal map would say it ("signals" by column,
+            "counts_per_rev"); empty: as they are called.
     """
 
     path: Path
@@ -86,11 +85,10 @@ class Capture:
     metadata: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     current_known: NDArray[Any] | None = None
-    lines: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    counted: float | None = None
+    as_map: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("metadata", "lines"):
+        for name in ("metadata", "as_map"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
         for name in ("time_s", *self.channels):
             array = getattr(self, name)

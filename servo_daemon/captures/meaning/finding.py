@@ -55,16 +55,17 @@ def mend(capture: Capture, field: str, keys: Mapping[str, object], *, target: st
     if target == _COUNTS and name != _COUNTS:
         return f"{words}  and above it your encoder's  counts_per_rev = 4096"
     if _COUNTS in {name for name, _ in lines.values()}:
-        return f"{words}  and above it  counts_per_rev = {_toml(capture.counted)}"
+        return f"{words}  and above it  counts_per_rev = {_toml(capture.as_map['counts_per_rev'])}"
     return words
 
 
 def _line(capture: Capture, field: str) -> tuple[str, Mapping[str, object]] | None:
     """A field's column in a signal map, and its entry; None: the time is none of the file's signals."""
-    for name, entry in capture.lines.items():
+    lines = capture.as_map.get("signals", {})
+    for name, entry in lines.items():
         if field == ("position_rad" if name == _COUNTS else LINEAR_COLUMNS.get(name, name)):
             return name, entry
-    if capture.lines and field == "time_s":
+    if lines and field == "time_s":
         return None
     name = column_name(capture, field)
     return name, {"signal": name}
@@ -79,8 +80,8 @@ def _changed(capture: Capture, name: str, entry: Mapping[str, object], keys: Map
             del changed["scale"]
         else:
             changed["scale"] = scale * float(entry.get("scale", 1.0))  # type: ignore[arg-type, operator]
-    if name == _COUNTS and capture.counted and "wrap" in keys:
-        changed["wrap"] = keys["wrap"] / (2 * math.pi) * abs(capture.counted)  # type: ignore[operator]
+    if name == _COUNTS and "wrap" in keys:
+        changed["wrap"] = keys["wrap"] / (2 * math.pi) * abs(capture.as_map["counts_per_rev"])  # type: ignore[operator]
     return changed
 
 
