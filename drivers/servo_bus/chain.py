@@ -90,7 +90,7 @@ class ChainDialogue:
         replies: list[Reply[Round]] = []
         for servo, error, content in self._decoder.feed(data):
             if servo in self._absent and len(content) == self._family.identity[1]:
-                self.models[servo] = int.from_bytes(content, "little")
+                self.models[servo] = int.from_bytes(content[:2], "little")
                 del self._absent[servo]
                 self._missed[servo] = 0
                 replies.append(Reply(_IDENTITY + servo, {}))

@@ -12,11 +12,13 @@ from typing import Any
 import pytest
 
 from drivers.base import DriverCounters
+from drivers.vesc.configuration import decode_configuration
 from drivers.vesc.dialogue import VescDialogue
 from drivers.vesc.packets import PacketReader, encode_packet
 from drivers.vesc.requests import MAY_SEND, POLL_MASKS, request
 from drivers.vesc.values import decode_firmware, decode_values
 from servo_daemon.errors import WireError
+from servo_daemon.sim_drive.makes.vesc_configuration import packed
 
 GOLDEN = json.loads((Path(__file__).parents[2] / "drivers/golden/vesc.json").read_text())["frames"]
 PACKETS = [f for f in GOLDEN if "packet" in f]
@@ -71,8 +73,8 @@ def test_requests_are_the_firmwares_and_nothing_else_can_be_made() -> None:
     assert request(b"\x00") == hosts[b"\x00"]
     forwarded = request(b"\x00", 3)
     assert PacketReader(DriverCounters()).feed(forwarded) == [b"\x22\x03\x00"]
-    assert all(len(p) <= 5 and p[0] in (0, 50) for payloads in MAY_SEND.values() for p in payloads)
-    for payload in (b"\x05\x00\x00\x00\x01", b"\x04", b"\x32\x00\x00\x00\x01", b""):
+    assert all(len(p) <= 5 and p[0] in (0, 14, 50) for payloads in MAY_SEND.values() for p in payloads)
+    for payload in (b"\x0d", b"\x05\x00\x00\x00\x01", b"\x04", b"\x32\x00\x00\x00\x01", b""):
         with pytest.raises(ValueError):
             request(payload)
 
@@ -116,3 +118,25 @@ def test_any_bytes_are_counted_and_raise_nothing() -> None:
 @pytest.mark.slow
 def test_a_hundred_thousand_inputs_raise_nothing() -> None:
     fuzz(1, 100_000)
+
+
+TOLD = {"ratio": 4.0, "sensor_mode": 1.0, "L": 15.7e-6, "R": 0.039, "flux": 0.0029, "poles": 14.0}
+
+
+@pytest.mark.parametrize("signature", [1_065_524_471, 2_509_944_602])
+@pytest.mark.parametrize(("sensor_mode", "pole_pairs"), [(1.0, 4), (0.0, 7)])
+def test_the_motor_is_read_out_of_a_configuration(signature: int, sensor_mode: float, pole_pairs: int) -> None:
+    """Packed value by value as the firmware does; the pole pairs are the encoder's ratio where there is one."""
+    motor = decode_configuration(b"\x0e" + packed(signature, TOLD | {"sensor_mode": sensor_mode}))
+    assert (motor.R, motor.L, motor.flux) == pytest.approx((0.039, 15.7e-6, 0.0029), rel=1e-6)
+    assert motor.pole_pairs == pole_pairs
+    assert motor.nominal()["K"] == pytest.approx(math.sqrt(1.5) * pole_pairs * 0.0029, rel=1e-6)
+
+
+def test_another_configuration_is_not_read() -> None:
+    good = b"\x0e" + packed(2_509_944_602, TOLD)
+    for bad in (b"", b"\x0e", good[:300], b"\x0d" + good[1:], good[:4] + b"\x00" + good[5:]):
+        with pytest.raises(WireError):
+            decode_configuration(bad)
+    unset = decode_configuration(b"\x0e" + packed(2_509_944_602, TOLD | {"R": 0.0, "flux": math.nan}))
+    assert unset.nominal() == {"L": pytest.approx(15.7e-6)}
