@@ -91,8 +91,8 @@ class Shaft:
         return 2.0 * math.pi * (turns + np.rint(steps / STEPS - turns - self._offset))
 
     def _decide(self, steps: F64, degrees: F64) -> None:
-        """Which share of an electrical turn, with which sign, `pid_pos` goes on by for a step of the tachometer: the one
-        with which it keeps its distance from the steps. Turns are of no account, so that none in a pause is missed."""
+        """Which share of an electrical turn, with which sign, `pid_pos` goes on by for a step of the tachometer: that
+        with which it keeps its distance from them. Turns are of no account, so that none in a pause is missed."""
         self._seen |= dict(zip(steps.tolist(), degrees.tolist(), strict=True))
         if len(self._seen) <= _ENOUGH_STEPS:
             return
