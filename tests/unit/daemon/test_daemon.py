@@ -6,7 +6,6 @@ import logging
 import math
 import threading
 import time
-import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -49,17 +48,15 @@ def test_samples_become_a_snapshot(start: Callable[..., Rig]) -> None:
     assert rig.daemon.problems() == []
 
 
-@pytest.mark.parametrize(
-    ("signals", "factor"), [("", 1.0), ('[drive.signals]\npublish = "phase"\n', 1 / math.sqrt(2.0))]
-)
+@pytest.mark.parametrize(("signals", "factor"), [({}, 1.0), ({"publish": "phase"}, 1.0 / math.sqrt(2.0))])
 def test_what_the_drivers_signals_mean_is_what_the_daemon_takes_them_for(
-    start: Callable[..., Rig], monkeypatch: pytest.MonkeyPatch, signals: str, factor: float
+    start: Callable[..., Rig], monkeypatch: pytest.MonkeyPatch, signals: dict[str, str], factor: float
 ) -> None:
     """A drive that reports the q axis of a motor whose values line to line are the simulated one's; a key of the
     configuration stands above what the driver says."""
     told = SignalMeaning("instant", "instant", "dq", "line")
     monkeypatch.setattr(Fed, "meaning", told)
-    rig = start(parse_config(tomllib.loads(f'[[drive]]\nname = "one"\ndriver = "fed"\n{signals}')))
+    rig = start(configuration("one", nominal={}, signals=signals))
     for _ in range(16):
         block = rig.driver("one").source.next_block(500)
         assert block.voltage_V is not None and block.current_A is not None
