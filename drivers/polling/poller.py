@@ -109,6 +109,7 @@ class Poller(Generic[V]):
         self._on_their_way: deque[tuple[int, int, float]] = deque()  # number, tag, sent
         self._number = 0
         self._unanswered = 0  # in a row
+        self._period_s = 1.0 / pace.rate_hz
         self._trips: list[tuple[float, float]] = []  # received, how long it took
         for name in ("sent", "answered", "timed_out", "missed", "unasked"):
             extra.setdefault(f"polls_{name}", 0)
@@ -116,9 +117,14 @@ class Poller(Generic[V]):
     @property
     def period_s(self) -> float:
         """From one request to the next now."""
+        return self._period_s
+
+    def _slower(self, unanswered: int) -> None:
+        """So many requests in a row have not been answered."""
+        self._unanswered = unanswered
         halvings = max(0, self._unanswered - _PATIENCE + 1)
         slowest = max(1 / self._pace.rate_hz, _LONGEST_PAUSE_S)
-        return min(slowest, 2.0 ** min(halvings, 30) / self._pace.rate_hz)
+        self._period_s = min(slowest, 2.0 ** min(halvings, 30) / self._pace.rate_hz)
 
     def step(self, until_s: float) -> list[Answer[V]]:
         """Send what is due and wait for answers, at most until then.
@@ -128,14 +134,17 @@ class Poller(Generic[V]):
         """
         now = self._clock()
         self._give_up(now)
-        self._send_due(now)
-        data = self._link.receive(min(until_s, self._next_event()) - self._clock())
+        if now >= self._due_s:
+            self._send_due(now)
+            now = self._clock()
+        data = self._link.receive(min(until_s, self._next_event()) - now)
         return self._matched(self._dialogue.feed(data)) if data else []
 
     def _next_event(self) -> float:
-        due = self._due_s if len(self._on_their_way) < self._pace.together else math.inf
-        oldest = self._on_their_way[0][2] + self._pace.timeout_s if self._on_their_way else math.inf
-        return min(due, oldest)
+        if not self._on_their_way:
+            return self._due_s
+        oldest = self._on_their_way[0][2] + self._pace.timeout_s
+        return min(self._due_s, oldest) if len(self._on_their_way) < self._pace.together else oldest
 
     def _give_up(self, now: float) -> None:
         """After a time-out nothing that is on its way is waited for, and the line has time to fall silent: a late
@@ -143,18 +152,16 @@ class Poller(Generic[V]):
         if self._on_their_way and now >= self._on_their_way[0][2] + self._pace.timeout_s:
             self._count("timed_out", len(self._on_their_way))
             self._on_their_way.clear()
-            self._unanswered += 1
+            self._slower(self._unanswered + 1)
             self._due_s = now + max(self.period_s, self._pace.timeout_s)
 
     def _send_due(self, now: float) -> None:
-        if now < self._due_s:
-            return
-        late = int((now - self._due_s) / self.period_s)
+        late = int((now - self._due_s) / self._period_s)
         self._count("missed", late)
-        self._due_s += late * self.period_s
+        self._due_s += late * self._period_s
         if len(self._on_their_way) >= self._pace.together:
             return
-        self._due_s += self.period_s
+        self._due_s += self._period_s
         request = self._dialogue.next_request()
         if request is None:
             return
@@ -174,7 +181,8 @@ class Poller(Generic[V]):
             while tag != reply.tag:  # drives answer in the order in which they were asked: that answer is lost
                 self._count("timed_out")
                 number, tag, sent_s = self._on_their_way.popleft()
-            self._unanswered = 0
+            if self._unanswered:
+                self._slower(0)
             self._count("answered")
             self._trips.append((now, now - sent_s))
             answers.append(Answer(number, sent_s, now, reply.value))
