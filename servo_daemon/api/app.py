@@ -9,7 +9,8 @@ from fastapi import FastAPI
 from starlette.responses import JSONResponse
 
 from servo_daemon.api import assets, problems
-from servo_daemon.api.guard import Guard
+from servo_daemon.api.access.guard import Guard
+from servo_daemon.api.access.request_limits import RequestLimits
 from servo_daemon.api.head import Head
 from servo_daemon.api.routes import api_router, metrics_router
 from servo_daemon.api.schemas import diagnosis as diagnosis_schemas
@@ -50,6 +51,7 @@ def create_app(daemon: DaemonView, allowed_hosts: Iterable[str] = ()) -> FastAPI
     app.include_router(metrics_router(daemon))
     app.include_router(assets.make_router())
     app.add_middleware(Head)
+    app.add_middleware(RequestLimits)
     app.add_middleware(Guard, allowed_hosts=tuple(allowed_hosts))
     _describe(app)
     return app

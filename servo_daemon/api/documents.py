@@ -32,7 +32,7 @@ def encode(document: Document) -> bytes:
     Raises:
         ValueError: NaN or an infinity in it.
     """
-    return json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
+    return json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode("utf-8", "replace")
 
 
 def scalar(value: object) -> float | int | bool | str | None:

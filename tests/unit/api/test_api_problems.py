@@ -57,8 +57,9 @@ def test_reset_of_an_unknown_drive(client: Client) -> None:
 def test_wrong_method_names_the_right_one(client: Client) -> None:
     response = client.post(AXIS1 + "/estimates")
     assert problem(response, 405)["code"] == "method_not_allowed"
-    assert response.headers["allow"] == "GET"
+    assert response.headers["allow"] == "GET, HEAD"
     assert client.get(AXIS1 + "/reset").headers["allow"] == "POST"
+    assert client.request("DELETE", AXIS1 + "/diagnosis").headers["allow"] == "GET, HEAD, POST"
 
 
 @pytest.mark.parametrize(

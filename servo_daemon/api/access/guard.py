@@ -21,7 +21,7 @@ from urllib.parse import urlsplit
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from servo_daemon.api.problems import MEDIA_TYPE, problem_body
+from servo_daemon.api.problems import refusal
 
 #: Nothing on these pages comes from anywhere else, and nothing runs that is not a file of the dashboard.
 _POLICY: Final = (
@@ -99,18 +99,9 @@ class Guard:
                     headers.setdefault(name, value)  # a report admits its own script by hash, and nothing else
             await send(message)
 
-        refusal = self._refusal(scope)
-        if refusal is None:
-            await self.app(scope, receive, send_guarded)
-            return
-        body = problem_body(*refusal, scope["path"])
-        headers = [
-            (b"content-type", MEDIA_TYPE.encode()),
-            (b"content-length", str(len(body)).encode()),
-            (b"cache-control", b"no-store"),
-        ]
-        await send_guarded({"type": "http.response.start", "status": refusal[0], "headers": headers})
-        await send({"type": "http.response.body", "body": body})
+        refused = self._refusal(scope)
+        answer = self.app if refused is None else refusal(scope["path"], *refused)
+        await answer(scope, receive, send_guarded)
 
     def _refusal(self, scope: Scope) -> tuple[int, str, str] | None:
         """Status, code and detail where the request is refused."""
