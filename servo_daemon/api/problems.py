@@ -94,7 +94,11 @@ async def _on_http(request: Request, error: Exception) -> Response:
         404: f"There is nothing at {path}; the API is described at /openapi.json.",
         405: f"{path} cannot be used with {request.method}.",
     }.get(error.status_code, str(error.detail))
-    headers = {"Allow": ", ".join(_methods(request)).replace("GET", "GET, HEAD")} if error.status_code == 405 else error.headers
+    headers = (
+        {"Allow": ", ".join(_methods(request)).replace("GET", "GET, HEAD")}
+        if error.status_code == 405
+        else error.headers
+    )
     return refusal(path, error.status_code, code, detail, headers)
 
 

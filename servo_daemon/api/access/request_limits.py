@@ -98,9 +98,10 @@ async def _read(receive: Receive) -> bytes | _Refusal | None:
                     break
     except TimeoutError:
         return 408, "too_slow", f"The request's body was not complete within {BODY_S:g} s."
-    if too_deep(body):
+    whole = bytes(body)
+    if too_deep(whole):
         return 422, "invalid_parameter", f"body: not JSON nested at most {MAX_DEPTH} deep"
-    return bytes(body)
+    return whole
 
 
 def _replay(body: bytes, receive: Receive) -> Receive:
