@@ -179,6 +179,7 @@ async def _serve_api(daemon: Daemon, listener: socket.socket, told: asyncio.Even
 
     from servo_daemon.api.access.connections import MOST_CONNECTIONS, ConnectionTable, bounded_protocol
     from servo_daemon.api.app import create_app
+    from servo_daemon.api.computing import ProcessComputer
     from servo_daemon.daemon.descriptors import room_for_connections
 
     class Server(uvicorn.Server):
@@ -196,10 +197,13 @@ async def _serve_api(daemon: Daemon, listener: socket.socket, told: asyncio.Even
         "access_log": False,
         "timeout_graceful_shutdown": _DRAIN_S,
     }
-    server = Server(uvicorn.Config(create_app(daemon, daemon.config.api.allowed_hosts), **settings))
+    computer = ProcessComputer()
+    app = create_app(daemon, daemon.config.api.allowed_hosts, computer)
+    server = Server(uvicorn.Config(app, **settings))
 
     async def exit_when_told() -> None:
         await told.wait()
+        computer.close()
         server.should_exit = True
 
     watcher = asyncio.create_task(exit_when_told())
