@@ -98,12 +98,13 @@ class Routes:
         return json_response(document, 503 if document["problems"] else 200)
 
     async def ready(self) -> Response:
-        """200 from the first samples of any drive on; 503 before, with what each drive waits for."""
+        """200 from the first samples of any drive on; 503 before, and while all lines are down, with what each drive
+        waits for."""
         ready, document = documents.ready_document(self._daemon)
         if ready:
             return json_response(document)
         waiting = "; ".join(f"{name}: {d['reason']}" for name, d in document["drives"].items())
-        raise ProblemError(503, "not_ready", f"No drive has delivered samples yet: {waiting}.", **document)
+        raise ProblemError(503, "not_ready", f"No drive delivers samples: {waiting}.", **document)
 
     async def drives(self) -> Response:
         """The configured drives."""
@@ -126,10 +127,11 @@ class Routes:
         end: TimeText = None,
         points: Points = DEFAULT_POINTS,
     ) -> Response:
-        """One parameter or state channel over the last minutes."""
+        """One parameter or state channel over the last minutes, up to now: what was recorded before the clock was set
+        back may lie after that, and is answered when it is asked for."""
         view = self.find(drive)
         now = time.time()
-        limits = {"start": _limit("start", start, now), "end": _limit("end", end, now)}
+        limits = {"start": _limit("start", start, now), "end": now if end is None else _limit("end", end, now)}
         if limits["start"] is not None and limits["end"] is not None and limits["start"] > limits["end"]:
             raise parameter_problem("start", "must not be after 'end'")
         try:
@@ -223,7 +225,7 @@ def api_router(daemon: DaemonView, prefix: str, computer: Computer) -> APIRouter
     router = APIRouter()
     get = ["GET"]
     failing: Responses = {503: {"model": schemas.HealthDocument, "description": "The daemon has a problem of its own."}}
-    not_ready: Responses = {503: problem_answer("No drive has delivered samples yet.")}
+    not_ready: Responses = {503: problem_answer("No drive has delivered samples yet, or every line is down.")}
     router.add_api_route(
         "/health", routes.health, methods=get, response_model=schemas.HealthDocument, responses=failing
     )
