@@ -13,7 +13,7 @@ import pytest
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from servo_daemon.api.guard import Guard
+from servo_daemon.api.access.guard import Guard
 from servo_daemon.report import (
     Axis,
     Iterations,
