@@ -1,0 +1,109 @@
+"""What a trend is found from: the means of hours or days, and their reduction to some two hundred equal stretches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from servo_daemon.samples import F64
+
+YEAR_D: Final = 365.25
+#: Stretches at most: a life of five years in steps of nine days. Covariances of this size are factored in milliseconds.
+MOST_STRETCHES: Final = 200
+#: A stretch whose value is this many robust standard deviations from its neighbours' median is left out. Of normal noise
+#: one in two million is.
+_OUTLIER_STD: Final = 5.0
+_NEIGHBOURS: Final = 9
+#: Of the median of the absolute deviation, for normal noise.
+_MAD_TO_STD: Final = 1.4826
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """One parameter over time, oldest first; all arrays have shape (n,).
+
+    Attributes:
+        time_d: days, increasing; any zero.
+        value: finite, in the parameter's unit.
+        temperature_C: of the winding; NaN where it was not known. None: never.
+        days: how many days of data each value stands for, > 0.
+    """
+
+    time_d: F64
+    value: F64
+    temperature_C: F64 | None
+    days: F64
+
+    def __len__(self) -> int:
+        return len(self.time_d)
+
+    def since(self, day: float) -> Series:
+        """What came at that time or later."""
+        first = int(np.searchsorted(self.time_d, day))
+        warm = None if self.temperature_C is None else self.temperature_C[first:]
+        return Series(self.time_d[first:], self.value[first:], warm, self.days[first:])
+
+
+def reduced(time_d: F64, value: F64, temperature_C: F64 | None) -> Series:
+    """Medians over whole days, then over equal stretches of days; stretches far from their neighbours are left out.
+
+    The temperature is kept if it was known for every stretch.
+
+    Raises:
+        ValueError: shapes that differ, or times that decrease.
+    """
+    if time_d.shape != value.shape or (temperature_C is not None and temperature_C.shape != value.shape):
+        raise ValueError(f"time {time_d.shape}, value {value.shape} and temperature must have one shape")
+    if np.any(np.diff(time_d) < 0):
+        raise ValueError("time_d decreases")
+    known = np.isfinite(value) & np.isfinite(time_d)
+    warm = np.full(len(value), np.nan) if temperature_C is None else temperature_C
+    daily = _medians(np.column_stack([time_d, value, warm, np.ones_like(value)])[known], 1.0)
+    if not len(daily):
+        return Series(*(np.empty(0) for _ in range(2)), None, np.empty(0))
+    daily[:, 3] = 1.0
+    span = daily[-1, 0] - daily[0, 0]
+    rows = _medians(daily, max(1.0, np.ceil(span / MOST_STRETCHES)))
+    series = Series(rows[:, 0], rows[:, 1], rows[:, 2] if np.isfinite(rows[:, 2]).all() else None, rows[:, 3])
+    return _without_outliers(series)
+
+
+def _medians(rows: F64, width_d: float) -> F64:
+    """Medians of the columns over stretches of `width_d`; of the last column the sum. Shapes (n, 4) and (m, 4)."""
+    if not len(rows):
+        return rows
+    stretch = np.floor((rows[:, 0] - np.floor(rows[0, 0])) / width_d)
+    starts = np.flatnonzero(np.diff(stretch, prepend=-1.0))
+    counts = np.diff(np.append(starts, len(rows)))
+    padded = np.full((len(starts), int(counts.max()), rows.shape[1]), np.nan)
+    within = np.arange(len(rows)) - np.repeat(starts, counts)
+    padded[np.repeat(np.arange(len(starts)), counts), within] = rows
+    out = _nanmedian(padded)
+    out[:, 0] = np.add.reduceat(rows[:, 0], starts) / counts
+    out[:, -1] = np.add.reduceat(rows[:, -1], starts)
+    return out
+
+
+def _nanmedian(padded: F64) -> F64:
+    """Along the second axis; NaN where all are, without numpy's warning."""
+    ordered = np.sort(padded, axis=1)  # NaN last
+    count = np.isfinite(padded).sum(axis=1)
+    low = np.take_along_axis(ordered, np.maximum((count - 1) // 2, 0)[:, None], axis=1)[:, 0]
+    high = np.take_along_axis(ordered, np.minimum(count // 2, padded.shape[1] - 1)[:, None], axis=1)[:, 0]
+    return np.where(count > 0, 0.5 * (low + high), np.nan)
+
+
+def _without_outliers(series: Series) -> Series:
+    if len(series) < _NEIGHBOURS:
+        return series
+    padded = np.pad(series.value, _NEIGHBOURS // 2, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, _NEIGHBOURS)
+    away = np.abs(series.value - np.median(windows, axis=1))
+    usual = _MAD_TO_STD * np.median(away)
+    keep = away <= _OUTLIER_STD * usual if usual > 0 else np.ones(len(series), dtype=bool)
+    warm = None if series.temperature_C is None else series.temperature_C[keep]
+    return replace(
+        series, time_d=series.time_d[keep], value=series.value[keep], temperature_C=warm, days=series.days[keep]
+    )
