@@ -45,6 +45,19 @@ class Fit:
     freedom: float
     log_evidence: float
 
+    @property
+    def events(self) -> tuple[tuple[int, float], ...]:
+        """Steps in their order and their sizes, relative; neighbours of one direction, between which nothing can be
+        told, as one."""
+        sizes = self.mean[len(self.mean) - len(self.steps) :]
+        out: list[tuple[int, float]] = []
+        for at, size in sorted(zip(self.steps, map(float, sizes), strict=True)):
+            if out and at - out[-1][0] <= _FROM_END and size * out[-1][1] > 0:
+                out[-1] = (out[-1][0], out[-1][1] + size)
+            else:
+                out.append((at, size))
+        return tuple(out)
+
 
 @dataclass(frozen=True, slots=True)
 class _Grams:

@@ -109,19 +109,18 @@ FEWEST_STEPS: Final = 3
 
 def has_habit(fit: Fit) -> bool:
     """Whether more steps are to come: there have been enough, all of one direction."""
-    sizes = fit.mean[len(fit.mean) - len(fit.steps) :]
+    sizes = [size for _, size in fit.events]
     return len(sizes) >= FEWEST_STEPS and abs(np.sign(sizes).sum()) == len(sizes)
 
 
 def _steps_to_come(fit: Fit, now_y: float, draws: int, rng: np.random.Generator) -> tuple[F64, F64]:
     """Steps as often and as large as those so far: a Poisson process of exponential sizes, both known as well as so
     many of them tell. Shapes (draws, k) or (1, 1), and (draws,)."""
-    sizes = fit.mean[len(fit.mean) - len(fit.steps) :]
-    n = len(sizes)
     if not has_habit(fit):
         return np.zeros((1, 1)), np.zeros(draws)
+    n, total = len(fit.events), sum(size for _, size in fit.events)
     often_1_y = rng.gamma(n, 1.0 / now_y, draws)
-    mean = sizes.sum() / rng.gamma(n, 1.0, draws)
+    mean = total / rng.gamma(n, 1.0, draws)
     gaps = np.diff(_AHEAD_Y, prepend=0.0)
     counts = rng.poisson(often_1_y[:, None] * gaps)
     heights = rng.standard_gamma(np.maximum(counts, 1e-9)) * (counts > 0) * mean[:, None]

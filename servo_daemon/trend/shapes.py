@@ -50,13 +50,13 @@ class Shape:
 
 #: Chances of a trend and of none are even.
 SHAPES: Final = (
-    Shape("none", 0.35),
-    *(Shape("none", 0.15 / len(_WANDERING), wandering=w) for w in _WANDERING),
+    Shape("none", 0.3),
+    *(Shape("none", 0.1 / len(_WANDERING), wandering=w) for w in _WANDERING),
     Shape("stepwise", 0.1, steps_1_y=3.0, step=0.15),
-    Shape("linear", 0.12),
-    Shape("linear", 0.05, bending=_BENDING),
-    *(Shape("linear", 0.05 / len(_WANDERING), wandering=w) for w in _WANDERING),
-    *(Shape("exponential", 0.12 / len(_GROWING), k) for k in _GROWING),
+    Shape("linear", 0.1),
+    Shape("linear", 0.06, bending=_BENDING),
+    *(Shape("linear", 0.06 / len(_WANDERING), wandering=w) for w in _WANDERING),
+    *(Shape("exponential", 0.22 / len(_GROWING), k) for k in _GROWING),
     *(Shape("settling", 0.06 / len(_SETTLING), k) for k in _SETTLING),
 )
 

@@ -12,7 +12,7 @@ from servo_daemon.trend.evidence import Fit, fits
 from servo_daemon.trend.prognosis import HORIZON_Y, Futures, futures, has_habit
 from servo_daemon.trend.series import YEAR_D, Series, reduced
 from servo_daemon.trend.shapes import Columns, Priors, columns
-from servo_daemon.trend.temperature import REFERENCE_C, TemperatureEffect, at_reference, effect_on
+from servo_daemon.trend.temperature import TemperatureEffect, at_reference, effect_on
 
 Status = Literal["trend", "no_trend", "too_short"]
 
@@ -163,7 +163,7 @@ class _Study:
         margin = max(min(margins, default=_USUAL_MARGIN), 0.02)
         known = series.temperature_C is not None
         self._priors = Priors(margin, effect.further_1_K, effect.season[0 if known else 1])
-        warm = None if series.temperature_C is None else series.temperature_C - REFERENCE_C
+        warm = None if series.temperature_C is None else series.temperature_C - np.mean(series.temperature_C)
         self._columns: Columns = columns(series.time_d, float(series.time_d[0]), warm, self._priors)
         self._fits = fits(series, (series.value - began) / self._scale, self._columns, self._priors)
         weights = np.exp([f.log_evidence - self._fits[0].log_evidence for f in self._fits])
@@ -173,34 +173,28 @@ class _Study:
     def _best(self) -> Fit:
         return self._fits[0]
 
-    def _sizes(self) -> F64:
-        best = self._best
-        return best.mean[len(best.mean) - len(best.steps) :] * self._scale
-
     def exchange(self) -> int | None:
         """The last step of the most likely fit that goes back to where the value began, the number of the first value
         after it; None: there is none."""
         best = self._best
         found = None
         level = 0.0
-        trend = self._columns.values[:, list(self._columns.by_shape[best.shape_number])]
-        first = len(self._columns.common)
-        worn = trend @ best.mean[first : first + trend.shape[1]]
-        order = np.argsort(best.steps)
-        for k in order:
-            size = float(best.mean[len(best.mean) - len(best.steps) + k])
-            before = level + float(worn[best.steps[k]])
+        first, last = len(self._columns.common), len(best.mean) - len(best.steps)
+        worn = self._columns.values[:, list(self._columns.by_shape[best.shape_number])] @ best.mean[first:last]
+        for at, size in best.events:
+            before = level + float(worn[at])
             if abs(before + size) < abs(before) and abs(size) > _BACK * self._priors.margin:
-                found = best.steps[k]
+                found = at
             level += size
         return found
 
     def changes(self, exchange: int | None) -> tuple[Change, ...]:
         """Steps of the most likely fit, up to the exchange if there is one."""
-        pairs = sorted(zip(self._best.steps, self._sizes(), strict=True))
         last = len(self._series) if exchange is None else exchange
         return tuple(
-            Change(float(self._series.time_d[at]), float(size), at == exchange) for at, size in pairs if at <= last
+            Change(float(self._series.time_d[at]), size * self._scale, at == exchange)
+            for at, size in self._best.events
+            if at <= last
         )
 
     def trend(self, changes: tuple[Change, ...]) -> Trend:
