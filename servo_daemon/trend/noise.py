@@ -12,7 +12,7 @@ from scipy.linalg import solve_triangular
 from servo_daemon.samples import F64
 
 #: Shares of the noise's variance in excursions, and how long these last, days. What lies between changes the evidence
-#: of a series of 200 values by less than 1.
+#: of a series of 160 values by less than 1.
 _SHARES: Final = (0.3, 0.6, 0.9)
 _LASTING_D: Final = (4.0, 12.0, 36.0, 108.0)
 

@@ -1,17 +1,18 @@
-"""What a trend is found from: the means of hours or days, and their reduction to some two hundred equal stretches."""
+"""What a trend is found from: the means of hours or days, and their reduction to a hundred and sixty equal stretches."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servo_daemon.samples import F64
 
 YEAR_D: Final = 365.25
-#: Stretches at most: a life of five years in steps of nine days. Covariances of this size are factored in milliseconds.
-MOST_STRETCHES: Final = 200
+#: Stretches at most: a life of five years in steps of twelve days. Covariances of this size are factored in milliseconds.
+MOST_STRETCHES: Final = 160
 #: A stretch whose value is this many robust standard deviations from its neighbours' median is left out. Of normal noise
 #: one in two million is.
 _OUTLIER_STD: Final = 5.0
@@ -46,10 +47,8 @@ class Series:
         return Series(self.time_d[first:], self.value[first:], warm, self.days[first:])
 
 
-def reduced(time_d: F64, value: F64, temperature_C: F64 | None) -> Series:
-    """Medians over whole days, then over equal stretches of days; stretches far from their neighbours are left out.
-
-    The temperature is kept if it was known for every stretch.
+def daily(time_d: F64, value: F64, temperature_C: F64 | None) -> Series:
+    """Medians of whole days; the temperature is kept if it was known on every day.
 
     Raises:
         ValueError: shapes that differ, or times that decrease.
@@ -58,16 +57,25 @@ def reduced(time_d: F64, value: F64, temperature_C: F64 | None) -> Series:
         raise ValueError(f"time {time_d.shape}, value {value.shape} and temperature must have one shape")
     if np.any(np.diff(time_d) < 0):
         raise ValueError("time_d decreases")
-    known = np.isfinite(value) & np.isfinite(time_d)
     warm = np.full(len(value), np.nan) if temperature_C is None else temperature_C
-    daily = _medians(np.column_stack([time_d, value, warm, np.ones_like(value)])[known], 1.0)
-    if not len(daily):
-        return Series(*(np.empty(0) for _ in range(2)), None, np.empty(0))
-    daily[:, 3] = 1.0
-    span = daily[-1, 0] - daily[0, 0]
-    rows = _medians(daily, max(1.0, np.ceil(span / MOST_STRETCHES)))
-    series = Series(rows[:, 0], rows[:, 1], rows[:, 2] if np.isfinite(rows[:, 2]).all() else None, rows[:, 3])
-    return _without_outliers(series)
+    known = np.isfinite(value) & np.isfinite(time_d)
+    rows = _medians(np.column_stack([time_d, value, warm, np.ones_like(value)])[known], 1.0)
+    return _series(np.column_stack([rows[:, :3], np.ones(len(rows))]))
+
+
+def stretched(days: Series) -> Series:
+    """Medians of equal stretches of whole days, at most `MOST_STRETCHES`; those far from their neighbours left out."""
+    if not len(days):
+        return days
+    warm = np.full(len(days), np.nan) if days.temperature_C is None else days.temperature_C
+    width_d = max(1.0, float(np.ceil((days.time_d[-1] - days.time_d[0]) / MOST_STRETCHES)))
+    rows = _medians(np.column_stack([days.time_d, days.value, warm, days.days]), width_d)
+    return _series(rows[_usual(rows[:, 1])])
+
+
+def _series(rows: F64) -> Series:
+    warm = rows[:, 2] if len(rows) and np.isfinite(rows[:, 2]).all() else None
+    return Series(rows[:, 0], rows[:, 1], warm, rows[:, 3])
 
 
 def _medians(rows: F64, width_d: float) -> F64:
@@ -95,15 +103,11 @@ def _nanmedian(padded: F64) -> F64:
     return np.where(count > 0, 0.5 * (low + high), np.nan)
 
 
-def _without_outliers(series: Series) -> Series:
-    if len(series) < _NEIGHBOURS:
-        return series
-    padded = np.pad(series.value, _NEIGHBOURS // 2, mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, _NEIGHBOURS)
-    away = np.abs(series.value - np.median(windows, axis=1))
+def _usual(value: F64) -> NDArray[np.bool_]:
+    """Which values are near their neighbours' median; shape (n,)."""
+    if len(value) < _NEIGHBOURS:
+        return np.ones(len(value), dtype=bool)
+    padded = np.pad(value, _NEIGHBOURS // 2, mode="edge")
+    away = np.abs(value - np.median(np.lib.stride_tricks.sliding_window_view(padded, _NEIGHBOURS), axis=1))
     usual = _MAD_TO_STD * np.median(away)
-    keep = away <= _OUTLIER_STD * usual if usual > 0 else np.ones(len(series), dtype=bool)
-    warm = None if series.temperature_C is None else series.temperature_C[keep]
-    return replace(
-        series, time_d=series.time_d[keep], value=series.value[keep], temperature_C=warm, days=series.days[keep]
-    )
+    return away <= _OUTLIER_STD * usual if usual > 0 else np.ones(len(value), dtype=bool)

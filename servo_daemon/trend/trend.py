@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -10,15 +10,16 @@ import numpy as np
 from servo_daemon.samples import F64
 from servo_daemon.trend.evidence import Fit, fits
 from servo_daemon.trend.prognosis import HORIZON_Y, Futures, futures, has_habit
-from servo_daemon.trend.series import YEAR_D, Series, reduced
+from servo_daemon.trend.series import YEAR_D, Series, daily, stretched
 from servo_daemon.trend.shapes import Columns, Priors, columns
 from servo_daemon.trend.temperature import TemperatureEffect, at_reference, effect_on
 
 Status = Literal["trend", "no_trend", "too_short"]
 
-#: Days with data, and from first to last, below which nothing is said.
+#: Days with data, from first to last, and stretches, below which nothing is said: twice the unknowns of a wandering trend.
 FEWEST_DAYS: Final = 30
 SHORTEST_D: Final = 60.0
+FEWEST_VALUES: Final = 24
 #: A trend is told where its probability is at least this. Measured: benchmarks/life_trend.py.
 SURE: Final = 0.98
 #: Ends of the 80 % interval.
@@ -117,13 +118,12 @@ def assess(
         ValueError: arrays whose shapes differ, or times that decrease.
     """
     effect = effect_on(parameter)
-    series = reduced(time_d, value, temperature_C)
-    if series.temperature_C is not None:
-        series = Series(
-            series.time_d, at_reference(effect, series.value, series.temperature_C), series.temperature_C, series.days
-        )
+    days = daily(time_d, value, temperature_C)
+    if days.temperature_C is not None:
+        days = replace(days, value=at_reference(effect, days.value, days.temperature_C))
     changes: tuple[Change, ...] = ()
     while True:
+        series = stretched(days)
         short = _too_short(series, bool(changes))
         if short is not None:
             return Trend("too_short", short, since_d=_first(series), changes=changes)
@@ -132,7 +132,7 @@ def assess(
         changes = (*changes, *study.changes(exchange))
         if exchange is None:
             return study.trend(changes)
-        series = series.since(series.time_d[exchange])
+        days = days.since(series.time_d[exchange])
 
 
 def _first(series: Series) -> float | None:
@@ -142,7 +142,7 @@ def _first(series: Series) -> float | None:
 def _too_short(series: Series, anew: bool) -> str | None:
     days = float(series.days.sum())
     span = float(series.time_d[-1] - series.time_d[0]) if len(series) else 0.0
-    if days >= FEWEST_DAYS and span >= SHORTEST_D:
+    if days >= FEWEST_DAYS and span >= SHORTEST_D and len(series) >= FEWEST_VALUES:
         return None
     since = " since the last exchange" if anew else ""
     return f"{days:.0f} days with data within {span:.0f}{since}: {FEWEST_DAYS} within {SHORTEST_D:.0f} are needed"
