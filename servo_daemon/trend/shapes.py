@@ -53,9 +53,9 @@ SHAPES: Final = (
     Shape("none", 0.3),
     *(Shape("none", 0.1 / len(_WANDERING), wandering=w) for w in _WANDERING),
     Shape("stepwise", 0.1, steps_1_y=3.0, step=0.15),
-    Shape("linear", 0.1),
-    Shape("linear", 0.06, bending=_BENDING),
-    *(Shape("linear", 0.06 / len(_WANDERING), wandering=w) for w in _WANDERING),
+    Shape("linear", 0.16),
+    Shape("linear", 0.02, bending=_BENDING),
+    *(Shape("linear", 0.04 / len(_WANDERING), wandering=w) for w in _WANDERING),
     *(Shape("exponential", 0.22 / len(_GROWING), k) for k in _GROWING),
     *(Shape("settling", 0.06 / len(_SETTLING), k) for k in _SETTLING),
 )
