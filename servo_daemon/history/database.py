@@ -73,6 +73,14 @@ class Database:
             self.replace(describe(error))
         return self._engine
 
+    @property
+    def vanished(self) -> bool:
+        """The file is no longer where it was: open connections write to one that nobody will find again."""
+        if self.path is None or self.path.exists():
+            return False
+        self.close()
+        return True
+
     def _prepare(self) -> None:
         if self.path is not None:
             self.path.parent.mkdir(parents=True, exist_ok=True)

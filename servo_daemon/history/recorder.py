@@ -15,7 +15,7 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 import sqlalchemy as sa
-from sqlalchemy.exc import DBAPIError, SQLAlchemyError
+from sqlalchemy.exc import SQLAlchemyError
 
 from servo_daemon.errors import ServoDaemonError
 from servo_daemon.history.blocks import BlockWriter, drive_id
@@ -134,8 +134,10 @@ class Recorder:
         return more
 
     def _opened(self) -> sa.Engine:
-        if self.engine is None:
-            engine = self.database.open()
+        if self.engine is not None and self.database.vanished:
+            self.engine = None
+        if self.engine is None or self.problem is not None:
+            engine = self.engine or self.database.open()
             with engine.begin() as connection:
                 self._blocks.resume(connection)
                 self._ids = {s.name: drive_id(connection, s.name, make=True) or 0 for s in self.sources}
@@ -182,22 +184,21 @@ class Recorder:
                     break
 
     def _fail(self, error: BaseException, monotonic_s: float) -> None:
-        """Say what is wrong, once, and try again later; a broken file is replaced at the next opening."""
+        """Say what is wrong, once, and try again later (reading goes on meanwhile, where it can); a broken file is
+        replaced at once."""
         text = f"the history cannot be written to {self.database.where}: {describe(error)}"
         if self.problem is None:
             log.warning("%s; the estimation goes on, and what the memory holds is written when it can be", text)
             self.counts.outages += 1
         self.problem = text
         self._retry_s = monotonic_s + _RETRY_S
-        self.engine = None
-        if isinstance(error, DBAPIError) and is_broken(error) and self.database.path is not None:
+        if is_broken(error) and self.database.path is not None:
+            self.engine = None
             try:
                 self.database.replace(describe(error))
                 self._retry_s = monotonic_s
             except (SQLAlchemyError, OSError) as again:
                 log.warning("history: %s cannot be replaced: %s", self.database.where, describe(again))
-        else:
-            self.database.close()
 
     def close(self) -> None:
         """After the last turn."""
