@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from typing import Final, TypeVar
 
-import numpy as np
 import sqlalchemy as sa
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -17,11 +15,12 @@ from servo_daemon.history.blocks import drive_id, read_blocks
 from servo_daemon.history.database import describe
 from servo_daemon.history.events import read_documents, read_events
 from servo_daemon.history.levels import Level, choose
-from servo_daemon.history.recorder import Recorder, Source, fresh_rows
-from servo_daemon.history.rollup import roll_up
+from servo_daemon.history.recorder import Recorder, Source
 from servo_daemon.history.tables import BLOCK
 from servo_daemon.published.archive import ArchiveUnavailableError, Document, EventPage, Span
 from servo_daemon.published.buckets import Buckets
+from servo_daemon.published.memory import of_ring, within
+from servo_daemon.published.rollup import fewer, roll_up
 from servo_daemon.published.snapshot import Event
 
 Found = TypeVar("Found")
@@ -69,15 +68,13 @@ class StoreArchive:
 
         def ask(connection: sa.Connection, number: int | None, fresh: Buckets) -> Buckets:
             if number is None:
-                rows = fresh if names is None else fresh.select(names)
-                rows = rows.take((rows.time_s >= start_s) & (rows.time_s <= end))
-                rows = rows.take(np.argsort(rows.time_s, kind="stable"))
+                rows = within(fresh if names is None else fresh.select(names), start_s, end)
                 return roll_up(rows, chosen.period_s) if chosen.period_s else rows
             return read_blocks(connection, number, self._levels, chosen.number, start_s, end, names, fresh)
 
         rows = self._ask(drive, ask)
-        if points is not None and rows.period_s and len(rows) > points:
-            rows = _fewer(rows, end - start_s, points)
+        if points is not None and rows.period_s:
+            rows = fewer(rows, points)
         return Span(chosen.name, start_s, end, rows)
 
     def events(
@@ -121,7 +118,7 @@ class StoreArchive:
                 lock: AbstractContextManager[object] = self.recorder.lock
                 with lock:
                     mark = self.recorder.marks[drive]
-                    fresh, _, _ = fresh_rows(self._source(drive).history, mark.row)
+                    fresh = of_ring(self._source(drive).history.since(mark.row))
                     return question(connection, drive_id(connection, drive), fresh)
         except SQLAlchemyError as error:
             raise ArchiveUnavailableError(f"the history cannot be read: {describe(error)}") from error
@@ -135,11 +132,3 @@ def _last_stop(connection: sa.Connection, drive: int, level: Level) -> float | N
     c = BLOCK.c
     found = connection.scalar(sa.select(sa.func.max(c.stop)).where(c.drive == drive, c.level == level.number))
     return None if found is None else float(found)
-
-
-def _fewer(rows: Buckets, span_s: float, points: int) -> Buckets:
-    """At most `points` buckets, of whole numbers of the level's."""
-    times = max(1, math.ceil(span_s / rows.period_s / points))
-    while len(fewer := roll_up(rows, rows.period_s * times)) > points:
-        times = math.ceil(1.1 * times + 0.1)
-    return fewer

@@ -20,9 +20,9 @@ import sqlalchemy as sa
 
 from servo_daemon.history.codec import BlockError, dump, pack, unpack
 from servo_daemon.history.levels import Level
-from servo_daemon.history.rollup import join, roll_up
 from servo_daemon.history.tables import BLOCK, DRIVE
 from servo_daemon.published.buckets import Buckets
+from servo_daemon.published.rollup import join, roll_up
 
 log = logging.getLogger(__name__)
 

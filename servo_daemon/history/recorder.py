@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, Protocol
 
-import numpy as np
 import sqlalchemy as sa
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -22,9 +21,9 @@ from servo_daemon.history.blocks import BlockWriter, drive_id
 from servo_daemon.history.database import Database, describe, is_broken
 from servo_daemon.history.events import add_document, add_events
 from servo_daemon.history.levels import Level
-from servo_daemon.published.buckets import TRUTH, Buckets
 from servo_daemon.published.diagnosis_state import DiagnosisView
 from servo_daemon.published.history import HistoryRing
+from servo_daemon.published.memory import of_ring
 from servo_daemon.published.snapshot import Event
 
 log = logging.getLogger(__name__)
@@ -158,11 +157,13 @@ class Recorder:
 
     def _write_drive(self, connection: sa.Connection, source: Source, counts: Counts, wall_s: float) -> Mark:
         drive, mark = self._ids[source.name], self.marks[source.name]
-        rows, first, after = fresh_rows(source.history, mark.row, _MOST_ROWS)
+        found = source.history.since(mark.row)
+        rows = of_ring(found).take(slice(0, _MOST_ROWS))
         if len(rows):
             self._blocks.add(connection, drive, rows)
         counts.rows += len(rows)
-        counts.rows_dropped += first - mark.row
+        counts.rows_dropped += found.first - mark.row
+        after = found.next if len(rows) == len(found.time_s) else found.first + len(rows)
         number, events = source.log.since(mark.event)
         add_events(connection, drive, events)
         counts.events_dropped += number - mark.event - len(events)
@@ -217,26 +218,3 @@ def _write_documents(connection: sa.Connection, drive: int, source: Source, mark
             add_document(connection, drive, wall_s, "model", {"effects": source.model, "before": mark.model})
         mark = replace(mark, model=source.model)
     return mark
-
-
-def fresh_rows(ring: HistoryRing, row: int, most: int | None = None) -> tuple[Buckets, int, int]:
-    """Rows of a ring from number `row` on; the number of the first of them, and of the one after the last.
-
-    Args:
-        most: so many at most.
-    """
-    found = ring.since(row)
-    n = len(found.time_s) if most is None else min(most, len(found.time_s))
-    truth: Mapping[str, Any] = {f"{name}{TRUTH}": values[:n] for name, values in found.truth.items()}
-    value = np.column_stack([found.value[:n], *truth.values()])
-    blank = np.full((n, len(truth)), np.nan)
-    rows = Buckets.of_rows(
-        found.time_s[:n],
-        (*found.names, *truth),
-        (*found.units, *(found.units[found.names.index(name)] for name in found.truth)),
-        (*found.is_parameter, *(False for _ in truth)),
-        value,
-        np.column_stack([found.std[:n], blank]),
-        np.column_stack([found.code[:n], np.zeros(blank.shape, np.int8)]),
-    )
-    return rows, found.first, found.next if n == len(found.time_s) else found.first + n

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from servo_daemon.history.codec import BlockError, dump, pack, unpack
-from servo_daemon.history.rollup import roll_up
 from servo_daemon.published.buckets import Buckets
+from servo_daemon.published.rollup import roll_up
 from tests.unit.history.rows import make_rows
 
 ROWS = make_rows(seconds=60.0)

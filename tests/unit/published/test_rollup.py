@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servo_daemon.history.rollup import join, roll_up
 from servo_daemon.published.buckets import STATUSES, Buckets
+from servo_daemon.published.rollup import join, roll_up
 from tests.unit.history.rows import make_rows
 
 

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from servo_daemon.published.buckets import STATUSES, Buckets
+from servo_daemon.published.history import RATE_HZ
 from servo_daemon.samples import F64
 
 #: Times of rows differ in their last digits after they were stored; those of buckets are multiples of their length.
 _SAME_S = 1e-6
+#: From one row to the next, s (`RATE_HZ` of the ring).
+_ROW_S = 1.0 / RATE_HZ
 
 
 def join(parts: Sequence[Buckets]) -> Buckets:
@@ -99,6 +103,18 @@ def roll_up(rows: Buckets, period_s: float) -> Buckets:
         np.fmin.reduceat(rows.low, starts, axis=0), np.fmax.reduceat(rows.high, starts, axis=0), spread, std,
         np.add.reduceat(rows.status, starts, axis=0, dtype=np.int32),
     )  # fmt: skip
+
+
+def fewer(rows: Buckets, points: int) -> Buckets:
+    """At most `points` (at least 2) buckets over the same time; of single rows where there are more, else as they are.
+    Buckets become such of whole numbers of theirs, rows of tenths of a second."""
+    if len(rows) <= points:
+        return rows
+    unit = rows.period_s or _ROW_S
+    times = max(1, math.ceil((rows.time_s[-1] - rows.time_s[0]) / unit / points))
+    while len(short := roll_up(rows, unit * times)) > points:
+        times = math.ceil(1.1 * times + 0.1)
+    return short
 
 
 def _or_zero(array: F64) -> F64:
