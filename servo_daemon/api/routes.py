@@ -20,8 +20,9 @@ from servo_daemon.api.stream import StreamSlots, estimates_stream
 from servo_daemon.api.times import ACCEPTED, parse_time
 from servo_daemon.api.tuning import TuningAnswers
 from servo_daemon.published import exposition
-from servo_daemon.published.history import HistorySeries, split_unit
+from servo_daemon.published.history import HistorySeries
 from servo_daemon.published.metrics import render_metrics
+from servo_daemon.published.units import split_unit
 from servo_daemon.published.view import DaemonView, DriveView
 from servo_daemon.tuning.knowledge import Ask
 
