@@ -21,8 +21,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from servo_daemon.trend.records import Limit, Trend
 from servo_daemon.trend.series import YEAR_D
-from servo_daemon.trend.trend import Limit, Trend, assess
+from servo_daemon.trend.trend import assess
 from servo_daemon.trend.warning import WARN_BEFORE_D, is_near
 from tests.lives import KINDS, STEADY, Life, calibration_seed, kinds, make_life, report_seed
 

@@ -1,4 +1,4 @@
-"""Lives of a drive's parameter, day by day, with the truth: independent of `servo_daemon.trend`, which is tested by them.
+"""Lives of a drive's parameter, day by day, with the truth; they know nothing of `servo_daemon.trend`.
 
 A life's wear goes from 0 to `limit` (both relative to the new value) as its kind says. What is seen of it has the
 season's temperature in it, noise from day to day, excursions of days to weeks, wrong days and days without data.

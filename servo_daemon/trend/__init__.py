@@ -1,1 +1,1 @@
-"""Ageing: how a parameter has changed over months and years, and when it will reach its limit. Arrays in, records out."""
+"""Ageing: how a parameter changes over months and years, and when it reaches its limit. Arrays in, records out."""

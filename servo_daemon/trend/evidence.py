@@ -18,9 +18,11 @@ _FROM_END: Final = 3
 _MOST_STEPS: Final = 16
 #: Fits less likely than the best by this factor's logarithm are left out.
 _NEGLIGIBLE: Final = 8.0
-#: Shapes that follow any curve: a noise that is less likely than the best by `_UNLIKELY` under all of these is left out.
+#: Shapes that follow any curve: a noise less likely than the best by `_UNLIKELY` under all of these is left out.
 _FLEXIBLE: Final = tuple(k for k, s in enumerate(SHAPES) if s == SHAPES[0] or s.bending or s.kind == "stepwise")
 _UNLIKELY: Final = 12.0
+#: Of values that are all alike: a millionth of the value, which is less than any estimate is known to.
+_LEAST_VARIANCE: Final = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +109,7 @@ def _under(grams: _Grams, noise: Noise, columns: Columns, priors: Priors, number
     p, taken = len(columns.stds), len(chosen)
     log_step = float(np.log(min(0.5, shape.steps_1_y * gap_y)))
     stds = np.concatenate([columns.stds, np.full(grams.count, shape.step * priors.margin)])
-    variance = grams.value_2 / grams.count
+    variance = max(grams.value_2 / grams.count, _LEAST_VARIANCE)
     for _ in range(3):
         solved = _Solved(grams, stds, chosen, variance)
         variance = solved.variance
@@ -147,8 +149,7 @@ class _Solved:
     @property
     def variance(self) -> float:
         """Of the noise, the most likely."""
-        floor = 1e-12  # of values that are all alike: a millionth of the value
-        return max(self._misfit / self._grams.count, floor)
+        return max(self._misfit / self._grams.count, _LEAST_VARIANCE)
 
     @property
     def log_evidence(self) -> float:

@@ -46,4 +46,5 @@ def noises(time_d: F64, days: F64) -> Iterator[Noise]:
     for lasting_d in _LASTING_D:
         excursions = np.exp(-apart / lasting_d)
         for share in _SHARES:
-            yield Noise(share, lasting_d, np.linalg.cholesky((1.0 - share) * white + share * excursions))
+            factor: F64 = np.asarray(np.linalg.cholesky((1.0 - share) * white + share * excursions), dtype=np.float64)
+            yield Noise(share, lasting_d, factor)

@@ -11,10 +11,9 @@ from scipy.linalg import solve_triangular
 
 from servo_daemon.samples import F64
 from servo_daemon.trend.evidence import Fit
+from servo_daemon.trend.records import HORIZON_Y
 from servo_daemon.trend.shapes import BETWEEN, Columns, Priors, knots, path
 
-#: How far is looked ahead, years.
-HORIZON_Y: Final = 30.0
 #: Futures drawn: an end of the 80 % interval is then within 2 % of probability (binomial, 1 standard deviation 1.3 %).
 _DRAWS: Final = 600
 #: Times looked at, from two days to the horizon, each 6 % later than the one before.

@@ -1,4 +1,4 @@
-"""What a trend is found from: the means of hours or days, and their reduction to a hundred and sixty equal stretches."""
+"""What a trend is found from: means of hours or days, and their reduction to a hundred and sixty equal stretches."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from servo_daemon.samples import F64
 
 YEAR_D: Final = 365.25
-#: Stretches at most: a life of five years in steps of twelve days. Covariances of this size are factored in milliseconds.
+#: Stretches at most: five years in steps of twelve days. Covariances of this size are factored in a millisecond.
 MOST_STRETCHES: Final = 160
-#: A stretch whose value is this many robust standard deviations from its neighbours' median is left out. Of normal noise
-#: one in two million is.
+#: A stretch whose value is this many robust standard deviations from its neighbours' median is left out; of normal
+#: noise one in two million is.
 _OUTLIER_STD: Final = 5.0
 _NEIGHBOURS: Final = 9
 #: Of the median of the absolute deviation, for normal noise.

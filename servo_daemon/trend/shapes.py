@@ -19,8 +19,8 @@ _SETTLING: Final = (-1.0, -3.0, -9.0)
 BETWEEN: Final = 0.28
 #: How a rate may change in a year, as a share of a typical rate (`Priors.rate_1_y`).
 _BENDING: Final = 0.3
-#: How far a value may wander in a year beside its trend, as shares of the way to the limit: what wears in many steps too
-#: small to be seen one by one.
+#: How far a value may wander in a year beside its trend, as shares of the way to the limit: wear in many steps too
+#: small to be seen.
 _WANDERING: Final = (0.08, 0.25)
 #: Where a trend may bend or wander, evenly over the series.
 _KNOTS: Final = 8

@@ -44,8 +44,8 @@ def _effect(known: float, further: float, remark: str | None = None) -> Temperat
 
 
 _MAGNETS: Final = (
-    "the magnets' temperature coefficient is not known (ferrite -0.2 %/K, NdFeB -0.1 %/K); what follows the temperature "
-    "is found from the data and is no ageing"
+    "the magnets' temperature coefficient is not known (ferrite -0.2 %/K, NdFeB -0.1 %/K); what follows the "
+    "temperature is found from the data and is no ageing"
 )
 _FRICTION: Final = "what follows the temperature (grease) is found from the data and is no ageing"
 _BY_PARAMETER: Final = {

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Final, Literal
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
 from servo_daemon.samples import F64
 from servo_daemon.trend.evidence import Fit, fits
-from servo_daemon.trend.prognosis import HORIZON_Y, Futures, futures, has_habit
+from servo_daemon.trend.prognosis import Futures, futures, has_habit
+from servo_daemon.trend.records import HORIZON_Y, Change, Limit, Range, Trend
 from servo_daemon.trend.series import YEAR_D, Series, daily, stretched
 from servo_daemon.trend.shapes import Columns, Priors, columns
 from servo_daemon.trend.temperature import TemperatureEffect, at_reference, effect_on
 
-Status = Literal["trend", "no_trend", "too_short"]
-
-#: Days with data, from first to last, and stretches, below which nothing is said: twice the unknowns of a wandering trend.
+#: Days with data, from first to last, and stretches, below which nothing is said: twice the unknowns of a wandering
+#: trend.
 FEWEST_DAYS: Final = 30
 SHORTEST_D: Final = 60.0
 FEWEST_VALUES: Final = 24
@@ -28,72 +28,6 @@ _ENDS: Final = (0.1, 0.5, 0.9)
 _USUAL_MARGIN: Final = 0.3
 #: A step back by this share of the way to the limit at least is an exchange or a repair, not wear.
 _BACK: Final = 0.1
-
-
-@dataclass(frozen=True, slots=True)
-class Range:
-    """Median and 80 % interval; None: beyond what is looked at."""
-
-    low: float | None
-    mid: float | None
-    high: float | None
-
-
-@dataclass(frozen=True, slots=True)
-class Limit:
-    """A limit of `[drive.limits]`: name as there, value in the parameter's unit."""
-
-    name: str
-    value: float
-    is_upper: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Change:
-    """A step.
-
-    Attributes:
-        time_d: when.
-        size: in the parameter's unit.
-        is_exchange: it went back towards where the value began; the trend starts anew here.
-    """
-
-    time_d: float
-    size: float
-    is_exchange: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Trend:
-    """What a series tells of one parameter.
-
-    Attributes:
-        status: "too_short": nothing is said yet.
-        reason: in words, where there is no trend.
-        probability: that there is a trend, whichever way.
-        since_d: where it began: the first day, or the last exchange.
-        level: now, season and temperature's effect taken out, in the parameter's unit.
-        rate_1_y: its change in a year, in the parameter's unit.
-        limit: the one it moves to.
-        years: until the limit; `high` None: longer than the horizon.
-        used: share of the way from where it began (nominal value, else the beginning) to the nearest limit.
-        changes: steps, oldest first.
-        at_25_C: the last value at 25 °C; None: not R, or no temperature.
-        remark: what should be known of the temperature's effect.
-    """
-
-    status: Status
-    reason: str | None = None
-    probability: float | None = None
-    since_d: float | None = None
-    level: Range | None = None
-    rate_1_y: Range | None = None
-    limit: Limit | None = None
-    years: Range | None = None
-    used: Range | None = None
-    changes: tuple[Change, ...] = ()
-    at_25_C: float | None = None
-    remark: str | None = None
 
 
 def assess(
@@ -207,21 +141,29 @@ class _Study:
         weights = np.where(has, self._weights, 0.0) if sure else self._weights
         drawn = futures(self._fits, weights, self._columns, self._priors, now_y)
         copper = self._effect.known_1_K > 0 and series.temperature_C is not None
-        level = _range(drawn.now, self._scale, self._offset)
-        common = {
-            "probability": probability,
-            "since_d": start,
-            "level": level,
-            "used": self._used(drawn),
-            "changes": changes,
-            "at_25_C": float(series.value[-1]) if copper else None,
-            "remark": self._effect.remark,
-        }
+        told = Trend(
+            "no_trend",
+            "no change that noise and season do not explain",
+            probability=probability,
+            since_d=start,
+            level=_range(drawn.now, self._scale, self._offset),
+            used=self._used(drawn),
+            changes=changes,
+            at_25_C=float(series.value[-1]) if copper else None,
+            remark=self._effect.remark,
+        )
         if not sure:
-            return Trend("no_trend", "no change that noise and season do not explain", **common)
-        rate = _range(drawn.rate_1_y, self._scale)
+            return told
         years, limit = self._nearest(drawn)
-        return Trend("trend", None, rate_1_y=rate, limit=limit, years=years, **common)
+        return replace(
+            told,
+            status="trend",
+            reason=None,
+            rate_1_y=_range(drawn.rate_1_y, self._scale),
+            rate_percent=_range(drawn.rate_1_y, 100.0 * self._scale / (abs(self._new) or self._scale)),
+            years=years,
+            limit=limit,
+        )
 
     def _relative(self, limit: Limit) -> float:
         return (limit.value - self._offset) / self._scale
