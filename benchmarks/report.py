@@ -44,6 +44,7 @@ COMMANDS: Mapping[str, tuple[str, ...]] = {
     "excite": ("benchmarks/excite.py",),
     "learning": ("benchmarks/learning.py",),
     "refresh": ("benchmarks/refresh.py",),
+    "life-trend": ("-m", "benchmarks.life_trend"),
     **{
         part: ("-m", "benchmarks.tracking", part)
         for part in (

@@ -147,10 +147,13 @@ def _on(day: F64, rng: np.random.Generator) -> NDArray[np.bool_]:
 
 
 def _temperature(day: F64, rng: np.random.Generator, swing_K: float) -> F64:
-    """Winding temperature around its mean, K: the season and the weather."""
+    """Winding temperature around its mean, K: the season (in some a heated winter) and the weather."""
     phase = rng.uniform(0.0, YEAR_D)
     weather = _wandering(day, 4.0, rng) * min(2.0, swing_K / 3.0)
-    return swing_K * np.cos(2 * np.pi * (day - phase) / YEAR_D) + weather
+    heated = rng.uniform(-0.6, 0.0) if rng.random() < 0.5 else -1.0  # below this share of the swing there is heating
+    season = np.maximum(np.cos(2 * np.pi * (day - phase) / YEAR_D), heated)
+    whole = np.maximum(np.cos(np.linspace(0.0, 2 * np.pi, 400)), heated)
+    return swing_K * (season - whole.mean()) + weather
 
 
 def _noise(day: F64, rng: np.random.Generator) -> tuple[F64, F64]:

@@ -22,6 +22,8 @@ _BENDING: Final = 0.3
 #: How far a value may wander in a year beside its trend, as shares of the way to the limit: wear in many steps too
 #: small to be seen.
 _WANDERING: Final = (0.08, 0.25)
+#: A year's wave is no pure cosine: where the winter is heated, its half-yearly part is up to a third of the yearly one.
+_HALF_YEARLY: Final = 0.3
 #: Where a trend may bend or wander, evenly over the series.
 _KNOTS: Final = 8
 
@@ -81,6 +83,10 @@ class Priors:
         they come."""
         return self.margin / 3.0
 
+    def rate_of(self, shape: Shape) -> float:
+        """The same of a shape: an exponential that has come to the limit has its growth times the margin."""
+        return max(self.rate_1_y, shape.rate_1_y * self.margin)
+
 
 @dataclass(frozen=True, slots=True)
 class Columns:
@@ -134,7 +140,10 @@ def columns(time_d: F64, start_d: float, temperature_K: F64 | None, priors: Prio
     time_y = (time_d - start_d) / YEAR_D
     now_y = float(time_y[-1])
     year = 2.0 * np.pi * time_d / YEAR_D
-    values, stds = [np.ones_like(time_d), np.cos(year), np.sin(year)], [1.0, priors.season, priors.season]
+    values, stds = [np.ones_like(time_d)], [1.0]
+    for wave, std in ((1.0, priors.season), (2.0, _HALF_YEARLY * priors.season)):
+        values += [np.cos(wave * year), np.sin(wave * year)]
+        stds += [std, std]
     if temperature_K is not None:
         values.append(temperature_K)
         stds.append(priors.temperature_1_K)
@@ -145,10 +154,10 @@ def columns(time_d: F64, start_d: float, temperature_K: F64 | None, priors: Prio
         first = len(values)
         if shape.kind not in ("none", "stepwise"):
             values.append(path(shape, time_y, now_y))
-            stds.append(priors.margin if shape.kind == "settling" else priors.rate_1_y)
+            stds.append(priors.margin if shape.kind == "settling" else priors.rate_of(shape))
         if shape.rate_1_y > 0:
             values.append(_in_between(shape, time_y, now_y))
-            stds.append(priors.rate_1_y * BETWEEN)
+            stds.append(priors.rate_of(shape) * BETWEEN)
         if shape.bending:
             values += [np.maximum(time_y - t, 0.0) for t in at]
             stds += [shape.bending * priors.rate_1_y * float(np.sqrt(at[0]))] * len(at)
