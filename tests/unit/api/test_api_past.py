@@ -51,7 +51,7 @@ def test_after_a_restart_the_rows_are_there(client: Client, world: World) -> Non
     document = get(client, f"parameter=R&start={T0}&points=20000").json()
     schemas.HistoryDocument.model_validate(document)
     assert (document["level"], document["period_s"], document["points"]) == ("rows", 0, 6600)
-    assert document["value"] == pytest.approx(list(world.truth.values()), abs=0.01 / 64)
+    assert document["value"] == pytest.approx(list(world.truth.values()), abs=0.01 / 16)
     assert set(document["status"]) == {"tracking"} and document["min"] is None
     assert len(document["truth"]) == 6600 and document["note"] is None
     thinned = get(client, f"parameter=R&start={T0}&points=100").json()

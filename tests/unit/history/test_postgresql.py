@@ -49,7 +49,7 @@ def test_a_life_in_postgresql(url: str) -> None:
         assert buckets.count.sum() == 7020, level
         assert buckets.period_s == period_s
         assert (buckets.count[:, 0] @ buckets.mean[:, 0]) / 7020 == pytest.approx(
-            sum(world.truth.values()) / 7020, abs=0.01 / 64
+            sum(world.truth.values()) / 7020, abs=0.01 / 16
         )
     assert world.archive.documents("axis1", "diagnosis", 1)[0].body["result"]["verdict"] == "none"
     world.now, world.monotonic = world.now + 3700.0, world.monotonic + 3700.0
