@@ -35,6 +35,7 @@ COMMANDS: Mapping[str, tuple[str, ...]] = {
     "captures": ("benchmarks/captures.py",),
     "ekf-step": ("benchmarks/ekf_step.py",),
     "daemon": ("benchmarks/daemon.py",),
+    "life": ("-m", "benchmarks.life"),
     "neighbours": ("-m", "benchmarks.neighbours", "--seconds", "30"),
     "heavy-steps": ("-m", "benchmarks.heavy_steps"),
     "identification": ("benchmarks/identification.py",),

@@ -141,11 +141,7 @@ def read_blocks(
     parts = [rows for data in found if (rows := _read(data, names)) is not None]
     if fresh is not None and len(fresh):
         parts.append(fresh if names is None else fresh.select(names))
-    if level.period_s:
-        parts = [roll_up(_sorted(p), level.period_s) for p in parts]
-    rows = join(parts)
-    if level.period_s:
-        rows = roll_up(rows, level.period_s)
+    rows = join(parts) if not level.period_s else roll_up(join(list(_rolled(parts, level.period_s))), level.period_s)
     return rows.take((rows.time_s > start_s - max(level.period_s, 1e-3)) & (rows.time_s <= end_s))
 
 
@@ -157,10 +153,10 @@ def _read(data: bytes, names: Sequence[str] | None = None) -> Buckets | None:
         return None
 
 
-def _sorted(rows: Buckets) -> Buckets:
-    if np.all(np.diff(rows.time_s) >= 0):
-        return rows
-    return rows.take(np.argsort(rows.time_s, kind="stable"))
+def _rolled(parts: Sequence[Buckets], period_s: float) -> Iterator[Buckets]:
+    """All parts in buckets of `period_s`, those of one level together."""
+    for level_s in sorted({p.period_s for p in parts}):
+        yield roll_up(join([p for p in parts if p.period_s == level_s]), period_s)
 
 
 def _by_slot(rows: Buckets, block_s: float) -> Iterator[tuple[int, Buckets]]:

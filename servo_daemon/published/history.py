@@ -217,6 +217,13 @@ class HistoryRing:
         """Ever appended: the number of the next row."""
         return self._rows
 
+    @property
+    def first_time(self) -> float | None:
+        """Of the row kept longest, UTC seconds since the epoch; None: there is none."""
+        with self._lock:
+            n = len(self)
+            return float(self._time[self._rows % self.capacity if n == self.capacity else 0]) if n else None
+
     def since(self, row: int) -> RingRows:
         """The rows from number `row` on that are still kept, in the order in which they were appended."""
         with self._lock:
