@@ -157,7 +157,8 @@ class PastRoutes:
                 note = str(error)
                 if must:
                     raise ProblemError(503, "history_unavailable", note, {"Retry-After": "5"}) from error
-        span = memory_span(view.history, names, start, end)
+        last = view.snapshot().time
+        span = memory_span(view.history, names, start, end if last is None else min(end, last))
         return (span if len(asked.names) == 1 and not must else _limited(span, asked.points)), note
 
     async def events(
@@ -197,8 +198,7 @@ def _question(
 ) -> _Question:
     now = time.time()
     names = _split("parameter", parameter)
-    # Up to now: what was recorded before the clock was set back may lie after that.
-    start_s, end_s = _time("start", start, now), now if end is None else _time("end", end, now)
+    start_s, end_s = _time("start", start, now), _time("end", end, now)
     if window is not None:
         if start is not None:
             raise parameter_problem("window", "give start or window, not both")
