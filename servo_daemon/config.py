@@ -52,7 +52,8 @@ class DiagnosisConfig(_Section):
     """`[diagnosis]`: the program that looks for what a drive's model lacks, in a process of its own, one at a time."""
 
     command: tuple[Annotated[str, Field(min_length=1)], ...] = ()  # empty: this program's own `diagnose`
-    time_limit_s: float = Field(900.0, gt=0, le=86400)
+    budget_s: float = Field(900.0, gt=0, le=86400)
+    time_limit_s: float = Field(7200.0, gt=0, le=86400)
     nice: int = Field(15, ge=0, le=19)
 
 

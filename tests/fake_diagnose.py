@@ -1,6 +1,6 @@
 """Stands in for `servo-daemon diagnose` in tests of the daemon: reads what it is given and says what it is told to.
 
-    python fake_diagnose.py WHAT [GATE] -- CAPTURE --out DIR --config FILE --drive NAME --json --progress-json
+    python fake_diagnose.py WHAT [GATE] -- CAPTURE --out DIR --config FILE --drive NAME --json --progress-json …
 
 WHAT: found, none, unexplained, fail, garbage, empty, hang. With GATE it waits in the middle until that file is there.
 `found` finds a dry friction of the strength that the environment's FAKE_TC says (N·m), at a hundredth of it as std.
@@ -47,6 +47,7 @@ def document(what: str, tc: float) -> dict[str, Any]:
         "validation": [],
         "candidates": [{"name": "coulomb_friction", "heldout_nrmse": 0.06, "delta_bic": -900.0}],
         "remaining": {"white": what != "unexplained", "depends_on": follows},
+        "unfinished": None,
     }
 
 
@@ -68,7 +69,12 @@ def main(arguments: list[str]) -> int:
     out.mkdir(parents=True)
     if what == "empty":
         return 0
-    text = "{" if what == "garbage" else json.dumps(document(what, float(os.environ.get("FAKE_TC", "0.02"))))
+    written = document("unexplained" if what == "short" else what, float(os.environ.get("FAKE_TC", "0.02")))
+    journal = Path(given["--journal"])
+    if what == "short" and not journal.exists():  # the first try leaves something, the second ends with it
+        written["unfinished"] = {"budget_s": float(given["--budget"]), "cpu_s": 1.0, "not_tried": [capture]}
+        journal.write_text("half", encoding="utf-8")
+    text = "{" if what == "garbage" else json.dumps(written)
     (out / "diagnosis.json").write_text(text)
     (out / "report.html").write_text(REPORT)
     say(1.0, "done")

@@ -48,7 +48,7 @@ class Daemon:
         self._ready, self._said, self._told = False, "", time.monotonic()
         d = config.diagnosis
         home = None if state_dir is None else state_dir / "diagnosis"
-        self._diagnoses = DiagnosisRunner(d.command, d.time_limit_s, d.nice, home)
+        self._diagnoses = DiagnosisRunner(d.command, d.budget_s, d.time_limit_s, d.nice, home)
         self._learned = LearnedDesk(config.learning)
         self._workers = Workers(self._stop)
         self._seats = {d.name: self._seat_for(d, state_dir) for d in config.drive}

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
+from servo_daemon import __version__
 from servo_daemon.captures import Capture, in_canonical_order
 from servo_daemon.diagnosis.inverse.inverse import found_by_balance
 from servo_daemon.diagnosis.missing.missing import Missing
 from servo_daemon.diagnosis.screening.dependence import dependences, is_large
+from servo_daemon.diagnosis.search.effort import Effort, Journal
 from servo_daemon.diagnosis.search.evidence import OVERWHELMING_BIC
 from servo_daemon.diagnosis.search.select import Selection, select
 from servo_daemon.diagnosis.trial.data import Data
@@ -48,6 +52,8 @@ class DiagnoseOptions:
         fixed: parameters held in every model.
         adapt: as for `validated`; None: not.
         workers: threads that fit.
+        budget_s: processor time after which nothing more is tried, and the best so far is the answer; None: no limit.
+        journal: a file that keeps what has been fitted, for a diagnosis of the same captures to go on from.
     """
 
     baseline: tuple[str, ...] = ()
@@ -55,6 +61,8 @@ class DiagnoseOptions:
     fixed: Mapping[str, float] = field(default_factory=dict)
     adapt: float | None = None
     workers: int = 2
+    budget_s: float | None = None
+    journal: Path | None = None
 
 
 def diagnose(
@@ -80,23 +88,35 @@ def _diagnose(
 ) -> Diagnosis:
     began = time.perf_counter()
     recordings = tuple(Recording(str(c.path), c.block()) for c in captures)
+    effort = Effort(options.workers, options.budget_s, Journal(options.journal, _fingerprint(recordings, options)))
     progress(0.0, "fitting the baseline")
     data = Data.of(recordings, options.fixed, options.baseline, segment_length_s(recordings))
     base = first_trial(data, options.baseline, options.nominal)
     whole_fits = WholeFits(data)
-    selection = select(data, base, _within(progress, 0.1, 0.8), whole_fits.of, options.workers)
+    selection = select(data, base, _within(progress, 0.1, 0.8), whole_fits.of, effort)
     progress(0.8, "whether the names can be believed")
     belief = believed(selection, whole_fits)
     every = data.everything
     baseline = fit_everything(every, base, WholeFits(every) if belief.extended is None else None)
     diagnosis = _by_free_runs(captures, every, belief, baseline, _within(progress, 0.88, 1.0))
-    if not diagnosis.effects:
+    if not diagnosis.effects and effort.allows("predictions of each sample and the balance"):
         with suppress(ServoDaemonError):  # then the free runs have the last word
             diagnosis = _otherwise(diagnosis, data, belief.selection, options.nominal, whole_fits)
     scores = tuple(validated(c, baseline, diagnosis.extended, recordings, options.adapt) for c in validation)
     held = FitOptions(fixed=options.fixed, segment_s=data.split.segment_s)
     shown = published(diagnosis.baseline, every.recordings, held)
-    return replace(diagnosis, baseline=shown, validation=scores, seconds=time.perf_counter() - began)
+    return replace(
+        diagnosis, baseline=shown, validation=scores, seconds=time.perf_counter() - began, unfinished=effort.unfinished
+    )
+
+
+def _fingerprint(recordings: Sequence[Recording], options: DiagnoseOptions) -> str:
+    """Of all that a fit depends on: samples, the model that is doubted, what is held, this version."""
+    digest = hashlib.sha256(repr((__version__, options.baseline, sorted(options.fixed.items()))).encode())
+    for recording in recordings:
+        for name in ("time_s", *recording.block.channels):
+            digest.update(name.encode() + getattr(recording.block, name).tobytes())
+    return digest.hexdigest()
 
 
 def _by_free_runs(

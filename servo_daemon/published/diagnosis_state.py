@@ -44,6 +44,11 @@ class Diagnosis:
         return None if self.result is None else str(self.result["verdict"])
 
     @property
+    def unfinished(self) -> bool:
+        """Whether there was no time for everything."""
+        return self.result is not None and self.result.get("unfinished") is not None
+
+    @property
     def effects(self) -> tuple[str, ...]:
         """Those that were found."""
         return () if self.result is None else tuple(e["name"] for e in self.result["effects"])

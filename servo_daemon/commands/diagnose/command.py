@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,9 +31,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--progress-json", action="store_true", help="progress as lines of JSON on stderr instead of a bar"
     )
+    parser.add_argument(
+        "--budget",
+        type=_positive,
+        metavar="SECONDS",
+        help="of processor time: then nothing more is tried, and the best so far is the answer",
+    )
+    parser.add_argument(
+        "--journal",
+        type=Path,
+        metavar="FILE",
+        help="keep what has been fitted there: the same command with the same captures goes on from it",
+    )
     common.add_signals(parser)
     common.add_config(parser)
     common.add_json(parser)
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value < math.inf:
+        raise ValueError(text)
+    return value
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -66,7 +86,14 @@ def _diagnose(arguments: argparse.Namespace, inputs: Inputs) -> Diagnosis:
     from servo_daemon.commands.diagnose.progress import progress_told
     from servo_daemon.diagnosis.diagnose import DiagnoseOptions, diagnose
 
-    options = DiagnoseOptions(inputs.effects, inputs.nominal, inputs.fixed, arguments.adapt)
+    options = DiagnoseOptions(
+        inputs.effects,
+        inputs.nominal,
+        inputs.fixed,
+        arguments.adapt,
+        budget_s=arguments.budget,
+        journal=arguments.journal,
+    )
     with progress_told(as_json=arguments.progress_json) as told:
         return diagnose(inputs.captures, inputs.validation, options, told)
 

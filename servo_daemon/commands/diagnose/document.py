@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -75,6 +76,7 @@ def diagnosis_document(d: Diagnosis, inputs: Inputs, evidence: Evidence) -> dict
         "toml": toml_lines(final, d.effects) if d.effects else None,
         "notes": [*inputs.notes, *result_notes(final, inputs.nominal, inputs.meaning)],
         "seconds": d.seconds,
+        "unfinished": None if d.unfinished is None else asdict(d.unfinished),
     }
     return {key: plain(value) for key, value in document.items()}
 

@@ -55,7 +55,20 @@ def headline(document: Mapping[str, Any]) -> str:
 
 
 def verdict_lines(document: Mapping[str, Any]) -> list[str]:
-    """What supports the verdict."""
+    """What supports the verdict, and what there was no time for."""
+    return [*_supporting(document), *_unfinished(document["unfinished"])]
+
+
+def _unfinished(what: Mapping[str, Any] | None) -> list[str]:
+    if what is None:
+        return []
+    return [
+        f"Not finished: {what['budget_s']:g} s of processor time were allowed, and nothing was left for "
+        f"{', '.join(what['not_tried'])}. This is the best so far."
+    ]
+
+
+def _supporting(document: Mapping[str, Any]) -> list[str]:
     if document["verdict"] == "found":
         return [_gain_line(document), *why(document), *remaining_lines(document)]
     if document["verdict"] == "unexplained":

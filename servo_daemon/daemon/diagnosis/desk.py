@@ -198,7 +198,10 @@ class DiagnosisDesk:
             blocks, active = self._ring.blocks(), self._drive.active
             if not blocks:
                 raise BusyError("no samples are there")
+            last = self._diagnosis
+            goes_on = last.unfinished and trigger == "request" and last.model == active.model
             span_s = float(blocks[-1].time_s[-1]) - float(blocks[0].time_s[0])
+            samples, span_s = (last.samples, last.span_s) if goes_on else (sum(map(len, blocks)), span_s)
             metadata = capture_metadata(active, self._drive.info, __version__, self._drive.meaning)
             job = Job(
                 active.name,
@@ -206,9 +209,10 @@ class DiagnosisDesk:
                 blocks,
                 metadata,
                 drive_toml(active, self._drive.estimate),
+                goes_on,
             )
-            before, self._diagnosis = self._diagnosis, Diagnosis(
-                "running", trigger, active.model, time.time(), None, sum(map(len, blocks)), span_s, 0.0, "starting"
+            before, self._diagnosis = last, Diagnosis(
+                "running", trigger, active.model, time.time(), None, samples, span_s, 0.0, "starting"
             )  # fmt: skip
             begun = self._diagnosis
             try:
@@ -216,15 +220,22 @@ class DiagnosisDesk:
             except BusyError:
                 self._diagnosis = before
                 raise
-            self._origin_s = float(blocks[0].time_s[0])
+            if not goes_on:
+                self._origin_s = float(blocks[0].time_s[0])
         why = "by request" if trigger == "request" else "because the model does not explain the data"
-        text = f"a diagnosis of the last {span_s:.0f} s has begun {why}"
+        what = "that was not finished goes on" if goes_on else f"of the last {span_s:.0f} s has begun"
+        text = f"a diagnosis {what} {why}"
         self._events.add("diagnosis_started", text, {"trigger": trigger, "span_s": round(span_s, 3)})
         return begun
 
 
 def _told(done: Diagnosis) -> tuple[str, Mapping[str, float | int | str | None]]:
     """The verdict in words, and its numbers."""
+    text, data = _verdict_told(done)
+    return (text + "; not finished: its processor time was spent" if done.unfinished else text), data
+
+
+def _verdict_told(done: Diagnosis) -> tuple[str, Mapping[str, float | int | str | None]]:
     result = done.result or {}
     gain = (result.get("gain") or {}).get("error_removed")
     share = float(gain) if isinstance(gain, int | float) else None

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import logging
 import math
+import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeGuard
@@ -27,6 +28,8 @@ from servo_daemon.signal_meaning import SignalMeaning, as_texts
 log = logging.getLogger(__name__)
 
 CAPTURE, DRIVE, DOCUMENT, REPORT, RECORD = "capture.csv", "drive.toml", "diagnosis.json", "report.html", "record.json"
+#: What an unfinished diagnosis leaves for the next one: its recording, its drive, what it has fitted.
+JOURNAL, UNFINISHED = "journal.jsonl", "unfinished"
 _VERDICTS = ("none", "found", "unexplained")
 
 
@@ -95,6 +98,30 @@ def write_inputs(folder: Path, blocks: Iterable[SampleBlock], metadata: Mapping[
     except OSError as error:
         raise DiagnosisError(f"{folder / DRIVE}: {error.strerror or error}") from error
     return writer.samples
+
+
+def put_by(scratch: Path, folder: Path, *, unfinished: bool) -> None:
+    """What an unfinished diagnosis worked on, for the next one; nothing of one that was finished. A disk that refuses
+    costs the next one time, no more."""
+    kept = folder / UNFINISHED
+    shutil.rmtree(kept, ignore_errors=True)
+    if unfinished:
+        try:
+            kept.mkdir()
+            for name in (CAPTURE, DRIVE, JOURNAL):
+                (scratch / name).replace(kept / name)
+        except OSError as error:
+            log.warning("%s: %s", kept, error.strerror or error)
+
+
+def take_up(folder: Path, scratch: Path) -> bool:
+    """The same the other way; False: it is not there as a whole."""
+    try:
+        for name in (CAPTURE, DRIVE, JOURNAL):
+            shutil.copyfile(folder / UNFINISHED / name, scratch / name)
+    except OSError:
+        return False
+    return True
 
 
 def read_document(path: Path) -> dict[str, Any]:

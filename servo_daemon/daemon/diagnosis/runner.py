@@ -26,7 +26,17 @@ from pathlib import Path
 from typing import IO, Any, Final, Protocol
 
 from servo_daemon.daemon.diagnosis import low_priority
-from servo_daemon.daemon.diagnosis.files import CAPTURE, DOCUMENT, DRIVE, REPORT, read_document, write_inputs
+from servo_daemon.daemon.diagnosis.files import (
+    CAPTURE,
+    DOCUMENT,
+    DRIVE,
+    JOURNAL,
+    REPORT,
+    put_by,
+    read_document,
+    take_up,
+    write_inputs,
+)
 from servo_daemon.errors import BusyError, DiagnosisError, ServoDaemonError
 from servo_daemon.samples import SampleBlock
 
@@ -49,6 +59,7 @@ class Job:
         folder: where the result is left: `diagnosis.json`, `report.html`.
         blocks, metadata: the recording.
         toml: the drive's configuration as it is now.
+        goes_on: with the recording that was not finished, if it is still there.
     """
 
     drive: str
@@ -56,6 +67,7 @@ class Job:
     blocks: tuple[SampleBlock, ...]
     metadata: Mapping[str, str]
     toml: str
+    goes_on: bool = False
 
 
 class Listener(Protocol):
@@ -73,7 +85,8 @@ class DiagnosisRunner:
 
     Args:
         command: the program and its first arguments; empty: `OWN_COMMAND`.
-        limit_s: after so long it is ended.
+        budget_s: processor time after which the program gives the best so far.
+        limit_s: by the clock: after so long it is ended.
         nice: added to the daemon's.
         home: where results are kept, a folder for each drive; None: only as long as the daemon runs.
     """
@@ -81,11 +94,12 @@ class DiagnosisRunner:
     def __init__(
         self,
         command: tuple[str, ...] = (),
-        limit_s: float = 900.0,
+        budget_s: float = 900.0,
+        limit_s: float = 7200.0,
         nice: int = 15,
         home: Path | None = None,
     ) -> None:
-        self._command, self._limit_s, self._nice = command or OWN_COMMAND, limit_s, nice
+        self._command, self._budget_s, self._limit_s, self._nice = command or OWN_COMMAND, budget_s, limit_s, nice
         self.home = home
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self._lock = threading.Lock()
@@ -165,9 +179,11 @@ class DiagnosisRunner:
             raise DiagnosisError(f"{job.folder}: {error.strerror or error}") from error
         try:
             listener.on_progress(0.0, "writing the recording")
-            write_inputs(scratch, job.blocks, job.metadata, job.toml)
+            if not (job.goes_on and take_up(job.folder, scratch)):
+                write_inputs(scratch, job.blocks, job.metadata, job.toml)
             self._call(job, scratch, listener)
             document = read_document(scratch / "out" / DOCUMENT)
+            put_by(scratch, job.folder, unfinished=document.get("unfinished") is not None)
             return document, _keep(scratch / "out", job.folder)
         finally:
             shutil.rmtree(scratch, ignore_errors=True)
@@ -175,7 +191,8 @@ class DiagnosisRunner:
     def _call(self, job: Job, scratch: Path, listener: Listener) -> None:
         arguments = (
             str(scratch / CAPTURE), "--out", str(scratch / "out"), "--config", str(scratch / DRIVE),
-            "--drive", job.drive, "--json", "--progress-json",
+            "--drive", job.drive, "--json", "--progress-json", "--budget", f"{self._budget_s:g}",
+            "--journal", str(scratch / JOURNAL),
         )  # fmt: skip
         guard = (sys.executable, "-I", "-S", low_priority.__file__, str(os.getpid()), str(self._nice))
         environment = {k: v for k, v in os.environ.items() if k not in _NOT_FOR_CHILDREN}

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from servo_daemon.diagnosis.search.candidates import CONTAINED, NESTED, Proposal, has_no_current
+from servo_daemon.diagnosis.search.effort import Effort, model_key
 from servo_daemon.diagnosis.search.evidence import LEAST_BIC, NESTED_GAIN, convinces, no_worse, overwhelming
 from servo_daemon.diagnosis.trial.compare import Advantage, advantage
 from servo_daemon.diagnosis.trial.data import Data
@@ -50,12 +51,22 @@ class Candidate:
     start: Mapping[str, float] | None = None
 
 
-def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: int) -> tuple[Candidate, ...]:
+def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], effort: Effort) -> tuple[Candidate, ...]:
     """Fitted together with the motor, best first. All get a few iterations; those that then have some of what the best
     one has gained go on to their end; beside a motor of which nothing is known yet, those too that are still worse than
-    the model that they contain."""
+    the model that they contain. What there is no time for is missing; what an earlier search has fitted to the end goes
+    on from there."""
+    journal = effort.journal
+
+    def key(p: Proposal) -> str:
+        return model_key(current.effects, p.effects, data.split.segment_s)
 
     def begin(p: Proposal) -> Trial | None:
+        known = journal.values(key(p))
+        if known is not None:
+            return fit_trial(data, p.effects, known, like=current, max_iterations=_FIRST_ITERATIONS)
+        if not effort.allows(p.name):
+            return None
         best = None
         for start in (p.start, p.other):
             trial = fit_trial(data, p.effects, start, like=current, max_iterations=_FIRST_ITERATIONS)
@@ -69,6 +80,14 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: in
 
     def end(pair: tuple[Proposal, Trial]) -> Candidate | None:
         p, trial = pair
+        if journal.values(key(p)) is None and effort.allows(p.name):
+            trial = finished(p, trial)
+            journal.keep(key(p), trial.values)
+        if not np.isfinite(trial.choice.squares).all():
+            return None
+        return Candidate(p.name, trial, advantage(current, trial), start=p.start)
+
+    def finished(p: Proposal, trial: Trial) -> Trial:
         little = _HOPELESS * float(trial.fitted.counts.sum())
         over = _over_the_gap(data, current, p, trial) if loads >= little else None
         if over is not None:
@@ -82,16 +101,14 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], workers: in
             twin = lag_twin(trial.values)
             if twin is not None:
                 trial = _better(trial, fit_trial(data, p.effects, twin)) or trial
-        if not np.isfinite(trial.choice.squares).all():
-            return None
-        return Candidate(p.name, trial, advantage(current, trial), start=p.start)
+        return trial
 
     def gained(trial: Trial) -> float:
         return current.solution.point.value - trial.solution.point.value
 
     # Without a current R and K may have any values, and a motor that lacks much ends far from the real one.
     bent = has_no_current(current) and current.independent < COLOURED and current.choice.nrmse > _MUCH
-    with ThreadPoolExecutor(workers) as pool:
+    with ThreadPoolExecutor(effort.workers) as pool:
         begun = [(p, t) for p, t in zip(proposed, pool.map(begin, proposed), strict=True) if t is not None]
         most = max((gained(t) for _, t in begun), default=0.0)
         loads = max((gained(t) for p, t in begun if "J_l" in p.start), default=0.0)

@@ -22,6 +22,7 @@ from servo_daemon.diagnosis.search.candidates import (
     proposals,
     scaled_friction,
 )
+from servo_daemon.diagnosis.search.effort import Effort
 from servo_daemon.diagnosis.search.evidence import (
     at_odds,
     convinces,
@@ -76,13 +77,13 @@ class Selection:
     equivalent: Mapping[str, tuple[str, ...]]
 
 
-def select(data: Data, base: Trial, progress: Progress, whole: Whole, workers: int = 2) -> Selection:
+def select(data: Data, base: Trial, progress: Progress, whole: Whole, effort: Effort) -> Selection:
     """Search from a fitted baseline.
 
     Args:
         progress: told what is being done.
         whole: fits to all the data: a first effect that these do not need is not searched beside.
-        workers: threads that fit.
+        effort: what it may cost. Where that is not enough the result is the best so far.
 
     Raises:
         NumericalError: the baseline's missing torque cannot be computed.
@@ -98,7 +99,7 @@ def select(data: Data, base: Trial, progress: Progress, whole: Whole, workers: i
             if not search.added:
                 raise
             break  # the model before could be looked at, this one cannot: it is the last
-        search, candidates, best = _round(search, missing, _after(progress, share), workers)
+        search, candidates, best = _round(search, missing, _after(progress, share), effort)
         if best is not None and not search.added and needs_no_effect(search.base, best.trial, whole):
             best = None
         search.rounds.append(tuple(replace(c, taken=c is best) for c in candidates))
@@ -132,40 +133,40 @@ class _Search:
 _Found = tuple[_Search, tuple[Candidate, ...], Candidate | None]
 
 
-def _round(search: _Search, missing: Missing, progress: Progress, workers: int) -> _Found:
+def _round(search: _Search, missing: Missing, progress: Progress, effort: Effort) -> _Found:
     """What is tried beside the present model: one effect, over shorter runs where the motor may be unstable, two."""
     current = search.current
     screened = screen(current, missing)
     proposed = proposals(current, screened, missing, given=search.data.fixed)
     progress(0.1, "fitting " + ", ".join(p.name for p in proposed))
-    found = _against_the_best_chance(search, _worthy(search, missing, proposed, workers))
+    found = _against_the_best_chance(search, _worthy(search, missing, proposed, effort))
     if is_placed(current.fitted):  # what is left is how the load went on within the runs
         return found
     if found[2] is None and (rest := _thought_little_of(current, screened, missing, proposed)):
-        more = tuple(c for c in _worthy(search, missing, rest, workers) if speaks_against_screening(c.against))
+        more = tuple(c for c in _worthy(search, missing, rest, effort) if speaks_against_screening(c.against))
         found = _against_the_best_chance(search, (*more, *found[1]))
     promised = _promised(s for s in screened if s.effect in _UNSTABLE)
     broken = promised > _PROMISING and not _kept_promise(found, missing, promised)
     if broken or (found[2] is None and any(c.name.startswith(_UNSTABLE) and at_odds(c.against) for c in found[1])):
         progress(0.2, "once more with shorter free runs")
-        found = _with_shorter_runs(found, [p for p in proposed if p.name.startswith(_UNSTABLE)], workers)
+        found = _with_shorter_runs(found, [p for p in proposed if p.name.startswith(_UNSTABLE)], effort)
     search, candidates, best = found
     first = candidates[0] if candidates and candidates[0] is not best else None
     if first is not None and half_convinces(first.against) and not convinces(first.against):
         progress(0.3, f"{first.name} and another")
-        beside = _beside(search, first, candidates, workers)
+        beside = _beside(search, first, candidates, effort)
         if beside[2] is not None:
             return beside
     if best is not None or _promised(screened) <= _PROMISING:
         return found
     progress(0.3, "two causes at once")
     proposed = pairs(proposals(search.current, screened, missing, WORTH_A_PAIR), missing.augmented.channels)
-    two = fitted(search.data, search.current, proposed, workers)
+    two = fitted(search.data, search.current, proposed, effort)
     two = tuple(c for c in two if worth_a_name(c.trial, search.current, search.base))
     return search, (*two, *candidates), best_of(two)
 
 
-def _beside(search: _Search, first: Candidate, candidates: tuple[Candidate, ...], workers: int) -> _Found:
+def _beside(search: _Search, first: Candidate, candidates: tuple[Candidate, ...], effort: Effort) -> _Found:
     """Two causes of which one alone takes much and yet runs away in some of the runs that decide (a weight that no
     friction holds): each of the others beside it, judged against the model without either."""
     current = first.trial
@@ -176,7 +177,7 @@ def _beside(search: _Search, first: Candidate, candidates: tuple[Candidate, ...]
     proposed = _whatever(current, screen(current, missing), missing, search.data.fixed, worth=-math.inf)
     two = tuple(
         replace(c, name=f"{first.name} + {c.name}", against=advantage(search.current, c.trial))
-        for c in fitted(search.data, current, proposed, workers)
+        for c in fitted(search.data, current, proposed, effort)
         if worth_a_name(c.trial, current, search.base)
     )
     return search, (*two, *candidates), best_of(tuple(sorted(two, key=lambda c: -c.against.gain)))
@@ -211,11 +212,11 @@ def _whatever(
     return tuple({p.name: p for p in (*scaled, *proposals(current, screened, missing, worth, given))}.values())
 
 
-def _worthy(search: _Search, missing: Missing, proposed: Sequence[Proposal], workers: int) -> tuple[Candidate, ...]:
+def _worthy(search: _Search, missing: Missing, proposed: Sequence[Proposal], effort: Effort) -> tuple[Candidate, ...]:
     """The proposals fitted, less what is too small to have a name or takes too little."""
     return tuple(
         c
-        for c in fitted(search.data, search.current, proposed, workers)
+        for c in fitted(search.data, search.current, proposed, effort)
         if noticeable(c.name, c.trial, missing)
         and (worth_a_name(c.trial, search.current, search.base) or at_odds(c.against))
     )
@@ -268,7 +269,7 @@ def _kept_promise(found: _Found, before: Missing, promised: float) -> bool:
     return best is not None and leaves(search.data, best.trial, before) < 1.0 - _MUCH * promised
 
 
-def _with_shorter_runs(had: _Found, proposed: Sequence[Proposal], workers: int) -> _Found:
+def _with_shorter_runs(had: _Found, proposed: Sequence[Proposal], effort: Effort) -> _Found:
     """The same candidates over shorter free runs, where that lets one of them convince, and, if one did before, leaves
     less missing; else as it was.
 
@@ -284,7 +285,7 @@ def _with_shorter_runs(had: _Found, proposed: Sequence[Proposal], workers: int) 
     current = fit_trial(data, search.current.effects, search.current.values)
     if base is None or current is None:
         return had
-    again = fitted(data, current, proposed, workers)
+    again = fitted(data, current, proposed, effort)
     best = best_of(again)
     if best is None or (before is not None and not leaves_less(data, best.trial, search.data, before.trial)):
         return had

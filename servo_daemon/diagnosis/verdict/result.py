@@ -9,6 +9,7 @@ from typing import Literal
 from servo_daemon.captures import Capture
 from servo_daemon.diagnosis.missing.missing import Missing
 from servo_daemon.diagnosis.screening.dependence import Dependence
+from servo_daemon.diagnosis.search.effort import Unfinished
 from servo_daemon.identification.output_error import OutputErrorFit
 from servo_daemon.identification.procedure.validate import Validation
 
@@ -133,6 +134,7 @@ class Diagnosis:
         seconds: time taken.
         judged_by: see `JudgedBy`; the held-out errors are of that.
         deviance_gain: by how much −2 log p falls, at least, with what predictions have named; else None.
+        unfinished: what there was no time for; None: everything was tried.
     """
 
     captures: tuple[Capture, ...]
@@ -157,6 +159,7 @@ class Diagnosis:
     seconds: float
     judged_by: JudgedBy = "free_runs"
     deviance_gain: float | None = None
+    unfinished: Unfinished | None = None
 
     @property
     def final(self) -> OutputErrorFit:

@@ -70,6 +70,25 @@ def test_the_cause_is_named_with_its_size(found: Run) -> None:
     assert document["gain"]["measured_on"] == "unseen"
 
 
+@pytest.mark.slow
+def test_what_there_was_no_time_for_is_told_and_another_try_goes_on(capture: Path, found: Run, tmp_path: Path) -> None:
+    words, journal = ("--json", "--journal", tmp_path / "journal.jsonl"), tmp_path / "journal.jsonl"
+    assert found.document["unfinished"] is None
+    short = run_command("diagnose", capture, *words, "--budget", "0.1").document
+    assert short["verdict"] == "unexplained", "what was not tried is no reason to call it explained"
+    assert "coulomb_friction" in short["unfinished"]["not_tried"]
+    whole = run_command("diagnose", capture, *words).document
+    kept = len(journal.read_text().splitlines())
+    again = run_command("diagnose", capture, *words).document
+    assert whole["unfinished"] is None and kept > 0
+    assert len(journal.read_text().splitlines()) == kept, "nothing is fitted twice"
+    for document in (whole, again):
+        (effect,) = document["effects"]
+        (true,) = found.document["effects"]
+        assert effect["name"] == true["name"]
+        assert effect["parameters"]["Tc"]["value"] == pytest.approx(true["parameters"]["Tc"]["value"], rel=1e-6)
+
+
 def test_stdout_is_one_document_and_the_files_are_the_same(found: Run) -> None:
     written = json.loads((found.folder / "diagnosis.json").read_text())
     assert written == json.loads(found.result.out)

@@ -201,6 +201,24 @@ def test_the_time_limit_ends_it(start: Start, tmp_path: Path) -> None:
     assert not alive(tmp_path) and not list((tmp_path / "diagnosis" / "axis1").iterdir())
 
 
+def test_an_unfinished_one_is_told_and_the_next_request_goes_on_with_its_recording(
+    start: Start, tmp_path: Path
+) -> None:
+    rig = filled(start(configured("short"), state=tmp_path))
+    folder = tmp_path / "diagnosis" / "axis1"
+    diagnosed(rig)
+    first = view(rig).diagnosis
+    assert first.status == "done" and first.unfinished
+    recorded = (folder / "unfinished" / "capture.csv").read_bytes()
+    filled(rig, n=3000)
+    diagnosed(rig)
+    second = view(rig).diagnosis
+    assert not second.unfinished, "the journal was handed over"
+    assert (second.samples, second.span_s) == (first.samples, first.span_s)
+    assert recorded and not (folder / "unfinished").exists()
+    assert any("not finished" in e.message for e in rig.runtime().events())
+
+
 def test_it_does_not_outlive_the_daemon(start: Start, tmp_path: Path) -> None:
     rig = filled(start(configured("hang"), state=tmp_path))
     rig.runtime().request_diagnosis()
