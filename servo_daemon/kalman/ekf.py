@@ -248,25 +248,24 @@ class Ekf:
         P[self._lay.q, self._lay.q] = covariance
         self._put(z, P)
 
-    def recall(self, which: NDArray[np.bool_], mean: F64, covariance: F64) -> None:
-        """What was known of some coordinates, and was left out of the filter meanwhile, holds again: taken as a
-        measurement.
+    def take_in(self, index: NDArray[np.intp], mean: F64, covariance: F64) -> None:
+        """What is known of some coordinates from elsewhere, or was known of them before, as a measurement: states and
+        other parameters follow by their correlations.
 
         Args:
-            which: coordinates, shape (n_q,).
-            mean, covariance: of all coordinates then, shapes (n_q,) and (n_q, n_q).
+            index: which, shape (k,).
+            mean, covariance: of these, shapes (k,) and (k, k).
         """
-        index = np.flatnonzero(which)
         if len(index) == 0:
             return
         z, P, at = self.mean, self.covariance, self._lay.n_x + index
-        S = P[np.ix_(at, at)] + covariance[np.ix_(index, index)]
+        S = P[np.ix_(at, at)] + covariance
         size = np.sqrt(np.diag(S))
         gain = np.linalg.solve(S / np.outer(size, size), P[at] / size[:, None]).T / size
-        z = z + gain @ (mean[index] - z[at])
+        z = z + gain @ (mean - z[at])
         left = np.eye(len(z))
         left[:, at] -= gain
-        P = left @ P @ left.T + gain @ covariance[np.ix_(index, index)] @ gain.T
+        P = left @ P @ left.T + gain @ covariance @ gain.T
         self._put(z, (P + P.T) / 2)
 
     def widen_parameters(self, var: F64) -> None:

@@ -135,7 +135,8 @@ class JumpActions:
         self._rls.expect_change()
         stayed = self._roster.free.copy()
         stayed[moved] = False
-        self._ekf.recall(stayed, before.mean, before.covariance)
+        at = np.flatnonzero(stayed)
+        self._ekf.take_in(at, before.mean[at], before.covariance[np.ix_(at, at)])
         after = self._ekf.coordinates
         return [
             jumps.message(self._roster.parameters[k], before, float(after[k]), time_s)
