@@ -24,9 +24,8 @@ def _terms(s: Signals) -> Terms:
 
 def _screening(c: Context) -> Iterator[Basis]:
     theta = c.motion.theta
-    yield Basis(
-        (c.torque("sin 1", np.sin(theta)), c.torque("cos 1", np.cos(theta))), wave_start(TG.name, PHI_G.name), 2
-    )
+    columns = (c.torque("sin 1", np.sin(theta)), c.torque("cos 1", np.cos(theta)))
+    yield Basis(columns, wave_start(TG.name, PHI_G.name), 2)
 
 
 EFFECT = Effect(

@@ -42,12 +42,9 @@ def _screening(c: Context) -> Iterator[Basis]:
         return
     t = c.motion.t
     for f in spectral_lines(t, c.residual["torque"], 2):
-        wave = 2 * np.pi * f * (t + c.motion.h / 2)
-        yield Basis(
-            (c.torque(f"sin f {f}", np.sin(wave)), c.torque(f"cos f {f}", np.cos(wave))),
-            wave_start(TPER.name, PHI_PER.name, f_per=f),
-            3,
-        )
+        turned = 2 * np.pi * f * (t + c.motion.h / 2)
+        columns = (c.torque(f"sin f {f}", np.sin(turned)), c.torque(f"cos f {f}", np.cos(turned)))
+        yield Basis(columns, wave_start(TPER.name, PHI_PER.name, f_per=f), 3)
 
 
 EFFECT = Effect(

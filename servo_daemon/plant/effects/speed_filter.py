@@ -31,9 +31,8 @@ def _screening(c: Context) -> Iterator[Basis]:
     for tau in LAGS_S:
         change = np.diff(speed, prepend=speed[0])  # half a step ago, on average
         behind = -np.exp(-m.h / (2 * tau)) * (change + np.exp(-m.h / tau) * relaxed(change, m.h, float(tau)))
-        yield Basis(
-            (c.add(f"filter {tau}", Trace(shown={"velocity_rad_s": behind})),), lag_start(T_F.name, float(tau)), 1
-        )
+        key = c.add(f"filter {tau}", Trace(shown={"velocity_rad_s": behind}))
+        yield Basis((key,), lag_start(T_F.name, float(tau)), 1)
 
 
 EFFECT = Effect(
