@@ -8,7 +8,8 @@ makes, but beside a lag it is fitted as another pair: then the model with a lag 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Collection, Mapping
+from typing import Protocol
 
 import numpy as np
 
@@ -27,8 +28,15 @@ _SHARE = 1.0 / np.sqrt(3.0)
 #: No logarithm is moved by more.
 _AT_MOST = 3.0
 
-#: Fits the model with these effects from these natural values.
-Refit = Callable[[tuple[str, ...], Mapping[str, float]], "OutputErrorFit | None"]
+
+class Refit(Protocol):
+    """Fits another model to the same recordings."""
+
+    def __call__(
+        self, effects: tuple[str, ...], values: Mapping[str, float], held: Collection[str] = (), /
+    ) -> OutputErrorFit | None:
+        """The model with these effects, from these natural values, of which some are held; None: it cannot be
+        simulated."""
 
 
 def leaves_the_trace_of_l(problem: Problem) -> bool:
@@ -63,9 +71,13 @@ def by_other_lags(fit: OutputErrorFit, again: Refit) -> F64 | None:
         return column
     lag_s = values["L"] / values["R"] / 2.0
     other = again((*problem.plant.effects, _LAG), {**values, "L": values["L"] / 2.0, "t_lag": lag_s})
-    if other is None:
-        return None
+    return None if other is None else moved_to(other, fit)
+
+
+def moved_to(other: OutputErrorFit, fit: OutputErrorFit) -> F64:
+    """By how much another model's fit moves the coordinates of the free parameters, shape (k,)."""
     there = dict(zip(other.problem.parameter_of_column, other.solution.point.unknowns, strict=False))
+    names = fit.problem.parameter_of_column
     moved = [there[n] - fit.solution.point.unknowns[k] if n in there else 0.0 for k, n in enumerate(names)]
     return np.clip(moved, -_AT_MOST, _AT_MOST)
 
