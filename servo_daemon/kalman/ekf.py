@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_daemon.kalman.gaussian import Gaussian, to_coordinate
+from servo_daemon.kalman.gaussian import Gaussian, completed
 from servo_daemon.kalman.layout import STATISTICS, EkfLayout
 from servo_daemon.kalman.model import INSTRUMENT_S, NO_INSTRUMENT_S, build_ekf_step
 from servo_daemon.kalman.records import ChannelStatistics, Innovations, NoiseLevels
@@ -73,7 +73,7 @@ class Ekf:
 
     def start(self, parameters: Gaussian, x: F64 | None = None, held_input: float = 0.0, held_var: float = 0.0) -> None:
         """Begin from these parameters and, if given, these plant states (as a mean; their spread is wide)."""
-        mean, covariance = self._ordered(parameters)
+        mean, covariance = completed(parameters, self.plant.parameters, _HELD_VARIANCE)
         z, P = np.zeros(self._lay.n_z), np.zeros((self._lay.n_z, self._lay.n_z))
         z[self._lay.q] = mean
         P[self._lay.q, self._lay.q] = covariance
@@ -248,25 +248,24 @@ class Ekf:
         P[self._lay.q, self._lay.q] = covariance
         self._put(z, P)
 
-    def recall(self, which: NDArray[np.bool_], mean: F64, covariance: F64) -> None:
-        """What was known of some coordinates, and was left out of the filter meanwhile, holds again: taken as a
-        measurement.
+    def take_in(self, index: NDArray[np.intp], mean: F64, covariance: F64) -> None:
+        """What is known of some coordinates from elsewhere, or was known of them before, as a measurement: states and
+        other parameters follow by their correlations.
 
         Args:
-            which: coordinates, shape (n_q,).
-            mean, covariance: of all coordinates then, shapes (n_q,) and (n_q, n_q).
+            index: which, shape (k,).
+            mean, covariance: of these, shapes (k,) and (k, k).
         """
-        index = np.flatnonzero(which)
         if len(index) == 0:
             return
         z, P, at = self.mean, self.covariance, self._lay.n_x + index
-        S = P[np.ix_(at, at)] + covariance[np.ix_(index, index)]
+        S = P[np.ix_(at, at)] + covariance
         size = np.sqrt(np.diag(S))
         gain = np.linalg.solve(S / np.outer(size, size), P[at] / size[:, None]).T / size
-        z = z + gain @ (mean[index] - z[at])
+        z = z + gain @ (mean - z[at])
         left = np.eye(len(z))
         left[:, at] -= gain
-        P = left @ P @ left.T + gain @ covariance[np.ix_(index, index)] @ gain.T
+        P = left @ P @ left.T + gain @ covariance @ gain.T
         self._put(z, (P + P.T) / 2)
 
     def widen_parameters(self, var: F64) -> None:
@@ -298,13 +297,3 @@ class Ekf:
     def _put(self, z: F64, P: F64) -> None:
         self._state[self._lay.z] = z
         self._state[self._lay.tri] = P[self._rows, self._columns]
-
-    def _ordered(self, g: Gaussian) -> tuple[F64, F64]:
-        """The given estimates in the plant's order; a parameter not given is held at its table value."""
-        n = self._lay.n_q
-        mean = np.array([to_coordinate(p, p.nominal) for p in self.plant.parameters])
-        covariance = np.diag(np.full(n, _HELD_VARIANCE))
-        index = [self.plant.parameter_names.index(name) for name in g.names]
-        mean[index] = g.mean
-        covariance[np.ix_(index, index)] = g.covariance + np.diag(np.full(len(index), _HELD_VARIANCE))
-        return mean, covariance

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,3 +51,19 @@ def from_coordinate(parameter: Parameter, coordinate: float, std: float) -> tupl
 def natural_values(parameters: Iterable[Parameter], coordinates: F64) -> dict[str, float]:
     """Values in natural units by name; coordinates: shape (n,), in the parameters' order."""
     return {p.name: from_coordinate(p, c, 0.0)[0] for p, c in zip(parameters, coordinates.tolist(), strict=True)}
+
+
+def completed(g: Gaussian, parameters: Sequence[Parameter], held_var: float) -> tuple[F64, F64]:
+    """Coordinates, shape (n,), and covariance, shape (n, n), of all parameters in their order: as given, or at the
+    table's value.
+
+    Args:
+        held_var: variance of a parameter that is held, added to all.
+    """
+    names = [p.name for p in parameters]
+    mean = np.array([to_coordinate(p, p.nominal) for p in parameters])
+    covariance = np.diag(np.full(len(names), held_var))
+    index = [names.index(name) for name in g.names]
+    mean[index] = g.mean
+    covariance[np.ix_(index, index)] = g.covariance + np.diag(np.full(len(index), held_var))
+    return mean, covariance

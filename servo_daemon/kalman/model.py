@@ -26,12 +26,12 @@ Söderström & Stoica, *Instrumental Variable Methods for System Identification*
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cache
 
 import casadi as ca
 
+from servo_daemon.kalman.gaussian import to_coordinate
 from servo_daemon.kalman.layout import CLIP, LEAPT, MEASURABLE, STATISTICS, EkfLayout
 from servo_daemon.plant.build import PlantModel
 
@@ -270,7 +270,7 @@ def _measurement_update(
         outputs += [valid * innovation, ca.if_else(valid > 0, s0, 1.0), gated]
         counts = valid * (doubt <= 1.0) * (state[lay.held_variance] <= UNUSUAL_INPUT * const[0])
         statistics.append(_counted(state[lay.statistics], k, innovation, s0, counts, gated))
-    bounds = [_bounds(p.lower, p.upper, p.transform) for p in lay.plant.parameters]
+    bounds = [(to_coordinate(p, p.lower), to_coordinate(p, p.upper)) for p in lay.plant.parameters]
     q = [ca.fmax(ca.fmin(z[n_x + k], high), low) for k, (low, high) in enumerate(bounds)]
     return ca.vertcat(z[:n_x], *q), P, ca.vertcat(information, *statistics), ca.vertcat(*outputs)
 
@@ -296,8 +296,3 @@ def _shown(lay: EkfLayout, channel: str) -> tuple[list[ca.SX], tuple[ca.SX, ca.S
     z, t = ca.SX.sym("z", lay.n_z), ca.SX.sym("t")
     value = lay.plant.sensed(z[: lay.n_x], natural(lay.plant, z[lay.n_x :]), t)[MEASURABLE.index(channel)]
     return [z, t], (value, ca.jacobian(value, z))
-
-
-def _bounds(lower: float, upper: float, transform: str) -> tuple[float, float]:
-    """Bounds in the estimated coordinate."""
-    return (math.log(lower), math.log(upper)) if transform == "log" else (lower, upper)

@@ -7,7 +7,7 @@ blocks (see `pipeline/stream.py`).
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from drivers.base import DriveInfo
 from servo_daemon.config import DriveConfig
 from servo_daemon.pipeline import publish
+from servo_daemon.pipeline.handover import Handover, Successor
 from servo_daemon.pipeline.measured_link import MeasuredLink
 from servo_daemon.pipeline.model_change import ModelRequest, change_message
 from servo_daemon.pipeline.publish import Publisher, SavedState
@@ -25,31 +26,13 @@ from servo_daemon.published.snapshot import Estimate
 from servo_daemon.samples import SampleBlock, concatenate
 from servo_daemon.signal_meaning import SignalMeaning
 from servo_daemon.tracking.plan.settings import Message
-from servo_daemon.tracking.plant_tracker import PlantTracker, make_tracker
-from servo_daemon.tracking.succession import inherited
+from servo_daemon.tracking.plant_tracker import make_tracker
 from servo_daemon.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
     from servo_daemon.learning.model.model import LearnedModel
 
 log = logging.getLogger(__name__)
-
-#: A filter with another model that has not settled by then speaks for the drive all the same, ticks.
-_TICKS_TO_TAKE_OVER = 50
-
-
-@dataclass(slots=True)
-class _Successor:
-    """A tracker with another model that sees the same samples and will take over."""
-
-    config: DriveConfig
-    tracker: Tracker
-    ticks: int = 0
-    told: list[Message] = field(default_factory=list)
-
-    @property
-    def ready(self) -> bool:
-        return self.tracker.settled or self.ticks >= _TICKS_TO_TAKE_OVER
 
 
 class Pipeline:
@@ -81,8 +64,7 @@ class Pipeline:
         self._driven: list[SampleBlock] = []  # the same as the trackers take them
         self._publisher = Publisher(config)
         self._published: Estimate | None = None
-        self._wanted: tuple[ModelRequest, DriveConfig, Tracker | None] | None = None
-        self._successor: _Successor | None = None
+        self._handover = Handover(self._tracker_for)
         self._learned: LearnedModel | None = None
         self._refresher: Refresher | None = None
         self._samples = 0
@@ -130,7 +112,7 @@ class Pipeline:
         if config is not None:
             self._configure(config)
         self._saved = None
-        self._wanted = self._successor = None
+        self._handover.clear()
         self._tracker = None
         self._channels = ()
         self._published = None
@@ -156,7 +138,7 @@ class Pipeline:
             self._configure(config)
             self._saved = None
         else:
-            self._wanted, self._successor = (request, config, prepared), None
+            self._handover.ask(request, config, prepared)
 
     def learn_info(self, info: DriveInfo) -> None:
         """The driver has found out more (a description frame): used from the next start of the filter on."""
@@ -196,8 +178,7 @@ class Pipeline:
         assert self._tracker is not None
         driven = block if self._link is None else self._link.driven(block)
         self._tracker.take(driven)
-        if self._successor is not None:
-            self._successor.tracker.take(driven)
+        self._handover.take(driven)
         self._last_s = float(block.time_s[-1])
         self._tick.append(block)
         self._driven.append(driven)
@@ -240,9 +221,8 @@ class Pipeline:
         finally:
             self.preparing = False
         self._begin_refresher()
-        if self._successor is not None or self._wanted is not None:
-            config = self._successor.config if self._successor is not None else self._wanted[1]  # type: ignore[index]
-            self._take_over(config, self._tracker_for(config))
+        if (config := self._handover.config) is not None:
+            self._take_over(Successor(config, self._tracker_for(config)))
 
     def _tracker_for(self, config: DriveConfig, saved: SavedState | None = None) -> Tracker:
         channels = self._channels
@@ -277,41 +257,22 @@ class Pipeline:
             self._ring.append(tick)
         self._tick, self._driven = [], []
         self._published = None
-        if self._successor is not None:
-            self._follow(self._successor, driven)
+        if (successor := self._handover.close_tick(driven)) is not None:
+            self._take_over(successor)
         if self._link is not None and self._link.close_tick(tick):
             self._tracker = self._tracker_for(self._config, self._saved)  # K is known: the filter can begin
-        if self._wanted is not None:
-            self._begin_successor(*self._wanted)
-            self._wanted = None
+        if (successor := self._handover.begin(self._tracker)) is not None:
+            self._take_over(successor)
 
-    def _begin_successor(self, request: ModelRequest, config: DriveConfig, prepared: Tracker | None) -> None:
-        """At the end of a tick, so that the estimates do not depend on how the samples came in blocks."""
+    def _take_over(self, successor: Successor) -> None:
         assert self._tracker is not None
-        fits = prepared is not None and prepared.channels == self._tracker.channels
-        tracker = prepared if prepared is not None and fits else self._tracker_for(config)
-        heritage = inherited(self._tracker, tracker, request.start, request.origin_s)
-        if heritage is None or not isinstance(tracker, PlantTracker):
-            self._take_over(config, tracker)
-        else:
-            tracker.inherit(heritage)
-            self._successor = _Successor(config, tracker)
-
-    def _follow(self, successor: _Successor, tick: SampleBlock) -> None:
-        """A tick of the filter that will take over; what it has to say is of interest once it speaks for the drive."""
-        successor.told += successor.tracker.close_tick(tick)
-        successor.ticks += 1
-        if successor.ready:
-            self._take_over(successor.config, successor.tracker)
-            self.messages += successor.told
-
-    def _take_over(self, config: DriveConfig, tracker: Tracker) -> None:
-        assert self._tracker is not None
+        tracker = successor.tracker
         tracker.watch.gated += self._tracker.watch.gated
         tracker.restarts += self._tracker.restarts
-        before, self._tracker, self._successor, self._wanted = self._config, tracker, None, None
-        self._configure(config)
-        self.messages.append(change_message(before.model, config.model))
+        before, self._tracker = self._config, tracker
+        self._handover.clear()
+        self._configure(successor.config)
+        self.messages += [change_message(before.model, successor.config.model), *successor.told]
 
     def _publish(self) -> Estimate:
         assert self._tracker is not None

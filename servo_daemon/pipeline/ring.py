@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Final
 
-from servo_daemon.conditioning.layout import breaks
+from servo_daemon.conditioning.gaps import breaks
 from servo_daemon.samples import SampleBlock
 
 #: Samples a ring holds at most, whatever its length in seconds: a minute at 10 kHz.

@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 
 from servo_daemon.conditioning.layout import Stretches
-from servo_daemon.kalman.assimilation import assimilate
 from servo_daemon.kalman.ekf import Ekf
 from servo_daemon.kalman.gaussian import Gaussian
 from servo_daemon.parameters import Parameter
@@ -152,7 +151,13 @@ class PlantTracker(Tracker):
             known: of coordinates by name.
             widen_std: added to the filter's own 1 σ of these before; zeros: nothing.
         """
-        assimilate(self._ekf, known, widen_std)
+        at = np.array([self._roster.names.index(name) for name in known.names])
+        order = np.argsort(at)
+        if widen_std.any():
+            var = np.zeros(len(self._roster.names))
+            var[at] = np.square(widen_std)
+            self._ekf.widen_parameters(var)
+        self._ekf.take_in(at[order], known.mean[order], known.covariance[np.ix_(order, order)])
         if self.examines_jump and widen_std.any():
             self._jumps.reset()
         self._jumps.search.clear()

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from servo_daemon.errors import BadInputError
 from servo_daemon.learning.examples.drawing import TrainingSpec
 from servo_daemon.learning.examples.drive import same_rate
-from servo_daemon.plant.compiled import cache_directory
+from servo_daemon.plant.compiler import cache_directory
 
 if TYPE_CHECKING:
     from servo_daemon.learning.model.model import LearnedModel

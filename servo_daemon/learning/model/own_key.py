@@ -15,7 +15,7 @@ import stat
 from contextlib import suppress
 from pathlib import Path
 
-from servo_daemon.plant.compiled import cache_directory
+from servo_daemon.plant.compiler import cache_directory
 
 log = logging.getLogger(__name__)
 

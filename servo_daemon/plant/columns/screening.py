@@ -128,6 +128,26 @@ def positive(*values: float) -> bool:
     return all(np.isfinite(v) and v > 0 for v in values)
 
 
+def wave_start(amplitude: str, phase_name: str, **scanned: float) -> Callable[[F64], Start]:
+    """Start values of a wave from the coefficients of its sine and cosine.
+
+    Args:
+        amplitude, phase_name: its parameters.
+        scanned: the others, at this point of the scan.
+    """
+
+    def start(b: F64) -> Start:
+        size, angle = phase(b[0], b[1])
+        return {amplitude: size, **scanned, phase_name: angle}
+
+    return start
+
+
+def lag_start(name: str, tau_s: float) -> Callable[[F64], Start | None]:
+    """Start value of a lag near a time constant, as whose share it is the coefficient: far from one it is another."""
+    return lambda b: {name: tau_s * b[0]} if positive(b[0]) and b[0] < 5 else None
+
+
 def phase(sine: float, cosine: float) -> tuple[float, float]:
     """Amplitude ≥ 0 and phase of a sin x + b cos x = A sin(x + φ)."""
     return float(np.hypot(sine, cosine)), float(np.arctan2(cosine, sine))

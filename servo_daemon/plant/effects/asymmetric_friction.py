@@ -93,6 +93,6 @@ EFFECT = Effect(
     simpler=(("coulomb_friction",), ("coulomb_friction", "constant_load_torque")),
     told_from={
         "constant_load_torque": "turn the axis round, or take the load off: a load keeps its direction in space, "
-        "friction that of motion.",
+        "friction that of motion."
     },
 )

@@ -73,12 +73,7 @@ EFFECT = Effect(
     cause="Worn gear teeth, a key or a claw coupling have play: the load follows only after the gap is crossed.",
     equation=r"J_l\dot\omega_l = k_s\left(\delta \mp \tfrac{g}{2}\right) + c_s\dot\delta \text{ where flanks press},"
     r"\ \delta = \theta - \theta_l",
-    parameters=(
-        GAP,
-        K_S,
-        C_S,
-        J_L,
-    ),
+    parameters=(GAP, K_S, C_S, J_L),
     terms=_terms,
     hides={K_S.name: SHAFT, J_L.name: SHAFT},
     # Within a gap the load is where no sensor sees it, and a filter that has taken it for pressed against the wrong

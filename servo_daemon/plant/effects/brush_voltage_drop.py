@@ -35,7 +35,7 @@ EFFECT = Effect(
     ladder=170,
     told_from={
         "resistance_step": "hold several currents for a second each: a brush drop is the same at all of them, R i is "
-        "not.",
+        "not."
     },
     # The current may reverse within a sample, and not wait at zero for its end: in one part L was 34 % off at 12 σ
     # (slow reversals of the gear motor at 1 kHz), in two R at 3.4 σ, in four nothing at more than 0.6 σ.

@@ -9,9 +9,8 @@ import numpy as np
 from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.columns.regressors import Regressors, sine_and_cosine, wave
 from servo_daemon.plant.columns.scans import best_harmonics
-from servo_daemon.plant.columns.screening import Basis, Context, phase
+from servo_daemon.plant.columns.screening import Basis, Context, wave_start
 from servo_daemon.plant.effects.base import Effect, Signals, Terms, mean_sine
-from servo_daemon.samples import F64
 
 #: Endings of the harmonics' names: `cogging_torque_2` has `Tcog_2`, `n_cog_2` and `phi_cog_2`.
 HARMONICS = ("", "_2", "_3", "_4")
@@ -63,13 +62,8 @@ def _screening(c: Context) -> Iterator[Basis]:
         return
     theta = c.motion.theta
     for n in best_harmonics(c, np.ones(len(theta))):
-
-        def start(b: F64, n: int = n) -> dict[str, float]:
-            size, angle = phase(b[0], b[1])
-            return {"Tcog": size, "n_cog": float(n), "phi_cog": angle}
-
         columns = (c.torque(f"sin {n}", np.sin(n * theta)), c.torque(f"cos {n}", np.cos(n * theta)))
-        yield Basis(columns, start, 3)
+        yield Basis(columns, wave_start("Tcog", "phi_cog", n_cog=float(n)), 3)
 
 
 def _harmonic(ending: str) -> Effect:

@@ -50,6 +50,6 @@ EFFECT = Effect(
     ladder=140,
     told_from={
         "magnetic_saturation": "measure the back-EMF: turn it by hand with the drive off, and hold that K against "
-        "the torque's.",
+        "the torque's."
     },
 )

@@ -12,15 +12,7 @@ from servo_daemon.plant.columns.screening import Basis, Context, Trace
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
 
 I0 = Parameter(
-    "i0",
-    "i_0",
-    "A",
-    0.0,
-    -1e3,
-    1e3,
-    "identity",
-    "what the current sensor shows without a current",
-    "start value",
+    "i0", "i_0", "A", 0.0, -1e3, 1e3, "identity", "what the current sensor shows without a current", "start value"
 )
 
 
@@ -44,6 +36,6 @@ EFFECT = Effect(
     regressors=Regressors(armature=(constant(I0, lambda value: -value["R"]),)),
     ladder=130,
     told_from={
-        "voltage_sensor_offset": "record a few seconds with the drive off: each sensor shows its own offset then.",
+        "voltage_sensor_offset": "record a few seconds with the drive off: each sensor shows its own offset then."
     },
 )

@@ -8,9 +8,8 @@ import numpy as np
 
 from servo_daemon.parameters import MOTOR_NAMES, Parameter, Scale
 from servo_daemon.plant.columns.regressors import NO_COLUMNS
-from servo_daemon.plant.columns.screening import LAGS_S, Basis, Context, Trace, positive, relaxed
+from servo_daemon.plant.columns.screening import LAGS_S, Basis, Context, Trace, lag_start, relaxed
 from servo_daemon.plant.effects.base import LAGGED, Effect, Signals, Terms
-from servo_daemon.samples import F64
 
 T_LAG = Parameter(
     "t_lag", "t_{lag}", "s", 0.001, 1e-07, 10.0, "log", "time constant of the lag", "start value", scale=Scale(0.001)
@@ -25,15 +24,11 @@ def _screening(c: Context) -> Iterator[Basis]:
     m = c.motion
     voltage = "L" in m.p
     for tau in LAGS_S:
-
-        def start(b: F64, tau: float = float(tau)) -> dict[str, float] | None:
-            return {"t_lag": tau * b[0]} if positive(b[0]) and b[0] < 5 else None
-
         change = np.diff(m.u, prepend=m.u[0])
         distance = change + np.exp(-m.h / tau) * relaxed(change, m.h, float(tau))  # u − lagged at the sample
         behind = distance * tau / m.h * -np.expm1(-m.h / tau)
         trace = Trace(voltage=behind) if voltage else Trace(torque=behind * m.p.get("K", 1.0))
-        yield Basis((c.add(f"lag {tau}", trace),), start, 1)
+        yield Basis((c.add(f"lag {tau}", trace),), lag_start(T_LAG.name, float(tau)), 1)
 
 
 EFFECT = Effect(

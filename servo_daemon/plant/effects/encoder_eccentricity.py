@@ -46,10 +46,7 @@ EFFECT = Effect(
     name="encoder_eccentricity",
     cause="The encoder's disc sits off the shaft's centre or wobbles: what it shows runs ahead and behind once a turn.",
     equation=r"\theta_{\mathrm{shown}} = \theta + e\sin(\theta + \varphi_e)",
-    parameters=(
-        E_ENC,
-        PHI_ENC,
-    ),
+    parameters=(E_ENC, PHI_ENC),
     terms=_terms,
     screening=_screening,
     regressors=NO_COLUMNS,

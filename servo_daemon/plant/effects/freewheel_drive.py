@@ -29,7 +29,7 @@ EFFECT = Effect(
     ladder=210,
     told_from={
         "coulomb_friction": "command zero at speed: an open bridge lets the motor coast, a closed one brakes it with "
-        "its own back-EMF.",
+        "its own back-EMF."
     },
     # The current ends early in the step, see `brush_voltage_drop`.
     substeps=4,

@@ -9,21 +9,12 @@ import numpy as np
 
 from servo_daemon.parameters import Parameter
 from servo_daemon.plant.columns.regressors import Regressors, sine_and_cosine, wave
-from servo_daemon.plant.columns.screening import Basis, Context, phase
+from servo_daemon.plant.columns.screening import Basis, Context, wave_start
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
-from servo_daemon.samples import F64
 
 TG = Parameter("Tg", "T_g", "N·m", 0.1, 1e-9, 1e4, "log", "greatest gravity torque, m g l", "start value")
 PHI_G = Parameter(
-    "phi_g",
-    r"\varphi_g",
-    "rad",
-    0.0,
-    -6.5,
-    6.5,
-    "identity",
-    "angle of the arm's lowest point, negated",
-    "start value",
+    "phi_g", r"\varphi_g", "rad", 0.0, -6.5, 6.5, "identity", "angle of the arm's lowest point, negated", "start value"
 )
 
 
@@ -32,12 +23,9 @@ def _terms(s: Signals) -> Terms:
 
 
 def _screening(c: Context) -> Iterator[Basis]:
-    def start(b: F64) -> dict[str, float]:
-        size, angle = phase(b[0], b[1])
-        return {"Tg": size, "phi_g": angle}
-
     theta = c.motion.theta
-    yield Basis((c.torque("sin 1", np.sin(theta)), c.torque("cos 1", np.cos(theta))), start, 2)
+    columns = (c.torque("sin 1", np.sin(theta)), c.torque("cos 1", np.cos(theta)))
+    yield Basis(columns, wave_start(TG.name, PHI_G.name), 2)
 
 
 EFFECT = Effect(

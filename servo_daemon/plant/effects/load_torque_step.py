@@ -59,10 +59,7 @@ EFFECT = Effect(
     name="load_torque_step",
     cause="Something was put on, clamped or let go during the recording: from one instant on the load is another.",
     equation=r"\Delta T_L \quad (t \ge t_{T_L})",
-    parameters=(
-        DTL,
-        T_TL,
-    ),
+    parameters=(DTL, T_TL),
     terms=_terms,
     screening=_screening,
     regressors=NO_COLUMNS,

@@ -51,10 +51,7 @@ EFFECT = Effect(
     cause="One channel is read, filtered or sent later than the voltage: its values belong to an earlier instant than "
     "their time stamps say.",
     equation=r"y_{\mathrm{shown}}(t) = y(t - t_d)",
-    parameters=(
-        T_D,
-        CHANNEL,
-    ),
+    parameters=(T_D, CHANNEL),
     terms=_terms,
     screening=_screening,
     regressors=NO_COLUMNS,

@@ -10,9 +10,8 @@ import numpy as np
 from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.columns.regressors import Regressors, sine_and_cosine, wave
 from servo_daemon.plant.columns.scans import spectral_lines
-from servo_daemon.plant.columns.screening import Basis, Context, phase
+from servo_daemon.plant.columns.screening import Basis, Context, wave_start
 from servo_daemon.plant.effects.base import Effect, Signals, Terms, mean_sine
-from servo_daemon.samples import F64
 
 TPER = Parameter(
     "Tper",
@@ -43,28 +42,16 @@ def _screening(c: Context) -> Iterator[Basis]:
         return
     t = c.motion.t
     for f in spectral_lines(t, c.residual["torque"], 2):
-
-        def start(b: F64, f: float = f) -> dict[str, float]:
-            size, angle = phase(b[0], b[1])
-            return {"Tper": size, "f_per": f, "phi_per": angle}
-
-        wave = 2 * np.pi * f * (t + c.motion.h / 2)
-        yield Basis(
-            (c.torque(f"sin f {f}", np.sin(wave)), c.torque(f"cos f {f}", np.cos(wave))),
-            start,
-            3,
-        )
+        turned = 2 * np.pi * f * (t + c.motion.h / 2)
+        columns = (c.torque(f"sin f {f}", np.sin(turned)), c.torque(f"cos f {f}", np.cos(turned)))
+        yield Basis(columns, wave_start(TPER.name, PHI_PER.name, f_per=f), 3)
 
 
 EFFECT = Effect(
     name="periodic_disturbance",
     cause="A neighbouring machine, a pump or a process shakes the load at a frequency of its own.",
     equation=r"T_{per}\sin(2\pi f_{per} t + \varphi_{per})",
-    parameters=(
-        TPER,
-        F_PER,
-        PHI_PER,
-    ),
+    parameters=(TPER, F_PER, PHI_PER),
     terms=_terms,
     screening=_screening,
     regressors=Regressors(

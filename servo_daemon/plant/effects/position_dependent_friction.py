@@ -82,10 +82,7 @@ EFFECT = Effect(
     name="position_dependent_friction",
     cause="A screw, guide or seal rubs harder in one part of its travel: preload, straightness or wear vary along it.",
     equation=r"\left(1 + a\,\theta + b\,\theta^2\right)\times\text{dry friction}",
-    parameters=(
-        TC_SLOPE,
-        TC_CURVE,
-    ),
+    parameters=(TC_SLOPE, TC_CURVE),
     terms=_terms,
     screening=_screening,
     regressors=Regressors(

@@ -66,10 +66,7 @@ EFFECT = Effect(
     cause="A connector, cable or brush got better or worse at one instant: a bad contact and a change of the winding "
     "itself (a shorted turn) leave the same trace here.",
     equation=r"R + \Delta R \quad (t \ge t_R)",
-    parameters=(
-        DR,
-        T_R,
-    ),
+    parameters=(DR, T_R),
     terms=_terms,
     screening=_screening,
     regressors=NO_COLUMNS,

@@ -75,18 +75,14 @@ EFFECT = Effect(
     name="shaft_compliance",
     cause="A long shaft, a coupling, a belt or a harmonic drive gives way: the load swings behind the motor.",
     equation=r"J_l\dot\omega_l = k_s(\theta - \theta_l) + c_s(\omega - \omega_l) = \text{load torque of the motor}",
-    parameters=(
-        K_S,
-        C_S,
-        J_L,
-    ),
+    parameters=(K_S, C_S, J_L),
     terms=_terms,
     hides={K_S.name: SHAFT, J_L.name: SHAFT},
     screening=_screening,
     ladder=250,
     told_from={
         "backlash": "small motions under a constant load, then about zero torque: a gap shows only where the sign "
-        "changes.",
+        "changes."
     },
     states=TWIST,
 )

@@ -8,9 +8,8 @@ import numpy as np
 
 from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.columns.regressors import NO_COLUMNS
-from servo_daemon.plant.columns.screening import LAGS_S, Basis, Context, Trace, positive, relaxed
+from servo_daemon.plant.columns.screening import LAGS_S, Basis, Context, Trace, lag_start, relaxed
 from servo_daemon.plant.effects.base import Effect, Signals, State, Terms
-from servo_daemon.samples import F64
 
 T_F = Parameter(
     "t_f", "t_f", "s", 0.003, 1e-07, 10.0, "log", "time constant of the filter", "start value", scale=Scale(0.003)
@@ -30,13 +29,10 @@ def _screening(c: Context) -> Iterator[Basis]:
     m = c.motion
     speed = m.at_sample["velocity_rad_s"]
     for tau in LAGS_S:
-
-        def start(b: F64, tau: float = float(tau)) -> dict[str, float] | None:
-            return {"t_f": tau * b[0]} if positive(b[0]) and b[0] < 5 else None
-
         change = np.diff(speed, prepend=speed[0])  # half a step ago, on average
         behind = -np.exp(-m.h / (2 * tau)) * (change + np.exp(-m.h / tau) * relaxed(change, m.h, float(tau)))
-        yield Basis((c.add(f"filter {tau}", Trace(shown={"velocity_rad_s": behind})),), start, 1)
+        key = c.add(f"filter {tau}", Trace(shown={"velocity_rad_s": behind}))
+        yield Basis((key,), lag_start(T_F.name, float(tau)), 1)
 
 
 EFFECT = Effect(

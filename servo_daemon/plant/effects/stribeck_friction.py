@@ -80,11 +80,7 @@ EFFECT = Effect(
     name="stribeck_friction",
     cause="A boundary-lubricated bearing, screw or gear holds harder at rest than it rubs once grease carries it.",
     equation=r"\left(T_c + (T_s - T_c)\,e^{-(\omega/\omega_s)^2}\right)\operatorname{sgn}\omega",
-    parameters=(
-        TC,
-        TS,
-        WS,
-    ),
+    parameters=(TC, TS, WS),
     terms=_terms,
     screening=_screening,
     regressors=Regressors(shaft=(itself(TC), BOUNDARY), signals=_signals),

@@ -9,7 +9,7 @@ import numpy as np
 from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.columns.regressors import Course, Regressors, Values, sine_and_cosine, wave
 from servo_daemon.plant.columns.scans import best_harmonics
-from servo_daemon.plant.columns.screening import Basis, Context, Trace, phase
+from servo_daemon.plant.columns.screening import Basis, Context, Trace, wave_start
 from servo_daemon.plant.effects.base import Effect, Signals, Terms, mean_sine, moment_of_sine
 from servo_daemon.samples import F64
 
@@ -64,28 +64,19 @@ def _screening(c: Context) -> Iterator[Basis]:
         return
     torque, emf = -m.p["K"] * m.i, m.p["K"] * m.omega
     for n in best_harmonics(c, torque):
-
-        def start(b: F64, n: int = n) -> dict[str, float]:
-            size, angle = phase(b[0], b[1])
-            return {"k_rip": size, "n_rip": float(n), "phi_rip": angle}
-
         s, k = np.sin(n * m.theta), np.cos(n * m.theta)
         columns = (
             c.add(f"ripple sin {n}", Trace(torque=torque * s, voltage=emf * s)),
             c.add(f"ripple cos {n}", Trace(torque=torque * k, voltage=emf * k)),
         )
-        yield Basis(columns, start, 3)
+        yield Basis(columns, wave_start(K_RIP.name, PHI_RIP.name, n_rip=float(n)), 3)
 
 
 EFFECT = Effect(
     name="torque_ripple",
     cause="Few commutator bars, or windings and magnets that are not alike: the torque constant varies with the angle.",
     equation=r"K\,(1 + k_{rip}\sin(n_{rip}\theta + \varphi_{rip}))",
-    parameters=(
-        K_RIP,
-        N_RIP,
-        PHI_RIP,
-    ),
+    parameters=(K_RIP, N_RIP, PHI_RIP),
     terms=_terms,
     screening=_screening,
     regressors=Regressors(shaft=WAVE, armature=WAVE, signals=_signals),
@@ -94,8 +85,7 @@ EFFECT = Effect(
     share_of={K_RIP.name: ""},
     ladder=120,
     told_from={
-        "periodic_disturbance": "repeat it at another speed: ripple stays with the angle, a disturbance with the "
-        "clock.",
+        "periodic_disturbance": "repeat it at another speed: ripple stays with the angle, a disturbance with the clock."
     },
     substeps=4,
 )

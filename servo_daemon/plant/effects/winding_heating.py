@@ -51,10 +51,7 @@ def _terms(s: Signals) -> Terms:
     rise = s.states["winding_rise_K"]
     factor = 1 + ALPHA_COPPER_1_K * rise
     heat_W = s.p["R"] * factor * s.i_square
-    return Terms(
-        factor_R=factor,
-        rates={"winding_rise_K": (heat_W - rise / s.p["R_th"]) / s.p["C_th"]},
-    )
+    return Terms(factor_R=factor, rates={"winding_rise_K": (heat_W - rise / s.p["R_th"]) / s.p["C_th"]})
 
 
 def _screening(c: Context) -> Iterator[Basis]:

@@ -134,7 +134,8 @@ class JumpActions:
         self._rls.expect_change()
         stayed = self._roster.free.copy()
         stayed[moved] = False
-        self._ekf.recall(stayed, before.mean, before.covariance)
+        at = np.flatnonzero(stayed)
+        self._ekf.take_in(at, before.mean[at], before.covariance[np.ix_(at, at)])
         return self._named(before, moved, time_s) if self.watch.sudden else []
 
     def _named(self, before: Known, moved: list[int], time_s: float) -> list[Message]:

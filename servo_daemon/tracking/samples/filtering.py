@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.conditioning.filled import LINE_VAR, filled
-from servo_daemon.conditioning.layout import Layout, Marked, Mask, breaks, channel, gaps
+from servo_daemon.conditioning.gaps import breaks, gaps
+from servo_daemon.conditioning.layout import Layout, Marked, Mask, channel
 from servo_daemon.kalman.ekf import Ekf
 from servo_daemon.kalman.gaussian import Gaussian
 from servo_daemon.kalman.model import GATE

@@ -62,7 +62,7 @@ SPEAKS: Mapping[str, str] = {
     "tracking.changes.trials.WHITE_OUT": "above",
     "tracking.changes.trials._NIS_MORE": "above",
     "tracking.changes.jumps._RULE": "above",
-    "tracking.changes.jumps._SIGNIFICANT": "above",
+    "tracking.changes.jumps.SIGNIFICANT": "above",
     "tracking.changes.jumps._NOTICEABLE": "above",
     "regression.balance_window._CHANCE_STDS": "above",
     "tracking.validity.excitation.SYSTEMATIC_LEAVE": "above",

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from servo_daemon.conditioning.filled import filled
-from servo_daemon.conditioning.layout import gaps, short_gaps
+from servo_daemon.conditioning.gaps import gaps, short_gaps
 from servo_daemon.samples import Quality, SampleBlock, make_block
 
 PERIOD_S = 1e-3

@@ -14,9 +14,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from servo_daemon.plant import at_once, compiled
+from servo_daemon.plant import at_once, compiled, compiler
 from servo_daemon.plant.build import build_plant
-from servo_daemon.plant.compiled import SampleLoop, find_compiler
+from servo_daemon.plant.compiled import SampleLoop
+from servo_daemon.plant.compiler import find_compiler
 from servo_daemon.samples import F64
 from tests.twin import reference_step
 
@@ -206,14 +207,14 @@ def test_a_cache_that_cannot_be_written_is_replaced_by_a_private_one(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     private = tmp_path / "private"
     private.mkdir()
-    monkeypatch.setattr(compiled, "_private_temporary", lambda: private)
+    monkeypatch.setattr(compiler, "_private_temporary", lambda: private)
     assert SampleLoop(step_function(())).backend == "c"
     assert list(private.glob("*.so"))
 
 
 def test_systemd_cache_directory_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CACHE_DIRECTORY", f"{tmp_path}/a:{tmp_path}/b")
-    assert compiled.cache_directory() == tmp_path / "a" / "servo-daemon"
+    assert compiler.cache_directory() == tmp_path / "a" / "servo-daemon"
 
 
 def test_a_broken_compiler_falls_back_with_a_log_line(

@@ -1,0 +1,64 @@
+"""Where samples are missing, and where the plant's state is lost by it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from servo_daemon.samples import F64, Quality, SampleBlock
+
+#: A gap longer than this leaves the plant's states unknown; a shorter one is predicted through.
+LONG_GAP_S = 0.25
+#: Samples further apart than this many periods have lost some between them: no regular drive's jitter is as large.
+_GAP_PERIODS = 1.6
+#: Up to this many periods a gap is filled (`filled`); beyond, what the voltage did meanwhile nobody knows.
+_SHORT_GAP_PERIODS = 3.5
+#: Plain numbers: members of an enumeration are slow to reach.
+RESTART, GAP = int(Quality.TIME_RESTART), int(Quality.GAP_BEFORE)
+
+
+def distances(time_s: F64, last_s: float) -> F64:
+    """Of each sample from the one before it, s, shape (n,)."""
+    out = np.empty(len(time_s))
+    out[0] = time_s[0] - last_s
+    np.subtract(time_s[1:], time_s[:-1], out=out[1:])
+    return out
+
+
+def _longest_distance(block: SampleBlock, last_s: float | None) -> float:
+    """Of a sample from the one before it, s."""
+    return block.longest_step_s if last_s is None else max(float(block.time_s[0]) - last_s, block.longest_step_s)
+
+
+def breaks(block: SampleBlock, last_s: float | None) -> list[int]:
+    """Indices of samples before which the plant's state is lost: restarts and long gaps."""
+    if block.all_good and _longest_distance(block, last_s) <= LONG_GAP_S:
+        return []  # the usual case, without looking closer
+    previous = np.concatenate([[block.time_s[0] if last_s is None else last_s], block.time_s[:-1]])
+    lost = (block.time_s - previous > LONG_GAP_S) | ((block.quality & RESTART) != 0)
+    return [int(k) for k in np.flatnonzero(lost)]
+
+
+def gaps(block: SampleBlock, last_s: float | None, period_s: float | None) -> dict[int, bool]:
+    """Indices of samples before which others are missing, as the driver says or as their times show, and whether the
+    gap is a short one.
+
+    Args:
+        last_s: time of the sample before the block; None: there is none.
+        period_s: usual distance of two samples; None: not known yet.
+    """
+    if period_s is None:
+        return dict.fromkeys(np.flatnonzero(block.quality & GAP).tolist(), False)
+    if block.all_good and _longest_distance(block, last_s) <= _GAP_PERIODS * period_s:
+        return {}  # the usual case
+    distance = distances(block.time_s, float(block.time_s[0]) if last_s is None else last_s)
+    missing = ((block.quality & GAP) != 0) | (distance > _GAP_PERIODS * period_s)
+    return {k: bool(distance[k] <= _SHORT_GAP_PERIODS * period_s) for k in np.flatnonzero(missing).tolist()}
+
+
+def short_gaps(block: SampleBlock, last_s: float | None, period_s: float | None) -> list[int]:
+    """Indices of samples before which so few are missing that others can be put in their place."""
+    holes = gaps(block, last_s, period_s)
+    if not holes:
+        return []
+    cuts = breaks(block, last_s)
+    return [k for k, short in holes.items() if short and k not in cuts]
