@@ -2,9 +2,10 @@
 
     python -m benchmarks.life [--drives 32] [--filled 4] [--days 365]
 
-Some of the drives live the whole year, all write afterwards (a year of 32 takes an hour and shows no more). Each minute of the year is a bucket as the recorder makes them, from an estimate that ages, wanders with the filter's
-memory and follows a temperature; the last day comes in seconds and the last hour in single rows, so that every level
-is as full as in service. Then the year is asked for, beside 32 writers at ten rows a second each.
+Some of the drives live the whole year, all write afterwards (a year of 32 takes an hour and shows no more). Each
+minute of the year is a bucket as the recorder makes them, from an estimate that ages, wanders with the filter's memory
+and follows a temperature; the last day comes in seconds and the last hour in single rows, so that every level is as
+full as in service. Then the year is asked for, beside 32 writers at ten rows a second each.
 """
 
 from __future__ import annotations
@@ -188,9 +189,8 @@ def main() -> None:
         share, took = serve(database, arguments.drives, arguments.filled, config)
         database.close()
     kinds = f"{len(PARAMETERS)} parameters and {len(CHANNELS) + 1} channels"
-    print(
-        f"{arguments.drives} drives, {kinds} each; {arguments.filled} of them over {arguments.days} days (in {filled:.0f} s)\n"
-    )
+    lived = f"{arguments.filled} of them over {arguments.days} days (in {filled:.0f} s)"
+    print(f"{arguments.drives} drives, {kinds} each; {lived}\n")
     print("| | measured | wanted |\n|---|---|---|")
     print(f"| on disk, MB a drive after the year | {size:.1f} | ≤ 15 |")
     for level, stored, count in by_level:

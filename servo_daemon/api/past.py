@@ -128,7 +128,7 @@ class PastRoutes:
         span, note = self._span(view, asked, must=kind != "json")
         _check_known(view, self._archive, asked.names, span)
         if kind != "json":
-            body, media_type = spans.encode(span, asked.names, kind)
+            body, media_type = spans.encode(span, asked.names, _units(view), kind)
             return tagged(request, body, media_type)
         if len(asked.names) > 1:
             return tagged(request, past_documents.encode_span(view, asked.names, span, note))

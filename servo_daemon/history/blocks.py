@@ -131,10 +131,11 @@ def read_blocks(
         fresh: rows that are not in the database yet.
     """
     level = levels[number]
-    begin = start_s - max(level.period_s, 1.0)
+    begin, finer = start_s - max(level.period_s, 1.0), levels[max(0, number - 1)]
     wanted = sa.or_(
         sa.and_(_B.level == number, _B.start.between(begin - level.block_s, end_s)),
-        sa.and_(_B.open == 1, _B.level < number, _B.start.between(begin - levels[max(0, number - 1)].block_s, end_s)),
+        # The last bucket is whole: finer rows of it may begin after the end.
+        sa.and_(_B.open == 1, _B.level < number, _B.start.between(begin - finer.block_s, end_s + level.period_s)),
     )
     # One statement: what moves from one level to the next meanwhile is seen in exactly one of them.
     found = connection.execute(sa.select(_B.data).where(_B.drive == drive, wanted)).scalars()
