@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import io
 import sys
 import time
@@ -100,7 +101,7 @@ def _write_csv(file: AtomicFile, url: str, path: str, questions: list[dict[str, 
 
 def _write_parquet(file: AtomicFile, url: str, path: str, questions: list[dict[str, str | int]]) -> int:
     try:
-        from pyarrow import parquet
+        parquet: Any = importlib.import_module("pyarrow.parquet")
     except ImportError:
         raise BadInputError("Parquet needs pyarrow: pip install 'servo-daemon[parquet]', or use .csv.gz") from None
     rows = 0
