@@ -9,7 +9,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from servo_daemon.api.past_documents import column, dominant
+from servo_daemon.api.past.documents import column, dominant
 from servo_daemon.api.problems import ProblemError
 from servo_daemon.api.times import iso_utc_list
 from servo_daemon.published.archive import Span
