@@ -39,7 +39,7 @@ def _anchor(path: str, method: str) -> str:
 
 def _first_sentence(operation: Mapping[str, Any]) -> str:
     text = str(operation.get("description", "")).strip().split("\n\n")[0].replace("\n", " ")
-    return re.split(r"(?<=\.) |: ", text, maxsplit=1)[0]
+    return re.split(r"(?<=\.) |: (?=[^`]*(?:`[^`]*`[^`]*)*$)", text, maxsplit=1)[0]  # no colon inside `code`
 
 
 def _text(text: str) -> str:
