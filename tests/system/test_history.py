@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import sqlite3
 import subprocess
@@ -57,7 +58,7 @@ from servo_daemon.daemon.recording import Recording
 from tests.fake_daemon import make_snapshot
 from tests.unit.history.world import Drive
 drive = Drive()
-recording = Recording.of(HistoryConfig(), Path(sys.argv[1]), [drive])
+recording = Recording(HistoryConfig(), Path(sys.argv[1]), [drive])
 recording.start()
 while True:
     time.sleep(0.1)
@@ -70,14 +71,15 @@ while True:
 def test_whenever_it_is_killed_at_most_five_seconds_are_lost(tmp_path: Path) -> None:
     """Four writers at once, each killed at another moment between two turns."""
     folders = [tmp_path / str(k) for k in range(4)]
-    writers = [
-        subprocess.Popen(
-            [sys.executable, "-c", _WRITER, folder], cwd=ROOT, env=environment(), stdout=subprocess.PIPE, text=True
-        )
-        for folder in folders
-    ]
     last: list[float] = []
-    try:
+    with contextlib.ExitStack() as stack:
+        writers = []
+        for folder in folders:
+            words = [sys.executable, "-c", _WRITER, str(folder)]
+            writer = subprocess.Popen(words, cwd=ROOT, env=environment(), stdout=subprocess.PIPE, text=True)
+            stack.enter_context(writer)
+            stack.callback(writer.kill)
+            writers.append(writer)
         for writer in writers:
             assert writer.stdout is not None
             assert writer.stdout.readline(), "runs"
@@ -86,10 +88,6 @@ def test_whenever_it_is_killed_at_most_five_seconds_are_lost(tmp_path: Path) -> 
             time.sleep(0.8)  # a quarter of a turn
             writer.kill()
             last.append(max(float(line) for line in writer.communicate()[0].split()))
-    finally:
-        for writer in writers:
-            writer.kill()
-            writer.communicate()
     for folder, end in zip(folders, last, strict=True):
         with closing(sqlite3.connect(folder / "history.sqlite")) as file:
             assert file.execute("PRAGMA integrity_check").fetchone() == ("ok",)
