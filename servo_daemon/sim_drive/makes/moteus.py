@@ -6,6 +6,7 @@ import math
 import struct
 import time
 
+from drivers.moteus.fdcanusb import checksum, unchecked
 from servo_daemon.sim_drive.makes.moving import Motor
 
 #: Registers: those of a state as floats, the counter of milliseconds, and what does not change here.
@@ -79,11 +80,22 @@ class Fdcanusb:
     def receive(self, data: bytes) -> bytes:
         """`OK` to every line that sends a frame, and the drive's answer; `ERR` to any other."""
         *lines, self._line = (self._line + data).split(b"\n")
-        return b"".join(self._answer(line.split()) for line in lines if line.strip())
+        return b"".join(self._checked(line) for line in lines if line.strip())
 
     def due(self) -> bytes:
         """It never speaks unasked."""
         return b""
+
+    def _checked(self, line: bytes) -> bytes:
+        """The answer, with checksums to a line that has one."""
+        text = unchecked(line)
+        if text is None:
+            return b"ERR checksum\r\n"
+        answer = self._answer(text.split())
+        if text == line:
+            return answer
+        checked = (part + b" *%02X\r\n" % checksum(part + b" ") for part in answer.split(b"\r\n") if part)
+        return b"".join(checked)
 
     def _answer(self, words: list[bytes]) -> bytes:
         if words[:2] != [b"can", b"send"] or len(words) < 4:
