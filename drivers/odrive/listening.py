@@ -32,7 +32,7 @@ FIRMWARES = ("auto", "0.5", "0.6")
 MEANING = SignalMeaning(voltage="instant", current="instant", convention="dq", publish="kt")
 
 #: From so many turns on the float32 position has steps of 1/1024 turn, too coarse to be one.
-_MOST_TURNS = 8192
+MOST_TURNS = 8192
 #: Rates are set in whole milliseconds; what is heard is within so much of it.
 _PERIOD_TOLERANCE = 0.03
 _STALE_PERIODS = 2.5
@@ -122,7 +122,7 @@ class ListenedOdrive(BusListener):
 
 
 def _motion(fields: dict[str, Field]) -> list[MappedChannel]:
-    position = f"{_TURN} * (Pos + 0 / max(0, {_MOST_TURNS} - abs(Pos)))"  # no number where it is too coarse
+    position = f"{_TURN} * (Pos + 0 / max(0, {MOST_TURNS} - abs(Pos)))"  # no number where it is too coarse
     return [
         channel("position_rad", position, Pos=fields["Pos_Estimate"]),
         channel("velocity_rad_s", f"{_TURN} * Vel", Vel=fields["Vel_Estimate"]),
