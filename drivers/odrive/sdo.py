@@ -221,9 +221,8 @@ class SdoOdrive(PollingDriver[Told]):
         at_s = sent_s[:, None] + (received_s - sent_s)[:, None] * (np.arange(1, 1 + len(ENDPOINTS)) / len(ENDPOINTS))
         before_s, before = (at_s[:1], told[:1]) if self._before is None else self._before
         self._before = at_s[-1:], told[-1:]
-        change = np.diff(told, axis=0, prepend=before) / np.maximum(
-            np.diff(at_s, axis=0, prepend=before_s), _SHORTEST_S
-        )
+        apart_s = np.maximum(np.diff(at_s, axis=0, prepend=before_s), _SHORTEST_S)
+        change = np.diff(told, axis=0, prepend=before) / apart_s
         change[~np.isfinite(change)] = 0.0
         return np.asarray(told + change * (at_s[:, _MIDDLE : _MIDDLE + 1] - at_s))
 

@@ -111,11 +111,7 @@ def test_the_voltage_tells_r_and_k(tmp_path: Path) -> None:
     assert {"K", "R"} <= set(claimed) <= set(truth)  # and no inductance
     for name, p in claimed.items():
         off = abs(p.value - truth[name])
-        assert off < 0.05 * truth[name] and off <= 4.0 * p.std + 0.03 * truth[name], (
-            name,
-            p.value / truth[name],
-            p.std,
-        )
+        assert off < 0.01 * truth[name] and off < 4.0 * p.std, (name, p.value / truth[name], p.std)
 
 
 def test_endpoints_of_another_firmware_are_not_read(tmp_path: Path) -> None:
