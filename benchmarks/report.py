@@ -36,6 +36,7 @@ COMMANDS: Mapping[str, tuple[str, ...]] = {
     "captures": ("benchmarks/captures.py",),
     "ekf-step": ("benchmarks/ekf_step.py",),
     "daemon": ("benchmarks/daemon.py",),
+    "life": ("-m", "benchmarks.life"),
     "neighbours": ("-m", "benchmarks.neighbours", "--seconds", "30"),
     "heavy-steps": ("-m", "benchmarks.heavy_steps"),
     "identification": ("benchmarks/identification.py",),
@@ -45,6 +46,7 @@ COMMANDS: Mapping[str, tuple[str, ...]] = {
     "excite": ("benchmarks/excite.py",),
     "learning": ("benchmarks/learning.py",),
     "refresh": ("benchmarks/refresh.py",),
+    "life-trend": ("-m", "benchmarks.life_trend"),
     **{
         part: ("-m", "benchmarks.tracking", part)
         for part in (

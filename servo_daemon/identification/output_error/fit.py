@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -135,9 +135,14 @@ def published(fit: OutputErrorFit, recordings: Sequence[Recording], options: Fit
         recordings, options: of the fit.
     """
 
-    def again(effects: tuple[str, ...], values: Mapping[str, float]) -> OutputErrorFit | None:
+    def again(
+        effects: tuple[str, ...], values: Mapping[str, float], held: Collection[str] = ()
+    ) -> OutputErrorFit | None:
+        fixed = {**{name: values[name] for name in held}, **options.fixed}
         with suppress(NumericalError):
-            begun = replace(options, nominal={**values, **options.fixed}, thorough=False, noise_model="none")
+            begun = replace(
+                options, nominal={**values, **fixed}, fixed=fixed, thorough=False, noise_model="none", misfit=False
+            )
             return fit_output_error(recordings, effects, begun)
         return None
 

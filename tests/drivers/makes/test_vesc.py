@@ -75,6 +75,7 @@ def balance(block: Any, time_s: F64) -> F64:
     return solution
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize(("encoder", "extra"), [(True, {}), (False, {"pole_pairs": 7})])
 def test_means_and_angle_are_the_motors(tmp_path: Path, encoder: bool, extra: dict[str, Any]) -> None:
     """The port alone is enough with an encoder. R and K by the electrical balance, on the device's own times: the
@@ -192,6 +193,7 @@ class TestVescOnCan(OnABus):
             yield {"interface": "slcan", "channel": str(tmp_path / "can0"), "position": "encoder"}
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("encoder", [True, False])
 def test_status_messages_are_the_motors(tmp_path: Path, encoder: bool) -> None:
     """v = R iq + K ω of one instant, with the sign that the current of message 1 does not have."""

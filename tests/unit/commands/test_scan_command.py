@@ -160,6 +160,7 @@ def test_a_canopen_node_is_heard_and_says_the_rest_when_asked(
     assert {(f.frame_id, f.data) for f in bus.heard} <= reads
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize(
     ("node", "driver", "option", "signals"),
     [
