@@ -9,6 +9,7 @@ import asyncio
 import importlib.util
 import math
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -36,15 +37,18 @@ def test_moteus_reads_its_registers(tmp_path: Path) -> None:
     moteus = pytest.importorskip("moteus", reason="the maker's library is not installed: pip install moteus")
     with line(tmp_path / "fdcanusb", Fdcanusb(Moteus(Standing(), torque_constant=0.2, drive_id=4))):
 
-        async def read() -> dict[int, float]:
+        async def read() -> tuple[dict[int, float], Any]:
             with moteus.Transport([moteus.FdcanusbDevice(str(tmp_path / "fdcanusb"))]) as transport:
-                state = await moteus.Controller(id=4, transport=transport).query()
-                return dict(state.values)
+                controller = moteus.Controller(id=4, transport=transport)
+                state = await controller.query()
+                told = await moteus.Stream(controller, use_flow_control=False).read_data("servo_control")
+                return dict(state.values), told
 
-        values = asyncio.run(asyncio.wait_for(read(), 20.0))
+        values, told = asyncio.run(asyncio.wait_for(read(), 20.0))
     register = moteus.Register
     assert values[register.POSITION] == pytest.approx(NOW.position_rad / math.tau, rel=1e-5)
     assert values[register.VELOCITY] == pytest.approx(NOW.velocity_rad_s / math.tau, rel=1e-5)
+    assert told.q_V == pytest.approx(NOW.voltage_V / 1.5)
     assert values[register.TORQUE] == pytest.approx(0.2 * NOW.current_A, rel=1e-5)
 
 
