@@ -14,8 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from drivers.can.decode import Field
-from drivers.can.learn import Choice, Heard, LearningDecoder, bits_of, channel, in_every_burst, last_of_burst
-from drivers.can.listener import BusListener, FrameDecoder
+from drivers.can.learn import Choice, Heard, LearningListener, bits_of, channel, in_every_burst, last_of_burst
 from drivers.can.map import MappedChannel, SignalMap
 from drivers.can.vendor import VendorDecoder
 from servo_daemon.errors import DriverConfigError
@@ -57,7 +56,7 @@ def fields_of(node: int) -> dict[str, Field]:
     }
 
 
-class ListenedOdrive(BusListener):
+class ListenedOdrive(LearningListener):
     """An ODrive that is listened to. Options beside the bus's: `node_id` (0 … 63; needed where several are heard) and
     `firmware` (auto, 0.5 or 0.6: whether message 0x1C is the torque)."""
 
@@ -65,28 +64,17 @@ class ListenedOdrive(BusListener):
 
     def __init__(self, name: str, options: dict[str, Any]) -> None:
         super().__init__(name, options, ("node_id", "firmware"))
-        node = options.get("node_id")
-        if node is not None and (isinstance(node, bool) or not isinstance(node, int) or node not in NODES):
-            raise DriverConfigError(f"{self._where}: node_id must be a whole number 0 .. 63, not {node!r}")
+        node = self._whole("node_id", NODES[0], NODES[-1])
         self._firmware = options.get("firmware", "auto")
         if self._firmware not in FIRMWARES:
             raise DriverConfigError(f"{self._where}: firmware must be one of {', '.join(FIRMWARES)}")
         commands = (HEARTBEAT, ENCODER, IQ, TORQUES)
         keys = frozenset(key_of(n, c) for n in (NODES if node is None else (node,)) for c in commands)
-        self._bus_name = f"{self._settings['interface']}:{self._settings.get('channel')}"
-        self._decoder = LearningDecoder(keys, self._choose, self.counters, f"odrive:{self._bus_name}")
+        self._learn(keys, self._choose)
 
     @property
     def meaning(self) -> SignalMeaning:
         return MEANING
-
-    @property
-    def remark(self) -> str | None:
-        return self._decoder.remark
-
-    @property
-    def _frames(self) -> FrameDecoder:
-        return self._decoder
 
     def _choose(self, heard: dict[int, Heard]) -> Choice:
         """What to make of the messages of the drive."""

@@ -79,7 +79,7 @@ def test_without_ask_nothing_is_sent_and_it_says_so(tmp_path: Path, capsys: pyte
 def test_an_odrive_on_a_port_is_found_with_reads_only(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     port = tmp_path / "odrive"
     with line(port, OdriveText(motor())) as rig:
-        _, document = scan(capsys, "--port", str(port), "--ask", "--seconds", "1")
+        _, document = scan(capsys, "--port", str(port), "--ask", "--seconds", "2")
         heard = bytes(rig.heard)
     drive = only_drive(document)
     assert drive["driver"] == "odrive" and {"J", "B"} <= set(drive["determined"])
