@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from drivers.can.decode import load_dbc
-from drivers.can.listener import BusListener, FrameDecoder
+from drivers.can.listener import BusListener, FrameDecoder, needed_text
 from drivers.can.map import COUNTS, parse_signal_map
 from drivers.can.ours.own import OwnDecoder
 from drivers.can.ours.wire import FIRST_DRIVE, LAST_DRIVE
@@ -60,7 +60,7 @@ class CanDriver(BusListener):
         for first, second in (("dbc", "signals"), ("signals", "dbc")):
             if first in self.options and second not in self.options:
                 raise DriverConfigError(f"{self._where}: '{first}' needs '{second}' as well")
-        path = Path(self._text("dbc")).expanduser()
+        path = Path(needed_text(self.options, "dbc", self._where)).expanduser()
         where = f"{self._where}: {path}"
         signals = parse_signal_map(self.options["signals"], load_dbc(path), where, self.options.get("trigger"))
         counts_per_rev = self._counts_per_rev()

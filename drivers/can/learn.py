@@ -14,8 +14,10 @@ import numpy as np
 from drivers.base import DriveInfo, DriverCounters
 from drivers.can.decode import Field, FrameBatch
 from drivers.can.formula import parse_formula
+from drivers.can.listener import BusListener, FrameDecoder
 from drivers.can.map import MappedChannel, Operand
 from drivers.can.vendor import VendorDecoder
+from servo_daemon.errors import DriverConfigError
 from servo_daemon.samples import F64, U8, SampleBlock
 
 #: Listened to so long before the first look, and between two looks, s: three times the slowest rate of interest, 2 Hz.
@@ -151,3 +153,31 @@ class LearningDecoder:
             if self._decoder is not None:
                 self._batches.clear()
         return []
+
+
+class LearningListener(BusListener):
+    """A drive that is listened to with a `LearningDecoder`, which `_learn` makes at the end of the constructor."""
+
+    def _learn(self, keys: frozenset[int], choose: Callable[[dict[int, Heard]], Choice]) -> None:
+        """Begin with these identifiers; see `LearningDecoder`."""
+        self._bus_name = f"{self._settings['interface']}:{self._settings.get('channel')}"
+        self._decoder = LearningDecoder(keys, choose, self.counters, f"{self.kind}:{self._bus_name}")
+
+    @property
+    def remark(self) -> str | None:
+        return self._decoder.remark
+
+    @property
+    def _frames(self) -> FrameDecoder:
+        return self._decoder
+
+    def _whole(self, key: str, least: int, most: int) -> int | None:
+        """An option that is a whole number; None: it is not given.
+
+        Raises:
+            DriverConfigError: it is another thing.
+        """
+        value = self.options.get(key)
+        if value is not None and (isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most):
+            raise DriverConfigError(f"{self._where}: {key} must be a whole number {least} .. {most}, not {value!r}")
+        return value

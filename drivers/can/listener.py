@@ -6,6 +6,7 @@ import math
 import os
 import time
 from collections import deque
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 from drivers.base import DriveInfo, Driver, disconnected
@@ -20,6 +21,49 @@ BUS_OPTIONS = ("interface", "channel", "bitrate", "bus")
 #: python-can waits 2 s after opening an slcan adapter, for boards that start anew when their port is opened. USB-CAN
 #: adapters do not; `bus = {sleep_after_open = 2.0}` brings it back.
 SLCAN_SETTLE_S = 0.1
+
+
+def needed_text(options: Mapping[str, Any], key: str, where: str) -> str:
+    """An option that has to be there.
+
+    Raises:
+        DriverConfigError: it is not, or is no text.
+    """
+    value = options.get(key)
+    if not isinstance(value, str) or not value:
+        raise DriverConfigError(f"{where}: option '{key}' is needed, as a text")
+    return value
+
+
+def bus_settings(options: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Keyword arguments for `can.Bus` by `BUS_OPTIONS`; others are passed over.
+
+    Raises:
+        DriverConfigError: one is missing or wrong.
+    """
+    extra = options.get("bus", {})
+    if not isinstance(extra, dict):
+        raise DriverConfigError(f"{where}: 'bus' must be a table of python-can arguments")
+    for key in BUS_OPTIONS:
+        if key in extra:
+            raise DriverConfigError(f"{where}: '{key}' belongs beside the table 'bus', not in it")
+    interface = needed_text(options, "interface", where)
+    settings: dict[str, Any] = {"interface": interface}
+    if interface == "slcan":
+        settings["sleep_after_open"] = SLCAN_SETTLE_S
+        if os.name == "posix":  # elsewhere a serial port cannot be waited for with select
+            settings["timeout"] = 0
+    channel = options.get("channel")
+    if channel is not None:
+        if isinstance(channel, bool) or not isinstance(channel, str | int):
+            raise DriverConfigError(f"{where}: channel must be a text or a number, not {channel!r}")
+        settings["channel"] = channel
+    bitrate = options.get("bitrate")
+    if bitrate is not None:
+        if isinstance(bitrate, bool) or not isinstance(bitrate, int) or bitrate <= 0:
+            raise DriverConfigError(f"{where}: bitrate must be a whole number of bit/s, not {bitrate!r}")
+        settings["bitrate"] = bitrate
+    return settings | extra
 
 
 class FrameDecoder(Protocol):
@@ -53,7 +97,7 @@ class BusListener(Driver):
             if key not in (*BUS_OPTIONS, *known):
                 listed = ", ".join((*BUS_OPTIONS, *known))
                 raise DriverConfigError(f"{self._where}: unknown option '{key}': known are {listed}")
-        self._settings = self._bus_settings()
+        self._settings = bus_settings(options, self._where)
         self._blocks: deque[SampleBlock] = deque()
         self._port: CanPort | None = None
         self._inbox: Inbox | None = None
@@ -102,39 +146,6 @@ class BusListener(Driver):
         inbox, self._inbox = self._inbox, None
         if port is not None and inbox is not None:
             port.detach(inbox)
-
-    # ---- options
-
-    def _bus_settings(self) -> dict[str, Any]:
-        """Keyword arguments for `can.Bus`."""
-        extra = self.options.get("bus", {})
-        if not isinstance(extra, dict):
-            raise DriverConfigError(f"{self._where}: 'bus' must be a table of python-can arguments")
-        for key in BUS_OPTIONS:
-            if key in extra:
-                raise DriverConfigError(f"{self._where}: '{key}' belongs beside the table 'bus', not in it")
-        settings: dict[str, Any] = {"interface": self._text("interface")}
-        if settings["interface"] == "slcan":
-            settings["sleep_after_open"] = SLCAN_SETTLE_S
-            if os.name == "posix":  # elsewhere a serial port cannot be waited for with select
-                settings["timeout"] = 0
-        channel = self.options.get("channel")
-        if channel is not None:
-            if isinstance(channel, bool) or not isinstance(channel, str | int):
-                raise DriverConfigError(f"{self._where}: channel must be a text or a number, not {channel!r}")
-            settings["channel"] = channel
-        bitrate = self.options.get("bitrate")
-        if bitrate is not None:
-            if isinstance(bitrate, bool) or not isinstance(bitrate, int) or bitrate <= 0:
-                raise DriverConfigError(f"{self._where}: bitrate must be a whole number of bit/s, not {bitrate!r}")
-            settings["bitrate"] = bitrate
-        return settings | extra
-
-    def _text(self, key: str) -> str:
-        value = self.options.get(key)
-        if not isinstance(value, str) or not value:
-            raise DriverConfigError(f"{self._where}: option '{key}' is needed, as a text")
-        return value
 
     def _positive(self, key: str) -> float | None:
         value = self.options.get(key)

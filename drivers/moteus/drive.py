@@ -1,7 +1,8 @@
 """Driver "moteus": asks a moteus for its state, over an fdcanusb adapter (`port`) or a CAN FD bus of python-can.
 
-There is no register for the voltage that the drive applies (docs/drives.md), so R and L are out of reach; torque (by
-the drive's own torque constant) or the q current with the motion give J, B and friction. Nothing but `QUERY` is sent.
+There is no register for the voltage that the drive applies (docs/drives.md), so that R and L are out of reach; torque
+(by the drive's own torque constant) or the q current with the motion give J, B and friction, and nothing but `QUERY` is
+sent. With `signal = "voltage"` the voltage is read from the diagnostic channel (`voltage.py`), beside the q current.
 
     [drive.options]
     port = "/dev/fdcanusb"
@@ -20,6 +21,7 @@ from drivers.base import DriveInfo
 from drivers.can.decode import EXTENDED
 from drivers.can.unwrap import DeviceTime
 from drivers.moteus import fdcanusb, query
+from drivers.moteus.voltage import Moments, VoltageQuery, voltages
 from drivers.options import STRICT, checked
 from drivers.polling.can_link import CanLink, Frame, pack, padded, unpack
 from drivers.polling.driver import PollingDriver
@@ -43,10 +45,10 @@ def may_send(drive_id: int) -> tuple[bytes, Frame]:
 
 
 class MoteusOptions(BaseModel):
-    """`[drive.options]` of `driver = "moteus"`: `port` of an fdcanusb, or or a bus of python-can.
+    """`[drive.options]` of `driver = "moteus"`: `port` of an fdcanusb, or a bus of python-can.
 
-    `signal` is what drives the mechanics: "torque" as the drive gives it, or "current" (then K is needed as a nominal
-    value).
+    `signal` is what drives the mechanics: "torque" as the drive gives it, "current" (then K is needed as a nominal
+    value), or "voltage": the current, and beside it the voltage, at 200 Hz.
     """
 
     model_config = STRICT
@@ -56,8 +58,8 @@ class MoteusOptions(BaseModel):
     channel: str | int | None = None
     bus: dict[str, Any] = Field(default_factory=dict)
     drive_id: int = Field(1, ge=1, le=query.MOST_ID)
-    rate_hz: float = Field(1000.0, gt=0, le=4000)
-    signal: Literal["torque", "current"] = "torque"
+    rate_hz: float | None = Field(None, gt=0, le=4000)
+    signal: Literal["torque", "current", "voltage"] = "torque"
     pole_pairs: int = Field(1, ge=1)
 
     @model_validator(mode="after")
@@ -65,6 +67,11 @@ class MoteusOptions(BaseModel):
         if (self.port is None) == (self.interface is None):
             raise ValueError("'port' (of an fdcanusb) or 'interface' (of a CAN FD bus) is needed, one of them")
         return self
+
+    @property
+    def hz(self) -> float:
+        """Queries a second: as given, else by what is asked."""
+        return self.rate_hz or (200.0 if self.signal == "voltage" else 1000.0)
 
     @property
     def bus_settings(self) -> dict[str, Any]:
@@ -113,11 +120,20 @@ class MoteusDriver(PollingDriver[bytes]):
     kind: ClassVar[str] = "moteus"
 
     def __init__(self, name: str, options: dict[str, Any]) -> None:
-        settings = self._settings = checked(MoteusOptions, name, options)
+        self._settings = checked(MoteusOptions, name, options)
         super().__init__(name, options)
         self._placing = Placing(self.counters)
         self._device_time = DeviceTime(1e-3 * _TURNS)
-        self._query = Query(settings.drive_id, text=settings.port is not None)
+        self._query = self._new_query()
+
+    def _new_query(self) -> Query | VoltageQuery:
+        kind = VoltageQuery if self._settings.signal == "voltage" else Query
+        self._moments = Moments()
+        return kind(self._settings.drive_id, text=self._settings.port is not None)
+
+    @property
+    def remark(self) -> str | None:
+        return self._query.unread if isinstance(self._query, VoltageQuery) else None
 
     @property
     def meaning(self) -> SignalMeaning:
@@ -130,13 +146,17 @@ class MoteusDriver(PollingDriver[bytes]):
         channels = ("position_rad", "velocity_rad_s", "temperature_C", "torque_Nm")
         return DriveInfo(
             f"moteus:{where}:{s.drive_id}",
-            sample_period_s=1.0 / s.rate_hz,
-            channels=channels if s.signal == "torque" else ("current_A", *channels[:3]),
+            sample_period_s=1.0 / s.hz,
+            channels={
+                "torque": channels,
+                "current": ("current_A", *channels[:3]),
+                "voltage": ("voltage_V", "current_A", *channels[:3]),
+            }[s.signal],
         )
 
     @property
     def _pace(self) -> Pace:
-        return Pace(self._settings.rate_hz)
+        return Pace(self._settings.hz)
 
     def _open_link(self) -> Link:
         s = self._settings
@@ -148,15 +168,18 @@ class MoteusDriver(PollingDriver[bytes]):
         except DriverError as error:
             raise type(error)(f"drive {self.name}: {error}") from error
 
-    def _new_dialogue(self) -> Query:
+    def _new_dialogue(self) -> Query | VoltageQuery:
         self._placing.reopen()
         self._device_time = DeviceTime(1e-3 * _TURNS)
-        self._query = Query(self._settings.drive_id, text=self._settings.port is not None)
+        self._query = self._new_query()
         return self._query
 
-    def _samples(self, answers: list[Answer[bytes]]) -> SampleBlock:
-        self.counters.frames += len(answers)
+    def _samples(self, answers: list[Answer[bytes]]) -> SampleBlock | None:
         self.counters.framing_errors += self._query.take_strange()
+        answers = [a for a in answers if a.value]
+        self.counters.frames += len(answers)
+        if not answers:
+            return None
         state = query.replies([a.value for a in answers])
         time_s, number, quality = self._placing.place(answers)
         _, restarted = self._device_time.unwrap(1e-3 * state["counter_ms"], time_s)
@@ -165,10 +188,20 @@ class MoteusDriver(PollingDriver[bytes]):
         position, velocity = _of_turns(state["position"]), _of_turns(state["velocity"])
         by_torque = self._settings.signal == "torque"
         drive = _known(state["torque" if by_torque else "q_current"])
+        voltage = None
+        if self._settings.signal == "voltage":
+            voltage = voltages([a.value for a in answers])
+            sent_s, received_s = np.array([(a.sent_s, a.received_s) for a in answers]).T
+            position, velocity, drive = (
+                self._moments.earlier(name, values, sent_s, received_s)
+                for name, values in (("position", position), ("velocity", velocity), ("current", drive))
+            )
+            quality[np.isnan(voltage)] |= np.uint8(Quality.VOLTAGE_INVALID)
         quality[np.isnan(position)] |= np.uint8(Quality.POSITION_INVALID)
         quality[np.isnan(drive)] |= np.uint8(Quality.CURRENT_INVALID)
         return SampleBlock(
             time_s, number, quality, answers[-1].received_s,
+            voltage_V=voltage,
             current_A=None if by_torque else drive,
             torque_Nm=drive if by_torque else None,
             position_rad=position, velocity_rad_s=velocity, temperature_C=state["temperature"].astype(np.float64),

@@ -45,6 +45,11 @@ def request_id(drive_id: int) -> int:
     return ASKS | HOST_ID << 8 | drive_id
 
 
+def command_id(drive_id: int) -> int:
+    """Identifier of what a drive does not answer."""
+    return HOST_ID << 8 | drive_id
+
+
 def reply_id(drive_id: int) -> int:
     """Identifier of the drive's answer."""
     return drive_id << 8 | HOST_ID

@@ -1,4 +1,4 @@
-"""Driver "odrive": an ODrive that is listened to on CAN, or asked over USB or UART (firmware 0.5).
+"""Driver "odrive": an ODrive that is listened to on CAN, or asked there (firmware 0.6) or over USB or UART (0.5).
 
     [drive.options]
     interface = "socketcan"
@@ -8,6 +8,8 @@ or
 
     [drive.options]
     port = "/dev/ttyACM0"
+
+With `endpoints`, the maker's file for firmware 0.6, it is asked on CAN, its voltage as well.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from typing import Any, ClassVar
 from drivers.base import Driver
 from drivers.odrive.asking import AskedOdrive
 from drivers.odrive.listening import ListenedOdrive
+from drivers.odrive.sdo import SdoOdrive
 
 
 class OdriveDriver(Driver):
@@ -26,4 +29,6 @@ class OdriveDriver(Driver):
 
     @classmethod
     def made(cls, name: str, options: dict[str, Any]) -> Driver:
+        if "endpoints" in options:
+            return SdoOdrive(name, options)
         return AskedOdrive(name, options) if "port" in options else ListenedOdrive(name, options)

@@ -14,8 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from drivers.can.decode import Field
-from drivers.can.learn import Choice, Heard, LearningDecoder, bits_of, channel, in_every_burst, last_of_burst
-from drivers.can.listener import BusListener, FrameDecoder
+from drivers.can.learn import Choice, Heard, LearningListener, bits_of, channel, in_every_burst, last_of_burst
 from drivers.can.map import MappedChannel, SignalMap
 from drivers.can.vendor import VendorDecoder
 from servo_daemon.errors import DriverConfigError
@@ -32,7 +31,7 @@ FIRMWARES = ("auto", "0.5", "0.6")
 MEANING = SignalMeaning(voltage="instant", current="instant", convention="dq", publish="kt")
 
 #: From so many turns on the float32 position has steps of 1/1024 turn, too coarse to be one.
-_MOST_TURNS = 8192
+MOST_TURNS = 8192
 #: Rates are set in whole milliseconds; what is heard is within so much of it.
 _PERIOD_TOLERANCE = 0.03
 _STALE_PERIODS = 2.5
@@ -57,7 +56,7 @@ def fields_of(node: int) -> dict[str, Field]:
     }
 
 
-class ListenedOdrive(BusListener):
+class ListenedOdrive(LearningListener):
     """An ODrive that is listened to. Options beside the bus's: `node_id` (0 … 63; needed where several are heard) and
     `firmware` (auto, 0.5 or 0.6: whether message 0x1C is the torque)."""
 
@@ -65,28 +64,17 @@ class ListenedOdrive(BusListener):
 
     def __init__(self, name: str, options: dict[str, Any]) -> None:
         super().__init__(name, options, ("node_id", "firmware"))
-        node = options.get("node_id")
-        if node is not None and (isinstance(node, bool) or not isinstance(node, int) or node not in NODES):
-            raise DriverConfigError(f"{self._where}: node_id must be a whole number 0 .. 63, not {node!r}")
+        node = self._whole("node_id", NODES[0], NODES[-1])
         self._firmware = options.get("firmware", "auto")
         if self._firmware not in FIRMWARES:
             raise DriverConfigError(f"{self._where}: firmware must be one of {', '.join(FIRMWARES)}")
         commands = (HEARTBEAT, ENCODER, IQ, TORQUES)
         keys = frozenset(key_of(n, c) for n in (NODES if node is None else (node,)) for c in commands)
-        self._bus_name = f"{self._settings['interface']}:{self._settings.get('channel')}"
-        self._decoder = LearningDecoder(keys, self._choose, self.counters, f"odrive:{self._bus_name}")
+        self._learn(keys, self._choose)
 
     @property
     def meaning(self) -> SignalMeaning:
         return MEANING
-
-    @property
-    def remark(self) -> str | None:
-        return self._decoder.remark
-
-    @property
-    def _frames(self) -> FrameDecoder:
-        return self._decoder
 
     def _choose(self, heard: dict[int, Heard]) -> Choice:
         """What to make of the messages of the drive."""
@@ -122,7 +110,7 @@ class ListenedOdrive(BusListener):
 
 
 def _motion(fields: dict[str, Field]) -> list[MappedChannel]:
-    position = f"{_TURN} * (Pos + 0 / max(0, {_MOST_TURNS} - abs(Pos)))"  # no number where it is too coarse
+    position = f"{_TURN} * (Pos + 0 / max(0, {MOST_TURNS} - abs(Pos)))"  # no number where it is too coarse
     return [
         channel("position_rad", position, Pos=fields["Pos_Estimate"]),
         channel("velocity_rad_s", f"{_TURN} * Vel", Vel=fields["Vel_Estimate"]),

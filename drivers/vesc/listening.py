@@ -14,8 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from drivers.can.decode import EXTENDED, Field
-from drivers.can.learn import Choice, Heard, LearningDecoder, bits_of, channel, in_every_burst, last_of_burst
-from drivers.can.listener import BusListener, FrameDecoder
+from drivers.can.learn import Choice, Heard, LearningListener, bits_of, channel, in_every_burst, last_of_burst
 from drivers.can.map import MappedChannel, Operand, SignalMap
 from drivers.can.vendor import VendorDecoder
 from drivers.vesc.shaft import Shaft
@@ -59,7 +58,7 @@ def fields_of(vesc_id: int) -> dict[str, Field]:
     }
 
 
-class ListenedVesc(BusListener):
+class ListenedVesc(LearningListener):
     """A VESC that is listened to. Options beside the bus's: `can_id` (needed where several are heard), `pole_pairs`
     (without an encoder), `position` and `encoder_inverted` (found by themselves once the motor turns)."""
 
@@ -76,29 +75,11 @@ class ListenedVesc(BusListener):
         if not isinstance(self._inverted, bool):
             raise DriverConfigError(f"{self._where}: encoder_inverted must be true or false")
         ids = range(256) if self._can_id is None else (self._can_id,)
-        where = f"{self._settings['interface']}:{self._settings.get('channel')}"
-        self._decoder = LearningDecoder(
-            frozenset(key_of(m, i) for m in MESSAGES for i in ids), self._choose, self.counters, f"vesc:{where}"
-        )
-        self._bus_name = where
+        self._learn(frozenset(key_of(m, i) for m in MESSAGES for i in ids), self._choose)
 
     @property
     def meaning(self) -> SignalMeaning:
         return replace(LISTENED, pole_pairs=self._pole_pairs or 1)
-
-    @property
-    def remark(self) -> str | None:
-        return self._decoder.remark
-
-    @property
-    def _frames(self) -> FrameDecoder:
-        return self._decoder
-
-    def _whole(self, key: str, least: int, most: int) -> int | None:
-        value = self.options.get(key)
-        if value is not None and (isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most):
-            raise DriverConfigError(f"{self._where}: {key} must be a whole number {least} .. {most}, not {value!r}")
-        return value
 
     def _choose(self, heard: dict[int, Heard]) -> Choice:
         """What to make of the messages of the drive."""

@@ -10,13 +10,14 @@ import numpy as np
 
 from drivers.base import DriverCounters
 from drivers.can.decode import EXTENDED
+from drivers.can.listener import bus_settings
 from drivers.can.ours.wire import DESCRIPTION_ID, FIRST_DRIVE, LAST_DRIVE, SAMPLE_ID
 from drivers.can.port import CanPort, Inbox
 from drivers.cia402.identity import PROFILE, options_of, read_identity
 from drivers.mit import MODELS, robstride_keys, robstride_motor
 from drivers.odrive.listening import ENCODER, HEARTBEAT, NODES
 from drivers.odrive.listening import key_of as odrive_key
-from drivers.vesc.listening import MESSAGES, STATUS_1, ListenedVesc
+from drivers.vesc.listening import MESSAGES, STATUS_1
 from drivers.vesc.listening import key_of as vesc_key
 from servo_daemon.commands.scan.finding import Candidate
 from servo_daemon.errors import BadInputError
@@ -56,7 +57,7 @@ def on_bus(options: dict[str, Any], seconds: float, ask: bool) -> list[Candidate
         DriverError: the bus cannot be opened.
         BadInputError: it goes away.
     """
-    settings = ListenedVesc("scan", options).settings
+    settings = bus_settings(options, "scan")
     try:
         traffic = _heard(settings, seconds)
         own = [

@@ -17,7 +17,7 @@ from servo_daemon.samples import SampleBlock
 from servo_daemon.tracking.plan.signals import plan_signals
 
 #: A drive that answers has answered by then, s.
-_FIRST_ANSWER_S = 1.0
+_FIRST_ANSWER_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,7 @@ import contextlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 from drivers.base import DriverCounters
@@ -18,8 +19,8 @@ from drivers.vesc.requests import GET_MCCONF, request
 from servo_daemon.commands.scan.asking import within
 from servo_daemon.errors import DriverDisconnectedError, WireError
 
-#: For an answer of half a kilobyte at 9600 Bd.
-_PATIENCE_S = 0.7
+#: For an answer of half a kilobyte at 9600 Bd, on a busy host.
+_PATIENCE_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,15 +68,16 @@ def _vesc(link: SerialLink, options: Mapping[str, Any]) -> Preset:
 
 
 def _odrive(link: SerialLink, options: Mapping[str, Any]) -> Preset:
-    """Its torque constant, which is K of the current that it reports."""
-    link.send(TORQUE_CONSTANT[options.get("axis", 0)])
+    """Its torque constant, which is K of the current that it reports. Its answers have no names, and one to a question
+    of before may still come: so it is asked twice, and the same number twice in a row is the answer."""
+    link.send(TORQUE_CONSTANT[options.get("axis", 0)] * 2)
     text = b""
     for data in within(link, _PATIENCE_S):
         text += data
-        if b"\n" in text:
+        lines = [line.strip() for line in text.split(b"\n")[:-1]]
+        for line in (first for first, second in pairwise(lines) if first == second):
             with contextlib.suppress(ValueError):
-                value = float(text.split(b"\n")[0])
+                value = float(line)
                 if math.isfinite(value) and value > 0.0:
                     return Preset({"K": value}, remark="K is the drive's own torque constant")
-            break
     return Preset()

@@ -109,6 +109,12 @@ class FocDrive:
         self._noise = [drawn.gauss(0.0, noise_A) for _ in range(_NOISE_VALUES)]
 
     @property
+    def v_q_parts(self) -> tuple[float, float]:
+        """Of the next q voltage: the integral part, and what is fed forward."""
+        ahead = self.motor.pole_pairs * self.omega * (self.motor.flux + self.motor.L * self.i_d)
+        return self._integral_q, ahead
+
+    @property
     def time_s(self) -> float:
         return self.sums.n / CONTROL_HZ
 

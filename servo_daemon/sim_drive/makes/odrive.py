@@ -12,6 +12,16 @@ from servo_daemon.sim_drive.slcan_adapter import BusFrame
 
 Generation = Literal["0.5", "0.6"]
 
+#: Of 0.6: its firmware, and where parameters are (what the maker's flat_endpoints.json would say).
+FIRMWARE = (0, 6, 10)
+ENDPOINTS = {
+    "axis0.pos_estimate": 201,
+    "axis0.vel_estimate": 202,
+    "axis0.motor.foc.Iq_measured": 310,
+    "axis0.motor.foc.v_current_control_integral_q": 321,
+    "axis0.motor.foc.Vq_setpoint": 315,
+}
+
 #: The heartbeat comes every so many bursts: 100 ms at the encoder's default of 10 ms.
 _HEARTBEAT_EVERY = 10
 _CLOSED_LOOP = 8
@@ -28,8 +38,21 @@ class OdriveNode:
         self.period_s: float | None = period_s
         self._bursts = 0
 
-    def receive(self, frame: BusFrame) -> Sequence[BusFrame]:  # noqa: ARG002
-        return ()
+    def receive(self, frame: BusFrame) -> Sequence[BusFrame]:
+        """Firmware 0.6: its version, and reads of `ENDPOINTS`."""
+        if self._generation == "0.5" or frame.frame_id >> 5 != self._node:
+            return ()
+        command = frame.frame_id & 0x1F
+        if command == 0x00:
+            return (self._frame(0x00, bytes([2, 4, 4, 58, *FIRMWARE, 0])),)
+        if command != 0x04 or len(frame.data) != 4 or frame.data[0] != 0x00:
+            return ()
+        (endpoint,) = struct.unpack_from("<H", frame.data, 1)
+        drive, turn = self._motor.now(), 2.0 * math.pi
+        integral, ahead = drive.v_q_parts
+        values = (drive.theta / turn, drive.omega / turn, drive.i_q_filtered, integral, ahead)
+        told = dict(zip(ENDPOINTS.values(), values, strict=True)).get(endpoint)
+        return () if told is None else (self._frame(0x05, struct.pack("<BHBf", 0, endpoint, 0, told)),)
 
     def due(self) -> Sequence[BusFrame]:
         drive = self._motor.now()

@@ -197,3 +197,11 @@ def test_values_and_rate_of_a_live_drive(tmp_path: Path) -> None:
 def test_frames_pass_the_link_unchanged() -> None:
     frames = [Frame(0x8001 | 0x8000_0000, b""), Frame(5, bytes(range(64))), Frame(0x100, b"\1\2")]
     assert list(unpack(b"".join(map(pack, frames)))) == frames
+
+
+def test_checksums_of_a_uart_are_checked() -> None:
+    """As the maker's library makes them."""
+    lines = fdcanusb.Lines()
+    assert lines.feed(b"OK *BD\r\nrcv 100 210000 E B F *0A\r\n\r\n") == [(0x100, bytes.fromhex("210000"))]
+    assert lines.errors == 0
+    assert lines.feed(b"rcv 100 210001 E B F *0A\r\n") == [] and lines.errors == 1

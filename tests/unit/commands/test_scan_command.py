@@ -20,6 +20,7 @@ from drivers.vesc.packets import PacketReader
 from drivers.vesc.requests import MAY_SEND as VESC_MAY_SEND
 from servo_daemon.cli import main
 from servo_daemon.commands.scan.asking import servos_on
+from servo_daemon.commands.scan.presets import _odrive
 from servo_daemon.config import parse_config
 from servo_daemon.sim_drive.makes.can_nodes import SlcanBus
 from servo_daemon.sim_drive.makes.cia402 import Cia402Node
@@ -79,7 +80,7 @@ def test_without_ask_nothing_is_sent_and_it_says_so(tmp_path: Path, capsys: pyte
 def test_an_odrive_on_a_port_is_found_with_reads_only(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     port = tmp_path / "odrive"
     with line(port, OdriveText(motor())) as rig:
-        _, document = scan(capsys, "--port", str(port), "--ask", "--seconds", "1")
+        _, document = scan(capsys, "--port", str(port), "--ask", "--seconds", "2")
         heard = bytes(rig.heard)
     drive = only_drive(document)
     assert drive["driver"] == "odrive" and {"J", "B"} <= set(drive["determined"])
@@ -88,6 +89,7 @@ def test_an_odrive_on_a_port_is_found_with_reads_only(tmp_path: Path, capsys: py
     assert heard.replace(hello, b"").replace(ODRIVE_MAY_SEND[0], b"").replace(TORQUE_CONSTANT[0], b"") == b""
 
 
+@pytest.mark.slow
 def test_every_servo_of_a_chain_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     chain = DynamixelChain({3: sine_motor(0.01), 17: sine_motor(0.01)})
     with line(tmp_path / "chain", chain):
@@ -122,7 +124,7 @@ def test_a_simplefoc_monitor_is_found_without_asking(
 ) -> None:
     """All seven columns say what they are; of four only the sketch knows which."""
     with line(tmp_path / "foc", SimpleFocMonitor(sine_motor(0.01), monitor=monitor, period_s=0.01)) as rig:
-        _, document = scan(capsys, "--port", str(rig.link), "--seconds", "2")
+        _, document = scan(capsys, "--port", str(rig.link), "--seconds", "1")
         assert bytes(rig.heard) == b""
     drive = only_drive(document)
     assert drive["driver"] == "simplefoc"
@@ -208,3 +210,19 @@ def test_a_silent_bus_and_a_missing_port_are_told(tmp_path: Path, capsys: pytest
 def test_bad_flags_are_refused(words: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["scan", *words]) == 2
     assert words[1].replace(":", " ") in capsys.readouterr().err.replace(":", " ")
+
+
+def test_an_answer_to_a_question_of_before_is_no_torque_constant() -> None:
+    class Line:
+        """Two answers to the driver are still on their way."""
+
+        answers = iter([b"1.25 0.5\r\n0.75\r\n", b"0.0", b"5\r\n0.05\r\n"])
+
+        def send(self, data: bytes) -> None:
+            assert data == 2 * TORQUE_CONSTANT[0]
+
+        def receive(self, timeout_s: float) -> bytes:
+            return next(self.answers, b"")
+
+    link: Any = Line()
+    assert _odrive(link, {}).nominal == {"K": 0.05}

@@ -1,0 +1,153 @@
+"""Driver "moteus" with its q voltage from the diagnostic channel: what it tells, what is sent, what comes too late."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.can.decode import EXTENDED
+from drivers.moteus import fdcanusb, query, telemetry
+from drivers.moteus.drive import MoteusDriver
+from drivers.moteus.voltage import VoltageQuery, may_send, voltages
+from drivers.polling.poller import Answer
+from drivers.registry import make_driver
+from servo_daemon.config import DriveConfig
+from servo_daemon.errors import WireError
+from servo_daemon.pipeline.pipeline import Pipeline
+from servo_daemon.samples import SampleBlock
+from servo_daemon.sim_drive.makes.foc import FocDrive, Pmsm, RunningFoc
+from servo_daemon.sim_drive.makes.moteus import Fdcanusb, Moteus
+from servo_daemon.sim_drive.makes.moving import DQ_VOLTAGE, FocMotor, Shown
+from tests.drivers.makes.conformance import OnAPort
+from tests.drivers.makes.rig import line, sine_motor
+from tests.recovery.foc.lockstep import Clock
+
+#: From one frame to the next, CAN FD at 1 and 5 Mbit/s behind USB.
+FRAME_S = 2.5e-4
+
+
+class TestMoteusVoltage(OnAPort):
+    kind = "moteus"
+    wrong_types = {"rate_hz": "x", "signal": "power"}  # noqa: RUF012
+
+    @pytest.fixture
+    def options(self, tmp_path: Path) -> Iterator[dict[str, Any]]:
+        with line(tmp_path / "moteus", Fdcanusb(Moteus(sine_motor(1e-3), torque_constant=0.25))) as rig:
+            yield {"port": str(rig.link), "signal": "voltage"}
+        allowed = {fdcanusb.sent(f.key & ~EXTENDED, f.data).strip() for f in may_send(1)}
+        assert set(bytes(rig.heard).split(b"\n")) <= {*allowed, b""}
+
+
+def lockstep(driver: MoteusDriver, device: Fdcanusb, clock: Clock, rate_hz: float, n: int) -> Iterator[SampleBlock]:
+    """Every frame takes its time."""
+    dialogue, answers = driver._new_dialogue(), []
+    for k in range(n):
+        clock.now_s = sent_s = k / rate_hz
+        request = dialogue.next_request()
+        assert request is not None
+        replies = []
+        for command in request.data.splitlines(keepends=True):
+            clock.now_s += FRAME_S
+            replies += dialogue.feed(device.receive(command))
+        answers += [Answer(k, sent_s, clock.now_s, reply.value) for reply in replies]
+        if len(answers) >= 20:
+            block = driver._samples(answers)
+            answers = []
+            if block is not None:
+                yield block
+
+
+def test_the_voltage_tells_r_and_k() -> None:
+    motor, clock = Pmsm(), Clock()
+    driver = make_driver("moteus", "axis1", {"port": "lockstep", "signal": "voltage", "pole_pairs": 7})
+    assert isinstance(driver, MoteusDriver)
+    device = Fdcanusb(Moteus(FocMotor(RunningFoc(FocDrive(motor), clock)), torque_constant=motor.Kt))
+    pipeline = Pipeline(DriveConfig(), driver.info, meaning=driver.meaning)
+    for block in lockstep(driver, device, clock, 200.0, 2400):
+        pipeline.process(block, rows=False)
+    estimate = pipeline.finish() or pipeline.current()
+    assert estimate is not None
+    truth = {"R": 1.5 * motor.R, "K": motor.Kt, "J": motor.J, "B": motor.B}
+    claimed = {p.name: p for p in estimate.parameters if p.status == "tracking"}
+    assert {"K", "R"} <= set(claimed) <= set(truth)  # and no inductance
+    for name, p in claimed.items():
+        off = abs(p.value - truth[name])
+        assert off < 0.01 * truth[name] and off < 4.0 * p.std, (name, p.value / truth[name], p.std)
+
+
+class Late(Fdcanusb):
+    """Says what it has to say a poll later than it should, now and then."""
+
+    def __init__(self, drive: Moteus) -> None:
+        super().__init__(drive)
+        self._polls = 0
+
+    def _answer(self, words: list[bytes]) -> bytes:
+        if words[3][:2] == b"42":
+            self._polls += 1
+            if self._polls % 7 in (0, 1):
+                return b"OK\r\nrcv 100 410100 E B F\r\n"
+        return super()._answer(words)
+
+
+class Looks:
+    """A motor whose angle and voltage are how often it has been looked at."""
+
+    def __init__(self) -> None:
+        self._looks = 0
+
+    def now(self) -> Shown:
+        self._looks += 1
+        return Shown(0.0, DQ_VOLTAGE * self._looks, 0.0, float(self._looks), 0.0)
+
+
+def test_a_voltage_that_comes_late_belongs_to_no_other_round() -> None:
+    """The registers are those of the look that follows the voltage's."""
+    device, dialogue = Late(Moteus(Looks(), torque_constant=1.0)), VoltageQuery(1, text=True)
+    rounds = []
+    for _ in range(300):
+        request = dialogue.next_request()
+        assert request is not None
+        rounds += [reply.value for reply in dialogue.feed(device.receive(request.data)) if reply.value]
+    assert 100 < len(rounds) < 280  # some are lost
+    angle = query.replies(rounds)["position"] * math.tau
+    np.testing.assert_allclose(angle - voltages(rounds), 1.0, atol=1e-3)
+
+
+def test_schemas_of_every_fixed_kind_are_walked_through() -> None:
+    def field(name: str, kind: bytes, default: bytes = b"\x00") -> bytes:
+        return bytes([0, len(name)]) + name.encode() + b"\x01\x02as" + kind + default
+
+    end = b"\x00\x00\x00\x00\x00"
+    inner = b"\x10\x00" + field("x", b"\x03\x02") + end
+    before = (
+        field("mode", b"\x11\x04\x01" + b"\x01\x05\x03one") + field("wide", b"\x08", b"\x01" + bytes(8))
+        + field("three", b"\x13\x03\x07") + field("in", inner) + field("when", b"\x16") + field("on", b"\x02")
+    )  # fmt: skip
+    schema = b"\x10\x00" + before + field("q_V", b"\x07") + end
+    assert telemetry.place_of(schema, "q_V") == 1 + 8 + 12 + 2 + 8 + 1
+    for bad in (b"\x10\x00" + before + end, schema[:40], b"\x07", b"\x10\x00" + field("s", b"\x0a") + end, b""):
+        with pytest.raises(WireError):
+            telemetry.place_of(bad, "q_V")
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_any_bytes_come_to_nothing_worse_than_a_counter(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    dialogue = VoltageQuery(1, text=True)
+    for _ in range(200):
+        dialogue.next_request()
+        told = random.integers(0, 256, random.integers(0, 61), dtype=np.uint8).tobytes()
+        if random.random() < 0.3:
+            told = b"schema servo_control\r\n" + struct.pack("<I", 20) + told
+        frame = bytes([0x41, 1, min(len(told), 61)]) + told[:61]
+        for reply in dialogue.feed(b"rcv 100 %s E B F\r\n" % frame.hex().encode() * 2):
+            assert len(reply.value) in (0, 52)
+    assert dialogue.unread is None or "schema" in dialogue.unread
+    assert math.isfinite(dialogue.take_strange())

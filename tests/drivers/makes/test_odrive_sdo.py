@@ -1,0 +1,165 @@
+"""Driver "odrive" on CAN with endpoints: reads of firmware 0.6, its q voltage among them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.odrive.sdo import ENDPOINTS, SdoDialogue, SdoOdrive, may_send
+from drivers.polling.can_link import Frame, pack, unpack
+from drivers.polling.poller import Answer
+from drivers.registry import make_driver
+from servo_daemon.config import DriveConfig
+from servo_daemon.errors import DriverConfigError
+from servo_daemon.pipeline.pipeline import Pipeline
+from servo_daemon.samples import SampleBlock, concatenate
+from servo_daemon.sim_drive.makes import odrive as simulated
+from servo_daemon.sim_drive.makes.can_nodes import SlcanBus
+from servo_daemon.sim_drive.makes.foc import FocDrive, Pmsm, RunningFoc
+from servo_daemon.sim_drive.makes.odrive import OdriveNode
+from servo_daemon.sim_drive.slcan_adapter import BusFrame
+from tests.drivers.conformance import read_until
+from tests.drivers.makes.conformance import OnABus
+from tests.drivers.makes.rig import Silent, line
+from tests.recovery.foc.lockstep import Clock
+
+#: From one frame to the next on a bus of 500 kbit/s.
+FRAME_S = 2.6e-4
+
+
+def endpoints_file(folder: Path, fw_version: str = "0.6.10-1", **instead: Any) -> str:
+    table = {name: {"id": number, "type": "float"} for name, number in simulated.ENDPOINTS.items()}
+    table |= {"axis0.requested_state": {"id": 3, "type": "uint8"}}
+    path = folder / "flat_endpoints.json"
+    path.write_text(json.dumps({"fw_version": fw_version, "hw_version": "4.4.58", "endpoints": table} | instead))
+    return str(path)
+
+
+class TestOdriveBySdo(OnABus):
+    kind = "odrive"
+    wrong_types = {"node_id": 64, "firmware": "0.5", "rate_hz": -1.0, "endpoints": 5}  # noqa: RUF012
+
+    @pytest.fixture
+    def options(self, tmp_path: Path) -> Iterator[dict[str, Any]]:
+        bus = SlcanBus(OdriveNode(RunningFoc(FocDrive()), node_id=3))
+        with line(tmp_path / "can0", bus):
+            yield {
+                "interface": "slcan",
+                "channel": str(tmp_path / "can0"),
+                "node_id": 3,
+                "endpoints": endpoints_file(tmp_path),
+            }
+        allowed = {(f.key, f.data) for f in may_send(3, tuple(simulated.ENDPOINTS[name] for name in ENDPOINTS))}
+        assert {(f.frame_id, f.data) for f in bus.heard} <= allowed
+
+    @pytest.fixture
+    def silent_options(self, tmp_path: Path, silent_bus: dict[str, Any]) -> dict[str, Any]:
+        return silent_bus | {"endpoints": endpoints_file(tmp_path)}
+
+    @pytest.fixture
+    def silent_bus(self, tmp_path: Path) -> Iterator[dict[str, Any]]:
+        with line(tmp_path / "silent", Silent()):
+            yield {"interface": "slcan", "channel": str(tmp_path / "silent")}
+
+    @pytest.fixture
+    def missing_options(self, tmp_path: Path) -> dict[str, Any]:
+        return {
+            "interface": "slcan",
+            "channel": str(tmp_path / "nothing"),
+            "endpoints": endpoints_file(tmp_path),
+        }
+
+
+def lockstep(driver: SdoOdrive, node: OdriveNode, clock: Clock, rate_hz: float, n: int) -> Iterator[SampleBlock]:
+    """Every read is answered two frames after the one before it."""
+    dialogue, answers = driver._new_dialogue(), []
+    for k in range(n):
+        clock.now_s = sent_s = k / rate_hz
+        request = dialogue.next_request()
+        assert request is not None
+        replies = []
+        for frame in unpack(request.data):
+            clock.now_s += 2.0 * FRAME_S
+            for answer in node.receive(BusFrame(frame.key, frame.data)):
+                replies += dialogue.feed(pack(Frame(answer.frame_id, answer.data)))
+        answers += [Answer(k, sent_s, clock.now_s, reply.value) for reply in replies]
+        if len(answers) >= 20:
+            block = driver._samples(answers)
+            answers = []
+            if block is not None:
+                yield block
+
+
+def test_the_voltage_tells_r_and_k(tmp_path: Path) -> None:
+    motor, clock = Pmsm(), Clock()
+    options = {"interface": "virtual", "channel": "x", "endpoints": endpoints_file(tmp_path), "pole_pairs": 7}
+    driver = make_driver("odrive", "axis1", options)
+    assert isinstance(driver, SdoOdrive)
+    node = OdriveNode(RunningFoc(FocDrive(motor), clock))
+    pipeline = Pipeline(DriveConfig(), driver.info, meaning=driver.meaning)
+    for block in lockstep(driver, node, clock, 200.0, 2400):
+        pipeline.process(block, rows=False)
+    estimate = pipeline.finish() or pipeline.current()
+    assert estimate is not None
+    truth = {"R": 1.5 * motor.R, "K": motor.Kt, "J": motor.J, "B": motor.B}
+    claimed = {p.name: p for p in estimate.parameters if p.status == "tracking"}
+    assert {"K", "R"} <= set(claimed) <= set(truth)  # and no inductance
+    for name, p in claimed.items():
+        off = abs(p.value - truth[name])
+        assert off < 0.01 * truth[name] and off < 4.0 * p.std, (name, p.value / truth[name], p.std)
+
+
+def test_endpoints_of_another_firmware_are_not_read(tmp_path: Path) -> None:
+    bus = SlcanBus(OdriveNode(RunningFoc(FocDrive())))
+    options = {"interface": "slcan", "channel": str(tmp_path / "can0"), "endpoints": endpoints_file(tmp_path, "0.6.9")}
+    with line(tmp_path / "can0", bus), make_driver("odrive", "axis1", options) as driver:
+        while driver.remark is None:
+            assert driver.read(0.05) is None
+        assert driver.read(0.05) is None
+        assert "0.6.10" in driver.remark and "0.6.9" in driver.remark
+    assert {f.data for f in bus.heard} == {b""}, "only the version was asked for"
+
+
+@pytest.mark.parametrize(
+    ("instead", "said"),
+    [({"endpoints": {}}, "vel_estimate"), ({"fw_version": "new"}, "flat_endpoints"), ({"endpoints": []}, "endpoints")],
+)
+def test_another_file_is_refused_by_name(tmp_path: Path, instead: dict[str, Any], said: str) -> None:
+    path = endpoints_file(tmp_path, **instead)
+    with pytest.raises(DriverConfigError, match=said):
+        make_driver("odrive", "axis1", {"interface": "virtual", "endpoints": path})
+    with pytest.raises(DriverConfigError, match=r"nowhere\.json"):
+        make_driver("odrive", "axis1", {"interface": "virtual", "endpoints": "nowhere.json"})
+
+
+def test_a_round_with_an_answer_missing_is_no_sample() -> None:
+    dialogue = SdoDialogue(0, (1, 2), (0, 6, 10))
+    dialogue.next_request()
+    assert len(dialogue.feed(pack(Frame(0x00, bytes([2, 4, 4, 58, 0, 6, 10, 0]))))) == 1
+
+    def told(endpoint: int) -> bytes:
+        return pack(Frame(0x05, bytes([0, endpoint, 0, 0]) + np.float32(endpoint).tobytes()))
+
+    dialogue.next_request()
+    assert dialogue.feed(told(1)) == []
+    dialogue.next_request()
+    assert dialogue.feed(told(2)) == []
+    (reply,) = dialogue.feed(told(1))
+    assert reply.value == (1.0, 2.0)
+
+
+def test_its_samples_are_the_motors(tmp_path: Path) -> None:
+    bus = SlcanBus(OdriveNode(RunningFoc(FocDrive())))
+    options = {"interface": "slcan", "channel": str(tmp_path / "can0"), "endpoints": endpoints_file(tmp_path)}
+    with line(tmp_path / "can0", bus), make_driver("odrive", "axis1", options) as driver:
+        block = concatenate(read_until(driver, 60))
+    motor = Pmsm()
+    assert block.voltage_V is not None and block.velocity_rad_s is not None and block.current_A is not None
+    columns = np.c_[block.current_A, block.velocity_rad_s]
+    _, K = np.linalg.lstsq(columns, block.voltage_V, rcond=None)[0]
+    assert pytest.approx(motor.pole_pairs * motor.flux, rel=0.1) == K
