@@ -76,6 +76,11 @@ def moved_to(other: OutputErrorFit, fit: OutputErrorFit) -> F64:
     there = dict(zip(other.problem.parameter_of_column, other.solution.point.unknowns, strict=False))
     names = fit.problem.parameter_of_column
     moved = [there[n] - fit.solution.point.unknowns[k] if n in there else 0.0 for k, n in enumerate(names)]
+    return bounded_move(np.array(moved))
+
+
+def bounded_move(moved: F64) -> F64:
+    """With no coordinate moved by more than a logarithm may be."""
     return np.clip(moved, -_AT_MOST, _AT_MOST)
 
 
