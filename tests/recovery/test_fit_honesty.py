@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from servo_daemon.captures import Capture
 from servo_daemon.commands.fit.document import parameter_row
 from servo_daemon.commands.fit.notes import result_notes
 from servo_daemon.commands.fit.text import parameter_line
@@ -127,7 +129,9 @@ def test_nothing_has_a_value_where_a_channel_is_not_explained() -> None:
     fit = fit_output_error([replace(made, block=replace(made.block, current_A=-current))])
     assert all(p.value is None and p.std is None for p in fit.parameters.values())
     assert not fit.combinations
-    first = result_notes(fit, {})[0]
+    of = Capture(Path("c.csv"), made.block.time_s, made.block.voltage_V, -current, made.block.position_rad)
+    first = result_notes(fit, {}, capture=of)[0]
+    assert 'current_A = { signal = "current_A", scale = -1 } }' in first
     assert "explains next to nothing of current_A" in first and "no parameter has a value" in first
 
 
@@ -163,6 +167,13 @@ def test_the_lag_of_a_speed_s_sensor_is_in_the_time_constant() -> None:
     lag, true = found["(J R + L B)/(B R + K²)"], GEAR_MOTOR.J * GEAR_MOTOR.R / braking
     assert lag.value > 1.15 * true
     assert abs(lag.value - true) < 3.0 * lag.std
+
+
+def test_a_direction_without_a_trace_stays_open_beside_a_friction_that_hides() -> None:
+    """With little friction another point is looked at for what B may do; R and J stay as open as they were here."""
+    motor = replace(LARGE_SERVO, L=1e-3, B=0.02 * LARGE_SERVO.K**2 / LARGE_SERVO.R)
+    fit = fit_output_error([without_current(motor, {}, 3.0)])
+    assert not {"K/R", "J/K", "K²/J", "K²/R + B"} & {c.expression for c in fit.combinations}
 
 
 def test_poles_that_no_lag_makes_tell_l_without_a_current() -> None:

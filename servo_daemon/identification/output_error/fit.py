@@ -137,7 +137,9 @@ def published(fit: OutputErrorFit, recordings: Sequence[Recording], options: Fit
     def again(
         effects: tuple[str, ...], values: Mapping[str, float], held: Collection[str] = ()
     ) -> OutputErrorFit | None:
-        fixed = {**{name: values[name] for name in held}, **options.fixed}
+        table = {p.name: p for p in fit.problem.plant.parameters}
+        within = {n: float(np.clip(values[n], table[n].lower, table[n].upper)) for n in held}
+        fixed = {**within, **options.fixed}
         with suppress(NumericalError):
             begun = replace(
                 options, nominal={**values, **fixed}, fixed=fixed, thorough=False, noise_model="none", misfit=False

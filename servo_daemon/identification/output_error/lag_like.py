@@ -66,9 +66,13 @@ def by_other_lags(fit: OutputErrorFit, again: Refit) -> F64 | None:
             if name in names:
                 column[names.index(name)] = _SHARE * change
         return column
-    lag_s = values["L"] / values["R"] / 2.0
-    other = again((*problem.plant.effects, _LAG), {**values, "L": values["L"] / 2.0, "t_lag": lag_s})
+    other = again((*problem.plant.effects, _LAG), halved_lag(values, "t_lag"))
     return None if other is None else moved_to(other, fit)
+
+
+def halved_lag(values: Mapping[str, float], name: str) -> Mapping[str, float]:
+    """Where a search begins that shares the winding's lag between L and this parameter."""
+    return {**values, "L": values["L"] / 2.0, name: values["L"] / values["R"] / 2.0}
 
 
 def moved_to(other: OutputErrorFit, fit: OutputErrorFit) -> F64:

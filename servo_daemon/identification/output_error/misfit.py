@@ -51,8 +51,8 @@ def unexplained(fit: OutputErrorFit) -> tuple[str, ...]:
 
 
 def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit:
-    """The fit with what its model lacks in the standard deviations, what its B and R may be of other losses, and its L
-    of something else's lag; without values where it explains nothing.
+    """The fit with what its model lacks in the standard deviations, what its B, R and L may be of what
+    follows other laws; without values where it explains nothing.
 
     Args:
         scale: as for `information`.
