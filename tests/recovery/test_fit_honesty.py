@@ -15,6 +15,8 @@ from servo_daemon.commands.fit.notes import result_notes
 from servo_daemon.commands.fit.text import parameter_line
 from servo_daemon.identification.output_error import FitOptions, OutputErrorFit, Recording, fit_output_error
 from servo_daemon.identification.output_error.precision.combinations import Combination, determined_combinations
+from servo_daemon.identification.output_error.precision.information import Information
+from servo_daemon.identification.output_error.precision.parameters import with_nulls_of
 from servo_daemon.identification.output_error.republished import republished
 from servo_daemon.identification.output_error.window_regression import window_starts
 from servo_daemon.plant.effects import parameter_table
@@ -170,10 +172,15 @@ def test_the_lag_of_a_speed_s_sensor_is_in_the_time_constant() -> None:
 
 
 def test_a_direction_without_a_trace_stays_open_beside_a_friction_that_hides() -> None:
-    """With little friction another point is looked at for what B may do; R and J stay as open as they were here."""
-    motor = replace(LARGE_SERVO, L=1e-3, B=0.02 * LARGE_SERVO.K**2 / LARGE_SERVO.R)
-    fit = fit_output_error([without_current(motor, {}, 3.0)])
-    assert not {"K/R", "J/K", "K²/J", "K²/R + B"} & {c.expression for c in fit.combinations}
+    """At another point, where friction shows, one of two null directions is a little turned and the other is seen."""
+    both = np.array([[1.0, 0.0, -1.0, 0.0], [0.0, 0.1, 0.0, 1.0]])
+    exact = both / np.linalg.norm(both, axis=1)[:, None]
+    turned = np.array([[0.0, 0.2, 0.0, 1.0]]) / np.hypot(0.2, 1.0)
+    here = Information(("R", "K", "J", "B"), np.zeros((4, 0)), np.ones(4, dtype=bool), (), exact)
+    joined = with_nulls_of(here, replace(here, exact=turned))
+    assert len(joined.exact) == 2
+    for direction in (exact[0], turned[0]):
+        assert joined.exact.T @ np.linalg.pinv(joined.exact.T) @ direction == pytest.approx(direction)
 
 
 def test_poles_that_no_lag_makes_tell_l_without_a_current() -> None:

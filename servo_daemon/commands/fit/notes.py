@@ -72,10 +72,9 @@ def result_notes(
 
 
 def _unexplained(name: str, capture: Capture | None) -> str:
-    text = (
-        f"the model explains next to nothing of {name}, and no parameter has a value: is its sign turned, or its unit "
-    )
-    return f"{text}wrong?" if capture is None else f"{text}wrong? {mend(capture, name, {'scale': -1.0})} turns it"
+    text = f"the model explains next to nothing of {name}, and no parameter has a value"
+    turned = "" if capture is None else f" {mend(capture, name, {'scale': -1.0})} turns it"
+    return f"{text}: is its sign turned, or its unit wrong?{turned}"
 
 
 def _counts_hint(found: Mapping[str, float | None], nominal: Mapping[str, float]) -> list[str]:
