@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from servo_daemon.api.times import iso_utc, iso_utc_list
-from servo_daemon.published.history import STATUS_BY_CODE, HistorySeries
+from servo_daemon.api.times import iso_utc
 from servo_daemon.published.snapshot import (
     Event,
     ParameterEstimate,
@@ -21,7 +20,6 @@ from servo_daemon.published.snapshot import (
     finite_or_none,
 )
 from servo_daemon.published.view import DaemonView, DriveView
-from servo_daemon.samples import F64
 
 Document = dict[str, Any]
 
@@ -32,7 +30,7 @@ def encode(document: Document) -> bytes:
     Raises:
         ValueError: NaN or an infinity in it.
     """
-    return json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
+    return json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode("utf-8", "replace")
 
 
 def scalar(value: object) -> float | int | bool | str | None:
@@ -180,26 +178,6 @@ def event_document(event: Event) -> Document:
     }
 
 
-def _column(array: F64) -> list[float | None]:
-    return [value if known else None for value, known in zip(array.tolist(), np.isfinite(array), strict=True)]
-
-
-def history_document(drive: DriveView, series: HistorySeries) -> Document:
-    """`GET /drives/{d}/history`: columns of equal length, oldest first."""
-    status = None if series.status is None else [STATUS_BY_CODE[code] for code in series.status.tolist()]
-    return {
-        "drive": drive.name,
-        "parameter": series.name,
-        "unit": series.unit,
-        "points": len(series),
-        "time": iso_utc_list(series.time_s),
-        "value": _column(series.value),
-        "std": _column(series.std),
-        "status": status,
-        "truth": None if series.truth is None else _column(series.truth),
-    }
-
-
 def health_document(daemon: DaemonView) -> Document:
     """`GET /health`."""
     problems = list(daemon.problems())
@@ -214,12 +192,13 @@ def health_document(daemon: DaemonView) -> Document:
 
 
 def ready_document(daemon: DaemonView) -> tuple[bool, Document]:
-    """`GET /ready`: whether any drive has ever delivered samples to this process, and what each waits for."""
+    """`GET /ready`: whether any drive that is not down has delivered samples to this process, and what each waits for.
+    One that is switched off and whose line is open (silent) does not take the daemon out of service."""
     drives: Document = {}
     ready = False
     for name, drive in daemon.drives.items():
         snapshot = drive.snapshot()
-        fresh = snapshot.time is not None
+        fresh = snapshot.time is not None and snapshot.connection != "down"
         ready = ready or fresh
         drives[name] = {
             "ready": fresh,

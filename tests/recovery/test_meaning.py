@@ -88,6 +88,7 @@ def test_an_offset_and_a_load_do_not_make_a_modulus() -> None:
     assert findings(capture(held)) == ()
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("motor", [PAPER, RE40, LARGE_SERVO, BELT_SERVO], ids=lambda m: m.name)
 def test_a_modulus_gets_its_signs_back(tmp_path: Path, motor: Motor) -> None:
     of = columns(motor, "multisine", 1000.0)

@@ -16,11 +16,13 @@ import numpy as np
 from servo_daemon.identification.output_error.fitted import OutputErrorFit
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.kalman.gaussian import natural_values
+from servo_daemon.plant.contribution import contribution
+from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.samples import F64
 
 #: The lag that stands for all of them; and the effects that L may be.
 _LAG = "drive_lag"
-LAGS = (_LAG, "measurement_delay", "speed_filter")
+LAGS = tuple(name for name, effect in effects_by_name().items() if effect.late)
 #: Of a share between zero and one that nothing is known of, root of the mean square.
 _SHARE = 1.0 / np.sqrt(3.0)
 #: No logarithm is moved by more.
@@ -48,7 +50,8 @@ def equivalents(problem: Problem) -> dict[str, tuple[str, ...]]:
     """By parameter, the effects whose trace it may be."""
     if not leaves_the_trace_of_l(problem):
         return {}
-    return {"L": LAGS if "velocity_rad_s" in problem.channels else LAGS[:2]}
+    seen = "velocity_rad_s" in problem.channels
+    return {"L": tuple(n for n in LAGS if seen or not contribution(n).touches("velocity_rad_s"))}
 
 
 def by_other_lags(fit: OutputErrorFit, again: Refit) -> F64 | None:
