@@ -22,8 +22,8 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from tests.recovery.field.dressings import DRESSINGS
-from tests.recovery.field.judge import FieldCase, Number, cases, judge
-from tests.recovery.resumed import run
+from tests.recovery.field.judge import Number, cases, judge
+from tests.recovery.resumed import rows_of, run
 
 _HEAD = "files | numbers | wrong | open | mend told | mended right | diagnosed | wrong names"
 _TITLES = {
@@ -96,13 +96,20 @@ def main() -> int:
     parser.add_argument("--diagnose", type=int, default=8, metavar="N", help="every N-th file is diagnosed; 0: none")
     parser.add_argument("--file", type=Path, help="of the results (build/real-SEED.jsonl)")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--table", action="store_true", help="only print what is in the file")
     asked = parser.parse_args()
+    if asked.table and asked.file is None and asked.seed is None:
+        parser.error("--table of which draw? --seed or --file")
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     seed = secrets.randbelow(10**6) if asked.seed is None else asked.seed
-    wanted: list[FieldCase] = cases(seed, asked.count, asked.diagnose)
-    random.Random(seed).shuffle(wanted)  # what is there when it is stopped is then a fair sample
-    rows = run(asked.file or Path(f"build/real-{seed}.jsonl"), wanted, judge, asked.workers)
-    print(f"draw {seed}: {len(rows)} files, {sum(c.diagnosed for c in wanted)} of them diagnosed\n\n{tables(rows)}")
+    path = asked.file or Path(f"build/real-{seed}.jsonl")
+    rows = rows_of(path)
+    if not asked.table:
+        wanted = cases(seed, asked.count, asked.diagnose)
+        random.Random(seed).shuffle(wanted)  # what is there when it is stopped is then a fair sample
+        rows = run(path, wanted, judge, asked.workers)
+    diagnosed = sum(r["case"]["diagnosed"] for r in rows)
+    print(f"draw {seed}: {len(rows)} files, {diagnosed} of them diagnosed\n\n{tables(rows)}")
     return 0
 
 

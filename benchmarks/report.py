@@ -41,6 +41,7 @@ COMMANDS: Mapping[str, tuple[str, ...]] = {
     "heavy-steps": ("-m", "benchmarks.heavy_steps"),
     "identification": ("benchmarks/identification.py",),
     "identification-montecarlo": ("-m", "benchmarks.identification_montecarlo", *_MONTE_CARLO),
+    "real": ("-m", "benchmarks.real"),
     "diagnosis": ("-m", "benchmarks.diagnosis"),
     "real-axis": ("benchmarks/real_axis.py",),
     "excite": ("benchmarks/excite.py",),

@@ -15,12 +15,13 @@ import secrets
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from math import sqrt
 from pathlib import Path
 from typing import Any
 
 from tests.recovery.generator import LISTED
-from tests.recovery.hidden import INVISIBLE, UNNAMED, cases, judge
+from tests.recovery.hidden import INVISIBLE, UNNAMED, Case, cases, judge
 from tests.recovery.resumed import rows_of, run
 
 _Z = 1.959964
@@ -46,7 +47,7 @@ def kind(row: Mapping[str, Any]) -> str:
         return "clean: nothing named"
     if cause in UNNAMED:
         return "not in the library: nothing named"
-    if cause in INVISIBLE:
+    if cause in INVISIBLE or (cause in LISTED and not Case(**row["case"]).shows(cause)):
         return "not visible in one capture: nothing named"
     if "+" in cause:
         return "pair: both named right"
@@ -99,6 +100,7 @@ def options(words: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--file", type=Path, help="of the results (build/matrix-SEED.jsonl)")
     parser.add_argument("--repeats", type=int, default=1, help="rounds over causes, strengths and motors")
     parser.add_argument("--clean", type=int, default=400, help="captures with nothing hidden")
+    parser.add_argument("--without-current", action="store_true", help="leave it out of every capture")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--table", action="store_true", help="only print what is in the file")
     found = parser.parse_args(words)
@@ -106,7 +108,8 @@ def options(words: Sequence[str] | None = None) -> argparse.Namespace:
         parser.error("--table of which draw? --seed or --file")
     if found.seed is None:
         found.seed = secrets.randbelow(_DRAWS)
-    found.file = found.file or Path(f"build/matrix-{found.seed}.jsonl")
+    kind = "-without-current" if found.without_current else ""
+    found.file = found.file or Path(f"build/matrix-{found.seed}{kind}.jsonl")
     return found
 
 
@@ -118,7 +121,7 @@ def main() -> int:
         return 0
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     print(f"draw {asked.seed}: go on with --seed {asked.seed}", file=sys.stderr)
-    wanted = list(cases(asked.seed, asked.repeats, asked.clean))
+    wanted = [replace(c, current=not asked.without_current) for c in cases(asked.seed, asked.repeats, asked.clean)]
     random.Random(asked.seed).shuffle(wanted)  # what is there when it is stopped is then a fair sample
     rows = run(asked.file, wanted, judge, asked.workers)
     sys.stdout.write(f"draw {asked.seed}: {len(LISTED)} causes, {len(rows)} captures\n{table(rows)}\n")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -26,6 +27,17 @@ def test_without_a_seed_nobody_knows_the_draw_beforehand() -> None:
     assert len({o.seed for o in fresh}) == 4
     assert all(str(o.seed) in o.file.name for o in fresh)
     assert options(["--seed", "12"]).seed == 12
+
+
+def test_without_a_current_its_own_faults_are_not_asked_for() -> None:
+    with_it = next(c for c in cases(7) if c.cause == "current_sensor_offset")
+    without = replace(with_it, current=False)
+    assert with_it.shows("current_sensor_offset") and not without.shows("current_sensor_offset")
+    assert with_it.key != without.key
+    dry = replace(without, cause="coulomb_friction")
+    assert dry.shows("coulomb_friction")
+    asked = options(["--seed", "12", "--without-current"])
+    assert asked.file != options(["--seed", "12"]).file
 
 
 def test_no_test_holds_a_case_of_any_draw(repo_root: Path) -> None:

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from servo_daemon.captures import Capture
 from servo_daemon.commands.fit.document import parameter_row
 from servo_daemon.commands.fit.notes import result_notes
 from servo_daemon.commands.fit.text import parameter_line
 from servo_daemon.identification.output_error import FitOptions, OutputErrorFit, Recording, fit_output_error
 from servo_daemon.identification.output_error.precision.combinations import Combination, determined_combinations
+from servo_daemon.identification.output_error.precision.information import Information
+from servo_daemon.identification.output_error.precision.parameters import with_nulls_of
 from servo_daemon.identification.output_error.republished import republished
 from servo_daemon.identification.output_error.window_regression import window_starts
 from servo_daemon.plant.effects import parameter_table
@@ -127,7 +131,9 @@ def test_nothing_has_a_value_where_a_channel_is_not_explained() -> None:
     fit = fit_output_error([replace(made, block=replace(made.block, current_A=-current))])
     assert all(p.value is None and p.std is None for p in fit.parameters.values())
     assert not fit.combinations
-    first = result_notes(fit, {})[0]
+    of = Capture(Path("c.csv"), made.block.time_s, made.block.voltage_V, -current, made.block.position_rad)
+    first = result_notes(fit, {}, capture=of)[0]
+    assert 'current_A = { signal = "current_A", scale = -1 } }' in first
     assert "explains next to nothing of current_A" in first and "no parameter has a value" in first
 
 
@@ -163,6 +169,18 @@ def test_the_lag_of_a_speed_s_sensor_is_in_the_time_constant() -> None:
     lag, true = found["(J R + L B)/(B R + K²)"], GEAR_MOTOR.J * GEAR_MOTOR.R / braking
     assert lag.value > 1.15 * true
     assert abs(lag.value - true) < 3.0 * lag.std
+
+
+def test_a_direction_without_a_trace_stays_open_beside_a_friction_that_hides() -> None:
+    """At another point, where friction shows, one of two null directions is a little turned and the other is seen."""
+    both = np.array([[1.0, 0.0, -1.0, 0.0], [0.0, 0.1, 0.0, 1.0]])
+    exact = both / np.linalg.norm(both, axis=1)[:, None]
+    turned = np.array([[0.0, 0.2, 0.0, 1.0]]) / np.hypot(0.2, 1.0)
+    here = Information(("R", "K", "J", "B"), np.zeros((4, 0)), np.ones(4, dtype=bool), (), exact)
+    joined = with_nulls_of(here, replace(here, exact=turned))
+    assert len(joined.exact) == 2
+    for direction in (exact[0], turned[0]):
+        assert joined.exact.T @ np.linalg.pinv(joined.exact.T) @ direction == pytest.approx(direction)
 
 
 def test_poles_that_no_lag_makes_tell_l_without_a_current() -> None:

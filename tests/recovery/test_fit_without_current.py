@@ -39,9 +39,9 @@ def test_the_answer_to_the_voltage_is_known_and_the_parameters_are_not(motor: Mo
     }
     found = {c.expression: c for c in fit.combinations}
     assert found.keys() >= truth.keys()
-    for (name, value), largest in zip(truth.items(), (3e-4, 2e-3, 0.5), strict=True):
+    for (name, value), largest in zip(truth.items(), (3e-4, 4e-3, 0.5), strict=True):
         assert found[name].std < largest * value
-        assert abs(found[name].value - value) < 4 * found[name].std + 2e-3 * value
+        assert abs(found[name].value - value) < 4 * found[name].std
     assert fit.answer is not None
     std = np.sqrt(np.diag(fit.answer.covariance))
     assert std == pytest.approx([c.std / c.value for c in fit.answer.coefficients])

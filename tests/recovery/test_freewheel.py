@@ -12,6 +12,7 @@ from servo_daemon.diagnosis.diagnose import DiagnoseOptions, diagnose
 from servo_daemon.diagnosis.verdict.result import Diagnosis
 from servo_daemon.identification.output_error import FitOptions, Recording, fit_output_error
 from servo_daemon.samples import make_block
+from tests.recovery.field.draws import pulses
 from tests.recovery.generator import (
     BELT_SERVO,
     GEAR_MOTOR,
@@ -30,21 +31,13 @@ pytestmark = pytest.mark.usefixtures("generator_built")
 _COLUMNS = ("voltage_V", "current_A", "position_rad")
 
 
-def pulses(motor: Motor, seconds: float, rate_hz: float, seed: int) -> Plan:
-    """Voltages of either sign, 50 to 400 ms long, two in seven of them zero."""
-    rng = np.random.default_rng(seed)
-    volts = np.zeros(round(seconds * rate_hz))
-    begin = 0
-    while begin < len(volts):
-        end = begin + int(rng.uniform(0.05, 0.4) * rate_hz)
-        volts[begin:end] = 0.6 * motor.supply_V * rng.choice([0, 0, 0.3, 0.5, -0.4, 0.7, -0.7])
-        begin = end
-    return Plan("voltage", volts)
+def commanded(motor: Motor, seconds: float, rate_hz: float, seed: int) -> Plan:
+    return pulses(motor, np.arange(round(seconds * rate_hz)) / rate_hz, np.random.default_rng(seed))
 
 
 def made(motor: Motor, *, opens: bool, seed: int = 3, rate_hz: float = 500.0) -> Made:
     effects: dict[str, EffectValues] = {"freewheel_drive": {}} if opens else {}
-    plan = pulses(motor, 12.0, rate_hz, seed)
+    plan = commanded(motor, 12.0, rate_hz, seed)
     return generate(motor, Scenario(plan, seconds=12, rate_hz=rate_hz, seed=seed, effects=effects))
 
 
@@ -56,7 +49,7 @@ def diagnosed(of: Made, **signals: np.ndarray) -> Diagnosis:
 def test_the_generator_s_open_bridge_lets_the_motor_coast() -> None:
     """No current where the command is zero, and a speed that falls by friction alone."""
     coasting, braking = (made(GEAR_MOTOR, opens=opens).truth for opens in (True, False))
-    command = pulses(GEAR_MOTOR, 12.0, 500.0, 3).reference
+    command = commanded(GEAR_MOTOR, 12.0, 500.0, 3).reference
     late = np.flatnonzero((command[2:] == 0) & (command[1:-1] == 0) & (command[:-2] == 0)) + 2
     assert np.all(coasting.current_A[late] == 0.0)
     assert np.max(np.abs(braking.current_A[late])) > 0.1

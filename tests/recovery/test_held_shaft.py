@@ -14,17 +14,12 @@ from servo_daemon.config import DriveConfig
 from servo_daemon.diagnosis.diagnose import diagnose
 from servo_daemon.identification.output_error import OutputErrorFit, Recording, fit_output_error
 from servo_daemon.pipeline.pipeline import Pipeline
-from servo_daemon.samples import F64, SampleBlock, make_block
-from tests.recovery.generator import GEAR_MOTOR, PAPER, RE40, Motor, Plan, Scenario, Start, generate
+from servo_daemon.samples import SampleBlock, make_block
+from tests.recovery.field.draws import held_steps
+from tests.recovery.generator import GEAR_MOTOR, PAPER, RE40, Motor, Scenario, Start, generate
 
 pytestmark = pytest.mark.usefixtures("generator_built")
 MOTION = ("K", "J", "B")
-
-
-def held_steps(motor: Motor, time_s: F64, rng: np.random.Generator) -> Plan:
-    """Steps of the voltage up to the rated current, as for a blocked-rotor test."""
-    level = rng.uniform(-1.0, 1.0, round(float(time_s[-1]) / 0.1) + 2) * motor.R * motor.rated_current_A
-    return Plan("voltage", level[(time_s / 0.1).astype(int)])
 
 
 def blocked(motor: Motor, *names: str, seconds: float = 4.0, seed: int = 0) -> SampleBlock:

@@ -74,7 +74,7 @@ def diagnosis_document(d: Diagnosis, inputs: Inputs, evidence: Evidence) -> dict
         "null_directions": [null_row(n) for n in final.null_directions],
         "combinations": [combination_row(c, linear=linear) for c in final.combinations],
         "toml": toml_lines(final, d.effects) if d.effects else None,
-        "notes": [*inputs.notes, *result_notes(final, inputs.nominal, inputs.meaning)],
+        "notes": [*inputs.notes, *result_notes(final, inputs.nominal, inputs.meaning, inputs.captures[0])],
         "seconds": d.seconds,
         "unfinished": None if d.unfinished is None else asdict(d.unfinished),
     }

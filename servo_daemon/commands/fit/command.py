@@ -92,7 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
     result = identify(
         inputs.captures, inputs.validation, IdentifyOptions(inputs.effects, inputs.baseline, options, arguments.adapt)
     )
-    found = result_notes(result.fit, {**inputs.nominal, **inputs.fixed}, inputs.meaning)
+    found = result_notes(result.fit, {**inputs.nominal, **inputs.fixed}, inputs.meaning, inputs.captures[0])
     if result.drift is not None:
         found.append(drift_note(result.drift, result.fit, linear=result.captures[0].axis == "linear"))
     for text in found:

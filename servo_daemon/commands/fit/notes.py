@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from servo_daemon.captures import Capture
+from servo_daemon.captures.meaning.finding import mend
 from servo_daemon.commands.shared.units import shown_column, shown_unit
 from servo_daemon.identification.output_error import OutputErrorFit
 from servo_daemon.identification.output_error.lag_like import equivalents
@@ -19,18 +21,20 @@ _FAR = 10.0
 _NEAR, _SQUARE_NEAR = 0.1, 0.35
 
 
-def result_notes(fit: OutputErrorFit, nominal: Mapping[str, float], meaning: SignalMeaning | None = None) -> list[str]:
+def result_notes(
+    fit: OutputErrorFit,
+    nominal: Mapping[str, float],
+    meaning: SignalMeaning | None = None,
+    capture: Capture | None = None,
+) -> list[str]:
     """Remarks on estimates far from their nominal values, at a bound, and on how the input is taken.
 
     Args:
         nominal: all values that are given, held ones too.
         meaning: of the captures' signals; None: as they are by default.
+        capture: one of them, for the line that mends it.
     """
-    notes = [
-        f"the model explains next to nothing of {name}, and no parameter has a value: is its sign turned, or its unit "
-        "wrong?"
-        for name in unexplained(fit)
-    ]
+    notes = [_unexplained(name, capture) for name in unexplained(fit)]
     notes += [
         f"no current is measured: {name}, and the time constants, are all of the lag that was found, of which "
         f"{' or '.join(effects)} would leave the same trace: `--fix {name}=…`, or measure the current"
@@ -65,6 +69,12 @@ def result_notes(fit: OutputErrorFit, nominal: Mapping[str, float], meaning: Sig
             "Ω, which no residual shows and no standard deviation holds; `--fix R=…` puts it there"
         )
     return notes
+
+
+def _unexplained(name: str, capture: Capture | None) -> str:
+    text = f"the model explains next to nothing of {name}, and no parameter has a value"
+    turned = "" if capture is None else f" {mend(capture, name, {'scale': -1.0})} turns it"
+    return f"{text}: is its sign turned, or its unit wrong?{turned}"
 
 
 def _counts_hint(found: Mapping[str, float | None], nominal: Mapping[str, float]) -> list[str]:

@@ -27,6 +27,7 @@ from servo_daemon.identification.output_error.precision.parameters import (
     correlation_of,
     fitted_parameters,
     seen_with_friction,
+    with_nulls_of,
 )
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.problem.setup import (
@@ -103,8 +104,7 @@ def fit_output_error(
     answer = voltage_answer(problem.plant, at_end, after, scale)
     with_friction = seen_with_friction(problem, solution.point, scale)
     if with_friction is not None:
-        lost = after.undetermined | with_friction.undetermined
-        after = replace(after, undetermined=lost, exact=with_friction.exact)
+        after = with_nulls_of(after, with_friction)
     parameters, offsets = fitted_parameters(problem, solution, after, options.nominal, options.fixed)
     found = OutputErrorFit(
         problem=problem,
@@ -138,7 +138,9 @@ def published(fit: OutputErrorFit, recordings: Sequence[Recording], options: Fit
     def again(
         effects: tuple[str, ...], values: Mapping[str, float], held: Collection[str] = ()
     ) -> OutputErrorFit | None:
-        fixed = {**{name: values[name] for name in held}, **options.fixed}
+        table = {p.name: p for p in fit.problem.plant.parameters}
+        within = {n: float(np.clip(values[n], table[n].lower, table[n].upper)) for n in held}
+        fixed = {**within, **options.fixed}
         with suppress(NumericalError):
             begun = replace(
                 options, nominal={**values, **fixed}, fixed=fixed, thorough=False, noise_model="none", misfit=False

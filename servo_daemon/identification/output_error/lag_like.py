@@ -69,9 +69,13 @@ def by_other_lags(fit: OutputErrorFit, again: Refit) -> F64 | None:
             if name in names:
                 column[names.index(name)] = _SHARE * change
         return column
-    lag_s = values["L"] / values["R"] / 2.0
-    other = again((*problem.plant.effects, _LAG), {**values, "L": values["L"] / 2.0, "t_lag": lag_s})
+    other = again((*problem.plant.effects, _LAG), halved_lag(values, "t_lag"))
     return None if other is None else moved_to(other, fit)
+
+
+def halved_lag(values: Mapping[str, float], name: str) -> Mapping[str, float]:
+    """Where a search begins that shares the winding's lag between L and this parameter."""
+    return {**values, "L": values["L"] / 2.0, name: values["L"] / values["R"] / 2.0}
 
 
 def moved_to(other: OutputErrorFit, fit: OutputErrorFit) -> F64:
@@ -79,6 +83,11 @@ def moved_to(other: OutputErrorFit, fit: OutputErrorFit) -> F64:
     there = dict(zip(other.problem.parameter_of_column, other.solution.point.unknowns, strict=False))
     names = fit.problem.parameter_of_column
     moved = [there[n] - fit.solution.point.unknowns[k] if n in there else 0.0 for k, n in enumerate(names)]
+    return bounded_move(np.array(moved))
+
+
+def bounded_move(moved: F64) -> F64:
+    """With no coordinate moved by more than a logarithm may be."""
     return np.clip(moved, -_AT_MOST, _AT_MOST)
 
 

@@ -21,14 +21,19 @@ from dataclasses import replace
 import numpy as np
 
 from servo_daemon.identification.output_error.fitted import OutputErrorFit
-from servo_daemon.identification.output_error.lag_like import Refit, by_other_lags
+from servo_daemon.identification.output_error.lag_like import Refit, bounded_move, by_other_lags
 from servo_daemon.identification.output_error.noise.noise import WORTH, resolution
 from servo_daemon.identification.output_error.noise.residual import ResidualTest, innovation_tests
 from servo_daemon.identification.output_error.noise.whitening import moving
 from servo_daemon.identification.output_error.other_laws import by_other_laws
-from servo_daemon.identification.output_error.precision.combinations import determined_combinations, wider_answer
+from servo_daemon.identification.output_error.precision.combinations import (
+    answer_between,
+    determined_combinations,
+    wider_answer,
+)
 from servo_daemon.identification.output_error.precision.information import information
 from servo_daemon.identification.output_error.precision.parameters import FittedParameter, at_bounds, correlation_of
+from servo_daemon.kalman.gaussian import natural_values
 from servo_daemon.samples import F64
 
 #: Share of a misfit's square that lies along a parameter. Of the linear motor fitted to 90 captures of three motors
@@ -46,8 +51,8 @@ def unexplained(fit: OutputErrorFit) -> tuple[str, ...]:
 
 
 def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit:
-    """The fit with what its model lacks in the standard deviations, what its B and R may be of other losses, and its L
-    of something else's lag; without values where it explains nothing.
+    """The fit with what its model lacks in the standard deviations, what its B, R and L may be of what
+    follows other laws; without values where it explains nothing.
 
     Args:
         scale: as for `information`.
@@ -57,15 +62,13 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
         parameters = {n: p if p.status == "fixed" else _lost(p) for n, p in fit.parameters.items()}
         offsets = tuple({n: _lost(p) for n, p in each.items()} for each in fit.offsets)
         return replace(fit, parameters=parameters, offsets=offsets, combinations=(), answer=None, correlation={})
-    square, problem = _square(fit), fit.problem
+    problem, square = fit.problem, _square(fit)
+    likelier = None if square else _likelier(fit)
     names = problem.parameter_of_column
-    lacking = math.sqrt(_ALONG * square) * information(problem, fit.solution.point, scale).root if square else None
-    lag = by_other_lags(fit, again)
-    laws = by_other_laws(fit, again) if square else None
-    columns = [c for c in (lacking, *(None if c is None else c[:, None] for c in (laws, lag))) if c is not None]
-    if not columns or not names:
+    inside, lag = _lacking(fit, scale, again, square, likelier), by_other_lags(fit, again)
+    added = inside if lag is None else np.column_stack([inside, lag])
+    if not names or not (added.size or likelier is not None):
         return fit
-    added = np.hstack(columns)
     parameters = dict(fit.parameters)
     for k, name in enumerate(names[: problem.n_shared]):
         std = float(np.linalg.norm(added[k]))
@@ -73,11 +76,13 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
     lost = np.array([parameters[n].status == "undetermined" for n in names], dtype=bool)
     root = np.hstack([fit.after.root, added])
     after = replace(fit.after, root=root, undetermined=fit.after.undetermined | lost)
-    at_end = problem.coordinates(fit.solution.point.unknowns, 0)
-    seen, bounded = (names, scale), at_bounds(problem, fit.solution)
+    at_end, bounded = problem.coordinates(fit.solution.point.unknowns, 0), at_bounds(problem, fit.solution)
     # The lag is all in the answer of a motor that an encoder shows; the sensor of a speed has one of its own.
-    more = added if lag is None or "velocity_rad_s" in problem.channels else added[:, :-1]
-    answer = wider_answer(fit.answer, problem.plant, at_end, seen, more) if more.size else fit.answer
+    more = added if "velocity_rad_s" in problem.channels else inside
+    answer = wider_answer(fit.answer, problem.plant, at_end, (names, scale), more) if more.size else fit.answer
+    if likelier is not None:
+        there = natural_values(problem.plant.parameters, problem.coordinates(likelier, 0))
+        answer = answer_between(answer, natural_values(problem.plant.parameters, at_end), there)
     return replace(
         fit,
         parameters=parameters,
@@ -86,6 +91,29 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
         answer=answer,
         combinations=determined_combinations(problem.plant, at_end, answer, after, scale, bounded),
     )
+
+
+def _lacking(fit: OutputErrorFit, scale: F64, again: Refit, square: float, likelier: F64 | None) -> F64:
+    """Root of what comes on top of the coordinates' covariance, but for other lags, shape (k, ·)."""
+    k = len(fit.problem.parameter_of_column)
+    parts = [np.zeros((k, 0))]
+    if square:
+        parts.append(math.sqrt(_ALONG * square) * information(fit.problem, fit.solution.point, scale).root)
+        laws = by_other_laws(fit, again)
+        parts += [] if laws is None else [laws[:, None]]
+    elif likelier is not None and not fit.null_directions:  # along one of those it says nothing how far they are apart
+        parts.append(bounded_move(likelier[:k] - fit.solution.point.unknowns[:k])[:, None])
+    return np.hstack(parts)
+
+
+def _likelier(fit: OutputErrorFit) -> F64 | None:
+    """The unknowns that are likeliest with noise that enters the motor, where such noise explains what is left but is
+    not known to be all of it; None: there is no such estimate.
+
+    Plain output error is the safer one of the two, and where that noise adds up over a long run it may be far off.
+    """
+    tried = fit.polished
+    return None if fit.noise is not None or fit.white or tried is None else tried.point.unknowns
 
 
 def _lost(p: FittedParameter) -> FittedParameter:

@@ -1,9 +1,9 @@
-"""B and R where the model lacks something: losses that grow otherwise with speed or current leave nearly their trace.
+"""B, R and L where the model lacks something: what follows another law leaves nearly their trace.
 
 A motor with dry friction turns as one with more viscous friction, and B takes all of it; the drop of brushes passes for
-more resistance in R. They come out several times too large, and little is left of the data that would say so. So where
-something is left, models with losses of other laws are fitted, and as far as the best of them moves the parameters,
-these are unknown.
+more resistance in R, the lag of a filtered speed for L. They come out several times too large, and little is
+left of the data that would say so. So where something is left, models with the other laws are fitted, and as far as the
+best of them moves the parameters, these are unknown.
 """
 
 from __future__ import annotations
@@ -11,24 +11,34 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from servo_daemon.identification.output_error.fitted import OutputErrorFit
-from servo_daemon.identification.output_error.lag_like import Refit, moved_to
+from servo_daemon.identification.output_error.lag_like import Refit, halved_lag, moved_to
 from servo_daemon.identification.output_error.noise.noise import WORTH
 from servo_daemon.kalman.gaussian import natural_values
 from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.samples import F64
 
-#: Losses that do not grow with speed or current, and one that grows with the square of the speed: the parameter that
-#: takes them, and the one that a model with any loss of that law has.
-_OTHERS = (("coulomb_friction", "B", "Tc"), ("quadratic_drag", "B", "c2"), ("brush_voltage_drop", "R", "Vb"))
+#: Losses that do not grow with speed or current, one that grows with the square of the speed, and the filter of a
+#: speed's sensor: the parameter that takes them, and the one that a model with any effect of that kind has.
+_OTHERS = (
+    ("coulomb_friction", "B", "Tc"),
+    ("quadratic_drag", "B", "c2"),
+    ("brush_voltage_drop", "R", "Vb"),
+    ("speed_filter", "L", "t_f"),
+)
+#: Effects that are seen in one channel only.
+_NEEDS = {"brush_voltage_drop": "current_A", "speed_filter": "velocity_rad_s"}
 
 
 def by_other_laws(fit: OutputErrorFit, again: Refit) -> F64 | None:
-    """By how much the coordinates of the free parameters may be off, in one direction, where some of the losses follow
-    another law: 1 σ, shape (k,). None: the model has these laws, or they explain no more."""
+    """By how much the coordinates of the free parameters may be off, in one direction, where something follows another
+    law: 1 σ, shape (k,). None: the model has these laws, or they explain no more."""
     problem = fit.problem
     values = natural_values(problem.plant.parameters, problem.coordinates(fit.solution.point.unknowns, 0))
     held = _held(fit)
-    found = [again((*problem.plant.effects, name), values, held) for name in _missing(fit)]
+    found = [
+        again((*problem.plant.effects, name), halved_lag(values, "t_f") if name == "speed_filter" else values, held)
+        for name in _missing(fit)
+    ]
     best = min((f for f in found if f is not None), key=lambda f: f.solution.point.value, default=None)
     if best is None or best.solution.point.value > fit.plain.point.value - WORTH:
         return None
@@ -36,13 +46,12 @@ def by_other_laws(fit: OutputErrorFit, again: Refit) -> F64 | None:
 
 
 def _missing(fit: OutputErrorFit) -> Iterator[str]:
-    """Effects of `_OTHERS` that the model lacks and whose trace a free parameter may have taken. Without a current R is
-    seen only together with K, and brushes beside both."""
+    """Effects of `_OTHERS` that the model lacks and whose trace a free parameter may have taken."""
     problem, known = fit.problem, effects_by_name()
     there = {p.name for name in problem.plant.effects for p in known[name].parameters}
-    seen = set(problem.free) - ({"R"} if "current_A" not in problem.channels else set())
     for name, takes, parameter in _OTHERS:
-        if takes in seen and parameter not in there:
+        channel = _NEEDS.get(name)
+        if takes in problem.free and parameter not in there and (channel is None or channel in problem.channels):
             yield name
 
 

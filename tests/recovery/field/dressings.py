@@ -96,7 +96,9 @@ def _misnamed(change: Callable[[Draw, Run], Mapping[str, F64]], says: str, **tol
     """A dressing whose columns `change` gives."""
 
     def dressed(d: Draw) -> Dressed:
-        r = d.run("multisine")
+        # an angle within a turn moves by less than a fifth of one between two samples
+        rates = [rate for rate in (200.0, 500.0, 1000.0) if rate > 0.8 * d.motor.speed_max_rad_s]
+        r = d.run("multisine", rate_hz=d.one(rates or (2000.0,)))
         columns = {"time_s": r.t, "voltage_V": r.v, "current_A": r.i, "position_rad": r.x} | change(d, r)
         more = {key: value(r) if callable(value) else value for key, value in told.items()}
         left_out = bool(more.pop("left_out", False))
@@ -139,8 +141,8 @@ _MISNAMED: Mapping[str, Callable[[Draw], Dressed]] = {
         left_out=True,
         put=lambda r: {"supply_V": f"{r.motor.supply_V:g}"},
     ),
-    "a current turned round": _misnamed(lambda d, r: {"current_A": -r.i}, r"counts against"),
-    "an encoder turned round": _misnamed(lambda d, r: {"position_rad": -r.x}, r"counts against"),
+    "a current turned round": _misnamed(lambda d, r: {"current_A": -r.i}, r"counts against|sign turned"),
+    "an encoder turned round": _misnamed(lambda d, r: {"position_rad": -r.x}, r"counts against|sign turned"),
 }
 
 

@@ -105,6 +105,18 @@ def voltage_answer(plant: PlantModel, q: F64, info: Information, scale: F64) -> 
     return VoltageAnswer(coefficients, np.asarray(root @ root.T))
 
 
+def answer_between(answer: VoltageAnswer | None, here: _Values, there: _Values) -> VoltageAnswer | None:
+    """The same as little known as two estimates of the same data are apart; None where there is none.
+
+    Args:
+        here, there: natural values of all parameters at both.
+    """
+    if answer is None:
+        return None
+    functions = [candidate[3] for candidate in _CANDIDATES[:_ANSWER]]
+    return _with_more(answer, np.array([[f(there) / f(here) - 1.0] for f in functions]))
+
+
 def wider_answer(
     answer: VoltageAnswer | None, plant: PlantModel, q: F64, seen: tuple[Sequence[str], F64], added: F64
 ) -> VoltageAnswer | None:
@@ -124,7 +136,11 @@ def wider_answer(
             for c in _CANDIDATES[:_ANSWER]
         ]
     )
-    more = rows / scale @ added
+    return _with_more(answer, rows / scale @ added)
+
+
+def _with_more(answer: VoltageAnswer, more: F64) -> VoltageAnswer | None:
+    """With a root of relative deviations, shape (3, ·), on top; None where one of the first two then means nothing."""
     covariance = answer.covariance + more @ more.T
     share = np.sqrt(covariance.diagonal())
     if share[0] > _USELESS or share[1] > _USELESS:
