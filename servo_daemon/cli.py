@@ -36,6 +36,7 @@ COMMANDS = {
     "train": "servo_daemon.commands.train",
     "check": "servo_daemon.commands.check",
     "scan": "servo_daemon.commands.scan.command",
+    "token": "servo_daemon.commands.token",
 }
 
 

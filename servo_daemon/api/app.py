@@ -10,7 +10,9 @@ from starlette.responses import JSONResponse
 
 from servo_daemon.api import assets, problems
 from servo_daemon.api.access.guard import Guard
+from servo_daemon.api.access.permission import Permission
 from servo_daemon.api.access.request_limits import RequestLimits
+from servo_daemon.api.access.tokens import TokenFile
 from servo_daemon.api.computing import Computer, ProcessComputer
 from servo_daemon.api.head import Head
 from servo_daemon.api.routes import api_router, metrics_router
@@ -28,7 +30,13 @@ answer ever holds NaN. Errors are RFC 9457 problem details (`application/problem
 """
 
 
-def create_app(daemon: DaemonView, allowed_hosts: Iterable[str] = (), computer: Computer | None = None) -> FastAPI:
+def create_app(
+    daemon: DaemonView,
+    allowed_hosts: Iterable[str] = (),
+    computer: Computer | None = None,
+    tokens: TokenFile | None = None,
+    open_metrics: bool = False,
+) -> FastAPI:
     """The ASGI application. It only ever reads published records, and asks for a reset, a diagnosis or
     another model.
 
@@ -37,6 +45,8 @@ def create_app(daemon: DaemonView, allowed_hosts: Iterable[str] = (), computer: 
             streams end and the server need not wait for them.
         allowed_hosts: DNS names by which browsers may reach the daemon, beyond IP addresses, local names and this
             machine's own; see `guard.py`.
+        tokens: who may ask for what; None: whoever reaches the daemon may.
+        open_metrics: `/metrics` needs no token.
         computer: carries out what takes long; the caller closes it. None: a process of its own, which ends with this
             one.
     """
@@ -55,6 +65,7 @@ def create_app(daemon: DaemonView, allowed_hosts: Iterable[str] = (), computer: 
     app.include_router(assets.make_router())
     app.add_middleware(Head)
     app.add_middleware(RequestLimits)
+    app.add_middleware(Permission, known=tokens, open_metrics=open_metrics)
     app.add_middleware(Guard, allowed_hosts=tuple(allowed_hosts))
     _describe(app)
     return app
