@@ -18,7 +18,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from servo_daemon.commands.shared import common
-from servo_daemon.commands.shared.exposure import check_exposure, known_tokens
+from servo_daemon.commands.shared.exposure import check_exposure, follow_certificate, known_tokens
 from servo_daemon.config import Config, DriveConfig, load_config
 from servo_daemon.errors import ServoDaemonError
 
@@ -210,7 +210,7 @@ async def _serve_api(daemon: Daemon, listener: socket.socket, told: asyncio.Even
         computer.close()
         server.should_exit = True
 
-    watcher = asyncio.create_task(exit_when_told())
+    watcher = asyncio.gather(exit_when_told(), follow_certificate(server.config, api))
     # What is loaded now stays: the garbage collector need not walk through it again and again.
     gc.collect()
     gc.freeze()
