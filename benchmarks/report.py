@@ -32,9 +32,11 @@ _MONTE_CARLO = ("--runs", "2000", "--motors", "paper", "--motions", "multisine",
 COMMANDS: Mapping[str, tuple[str, ...]] = {
     "wire-serial": ("benchmarks/wire_serial.py",),
     "wire-can": ("benchmarks/wire_can.py",),
+    "polling": ("-m", "benchmarks.polling"),
     "captures": ("benchmarks/captures.py",),
     "ekf-step": ("benchmarks/ekf_step.py",),
     "daemon": ("benchmarks/daemon.py",),
+    "life": ("-m", "benchmarks.life"),
     "neighbours": ("-m", "benchmarks.neighbours", "--seconds", "30"),
     "heavy-steps": ("-m", "benchmarks.heavy_steps"),
     "identification": ("benchmarks/identification.py",),
@@ -44,6 +46,7 @@ COMMANDS: Mapping[str, tuple[str, ...]] = {
     "excite": ("benchmarks/excite.py",),
     "learning": ("benchmarks/learning.py",),
     "refresh": ("benchmarks/refresh.py",),
+    "life-trend": ("-m", "benchmarks.life_trend"),
     **{
         part: ("-m", "benchmarks.tracking", part)
         for part in (

@@ -76,6 +76,26 @@ class LearningConfig(_Section):
     nice: int = Field(15, ge=0, le=19)
 
 
+class HistoryConfig(_Section):
+    """`[history]`: what was published, kept for years. Without `url` a SQLite file, `path` or `history.sqlite` in the
+    state directory; without one of these in memory only."""
+
+    enabled: bool = True
+    path: str | None = None
+    url: str | None = None  # postgresql://user@host/database
+    rows_hours: float = Field(1.0, ge=0.1, le=1e4)  # single rows, ten a second
+    seconds_days: float = Field(1.0, ge=0.1, le=1e4)
+    minutes_days: float = Field(90.0, ge=1, le=1e5)
+    hours_years: float = Field(20.0, ge=0.1, le=1000)
+    quota_MB: float = Field(2000.0, ge=10, allow_inf_nan=False)  # beyond it the oldest of the finer levels go
+
+    @model_validator(mode="after")
+    def _one_place(self) -> HistoryConfig:
+        if self.path is not None and self.url is not None:
+            raise ValueError("path and url: give one of them")
+        return self
+
+
 class EstimationConfig(_Section):
     """`[drive.estimation]`."""
 
@@ -242,6 +262,7 @@ class Config(_Section):
     storage: StorageConfig = StorageConfig()
     diagnosis: DiagnosisConfig = DiagnosisConfig()
     learning: LearningConfig = LearningConfig()
+    history: HistoryConfig = HistoryConfig()
     drive: tuple[DriveConfig, ...] = (DriveConfig(),)
 
     @field_validator("drive")

@@ -11,6 +11,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 
 from servo_daemon.parameters import LINEAR
+from servo_daemon.published.archive import Archive
 from servo_daemon.published.diagnosis_state import Adoption, Diagnosis, DiagnosisView
 from servo_daemon.published.history import HistoryRing
 from servo_daemon.published.knowledge import LoopFacts
@@ -163,6 +164,7 @@ class FakeDaemon:
     started: float = T0
     wrong: tuple[str, ...] = ()
     stop: bool = False
+    archive: Archive | None = None
 
     def problems(self) -> Sequence[str]:
         return self.wrong

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 from typing import Any, Final
 
+from starlette.requests import Request
 from starlette.responses import Response
 
 from servo_daemon.api import documents
@@ -18,6 +20,16 @@ _PROBLEM_REF: Final = "#/components/schemas/ProblemDocument"
 def json_response(document: documents.Document, status: int = 200) -> Response:
     """A document as an answer."""
     return Response(documents.encode(document), status, NO_STORE, media_type="application/json")
+
+
+def tagged(request: Request, body: bytes, media_type: str = "application/json") -> Response:
+    """An answer with an entity tag: 304 and nothing more where the client has it already (RFC 9110, 13.1.2)."""
+    etag = f'"{hashlib.blake2b(body, digest_size=12).hexdigest()}"'
+    headers = {"ETag": etag, "Cache-Control": "no-cache", "Vary": "Accept"}
+    known = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
+    if etag in known or "*" in known:
+        return Response(status_code=304, headers=headers)
+    return Response(body, headers=headers, media_type=media_type)
 
 
 def problem_answer(description: str) -> dict[str, Any]:

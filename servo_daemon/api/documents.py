@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from servo_daemon.api.times import iso_utc, iso_utc_list
-from servo_daemon.published.history import STATUS_BY_CODE, HistorySeries
+from servo_daemon.api.times import iso_utc
 from servo_daemon.published.snapshot import (
     Event,
     ParameterEstimate,
@@ -21,7 +20,6 @@ from servo_daemon.published.snapshot import (
     finite_or_none,
 )
 from servo_daemon.published.view import DaemonView, DriveView
-from servo_daemon.samples import F64
 
 Document = dict[str, Any]
 
@@ -178,26 +176,6 @@ def event_document(event: Event) -> Document:
         "kind": event.kind,
         "message": event.message,
         "data": _scalars(event.data),
-    }
-
-
-def _column(array: F64) -> list[float | None]:
-    return [value if known else None for value, known in zip(array.tolist(), np.isfinite(array), strict=True)]
-
-
-def history_document(drive: DriveView, series: HistorySeries) -> Document:
-    """`GET /drives/{d}/history`: columns of equal length, oldest first."""
-    status = None if series.status is None else [STATUS_BY_CODE[code] for code in series.status.tolist()]
-    return {
-        "drive": drive.name,
-        "parameter": series.name,
-        "unit": series.unit,
-        "points": len(series),
-        "time": iso_utc_list(series.time_s),
-        "value": _column(series.value),
-        "std": _column(series.std),
-        "status": status,
-        "truth": None if series.truth is None else _column(series.truth),
     }
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import Annotated, Any, Final
 
@@ -10,49 +9,34 @@ from fastapi import APIRouter, Path, Query, Request
 from pydantic import BaseModel
 from starlette.responses import Response, StreamingResponse
 
-from servo_daemon.api import diagnosis, documents
-from servo_daemon.api.answers import INVALID, NO_STORE, REFUSED, UNKNOWN_DRIVE, Responses, json_response, problem_answer
+from servo_daemon.api import diagnosis, documents, past
+from servo_daemon.api.answers import (
+    INVALID,
+    NO_STORE,
+    REFUSED,
+    UNKNOWN_DRIVE,
+    Responses,
+    json_response,
+    problem_answer,
+    tagged,
+)
 from servo_daemon.api.computing import Computer, while_connected
+from servo_daemon.api.fleet import fleet_document
 from servo_daemon.api.problems import ProblemError, parameter_problem
 from servo_daemon.api.schemas import estimates as schemas
+from servo_daemon.api.schemas import past as past_schemas
 from servo_daemon.api.schemas import tuning as tuning_schemas
 from servo_daemon.api.stream import StreamSlots, estimates_stream
-from servo_daemon.api.times import ACCEPTED, parse_time
 from servo_daemon.api.tuning import TuningAnswers
 from servo_daemon.published import exposition
-from servo_daemon.published.history import HistorySeries, split_unit
 from servo_daemon.published.metrics import render_metrics
 from servo_daemon.published.view import DaemonView, DriveView
 from servo_daemon.tuning.knowledge import Ask
-
-DEFAULT_POINTS: Final = 1000
-MAX_POINTS: Final = 20_000
-
-#: What every drive shows beside its parameters, as far as it is measured or follows from it.
-_STATE: Final = ("current_A", "velocity_rad_s", "position_rad")
 
 #: nginx would otherwise hold events back until its buffer is full.
 _STREAM_HEADERS: Final = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
 
 DriveName = Annotated[str, Path(description="The drive's name in the configuration.", examples=["axis1"])]
-TimeText = Annotated[str | None, Query(description=f"Inclusive; {ACCEPTED}.", examples=["-10min"])]
-Points = Annotated[
-    int,
-    Query(
-        ge=2,
-        le=MAX_POINTS,
-        description="At most so many rows. More are thinned: of equally many rows each the lowest and the highest "
-        "value are kept, as they were recorded, so no peak is lost and nothing is averaged.",
-    ),
-]
-SeriesName = Annotated[
-    str,
-    Query(
-        description="A parameter (`R`, `L`, `K`, `J`, `B`, an effect's own) or a state channel (`current_A`, "
-        "`velocity_rad_s`, ...).",
-        examples=["R"],
-    ),
-]
 BandwidthHz = Annotated[
     float | None,
     Query(gt=0, allow_inf_nan=False, description="−3 dB bandwidth that each loop is to have, Hz.", examples=[10.0]),
@@ -110,6 +94,10 @@ class Routes:
         """The configured drives."""
         return json_response({"drives": [documents.drive_summary(d) for d in self._daemon.drives.values()]})
 
+    async def fleet(self, request: Request) -> Response:
+        """All drives at a glance: how each is connected, what is known, which parameter to look at first and why."""
+        return tagged(request, documents.encode(fleet_document(self._daemon)))
+
     async def drive(self, drive: DriveName) -> Response:
         """One drive in full; a simulated one with the true values of its motor."""
         return json_response(documents.drive_document(self.find(drive)))
@@ -118,31 +106,6 @@ class Routes:
         """The estimates now. Before the first samples: nominal values or null, status `estimating`."""
         snapshot = self.find(drive).snapshot()
         return Response(self._encoders[drive](snapshot), headers=NO_STORE, media_type="application/json")
-
-    async def history(
-        self,
-        drive: DriveName,
-        parameter: SeriesName,
-        start: TimeText = None,
-        end: TimeText = None,
-        points: Points = DEFAULT_POINTS,
-    ) -> Response:
-        """One parameter or state channel over the last minutes, up to now: what was recorded before the clock was set
-        back may lie after that, and is answered when it is asked for."""
-        view = self.find(drive)
-        now = time.time()
-        limits = {"start": _limit("start", start, now), "end": now if end is None else _limit("end", end, now)}
-        if limits["start"] is not None and limits["end"] is not None and limits["start"] > limits["end"]:
-            raise parameter_problem("start", "must not be after 'end'")
-        try:
-            series = view.history.query(parameter, limits["start"], limits["end"], points)
-        except KeyError:
-            series = _nothing_yet(view, parameter)
-        return json_response(documents.history_document(view, series))
-
-    async def events(self, drive: DriveName) -> Response:
-        """What happened to this drive lately."""
-        return json_response({"events": [documents.event_document(e) for e in self.find(drive).events()]})
 
     async def tuning(
         self, request: Request, drive: DriveName, bandwidth_hz: BandwidthHz = None, settling_s: SettlingS = None
@@ -176,31 +139,6 @@ class Routes:
         return json_response({"drive": drive, "accepted": True}, 202)
 
 
-def _nothing_yet(view: DriveView, parameter: str) -> HistorySeries:
-    """The history of what is published and has no row so far: before the first samples, after a change of model.
-
-    Raises:
-        ProblemError: 422, it is no parameter of this drive, and none is kept of an earlier model.
-    """
-    units = {p.name: p.unit for p in view.initial_parameters}
-    if parameter in units:
-        return HistorySeries.empty(parameter, units[parameter], parameter=True)
-    if parameter in _STATE:
-        return HistorySeries.empty(parameter, split_unit(parameter)[1], parameter=False)
-    known = list(dict.fromkeys([*units, *view.history.names(), *_STATE]))
-    detail = f"{parameter!r} has no history; known are {', '.join(known)}"
-    raise parameter_problem("parameter", detail, known)
-
-
-def _limit(name: str, text: str | None, now_s: float) -> float | None:
-    if text is None:
-        return None
-    try:
-        return parse_time(text, now_s)
-    except ValueError as error:
-        raise parameter_problem(name, str(error)) from error
-
-
 _STREAM_DOC: Final[Responses] = {
     200: {
         "description": "Endless; `data` is the estimates document.",
@@ -231,11 +169,10 @@ def api_router(daemon: DaemonView, prefix: str, computer: Computer) -> APIRouter
     )
     router.add_api_route("/ready", routes.ready, methods=get, response_model=schemas.ReadyDocument, responses=not_ready)
     router.add_api_route("/drives", routes.drives, methods=get, response_model=schemas.DrivesDocument)
+    router.add_api_route("/fleet", routes.fleet, methods=get, response_model=past_schemas.FleetDocument)
     of_a_drive: tuple[tuple[str, Callable[..., Any], type[BaseModel], Responses], ...] = (
         ("", routes.drive, schemas.DriveDocument, {}),
         ("/estimates", routes.estimates, schemas.EstimatesDocument, {}),
-        ("/history", routes.history, schemas.HistoryDocument, INVALID),
-        ("/events", routes.events, schemas.EventsDocument, {}),
         ("/tuning", routes.tuning, tuning_schemas.TuningDocument, {**INVALID, **_NOT_YET}),
     )
     for path, handler, model, responses in of_a_drive:
@@ -246,6 +183,7 @@ def api_router(daemon: DaemonView, prefix: str, computer: Computer) -> APIRouter
             response_model=model,
             responses={**UNKNOWN_DRIVE, **responses},
         )
+    past.add_routes(router, past.PastRoutes(daemon, routes.find))
     diagnosis.add_routes(router, diagnosis.DiagnosisRoutes(routes.find, prefix, daemon.stopping))
     _add_stream_and_reset(router, routes)
     return router

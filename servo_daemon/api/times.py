@@ -12,13 +12,15 @@ import numpy as np
 from servo_daemon.samples import F64
 
 _RELATIVE: Final = re.compile(r"-\s*(\d+(?:\.\d+)?)\s*(ms|s|min|h|d)")
-_UNIT_S: Final = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
+_DURATION: Final = re.compile(r"(\d+(?:\.\d+)?)\s*(s|min|h|d|w|y)")
+_UNIT_S: Final = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "w": 604_800.0, "y": 31_557_600.0}
 #: An offset whose plus sign was not percent-encoded arrives with a blank in its place.
 _LOST_PLUS: Final = re.compile(r" (\d\d:?\d\d)$")
 #: Years 1 to 9999, which is what datetime can hold.
 _EPOCH_MIN_S, _EPOCH_MAX_S = -62_135_596_800.0, 253_402_300_799.0
 
 ACCEPTED: Final = "an ISO 8601 time, seconds since 1970, 'now', or a time ago such as -10min (ms, s, min, h, d)"
+DURATIONS: Final = "a number with its unit such as 30min or 1y (s, min, h, d, w, y)"
 
 
 def iso_utc(epoch_s: float) -> str:
@@ -30,6 +32,19 @@ def iso_utc_list(epoch_s: F64) -> list[str]:
     """The same for an array of finite times, shape (n,)."""
     milliseconds = np.floor(epoch_s * 1e3 + 0.5).astype("datetime64[ms]")
     return [text + "Z" for text in np.datetime_as_string(milliseconds).tolist()]
+
+
+def parse_duration(text: str) -> float:
+    """Seconds, greater than 0, at most ten thousand years.
+
+    Raises:
+        ValueError: not of the form in `DURATIONS`.
+    """
+    match = _DURATION.fullmatch(text.strip())
+    seconds = float(match[1]) * _UNIT_S[match[2]] if match else 0.0
+    if not 0.0 < seconds <= 10_000 * _UNIT_S["y"]:
+        raise ValueError(f"{text!r} is not {DURATIONS}")
+    return seconds
 
 
 def parse_time(text: str, now_s: float) -> float:

@@ -14,7 +14,9 @@ from servo_daemon.daemon.diagnosis.runner import DiagnosisRunner
 from servo_daemon.daemon.drive import DriveRuntime
 from servo_daemon.daemon.learned_desk import LearnedDesk
 from servo_daemon.daemon.notify import Notifier
+from servo_daemon.daemon.recording import Recording
 from servo_daemon.daemon.worker import Seat, Workers
+from servo_daemon.history.archive import StoreArchive
 
 #: The workers are looked after this often, s.
 _WATCH_S = 0.02
@@ -50,6 +52,7 @@ class Daemon:
         self._learned = LearnedDesk(config.learning)
         self._workers = Workers(self._stop)
         self._seats = {d.name: self._seat_for(d, state_dir) for d in config.drive}
+        self._recording = Recording.of(config.history, state_dir, [seat.runtime for seat in self._seats.values()])
         self._watcher = threading.Thread(target=self._watch, name="watch", daemon=True)
         self._saver = threading.Thread(target=self._save, name="saver", daemon=True)
 
@@ -67,6 +70,11 @@ class Daemon:
         """Drives by name, in the order of the configuration."""
         return {name: seat.runtime for name, seat in self._seats.items()}
 
+    @property
+    def archive(self) -> StoreArchive | None:
+        """What was published, for years; None: only the last minutes are kept."""
+        return None if self._recording is None else self._recording.archive
+
     def stopping(self) -> bool:
         """The daemon has been told to stop."""
         return self._stop.is_set()
@@ -75,6 +83,7 @@ class Daemon:
         """What is wrong with the daemon itself, in words; empty when healthy."""
         found = [seat.runtime.problem for seat in self._seats.values()]
         found += [seat.problem for seat in self._seats.values() if self._workers.started]
+        found += [None if self._recording is None else self._recording.problem]
         return [p for p in found if p is not None]
 
     def start(self) -> None:
@@ -82,6 +91,8 @@ class Daemon:
         self._watcher.start()
         self._saver.start()
         self._learned.start()
+        if self._recording is not None:
+            self._recording.start()
         for runtime in self.drives.values():
             runtime.reader.start()
 
@@ -105,6 +116,8 @@ class Daemon:
         for thread in (self._workers, self._watcher, self._saver):
             if thread.is_alive():
                 thread.join(max(0.05, deadline - time.monotonic()))
+        if self._recording is not None:  # after the workers: with their last rows
+            self._recording.stop(max(0.05, deadline - time.monotonic()))
         self._diagnoses.stop(max(0.05, deadline - time.monotonic()))
         self._learned.stop(max(0.05, deadline - time.monotonic()))
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
+import threading
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
+from itertools import islice
 from typing import Final
 
 from servo_daemon.published.snapshot import Event
@@ -28,11 +30,15 @@ class EventLog:
     def __init__(self, drive: str) -> None:
         self._drive = drive
         self._events: deque[Event] = deque(maxlen=_EVENTS_KEPT)
+        self._number = 0  # of events there have ever been
+        self._lock = threading.Lock()
 
     def add(self, kind: str, message: str, data: Mapping[str, float | int | str | None] | None = None) -> None:
         level = logging.WARNING if kind in _WARNINGS else logging.INFO
         log.log(level, "drive %s: %s", self._drive, message)
-        self._events.append(Event(time.time(), kind, message, data or {}))
+        with self._lock:
+            self._events.append(Event(time.time(), kind, message, data or {}))
+            self._number += 1
 
     def tell(self, messages: Sequence[Message]) -> None:
         for kind, message, data in messages:
@@ -41,3 +47,9 @@ class EventLog:
     def all(self) -> Sequence[Event]:
         """The last events, oldest first."""
         return tuple(self._events.copy())  # a copy is atomic; iterating while another thread appends is not
+
+    def since(self, number: int) -> tuple[int, Sequence[Event]]:
+        """How many events there have ever been, and those from that number on that are still kept."""
+        with self._lock:
+            new = min(self._number - number, len(self._events))
+            return self._number, tuple(islice(self._events, len(self._events) - new, None))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, get_args
 
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.published.snapshot import Estimate, Snapshot, Status
+from servo_daemon.published.units import split_unit
 from servo_daemon.samples import F64
 
 I8 = NDArray[np.int8]
@@ -92,6 +94,31 @@ class _Columns:
             self.status[slot] = 0
         if self.truth is not None:
             self.truth[slot] = np.nan
+
+
+@dataclass(frozen=True, slots=True)
+class RingRows:
+    """Rows of all series, as they were appended.
+
+    Attributes:
+        first, next: number of the first row and of the one after the last; more than was asked for: those in between
+            are no longer kept.
+        time_s: (n,) UTC seconds since the epoch.
+        names, units, is_parameter: of the S series.
+        value, std: (n, S), NaN where not known; code: (n, S) into `STATUS_BY_CODE`, 0 of a state channel.
+        truth: (n,) each, of a simulated drive's parameters.
+    """
+
+    first: int
+    next: int
+    time_s: F64
+    names: tuple[str, ...]
+    units: tuple[str | None, ...]
+    is_parameter: tuple[bool, ...]
+    value: F64
+    std: F64
+    code: I8
+    truth: Mapping[str, F64]
 
 
 class HistoryRing:
@@ -185,6 +212,37 @@ class HistoryRing:
             columns = self._columns[name] = _Columns(self.capacity, unit, parameter=parameter)
         return columns
 
+    @property
+    def rows(self) -> int:
+        """Ever appended: the number of the next row."""
+        return self._rows
+
+    @property
+    def first_time(self) -> float | None:
+        """Of the row kept longest, UTC seconds since the epoch; None: there is none."""
+        with self._lock:
+            n = len(self)
+            return float(self._time[self._rows % self.capacity if n == self.capacity else 0]) if n else None
+
+    def since(self, row: int) -> RingRows:
+        """The rows from number `row` on that are still kept, in the order in which they were appended."""
+        with self._lock:
+            first = max(row, self._rows - len(self))
+            slots = np.arange(first, self._rows) % self.capacity
+            known = np.isfinite(self._time[slots])
+            slots = slots[known]
+            shape = (len(slots), len(self._columns))
+            value, std, code = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape, np.int8)
+            truth = {n: c.truth[slots] for n, c in self._columns.items() if c.truth is not None}
+            for k, c in enumerate(self._columns.values()):
+                value[:, k] = c.value[slots]
+                if c.std is not None and c.status is not None:
+                    std[:, k], code[:, k] = c.std[slots], c.status[slots]
+            units = tuple(c.unit for c in self._columns.values())
+            kinds = tuple(c.std is not None for c in self._columns.values())
+            time = self._time[slots]
+            return RingRows(first, self._rows, time, tuple(self._columns), units, kinds, value, std, code, truth)
+
     def query(
         self,
         name: str,
@@ -263,27 +321,3 @@ def thin(series: HistorySeries, points: int) -> HistorySeries:
             index = first + pick
             keep.append(index[index < n - 1])
     return series.take(np.unique(np.concatenate(keep)))
-
-
-#: Longest first, so that `_rad_s` is not taken for `_s`.
-_STATE_UNITS: Final = (
-    ("_rad_s", "rad/s"),
-    ("_m_s", "m/s"),
-    ("_rad", "rad"),
-    ("_Nm", "N·m"),
-    ("_A", "A"),
-    ("_V", "V"),
-    ("_C", "°C"),
-    ("_K", "K"),
-    ("_N", "N"),
-    ("_m", "m"),
-    ("_s", "s"),
-)
-
-
-def split_unit(name: str) -> tuple[str, str | None]:
-    """A state channel's name without and its unit with which it ends: "velocity_rad_s" is ("velocity", "rad/s")."""
-    for suffix, unit in _STATE_UNITS:
-        if name.endswith(suffix):
-            return name.removesuffix(suffix), unit
-    return name, None

@@ -8,8 +8,8 @@ from typing import Final, get_args
 
 from servo_daemon.published.diagnosis_state import DiagnosisStatus
 from servo_daemon.published.exposition import Exposition, unit_words
-from servo_daemon.published.history import split_unit
 from servo_daemon.published.snapshot import Connection, Estimate, ParameterEstimate, Snapshot, Status
+from servo_daemon.published.units import split_unit
 from servo_daemon.published.view import DaemonView, DriveView
 
 _PREFIX: Final = "servo_daemon_"

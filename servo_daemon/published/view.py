@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from servo_daemon.parameters import Parameter
+from servo_daemon.published.archive import Archive
 from servo_daemon.published.diagnosis_state import DiagnosisView
 from servo_daemon.published.history import HistoryRing
 from servo_daemon.published.knowledge import LoopFacts
@@ -114,6 +115,10 @@ class DaemonView(Protocol):
     @property
     def drives(self) -> Mapping[str, DriveView]:
         """Drives by name, in the order of the configuration; fixed while the daemon runs."""
+
+    @property
+    def archive(self) -> Archive | None:
+        """What was published, for years; None: only the last minutes are kept."""
 
     def problems(self) -> Sequence[str]:
         """What is wrong with the daemon itself, in words (a pipeline that does not turn, a state directory that

@@ -111,6 +111,7 @@ def drag(page: Page, figure: str, start: float, stop: float) -> None:
     mouse(page, "mouseReleased", right, y)
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("dark", [False, True])
 def test_every_figure_is_drawn_from_a_file(open_report: OpenReport, dark: bool, tmp_path: Path) -> None:
     page = open_report(dark=dark)

@@ -150,8 +150,9 @@ class DaemonProgram(Program):
         return self.get(f"/drives/{drive}/estimates")  # type: ignore[no-any-return]
 
     def events(self, drive: str = "axis1") -> list[str]:
-        """Kinds of events, oldest first."""
-        return [e["kind"] for e in self.get(f"/drives/{drive}/events")["events"]]
+        """Kinds of events of this run, oldest first; the store has those of earlier ones, too."""
+        started = self.get("/health")["started"]
+        return [e["kind"] for e in self.get(f"/drives/{drive}/events?since={started}")["events"]]
 
     def foreground_events(self, drive: str = "axis1") -> list[str]:
         """Those that follow from what happens to the drive: an RF+GRNN model is trained or loaded in a thread of its

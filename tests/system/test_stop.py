@@ -19,6 +19,7 @@ from tests.system.harness import STOP_S, Program, all_tracking, daemon, nominal_
 SIGNALS = [signal.SIGTERM, signal.SIGINT, signal.SIGHUP]
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("number", SIGNALS, ids=lambda n: n.name)
 def test_stop_in_the_middle_of_everything(tmp_path: Path, number: signal.Signals) -> None:
     """A drive at work, one whose port is missing, an open stream that is read and one whose client sleeps."""

@@ -22,21 +22,21 @@ _EXAMPLE_R = {
     "reason": None,
     "age_s": 0.0,
 }
-_TIME = "2026-11-21T12:45:21.103Z"
+TIME_EXAMPLE = "2026-11-21T12:45:21.103Z"
 
 
-class _Document(BaseModel):
+class Closed(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
-def _example(**document: Any) -> ConfigDict:
+def example(**document: Any) -> ConfigDict:
     return ConfigDict(extra="forbid", allow_inf_nan=False, json_schema_extra={"examples": [document]})
 
 
-class ParameterDocument(_Document):
+class ParameterDocument(Closed):
     """One parameter as published."""
 
-    model_config = _example(**_EXAMPLE_R)
+    model_config = example(**_EXAMPLE_R)
 
     value: float | None = Field(description="In `unit`. While `estimating` the nominal value, or null; never NaN.")
     std: float | None = Field(description="Standard deviation, 1 σ, in `unit`; null where it is not known.")
@@ -53,14 +53,14 @@ class ParameterDocument(_Document):
     )
 
 
-class EstimatorParameterDocument(_Document):
+class EstimatorParameterDocument(Closed):
     """What one estimator says of one parameter, in the parameter's unit."""
 
     value: float | None
     std: float | None = Field(description="Standard deviation, 1 σ.")
 
 
-class EstimatorDocument(_Document):
+class EstimatorDocument(Closed):
     """One estimator by itself, beside the published estimate; for diagnosis, not for control."""
 
     parameters: dict[str, EstimatorParameterDocument]
@@ -69,12 +69,12 @@ class EstimatorDocument(_Document):
     )
 
 
-class EstimatesDocument(_Document):
+class EstimatesDocument(Closed):
     """The estimates of one drive at one moment."""
 
-    model_config = _example(
+    model_config = example(
         drive="axis1",
-        time=_TIME,
+        time=TIME_EXAMPLE,
         samples=123456,
         sample_rate_hz=1000.2,
         model=["coulomb_friction"],
@@ -117,15 +117,15 @@ class EstimatesDocument(_Document):
     )
 
 
-class DriveSummaryDocument(_Document):
+class DriveSummaryDocument(Closed):
     """One configured drive."""
 
-    model_config = _example(
+    model_config = example(
         name="axis1",
         driver="simulated",
         connection="connected",
         reason=None,
-        time=_TIME,
+        time=TIME_EXAMPLE,
         model=[],
         samples=123456,
         sample_rate_hz=1000.2,
@@ -144,13 +144,13 @@ class DriveSummaryDocument(_Document):
     sample_rate_hz: float | None = Field(description="Hz.")
 
 
-class DrivesDocument(_Document):
+class DrivesDocument(Closed):
     """The configured drives, in the order of the configuration."""
 
     drives: list[DriveSummaryDocument]
 
 
-class HistoryInfoDocument(_Document):
+class HistoryInfoDocument(Closed):
     """What the history in memory holds."""
 
     names: list[str] = Field(description="Parameters and state channels that /history knows.")
@@ -173,66 +173,23 @@ class DriveDocument(DriveSummaryDocument):
     )
 
 
-class HistoryDocument(_Document):
-    """One parameter or state channel over time: columns of equal length, oldest first."""
-
-    model_config = _example(
-        drive="axis1",
-        parameter="R",
-        unit="Ω",
-        points=2,
-        time=[_TIME, "2026-11-21T12:45:21.203Z"],
-        value=[0.6391, 0.6392],
-        std=[0.0012, 0.0012],
-        status=["tracking", "tracking"],
-        truth=[0.6394, 0.6394],
-    )
-
-    drive: str
-    parameter: str
-    unit: str | None
-    points: int = Field(description="Length of the columns.")
-    time: list[str] = Field(description="UTC, ISO 8601 with Z.")
-    value: list[float | None] = Field(description="In `unit`.")
-    std: list[float | None] = Field(description="1 σ, in `unit`; null throughout for a state channel.")
-    status: list[Status] | None = Field(description="Null for a state channel.")
-    truth: list[float | None] | None = Field(description="A simulated drive's true value; else null.")
-
-
-class EventDocument(_Document):
-    """Something worth telling: a reconnect, a restart of the device, a reset, a jump of a parameter."""
-
-    model_config = _example(time=_TIME, kind="disconnected", message="/dev/ttyUSB0 went away", data={"attempts": 1})
-
-    time: str
-    kind: str = Field(description="Short machine name.")
-    message: str
-    data: dict[str, Scalar] = Field(description="Numbers with units in their names.")
-
-
-class EventsDocument(_Document):
-    """The last events, oldest first."""
-
-    events: list[EventDocument]
-
-
-class ResetDocument(_Document):
+class ResetDocument(Closed):
     """The reset has been asked for; the pipeline does it before its next samples, and an event tells."""
 
-    model_config = _example(drive="axis1", accepted=True)
+    model_config = example(drive="axis1", accepted=True)
 
     drive: str
     accepted: bool
 
 
-class HealthDocument(_Document):
+class HealthDocument(Closed):
     """Whether the daemon itself works. A drive that is switched off is not its fault."""
 
-    model_config = _example(
+    model_config = example(
         status="ok",
         problems=[],
         version="0.1.0",
-        started=_TIME,
+        started=TIME_EXAMPLE,
         uptime_s=3600.5,
         drives={"axis1": "connected"},
     )
@@ -245,7 +202,7 @@ class HealthDocument(_Document):
     drives: dict[str, Connection]
 
 
-class ReadyDriveDocument(_Document):
+class ReadyDriveDocument(Closed):
     """Whether one drive has delivered samples since the daemon started."""
 
     ready: bool
@@ -253,10 +210,10 @@ class ReadyDriveDocument(_Document):
     reason: str | None
 
 
-class ReadyDocument(_Document):
+class ReadyDocument(Closed):
     """Ready from the first samples of any drive on."""
 
-    model_config = _example(ready=True, drives={"axis1": {"ready": True, "connection": "connected", "reason": None}})
+    model_config = example(ready=True, drives={"axis1": {"ready": True, "connection": "connected", "reason": None}})
 
     ready: bool
     drives: dict[str, ReadyDriveDocument]

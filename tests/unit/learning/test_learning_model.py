@@ -156,6 +156,7 @@ def test_what_healthy_motors_look_like_is_calibrated(model: LearnedModel) -> Non
     assert model.facts["accepted_faulty"] < model.facts["accepted"] - 0.25
 
 
+@pytest.mark.slow
 def test_strange_windows_of_other_motors_are_declined(model: LearnedModel) -> None:
     """Motors outside and faults, 200 and 400 windows that took no part in anything (the facts know 22 and 41)."""
     spec = dataclasses.replace(SPEC, seed=13)

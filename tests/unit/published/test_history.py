@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from servo_daemon.published.history import STATUS_BY_CODE, HistoryRing, HistorySeries, split_unit, thin
+from servo_daemon.published.history import STATUS_BY_CODE, HistoryRing, HistorySeries, thin
 from servo_daemon.published.snapshot import ParameterEstimate, Snapshot, Status
+from servo_daemon.published.units import split_unit
 from tests.fake_daemon import make_estimate, make_snapshot
 
 NAMES = ("R", "L", "Tc")

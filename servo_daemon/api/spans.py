@@ -1,0 +1,112 @@
+"""Spans of time as tables: CSV and Parquet."""
+
+from __future__ import annotations
+
+import importlib
+import io
+from collections.abc import Sequence
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from servo_daemon.api.past_documents import column, dominant
+from servo_daemon.api.problems import ProblemError
+from servo_daemon.api.times import iso_utc_list
+from servo_daemon.published.archive import Span
+
+Kind = Literal["json", "csv", "parquet"]
+CSV: Final = "text/csv"
+PARQUET: Final = "application/vnd.apache.parquet"
+_KINDS: Final[dict[str, Kind]] = {
+    CSV: "csv",
+    PARQUET: "parquet",
+    "application/x-parquet": "parquet",
+    "application/json": "json",
+    "application/*": "json",
+    "*/*": "json",
+}
+
+
+def wanted(accept: str) -> Kind:
+    """What an Accept header wants most of what there is; JSON where it wants nothing of it (RFC 9110, 12.5.1)."""
+    best: tuple[float, Kind] = (0.0, "json")
+    for part in accept.split(","):
+        media, *parameters = (p.strip().lower() for p in part.split(";"))
+        weight = 1.0
+        for parameter in parameters:
+            name, _, text = parameter.partition("=")
+            if name.strip() == "q":
+                try:
+                    weight = float(text)
+                except ValueError:
+                    weight = 0.0
+        if media in _KINDS and weight > best[0]:
+            best = weight, _KINDS[media]
+    return best[1]
+
+
+def check_available(kind: Kind) -> None:
+    """Raises: ProblemError: 406, Parquet without pyarrow."""
+    if kind == "parquet":
+        try:
+            importlib.import_module("pyarrow.parquet")
+        except ImportError:
+            detail = (
+                "Parquet needs pyarrow on the daemon's side (pip install 'servo-daemon[parquet]'); ask for text/csv."
+            )
+            raise ProblemError(406, "no_parquet", detail, available=["application/json", CSV]) from None
+
+
+def encode(span: Span, names: Sequence[str], kind: Kind) -> tuple[bytes, str]:
+    """The table as bytes, and their media type.
+
+    Columns: `time`, then for each series P `P`, and of a parameter `P_std`, `P_status`; of buckets also `P_min`,
+    `P_max`, `P_spread`, `P_count`.
+    """
+    columns = _table(span, names)
+    if kind == "parquet":
+        return _parquet(span, columns), PARQUET
+    lines = [",".join(["time", *columns])]
+    texts = [[_text(value) for value in values] for values in columns.values()]
+    lines += [",".join(row) for row in zip(iso_utc_list(span.buckets.time_s), *texts, strict=True)]
+    return ("\n".join(lines) + "\n").encode(), f"{CSV}; charset=utf-8"
+
+
+def _table(span: Span, names: Sequence[str]) -> dict[str, list[Any]]:
+    b = span.buckets
+    columns: dict[str, list[Any]] = {}
+    for name in names:
+        if name not in b.names:
+            columns[name] = [None] * len(b)
+            continue
+        k = b.names.index(name)
+        columns[name] = column(b.mean[:, k])
+        if b.is_parameter[k]:
+            columns[f"{name}_std"] = column(b.std[:, k])
+        if b.period_s:
+            columns[f"{name}_min"] = column(b.low[:, k])
+            columns[f"{name}_max"] = column(b.high[:, k])
+            columns[f"{name}_spread"] = column(b.spread[:, k])
+            columns[f"{name}_count"] = b.count[:, k].tolist()
+        if b.is_parameter[k]:
+            columns[f"{name}_status"] = list(dominant(b, k))
+    return columns
+
+
+def _text(value: object) -> str:
+    """A float as its shortest text that reads back as the same number."""
+    return "" if value is None else repr(value) if isinstance(value, float) else str(value)
+
+
+def _parquet(span: Span, columns: dict[str, list[Any]]) -> bytes:
+    arrow, parquet = importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")
+    milliseconds = np.floor(span.buckets.time_s * 1e3 + 0.5).astype("int64")
+    arrays = {"time": arrow.array(milliseconds, type=arrow.timestamp("ms", tz="UTC"))}
+    for name, values in columns.items():
+        texts, whole = name.endswith("_status"), name.endswith("_count")
+        arrays[name] = arrow.array(
+            values, type=arrow.string() if texts else arrow.int64() if whole else arrow.float64()
+        )
+    out = io.BytesIO()
+    parquet.write_table(arrow.table(arrays), out, compression="zstd")
+    return out.getvalue()

@@ -1,0 +1,78 @@
+"""What the API may ask the store of the past. The store implements this; the API knows nothing else of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from servo_daemon.published.buckets import Buckets
+from servo_daemon.published.snapshot import Event
+
+
+class ArchiveUnavailableError(Exception):
+    """The store cannot be read now; the text says why, in words."""
+
+
+@dataclass(frozen=True, slots=True)
+class EventPage:
+    """Events, oldest first. `next`: what asks for those before them; None: there are none."""
+
+    events: tuple[Event, ...]
+    next: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class Document:
+    """Something kept whole: `time` is UTC seconds since the epoch, `kind` "diagnosis" or "model"."""
+
+    time: float
+    kind: str
+    body: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """An answer about a span of time.
+
+    Attributes:
+        level: name of the level it is from: "rows", "1 s", "1 min", "1 h".
+        start_s, end_s: the span, UTC seconds since the epoch.
+        buckets: in it, sorted; possibly of longer buckets than the level's, so that they are few enough.
+    """
+
+    level: str
+    start_s: float
+    end_s: float
+    buckets: Buckets
+
+
+class Archive(Protocol):
+    """The past of all drives. Each method may wait for a disk or a server: not for the event loop. All raise
+    ArchiveUnavailableError."""
+
+    def names(self, drive: str) -> tuple[str, ...]:
+        """Series of that drive of which the newest blocks of any level hold something."""
+
+    def span(
+        self, drive: str, names: Sequence[str] | None, start_s: float, end_s: float | None, points: int | None,
+        level: str | None = None,
+    ) -> Span:  # fmt: skip
+        """The past of these series (None: all), up to now at most, from the level that suits `points`.
+
+        Args:
+            end_s: None: now.
+            points: at most so many buckets; single rows are given as they are, the caller thins them. None: all.
+            level: by name, instead of the one that suits.
+
+        Raises:
+            ValueError: no such level.
+        """
+
+    def events(
+        self, drive: str, kinds: Sequence[str], since_s: float | None, limit: int, before: int | None
+    ) -> EventPage:
+        """The last `limit` events that match, up to now, oldest first."""
+
+    def documents(self, drive: str, kind: str, limit: int) -> Sequence[Document]:
+        """The last diagnoses or models, oldest first."""
