@@ -27,7 +27,9 @@ _DESCRIPTION: Final = """
 Electrical and mechanical parameters of live DC servo drives, each with a standard deviation and a status.
 
 SI units; `_std` is 1 σ in the parameter's unit. Times are UTC, ISO 8601 with Z. A number that is not known is null; no
-answer ever holds NaN. Errors are RFC 9457 problem details (`application/problem+json`).
+answer ever holds NaN. Errors are RFC 9457 problem details (`application/problem+json`). Any request may be refused
+before it reaches its route: 401 and 403 (no token, or one that does not allow it; another site's page), 408, 413, 414
+and 431 (too slow, too large), 421 (a stranger's name for this machine).
 """
 
 
