@@ -210,7 +210,7 @@ async def _serve_api(daemon: Daemon, listener: socket.socket, told: asyncio.Even
         computer.close()
         server.should_exit = True
 
-    watcher = asyncio.gather(exit_when_told(), follow_certificate(server.config, api))
+    watchers = [asyncio.create_task(w) for w in (exit_when_told(), follow_certificate(server.config, api))]
     # What is loaded now stays: the garbage collector need not walk through it again and again.
     gc.collect()
     gc.freeze()
@@ -218,4 +218,5 @@ async def _serve_api(daemon: Daemon, listener: socket.socket, told: asyncio.Even
     scheme = "http" if api.certificate is None else "https"
     log.info("API and dashboard on %s://%s:%s/", scheme, f"[{host}]" if ":" in host else host, port)
     await server.serve(sockets=[listener])
-    watcher.cancel()
+    for watcher in watchers:
+        watcher.cancel()
