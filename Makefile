@@ -58,6 +58,10 @@ calibrate: venv ## what every threshold is compared with, on motors that no test
 mutants: venv ## puts faults into the code and writes to docs/mutants.md which of them a test notices (ARGS="--seed N" goes on)
 	$(BIN)/python -m tests.mutants $(ARGS)
 
+.PHONY: check-api
+check-api: venv ## what OpenAPI allows and forbids against the API, ten minutes of schemathesis (EXAMPLES=1000)
+	SERVO_API_EXAMPLES=$(or $(EXAMPLES),1000) $(BIN)/python -m pytest -q --timeout 3600 -m slow tests/property/test_api_schema.py
+
 .PHONY: lint
 lint: venv ## ruff, its formatter, mypy --strict, the import contracts
 	$(BIN)/ruff check

@@ -38,6 +38,7 @@ COMMANDS = {
     "scan": "servo_daemon.commands.scan.command",
     "status": "servo_daemon.commands.status",
     "export-history": "servo_daemon.commands.export_history",
+    "token": "servo_daemon.commands.token",
 }
 
 

@@ -38,6 +38,17 @@ class ApiConfig(_Section):
     host: str = "127.0.0.1"
     port: int = Field(8077, ge=0, le=65535)  # 0: any free port, logged at start
     allowed_hosts: tuple[str, ...] = ()  # names under which it may be asked for, beside addresses and local names
+    tokens_file: str | None = None  # of `servo-daemon token new`; who has none of these may ask for nothing
+    metrics: Literal["token", "open"] = "token"  # whether /metrics needs one, too
+    behind_proxy: bool = False  # a proxy in front asks who it is: then other addresses need no tokens
+    certificate: str | None = None  # PEM files for TLS
+    private_key: str | None = None
+
+    @model_validator(mode="after")
+    def _certificate_has_its_key(self) -> ApiConfig:
+        if (self.certificate is None) != (self.private_key is None):
+            raise ValueError("'certificate' and 'private_key' belong together")
+        return self
 
 
 class StorageConfig(_Section):

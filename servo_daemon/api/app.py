@@ -10,7 +10,9 @@ from starlette.responses import HTMLResponse, JSONResponse
 
 from servo_daemon.api import assets, problems
 from servo_daemon.api.access.guard import Guard
+from servo_daemon.api.access.permission import Permission
 from servo_daemon.api.access.request_limits import RequestLimits
+from servo_daemon.api.access.tokens import TokenFile
 from servo_daemon.api.answers import NO_STORE
 from servo_daemon.api.computing import Computer, ProcessComputer
 from servo_daemon.api.head import Head
@@ -27,11 +29,19 @@ _DESCRIPTION: Final = """
 Electrical and mechanical parameters of live DC servo drives, each with a standard deviation and a status.
 
 SI units; `_std` is 1 σ in the parameter's unit. Times are UTC, ISO 8601 with Z. A number that is not known is null; no
-answer ever holds NaN. Errors are RFC 9457 problem details (`application/problem+json`).
+answer ever holds NaN. Errors are RFC 9457 problem details (`application/problem+json`). Any request may be refused
+before it reaches its route: 401 and 403 (no token, or one that does not allow it; another site's page), 408, 413, 414
+and 431 (too slow, too large), 421 (a stranger's name for this machine).
 """
 
 
-def create_app(daemon: DaemonView, allowed_hosts: Iterable[str] = (), computer: Computer | None = None) -> FastAPI:
+def create_app(
+    daemon: DaemonView,
+    allowed_hosts: Iterable[str] = (),
+    computer: Computer | None = None,
+    tokens: TokenFile | None = None,
+    open_metrics: bool = False,
+) -> FastAPI:
     """The ASGI application. It only ever reads published records, and asks for a reset, a diagnosis or
     another model.
 
@@ -40,6 +50,8 @@ def create_app(daemon: DaemonView, allowed_hosts: Iterable[str] = (), computer: 
             streams end and the server need not wait for them.
         allowed_hosts: DNS names by which browsers may reach the daemon, beyond IP addresses, local names and this
             machine's own; see `guard.py`.
+        tokens: who may ask for what; None: whoever reaches the daemon may.
+        open_metrics: `/metrics` needs no token.
         computer: carries out what takes long; the caller closes it. None: a process of its own, which ends with this
             one.
     """
@@ -58,6 +70,7 @@ def create_app(daemon: DaemonView, allowed_hosts: Iterable[str] = (), computer: 
     app.include_router(assets.make_router())
     app.add_middleware(Head)
     app.add_middleware(RequestLimits)
+    app.add_middleware(Permission, known=tokens, open_metrics=open_metrics)
     app.add_middleware(Guard, allowed_hosts=tuple(allowed_hosts))
     _describe(app)
     return app

@@ -72,6 +72,7 @@ def estimates_document(drive: DriveView, snapshot: Snapshot) -> Document:
         "connection": snapshot.connection,
         "connection_reason": snapshot.reason,
         "overloaded": snapshot.overloaded,
+        "behind_s": round(snapshot.behind_s, 3),
         **_scalars(snapshot.counters),
     }
     common = {"drive": snapshot.drive, "time": _time_or_none(snapshot.time)}

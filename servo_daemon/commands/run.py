@@ -18,6 +18,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from servo_daemon.commands.shared import common
+from servo_daemon.commands.shared.exposure import check_exposure, follow_certificate, known_tokens
 from servo_daemon.config import Config, DriveConfig, load_config
 from servo_daemon.errors import ServoDaemonError
 
@@ -51,6 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
             config = _configuration(arguments)
             state_dir = _state_dir(arguments, config)
             listener = _listen(config.api.host, config.api.port)
+            check_exposure(listener.getsockname()[0], config.api)
             with listener, state_locked(state_dir, (d.name for d in config.drive)):
                 daemon = Daemon(config, state_dir)
                 with asyncio.Runner(loop_factory=_loop_factory()) as runner:
@@ -197,8 +199,10 @@ async def _serve_api(daemon: Daemon, listener: socket.socket, told: asyncio.Even
         "access_log": False,
         "timeout_graceful_shutdown": _DRAIN_S,
     }
-    computer = ProcessComputer()
-    app = create_app(daemon, daemon.config.api.allowed_hosts, computer)
+    api, computer = daemon.config.api, ProcessComputer()
+    if api.certificate is not None:
+        settings |= {"ssl_certfile": api.certificate, "ssl_keyfile": api.private_key}
+    app = create_app(daemon, api.allowed_hosts, computer, known_tokens(api), api.metrics == "open")
     server = Server(uvicorn.Config(app, **settings))
 
     async def exit_when_told() -> None:
@@ -206,11 +210,13 @@ async def _serve_api(daemon: Daemon, listener: socket.socket, told: asyncio.Even
         computer.close()
         server.should_exit = True
 
-    watcher = asyncio.create_task(exit_when_told())
+    watchers = [asyncio.create_task(w) for w in (exit_when_told(), follow_certificate(server.config, api))]
     # What is loaded now stays: the garbage collector need not walk through it again and again.
     gc.collect()
     gc.freeze()
     host, port = listener.getsockname()[:2]
-    log.info("API and dashboard on http://%s:%s/", f"[{host}]" if ":" in host else host, port)
+    scheme = "http" if api.certificate is None else "https"
+    log.info("API and dashboard on %s://%s:%s/", scheme, f"[{host}]" if ":" in host else host, port)
     await server.serve(sockets=[listener])
-    watcher.cancel()
+    for watcher in watchers:
+        watcher.cancel()

@@ -34,6 +34,7 @@ from servo_daemon.published.snapshot import Estimate, Event, ParameterEstimate, 
 from servo_daemon.published.view import ModelChange, StartValues, initial_parameters
 from servo_daemon.samples import SampleBlock, concatenate
 from servo_daemon.signal_meaning import SignalMeaning
+from servo_daemon.tracking.plan.settings import Message
 
 log = logging.getLogger(__name__)
 
@@ -168,11 +169,11 @@ class DriveRuntime:
         if was_reset:
             self._reset()
         self._begin_model_change()
-        told = [] if self.reader.driver.can_wait else self._load.relieve(self.reader.queue, time.monotonic())
+        told = [] if self.reader.driver.can_wait else self._relieve()
         self.log.tell(told)
         blocks = self.reader.queue.take(_ROUND_SAMPLES)
         if blocks:
-            self._sample_time = time.time()
+            self._sample_time = time.time() - self.reader.queue.waited_s(time.monotonic())
             try:
                 self._process(blocks)
             except Exception:  # one drive's trouble must not stop the others
@@ -182,6 +183,9 @@ class DriveRuntime:
             self._changed = False
             self._desk.done(self._sample_time)
         return bool(blocks)
+
+    def _relieve(self) -> list[Message]:
+        return self._load.relieve(self.reader.queue, time.monotonic(), time.process_time())
 
     def offer_state(self) -> None:
         """Lay out what is worth keeping for `save_offered`, if the drive is well and there is something. Worker thread:
@@ -340,4 +344,5 @@ class DriveRuntime:
             counters=line_counters(self.reader, self._repeated, self._failures),
             truth=self.reader.driver.truth(),
             overloaded=self._load.overloaded,
+            behind_s=self.reader.queue.waited_s(time.monotonic()) if self._load.behind else 0.0,
         )

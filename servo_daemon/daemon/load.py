@@ -3,7 +3,7 @@
 A drive that sends more than its filter can work off (`engine = "filterpy"` at a kilohertz, a small machine without a
 compiler) falls behind for ever. So it loses the oldest of its own samples, many at a time and seldom: a filter goes on
 from a gap every few seconds, not from one in every block. What is late because something took long once (the first
-compilation) is worked off without loss.
+compilation), or because other programs have the processor, is worked off without loss; that it is behind is told.
 """
 
 from __future__ import annotations
@@ -16,6 +16,9 @@ LATE_S = 2.0
 #: A worker that has been late for so long does not catch up any more, s. A compiled filter works off what came during
 #: ten seconds of compiling in one.
 PATIENCE_S = 5.0
+#: A process that works as fast as it can uses this much of a processor at least; one that is late and uses less waits
+#: for others.
+_OWN_SHARE = 0.8
 #: What is left of the waiting samples then: those of the last so many seconds.
 KEPT_S = 0.25
 #: It keeps up again once none has waited longer than `CALM_WAIT_S` for `CALM_S`, s.
@@ -27,39 +30,54 @@ class LoadWatch:
 
     Attributes:
         overloaded: the drive loses samples because its worker does not keep up.
+        behind: its samples are late and none is lost, because other programs have the processor.
     """
 
     def __init__(self) -> None:
-        self.overloaded = False
+        self.overloaded = self.behind = False
         self._late_since: float | None = None
+        self._used_before_s: float | None = None  # the process' CPU time when it began to be late
         self._calm_since: float | None = None
         self._dropped = self._dropped_before = 0  # now, and when the overload began
 
-    def relieve(self, queue: BlockQueue, now_s: float) -> list[Message]:
+    def relieve(self, queue: BlockQueue, now_s: float, used_s: float | None = None) -> list[Message]:
         """Before each round of the worker: drop all but the last `KEPT_S` where it does not keep up.
 
         Args:
             now_s: host monotonic.
+            used_s: CPU time of this process so far; None: not known, whoever is late is taken for overloaded.
 
         Returns:
             what is to be told.
         """
         waited_s = queue.waited_s(now_s)
-        told = self._judge(waited_s, queue.dropped, now_s)
+        told = self._judge(waited_s, queue.dropped, now_s, used_s)
         if self.overloaded and waited_s > LATE_S:
             queue.drop_before(now_s - KEPT_S)
         return told
 
-    def _judge(self, waited_s: float, dropped: int, now_s: float) -> list[Message]:
+    def _judge(self, waited_s: float, dropped: int, now_s: float, used_s: float | None) -> list[Message]:
         """
         Args:
             waited_s: how long the oldest of the waiting samples has waited; 0: none waits.
             dropped: samples that have been dropped since the start.
         """
         late, lost = waited_s > LATE_S, dropped - self._dropped
-        self._late_since = (now_s if self._late_since is None else self._late_since) if late else None
+        if not late:
+            self._late_since = None
+        elif self._late_since is None:
+            self._late_since, self._used_before_s = now_s, used_s
         too_late = self._late_since is not None and now_s - self._late_since >= PATIENCE_S
         told: list[Message] = []
+        if too_late and self._is_starved(now_s, used_s):
+            too_late = False
+            if not self.behind:
+                self.behind = True
+                text = f"other programs have the processor: its samples wait for {waited_s:.1f} s, and none is left out"
+                told.append(("behind", text, {"waited_s": round(waited_s, 3)}))
+        elif self.behind and waited_s <= CALM_WAIT_S:
+            self.behind = False
+            told.append(("behind_over", "its samples are worked off as they come again", {}))
         if not self.overloaded and (too_late or lost > 0):
             self.overloaded, self._dropped_before = True, self._dropped
             text = "its samples come faster than they are worked off: the oldest are left out, and counted as lost"
@@ -71,6 +89,11 @@ class LoadWatch:
             told.append(("overload_over", text, {"samples_lost": left_out}))
         self._dropped = dropped
         return told
+
+    def _is_starved(self, now_s: float, used_s: float | None) -> bool:
+        if used_s is None or self._used_before_s is None or self._late_since is None or now_s <= self._late_since:
+            return False
+        return used_s - self._used_before_s < _OWN_SHARE * (now_s - self._late_since)
 
     def _is_calm(self, waited_s: float, lost: int, now_s: float) -> bool:
         if lost > 0 or waited_s > CALM_WAIT_S:

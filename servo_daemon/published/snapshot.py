@@ -104,6 +104,7 @@ class Snapshot:
         estimate: None until the first samples.
         counters: totals of driver and queue: samples, samples_lost, queue_dropped, crc_errors, reconnects, ...
         overloaded: its samples come faster than they are worked off; the oldest are left out, and counted.
+        behind_s: how late its samples are worked off because other programs have the processor; none is left out.
         truth: a simulated drive's true values at this moment; for display only.
     """
 
@@ -116,3 +117,4 @@ class Snapshot:
     counters: Mapping[str, int]
     truth: Mapping[str, float] | None = None
     overloaded: bool = False
+    behind_s: float = 0.0

@@ -39,6 +39,10 @@ def test_an_address_that_is_not_ours() -> None:
     assert_refused("run", "--host", "192.0.2.1", "--port", "0", code=1, says=("192.0.2.1",))
 
 
+def test_a_network_without_tokens() -> None:
+    assert_refused("run", "--host", "0.0.0.0", "--port", "0", code=2, says=("0.0.0.0", "tokens_file", "behind_proxy"))
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [

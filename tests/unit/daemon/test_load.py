@@ -106,6 +106,22 @@ def test_one_that_only_just_does_not_keep_up_is_not_told_as_over_in_between() ->
     assert line.queue.dropped > 0
 
 
+def test_who_waits_for_the_processor_keeps_its_samples_and_tells_that_it_is_behind() -> None:
+    """Little of a processor is left for a minute, in which half is worked off of what comes."""
+    queue, watch, told, taken, used_s = BlockQueue(), LoadWatch(), [], 0, 0.0
+    for k in range(2400):
+        now_s = k * BLOCK_S
+        queue.put(block(k), now_s)
+        share = 0.05 if k < 1200 else 1.0
+        used_s += share * BLOCK_S
+        told += [kind for kind, _, _ in watch.relieve(queue, now_s, used_s)]
+        if k % 2 == 0 or share == 1.0:
+            taken += len(queue.take(BLOCK if share < 1.0 else 10 * BLOCK))
+        assert watch.behind == (told[-1:] == ["behind"])
+    assert told == ["behind", "behind_over"] and not watch.overloaded
+    assert queue.dropped == 0 and taken + len(queue.take()) == 2400
+
+
 def test_a_full_queue_is_told_at_once() -> None:
     line = Line(capacity=10 * BLOCK)
     line.run(2.0, blocks_per_s=1.0)
