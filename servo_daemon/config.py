@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from servo_daemon.config_texts import is_limit, parse_drift
+from servo_daemon.config_texts import is_limit, parse_days, parse_drift
 from servo_daemon.errors import ConfigError
 from servo_daemon.plant.effects import check_effects, parameter_table
 from servo_daemon.signal_meaning import SignalMeaning
@@ -116,6 +116,18 @@ class LimitsConfig(BaseModel):
     current_A: PositiveFloat | None = None
     velocity_rad_s: PositiveFloat | None = None
     travel_rad: PositiveFloat | None = None
+    warn_before: str = "180 d"  # an event when the time until a limit may be shorter
+
+    @field_validator("warn_before")
+    @classmethod
+    def _warn_before_is_readable(cls, text: str) -> str:
+        parse_days(text)
+        return text
+
+    @property
+    def warn_before_d(self) -> float:
+        """In days."""
+        return parse_days(self.warn_before)
 
     @model_validator(mode="after")
     def _alarms_are_known(self) -> LimitsConfig:
@@ -144,10 +156,11 @@ class SignalsConfig(_Section):
     gear_ratio: PositiveFloat | None = None
     truncated_A: float | None = Field(None, ge=0)
     truncated_V: float | None = Field(None, ge=0)
+    temperature: Literal["winding", "elsewhere"] = "elsewhere"  # what the drive's temperature is of
 
     def meaning(self, otherwise: SignalMeaning | None = None) -> SignalMeaning:
         """With these keys; the others as the driver says."""
-        return (otherwise or SignalMeaning()).with_keys(self.model_dump(exclude_none=True))
+        return (otherwise or SignalMeaning()).with_keys(self.model_dump(exclude_none=True, exclude={"temperature"}))
 
 
 class ControllerConfig(_Section):
