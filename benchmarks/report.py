@@ -32,6 +32,7 @@ _MONTE_CARLO = ("--runs", "2000", "--motors", "paper", "--motions", "multisine",
 COMMANDS: Mapping[str, tuple[str, ...]] = {
     "wire-serial": ("benchmarks/wire_serial.py",),
     "wire-can": ("benchmarks/wire_can.py",),
+    "polling": ("-m", "benchmarks.polling"),
     "captures": ("benchmarks/captures.py",),
     "ekf-step": ("benchmarks/ekf_step.py",),
     "daemon": ("benchmarks/daemon.py",),

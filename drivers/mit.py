@@ -224,3 +224,18 @@ def _identifiers(layout: str, motor_id: int, reply_id: int) -> tuple[int, frozen
         return reply_id, frozenset({reply_id})
     base = EXTENDED | _ROBSTRIDE_TYPE << 24 | motor_id << 8 | reply_id & 0xFF
     return base, frozenset(base | state << 16 for state in range(256))
+
+
+def robstride_keys() -> frozenset[int]:
+    """Identifiers of the feedback of RobStride motors that have no fault, to the host of RobStride's tools."""
+    modes = (mode << 22 for mode in range(4))
+    base = EXTENDED | _ROBSTRIDE_TYPE << 24 | _ROBSTRIDE_HOST
+    return frozenset(base | mode | motor << 8 for mode in modes for motor in range(1, 128))
+
+
+def robstride_motor(key: int) -> int | None:
+    """The motor whose feedback has this identifier; None: it is none of `robstride_keys`."""
+    return key >> 8 & 0xFF if key in _ROBSTRIDE_KEYS else None
+
+
+_ROBSTRIDE_KEYS = robstride_keys()

@@ -128,6 +128,9 @@ B = Parameter("B", "B", "N·m·s/rad", 0.51141, 1e-10, 1e3, "log", "viscous fric
 
 #: The linear motor's parameters in the order in which they are published everywhere.
 LINEAR: tuple[Parameter, ...] = (R, L, K, J, B)
+#: Their names; and of those that the armature's balance shows.
+MOTOR_NAMES = tuple(p.name for p in LINEAR)
+WINDING_NAMES = MOTOR_NAMES[:3]
 
 #: Motor inertia without load: not estimated (the data see only J), given, so that J_d = J - J_m can be published.
 J_M = Parameter("J_m", "J_m", "kg·m²", 0.009751, 1e-10, 1e3, "log", "inertia of the bare motor", "datasheet")

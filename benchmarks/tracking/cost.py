@@ -17,7 +17,7 @@ from servo_daemon.plant.build import build_plant
 from servo_daemon.plant.compiled import SampleLoop
 from servo_daemon.samples import F64, SampleBlock, make_block
 from servo_daemon.tracking.plan.settings import TrackerSettings
-from servo_daemon.tracking.tracker import Tracker
+from servo_daemon.tracking.plant_tracker import make_tracker
 from tests.recovery.generator import MOTORS, PAPER, Scenario, generate
 from tests.recovery.tracking.bound import CHANNELS, WALK_PER_SQRT_MIN, bound_recording, known_noise_filter, rows
 from tests.recovery.tracking.follow import NAMES, info_of
@@ -86,7 +86,7 @@ def _report_drives() -> None:
         )
         blocks.append([block.slice(a, a + BLOCK) for a in range(0, len(block), BLOCK)])
         config, info = DriveConfig(nominal=nominal), info_of(recording)
-        estimators.append(Tracker(block.channels, TrackerSettings(nominal=nominal), resolutions(config, info)))
+        estimators.append(make_tracker(block.channels, TrackerSettings(nominal=nominal), resolutions(config, info)))
         pipelines.append(Pipeline(config, info))
 
     def estimate(k: int, block: SampleBlock) -> None:

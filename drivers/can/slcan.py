@@ -2,7 +2,8 @@
 
 python-can (4.6) reads an slcan adapter byte by byte, each byte a select and a read of its own: a seventh of a core at
 1,000 frames/s (`benchmarks/wire_can.py`). It also keeps a line with a byte outside ASCII in its buffer and fails to
-decode it again on every later read, so that one disturbed byte ends reception for good. `ReadAhead` stands in for the
+decode it again on every later read, so that one disturbed byte ends reception for good, and gathers a line that does
+not end for ever. `ReadAhead` stands in for the
 serial port: it reads whatever has arrived at once and hands it out from memory, with bytes that cannot be slcan
 replaced by '?', which python-can then refuses as one bad line.
 """
@@ -11,6 +12,8 @@ from __future__ import annotations
 
 from typing import Any
 
+#: The longest line has 140 bytes (64 of CAN FD, two digits each); python-can would gather one without an end for ever.
+_MAX_LINE = 256
 #: Bytes 0x80..0xFF never occur in slcan.
 _ASCII_ONLY = bytes(range(128)) + b"?" * 128
 
@@ -26,6 +29,7 @@ class ReadAhead:
         self._port = port
         self._bytes = b""
         self._next = 0
+        self._open = 0  # bytes since the last end of a line
 
     @property
     def in_waiting(self) -> int:
@@ -45,10 +49,19 @@ class ReadAhead:
         """
         if self._next >= len(self._bytes):
             arrived: bytes = self._port.read(max(1, self._port.in_waiting))
-            self._bytes, self._next = arrived.translate(_ASCII_ONLY), 0
+            self._bytes, self._next = self._ended(arrived.translate(_ASCII_ONLY)), 0
         start = self._next
         self._next = min(start + size, len(self._bytes))
         return self._bytes[start : self._next]
+
+    def _ended(self, arrived: bytes) -> bytes:
+        """The same; in place of what makes a line too long, its end."""
+        end = max(arrived.rfind(b"\r"), arrived.rfind(b"\a"))
+        self._open = self._open + len(arrived) if end < 0 else len(arrived) - end - 1
+        if self._open <= _MAX_LINE:
+            return arrived
+        self._open = 0
+        return arrived[: end + 1] + b"?\r"
 
     def reset_input_buffer(self) -> None:
         """Forget what has arrived."""

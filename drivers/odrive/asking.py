@@ -23,10 +23,12 @@ from drivers.serial.port import open_port
 from servo_daemon.samples import Quality, SampleBlock
 from servo_daemon.signal_meaning import SignalMeaning
 
-#: All that is ever sent, by axis: feedback (position and velocity), and one reading.
+#: All that the driver ever sends, by axis: feedback (position and velocity), and one reading.
 MAY_SEND: dict[int, bytes] = {
     axis: f"f {axis}\nr axis{axis}.motor.current_control.Iq_measured\n".encode() for axis in (0, 1)
 }
+#: What `scan` sends once, by axis: the torque constant, N·m/A.
+TORQUE_CONSTANT: dict[int, bytes] = {axis: f"r axis{axis}.motor.config.torque_constant\n".encode() for axis in (0, 1)}
 #: A line longer than this is none of its answers.
 _LONGEST_LINE = 128
 

@@ -13,7 +13,7 @@ from drivers.polling.poller import Answer, Dialogue, Pace, Poller, V
 from servo_daemon.samples import SampleBlock
 
 #: Answers are gathered so long after the first: what comes after a block costs the same for one sample as for ten.
-GATHER_S = 0.025
+GATHER_S = 0.05
 
 
 class PollingDriver(Driver, Generic[V]):
@@ -49,19 +49,18 @@ class PollingDriver(Driver, Generic[V]):
     def _read(self, timeout_s: float) -> SampleBlock | None:
         until_s = time.monotonic() + max(timeout_s, 0.0)
         answers: list[Answer[V]] = []
-        while self.is_open:
-            with self._io:
-                if self._poller is None or not self._is_open:
-                    return None
+        with self._io:
+            poller = self._poller
+            while self._is_open and poller is not None:
                 try:
-                    fresh = self._poller.step(until_s)
+                    fresh = poller.step(until_s)
                 except OSError as error:  # SerialException is one
                     raise disconnected(self.name, error) from error
-            if fresh and not answers:
-                until_s = min(until_s, fresh[0].received_s + GATHER_S)
-            answers += fresh
-            if time.monotonic() >= until_s:
-                return self._samples(answers) if answers else None
+                if fresh and not answers:
+                    until_s = min(until_s, fresh[0].received_s + GATHER_S)
+                answers += fresh
+                if not fresh and time.monotonic() >= until_s:
+                    return self._samples(answers) if answers else None
         return None
 
     def _close(self) -> None:

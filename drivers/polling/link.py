@@ -39,16 +39,29 @@ class SerialLink:
     def __init__(self, port: serial.Serial) -> None:
         self._port = port
         self._port.write_timeout = 1.0  # a request is a few bytes: a line that takes none of them for so long is dead
+        self._fd = port.fileno()
         self._wake_r, self._wake_w = os.pipe()
+        self._watched = (self._fd, self._wake_r)
 
     def send(self, data: bytes) -> None:
-        self._port.write(data)
+        try:
+            sent = os.write(self._fd, data)  # pyserial's own waits before and after
+        except BlockingIOError:
+            sent = 0
+        if sent < len(data):
+            self._port.write(data[sent:])
 
     def receive(self, timeout_s: float) -> bytes:
-        ready = select.select([self._port.fileno(), self._wake_r], [], [], max(timeout_s, 0.0))[0]
+        ready = select.select(self._watched, (), (), timeout_s if timeout_s > 0.0 else 0.0)[0]
         if not ready or self._wake_r in ready:
             return b""
-        return bytes(self._port.read(_READ_SIZE))
+        try:
+            data = os.read(self._fd, _READ_SIZE)
+        except BlockingIOError:  # another program has taken it
+            return b""
+        if not data:
+            raise OSError("the port reports that something has come, and has nothing")
+        return data
 
     def wake(self) -> None:
         os.write(self._wake_w, b"x")

@@ -15,7 +15,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from drivers.polling.link import Link
 
@@ -36,16 +36,14 @@ class Request:
     tag: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Reply(Generic[V]):
+class Reply(NamedTuple, Generic[V]):
     """What came back."""
 
     tag: int
     value: V
 
 
-@dataclass(frozen=True, slots=True)
-class Answer(Generic[V]):
+class Answer(NamedTuple, Generic[V]):
     """A reply with its place in time.
 
     Attributes:
@@ -109,6 +107,7 @@ class Poller(Generic[V]):
         self._on_their_way: deque[tuple[int, int, float]] = deque()  # number, tag, sent
         self._number = 0
         self._unanswered = 0  # in a row
+        self._period_s = 1.0 / pace.rate_hz
         self._trips: list[tuple[float, float]] = []  # received, how long it took
         for name in ("sent", "answered", "timed_out", "missed", "unasked"):
             extra.setdefault(f"polls_{name}", 0)
@@ -116,45 +115,60 @@ class Poller(Generic[V]):
     @property
     def period_s(self) -> float:
         """From one request to the next now."""
+        return self._period_s
+
+    def _slower(self, unanswered: int) -> None:
+        """So many requests in a row have not been answered."""
+        self._unanswered = unanswered
         halvings = max(0, self._unanswered - _PATIENCE + 1)
         slowest = max(1 / self._pace.rate_hz, _LONGEST_PAUSE_S)
-        return min(slowest, 2.0 ** min(halvings, 30) / self._pace.rate_hz)
+        self._period_s = min(slowest, 2.0 ** min(halvings, 30) / self._pace.rate_hz)
 
     def step(self, until_s: float) -> list[Answer[V]]:
-        """Send what is due and wait for answers, at most until then.
+        """Send what is due and wait for answers: until there are some, at most until then, or until the link is woken.
 
         Raises:
             OSError: the link is gone.
         """
-        now = self._clock()
-        self._give_up(now)
-        self._send_due(now)
-        data = self._link.receive(min(until_s, self._next_event()) - self._clock())
-        return self._matched(self._dialogue.feed(data)) if data else []
+        clock = self._clock
+        now = clock()
+        while True:
+            if self._on_their_way:
+                self._give_up(now)
+            if now >= self._due_s:
+                self._send_due(now)
+                now = clock()
+            wait_s = min(until_s, self._next_event())
+            data = self._link.receive(wait_s - now)
+            if data and (answers := self._matched(self._dialogue.feed(data))):
+                return answers
+            now = clock()
+            if now >= until_s or (not data and now < wait_s):
+                return []
 
     def _next_event(self) -> float:
-        due = self._due_s if len(self._on_their_way) < self._pace.together else math.inf
-        oldest = self._on_their_way[0][2] + self._pace.timeout_s if self._on_their_way else math.inf
-        return min(due, oldest)
+        if not self._on_their_way:
+            return self._due_s
+        oldest = self._on_their_way[0][2] + self._pace.timeout_s
+        return min(self._due_s, oldest) if len(self._on_their_way) < self._pace.together else oldest
 
     def _give_up(self, now: float) -> None:
         """After a time-out nothing that is on its way is waited for, and the line has time to fall silent: a late
         answer must not be taken for the answer to a later request."""
-        if self._on_their_way and now >= self._on_their_way[0][2] + self._pace.timeout_s:
+        if now >= self._on_their_way[0][2] + self._pace.timeout_s:
             self._count("timed_out", len(self._on_their_way))
             self._on_their_way.clear()
-            self._unanswered += 1
+            self._slower(self._unanswered + 1)
             self._due_s = now + max(self.period_s, self._pace.timeout_s)
 
     def _send_due(self, now: float) -> None:
-        if now < self._due_s:
-            return
-        late = int((now - self._due_s) / self.period_s)
-        self._count("missed", late)
-        self._due_s += late * self.period_s
+        late = int((now - self._due_s) / self._period_s)
+        if late:
+            self._count("missed", late)
+            self._due_s += late * self._period_s
         if len(self._on_their_way) >= self._pace.together:
             return
-        self._due_s += self.period_s
+        self._due_s += self._period_s
         request = self._dialogue.next_request()
         if request is None:
             return
@@ -174,17 +188,19 @@ class Poller(Generic[V]):
             while tag != reply.tag:  # drives answer in the order in which they were asked: that answer is lost
                 self._count("timed_out")
                 number, tag, sent_s = self._on_their_way.popleft()
-            self._unanswered = 0
+            if self._unanswered:
+                self._slower(0)
             self._count("answered")
             self._trips.append((now, now - sent_s))
             answers.append(Answer(number, sent_s, now, reply.value))
-        self._measure(now)
+        if self._trips and now - self._trips[0][0] >= _WINDOW_S:
+            self._measure(now)
         return answers
 
     def _measure(self, now: float) -> None:
         """Rate and jitter, once in `_WINDOW_S`."""
         trips = self._trips
-        if len(trips) < 2 or now - trips[0][0] < _WINDOW_S:
+        if len(trips) < 2:
             return
         least = min(took for _, took in trips)
         mean_square = sum((took - least) ** 2 for _, took in trips) / len(trips)

@@ -160,7 +160,7 @@ class BinaryDecoder:
         if len(payload) != dtype.itemsize:
             self.counters.framing_errors += 1
             return
-        self._finish_run()
+        self._finish_run(last=True)
         self._run, self._run_head, self._run_size = [payload], payload[:_HEAD], len(payload)
         self._run_dtype, self._run_numbers = dtype, np.arange(payload[3])
 
@@ -187,7 +187,7 @@ class BinaryDecoder:
         except WireError:
             self.counters.extra["descriptions_refused"] += 1
             return
-        self._finish_run()
+        self._finish_run(last=True)
         self._end_run_kind()
         self._adopt(description, payload)
         waiting, self._waiting, self._waiting_bytes = self._waiting, deque(), 0
@@ -211,17 +211,18 @@ class BinaryDecoder:
         self.description = self._last_description = description
         self._description_payload = payload
 
-    def _finish_run(self) -> None:
-        """Decode the frames collected so far into a block."""
+    def _finish_run(self, last: bool = False) -> None:
+        """Decode the frames collected so far into a block; `last`: no more of this kind follow."""
         if not self._run or self.description is None:
             return
         payloads, self._run = self._run, []
-        block = self._decode(payloads, self.description)
+        block = self._decode(payloads, self.description, last)
         if block is not None:
             self._ready.append(block)
-        self._recent.extend(payloads[-_RECENT_FRAMES:])
+        done = payloads[: len(payloads) - len(self._run)]
+        self._recent.extend(done[-_RECENT_FRAMES:])
 
-    def _decode(self, payloads: list[bytes], description: Description) -> SampleBlock | None:
+    def _decode(self, payloads: list[bytes], description: Description, last: bool) -> SampleBlock | None:
         frames = np.frombuffer(b"".join(payloads), dtype=self._run_dtype)
         steps = frames["samples"]["dt_us"]
         if (
@@ -240,14 +241,17 @@ class BinaryDecoder:
         offsets = steps.cumsum(axis=1, dtype=np.int64)
         timeline, counters = self._timeline, self.counters
         n = offsets.shape[1]
-        placed = timeline.place(frames["sequence"], frames["t_us"], offsets[:, -1], n, is_repeat)
+        placed = timeline.place(frames["sequence"], frames["t_us"], offsets[:, -1], n, is_repeat, last=last)
+        if placed.undecided:
+            self._run = payloads[-placed.undecided :]
+            frames, offsets = frames[: -placed.undecided], offsets[: -placed.undecided]
         counters.samples_lost = timeline.lost
         counters.samples_repeated = timeline.repeated
         counters.device_restarts = timeline.restarts
         if placed.kept is not None:
             frames, offsets = frames[placed.kept], offsets[placed.kept]
-            if frames.shape[0] == 0:
-                return None
+        if frames.shape[0] == 0:
+            return None
         return self._block(frames["samples"], description, offsets, placed)
 
     def _block(self, records: NDArray[Any], description: Description, offsets: I64, placed: Placement) -> SampleBlock:

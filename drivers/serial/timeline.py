@@ -24,6 +24,9 @@ MAX_GAP_US = 86_400 * 1_000_000
 #: A changed session whose numbering continues exactly, with at most this pause, is a changed description.
 MAX_PAUSE_US = 1_000_000
 
+#: The same of samples: a second at 20 kHz.
+_MAX_MISSING = 20_000
+
 #: A gap in which the device would have sampled this much faster than it does is no gap, but a new numbering.
 _RATE_MARGIN = 4.0
 
@@ -37,6 +40,11 @@ _FEW = 8
 
 #: Continuation after a restart when nothing is known of the sample period.
 _UNKNOWN_PERIOD_US = 1_000
+
+
+def _goes_on(raw_next: int, last_us: int, raw_number: int, raw_us: int) -> bool:
+    """Whether a frame follows on a line, with few samples missing, within a moment. All as the device counts."""
+    return 0 <= signed32(raw_number - raw_next) <= _MAX_MISSING and 0 < signed32(raw_us - last_us) <= MAX_PAUSE_US
 
 
 def signed32(value: int) -> int:
@@ -53,12 +61,15 @@ class Placement:
         time_us: shape (kept,), unwrapped time of each frame's first sample.
         sequence: shape (kept,), unwrapped number of each frame's first sample.
         flags: shape (kept,), `Quality` bits of each frame's first sample; None: all good.
+        undecided: so many of the last frames are not placed: what comes next tells whether they begin a restart. They
+            are to be given again, first, with the frames that follow.
     """
 
     kept: NDArray[np.bool_] | None
     time_us: I64
     sequence: I64
     flags: U8 | None
+    undecided: int = 0
 
 
 class Timeline:
@@ -80,6 +91,7 @@ class Timeline:
         self._raw_us = 0  # device time of the last sample, as the device counts
         self._next = 0  # the same two, unwrapped
         self._us = 0
+        self._left: tuple[int, int] | None = None  # the first two as they were before the last restart
 
     def set_period(self, period_us: float | None) -> None:
         """The nominal sample period; None where sampling is not regular."""
@@ -91,7 +103,7 @@ class Timeline:
 
     def place(
         self, sequence: NDArray[np.uint32], first_us: NDArray[np.uint32], span_us: I64, n: int,
-        is_repeat: Callable[[int], bool],
+        is_repeat: Callable[[int], bool], *, last: bool = False,
     ) -> Placement:  # fmt: skip
         """Place frames of `n` samples each, given in the order of arrival.
 
@@ -100,13 +112,14 @@ class Timeline:
             first_us: shape (frames,), device time of each frame.
             span_us: shape (frames,), from that to its last sample.
             is_repeat: whether frame k has the very bytes of a recent earlier one.
+            last: no more frames of this kind follow, so that all are placed.
         """
         if sequence.shape[0] > _FEW and self._started and not self._new_session:
             steps = self._steps(first_us, span_us)
             expected = np.arange(self._raw_next, self._raw_next + n * steps.shape[0], n, dtype=np.int64)
             if bool((steps > 0).all()) and bool((sequence == expected.astype(np.uint32)).all()):
                 return self._place_regular(int(sequence[-1]), int(first_us[-1]), steps, span_us, n)
-        return self._place_one_by_one(sequence.tolist(), first_us.tolist(), span_us.tolist(), n, is_repeat)
+        return self._place_one_by_one(sequence.tolist(), first_us.tolist(), span_us.tolist(), n, is_repeat, last)
 
     def _steps(self, first_us: NDArray[np.uint32], span_us: I64) -> NDArray[np.int32]:
         """µs from the last sample before each frame to its first, as the nearer of the two meanings."""
@@ -128,12 +141,23 @@ class Timeline:
         return Placement(None, time_us, numbers, None)
 
     def _place_one_by_one(
-        self, sequence: list[int], first_us: list[int], span_us: list[int], n: int, is_repeat: Callable[[int], bool]
+        self,
+        sequence: list[int],
+        first_us: list[int],
+        span_us: list[int],
+        n: int,
+        is_repeat: Callable[[int], bool],
+        last: bool,
     ) -> Placement:
         kept, times, numbers, flags = [], [], [], []
         for k, (raw_number, raw_us, span) in enumerate(zip(sequence, first_us, span_us, strict=True)):
             ahead = signed32(raw_number - self._raw_next)
             keep = not (self._started and ahead < 0 and is_repeat(k))
+            if keep and not self._new_session and self._is_restart(ahead, raw_us):
+                if k + 1 < len(sequence):
+                    keep = self._is_believed(raw_number + n, raw_us + span, sequence[k + 1], first_us[k + 1])
+                elif not last:
+                    break
             kept.append(keep)
             if keep:
                 us, number, flag = self._place_one(ahead, raw_number, raw_us)
@@ -148,15 +172,35 @@ class Timeline:
             np.array(times, dtype=np.int64),
             np.array(numbers, dtype=np.int64),
             np.array(flags, dtype=np.uint8) if any(flags) else None,
+            len(sequence) - len(kept),
         )
+
+    def _is_restart(self, ahead: int, raw_us: int) -> bool:
+        """Whether a frame lies on neither the line of those before it nor the one that the last restart left."""
+        on_the_line = self._elapsed(ahead, signed32(raw_us - self._raw_us)) is not None
+        return self._started and not on_the_line
+
+    def _is_believed(self, raw_next: int, raw_us: int, number: int, us: int) -> bool:
+        """Whether a restart is one, by the frame that follows its first. An old frame that comes once more (a line that
+        repeats, a device that answers from a buffer) is none.
+
+        Args:
+            raw_next, raw_us: what would follow, and the time before it.
+            number, us: what does follow.
+        """
+        return _goes_on(raw_next, raw_us, number, us) and not _goes_on(self._raw_next, self._raw_us, number, us)
 
     def _place_one(self, ahead: int, raw_number: int, raw_us: int) -> tuple[int, int, int]:
         """Unwrapped time and number, and flags, of a frame that is no repetition."""
         if not self._started:
             return raw_us, raw_number, 0
         elapsed = self._elapsed(ahead, signed32(raw_us - self._raw_us))
-        if elapsed is None:
-            self.restarts += 1
+        left = self._left
+        back = left is not None and ahead != 0 and not self._new_session and _goes_on(*left, raw_number, raw_us)
+        if elapsed is None or back:
+            # Back on the line that was left, there was no restart, and nothing is lost.
+            self.restarts += not back
+            self._left = None if back or self._new_session else (self._raw_next, self._raw_us)
             period_us = max(1, round(self._nominal_us or self._measured_us))
             return self._us + period_us, self._next, int(Quality.TIME_RESTART)
         self.lost += ahead

@@ -90,7 +90,7 @@ class ChainDialogue:
         replies: list[Reply[Round]] = []
         for servo, error, content in self._decoder.feed(data):
             if servo in self._absent and len(content) == self._family.identity[1]:
-                self.models[servo] = int.from_bytes(content, "little")
+                self.models[servo] = int.from_bytes(content[:2], "little")
                 del self._absent[servo]
                 self._missed[servo] = 0
                 replies.append(Reply(_IDENTITY + servo, {}))
@@ -113,7 +113,7 @@ class Chain:
         self._places: tuple[Place, ...] = ()
         self._stopping = self._released = False
         self._failure: str | None = None
-        self._numbered = 0  # requests of pollers before this one
+        self._extra: dict[str, int] = {}  # counts of all its pollers, one after the other
         self._thread = threading.Thread(target=self._run, name="servo-chain", daemon=True)
 
     @classmethod
@@ -191,30 +191,27 @@ class Chain:
     def _ask(self, places: tuple[Place, ...]) -> None:
         """Ask for these drives, until there are others."""
         dialogue = ChainDialogue(self._family, tuple(p.servo for p in places))
-        extra: dict[str, int] = {}
-        poller = Poller(self._link, dialogue, self._pace, extra)
+        numbered = self._extra.get("polls_sent", 0)  # requests of pollers before this one
+        poller = Poller(self._link, dialogue, self._pace, self._extra)
         errors = (0, 0)
         while self._places is places and not self._stopping:
             answers = poller.step(time.monotonic() + _AGAIN_S)
             fresh = dialogue.errors
             if answers or fresh != errors:
                 with self._ready:
-                    self._hand_out(places, answers, dialogue, extra)
+                    self._hand_out(places, answers, dialogue, numbered)
                     for place in places:
                         place.counters.crc_errors += fresh[0] - errors[0]
                         place.counters.framing_errors += fresh[1] - errors[1]
                     self._ready.notify_all()
                 errors = fresh
-        self._numbered += extra["polls_sent"]
 
     def _hand_out(
-        self, places: tuple[Place, ...], answers: list[Answer[Round]], dialogue: ChainDialogue, extra: dict[str, int]
+        self, places: tuple[Place, ...], answers: list[Answer[Round]], dialogue: ChainDialogue, numbered: int
     ) -> None:
         for place in places:
             place.model = dialogue.models.get(place.servo, place.model)
-            place.counters.extra |= extra
+            place.counters.extra |= self._extra
             for a in answers:
                 if place.servo in a.value:
-                    place.answers.append(
-                        Answer(self._numbered + a.number, a.sent_s, a.received_s, a.value[place.servo])
-                    )
+                    place.answers.append(Answer(numbered + a.number, a.sent_s, a.received_s, a.value[place.servo]))

@@ -73,12 +73,14 @@ class Family(Protocol):
 
     Attributes:
         address, length: the registers that are read.
-        identity: address and length of the model's number.
+        identity: address and length of the registers that begin with the model's number (two bytes).
+        search: requests that every servo of the line answers with its model's number; sent by `scan`, nothing else.
     """
 
     address: int
     length: int
     identity: tuple[int, int]
+    search: tuple[bytes, ...]
 
     def decoder(self) -> Decoder: ...
 
@@ -107,6 +109,7 @@ class DynamixelX:
 
     address, length = 124, _X_REGISTERS.itemsize
     identity = (0, 2)
+    search: tuple[bytes, ...] = (protocol2.ping(),)
 
     def __init__(self, *, fast: bool) -> None:
         self._sync_read = protocol2.fast_sync_read if fast else protocol2.sync_read
@@ -150,7 +153,8 @@ class FeetechSts:
     """STS series, registers 56 … 70: position, speed, load, supply, temperature, …, current."""
 
     address, length = 56, _STS_REGISTERS.itemsize
-    identity = (3, 2)
+    identity = (3, 3)  # with the servo's id behind it: an answer is then longer than the echo of its request
+    search: tuple[bytes, ...] = tuple(protocol1.read(servo, 3, 3) for servo in range(protocol2.MOST_ID + 1))
 
     def decoder(self) -> protocol1.Decoder:
         return protocol1.Decoder((self.length, self.identity[1]))

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 HEAD = b"\xff\xff\xfd\x00"
-READ, SYNC_READ, FAST_SYNC_READ, STATUS = 0x02, 0x82, 0x8A, 0x55
+PING, READ, SYNC_READ, FAST_SYNC_READ, STATUS = 0x01, 0x02, 0x82, 0x8A, 0x55
 BROADCAST = 0xFE
 #: Servos have the ids 0 .. 252.
 MOST_ID = 252
@@ -55,6 +55,11 @@ def packet(servo: int, instruction: int, parameters: bytes) -> bytes:
     body = (bytes([instruction]) + parameters).replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
     head = HEAD + struct.pack("<BH", servo, len(body) + 2) + body
     return head + struct.pack("<H", crc16(head))
+
+
+def ping() -> bytes:
+    """The question who is there: every servo answers with its model's number (2 bytes) and its firmware's."""
+    return packet(BROADCAST, PING, b"")
 
 
 def read(servo: int, address: int, length: int) -> bytes:

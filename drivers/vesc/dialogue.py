@@ -2,29 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import struct
 
 from drivers.base import DriverCounters
 from drivers.polling.poller import Reply, Request
 from drivers.vesc.packets import PacketReader
 from drivers.vesc.requests import FW_VERSION, GET_VALUES_SELECTIVE, POLL_MASKS, request
-from drivers.vesc.values import Firmware, decode_firmware, decode_values
+from drivers.vesc.values import Firmware, decode_firmware, layout_of
 from servo_daemon.errors import WireError
 
 _HELLO = -1  # the tag of the question after the firmware: no mask
+#: How the answers to polls begin, by that beginning: the tag, and what they hold.
+_LAYOUTS = {bytes([GET_VALUES_SELECTIVE]) + mask.to_bytes(4, "big"): (mask, layout_of(mask)) for mask in POLL_MASKS}
 
-
-@dataclass(frozen=True, slots=True)
-class Polled:
-    """The values of one poll."""
-
-    iq_A: float
-    vq_V: float
-    duty: float
-    erpm: float
-    v_in_V: float
-    tachometer: float
-    pid_pos_deg: float
+#: The values of one poll, in steps; see `values.values_of`.
+Polled = tuple[int, ...]
 
 
 class VescDialogue:
@@ -60,7 +52,7 @@ class VescDialogue:
             try:
                 replies.append(self._read(payload))
                 self._counters.frames += 1
-            except (WireError, KeyError):  # whole and well-formed, but no answer to what we ask
+            except (WireError, KeyError, struct.error):  # whole and well-formed, but no answer to what we ask
                 self._counters.unknown_frames += 1
         return replies
 
@@ -68,8 +60,5 @@ class VescDialogue:
         if payload[0] == FW_VERSION:
             self.firmware = decode_firmware(payload)
             return Reply(_HELLO, self.firmware)
-        mask, v = decode_values(payload)
-        polled = Polled(
-            v["avg_iq_A"], v["avg_vq_V"], v["duty"], v["erpm"], v["v_in_V"], v["tachometer"], v["pid_pos_deg"]
-        )
-        return Reply(mask, polled)
+        tag, layout = _LAYOUTS[payload[:5]]
+        return Reply(tag, layout.unpack(payload))

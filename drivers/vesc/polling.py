@@ -18,13 +18,13 @@ from drivers.polling.poller import Answer, Pace
 from drivers.serial.port import open_port
 from drivers.vesc.dialogue import Polled, VescDialogue
 from drivers.vesc.shaft import Shaft, Source
-from drivers.vesc.values import Firmware
+from drivers.vesc.values import POLLED, Firmware, values_of
 from drivers.vesc.when import SampleTimes
 from servo_daemon.samples import F64, I64, U8, Quality, SampleBlock
 from servo_daemon.signal_meaning import SignalMeaning
 
 #: What a poll brings: averages since the poll before, of every control cycle.
-POLLED = SignalMeaning(voltage="mean", current="mean", convention="dq")
+POLLED_MEANING = SignalMeaning(voltage="mean", current="mean", convention="dq")
 #: One step of the averages, A and V.
 CURRENT_LSB_A, VOLTAGE_LSB_V = 1e-2, 1e-3
 #: From this duty cycle on the firmware limits the voltage (its default l_max_duty is 0.95).
@@ -74,7 +74,7 @@ class PolledVesc(PollingDriver[Firmware | Polled]):
 
     @property
     def meaning(self) -> SignalMeaning:
-        return replace(POLLED, pole_pairs=self._settings.pole_pairs or 1)
+        return replace(POLLED_MEANING, pole_pairs=self._settings.pole_pairs or 1)
 
     @property
     def info(self) -> DriveInfo:
@@ -123,11 +123,11 @@ class PolledVesc(PollingDriver[Firmware | Polled]):
         return self._dialogue
 
     def _samples(self, answers: list[Answer[Firmware | Polled]]) -> SampleBlock | None:
-        polled = [(answer, answer.value) for answer in answers if isinstance(answer.value, Polled)]
+        polled = [(answer, answer.value) for answer in answers if isinstance(answer.value, tuple)]
         if not polled:
             return None
-        rows = [(p.iq_A, p.vq_V, p.duty, p.pid_pos_deg, p.tachometer, p.erpm) for _, p in polled]
-        iq, vq, duty, degrees, tachometer, erpm = np.array(rows, np.float64).T
+        shown = values_of([raw for _, raw in polled])
+        iq, vq, duty, degrees, tachometer, erpm = (shown[name] for name in POLLED)
         number = np.array([a.number for a, _ in polled], np.int64)
         sent_s, received_s = np.array([(a.sent_s, a.received_s) for a, _ in polled]).T
         before, self._asked_before = self._asked_before, int(number[-1])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from drivers.vesc.packets import encode_packet
 
 #: Command numbers of the firmware's datatypes.h, as in tests/drivers/golden/vesc.json.
-FW_VERSION, GET_VALUES, GET_VALUES_SELECTIVE, FORWARD_CAN = 0, 4, 50, 34
+FW_VERSION, GET_VALUES, GET_VALUES_SELECTIVE, FORWARD_CAN, GET_MCCONF = 0, 4, 50, 34, 14
 
 IQ, DUTY, ERPM, V_IN, TACHOMETER, PID_POS, VQ = (1 << bit for bit in (5, 6, 7, 8, 13, 16, 20))
 _FAULT, _CONTROLLER_ID = 1 << 15, 1 << 17
@@ -20,6 +20,7 @@ POLL_MASKS = tuple(
 MAY_SEND: dict[str, tuple[bytes, ...]] = {
     "the firmware's version": (bytes([FW_VERSION]),),
     "a selection of values": tuple(bytes([GET_VALUES_SELECTIVE]) + mask.to_bytes(4, "big") for mask in POLL_MASKS),
+    "the motor's configuration (by scan, once)": (bytes([GET_MCCONF]),),
 }
 
 

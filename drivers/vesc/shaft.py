@@ -24,6 +24,10 @@ _ENOUGH_STEPS = 6
 #: How well `pid_pos` keeps its distance from the tachometer's angle (1: it does). An electrical angle spreads over the
 #: one step by which the tachometer is coarse: 0.95. An encoder's over half a turn or more: at most 0.64.
 _KEEPS_ITS_DISTANCE = 0.8
+#: Degrees of `pid_pos` for a step: of one pole pair (and of an electrical angle), two, …; then against it.
+_SLOPES = np.outer((1.0, -1.0), 360.0 / STEPS / np.arange(1, 101)).ravel()
+#: The better direction keeps its distance so much better than the other: half a turn's way tells as much.
+_APART = 0.3
 #: The tachometer is an int32.
 _TACHOMETER_WRAP = 2.0**32
 
@@ -71,7 +75,7 @@ class Shaft:
         """The shaft's angle in rad for the next values, shapes (n,); None while it is not known what they are."""
         steps = self._steps.unwrap(tachometer)
         if self.source == "auto":
-            self._decide(steps, self._degrees.unwrap(pid_pos_deg, steps))
+            self._decide(steps, pid_pos_deg)
             return None
         if self.source == "electrical":
             if self._pole_pairs is None:
@@ -87,14 +91,21 @@ class Shaft:
         return 2.0 * math.pi * (turns + np.rint(steps / STEPS - turns - self._offset))
 
     def _decide(self, steps: F64, degrees: F64) -> None:
+        """Which share of an electrical turn, with which sign, `pid_pos` goes on by for a step of the tachometer: that
+        with which it keeps its distance from them. Turns are of no account, so that none in a pause is missed."""
         self._seen |= dict(zip(steps.tolist(), degrees.tolist(), strict=True))
         if len(self._seen) <= _ENOUGH_STEPS:
             return
-        step, degree = np.array(sorted(self._seen.items())).T
-        apart = np.radians(degree) - step * (2.0 * math.pi / STEPS)
-        electrical = abs(np.exp(1j * apart).mean()) > _KEEPS_ITS_DISTANCE
+        step, degree = np.array(tuple(self._seen.items())).T
+        apart = np.radians(degree[:, None] - (step - step[0])[:, None] * _SLOPES)
+        kept = np.abs(np.exp(1j * apart).mean(axis=0))
+        best = int(np.argmax(kept))
+        if _SLOPES[best] != _SLOPES[0] and kept[best] - kept[np.sign(_SLOPES) != np.sign(_SLOPES[best])].max() < _APART:
+            return  # the way is too short to tell forward from backward
+        electrical = kept[0] > _KEEPS_ITS_DISTANCE
         self.source = "electrical" if electrical else "encoder"
-        self.inverted = not electrical and float((step - step.mean()) @ degree) < 0.0
+        self.inverted = not electrical and bool(_SLOPES[best] < 0.0)
+        self._degrees.begin(float(_SLOPES[best]))
         self._seen.clear()
 
 
@@ -113,6 +124,10 @@ class _Guided:
         self._longest = _ENOUGH_STEPS - 1.0
         self._last = (0.0, 0.0)
         self._turns = 0.0
+
+    def begin(self, slope: float) -> None:
+        """What comes is continued with so many degrees a step, until a longer way tells it better."""
+        self._slope = math.copysign(self._told, slope) if self._told else slope
 
     @property
     def pole_pairs(self) -> int | None:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
-from drivers.vesc.requests import FW_VERSION, GET_VALUES, GET_VALUES_SELECTIVE
+import numpy as np
+
+from drivers.vesc.requests import FW_VERSION
 from servo_daemon.errors import WireError
+from servo_daemon.samples import F64
 
 #: An average over no control cycle: 0/0, cast to the least int32, in steps of 0.01 (and 0.001).
 NO_AVERAGE = -(1 << 31)
@@ -15,7 +18,7 @@ NO_AVERAGE = -(1 << 31)
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """One field: its name, struct format and steps a unit (0: several of them, left as they are)."""
+    """One field: its name, struct format and steps a unit."""
 
     name: str
     format: str
@@ -42,12 +45,11 @@ VALUES = (
     Value("fault", "B"),
     Value("pid_pos_deg", "i", 1e6),
     Value("controller_id", "B"),
-    Value("temp_mos", "6s", 0.0),
+    Value("temp_mos", "6s"),
     Value("avg_vd_V", "i", 1e3),
     Value("avg_vq_V", "i", 1e3),
     Value("status", "B"),
 )
-_ALL = (1 << len(VALUES)) - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,34 +62,31 @@ class Firmware:
     uuid: str
 
 
-@lru_cache(maxsize=64)
-def _layout(mask: int) -> tuple[struct.Struct, tuple[Value, ...]]:
-    chosen = tuple(value for bit, value in enumerate(VALUES) if mask >> bit & 1)
-    return struct.Struct(">" + "".join(value.format for value in chosen)), chosen
+#: What a poll is read for.
+POLLED = ("avg_iq_A", "avg_vq_V", "duty", "pid_pos_deg", "tachometer", "erpm")
 
 
-def decode_values(payload: bytes) -> tuple[int, dict[str, float]]:
-    """Mask and values of an answer to GET_VALUES or GET_VALUES_SELECTIVE. An average over nothing is NaN.
+def layout_of(mask: int, names: Collection[str] = POLLED) -> struct.Struct:
+    """Of the answer to a selection: command and mask are passed over, then come those of these values that it holds, in
+    the order of `VALUES`."""
+    chosen = (value for bit, value in enumerate(VALUES) if mask >> bit & 1)
+    kinds = (v.format if v.name in names else f"{struct.calcsize('>' + v.format)}x" for v in chosen)
+    return struct.Struct(">5x" + "".join(kinds))
 
-    Raises:
-        WireError: another payload, or a length that is not that of its mask.
+
+def values_of(raw: Sequence[tuple[int, ...]], chosen: Collection[str] = POLLED) -> dict[str, F64]:
+    """The values of n answers as `layout_of` unpacks them, by name, shape (n,) each. An average over nothing is NaN.
+
+    Args:
+        chosen: names of the values, all of which the answers hold.
     """
-    command = payload[0] if payload else None
-    if command == GET_VALUES:
-        mask, body = _ALL, payload[1:]
-    elif command == GET_VALUES_SELECTIVE and len(payload) >= 5:
-        mask, body = int.from_bytes(payload[1:5], "big"), payload[5:]
-    else:
-        raise WireError(f"a payload of {len(payload)} bytes, command {command}, holds no values")
-    layout, chosen = _layout(mask & _ALL)
-    if mask > _ALL or len(body) != layout.size:
-        raise WireError(f"{len(body)} bytes do not hold the values of mask 0x{mask:08x}")
-    values: dict[str, float] = {}
-    for value, raw in zip(chosen, layout.unpack(body), strict=True):
-        if value.steps:
-            lacks = raw == NO_AVERAGE and value.name.startswith("avg_")
-            values[value.name] = float("nan") if lacks else raw / value.steps
-    return mask, values
+    names = [v for v in VALUES if v.name in chosen]
+    columns = np.array(raw, np.float64).T
+    values = {v.name: column / v.steps for v, column in zip(names, columns, strict=True)}
+    for v, column in zip(names, columns, strict=True):
+        if v.name.startswith("avg_"):
+            values[v.name][column == NO_AVERAGE] = np.nan
+    return values
 
 
 def decode_firmware(payload: bytes) -> Firmware:

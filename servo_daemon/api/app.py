@@ -9,7 +9,9 @@ from fastapi import FastAPI
 from starlette.responses import JSONResponse
 
 from servo_daemon.api import assets, problems
-from servo_daemon.api.guard import Guard
+from servo_daemon.api.access.guard import Guard
+from servo_daemon.api.access.request_limits import RequestLimits
+from servo_daemon.api.computing import Computer, ProcessComputer
 from servo_daemon.api.head import Head
 from servo_daemon.api.routes import api_router, metrics_router
 from servo_daemon.api.schemas import diagnosis as diagnosis_schemas
@@ -28,7 +30,7 @@ answer ever holds NaN. Errors are RFC 9457 problem details (`application/problem
 """
 
 
-def create_app(daemon: DaemonView, allowed_hosts: Iterable[str] = ()) -> FastAPI:
+def create_app(daemon: DaemonView, allowed_hosts: Iterable[str] = (), computer: Computer | None = None) -> FastAPI:
     """The ASGI application. It only ever reads published records, and asks for a reset, a diagnosis or
     another model.
 
@@ -37,6 +39,8 @@ def create_app(daemon: DaemonView, allowed_hosts: Iterable[str] = ()) -> FastAPI
             streams end and the server need not wait for them.
         allowed_hosts: DNS names by which browsers may reach the daemon, beyond IP addresses, local names and this
             machine's own; see `guard.py`.
+        computer: carries out what takes long; the caller closes it. None: a process of its own, which ends with this
+            one.
     """
     app = FastAPI(
         title="servo-daemon",
@@ -48,10 +52,11 @@ def create_app(daemon: DaemonView, allowed_hosts: Iterable[str] = ()) -> FastAPI
         redirect_slashes=False,
     )
     problems.install(app)
-    app.include_router(api_router(daemon, PREFIX), prefix=PREFIX)
+    app.include_router(api_router(daemon, PREFIX, computer or ProcessComputer()), prefix=PREFIX)
     app.include_router(metrics_router(daemon))
     app.include_router(assets.make_router())
     app.add_middleware(Head)
+    app.add_middleware(RequestLimits)
     app.add_middleware(Guard, allowed_hosts=tuple(allowed_hosts))
     _describe(app)
     return app

@@ -30,7 +30,7 @@ def encode(document: Document) -> bytes:
     Raises:
         ValueError: NaN or an infinity in it.
     """
-    return json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
+    return json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode("utf-8", "replace")
 
 
 def scalar(value: object) -> float | int | bool | str | None:
@@ -192,12 +192,13 @@ def health_document(daemon: DaemonView) -> Document:
 
 
 def ready_document(daemon: DaemonView) -> tuple[bool, Document]:
-    """`GET /ready`: whether any drive has ever delivered samples to this process, and what each waits for."""
+    """`GET /ready`: whether any drive that is not down has delivered samples to this process, and what each waits for.
+    One that is switched off and whose line is open (silent) does not take the daemon out of service."""
     drives: Document = {}
     ready = False
     for name, drive in daemon.drives.items():
         snapshot = drive.snapshot()
-        fresh = snapshot.time is not None
+        fresh = snapshot.time is not None and snapshot.connection != "down"
         ready = ready or fresh
         drives[name] = {
             "ready": fresh,

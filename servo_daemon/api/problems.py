@@ -15,9 +15,12 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
+from starlette.routing import Match
 
 MEDIA_TYPE: Final = "application/problem+json"
 
+_METHODS: Final = ("GET", "POST", "PUT", "PATCH", "DELETE")
+_NO_TEXT: Final = {"location": "body", "parameter": "", "detail": "not JSON in UTF-8"}
 _CODES: Final = {404: "unknown_path", 405: "method_not_allowed", 422: "invalid_request"}
 
 
@@ -48,30 +51,26 @@ class ProblemError(Exception):
         self.members = members
 
 
-def problem_body(status: int, code: str, detail: str, instance: str, **members: object) -> bytes:
-    """The document as JSON."""
-    document = {
-        "type": "about:blank",
-        "title": HTTPStatus(status).phrase,
-        "status": status,
-        "detail": detail,
-        "instance": instance,
-        "code": code,
-        **members,
-    }
-    return json.dumps(document, ensure_ascii=False, allow_nan=False).encode()
-
-
-def problem_response(
-    request: Request,
+def refusal(
+    path: str,
     status: int,
     code: str,
     detail: str,
     headers: Mapping[str, str] | None = None,
     **members: object,
 ) -> Response:
-    """The document as a response."""
-    body = problem_body(status, code, detail, request.url.path, **members)
+    """The document as a response to a request for `path`."""
+    document = {
+        "type": "about:blank",
+        "title": HTTPStatus(status).phrase,
+        "status": status,
+        "detail": detail,
+        "instance": path,
+        "code": code,
+        **members,
+    }
+    # Half of a surrogate pair, which JSON can say of a request and UTF-8 cannot repeat, becomes "?".
+    body = json.dumps(document, ensure_ascii=False, allow_nan=False).encode("utf-8", "replace")
     return Response(
         body,
         status,
@@ -82,18 +81,32 @@ def problem_response(
 
 async def _on_problem(request: Request, error: Exception) -> Response:
     assert isinstance(error, ProblemError)  # registered for this class only
-    return problem_response(request, error.status, error.code, error.detail, error.headers, **error.members)
+    return refusal(request.url.path, error.status, error.code, error.detail, error.headers, **error.members)
 
 
 async def _on_http(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
-    code = _CODES.get(error.status_code, "http_error")
     path = request.url.path
+    if error.status_code == 400:  # FastAPI could not make text of the body
+        return refusal(path, 422, "invalid_parameter", "body: not JSON in UTF-8", errors=[_NO_TEXT])
+    code = _CODES.get(error.status_code, "http_error")
     detail = {
         404: f"There is nothing at {path}; the API is described at /openapi.json.",
         405: f"{path} cannot be used with {request.method}.",
     }.get(error.status_code, str(error.detail))
-    return problem_response(request, error.status_code, code, detail, error.headers)
+    headers = (
+        {"Allow": ", ".join(_methods(request)).replace("GET", "GET, HEAD")}
+        if error.status_code == 405
+        else error.headers
+    )
+    return refusal(path, error.status_code, code, detail, headers)
+
+
+def _methods(request: Request) -> list[str]:
+    """With which this path can be used. (Starlette names those of the first route that has the path.)"""
+    routes = request.app.routes
+    scopes = ({**request.scope, "method": method} for method in _METHODS)
+    return [s["method"] for s in scopes if any(route.matches(s)[0] == Match.FULL for route in routes)]
 
 
 def _complaint(error: Mapping[str, Any]) -> dict[str, str]:
@@ -118,12 +131,13 @@ def _sentence(complaint: Mapping[str, str]) -> str:
 async def _on_validation(request: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
     complaints = [_complaint(e) for e in error.errors()]
-    return problem_response(request, 422, "invalid_parameter", "; ".join(map(_sentence, complaints)), errors=complaints)
+    text = "; ".join(map(_sentence, complaints))
+    return refusal(request.url.path, 422, "invalid_parameter", text, errors=complaints)
 
 
 async def _on_anything(request: Request, _error: Exception) -> Response:
     # Starlette raises the error again after this answer, so the server's log has the traceback; the client has not.
-    return problem_response(request, 500, "internal_error", "The daemon failed to answer; its log says why.")
+    return refusal(request.url.path, 500, "internal_error", "The daemon failed to answer; its log says why.")
 
 
 def install(app: FastAPI) -> None:

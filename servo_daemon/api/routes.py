@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Annotated, Any, Final
 
 from fastapi import APIRouter, Path, Query, Request
@@ -21,6 +20,7 @@ from servo_daemon.api.answers import (
     problem_answer,
     tagged,
 )
+from servo_daemon.api.computing import Computer, while_connected
 from servo_daemon.api.fleet import fleet_document
 from servo_daemon.api.problems import ProblemError, parameter_problem
 from servo_daemon.api.schemas import estimates as schemas
@@ -50,20 +50,20 @@ SettlingS = Annotated[
 
 
 _NOT_YET: Final[Responses] = {
-    409: problem_answer("What the gains need is not known (yet); `detail` says what and why.")
+    409: problem_answer("What the gains need is not known (yet); `detail` says what and why."),
+    503: problem_answer("Too much is being computed; `Retry-After` says when to ask again."),
 }
 
 
 class Routes:
     """The handlers, bound to one daemon. All are coroutines without blocking work: they run in the event loop;
-    `tuning` hands its work to a thread."""
+    `tuning` hands its work to `computer`."""
 
-    def __init__(self, daemon: DaemonView) -> None:
+    def __init__(self, daemon: DaemonView, computer: Computer) -> None:
         self._daemon = daemon
         self._encoders = {n: documents.EstimatesEncoder(d) for n, d in daemon.drives.items()}
         self._slots = StreamSlots()
-        executor = ThreadPoolExecutor(1, "tuning")  # its thread starts with the first request
-        self._tuning = {n: TuningAnswers(d, executor) for n, d in daemon.drives.items()}
+        self._tuning = {n: TuningAnswers(d, computer) for n, d in daemon.drives.items()}
 
     def find(self, name: str) -> DriveView:
         """The drive of that name.
@@ -84,12 +84,13 @@ class Routes:
         return json_response(document, 503 if document["problems"] else 200)
 
     async def ready(self) -> Response:
-        """200 from the first samples of any drive on; 503 before, with what each drive waits for."""
+        """200 from the first samples of any drive on; 503 before, and while all lines are down, with what each drive
+        waits for."""
         ready, document = documents.ready_document(self._daemon)
         if ready:
             return json_response(document)
         waiting = "; ".join(f"{name}: {d['reason']}" for name, d in document["drives"].items())
-        raise ProblemError(503, "not_ready", f"No drive has delivered samples yet: {waiting}.", **document)
+        raise ProblemError(503, "not_ready", f"No drive delivers samples: {waiting}.", **document)
 
     async def drives(self) -> Response:
         """The configured drives."""
@@ -109,7 +110,7 @@ class Routes:
         return Response(self._encoders[drive](snapshot), headers=NO_STORE, media_type="application/json")
 
     async def tuning(
-        self, drive: DriveName, bandwidth_hz: BandwidthHz = None, settling_s: SettlingS = None
+        self, request: Request, drive: DriveName, bandwidth_hz: BandwidthHz = None, settling_s: SettlingS = None
     ) -> Response:
         """Controller gains for the motor as it is, and the margins of the gains in use. With neither bandwidth nor
         settling time: as `[drive.controller]` asks, else half of what each loop can reach.
@@ -119,7 +120,7 @@ class Routes:
         self.find(drive)
         if bandwidth_hz is not None and settling_s is not None:
             raise parameter_problem("settling_s", "give bandwidth_hz or settling_s, not both")
-        body = await self._tuning[drive].get(Ask(bandwidth_hz, settling_s))
+        body = await while_connected(request, self._tuning[drive].get(Ask(bandwidth_hz, settling_s)))
         return Response(body, headers=NO_STORE, media_type="application/json")
 
     async def trend(self, request: Request, drive: DriveName) -> Response:
@@ -163,13 +164,13 @@ _METRICS_DOC: Final[Responses] = {
 }
 
 
-def api_router(daemon: DaemonView, prefix: str) -> APIRouter:
+def api_router(daemon: DaemonView, prefix: str, computer: Computer) -> APIRouter:
     """The routes under `prefix`, which is added by the caller."""
-    routes = Routes(daemon)
+    routes = Routes(daemon, computer)
     router = APIRouter()
     get = ["GET"]
     failing: Responses = {503: {"model": schemas.HealthDocument, "description": "The daemon has a problem of its own."}}
-    not_ready: Responses = {503: problem_answer("No drive has delivered samples yet.")}
+    not_ready: Responses = {503: problem_answer("No drive has delivered samples yet, or every line is down.")}
     router.add_api_route(
         "/health", routes.health, methods=get, response_model=schemas.HealthDocument, responses=failing
     )

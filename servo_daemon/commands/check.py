@@ -13,6 +13,7 @@ from servo_daemon.commands.shared import common
 from servo_daemon.commands.shared.listening import heard
 from servo_daemon.config import DriveConfig, load_config
 from servo_daemon.errors import BadInputError, DriverConfigError, DriverError, EndOfStreamError
+from servo_daemon.parameters import WINDING_NAMES
 from servo_daemon.samples import SampleBlock
 from servo_daemon.signal_meaning import SignalMeaning, told
 from servo_daemon.tracking.plan.signals import SignalPlan, plan_signals
@@ -114,7 +115,7 @@ def _plan(channels: tuple[str, ...], drive: DriveConfig, meaning: SignalMeaning)
     plan = plan_signals(driven, drive.model, {"K": 1.0, **drive.nominal})
     if plan.plant is None:
         return plan
-    own = ("R", "L", "K")
+    own = WINDING_NAMES
     reasons = {name: why for name, why in plan.reasons.items() if name not in own}
     return replace(plan, free=(*own, *plan.free), reasons=reasons)
 

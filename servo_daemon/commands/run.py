@@ -177,18 +177,33 @@ async def _serve_api(daemon: Daemon, listener: socket.socket, told: asyncio.Even
     # Imported while the drives are already being read: half of the time to the first estimate.
     import uvicorn
 
+    from servo_daemon.api.access.connections import MOST_CONNECTIONS, ConnectionTable, bounded_protocol
     from servo_daemon.api.app import create_app
+    from servo_daemon.api.computing import ProcessComputer
+    from servo_daemon.daemon.descriptors import room_for_connections
 
     class Server(uvicorn.Server):
         @contextmanager
         def capture_signals(self) -> Iterator[None]:  # the daemon's own handlers stay in charge
             yield
 
-    settings: dict[str, Any] = {"log_level": "warning", "access_log": False, "timeout_graceful_shutdown": _DRAIN_S}
-    server = Server(uvicorn.Config(create_app(daemon, daemon.config.api.allowed_hosts), **settings))
+    table = ConnectionTable(room_for_connections(len(daemon.drives), MOST_CONNECTIONS))
+    settings: dict[str, Any] = {
+        "http": bounded_protocol(table),
+        "ws": "none",
+        "proxy_headers": False,
+        "server_header": False,
+        "log_level": "warning",
+        "access_log": False,
+        "timeout_graceful_shutdown": _DRAIN_S,
+    }
+    computer = ProcessComputer()
+    app = create_app(daemon, daemon.config.api.allowed_hosts, computer)
+    server = Server(uvicorn.Config(app, **settings))
 
     async def exit_when_told() -> None:
         await told.wait()
+        computer.close()
         server.should_exit = True
 
     watcher = asyncio.create_task(exit_when_told())

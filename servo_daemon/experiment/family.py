@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from servo_daemon.parameters import MOTOR_NAMES
 from servo_daemon.samples import F64
 
 #: Sines in a band, and how many random sets of phases are tried for the lowest crest factor.
@@ -54,7 +55,7 @@ class Corners:
 
 def corners(motor: Mapping[str, float]) -> Corners:
     """Of the linear motor: (R B + K²)/(J R) and R/L."""
-    R, L, K, J, B = (motor[name] for name in ("R", "L", "K", "J", "B"))
+    R, L, K, J, B = (motor[name] for name in MOTOR_NAMES)
     return Corners((R * B + K * K) / (J * R) / (2 * math.pi), R / L / (2 * math.pi))
 
 

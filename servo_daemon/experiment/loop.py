@@ -16,6 +16,7 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
+from servo_daemon.parameters import MOTOR_NAMES
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.plant.compiled import SampleLoop
 from servo_daemon.samples import F64
@@ -40,7 +41,7 @@ class ServoGains:
 def suitable_gains(motor: Mapping[str, float], rate_hz: float) -> ServoGains:
     """Gains for a motor of which none are configured: the PI zero cancels the mechanical pole; the speed loop keeps
     clear of the sampling and of the winding's time constant, and the position loop is four times slower."""
-    R, L, K, J, B = (motor[name] for name in ("R", "L", "K", "J", "B"))
+    R, L, K, J, B = (motor[name] for name in MOTOR_NAMES)
     braking = R * B + K * K
     time_constant_s, volts_per_speed = J * R / braking, braking / K
     bandwidth = min(2 * math.pi * rate_hz / 40, 0.3 * R / L, 3 / time_constant_s)

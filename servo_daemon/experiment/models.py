@@ -12,7 +12,7 @@ import numpy as np
 from servo_daemon.errors import BadInputError, ConfigError
 from servo_daemon.experiment.limits import Limits
 from servo_daemon.kalman.gaussian import to_coordinate
-from servo_daemon.parameters import LINEAR, Parameter
+from servo_daemon.parameters import MOTOR_NAMES, Parameter
 from servo_daemon.plant.build import PlantModel, build_plant
 from servo_daemon.samples import F64
 
@@ -25,7 +25,6 @@ _MOTOR_STD, _EFFECT_STD = 0.15, 0.4
 #: What is known before, 1 σ of the logarithm (of an effect's parameter: of its size): keeps a design of few blocks
 #: regular and decides nothing where they tell more.
 _MOTOR_PRIOR, _EFFECT_PRIOR = 0.5, 2.0
-_LINEAR = tuple(p.name for p in LINEAR)
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ class Model:
     @cached_property
     def prior(self) -> F64:
         """Information before any sample, shape (k,), in those units."""
-        return np.array([1.0 / (_MOTOR_PRIOR if n in _LINEAR else _EFFECT_PRIOR) ** 2 for n in self.free])
+        return np.array([1.0 / (_MOTOR_PRIOR if n in MOTOR_NAMES else _EFFECT_PRIOR) ** 2 for n in self.free])
 
     def coordinates(self, values: Mapping[str, float]) -> F64:
         """Shape (np,)."""
@@ -107,7 +106,7 @@ def check_motor(known: Mapping[str, float]) -> None:
     Raises:
         BadInputError: R, L, K, J or B is missing.
     """
-    if missing := [n for n in _LINEAR if n not in known]:
+    if missing := [n for n in MOTOR_NAMES if n not in known]:
         raise BadInputError(
             f"a plan needs the motor's {', '.join(missing)}: give it in [drive.nominal] or with --fix, from the "
             "datasheet or a first `servo-daemon fit`"
@@ -165,7 +164,7 @@ def _drawn(
             drawn = value
         elif p.unit == "rad" and p.transform == "identity":
             drawn = value if p.name in known else float(rng.uniform(-math.pi, math.pi))
-        elif p.name in _LINEAR:
+        elif p.name in MOTOR_NAMES:
             drawn = value * math.exp(_MOTOR_STD * deviation)
         elif p.name == "g_i":
             drawn = 1.0 + (value - 1.0) * math.exp(_EFFECT_STD * deviation)

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from servo_daemon.config import DriveConfig
+from servo_daemon.parameters import WINDING_NAMES
 from servo_daemon.plant.effects import parameter_table
 from servo_daemon.published.snapshot import Covariance, Estimate, EstimatorView, ParameterEstimate, Status
 from servo_daemon.regression.winding.estimate import (
@@ -25,6 +26,7 @@ from servo_daemon.regression.winding.estimate import (
 from servo_daemon.regression.winding.rows import FINE, RESOLVED, Rows, joined, unresolved, winding_rows
 from servo_daemon.samples import F64, Quality, SampleBlock, concatenate
 from servo_daemon.signal_meaning import SignalMeaning
+from servo_daemon.tracking.noise.watch import WHITE_OUT
 
 #: How far back the regression looks, s: a winding warms up by a few per cent in a minute.
 _SPAN_S = 20.0
@@ -36,13 +38,8 @@ _LEAST_S = 3.0
 #: two samples, and one of them may come a tenth of a period late. Measured on the independent plant of
 #: tests/recovery/foc (two motors, two motions, 50 to 1000 Hz): 0.3 % and a hundredth for every 20 ms of the period.
 _MOTION, _MOTION_PER_S = 3e-3, 0.01 / 0.02
-#: From this correlation of neighbours on innovations are not white, as `tracking/noise/watch.py` has it. (That they are
-#: white by raised process noise alone is no reproach here: a current in coarse steps is such a noise, and the filter's
-#: standard deviations hold it.)
-_NOT_WHITE = 0.25
 #: A K that is known so well, 1 σ, is good enough for the filter to begin with.
 _TO_BEGIN = 0.1
-_OWN = ("R", "L", "K")
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,17 +136,19 @@ class MeasuredLink:
 
     def instead(self, estimate: Estimate) -> Estimate:
         """The record with R, L and K from the winding's balance, and all torques by its K."""
-        own = {name: self._parameter(name, estimate) for name in _OWN}
+        own = {name: self._parameter(name, estimate) for name in WINDING_NAMES}
         scale, K_std = self._scale()
+        # White by raised process noise alone is no reproach here: a current in coarse steps is such a noise, and the
+        # filter's standard deviations hold it.
         white = all(
-            isinstance(value, float) and abs(value) < _NOT_WHITE
+            isinstance(value, float) and abs(value) < WHITE_OUT
             for name, value in estimate.health.items()
             if name.startswith("innovation_correlation")
         )
         parameters = tuple(
             own[p.name] if p.name in own else self._motion(p, scale, K_std, white=white) for p in estimate.parameters
         )
-        regression = EstimatorView({n: (k.value, k.std) for n, k in self._known.items() if n in _OWN})
+        regression = EstimatorView({n: (k.value, k.std) for n, k in self._known.items() if n in WINDING_NAMES})
         views = dict(estimate.estimators)
         views["rls"] = replace(
             views.get("rls", regression),
@@ -202,8 +201,8 @@ class MeasuredLink:
         old = estimate.covariance
         inner = old.names if old is not None else ()
         known = {p.name: p for p in parameters if p.status in ("tracking", "unexcited") and p.std is not None}
-        motion = [n for n in inner if n in known and n not in _OWN]
-        winding = [n for n in _OWN if n in known]
+        motion = [n for n in inner if n in known and n not in WINDING_NAMES]
+        winding = [n for n in WINDING_NAMES if n in known]
         names = (*winding, *motion)
         if not names:
             return None

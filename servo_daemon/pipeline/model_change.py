@@ -12,14 +12,18 @@ from dataclasses import dataclass
 
 from servo_daemon.config import DriveConfig
 from servo_daemon.errors import ConfigError, ModelError
-from servo_daemon.parameters import LINEAR, Parameter
+from servo_daemon.parameters import LINEAR, MOTOR_NAMES, Parameter
 from servo_daemon.plant.effects import check_effects, effects_by_name
 from servo_daemon.tracking.heritage import StartValue
 from servo_daemon.tracking.plan.settings import Message
 from servo_daemon.tracking.plan.signals import is_held
 
 #: Events are over when a filter that runs along could adopt them: what stays of them, if anything, is another effect.
-_AFTER_EVENT: Mapping[str, str | None] = {"load_torque_step": "constant_load_torque", "resistance_step": None}
+_AFTER_EVENT: Mapping[str, str | None] = {
+    name: effect.simpler[0][0] if effect.simpler else None
+    for name, effect in effects_by_name().items()
+    if effect.kind == "event"
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +49,7 @@ class ModelRequest:
             config: as the user wrote it.
         """
         nominal = dict(config.nominal)
-        own = {p.name for p in LINEAR}
+        own = {*MOTOR_NAMES}
         for name, (value, _) in self.start.items():
             # What the filter cannot search for is held at its nominal value: there the newer one counts.
             if name not in own and (name not in nominal or is_held(parameters_of(self.effects)[name])):

@@ -26,6 +26,7 @@ from servo_daemon.published.snapshot import Estimate
 from servo_daemon.samples import SampleBlock, concatenate
 from servo_daemon.signal_meaning import SignalMeaning
 from servo_daemon.tracking.plan.settings import Message
+from servo_daemon.tracking.plant_tracker import PlantTracker, make_tracker
 from servo_daemon.tracking.succession import inherited
 from servo_daemon.tracking.tracker import Tracker
 
@@ -252,7 +253,7 @@ class Pipeline:
             channels = tuple(c for c in channels if c != "voltage_V")
             config = self._link.filter_config(config)
         mean = self._link is not None and self.meaning.current == "mean"
-        return Tracker(
+        return make_tracker(
             channels,
             replace(publish.tracker_settings(config), mean_current=mean),
             publish.resolutions(config, self._info),
@@ -293,7 +294,7 @@ class Pipeline:
         fits = prepared is not None and prepared.channels == self._tracker.channels
         tracker = prepared if prepared is not None and fits else self._tracker_for(config)
         heritage = inherited(self._tracker, tracker, request.start, request.origin_s)
-        if heritage is None:
+        if heritage is None or not isinstance(tracker, PlantTracker):
             self._take_over(config, tracker)
         else:
             tracker.inherit(heritage)

@@ -13,18 +13,17 @@ from servo_daemon.config import DriveConfig
 from servo_daemon.kalman.gaussian import Gaussian, from_coordinate
 from servo_daemon.parameters import J_D, LINEAR, Parameter
 from servo_daemon.pipeline.refresher import Refresher
+from servo_daemon.pipeline.views import Views, health_of, state_of
 from servo_daemon.plant.effects import effects_by_name, parameter_table
-from servo_daemon.published.snapshot import Covariance, Estimate, EstimatorView, ParameterEstimate, finite_or_none
+from servo_daemon.published.snapshot import Covariance, Estimate, ParameterEstimate, finite_or_none
 from servo_daemon.regression.columns.terms import waves_per_turn
-from servo_daemon.regression.estimate import KNOWS, RegressionEstimate
+from servo_daemon.regression.estimate import RegressionEstimate
 from servo_daemon.signal_meaning import SignalMeaning
 from servo_daemon.tracking.plan.settings import Resolutions, TrackerSettings
+from servo_daemon.tracking.plant_tracker import PlantTracker
 from servo_daemon.tracking.tracker import Tracker
 from servo_daemon.tracking.validity import excitation
 from servo_daemon.tracking.validity.fusion import Fused, as_last_known, fuse
-
-#: Parameter -> (value, std), natural units.
-Values = Mapping[str, tuple[float | None, float | None]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +109,7 @@ class Publisher:
         self._config = config
         self._parameters = published_parameters(config)
         self._table = parameter_table()
-        self._regression: tuple[RegressionEstimate, EstimatorView] | None = None  # the last one, as published
+        self._views = Views()
 
     def estimate(self, tracker: Tracker, samples: int, refresher: Refresher | None = None) -> Estimate:
         """The published record of this moment."""
@@ -127,10 +126,10 @@ class Publisher:
             sample_rate_hz=None if not period else finite_or_none(1.0 / period),
             model=self._config.model,
             parameters=parameters,
-            state=_state(tracker),
-            estimators=self._views(tracker) | ({} if refresher is None else {"grnn": refresher.view}),
-            health=_health(tracker),
-            covariance=None if gaussian is None else self._covariance(tracker, gaussian, parameters, learned),
+            state=state_of(tracker),
+            estimators=self._views.of(tracker) | ({} if refresher is None else {"grnn": refresher.view}),
+            health=health_of(tracker),
+            covariance=self._covariance(tracker, gaussian, parameters, learned),
         )
 
     def _refreshed(self, filtered: list[Fused], tracker: Tracker, refresher: Refresher | None) -> list[Fused]:
@@ -165,7 +164,7 @@ class Publisher:
         excited: list[bool] = []
         qualified: list[bool] = []
         ages_s = tracker.ages_s
-        if g is not None:
+        if isinstance(tracker, PlantTracker):
             excited, qualified = tracker.excitation.excited.tolist(), tracker.qualification.qualified.tolist()
         out = []
         for p in self._parameters:
@@ -181,7 +180,8 @@ class Publisher:
                 floor = self._floor(p.name, g, tracker)
                 last = None if qualified[k] else tracker.last_known(p.name)
                 if last is None:
-                    found = fuse(p, mean[k], std[k], excited[k], qualified[k], nominal, floor)
+                    open_ = tracker.qualification.why_not(p.name) if isinstance(tracker, PlantTracker) else None
+                    found = fuse(p, mean[k], std[k], excited[k], qualified[k], nominal, floor, open_)
                     if qualified[k]:
                         found = replace(found, age_s=ages_s[k])
                     unclaimed = tracker.plan.unclaimed.get(p.name)
@@ -193,13 +193,15 @@ class Publisher:
         return out
 
     def _covariance(
-        self, tracker: Tracker, g: Gaussian, parameters: tuple[ParameterEstimate, ...], learned: Collection[str]
+        self, tracker: Tracker, g: Gaussian | None, parameters: tuple[ParameterEstimate, ...], learned: Collection[str]
     ) -> Covariance | None:
-        """Of what is known, as published: with what unknown skew leaves open of L.
+        """Of what is known, as published: with what unknown skew leaves open of L; None before the filter runs.
 
         Args:
             learned: parameters whose value is not the filter's.
         """
+        if g is None or not isinstance(tracker, PlantTracker):
+            return None
         known = {p.name: p for p in parameters if p.status in ("tracking", "unexcited") and p.name in g.names}
         if not known:
             return None
@@ -233,13 +235,13 @@ class Publisher:
 
     def _before_the_filter(self, p: Parameter, tracker: Tracker, nominal: float | None) -> Fused:
         """A free parameter while no filter runs: at the start, while it starts again, and of a shaft that is held."""
-        last = None if tracker.plan.plant is None else tracker.last_known(p.name)
+        last = tracker.last_known(p.name)
         if last is not None:
             return as_last_known(p, last, "the filter is starting again")
         winding = tracker.winding
         if winding is None:
             return Fused(nominal, None, "estimating", "collecting the first samples")
-        known = {n: v for n, v in self._possible(winding, tracker.plan.nuisance).items() if n in ("R", "L")}
+        known = {n: v for n, v in self._views.possible(winding, tracker.plan.nuisance).items() if n in ("R", "L")}
         value, std = known.get(p.name, (None, None))
         if value is None or std is None:
             return Fused(nominal, None, "estimating", "the motion does not show it (is the shaft held?)")
@@ -250,41 +252,6 @@ class Publisher:
 
     def _value(self, name: str, g: Gaussian) -> float:
         return from_coordinate(self._table[name], float(g.mean[g.names.index(name)]), 0.0)[0]
-
-    def _views(self, tracker: Tracker) -> dict[str, EstimatorView]:
-        """What each estimator says by itself."""
-        views = {}
-        hidden = tracker.plan.nuisance
-        if tracker.ekf is not None and tracker.ekf.started:
-            views["ekf"] = EstimatorView(self._natural(tracker.ekf.estimate(), hidden), {"restarts": tracker.restarts})
-        rls = tracker.rls.estimate() if tracker.rls is not None else None
-        if rls is None:
-            views["rls"] = EstimatorView({})
-        else:
-            if self._regression is None or self._regression[0] is not rls:  # it changes once a second or so
-                detail = {"window_s": rls.span_s, "balances_close": rls.closes}
-                self._regression = rls, EstimatorView(self._possible(rls, hidden), detail)
-            views["rls"] = self._regression[1]
-        return views
-
-    def _possible(self, e: RegressionEstimate, hidden: tuple[str, ...]) -> Values:
-        """Possible values only, of positive parameters those that it knows: a negative resistance, or one that is known
-        to ± 40 %, says that the regression does not know it (yet, or with balances that do not close)."""
-        return {
-            name: (finite_or_none(value), finite_or_none(std))
-            for name, value, std in zip(e.names, e.value.tolist(), e.std.tolist(), strict=True)
-            if name not in hidden
-            and self._table[name].lower <= value <= self._table[name].upper
-            and (self._table[name].transform != "log" or std < KNOWS * value)
-        }
-
-    def _natural(self, g: Gaussian, hidden: tuple[str, ...]) -> Values:
-        pairs = (
-            (name, from_coordinate(self._table[name], m, s))
-            for name, m, s in zip(g.names, g.mean.tolist(), g.std.tolist(), strict=True)
-            if name not in hidden
-        )
-        return {name: (finite_or_none(value), finite_or_none(std)) for name, (value, std) in pairs}
 
 
 def _value_of(e: RegressionEstimate, name: str) -> float:
@@ -311,7 +278,7 @@ def with_equivalents(estimate: Estimate, meaning: SignalMeaning) -> Estimate:
 
 def moved_on(last: Estimate, tracker: Tracker, time_s: float, samples: int) -> Estimate:
     """The record between two ticks: time, state and count are of now, the parameters (ten times a second) stay."""
-    return replace(last, time_s=time_s, samples=samples, state=_state(tracker))
+    return replace(last, time_s=time_s, samples=samples, state=state_of(tracker))
 
 
 def _load_inertia(config: DriveConfig, J: ParameterEstimate) -> ParameterEstimate:
@@ -320,25 +287,3 @@ def _load_inertia(config: DriveConfig, J: ParameterEstimate) -> ParameterEstimat
     nominal = None if J.nominal is None else J.nominal - J_m
     value = None if J.value is None else J.value - J_m
     return ParameterEstimate(J_D.name, value, J.std, J_D.unit, nominal, J.status, J.reason, J.age_s)
-
-
-def _state(tracker: Tracker) -> dict[str, float | None]:
-    state: dict[str, float | None] = dict.fromkeys(("current_A", "velocity_rad_s", "position_rad"))
-    state.update({name: finite_or_none(value) for name, value in tracker.measured_state.items()})
-    if tracker.ekf is not None and tracker.ekf.started:
-        for name, value in zip(tracker.ekf.plant.state_names, tracker.ekf.x.tolist(), strict=True):
-            state[name] = finite_or_none(value)
-    return state
-
-
-def _health(tracker: Tracker) -> dict[str, float | int | bool | str | None]:
-    health: dict[str, float | int | bool | str | None] = {
-        "innovation_white": tracker.explained if tracker.watch.whiteness else None,
-        "gated_samples": tracker.watch.gated,
-        "filter_restarts": tracker.restarts,
-    }
-    for name, w in tracker.watch.whiteness.items():
-        channel = name.split("_")[0]
-        health[f"nis_{channel}"] = finite_or_none(w.nis)
-        health[f"innovation_correlation_{channel}"] = finite_or_none(w.correlation)
-    return health

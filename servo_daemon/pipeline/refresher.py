@@ -15,8 +15,10 @@ from servo_daemon.published.snapshot import EstimatorView, finite_or_none
 from servo_daemon.samples import SampleBlock
 from servo_daemon.tracking.changes.jumps import JUMPED
 from servo_daemon.tracking.plan.settings import Message
+from servo_daemon.tracking.plant_tracker import PlantTracker
 from servo_daemon.tracking.tracker import Tracker
-from servo_daemon.tracking.validity.fusion import LOST, Fused
+from servo_daemon.tracking.validity.fusion import Fused
+from servo_daemon.tracking.validity.gates import LOST
 
 if TYPE_CHECKING:  # scikit-learn takes a second to load: only where there is a model
     from servo_daemon.learning.model.model import LearnedModel
@@ -144,6 +146,7 @@ class Refresher:
 
 def _entered(tracker: Tracker, pseudo: PseudoMeasurement) -> dict[str, float]:
     """Into the filter; by how much each of its parameters moved, as a share."""
+    assert isinstance(tracker, PlantTracker)  # its estimate was compared with the model's
     before = _coordinates(tracker, pseudo.names)
     tracker.assimilate(Gaussian(pseudo.names, pseudo.mean, pseudo.covariance), pseudo.widen_std)
     after = _coordinates(tracker, pseudo.names)

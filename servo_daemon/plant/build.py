@@ -9,7 +9,7 @@ from functools import cache, cached_property
 
 import casadi as ca
 
-from servo_daemon.parameters import LINEAR, Parameter
+from servo_daemon.parameters import LINEAR, MOTOR_NAMES, Parameter
 from servo_daemon.plant.core import Drive
 from servo_daemon.plant.dry import dry_levels
 from servo_daemon.plant.effects import Effect, State, check_effects, effects_by_name
@@ -27,7 +27,7 @@ _CORE_STATES: dict[Drive, tuple[State, ...]] = {
     "torque": (State("velocity_rad_s", "rad/s", 0.0, 1.0), State("position_rad", "rad", 0.0, 1.0)),
 }
 _CORE_PARAMETERS: dict[Drive, tuple[str, ...]] = {
-    "voltage": ("R", "L", "K", "J", "B"),
+    "voltage": MOTOR_NAMES,
     "current": ("K", "J", "B"),
     "torque": ("J", "B"),
 }

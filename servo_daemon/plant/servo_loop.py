@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 
 from servo_daemon.plant.build import PlantModel
-from servo_daemon.plant.reference import linear_step
+from servo_daemon.plant.linear import linear_step
 from servo_daemon.samples import F64
 
 if TYPE_CHECKING:
@@ -68,24 +68,6 @@ def motor_speed(p: Mapping[str, float]) -> TransferFunction:
     """ω/v of the unloaded motor, rad/s per V: K / ((J s + B)(R + s L) + K²). The paper prints this one correctly."""
     s = _laplace()
     return p["K"] / ((p["J"] * s + p["B"]) * (p["R"] + s * p["L"]) + p["K"] ** 2)
-
-
-def motor_angle(p: Mapping[str, float]) -> TransferFunction:
-    """θ/v of the unloaded motor, rad per V: what the paper's G_o means, K / (s [(J s + B)(R + s L) + K²])."""
-    return motor_speed(p) / _laplace()
-
-
-def printed_motor_angle(p: Mapping[str, float]) -> TransferFunction:
-    """G_o as printed: its s multiplies only the product, k_t / (s [J s + D][R + s L] + k_t k_b)."""
-    s = _laplace()
-    return p["K"] / (s * (p["J"] * s + p["B"]) * (p["R"] + s * p["L"]) + p["K"] ** 2)
-
-
-def printed_servo(p: Mapping[str, float], gains: ServoGains) -> TransferFunction:
-    """G_s as printed first, with G_o = ω/v: k_io k_s G_o / (1 + k_s G_o k_g) · 1/s. A step gives a ramp."""
-    from control import feedback
-
-    return gains.k_io * feedback(gains.k_s * motor_speed(p), gains.k_g) / _laplace()
 
 
 def closed_servo(p: Mapping[str, float], gains: ServoGains) -> TransferFunction:

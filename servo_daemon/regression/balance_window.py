@@ -22,7 +22,7 @@ from servo_daemon.regression.balances import (
     shaft_slopes,
 )
 from servo_daemon.regression.closure import Confronted, Verdict
-from servo_daemon.regression.columns.terms import SHARES, armature_coefficient, coefficient
+from servo_daemon.regression.columns.terms import armature_coefficient, coefficient, is_share
 from servo_daemon.regression.rls_fit import OVERLAP
 from servo_daemon.regression.sampling import WINDOW_S, Sampling, between_samples, blind_std, of_standing_counts
 from servo_daemon.samples import F64
@@ -281,7 +281,7 @@ def _coefficients(columns: Sequence[str], value: Mapping[str, float], size: floa
 
 def _of_shaft(column: str, value: Mapping[str, float], size: float) -> float:
     found = coefficient(column, value)[0]
-    if column in SHARES:
+    if is_share(column):
         return found
     return found / size + (value.get("i0", 0.0) if column == "one" else 0.0)
 

@@ -155,7 +155,7 @@ def shaft_slopes(columns: Sequence[str], value: Mapping[str, float], per_current
     for name in columns:
         if name != "y":
             _, by = regression_terms.coefficient(name, value)
-            torque = value["K"] if per_current and name in regression_terms.SHARES else 1.0
+            torque = value["K"] if per_current and regression_terms.is_share(name) else 1.0
             _add(slopes, columns, name, {p: -torque * slope for p, slope in by.items()})
     if "one" in columns and per_current and "i0" in value:
         slopes["i0"] = _unit(columns, "one", -value["K"])

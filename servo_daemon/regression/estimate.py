@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from servo_daemon.regression.columns.terms import SHARES
+from servo_daemon.regression.columns.terms import is_share
 from servo_daemon.samples import F64
 
 #: A regression knows a parameter when its std is below this share of it.
@@ -59,7 +59,7 @@ def times_torque_constant(value: F64, covariance: F64, names: Sequence[str], n_a
     """Shaft coefficients (those after the armature's) were found per unit of K (the third value): multiply, errors
     included to first order. A share of the torque is one of the current as well."""
     K = value[2]
-    per_K = np.array([k >= n_armature and name not in SHARES for k, name in enumerate(names)])
+    per_K = np.array([k >= n_armature and not is_share(name) for k, name in enumerate(names)])
     by = np.diag(np.where(per_K, K, 1.0))
     by[per_K, 2] = value[per_K]
     return np.where(per_K, K * value, value), by @ covariance @ by.T

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_daemon.numerics import median
 from servo_daemon.samples import F64
 
 #: So many rows' residuals are remembered; below the second number nothing is left out.
@@ -38,14 +39,7 @@ class Plausible:
         self._squares = np.concatenate([self._squares, np.square(y)])[-_ROWS:]
         if len(recent) < _FEWEST:
             return np.ones(len(size), dtype=bool)
-        limit = _MEDIANS * _median(recent) + _SHARE * (float(self._squares.sum()) / len(recent)) ** 0.5
+        limit = _MEDIANS * median(recent) + _SHARE * (float(self._squares.sum()) / len(recent)) ** 0.5
         if np.count_nonzero(recent > limit) > _MOST_SPOILT * len(recent):
             return np.ones(len(size), dtype=bool)
         return np.asarray(size <= limit)
-
-
-def _median(values: F64) -> float:
-    """Without NumPy's overhead."""
-    middle = len(values) // 2
-    ordered = np.partition(values, (middle - 1, middle))
-    return float(ordered[middle] if len(values) % 2 else (ordered[middle - 1] + ordered[middle]) / 2)

@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from servo_daemon.parameters import WINDING_NAMES
+
 #: Lengths of the windows, s: the armature reacts within L/R (a millisecond or so), the shaft within J/B and J R/K²
 #: (tens of them); and the fewest samples in one: below, the trapezoidal rule is no good.
 SPAN_S = {"armature": 0.02, "shaft": 0.1}
@@ -52,7 +54,7 @@ def blind_std(name: str, value: Mapping[str, float], period_s: float) -> float:
         value: of all parameters, natural units.
         period_s: usual distance of two samples.
     """
-    which = "armature" if name in ("R", "L", "K") else "shaft"
+    which = "armature" if name in WINDING_NAMES else "shaft"
     periods = period_s * value.get("R", 0.0) / value.get("L", 1.0)
     return BLIND_STD.get(name, 0.0) * periods / (1.0 + periods) * math.sqrt(coarse(which, period_s))
 

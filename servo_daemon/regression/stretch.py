@@ -28,11 +28,33 @@ class Stretch:
     complete: bool = True
     gap: NDArray[np.bool_] | None = None
 
+    @property
+    def sliding(self) -> F64:
+        """Direction of motion per sample, 0 where the speed is within the noise of its own difference."""
+        if self.velocity is not None:
+            return np.asarray(np.sign(self.velocity))
+        assert self.position is not None
+        return np.asarray(np.sign(_across(self.position)))
 
-def median(values: F64) -> float:
-    """The upper median, without NumPy's overhead: it is asked for in every tick."""
-    middle = len(values) // 2
-    return float(np.partition(values, middle)[middle])
+    @property
+    def speed(self) -> F64:
+        """rad/s per sample, from a difference across ten samples where only the angle is measured: for terms that
+        follow the speed in no way that integration by parts could take from the angle."""
+        if self.velocity is not None:
+            return self.velocity
+        assert self.position is not None
+        return _across(self.position) / np.maximum(_across(self.time_s), 1e-12)
+
+    @property
+    def angle(self) -> F64:
+        """rad per sample; zeros where it is not measured."""
+        return np.zeros_like(self.time_s) if self.position is None else self.position
+
+    @property
+    def effort(self) -> F64:
+        """The torque, N·m, where that is measured, else the current, A, or zeros."""
+        effort = self.current if self.torque is None else self.torque
+        return np.zeros_like(self.time_s) if effort is None else effort
 
 
 def joined(parts: Sequence[Stretch]) -> Stretch:
@@ -81,23 +103,6 @@ def motion(w: Windows, s: Stretch) -> tuple[F64, F64]:
     assert s.velocity is not None
     speed, acceleration = w.integrals(s.velocity, 0, 1)
     return speed, -acceleration
-
-
-def speed_sign(s: Stretch) -> F64:
-    """Direction of motion per sample, 0 where the speed is within the noise of its own difference."""
-    if s.velocity is not None:
-        return np.asarray(np.sign(s.velocity))
-    assert s.position is not None
-    return np.asarray(np.sign(_across(s.position)))
-
-
-def speed(s: Stretch) -> F64:
-    """rad/s per sample, from a difference across ten samples where only the angle is measured: for terms that follow
-    the speed in no way that integration by parts could take from the angle."""
-    if s.velocity is not None:
-        return s.velocity
-    assert s.position is not None
-    return _across(s.position) / np.maximum(_across(s.time_s), 1e-12)
 
 
 def _across(values: F64) -> F64:

@@ -11,6 +11,7 @@ from scipy.linalg import block_diag
 from servo_daemon.kalman.gaussian import Gaussian, to_coordinate
 from servo_daemon.parameters import Parameter
 from servo_daemon.tracking.heritage import Heritage, StartValue
+from servo_daemon.tracking.plant_tracker import PlantTracker
 from servo_daemon.tracking.tracker import Tracker
 
 #: By how much (1 σ of the logarithm) an effect that the model lacks may bend a parameter that the filter still takes
@@ -37,10 +38,10 @@ def inherited(
     Returns:
         None where there is nothing to inherit: one of the two does not run.
     """
-    g, plant = old.published(), new.plan.plant
-    if g is None or plant is None or old.first_s is None:
+    g = old.published()
+    if not isinstance(old, PlantTracker) or not isinstance(new, PlantTracker) or g is None or old.first_s is None:
         return None
-    table = {p.name: p for p in plant.parameters if p.name in new.plan.free}
+    table = {p.name: p for p in new.free}
     at = {name: k for k, name in enumerate(g.names)}
     sure = frozenset(n for n in table if n in at and n not in old.plan.held and old.qualification.qualified[at[n]])
     kept = [n for n in table if n in sure and n not in start]
@@ -67,10 +68,8 @@ def _given(p: Parameter, value: float, std: float | None) -> tuple[float, float]
     return clipped, (_UNTOLD_STD * size if std is None else max(std, _LEAST_STD * size)) ** 2
 
 
-def _slow_states(old: Tracker, new: Tracker) -> dict[str, tuple[float, float]]:
+def _slow_states(old: PlantTracker, new: PlantTracker) -> dict[str, tuple[float, float]]:
     """Of both plants: those beside current, speed and angle, which the first sample shows anyway."""
-    if old.ekf is None or new.ekf is None:
-        return {}
     there = {s.name for s in new.ekf.plant.states}
     x, var = old.ekf.x, old.ekf.state_var
     return {

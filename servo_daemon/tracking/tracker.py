@@ -1,240 +1,127 @@
-"""One drive's estimators together: RLS from the first sample, the EKF once it can start, and the watch over both.
+"""What every drive has: the time of its samples, what they measured last, and what its channels determine.
 
-Fed segments of samples (`take`, any size) and ticks (`close_tick`, always the same samples whatever the segments were);
-only ticks change anything but the filter's own recursion.
+A drive from whose channels no model can be run has no more than that; the others have estimators (`plant_tracker`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
-
-import numpy as np
-
-from servo_daemon.conditioning.layout import Stretches
-from servo_daemon.kalman.assimilation import assimilate
 from servo_daemon.kalman.ekf import Ekf
 from servo_daemon.kalman.gaussian import Gaussian
+from servo_daemon.numerics import upper_median
 from servo_daemon.parameters import Parameter
-from servo_daemon.plant.build import PlantModel
 from servo_daemon.regression.estimate import RegressionEstimate
 from servo_daemon.regression.motor_rls import MotorRls
-from servo_daemon.regression.sampling import Sampling
-from servo_daemon.regression.stretch import Stretch, median
-from servo_daemon.samples import F64, SampleBlock
-from servo_daemon.tracking.changes import jumps
-from servo_daemon.tracking.changes.actions import JumpActions
-from servo_daemon.tracking.changes.search import JumpSearch
-from servo_daemon.tracking.heritage import Heritage, trusted_mask
-from servo_daemon.tracking.noise.setting import NoiseSetting
+from servo_daemon.samples import SampleBlock
 from servo_daemon.tracking.noise.watch import InnovationWatch
-from servo_daemon.tracking.plan.roster import make_roster
 from servo_daemon.tracking.plan.settings import Message, Resolutions, TrackerSettings
-from servo_daemon.tracking.plan.signals import SignalPlan, plan_signals
-from servo_daemon.tracking.restart.doubts import Doubts
-from servo_daemon.tracking.restart.likelihood_look import LikelihoodLook
-from servo_daemon.tracking.restart.second_look import SecondLook
-from servo_daemon.tracking.samples.filtering import Filtering
-from servo_daemon.tracking.samples.signal_scales import Levels
-from servo_daemon.tracking.start.starter import Start, Starter
-from servo_daemon.tracking.telling import Telling
-from servo_daemon.tracking.validity.excitation import Excitation
-from servo_daemon.tracking.validity.fusion import Qualification, Trusted
-from servo_daemon.tracking.validity.parameter_judge import ParameterJudge, Tick
+from servo_daemon.tracking.plan.signals import SignalPlan
+from servo_daemon.tracking.validity.fusion import Trusted
 
-#: A saved state may be of yesterday's temperature and load: added 1 σ.
-_SAVED_STD = 0.03
-#: After so many ticks, no sooner than anything can be published, jumps are looked for; a Cholesky factor is tried this
-#: often.
-_TICKS_TO_WATCH, _SOUNDNESS_EVERY = 8, 20
-#: From then on a filter that took over from another may speak for the drive.
-_TICKS_TO_SETTLE = 10
-#: Before so many the innovations are of a filter that is still finding its values and noise: they refute no model.
-_TICKS_TO_JUDGE = 40
-#: A step is one of a motor that the model has explained for so long before, s (a filter that has just started on data
-#: with 30 % of dry friction that its model lacks looked white for 2 s, and then "K stepped").
-_CALM_S = 2.5
 #: Beyond it, s, as long as a tick of the pipeline, a tick has one sample at the most.
 _SLOW_S = 0.1
-#: When the filter begins to use its instrument, the covariance is widened once, 1 σ over the scales.
-_SECOND_START_STD = 0.1
 
 
 class Tracker:
-    """See the module. `plan` says what these channels determine."""
+    """Of a drive from whose channels no model can be run.
+
+    Attributes:
+        plan: what these channels determine.
+        first_s, last_s: device time from where time counts, and of the last sample.
+        measured_state: what was measured last, by channel.
+        sample_period_s: usual distance of two samples.
+        ekf, rls: the estimators, where there are any.
+    """
 
     def __init__(
-        self,
-        channels: tuple[str, ...],
-        settings: TrackerSettings,
-        resolutions: Resolutions,
-        prior: Gaussian | None = None,
+        self, channels: tuple[str, ...], settings: TrackerSettings, resolutions: Resolutions, plan: SignalPlan
     ) -> None:
-        self.channels, self.settings, self.resolutions = channels, settings, resolutions
+        self.channels, self.settings, self.resolutions, self.plan = channels, settings, resolutions, plan
         self.nominal = dict(settings.nominal or {})
-        self.plan: SignalPlan = plan_signals(channels, settings.effects, self.nominal)
-        usable = prior is not None and set(self.plan.held) <= set(prior.names) <= {*self.plan.free, *self.plan.held}
-        self._prior = prior if usable else None
-        self._heritage: Heritage | None = None
         self.last_s: float | None = None
-        self.first_s: float | None = None  # from where time counts
+        self.first_s: float | None = None
         self._seen_s: float | None = None  # the first sample
         self.measured_state: dict[str, float | None] = {}
         self.sample_period_s: float | None = None
         self._tick_end_s: float | None = None
         self.restarts = 0
-        self.watch = InnovationWatch(self.plan.measured)
-        self.rls: MotorRls | None = None
-        self.ekf: Ekf | None = None
-        if self.plan.plant is not None:
-            self._prepare(self.plan.plant)
+        self.watch = InnovationWatch(plan.measured)
 
-    def _prepare(self, plant: PlantModel) -> None:
-        loop = None
-        if self.settings.engine == "filterpy":
-            from servo_daemon.kalman.filterpy_ekf import FilterpyLoop
+    @property
+    def ekf(self) -> Ekf | None:
+        return None
 
-            loop = FilterpyLoop(plant, self.plan.measured, self.settings.mean_current)
-        self.ekf = Ekf(plant, self.plan.measured, loop, mean_input=self.settings.mean_current)
-        sees_angle = "position_rad" in self.plan.measured
-        self.rls = MotorRls(plant, self.plan.known, self.plan.nuisance, self.nominal, sees_angle=sees_angle)
-        self._roster = make_roster(self.plan, self.settings, self.rls.in_regression)
-        self._judge = ParameterJudge(self._roster, self.ekf, self.rls)
-        self._telling = Telling(self._roster, self.ekf, self.watch, lambda: self.excitation.scales)
-        self._stretches = Stretches()
-        self._starter = Starter(self.plan, self.nominal, self.rls.names)
-        self._levels = Levels(plant)
-        self._noise = NoiseSetting(self._roster, self.ekf, self.rls, self.watch, self._levels)
-        self._filtering = Filtering(self.ekf, self._levels)
-        search = JumpSearch(self._roster, self.ekf, self._filtering, self._judge, self.watch)
-        self._jumps = JumpActions(self._roster, self.ekf, self.rls, self._judge, search)
-        self._second_look = SecondLook(self._roster, self.ekf, self._filtering, self._judge, self._noise)
-        self._likelihood_look = LikelihoodLook(self._roster, self.ekf, self._filtering, self._noise)
-        self._doubts = Doubts(self._roster, self.ekf, self.rls, self._judge, self.watch)
-        self._ticks = 0
-
-    def inherit(self, heritage: Heritage) -> None:
-        """Begin with what another model's tracker knew; before the first samples."""
-        self._prior, self._heritage = heritage.known if heritage.known.names else None, heritage
-        self.first_s = heritage.origin_s
+    @property
+    def rls(self) -> MotorRls | None:
+        return None
 
     @property
     def settled(self) -> bool:
         """Whether the filter has run long enough for its parameters to qualify; at once where none can run."""
-        return self.plan.plant is None or (self.ekf is not None and self.ekf.started and self._ticks > _TICKS_TO_SETTLE)
-
-    @property
-    def excitation(self) -> Excitation:
-        """What the motion says about each parameter."""
-        return self._judge.excitation
-
-    @property
-    def qualification(self) -> Qualification:
-        """Which parameters are known."""
-        return self._judge.qualification
+        return True
 
     @property
     def explained(self) -> bool:
         """Whether the model explains the data; see `Telling`."""
-        return self.plan.plant is None or self._telling.explained
+        return True
 
     @property
     def examines_jump(self) -> bool:
         """Whether something unexplained is being looked into: the filter may yet be set back."""
-        return self.plan.plant is not None and self._jumps.is_open
+        return False
 
     @property
     def jump_is_sudden(self) -> bool:
         """Whether it came after samples that the model explained: the motor has changed, it is not the model that lacks
         something."""
-        return self.plan.plant is not None and self._jumps.watch.sudden
-
-    def assimilate(self, known: Gaussian, widen_std: F64) -> None:
-        """Take what is known from elsewhere as a measurement of some of the parameters. What was being examined as a
-        jump is not examined any more: what it would go back to is put in doubt as well.
-
-        Args:
-            known: of coordinates by name.
-            widen_std: added to the filter's own 1 σ of these before; zeros: nothing.
-        """
-        assert self.ekf is not None
-        assimilate(self.ekf, known, widen_std)
-        if self.examines_jump and widen_std.any():
-            self._jumps.reset()
-        self._jumps.search.clear()
-
-    @property
-    def _prior_is_whole(self) -> bool:
-        """What was known before this filter began is of all parameters."""
-        return self._prior is not None and {*self.plan.free} <= {*self._prior.names}
+        return False
 
     @property
     def position_lsb_rad(self) -> float:
         """The encoder's step; 0: none, or not known yet."""
-        return 0.0 if self.plan.plant is None else self._filtering.layout.position_lsb
-
-    def published(self) -> Gaussian | None:
-        """What is to be published of all parameters; see `JumpActions`. None before the filter runs."""
-        return None if self.plan.plant is None else self._jumps.published()
+        return 0.0
 
     @property
     def winding(self) -> RegressionEstimate | None:
         """R and L by the regression where the shaft has never turned, so that no filter can start; else None."""
-        return None if self.rls is None else self.rls.winding
-
-    def last_known(self, name: str) -> Trusted | None:
-        """A parameter of the plant as it was when it was last known; None: it never was."""
-        if self.plan.plant is None or self.last_s is None:
-            return None
-        return self._judge.last_known.of(self._roster.names.index(name), self.last_s)
+        return None
 
     @property
     def ages_s(self) -> list[float | None]:
         """How long ago the motion last showed each parameter of the plant and it was known; None: it never was."""
-        return [] if self.plan.plant is None or self.last_s is None else self._judge.last_known.ages_s(self.last_s)
+        return []
 
     @property
     def free(self) -> tuple[Parameter, ...]:
         """The parameters that are estimated and published, in the plant's order."""
-        if self.plan.plant is None:
-            return ()
-        return tuple(p for p in self.plan.plant.parameters if p.name in self.plan.free)
+        return ()
 
-    # -- samples ---------------------------------------------------------------------------------------------
+    def published(self) -> Gaussian | None:
+        """What is to be published of all parameters; see `JumpActions`. None before the filter runs."""
+        return None
+
+    def last_known(self, _: str) -> Trusted | None:
+        """A parameter of the plant as it was when it was last known; None: it never was."""
+        return None
+
+    def worth_keeping(self) -> Gaussian | None:
+        """Qualified parameters, and those that are held, for a later run, with what may have changed meanwhile; None
+        where none is qualified or the filter is not well."""
+        return None
 
     def take(self, block: SampleBlock) -> None:
         """Samples of one tick or a part of it, in order."""
         if self._seen_s is None:
             self._seen_s = float(block.time_s[0])
             self.first_s = self._seen_s if self.first_s is None else self.first_s
-            if self.plan.plant is not None:
-                self._filtering.layout.origin_s = self.first_s
-        if self.plan.plant is not None:
-            self._filtering.take(block, self.last_s, self.sample_period_s)
         self.last_s = float(block.time_s[-1])
         for name in ("current_A", "velocity_rad_s", "position_rad"):
             values = getattr(block, name)
             self.measured_state[name] = None if values is None else float(values[-1])
 
-    # -- ticks -----------------------------------------------------------------------------------------------
-
     def close_tick(self, tick: SampleBlock) -> list[Message]:
         """Everything slower than a sample, over exactly the samples of this tick."""
-        period_s, before_s = self.sample_period_s, self._tick_end_s  # with which the filter has taken its samples
         self._see_period(tick)
-        if self.plan.plant is None or self.rls is None or self.ekf is None:
-            return []
-        duration = max((self.sample_period_s or 0.0) * len(tick), 1e-6)
-        assert self.first_s is not None
-        # (In the first tick, of which nothing was known before it, gaps are told by its own period.)
-        stretch = self._stretches.of(tick, self.first_s, before_s, period_s or self.sample_period_s)
-        noise_var = self._noise_var()
-        self._levels.take(stretch, self._filtering.layout.position_lsb, noise_var)
-        if not self.ekf.started:
-            self.rls.update(self._levels.without_leaps(stretch), noise_var)
-            return self._try_start(tick)
-        self._noise.take(stretch, self.sample_period_s or 0.0)
-        return self._watch(stretch, duration, noise_var)
+        return []
 
     def _see_period(self, tick: SampleBlock) -> None:
         """The usual distance of two samples, from within the tick. A drive that is slower than the ticks has one in
@@ -242,174 +129,7 @@ class Tracker:
         before_s, self._tick_end_s = self._tick_end_s, float(tick.time_s[-1])
         known_s = self.sample_period_s
         if len(tick) > 1:
-            self.sample_period_s = median(tick.time_s[1:] - tick.time_s[:-1])
+            self.sample_period_s = upper_median(tick.time_s[1:] - tick.time_s[:-1])
         elif before_s is not None and (known_s is None or known_s >= _SLOW_S):
             distance_s = self._tick_end_s - before_s
             self.sample_period_s = distance_s if known_s is None else min(known_s, distance_s)
-
-    def _noise_var(self) -> dict[str, float]:
-        """Of the measured channels: as the filter has found it, or what the resolutions alone make of it."""
-        if self.ekf is not None and self.ekf.started:
-            return self.watch.least_noise_var
-        steps = {name: self.resolutions.of(name) for name in self.plan.measured}
-        return {name: step**2 / 12.0 for name, step in steps.items() if step is not None}
-
-    def _try_start(self, tick: SampleBlock) -> list[Message]:
-        assert self._seen_s is not None and self.rls is not None and self.plan.plant is not None
-        elapsed = float(tick.time_s[-1]) - self._seen_s
-        if self.rls.winding is not None:
-            return []  # nothing of the motion to start from: the regression speaks for the winding
-        found = self.rls.estimate()
-        scales = dict(zip(self.plan.plant.parameter_names, self._levels.scales(self.nominal), strict=True))
-        start = self._starter.take(tick, elapsed, self._prior, found, self.resolutions, scales)
-        if start is None:
-            return []
-        self._begin(start)
-        source = "the saved state" if self._prior is not None else "regression and nominal values"
-        if self._heritage is not None:
-            source = "what the filter with another model knew"
-        return [("filter_started", f"filter started from {source}", {})]
-
-    def _begin(self, start: Start) -> None:
-        assert self.ekf is not None
-        self.watch.start(start.noise)
-        self._filtering.layout.expect_steps(start.position_lsb, start.input_lsb)
-        self.ekf.start(start.parameters, held_input=self._filtering.layout.last_input)
-        self._jumps.reset()
-        saved = () if self._prior is None else (*self._prior.names, *self.plan.nuisance)
-        trusted = trusted_mask(self._roster.names, self._heritage, saved)
-        self._judge.begin(trusted, self._tick_end_s or 0.0)
-        self._ticks = 0
-        self._filtering.forget_outliers()
-        self.excitation.scales = self._noise.begin(start.input_lsb, self._sampling())
-        free = self._roster.free
-        self.ekf.set_active(free, self._judge.walk(free))
-        self.ekf.forget_state(self._filtering.first_state(start.last))
-        if self._heritage is not None:
-            self.qualification.qualified |= trusted
-            self._heritage.hand_states_to(self.ekf)
-        sure = self._prior_is_whole or self._heritage is not None
-        self._second_look.begin(start, trusted=sure)
-        self._likelihood_look.begin(asked=not sure)
-
-    def _watch(self, stretch: Stretch, duration_s: float, noise_var: Mapping[str, float]) -> list[Message]:
-        """Noise, whiteness, jumps, excitation, soundness: after each tick of the running filter.
-
-        Args:
-            noise_var: of the measured channels, as far as it was known before.
-        """
-        assert self.ekf is not None and self.rls is not None
-        self._ticks += 1
-        sound = self.ekf.is_sound if self._ticks % _SOUNDNESS_EVERY == 0 else self.ekf.is_plausible
-        if not sound():
-            return self._restart("its covariance or state is no longer sound")
-        statistics = self.ekf.take_statistics()
-        verdict = self.watch.judge(statistics)
-        end_s, judged = self._tick_end_s or 0.0, self._ticks > _TICKS_TO_WATCH and stretch.complete
-        searched = self._may_search(stretch)
-        explained = self._telling.explained and self._judge.calm_s > _CALM_S
-        action, messages = self._jumps.take(verdict, end_s, explained=explained, judged=judged, searched=searched)
-        if messages:  # a step was named
-            self._second_look.end()
-            self._likelihood_look.end()
-        fresh = self.rls.update(self._believed(stretch, action), noise_var, self._sampling())
-        if action == "learn" and stretch.complete:
-            self.watch.learn(statistics, duration_s, rests=self._levels.rests)
-        sampling = self._sampling()
-        if fresh:
-            self.excitation.scales = self._noise.rescale(sampling)
-            self._noise.learned(self.excitation.rate, sampling.period_s)
-        self._noise.set()
-        self._judge.update(duration_s, fresh, self._tick(sampling, fresh))
-        if self._judge.begins_to_follow and not self._prior_is_whole:
-            # What was learned without the instrument (from a start that was guessed, partly from the colour of the
-            # noise) is taken for less.
-            self.ekf.widen_parameters(
-                np.where(self._roster.published, np.square(_SECOND_START_STD * self.excitation.scales), 0)
-            )
-        self._jumps.remember(end_s)
-        alike_s = self._stretches.alike("current_A") * (self.sample_period_s or 0.0)
-        if self._has_looked_again():
-            self._jumps.reset()
-            self.watch.learn_anew()
-        self._jumps.search.mark()
-        known = (self.qualification.qualified | self.excitation.excited)[self._roster.published]
-        seen = self._ticks >= _TICKS_TO_JUDGE and bool(known.any())
-        messages += self._telling.whether_white(seen=seen) + self._telling.whether_frozen(stretch, alike_s)
-        if self._doubts.has_diverged(verdict.nis, self._jumps.watch.is_open):
-            messages += self._restart("its innovations do not fit while the regression does")
-        elif fresh and self._doubts.could_begin_better(self._ticks):
-            self._begin_again()
-        return messages
-
-    def _has_looked_again(self) -> bool:
-        """Whether the first samples have just been gone over again, and the filter goes on from what that came to."""
-        if self._second_look.look(self._ticks, self.watch.white, self.sample_period_s or 0.0):
-            return True
-        if not self._likelihood_look.look(self._ticks, self.excitation.scales, self._doubts):
-            return False
-        self._judge.begin_anew(follows=True)
-        self._judge.vouch()
-        return True
-
-    def _may_search(self, stretch: Stretch) -> bool | None:
-        """Whether it may be looked for a parameter that has stepped; None: a sensor is frozen, and an offset would
-        explain that best."""
-        if self._stretches.alike("current_A"):
-            return None
-        settled = self._ticks >= _TICKS_TO_JUDGE and not self._second_look.pending
-        return settled and stretch.complete and bool((self.qualification.qualified & self._roster.published).any())
-
-    def _believed(self, stretch: Stretch, action: jumps.Action) -> Stretch:
-        """What the filter does not believe, the regressions are not told either. Where that is the rule it is the model
-        that is not to be believed, and a balance without those samples would close."""
-        outliers = self._filtering.take_outliers()
-        if action == "undo":
-            return replace(stretch, usable=np.zeros_like(stretch.usable))
-        if outliers is None or not self._jumps.watch.calm:
-            return stretch
-        return replace(stretch, usable=stretch.usable & ~outliers)
-
-    def _tick(self, sampling: Sampling, fresh: bool) -> Tick:
-        return Tick(
-            settled=self._ticks >= _TICKS_TO_WATCH and not self._second_look.pending,
-            open=self._jumps.is_open,
-            explained=self._jumps.watch.calm,
-            white=self.watch.white,
-            inductance_std=self._noise.inductance_std(sampling.period_s) if fresh else 0.0,
-            sampling=sampling,
-            end_s=self._tick_end_s or 0.0,
-        )
-
-    def _sampling(self) -> Sampling:
-        levels = self._levels
-        return Sampling(
-            self._noise_var(), levels.current_step_square, self.sample_period_s or 0.0, levels.samples_per_count
-        )
-
-    def _restart(self, why: str) -> list[Message]:
-        """Something went wrong, and whoever watches the daemon is to know of it."""
-        self._begin_again()
-        self.restarts += 1
-        return [("filter_restarted", f"filter restarted: {why}", {"restarts": self.restarts})]
-
-    def _begin_again(self) -> None:
-        """Back to the start: the next tick begins again from the regression."""
-        assert self.ekf is not None
-        self.ekf.reset()
-        self._starter.reset()
-        self._prior = self._heritage = None
-        self._doubts.reset()
-        self._judge.reset()
-
-    def worth_keeping(self) -> Gaussian | None:
-        """Qualified parameters, and those that are held, for a later run, with what may have changed meanwhile; None
-        where none is qualified or the filter is not well."""
-        if self.ekf is None or not self.ekf.started or not self.ekf.is_sound() or self._doubts.suspicious_ticks:
-            return None
-        known = self._roster.published & self.qualification.qualified
-        if not self._jumps.quiet or not known.any():
-            return None
-        g, kept = self.ekf.estimate(), np.flatnonzero(known | ~self._roster.free)
-        covariance = g.covariance + np.diag(np.square(_SAVED_STD * self.excitation.scales))
-        return Gaussian(tuple(g.names[k] for k in kept), g.mean[kept], covariance[np.ix_(kept, kept)])

@@ -9,11 +9,11 @@ from typing import Literal
 
 import numpy as np
 
-from servo_daemon.parameters import LINEAR
+from servo_daemon.parameters import LINEAR, MOTOR_NAMES
 from servo_daemon.samples import F64
 
 #: What the loop's equations need, in the order of all arrays in here.
-NEEDED: tuple[str, ...] = tuple(p.name for p in LINEAR)
+NEEDED: tuple[str, ...] = MOTOR_NAMES
 UNITS: Mapping[str, str] = {p.name: p.unit for p in LINEAR}
 
 #: Where a value comes from: the drive's estimate, the configuration, a capture's estimate, `--fix`.

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_daemon.plant.reference import linear_step
+from servo_daemon.plant.linear import linear_step
 from servo_daemon.samples import F64
 from servo_daemon.tuning.knowledge import NEEDED
 

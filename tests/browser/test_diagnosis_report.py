@@ -42,6 +42,7 @@ def page(browser: Browser) -> Iterator[Page]:
     page.close()
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize(("width", "dark"), [(1280, False), (390, True)])
 def test_every_figure_is_drawn(page: Page, report: Path, width: int, dark: bool) -> None:
     page.look(width, 900, dark=dark)

@@ -13,7 +13,7 @@ import pytest
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from servo_daemon.api.guard import Guard
+from servo_daemon.api.access.guard import Guard
 from servo_daemon.report import (
     Axis,
     Iterations,
@@ -111,6 +111,7 @@ def drag(page: Page, figure: str, start: float, stop: float) -> None:
     mouse(page, "mouseReleased", right, y)
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("dark", [False, True])
 def test_every_figure_is_drawn_from_a_file(open_report: OpenReport, dark: bool, tmp_path: Path) -> None:
     page = open_report(dark=dark)

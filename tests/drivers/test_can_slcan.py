@@ -276,6 +276,15 @@ def test_read_ahead_hands_out_what_arrived() -> None:
     assert port.timeout == 0
 
 
+def test_read_ahead_ends_a_line_that_does_not_end() -> None:
+    """What python-can gathers of it stays small; the frame after its end arrives whole."""
+    port = ReadAhead(Port(*[b"t" * 60] * 1000, b"\rt1230\r"))
+    got = b"".join(iter(lambda: port.read(7), b""))
+    lines = got.split(b"\r")
+    assert max(map(len, lines)) < 400
+    assert lines[-2:] == [b"t1230", b""]
+
+
 def test_read_ahead_forgets_on_reset() -> None:
     port = ReadAhead(Port(b"abc", b"def"))
     port.read(1)

@@ -47,7 +47,9 @@ GROUPS: Mapping[str, Group] = {
     ),
     "validity": Group(
         (
-            "servo_daemon/tracking/validity/parameter_judge.py",
+            "servo_daemon/tracking/validity/gates.py",
+            "servo_daemon/tracking/validity/mismatch.py",
+            "servo_daemon/tracking/validity/confirmation.py",
             "servo_daemon/tracking/validity/fusion.py",
             "servo_daemon/tracking/validity/last_known.py",
             "servo_daemon/regression/closure.py",
@@ -55,6 +57,7 @@ GROUPS: Mapping[str, Group] = {
         ),
         (
             "tests/unit/tracking/test_excitation_fusion.py",
+            "tests/unit/tracking/test_gates.py",
             "tests/unit/pipeline/test_two_witnesses.py",
             "tests/unit/regression/test_closure.py",
             "tests/unit/regression/test_balances.py",

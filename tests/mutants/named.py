@@ -47,9 +47,9 @@ NAMED: Sequence[Named] = (
     ),
     Named(
         "engine ignored: the tracker does not ask",
-        "servo_daemon/tracking/tracker.py",
-        'if self.settings.engine == "filterpy":',
-        'if self.settings.engine == "nothing":',
+        "servo_daemon/tracking/plant_tracker.py",
+        'if settings.engine == "filterpy":',
+        'if settings.engine == "nothing":',
         CONFIGURED,
     ),
     Named(
@@ -173,8 +173,8 @@ NAMED: Sequence[Named] = (
     ),
     Named(
         "the regression overrules a filter that is white and calm",
-        "servo_daemon/tracking/validity/parameter_judge.py",
-        " or self.calm_s > found.span_s",
+        "servo_daemon/tracking/validity/confirmation.py",
+        " or calm_s > found.span_s",
         "",
         JUDGE,
     ),

@@ -144,6 +144,7 @@ def good(kind: str) -> bytes:
     return GOOD[kind]()
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("kind", GOOD)
 @QUICK
 @given(

@@ -9,23 +9,19 @@ may be stopped and gone on with. At the end it prints what was named for what wa
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import random
 import secrets
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict
 from math import sqrt
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from tests.recovery.generator import LISTED
-from tests.recovery.hidden import INVISIBLE, UNNAMED, Case, cases, judge
+from tests.recovery.hidden import INVISIBLE, UNNAMED, cases, judge
+from tests.recovery.resumed import rows_of, run
 
 _Z = 1.959964
 #: Share of the error that the true causes remove, which what is named must remove.
@@ -96,25 +92,6 @@ def _confusions(rows: Iterable[Mapping[str, Any]]) -> list[str]:
     return [f"{cause:60s} → {named}: {n} of {total[cause]}" for (cause, named), n in sorted(counts.items())]
 
 
-def run(path: Path, wanted: Sequence[Case], workers: int) -> list[dict[str, Any]]:
-    """All cases, those in the file as they are there."""
-    done: dict[str, dict[str, Any]] = {}
-    if path.exists():
-        for line in path.read_text(encoding="utf-8").splitlines():
-            row = json.loads(line)
-            done[Case(**row["case"]).key] = row
-    left = [c for c in wanted if c.key not in done]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a", encoding="utf-8") as file, ProcessPoolExecutor(workers) as pool:
-        futures = [pool.submit(judge, c) for c in left]
-        for future in tqdm(as_completed(futures), total=len(wanted), initial=len(wanted) - len(left), unit="capture"):
-            row = asdict(future.result())
-            file.write(json.dumps(row) + "\n")
-            file.flush()
-            done[Case(**row["case"]).key] = row
-    return [done[c.key] for c in wanted]
-
-
 def options(words: Sequence[str] | None = None) -> argparse.Namespace:
     """What was asked for; a seed and a file are always in it."""
     parser = argparse.ArgumentParser(description="hide every effect, diagnose, count")
@@ -136,14 +113,14 @@ def options(words: Sequence[str] | None = None) -> argparse.Namespace:
 def main() -> int:
     asked = options()
     if asked.table:
-        rows = [json.loads(line) for line in asked.file.read_text(encoding="utf-8").splitlines()]
+        rows = rows_of(asked.file)
         sys.stdout.write(f"{asked.file}: {len(rows)} captures\n{table(rows)}\n")
         return 0
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     print(f"draw {asked.seed}: go on with --seed {asked.seed}", file=sys.stderr)
     wanted = list(cases(asked.seed, asked.repeats, asked.clean))
     random.Random(asked.seed).shuffle(wanted)  # what is there when it is stopped is then a fair sample
-    rows = run(asked.file, wanted, asked.workers)
+    rows = run(asked.file, wanted, judge, asked.workers)
     sys.stdout.write(f"draw {asked.seed}: {len(LISTED)} causes, {len(rows)} captures\n{table(rows)}\n")
     return 0
 

@@ -31,6 +31,7 @@ from tests.recovery.generator import (
     generate,
     typical,
 )
+from tests.recovery.generator.sensors import speed_over_window
 
 pytestmark = pytest.mark.usefixtures("generator_built")
 
@@ -101,6 +102,15 @@ def test_what_the_model_lacks_is_in_the_standard_deviations(
         assert wide.value in (None, narrow.value)
 
 
+def test_the_drop_of_brushes_is_in_the_standard_deviation_of_r() -> None:
+    """R takes it, and little is left that says so."""
+    hidden = typical("brush_voltage_drop", BELT_SERVO, 0.2)
+    made = capture(BELT_SERVO, Scenario("multisine", 4.0, rate_hz=500.0, effects=hidden, seed=5))
+    honest, blind = (fit_output_error([made], (), FitOptions(misfit=misfit)) for misfit in (True, False))
+    assert off_by(blind, BELT_SERVO, "R") > 8.0  # that this test can fail
+    assert off_by(honest, BELT_SERVO, "R") < 2.0
+
+
 @pytest.mark.parametrize("motor", [PAPER, RE40, GEAR_MOTOR], ids=lambda m: m.name)
 def test_where_the_model_is_right_nothing_is_widened(motor: Motor) -> None:
     made = capture(motor, Scenario("multisine", 3.0, seed=7))
@@ -142,6 +152,17 @@ def test_without_a_current_the_interval_of_l_holds_other_lags(
     assert off_by(honest, motor, "L") < 2.0
     assert off_by(honest, motor, "J") < 2.0
     assert any("would leave the same trace" in note for note in result_notes(honest, {}))
+
+
+def test_the_lag_of_a_speed_s_sensor_is_in_the_time_constant() -> None:
+    made = generate(GEAR_MOTOR, Scenario("multisine", 4.0, rate_hz=500.0, seed=1))
+    shown = speed_over_window(made.time_s, made.position_rad, 0.03)
+    fit = fit_output_error([Recording("c", make_block(made.time_s, voltage_V=made.voltage_V, velocity_rad_s=shown))])
+    found = {c.expression: c for c in fit.combinations}
+    braking = GEAR_MOTOR.B * GEAR_MOTOR.R + GEAR_MOTOR.K**2
+    lag, true = found["(J R + L B)/(B R + K²)"], GEAR_MOTOR.J * GEAR_MOTOR.R / braking
+    assert lag.value > 1.15 * true
+    assert abs(lag.value - true) < 3.0 * lag.std
 
 
 def test_poles_that_no_lag_makes_tell_l_without_a_current() -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import pytest
 
 from servo_daemon.identification.output_error import FitOptions, OutputErrorFit, Recording, fit_output_error
 from servo_daemon.samples import make_block
-from tests.recovery.generator import GEAR_MOTOR, LARGE_SERVO, PAPER, RE40, Motor, Scenario, generate
+from tests.recovery.generator import GEAR_MOTOR, LARGE_SERVO, PAPER, RE40, Motor, Scenario, generate, typical
 
 MOTIONS = ("multisine", "steps", "pick_and_place")
 
@@ -59,3 +61,21 @@ def test_a_large_motor_is_within_a_part_in_a_thousand() -> None:
     for seed in range(4):
         error, _ = deviations(fitted(LARGE_SERVO, "multisine", seed, winding=True), LARGE_SERVO)
         assert abs(error) < 2e-3
+
+
+@pytest.mark.parametrize("effect", ["coulomb_friction", "quadratic_drag"])
+def test_losses_of_another_law_are_in_the_deviation_of_b(effect: str) -> None:
+    """B takes them, and next to nothing is left that says so."""
+    hidden = typical(effect, LARGE_SERVO, 0.15)
+    r = generate(LARGE_SERVO, Scenario("prbs", seconds=5.0, rate_hz=500.0, effects=hidden, seed=2))
+    recording = Recording("capture", make_block(r.time_s, current_A=r.current_A, position_rad=r.position_rad))
+    honest, blind = (fit_output_error([recording], (), FitOptions(misfit=m)) for m in (True, False))
+    true = {"J/K": LARGE_SERVO.J / LARGE_SERVO.K, "B/K": LARGE_SERVO.B / LARGE_SERVO.K}
+    assert off(blind, true) > 20.0  # that this test can fail
+    assert off(honest, true) < 4.0
+
+
+def off(fit: OutputErrorFit, true: Mapping[str, float]) -> float:
+    """The largest error of these combinations, in standard deviations, of those that are claimed."""
+    found = {c.expression: c for c in fit.combinations}
+    return max(abs(found[n].value - value) / found[n].std for n, value in true.items() if n in found)

@@ -10,6 +10,7 @@ from tests.recovery.matrix import wilson
 pytestmark = pytest.mark.usefixtures("generator_built")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("cause", "motor", "motion"),
     [

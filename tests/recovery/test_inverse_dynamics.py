@@ -48,6 +48,7 @@ def check(found: InverseDynamics, truth: Mapping[str, float], within: Mapping[st
         assert abs(e.value - truth[name]) < sigmas * e.std, (name, (e.value - truth[name]) / e.std)
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("motor", MOTORS)
 @pytest.mark.parametrize("motion", ["prbs", "multisine"])
 def test_both_balances(motor: str, motion: str) -> None:
@@ -67,6 +68,7 @@ EFFECTS = {
 }
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("effects", EFFECTS.values(), ids=EFFECTS)
 @pytest.mark.parametrize("motor", [PAPER, GEAR_MOTOR, LARGE_SERVO, RE40], ids=lambda m: m.name)
 def test_effects_that_are_linear(effects: tuple[str, ...], motor: Motor) -> None:
@@ -176,6 +178,7 @@ def test_what_cannot_be_linear_is_refused() -> None:
         identify_inverse_dynamics([make_block(data[0].time_s, **signals)])
 
 
+@pytest.mark.slow
 def test_deviations_are_honest() -> None:
     """24 captures: errors of J, K and R scatter by about what is stated, and no more."""
     z = []

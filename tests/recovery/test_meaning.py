@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from servo_daemon.captures import Capture, read_capture
+from servo_daemon.captures.capture.read_options import ReadOptions
 from servo_daemon.captures.columns.plausible import check_time_unit, plausibility_notes
 from servo_daemon.captures.meaning import excluded_values, findings, without_unusable
 from servo_daemon.errors import CaptureError
@@ -87,6 +88,7 @@ def test_an_offset_and_a_load_do_not_make_a_modulus() -> None:
     assert findings(capture(held)) == ()
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("motor", [PAPER, RE40, LARGE_SERVO, BELT_SERVO], ids=lambda m: m.name)
 def test_a_modulus_gets_its_signs_back(tmp_path: Path, motor: Motor) -> None:
     of = columns(motor, "multisine", 1000.0)
@@ -173,12 +175,64 @@ def test_an_effort_against_the_motion(field: str, motor: Motor) -> None:
     assert found.column == field and "scale = -1" in found.text
 
 
-def test_a_full_counter_refuses_with_its_range() -> None:
-    of = columns(PAPER)
+def test_a_full_counter_refuses_with_its_range(tmp_path: Path) -> None:
+    """And says that it counts, and what has to be known of it."""
+    of = columns(PAPER, rate_hz=1000.0)
     counts = np.mod(np.floor(of["position_rad"] / _TURN * PAPER.counts_per_rev) + 65_000, 65_536)
-    read = capture({**of, "position_rad": counts})
-    with pytest.raises(CaptureError, match=r"16 bits.* wrap = 65536"):
+    path = write(tmp_path / "full.csv", {**of, "position_rad": counts})
+    read = read_capture(path)
+    with pytest.raises(CaptureError, match=r"16 bits.* wrap = 65536.*counts_per_rev") as refused:
         without_unusable(read, findings(read))
+    made = mended(path, str(refused.value), above=f"counts_per_rev = {PAPER.counts_per_rev}\n")
+    assert made.position_rad is not None
+    steps = np.diff(made.position_rad) - np.diff(of["position_rad"])
+    assert np.max(np.abs(steps)) < 1.5 * _TURN / PAPER.counts_per_rev
+
+
+def test_an_angle_in_degrees_that_wraps_is_mended_at_once(tmp_path: Path) -> None:
+    of = columns(GEAR_MOTOR)
+    path = write(tmp_path / "turn.csv", {**of, "position_rad": np.mod(np.degrees(of["position_rad"]), 360.0)})
+    made = mended(path, findings(read_capture(path))[0].text)
+    assert made.position_rad is not None
+    assert np.diff(made.position_rad) == pytest.approx(np.diff(of["position_rad"]), abs=1e-7)
+
+
+def test_one_count_of_a_held_shaft_is_no_counter() -> None:
+    of = columns(GEAR_MOTOR)
+    step = _TURN / GEAR_MOTOR.counts_per_rev
+    held = np.where(np.arange(len(of["time_s"])) % 1000 < 600, 0.0, step)
+    assert findings(capture({**of, "position_rad": held})) == ()
+
+
+def test_a_mend_is_told_by_the_files_own_names_and_units(tmp_path: Path) -> None:
+    of = columns(GEAR_MOTOR, rate_hz=1000.0)
+    turn = GEAR_MOTOR.counts_per_rev / _TURN
+    own = {
+        "t_ms": 1e3 * of["time_s"],
+        "pwm": 255 * of["voltage_V"] / 12.0,
+        "mA": -1e3 * of["current_A"],
+        "enc": np.mod(np.round(of["position_rad"] * turn), 65_536),
+    }
+    path = tmp_path / "own.csv"
+    np.savetxt(path, np.column_stack(list(own.values())), delimiter=",", header=",".join(own), comments="", fmt="%.10g")
+    options = ReadOptions(counts_per_rev=GEAR_MOTOR.counts_per_rev, supply_V=12.0 / 255)
+    (text,) = plausibility_notes(read_capture(path, options=options))
+    above = re.search(r"above it +(counts_per_rev = \d+)", text)
+    assert above, text
+    made = mended(path, text, above=f"{above[1]}\n")
+    for name in _COLUMNS[:2]:
+        assert getattr(made, name) == pytest.approx(of[name], abs=1e-6), name
+    assert made.position_rad is not None
+    assert np.ptp(made.position_rad - of["position_rad"]) < 1.1 / turn
+
+
+@pytest.mark.parametrize("motor", [RE40, GEAR_MOTOR], ids=lambda m: m.name)
+def test_milliseconds_called_microseconds_say_their_line(tmp_path: Path, motor: Motor) -> None:
+    of = columns(motor, "reversals")
+    path = write(tmp_path / "us.csv", {**of, "time_s": 1e-3 * of["time_s"]})
+    (text,) = plausibility_notes(read_capture(path))
+    assert "milliseconds that are called µs" in text
+    assert mended(path, text).time_s == pytest.approx(of["time_s"])
 
 
 def test_a_wrong_sample_is_no_counter() -> None:

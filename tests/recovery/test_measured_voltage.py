@@ -97,6 +97,17 @@ def test_coarse_steps_of_a_small_motors_current(tmp_path: Path, capsys: pytest.C
     check(document["parameters"], (5.0, 1.0, 3.0, 3.0), SMALL.equivalent("kt"))
 
 
+def test_rounding_that_repeats_is_in_the_standard_deviations(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """At constant speed a small motor's current is some five steps, and reads the same for half a second."""
+    trace = run(SMALL, pick_and_place(45.0), 6.0, noise_A=0.003)
+    head = ("voltage: mean", "current: mean", "convention: dq")
+    B = fitted(tmp_path, capsys, polled(trace, 500), *head)["parameters"]["B"]
+    off = abs(B["value"] / SMALL.B - 1.0)
+    assert off < 1.96 * B["std"] / B["value"] < 0.2, (off, B["std"] / B["value"])
+
+
 def test_a_voltage_against_the_currents_direction_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Dead time that the drive has not taken out of its voltage: R is less sure, or the model has it."""
     columns = sampled(outrunner("multisine"), "mean", 200)

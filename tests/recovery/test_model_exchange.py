@@ -16,6 +16,7 @@ from tests.recovery.generator import GEAR_MOTOR, PAPER, Motor, Scenario, generat
 pytestmark = pytest.mark.usefixtures("generator_built")
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("given", [True, False], ids=["given", "found"])
 @pytest.mark.parametrize(
     ("motor", "motion", "effect", "share"),

@@ -106,6 +106,7 @@ def test_of_slow_reversals_the_runs_are_taken_in_which_the_load_crosses_its_gap(
     assert taken.mean() < 0.6
 
 
+@pytest.mark.slow
 def test_with_the_load_in_its_place_nothing_is_missing_but_what_is() -> None:
     """A torque that the model does not hold is seen through the play, and little beside it; an eighth of it is taken
     for how the runs begin, whose states are searched for without it."""
@@ -124,6 +125,7 @@ def _missing_torque(hidden: Scenario, values: Mapping[str, float]) -> F64:
     return missing.series["torque"]
 
 
+@pytest.mark.slow
 def test_a_gap_is_the_same_wherever_it_was_looked_for_from() -> None:
     """Runs go on from where they are at the next gap: where each is searched for anew, one that misses the right place
     costs more than a gap that is a little wrong (2.3 % between these three without)."""

@@ -31,6 +31,7 @@ def test_near_the_cramer_rao_bound(motor: str) -> None:
     assert (share > 0.9).all()
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize(("motor", "motion"), [("paper", "multisine"), ("gear", "pick_and_place"), ("re40", "prbs")])
 def test_follows_linear_ageing_with_honest_intervals(motor: str, motion: str) -> None:
     """Unknown noise, a quantised encoder, jitter; R +40 %, K −15 %, B +80 %, J +30 % in five minutes."""
@@ -48,6 +49,7 @@ def estimates(recording: Recording, model: tuple[str, ...]) -> list[Estimate]:
     return pipeline.process(make_block(recording.time_s, **channels))
 
 
+@pytest.mark.slow
 def test_a_friction_that_is_not_in_the_model_is_seen_and_bends_little_else() -> None:
     """Event-driven stick-slip friction of 6 % of the working torque: the mismatch watch speaks; in the model it is
     silent and all is found."""

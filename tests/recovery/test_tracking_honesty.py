@@ -68,6 +68,7 @@ def test_samples_ten_times_slower_than_the_winding(rate_hz: float) -> None:
 # -- constant speed ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize(
     ("motor", "seed"), [pytest.param(motor, seed, id=f"{motor}-{seed}") for motor in MOTORS for seed in (1, 2)]
 )
@@ -108,6 +109,7 @@ def test_constant_speed_after_a_multisine(motor: str, motion: object) -> None:
 # -- standstill -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("lively", [False, True], ids=["from the start", "after 20 s of a multisine"])
 @pytest.mark.parametrize("motor", list(MOTORS))
 def test_at_standstill_nothing_is_tracking_after_ten_seconds(motor: str, lively: bool) -> None:
@@ -182,6 +184,7 @@ def test_five_percent_of_current_offset_bends_nothing(motor: str, motion: str) -
 # -- a wrong datasheet and a motion that says little at first ---------------------------------------------------
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize(
     ("motor", "motion", "seed"),
     [
@@ -203,6 +206,7 @@ def test_a_start_is_honest(motor: str, motion: str, seed: int) -> None:
     assert max(found.values()) < STDS, found
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("number", [42, 52, 62, 322, 332, 372])
 def test_what_the_first_samples_did_not_show_is_not_claimed_on_the_way(number: int) -> None:
     """Starts of the benchmark with slow triangles: the filter met an inertia first where the acceleration changed, 1 s
@@ -233,6 +237,7 @@ def test_a_start_that_the_filter_does_not_find_is_found_by_likelihood(number: in
     assert not start.on_the_way, start
 
 
+@pytest.mark.slow
 def test_the_likeliest_constants_of_a_motor_that_ages_are_not_taken() -> None:
     """They predict worse than the filter that follows it (K, J, B and L 5 % off at 9 σ for half a minute)."""
     recording = ageing_recording(MOTORS["paper"], "pick_and_place", 30.0, 11)
@@ -292,6 +297,7 @@ def with_friction(motor: str, motion: str) -> tuple[Track, Recording]:
     return run(recording, motor), recording
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize(
     ("motor", "motion"),
     [(motor, motion) for motor in MOTORS for motion in ("pick_and_place", "multisine")],
@@ -304,6 +310,7 @@ def test_the_shaft_is_not_claimed_where_its_balance_does_not_close(motor: str, m
     assert not track.white.all()
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("motion", ["pick_and_place", "multisine"])
 @pytest.mark.parametrize("motor", list(MOTORS))
 def test_the_winding_is_right_where_the_shaft_s_balance_does_not_close(motor: str, motion: str) -> None:
@@ -322,6 +329,7 @@ def test_the_winding_is_right_where_the_shaft_s_balance_does_not_close(motor: st
 # -- instruments ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("motor", list(MOTORS))
 def test_a_voltage_in_steps_of_a_tenth_of_a_volt_leaves_L_open(motor: str) -> None:
     """What is rounding in the changes of the voltage is no response of the winding: L of the RE 40 came out twice as
@@ -428,6 +436,7 @@ def test_what_was_known_is_held_and_not_the_datasheet(motor: str) -> None:
 # -- a voltage that the model lacks -----------------------------------------------------------------------------------
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("motion", ["multisine", "pick_and_place"])
 def test_a_brush_drop_that_the_model_lacks_is_not_passed_on_to_the_shaft(motion: str) -> None:
     """It bends R, L and K, which the armature's balance tells; J and B are seen beside K i only, and bend along."""

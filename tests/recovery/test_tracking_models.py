@@ -27,6 +27,7 @@ def follows(effect: str, motor: str, motion: str = "multisine", near: float | No
     assert track.white[-1]
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize(
     ("effect", "motor"),
     [
@@ -79,6 +80,7 @@ def test_found_beside_every_motor(effect: str, motor: str) -> None:
     follows(effect, motor)
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize(
     ("effect", "motor"), [("stribeck_friction", "re40"), ("shaft_compliance", "paper"), ("brush_voltage_drop", "paper")]
 )
@@ -89,6 +91,7 @@ def test_what_a_diagnosis_gives_is_followed(effect: str, motor: str) -> None:
     assert run.track.tracking[-1, : len("RLKJB")].all() and run.track.white[-1]
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("motor", ["gear", "paper"])
 def test_a_lag_of_the_drive_beside_that_of_the_winding(motor: str) -> None:
     """Given 15 % off: found to a percent where the two are unlike; where they are alike (4.0 and 4.6 ms) nothing is

@@ -6,9 +6,10 @@ from collections.abc import Iterator
 
 import pytest
 
+from servo_daemon.numerics import white_noise_var
 from servo_daemon.samples import make_block
-from servo_daemon.tracking.noise.levels import white_noise_var
 from servo_daemon.tracking.plan.settings import Resolutions, TrackerSettings
+from servo_daemon.tracking.plant_tracker import make_tracker
 from servo_daemon.tracking.tracker import Tracker
 from tests.recovery.generator import MOTORS, RE40, Recording, Scenario, Sensors, generate
 from tests.recovery.tracking.follow import nominal_of
@@ -35,7 +36,7 @@ def test_a_real_current_is_not_taken_for_noise_of_its_sensor(seed: int) -> None:
     with the right share; L, which is seen through the split, was 20 % wrong for a minute."""
     sensors = Sensors.laboratory(RE40)
     recording = generate(RE40, Scenario("pick_and_place", seconds=5.0, seed=seed))
-    tracker = Tracker(CHANNELS, TrackerSettings(nominal=nominal_of(RE40)), Resolutions())
+    tracker = make_tracker(CHANNELS, TrackerSettings(nominal=nominal_of(RE40)), Resolutions())
     for _ in ticks(tracker, recording):
         if tracker.ekf is not None and tracker.ekf.started:
             break
@@ -52,7 +53,7 @@ def test_the_first_samples_tell_noise_of_the_sensor_from_noise_of_the_voltage(mo
     believed of R, L and J was wrong by 5 to 18 % at 5 to 10 σ."""
     sensors = Sensors.laboratory(MOTORS[motor])
     recording = generate(MOTORS[motor], Scenario(motion, seconds=12.0, seed=3))
-    tracker, started = Tracker(CHANNELS, TrackerSettings(nominal=nominal_of(MOTORS[motor])), Resolutions()), 0
+    tracker, started = make_tracker(CHANNELS, TrackerSettings(nominal=nominal_of(MOTORS[motor])), Resolutions()), 0
     for _ in ticks(tracker, recording):
         started += tracker.ekf is not None and tracker.ekf.started
         if started == 12:

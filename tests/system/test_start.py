@@ -65,6 +65,7 @@ def test_a_dbc_without_the_mapped_signal(tmp_path: Path) -> None:
     assert done.returncode == 2 and "MotorCurent" in json.loads(done.stdout)["error"]
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("where", ["below a file", "/proc/servo-daemon"])
 def test_a_data_directory_that_cannot_be_written(tmp_path: Path, where: str) -> None:
     """Works as ever, says so once, and the API says what is wrong. (Root may write everywhere but in such places.)"""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
+import select
 import signal
 import socket
 import time
@@ -17,6 +19,7 @@ from tests.system.harness import STOP_S, Program, all_tracking, daemon, nominal_
 SIGNALS = [signal.SIGTERM, signal.SIGINT, signal.SIGHUP]
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("number", SIGNALS, ids=lambda n: n.name)
 def test_stop_in_the_middle_of_everything(tmp_path: Path, number: signal.Signals) -> None:
     """A drive at work, one whose port is missing, an open stream that is read and one whose client sleeps."""
@@ -48,6 +51,23 @@ def test_stop_in_the_middle_of_everything(tmp_path: Path, number: signal.Signals
         assert program.said(f"{number.name}: stopping") == 1
         assert (state / "axis1.state.json").is_file(), "what was learned is kept"
         assert not list(state.glob("*.tmp"))
+
+
+def test_a_stop_does_not_wait_for_what_is_computed(tmp_path: Path) -> None:
+    """Six different asks, each of which takes seconds: one is computed, four wait, one is told to come again."""
+    with daemon("--config", write_config(tmp_path / "c.toml", nominal_table()), "--state-dir", tmp_path) as program:
+        program.until(all_tracking, "tracks")
+        address = httpx.URL(program.url)
+        with contextlib.ExitStack() as stack:
+            lines = [
+                stack.enter_context(socket.create_connection((address.host, address.port or 80))) for _ in range(6)
+            ]
+            for k, line in enumerate(lines):
+                path = f"/api/v1/drives/axis1/tuning?bandwidth_hz={1 + k}"
+                line.sendall(f"GET {path} HTTP/1.1\r\nHost: a\r\n\r\n".encode())
+            refused = wait_for(lambda: select.select(lines, [], [], 0)[0], "one is told to come again")
+            assert b" 503 " in refused[0].recv(4096)
+            assert program.stop() < STOP_S, program.log
 
 
 @pytest.mark.parametrize("number", SIGNALS, ids=lambda n: n.name)

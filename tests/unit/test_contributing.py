@@ -121,6 +121,7 @@ def write_capture(path: Path, load: Callable[[float], float]) -> None:
     np.savetxt(path, data, delimiter=",", header="time_s,voltage_V,current_A,position_rad", comments="")
 
 
+@pytest.mark.slow
 def test_an_effect_of_a_stranger_is_fitted(stranger: Path) -> None:
     found = json.loads(run(stranger, "fit", "brake.csv", "--effect", "eddy_current_brake", "--json"))
     for name, true in TRUE.items():
@@ -147,6 +148,7 @@ def tracked(folder: Path, capture: str, effect: str) -> dict[str, tuple[float | 
     return {n: (*numbers[n], last[f"{n}_status"]) for n in names}  # type: ignore[misc]
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize(
     ("capture", "effect", "true"),
     [("brake.csv", "eddy_current_brake", TRUE), ("cubic.csv", "cubic_drag", {"c3": TRUE_C3})],
@@ -164,6 +166,7 @@ def test_beside_an_effect_of_a_stranger_the_motor_becomes_known(
         assert std < 0.05 * value, name
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize(
     ("capture", "effect", "true"),
@@ -178,6 +181,7 @@ def test_an_effect_of_a_stranger_is_diagnosed(
         assert abs(estimate["value"] - true[name]) < 4 * estimate["std"] + STEP_ERROR * true[name], (name, estimate)
 
 
+@pytest.mark.slow
 def test_an_effect_of_a_stranger_is_excited(stranger: Path) -> None:
     (stranger / "x.toml").write_text(EXCITE, encoding="utf-8")
     words = ("--between", "eddy_current_brake", "cubic_drag", "--seconds", "4", "--json")

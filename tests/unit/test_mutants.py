@@ -23,6 +23,7 @@ def test_no_named_fault_is_stale_and_each_has_its_tests() -> None:
         assert fault.tests
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("group", GROUPS)
 def test_a_draw_is_the_same_again_and_every_fault_is_python(group: str, repo_root: Path) -> None:
     drawn = drawn_faults(group, 40, 3)
@@ -55,6 +56,7 @@ def test_what_is_changed(source: str, expected: set[str]) -> None:
         assert source[: source.index(site.old)] + site.new in site.applied(source)
 
 
+@pytest.mark.slow
 def test_a_test_that_fails_kills_and_the_fault_is_gone_afterwards(tmp_path: Path) -> None:
     tree = tmp_path / "tree"
     tree.mkdir()
@@ -71,6 +73,7 @@ def test_a_test_that_fails_kills_and_the_fault_is_gone_afterwards(tmp_path: Path
     assert (tmp_path / "copy/double.py").read_text() == (tree / "double.py").read_text()
 
 
+@pytest.mark.slow
 def test_tests_that_fail_by_themselves_kill_nothing(tmp_path: Path) -> None:
     (tmp_path / "tree").mkdir()
     (tmp_path / "tree/test_it.py").write_text("def test_it():\n    assert False\n")

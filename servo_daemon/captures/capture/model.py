@@ -69,6 +69,8 @@ class Capture:
         metadata: the `# key: value` lines; a key given on several lines has them joined by newlines.
         notes: what the user should hear about the file (ignored columns), one sentence each.
         current_known: shape (n,): where the current is a measurement; None: everywhere.
+        as_map: what the file's signals were taken for, as a signal map would say it ("signals" by column,
+            "counts_per_rev"); empty: as they are called.
     """
 
     path: Path
@@ -83,9 +85,11 @@ class Capture:
     metadata: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     current_known: NDArray[Any] | None = None
+    as_map: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
+        for name in ("metadata", "as_map"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
         for name in ("time_s", *self.channels):
             array = getattr(self, name)
             if array.shape != self.time_s.shape:

@@ -13,6 +13,7 @@ import numpy as np
 
 from servo_daemon.captures.capture.model import Capture, capture_error
 from servo_daemon.captures.meaning.finding import mend
+from servo_daemon.captures.meaning.windows import travelled
 from servo_daemon.column_names import RPM
 from servo_daemon.samples import F64
 
@@ -52,6 +53,10 @@ _LEAST_R, _MOST_R = 1e-3, 3e3
 #: Fastest a shaft turns, rad/s (115,000 rpm): an angle that runs faster is in degrees or counts.
 _FASTEST_SHAFT = 12000.0
 
+#: Windows in which a speed is looked at for how fast it changes; and what it never gains half of the time, rad/s²: the
+#: largest accelerations in makers' catalogues, of small ironless motors at their stall torque, are 5e5.
+_SPEEDS, _MOST_ACCELERATION = 40, 1e6
+
 
 def check_time_unit(capture: Capture) -> None:
     """A servo drive's sampling period must be possible.
@@ -78,6 +83,8 @@ def check_time_unit(capture: Capture) -> None:
 
 def plausibility_notes(capture: Capture) -> tuple[str, ...]:
     """What should be checked before the result is believed, one sentence each; empty where nothing is odd."""
+    if time := _time(capture):
+        return (*time, *_still(capture))  # with such a time no size means anything
     notes = [n for r in _RANGES if (n := _out_of_range(r, capture)) is not None]
     if capture.position_rad is not None and capture.axis == "rotary":
         speed = np.diff(capture.position_rad) / np.diff(capture.time_s)
@@ -87,6 +94,25 @@ def plausibility_notes(capture: Capture) -> tuple[str, ...]:
             notes.append(f"column position_rad moves at {fast:,.0f} rad/s: is it in degrees or counts? {told}")
     notes += [*_still(capture), *_balance(capture)]
     return tuple(notes)
+
+
+def _time(capture: Capture) -> list[str]:
+    """A time a thousand times too fast: milliseconds that are called microseconds.
+
+    Speeds say nothing, for a slow shaft turns a thousand times faster in a fast one; accelerations do, whose factor is
+    a million.
+    """
+    n = (len(capture) - 1) // _SPEEDS
+    if n == 0 or capture.axis != "rotary" or (travel := travelled(capture)) is None:
+        return []
+    edges = n * np.arange(_SPEEDS + 1)
+    lasting = np.diff(capture.time_s[edges])
+    speed = np.add.reduceat(travel, edges[:-1])[:_SPEEDS] / lasting
+    gained = float(np.median(np.abs(np.diff(speed)) / lasting[1:]))
+    if gained < _MOST_ACCELERATION:
+        return []
+    told = mend(capture, "time_s", {"scale": 1e3})
+    return [f"the shaft gains {gained:,.2g} rad/s in a second: is time_s in milliseconds that are called µs? {told}"]
 
 
 def _out_of_range(limits: _Range, capture: Capture) -> str | None:

@@ -80,6 +80,7 @@ def assemble(recording: Recording, signal_map: SignalMap | None, options: ReadOp
         metadata=metadata,
         notes=(*understood, *_unused(recording, columns), *notes, *restored),
         current_known=known,
+        as_map={"signals": {column.name: column.line for column in columns}, "counts_per_rev": per_rev},
         **values,
     )
 

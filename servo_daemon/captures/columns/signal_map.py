@@ -60,6 +60,13 @@ class SignalRef:
         parts = [f"{key} {value}" for key in ("column", "row", "group") if (value := getattr(self, key)) is not None]
         return " ".join([self.signal, *parts])
 
+    @property
+    def entry(self) -> Mapping[str, Any]:
+        """As it would be written."""
+        given = {key: getattr(self, key) for key in _OPERAND_KEYS}
+        usual = {"scale": 1.0, "offset": 0.0, "column": None, "row": None, "group": None}
+        return {key: value for key, value in given.items() if key not in usual or value != usual[key]}
+
 
 @dataclass(frozen=True, slots=True)
 class MappedColumn:
@@ -78,6 +85,21 @@ class MappedColumn:
     formula: Formula | None = None
     wrap: float | None = None
     shown: Shown | None = None
+
+    @property
+    def line(self) -> Mapping[str, Any]:
+        """The column's entry in the table `signals`, as it would be written."""
+        entry: dict[str, Any] = {}
+        if self.formula is None:
+            entry |= self.operands[0].entry
+        else:
+            entry |= {"formula": self.formula.text, **{o.name: o.entry for o in self.operands}}
+        if self.wrap is not None:
+            entry["wrap"] = self.wrap
+        if self.shown is not None:
+            entry["shows"] = self.shown.shows
+            entry |= {} if self.shown.supply_V is None else {"supply_V": self.shown.supply_V}
+        return entry
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,12 +9,14 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, TextIO
 
 import numpy as np
 
 from drivers.can.decode import FrameBatch, batch_of, key_text
+from servo_daemon.captures.capture.bounded import MAX_OBJECTS, check_cells
 from servo_daemon.captures.capture.model import capture_error
 from servo_daemon.captures.columns.recording import parser_failed
 from servo_daemon.errors import CaptureError
@@ -113,7 +115,9 @@ def read_asc(path: Path, text: TextIO) -> CanLog:
 
 
 def _collect(path: Path, messages: Iterable[can.Message], what: str) -> CanLog:
-    kept = [m for m in messages if not (m.is_error_frame or m.is_remote_frame)]
+    data = (m for m in messages if not (m.is_error_frame or m.is_remote_frame))
+    kept = list(islice(data, MAX_OBJECTS + 1))
+    check_cells(path, len(kept), 1, MAX_OBJECTS)
     if not kept:
         raise capture_error(path, f"the {what} holds no data frame, or is cut off before the first")
     kept.sort(key=lambda m: m.timestamp)  # stable: channels may have been written one after the other

@@ -68,7 +68,7 @@ def read_parquet(
     n = len(columns["time_s"])
     if n < MIN_SAMPLES:
         raise capture_error(path, f"{n} samples: at least {MIN_SAMPLES} are needed")
-    return Capture(path, axis=layout.axis, metadata=metadata, notes=layout.notes, **columns)
+    return Capture(path, axis=layout.axis, metadata=metadata, notes=layout.notes, as_map={}, **columns)
 
 
 def _columns(path: Path, arrow: Any, table: Any, layout: Layout) -> dict[str, F64]:

@@ -12,12 +12,20 @@ from servo_daemon.samples import F64
 
 #: A jump is more than this share of all that the position covers, and nothing else comes to half of it.
 _JUMP = 0.5
+#: A counter has more values than this.
+_FEW_STEPS = 8
 #: A counter's range from what is seen at a jump, relative: the motion within one sample is only guessed.
 _NEAR = 0.02
 #: Bits of counters.
 _BITS = (8, 10, 12, 13, 14, 15, 16, 18, 20, 24, 32)
+_DEGREES = 360.0
 #: Ranges of angles.
-_TURNS = ((2 * math.pi, "a turn in rad"), (math.pi, "half a turn"), (4 * math.pi, "two turns"), (360.0, "degrees"))
+_TURNS = (
+    (2 * math.pi, "a turn in rad"),
+    (math.pi, "half a turn"),
+    (4 * math.pi, "two turns"),
+    (_DEGREES, "a turn in degrees"),
+)
 
 
 def jump_findings(capture: Capture) -> list[Finding]:
@@ -28,11 +36,22 @@ def jump_findings(capture: Capture) -> list[Finding]:
     sizes = _jumps(position)
     if not len(sizes):
         return []
+    if float(np.median(sizes)) < _FEW_STEPS * _resolution(position):
+        return []  # a shaft that is held, and its encoder between two edges
     modulus, what = _range_of(float(np.median(sizes)), capture, position)
     name = column_name(capture, "position_rad")
     times = "once" if len(sizes) == 1 else f"{len(sizes)} times"
     text = f"column {name} jumps by {float(np.median(sizes)):,.6g} from one sample to the next, {times}: {what}"
-    return [Finding("position_rad", f"{text}. {mend(capture, 'position_rad', {'wrap': modulus})}", "capture")]
+    return [Finding("position_rad", f"{text}. {_mend(capture, modulus, _whole(position))}", "capture")]
+
+
+def _mend(capture: Capture, modulus: float, whole: bool) -> str:
+    """With the unit, where the range tells it, too."""
+    if capture.axis == "rotary" and modulus == _DEGREES:
+        return mend(capture, "position_rad", {"scale": math.pi / 180, "wrap": 2 * math.pi})
+    if capture.axis == "rotary" and whole:
+        return mend(capture, "position_rad", {"wrap": modulus}, target="position_counts")
+    return mend(capture, "position_rad", {"wrap": modulus})
 
 
 def _jumps(position: F64) -> F64:
@@ -62,9 +81,19 @@ def _range_of(size: float, capture: Capture, position: F64) -> tuple[float, str]
         if abs(size / turn - 1.0) < _NEAR:
             return turn, f"it starts again after {words}"
     per_rev = capture.counts_per_rev
-    unit = 1.0 if bool(np.all(position == np.round(position))) else 2 * math.pi / per_rev if per_rev else None
+    unit = 1.0 if _whole(position) else 2 * math.pi / per_rev if per_rev else None
     if unit is not None:
         for bits in _BITS:
             if abs(size / (unit * 2.0**bits) - 1.0) < _NEAR:
                 return unit * 2.0**bits, f"a counter of {bits} bits that is full and starts again"
     return size, "it starts again (the range is read from the jump: put the exact one)"
+
+
+def _resolution(position: F64) -> float:
+    """The smallest step."""
+    step = np.abs(np.diff(position))
+    return float(np.min(step[step > 0.0], initial=np.inf))
+
+
+def _whole(position: F64) -> bool:
+    return bool(np.all(position == np.round(position)))

@@ -62,7 +62,7 @@ def _whole_position(capture: Capture) -> list[Finding]:
     if capture.axis == "linear":
         return [Finding("position_rad", f"{text}. {mend(capture, 'position_rad', {'scale': 1e-6})} and your scale")]
     told = mend(capture, "position_rad", {}, target="position_counts")
-    return [Finding("position_rad", f"{text}. {told}  and above it your encoder's  counts_per_rev = 4096")]
+    return [Finding("position_rad", f"{text}. {told}")]
 
 
 def _whole(capture: Capture, field: str, scale: float, unit: str) -> list[Finding]:

@@ -124,7 +124,7 @@ class TableRecording:
         columns = {field: found[i] for i, (_, field) in layout.columns.items()}
         self._table.check_time(columns["time_s"])
         notes = (*layout.notes, *self._table.told)
-        return Capture(self.path, axis=layout.axis, metadata=preamble.metadata, notes=notes, **columns)
+        return Capture(self.path, axis=layout.axis, metadata=preamble.metadata, notes=notes, as_map={}, **columns)
 
     def _columns(self, wanted: Mapping[int, str]) -> dict[int, F64]:
         found = self._table.columns(wanted)

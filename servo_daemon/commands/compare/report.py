@@ -12,6 +12,7 @@ from servo_daemon.identification.inverse_dynamics.estimate import Estimate
 from servo_daemon.identification.paper.compare import Comparison
 from servo_daemon.identification.paper.paper import PaperRedone
 from servo_daemon.identification.paper.position_experiment import PositionTest
+from servo_daemon.parameters import MOTOR_NAMES
 from servo_daemon.report import (
     Axis,
     Code,
@@ -30,7 +31,6 @@ from servo_daemon.report import (
 )
 from servo_daemon.report.document import Block, Cell
 
-_NAMES = ("R", "L", "K", "J", "B")
 _UNITS = {"R": "Ω", "L": "H", "K": "N·m/A", "J": "kg·m²", "B": "N·m·s/rad"}
 
 
@@ -52,13 +52,13 @@ def compare_report(
 
 
 def _capture_sections(document: Mapping[str, Any], c: Comparison) -> list[Section]:
-    columns = (Column("method", text=True), *(Column(n, _UNITS[n]) for n in _NAMES))
+    columns = (Column("method", text=True), *(Column(n, _UNITS[n]) for n in MOTOR_NAMES))
     rows: list[tuple[Cell, ...]] = []
     for m in c.methods:
-        cells = (_cell(m.parameters.get(n)) for n in _NAMES)
+        cells = (_cell(m.parameters.get(n)) for n in MOTOR_NAMES)
         rows.append((m.title, *cells))
     if c.truth:
-        rows.append(("truth", *(c.truth.get(n) for n in _NAMES)))
+        rows.append(("truth", *(c.truth.get(n) for n in MOTOR_NAMES)))
     notes = [f"{m.title}: {text}" for m in c.methods for text in ((m.reason,) if m.reason else m.notes)]
     blocks: tuple[Block, ...] = (
         Table("Parameters", columns, tuple(rows), note=f"Method 1 assumes R = {c.assumed_R:g} Ω."),

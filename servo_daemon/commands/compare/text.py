@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from itertools import zip_longest
 from typing import Any
 
-_NAMES = ("R", "L", "K", "J", "B")
+from servo_daemon.parameters import MOTOR_NAMES
 
 
 def print_compare(document: Mapping[str, Any]) -> None:
@@ -31,10 +31,10 @@ def _table(rows: Sequence[Sequence[str]]) -> list[str]:
 
 def capture_lines(document: Mapping[str, Any]) -> list[str]:
     """The table of methods, then what each has to say."""
-    rows = [["method", *_NAMES, "50° after 5 s", "overshoot", "distance", "held-out current", "speed", "time"]]
+    rows = [["method", *MOTOR_NAMES, "50° after 5 s", "overshoot", "distance", "held-out current", "speed", "time"]]
     rows += [[m["title"], *_parameter_cells(m), *_result_cells(m)] for m in document["methods"].values()]
     if document["truth"]:
-        truth = (f"{document['truth'][n]:.5g}" if n in document["truth"] else "" for n in _NAMES)
+        truth = (f"{document['truth'][n]:.5g}" if n in document["truth"] else "" for n in MOTOR_NAMES)
         rows.append(["truth", *truth, *[""] * 6])
     test = document["position_test"]
     lines = [f"{document['capture']}: method 1 assumes R = {document['assumed_R']:g} Ω", "", *_table(rows), ""]
@@ -51,7 +51,7 @@ def capture_lines(document: Mapping[str, Any]) -> list[str]:
 
 def _parameter_cells(m: Mapping[str, Any]) -> list[str]:
     cells = []
-    for name in _NAMES:
+    for name in MOTOR_NAMES:
         p = m["parameters"].get(name)
         text = "—" if p is None else f"{p['value']:.5g}"
         if name in m["errors"]:

@@ -17,7 +17,7 @@ from servo_daemon.errors import BadInputError
 from servo_daemon.identification.output_error.problem.setup import FEWEST_SAMPLES, choose_signals
 from servo_daemon.identification.procedure.validate import check_input, check_share
 from servo_daemon.identification.winding import Winding, one_meaning, winding_of
-from servo_daemon.parameters import LINEAR
+from servo_daemon.parameters import MOTOR_NAMES
 from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.signal_meaning import SignalMeaning, told
 from servo_daemon.simulate.settings import parse_effect, with_harmonics
@@ -177,7 +177,7 @@ def _check_fixed(fixed: Mapping[str, float], effects: Sequence[str]) -> None:
     Raises:
         BadInputError: it is not.
     """
-    own = {p.name for name in effects for p in effects_by_name()[name].parameters} | {p.name for p in LINEAR}
+    own = {p.name for name in effects for p in effects_by_name()[name].parameters} | {*MOTOR_NAMES}
     if lost := [name for name in fixed if name not in own]:
         raise BadInputError(f"--fix: the model has no parameter {', '.join(lost)}")
 

@@ -5,16 +5,18 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import math
+from collections.abc import Iterator, Sequence
 from typing import Any
 
+from servo_daemon.commands.scan.bus import bus_options, on_bus
 from servo_daemon.commands.scan.finding import Candidate, Finding, look
-from servo_daemon.commands.scan.places import bus_options, on_bus, on_port
+from servo_daemon.commands.scan.places import on_port
 from servo_daemon.commands.shared import common
 from servo_daemon.errors import BadInputError, DriverConfigError, DriverError
 
 HELP = "which drives are there, what they send, and the TOML for them"
 EXAMPLE = """  servo-daemon scan                            # listens to every serial port of this machine
-  servo-daemon scan --port /dev/ttyACM0 --ask  # also asks: reads only, a VESC's or an ODrive's
+  servo-daemon scan --port /dev/ttyACM0 --ask  # also asks: reads only, of every make in turn
   servo-daemon scan --can socketcan:can0"""
 
 #: How long each drive is looked at, s: the makers' drivers listen 1.5 s before they decide what they hear.
@@ -25,7 +27,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--port", action="append", default=[], metavar="P", help="serial port; repeatable")
     parser.add_argument("--can", action="append", default=[], metavar="INTERFACE:CHANNEL", help="CAN bus; repeatable")
     parser.add_argument("--bitrate", type=int, default=None, metavar="B", help="of the CAN bus, where it is set here")
-    parser.add_argument("--ask", action="store_true", help="also send requests (reads only) to serial ports")
+    parser.add_argument(
+        "--ask",
+        action="store_true",
+        help="also send requests (reads only): to serial ports, and to CANopen nodes that are heard",
+    )
     parser.add_argument("--seconds", type=float, default=_SECONDS, metavar="S", help="for each look (default: 4)")
     common.add_json(parser)
 
@@ -40,11 +46,11 @@ def run(arguments: argparse.Namespace) -> int:
     ports = arguments.port or ([] if buses else port_names())
     findings, remarks = [], []
     for port in ports:
-        found, said = _first(on_port(port, arguments.ask), arguments.seconds)
+        found, said = _first(on_port(port, arguments.ask, arguments.seconds), arguments.seconds)
         findings += found
         remarks += said or ([] if found else [_nothing_on(port, arguments.ask)])
     for options in buses:
-        found, said = _on_bus(options, arguments.seconds)
+        found, said = _on_bus(options, arguments.seconds, arguments.ask)
         findings += found
         remarks += said
     if arguments.json:
@@ -54,27 +60,32 @@ def run(arguments: argparse.Namespace) -> int:
     return 0 if findings else 1
 
 
-def _first(candidates: list[Candidate], seconds: float) -> tuple[list[Finding], list[str]]:
-    """A port has one drive: the first that is there. One that cannot be opened cannot be for the next either."""
-    for candidate in candidates:
-        result = look(candidate, seconds)
-        if isinstance(result, Finding):
-            return [result], []
-        if result is not None:
-            return [], [result]
+def _first(kinds: Iterator[list[Candidate | Finding]], seconds: float) -> tuple[list[Finding], list[str]]:
+    """A port has one kind of drive: the first that is there. If it cannot be opened, it cannot be for the next."""
+    try:
+        for candidates in kinds:
+            found, said = _looked_at(candidates, seconds)
+            if found or said:
+                return found, said
+    except (DriverError, OSError) as error:
+        return [], [str(error)]
     return [], []
 
 
-def _on_bus(options: dict[str, Any], seconds: float) -> tuple[list[Finding], list[str]]:
+def _looked_at(candidates: Sequence[Candidate | Finding | str], seconds: float) -> tuple[list[Finding], list[str]]:
+    """What is there of these, and why of some it is not known."""
+    results = [look(c, seconds) if isinstance(c, Candidate) else c for c in candidates]
+    return [r for r in results if isinstance(r, Finding)], [r for r in results if isinstance(r, str)]
+
+
+def _on_bus(options: dict[str, Any], seconds: float, ask: bool) -> tuple[list[Finding], list[str]]:
     where = f"{options['interface']}:{options['channel']}"
     try:
-        results = [look(candidate, seconds) for candidate in on_bus(options, seconds)]
+        found, said = _looked_at(on_bus(options, seconds, ask), seconds)
     except DriverConfigError:
         raise
     except DriverError as error:
         return [], [str(error)]
-    found = [r for r in results if isinstance(r, Finding)]
-    said = [r for r in results if isinstance(r, str)]
     if not found and not said:
         said.append(f"{where}: no drive that is known here sends anything (are its cyclic messages switched on?)")
     return found, said

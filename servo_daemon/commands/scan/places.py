@@ -3,74 +3,79 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from collections.abc import Iterator
 
-from drivers.base import DriverCounters
-from drivers.can.ours.wire import DESCRIPTION_ID, FIRST_DRIVE, LAST_DRIVE, SAMPLE_ID
-from drivers.can.port import CanPort, Inbox
-from drivers.odrive.listening import ENCODER, HEARTBEAT, NODES
-from drivers.odrive.listening import key_of as odrive_key
-from drivers.vesc.listening import MESSAGES, STATUS_1, ListenedVesc
-from drivers.vesc.listening import key_of as vesc_key
-from servo_daemon.commands.scan.finding import Candidate
-from servo_daemon.errors import BadInputError
+from drivers.polling.link import SerialLink
+from drivers.serial.port import open_port
+from drivers.servo_bus.families import DynamixelX, Family, FeetechSts
+from servo_daemon.commands.scan.asking import moteus_on, servos_on, within
+from servo_daemon.commands.scan.finding import Candidate, Finding
 
-_OWN_DRIVES = range(FIRST_DRIVE, LAST_DRIVE + 1)
-_VESC_IDS = range(256)
-
-
-def on_port(port: str, ask: bool) -> list[Candidate]:
-    """Drives on a serial port: those that speak by themselves, and those that answer."""
-    listening = [Candidate("serial", {"port": port})]
-    asking = [Candidate("vesc", {"port": port}, asks=True), Candidate("odrive", {"port": port}, asks=True)]
-    return [*listening, *(asking if ask else ())]
+#: Servos by driver, and the rates at which they may be set: the makers' own first (e-manual of the X series: 57,600).
+_SERVOS: tuple[tuple[str, Family, tuple[int, ...]], ...] = (
+    ("dynamixel", DynamixelX(fast=True), (57_600, 1_000_000)),
+    ("feetech", FeetechSts(), (1_000_000,)),
+)
+#: Columns of SimpleFOC's monitor, and its rate (Arduino's examples). What it shows is told by all seven being there.
+_MONITOR_BAUD, _MONITOR_COLUMNS = 115_200, 7
+#: So many lines are looked at.
+_ENOUGH_LINES = 5
 
 
-def bus_options(text: str, bitrate: int | None) -> dict[str, Any]:
-    """Options of a bus given as interface:channel.
+def on_port(port: str, ask: bool, seconds: float) -> Iterator[list[Candidate | Finding]]:
+    """Drives on a serial port, one kind after the other: those that speak by themselves, and those that answer. The
+    next kind is looked for, and asked, only when it is taken.
 
     Raises:
-        BadInputError: it is not of that form.
+        DriverError: the port cannot be opened.
+        OSError: it goes away.
     """
-    interface, colon, name = text.partition(":")
-    if not colon or not interface or not name:
-        raise BadInputError(f"--can {text}: give it as interface:channel, such as socketcan:can0")
-    return {"interface": interface, "channel": name} | ({} if bitrate is None else {"bitrate": bitrate})
+    yield [Candidate("serial", {"port": port})]
+    yield _monitor(port, seconds)
+    if not ask:
+        return
+    yield [Candidate("vesc", {"port": port}, asks=True)]
+    yield [Candidate("odrive", {"port": port}, asks=True)]
+    yield [Candidate("moteus", {"port": port, "drive_id": n}, asks=True) for n in moteus_on(port)]
+    for driver, family, rates in _SERVOS:
+        for baudrate in rates:
+            options = {"port": port, "baudrate": baudrate}
+            found = servos_on(port, baudrate, family)
+            yield [Candidate(driver, options | {"drive_id": n}, asks=True) for n in found]
 
 
-def on_bus(options: dict[str, Any], seconds: float) -> list[Candidate]:
-    """Drives whose frames are heard on a bus. Nothing is sent.
-
-    Raises:
-        DriverError: the bus cannot be opened, or goes away.
-    """
-    heard = _heard(options, seconds)
-    own = [n for n in _OWN_DRIVES if {SAMPLE_ID + n - FIRST_DRIVE, DESCRIPTION_ID + n - FIRST_DRIVE} <= heard]
-    if own:  # their 11-bit identifiers lie among those that an ODrive's nodes may have
-        heard -= {key for key in heard if key < 0x800}
-    vescs = [i for i in _VESC_IDS if vesc_key(STATUS_1, i) in heard]
-    odrives = [n for n in NODES if {odrive_key(n, ENCODER), odrive_key(n, HEARTBEAT)} <= heard]
-    return [
-        *(Candidate("can", options | {"drive_id": n}) for n in own),
-        *(Candidate("vesc", options | {"can_id": i}) for i in vescs),
-        *(Candidate("odrive", options | {"node_id": n}) for n in odrives),
-    ]
+def _monitor(port: str, seconds: float) -> list[Candidate | Finding]:
+    """A SimpleFOC sketch that prints its monitor: lines of as many numbers, with tabs between them."""
+    columns = _columns(port, seconds)
+    if columns == _MONITOR_COLUMNS:
+        return [Candidate("simplefoc", {"port": port, "monitor": "1" * _MONITOR_COLUMNS})]
+    if columns is None:
+        return []
+    missing = {"monitor": f"motor.monitor_variables of the sketch in binary, seven digits, {columns} of them 1"}
+    remark = f"lines of {columns} numbers: they do not tell which they are"
+    return [Finding("simplefoc", f"simplefoc:{port}", {"port": port}, remark=remark, missing=missing)]
 
 
-def _heard(options: dict[str, Any], seconds: float) -> set[int]:
-    """Identifiers (`frame_key`) that come within so many seconds."""
-    vescs = {vesc_key(message, i) for message in MESSAGES for i in _VESC_IDS}
-    inbox = Inbox(frozenset(vescs | set(range(0x800))), DriverCounters())
-    port = CanPort.attach(ListenedVesc("scan", options).settings, inbox)
-    heard: set[int] = set()
+def _columns(port: str, seconds: float) -> int | None:
+    """How many numbers stand in every line; None: these are no lines of a monitor."""
+    link = SerialLink(open_port("scan", port, _MONITOR_BAUD))
+    text, end = b"", time.monotonic() + seconds
     try:
-        end = time.monotonic() + seconds
-        while (left := end - time.monotonic()) > 0.0:
-            batch = port.take(inbox, left, lambda: False)
-            if batch is not None:
-                heard |= set(batch.keys.tolist())
-    except ConnectionError as error:
-        raise BadInputError(f"the bus went away: {error}") from error
+        for data in within(link, seconds):
+            text += data
+            if text.count(b"\n") > _ENOUGH_LINES or time.monotonic() > end:
+                break
     finally:
-        port.detach(inbox)
-    return heard
+        link.close()
+    lines = text.split(b"\n")[1:-1]  # the first may have begun before
+    counts = {_numbers(line) for line in lines}
+    return counts.pop() if len(lines) >= 2 and len(counts) == 1 else None
+
+
+def _numbers(line: bytes) -> int | None:
+    """Of a line as Arduino prints it (`print(value, 4)`, tabs); None: it is another."""
+    words = line.strip().split(b"\t")
+    if not 2 <= len(words) <= _MONITOR_COLUMNS:
+        return None
+    plain = all(w.lstrip(b"-").replace(b".", b"", 1).isdigit() and w[-5:-4] == b"." for w in words)
+    return len(words) if plain else None

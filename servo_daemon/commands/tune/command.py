@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from servo_daemon.commands.shared import common
 from servo_daemon.config import DriveConfig
 from servo_daemon.errors import BadInputError
-from servo_daemon.parameters import LINEAR
+from servo_daemon.parameters import MOTOR_NAMES
 
 if TYPE_CHECKING:
     from servo_daemon.captures import Capture
@@ -119,7 +119,7 @@ def parse_tolerance(text: str) -> dict[str, float]:
     Raises:
         BadInputError: not of that form, an unknown parameter, not between 0 and 100 %.
     """
-    names = tuple(p.name for p in LINEAR)
+    names = MOTOR_NAMES
     values: dict[str, float] = {}
     for part in filter(None, (p.strip() for p in text.split(","))):
         match = _TOLERANCE.match(part)

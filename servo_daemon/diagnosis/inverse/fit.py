@@ -11,6 +11,7 @@ import numpy as np
 from servo_daemon.diagnosis.inverse.rows import BalanceRows
 from servo_daemon.diagnosis.trial.scored import Scored
 from servo_daemon.diagnosis.trial.split import TRAIN
+from servo_daemon.numerics import least_squares
 from servo_daemon.regression.linear_regression import autocorrelation
 from servo_daemon.samples import F64
 
@@ -114,9 +115,8 @@ def non_negative(table: F64, y: F64) -> F64:
     scale = np.maximum(np.linalg.norm(table, axis=0), 1e-300)
     used = np.ones(table.shape[1], dtype=bool)
     while True:
-        found, *_ = np.linalg.lstsq(table[:, used] / scale[used], y, rcond=1e-9)
         beta = np.zeros(table.shape[1])
-        beta[used] = found / scale[used]
+        beta[used] = least_squares(table[:, used], y)[0]
         if not (beta[:_POSITIVE] < 0).any():
             return beta
         used[int(np.argmin(beta[:_POSITIVE] * scale[:_POSITIVE]))] = False

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_daemon.diagnosis.missing.signals import Motion
 from servo_daemon.diagnosis.trial.data import Data
 from servo_daemon.identification.inverse_dynamics.filter import Filter, FilterChoice, choose, rests
 from servo_daemon.identification.inverse_dynamics.shaft import kinematics, speed_noise
 from servo_daemon.identification.inverse_dynamics.signals import EvenStretch, even_stretch, pieces
 from servo_daemon.identification.output_error.problem.problem import Segment
 from servo_daemon.identification.output_error.problem.rollout import TIME
+from servo_daemon.plant.columns.screening import Motion
 from servo_daemon.samples import F64
 
 #: Shorter pieces between gaps are left out; see also `Filter.shortest`.

@@ -15,26 +15,23 @@ import numpy as np
 
 from servo_daemon.diagnosis.inverse.fit import OFFSET, OWN, Explained, Start, Torque, own_torques
 from servo_daemon.diagnosis.inverse.rows import BalanceRows
-from servo_daemon.diagnosis.screening.basis import Context, phase
 from servo_daemon.diagnosis.screening.derived import derived
 from servo_daemon.diagnosis.screening.screen import has_no_formula
-from servo_daemon.diagnosis.screening.torque_families import FAMILIES, HARMONICS
 from servo_daemon.diagnosis.search.evidence import LEAST_OWN, LEAST_SHARE, LEAST_TOGETHER, convinces, ties_with
 from servo_daemon.diagnosis.trial.compare import Advantage, bootstrapped
 from servo_daemon.diagnosis.trial.split import CHOICE, HELD_OUT, TRAIN
+from servo_daemon.plant.columns.scans import HARMONICS
+from servo_daemon.plant.columns.screening import Context, phase
 from servo_daemon.plant.contribution import contribution
 from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.plant.effects.cogging_torque import HARMONICS as COGGING
 from servo_daemon.samples import F64
 
+#: As many harmonics of the turn as it takes.
+_WAVES = "cogging_torque"
 #: Effects that are linear in coefficients with a standard deviation, beside those that are so in their own parameters.
 #: The others are rivals only: where one of them does better, nothing is named.
-NAMED = (
-    "cogging_torque",
-    "gravity_load",
-    "load_dependent_friction",
-    "position_dependent_friction",
-)
+NAMED = (_WAVES, "gravity_load", "load_dependent_friction", "position_dependent_friction")
 #: Of causes that do as well the one that every machine has.
 _USUAL = "coulomb_friction"
 #: Log of the squared error that a further harmonic must take, and the radians of one that a sample may pass.
@@ -132,10 +129,10 @@ def _torques(current: Explained) -> Iterator[Torque]:
     direction = np.where(m.rest, 0.0, m.direction)
     left = rows.factor * m.u - np.column_stack(own_torques(rows)) @ current.coefficients[: len(OWN)]
     context = Context(m, {"torque": np.asarray(left)}, direction, ())
-    of_terms = {name: derived(name) for name in effects_by_name() if _is_by_terms(name)}
-    for name, family in {**FAMILIES, **of_terms}.items():
-        if name in (OFFSET, "cogging_torque"):
+    for name, effect in effects_by_name().items():
+        if name in (OFFSET, _WAVES) or effect.further or not _is_torque(name):
             continue
+        family = effect.screening or derived(name)
         for basis in family(context):
             traces = [context.traces[key].torque for key in basis.columns]
             columns = np.column_stack([rows.filtered(t) for t in traces if t is not None])
@@ -145,16 +142,17 @@ def _torques(current: Explained) -> Iterator[Torque]:
         yield cogging
 
 
-def _is_by_terms(name: str) -> bool:
-    """Whether an effect without a formula of its own is a torque along the motion, and nothing beside it."""
+def _is_torque(name: str) -> bool:
+    """Whether an effect is a torque along the motion, and nothing beside it."""
     added = contribution(name)
-    return has_no_formula(name) and added.is_along_motion and [n for n in added.adds if added.touches(n)] == ["torque"]
+    return added.is_along_motion and [n for n in added.adds if added.touches(n)] == ["torque"]
 
 
 def _may_be_named(name: str) -> bool:
     """Whether its coefficients have a standard deviation: see `NAMED`."""
     added = contribution(name)
-    return name in NAMED or (_is_by_terms(name) and added.linear == added.effect.parameters)
+    by_terms = has_no_formula(name) and _is_torque(name)
+    return name in NAMED or (by_terms and added.linear == added.effect.parameters)
 
 
 def _plain(start: Callable[[F64], Mapping[str, float | str] | None]) -> Start:
@@ -216,4 +214,4 @@ def _harmonics(orders: Sequence[int], waves: Mapping[int, F64]) -> Torque:
         return out
 
     columns = np.column_stack([waves[n] for n in orders])
-    return Torque("cogging_torque", tuple(f"cogging_torque{e}" for e in endings), columns, start, 3 * len(orders))
+    return Torque(_WAVES, tuple(f"{_WAVES}{e}" for e in endings), columns, start, 3 * len(orders))

@@ -15,12 +15,15 @@ from numpy.typing import NDArray
 
 from servo_daemon.diagnosis.missing.missing import Fitted, Missing, coordinates_with_load, missing_inputs
 from servo_daemon.diagnosis.missing.noise_levels import NoiseLevels
-from servo_daemon.diagnosis.missing.response import Trace, smoothed
+from servo_daemon.diagnosis.missing.response import smoothed
 from servo_daemon.diagnosis.missing.signals import motion_of
 from servo_daemon.errors import NumericalError
 from servo_daemon.identification.output_error import Recording
 from servo_daemon.identification.output_error.starts import regression_values
 from servo_daemon.kalman.gaussian import to_coordinate
+from servo_daemon.numerics import least_squares
+from servo_daemon.parameters import MOTOR_NAMES
+from servo_daemon.plant.columns.screening import Trace
 from servo_daemon.samples import F64, SampleBlock
 
 #: Parameters are changed where more than this share of the voltage (ten times as much of the torque) is missing, at
@@ -28,7 +31,6 @@ from servo_daemon.samples import F64, SampleBlock
 _MUCH, _ROUNDS = 0.03, 4
 #: Factors by which a parameter moves at most in a round.
 _LEAP = (1e-3, 1e3)
-_LINEAR = ("R", "L", "K", "J", "B")
 
 
 def balanced_missing_inputs(
@@ -118,7 +120,7 @@ def _changes(fit: Fitted, missing: Missing) -> dict[str, float]:
     """Relative change of each free parameter of the linear motor: R, L and K from the winding's balance, which no load
     bends, then J and B from the shaft's."""
     m = motion_of(missing)
-    free = {name for name in fit.problem.free if name in _LINEAR}
+    free = {name for name in fit.problem.free if name in MOTOR_NAMES}
     out: dict[str, float] = {}
     if "voltage" in missing.series and "torque" in missing.series:
         winding = {"R": m.p["R"] * m.i, "L": m.p["L"] * m.i_rate, "K": m.p["K"] * m.omega}
@@ -142,6 +144,4 @@ def _least_squares(
     if not traces:
         return {}
     columns = smoothed(missing, list(traces.values()))[name][where]
-    scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    found, *_ = np.linalg.lstsq(columns / scale, series[where], rcond=1e-9)
-    return dict(zip(traces, (found / scale).tolist(), strict=True))
+    return dict(zip(traces, least_squares(columns, series[where])[0].tolist(), strict=True))

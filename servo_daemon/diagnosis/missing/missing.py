@@ -25,6 +25,7 @@ from servo_daemon.identification.output_error.problem.rollout import INPUT, STEP
 from servo_daemon.identification.output_error.problem.setup import make_problem
 from servo_daemon.identification.short_runs import is_placed, placed_in_short_runs, placed_within
 from servo_daemon.kalman.gaussian import natural_values
+from servo_daemon.numerics import white_noise_var
 from servo_daemon.plant.build import PlantModel, build_plant
 from servo_daemon.samples import F64, SampleBlock
 
@@ -254,10 +255,8 @@ def _start(
         values = np.concatenate([s.measured[s.valid[:, k], k] for s in segments])
         spread = max(float(np.std(values)), 1e-9)
         least = max(steps[c] ** 2 / 12.0, (1e-6 * spread) ** 2)
-        third = np.diff(values, 3)  # what is no polynomial is noise; its variance is 20-fold
-        robust = float(np.median(np.abs(third)) / 0.6745) ** 2 / 20.0
         floor.append(least)
-        var[c] = float(np.clip(robust, least, (0.1 * spread) ** 2 + least))
+        var[c] = float(np.clip(white_noise_var(values), least, (0.1 * spread) ** 2 + least))
     return NoiseLevels(walk, (1e-3 * rms) ** 2, var), np.array(floor)
 
 

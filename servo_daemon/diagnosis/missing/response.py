@@ -7,30 +7,15 @@ shared out between torque and voltage as they are, with the same ends and gaps.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 
 import numpy as np
 
 from servo_daemon.diagnosis.missing.missing import Missing
 from servo_daemon.diagnosis.missing.smoother import BATCH, response_backward, response_forward
 from servo_daemon.plant.at_once import on_all_cores
+from servo_daemon.plant.columns.screening import Trace
 from servo_daemon.samples import F64
-
-
-@dataclass(frozen=True)
-class Trace:
-    """One column of a supposed cause, per unit of its coefficient; all shapes (n,).
-
-    Attributes:
-        torque: load torque that is not in the model, N·m; None: none.
-        voltage: voltage drop that is not in the model, V.
-        shown: error of a measured channel, by name.
-    """
-
-    torque: F64 | None = None
-    voltage: F64 | None = None
-    shown: Mapping[str, F64] = field(default_factory=dict)
 
 
 def smoothed(missing: Missing, traces: Sequence[Trace]) -> dict[str, F64]:

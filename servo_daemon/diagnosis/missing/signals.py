@@ -2,50 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
-
 import numpy as np
-from numpy.typing import NDArray
 
 from servo_daemon.diagnosis.missing.missing import Missing
 from servo_daemon.identification.output_error.problem.rollout import STEP, TIME
+from servo_daemon.plant.columns.screening import Motion
 from servo_daemon.samples import F64
 
 #: At rest is slower than this many standard deviations, or than this share of the usual speed.
 _REST_STD, _REST_SHARE = 3.0, 2e-3
-
-
-@dataclass(frozen=True)
-class Motion:
-    """Shapes (n,): value k is the mean over the step from sample k to the next.
-
-    Attributes:
-        p: the plant's parameters in natural units.
-        t, h: s, at the sample and to the next.
-        u: the input, held over the step.
-        i, omega, theta: A, rad/s, rad; i is 0 where the input is a torque.
-        i_rate, omega_rate: A/s, rad/s².
-        at_sample: current_A and position_rad at the samples themselves, and their rates.
-        rest: whether the shaft stands.
-    """
-
-    p: Mapping[str, float]
-    t: F64
-    h: F64
-    u: F64
-    i: F64
-    omega: F64
-    theta: F64
-    i_rate: F64
-    omega_rate: F64
-    at_sample: Mapping[str, F64]
-    rest: NDArray[np.bool_]
-
-    @cached_property
-    def direction(self) -> F64:
-        return np.asarray(np.sign(self.omega))
 
 
 def motion_of(missing: Missing) -> Motion:

@@ -14,13 +14,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from servo_daemon.diagnosis.missing.missing import Fitted, Missing
-from servo_daemon.diagnosis.missing.response import Trace
 from servo_daemon.diagnosis.missing.signals import motion_of
-from servo_daemon.diagnosis.screening.basis import Context
 from servo_daemon.diagnosis.screening.regression import Regression, of_parameters
 from servo_daemon.diagnosis.screening.screen import context_of
-from servo_daemon.diagnosis.screening.torque_families import best_harmonics, step_instants
-from servo_daemon.identification.output_error.problem.spectrum import spectral_lines
+from servo_daemon.plant.columns.scans import best_harmonics, spectral_lines, step_instants
+from servo_daemon.plant.columns.screening import Context, Trace
 from servo_daemon.samples import F64
 
 #: A share below this is none, nor is anything below this share of the working torque or voltage. The second is what

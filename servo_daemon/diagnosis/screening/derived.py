@@ -12,11 +12,9 @@ from itertools import product
 
 import numpy as np
 
-from servo_daemon.diagnosis.missing.response import Trace
-from servo_daemon.diagnosis.missing.signals import Motion
-from servo_daemon.diagnosis.screening.basis import Basis, Context, Family, Start
 from servo_daemon.identification.output_error.starts import effect_start
 from servo_daemon.parameters import Parameter
+from servo_daemon.plant.columns.screening import Basis, Context, Family, Motion, Start, Trace
 from servo_daemon.plant.contribution import BALANCES, SENSORS, Contribution, contribution
 from servo_daemon.samples import F64
 
@@ -48,7 +46,7 @@ def derived(name: str) -> Family:
             m = len(added.linear)
             used = range(1, 1 + m) if m else (0,)
             keys = tuple(c.add(f"{name} {k} {j}", _trace(columns, j)) for j in used)
-            yield Basis(name, keys, _start(added, values), len(added.effect.parameters))
+            yield Basis(keys, _start(added, values), len(added.effect.parameters))
 
     return bases
 

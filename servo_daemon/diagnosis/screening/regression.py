@@ -9,8 +9,9 @@ from itertools import pairwise
 import numpy as np
 
 from servo_daemon.diagnosis.missing.missing import Fitted, Missing
-from servo_daemon.diagnosis.missing.response import Trace, smoothed
-from servo_daemon.diagnosis.missing.signals import Motion
+from servo_daemon.diagnosis.missing.response import smoothed
+from servo_daemon.parameters import WINDING_NAMES
+from servo_daemon.plant.columns.screening import Motion, Trace
 from servo_daemon.samples import F64
 
 #: Time blocks, and folds of the cross-validation: fold f holds out blocks f, f + FOLDS, …, so that a step or a slow
@@ -98,7 +99,7 @@ def bent_names(fit: Fitted, missing: Missing) -> list[str]:
     Where a current is the input no data tell K: it scales all torques, and a K of nothing would leave nothing missing.
     """
     voltage = missing.augmented.plant.drive == "voltage"
-    known = ("J", "B", "Tc", "TL", "i0", "v0", *(("R", "L", "K") if voltage else ()))
+    known = ("J", "B", "Tc", "TL", "i0", "v0", *(WINDING_NAMES if voltage else ()))
     return [name for name in (*fit.problem.free, *fit.problem.local) if name in known]
 
 

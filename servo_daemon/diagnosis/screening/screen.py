@@ -15,24 +15,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from servo_daemon.diagnosis.missing.missing import Fitted, Missing
-from servo_daemon.diagnosis.missing.response import Trace, smoothed
-from servo_daemon.diagnosis.missing.signals import Motion, motion_of
-from servo_daemon.diagnosis.screening.basis import Basis, Context, Family
+from servo_daemon.diagnosis.missing.response import smoothed
+from servo_daemon.diagnosis.missing.signals import motion_of
 from servo_daemon.diagnosis.screening.derived import derived, usual_values
 from servo_daemon.diagnosis.screening.regression import Regression, bent_names, of_parameters
-from servo_daemon.diagnosis.screening.torque_families import FAMILIES
-from servo_daemon.diagnosis.screening.two_mass_families import FAMILIES as TWO_MASS
-from servo_daemon.diagnosis.screening.winding_families import CURRENT, SENSORS, WINDING
+from servo_daemon.parameters import MOTOR_NAMES
 from servo_daemon.plant.build import PlantModel
+from servo_daemon.plant.columns.screening import Basis, Context, Family, Motion, Trace
 from servo_daemon.plant.contribution import contribution
 from servo_daemon.plant.effects import effects_by_name
 
 #: A parameter more must lower what is left by this share to come before.
 _WORTH = 0.05
-#: Effects with a formula of their own; and what the search proposes by other signs (`candidates.open_at_zero`).
-_WITH_FORMULA = frozenset({*FAMILIES, *WINDING, *CURRENT, *SENSORS, *TWO_MASS, "freewheel_drive"})
 #: The motor's own parameters, and by what factors a missing effect may have bent them.
-_MOTOR, _BENT = ("R", "L", "K", "J", "B"), (0.2, 5.0)
+_MOTOR, _BENT = MOTOR_NAMES, (0.2, 5.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,21 +54,23 @@ class ScreenedCandidate:
 
 def families(plant: PlantModel, free: Collection[str]) -> dict[str, Family]:
     """The effects that this plant's input can show, by name, less those it has and those that free parameters hide."""
-    known = dict(FAMILIES)
-    if plant.drive == "voltage":
-        known |= WINDING
-    if plant.drive != "torque":
-        known |= CURRENT
+    known = {n: e.screening or derived(n) for n, e in effects_by_name().items() if not e.further and _shows(n, plant)}
     if {"J", "B"} <= set(free) and ({"R", "L"} <= set(free) or plant.drive != "voltage"):
         known.pop("current_sensor_gain", None)  # the same as all of these scaled
-    known |= SENSORS | TWO_MASS
-    known |= {n: derived(n) for n in effects_by_name() if has_no_formula(n) and contribution(n).shows(plant.drive)}
     return {name: family for name, family in known.items() if name not in plant.effects}
+
+
+def _shows(name: str, plant: PlantModel) -> bool:
+    """Whether what is measured shows it: what lags behind is one with the input, and a current that is the input has a
+    sensor, too."""
+    c = contribution(name)
+    return c.shows(plant.drive) or c.terms.lag_s is not None or (plant.drive == "current" and c.touches("current_A"))
 
 
 def has_no_formula(name: str) -> bool:
     """Whether an effect is screened by its terms alone."""
-    return name not in _WITH_FORMULA and not effects_by_name()[name].further
+    effect = effects_by_name()[name]
+    return effect.screening is None and not effect.further
 
 
 def screen(fit: Fitted, missing: Missing) -> tuple[ScreenedCandidate, ...]:
@@ -88,18 +86,16 @@ def screen(fit: Fitted, missing: Missing) -> tuple[ScreenedCandidate, ...]:
     context = context_of(missing, motion, nuisance)
     tried = families(fit.problem.plant, (*fit.problem.free, *fit.problem.local))
     with np.errstate(all="ignore"):  # a speed or a current that is always 0; see `Regression.of`
-        bases = [b for family in tried.values() for b in family(context)]
+        bases = [(name, basis) for name, family in tried.items() for basis in family(context)]
     keys = list(context.traces)
     equations = Regression.of(missing, motion, [*nuisance, *context.traces.values()], stiff)
     before = equations.errors(range(len(nuisance)))
     best: dict[str, tuple[float, ScreenedCandidate]] = {}
-    for basis in bases:
+    for name, basis in bases:
         columns = [*range(len(nuisance)), *(len(nuisance) + keys.index(key) for key in basis.columns)]
-        scored = _scored(
-            basis, equations, columns, before, dict(zip(names, (motion.p.get(n) for n in names), strict=True))
-        )
-        if scored is not None and (basis.effect not in best or scored[0] < best[basis.effect][0]):
-            best[basis.effect] = scored
+        scored = _scored(name, basis, equations, columns, before, {n: motion.p.get(n) for n in names})
+        if scored is not None and (name not in best or scored[0] < best[name][0]):
+            best[name] = scored
     unseen = [contribution(name) for name in tried if has_no_formula(name) and not contribution(name).is_along_motion]
     return (
         *(candidate for _, candidate in sorted(best.values(), key=lambda pair: pair[0])),
@@ -108,6 +104,7 @@ def screen(fit: Fitted, missing: Missing) -> tuple[ScreenedCandidate, ...]:
 
 
 def _scored(
+    name: str,
     basis: Basis,
     equations: Regression,
     columns: Sequence[int],
@@ -128,11 +125,11 @@ def _scored(
     rank = float(np.log(max(1 - min(share, heldout_share), 1e-12))) + _WORTH * basis.parameters
     plain = {name: value if isinstance(value, str) else float(value) for name, value in start.items()}
     motor = {
-        name: value * float(np.clip(1 + change, *_BENT))
-        for (name, value), change in zip(own.items(), found.tolist(), strict=False)
-        if value is not None and name in _MOTOR
+        own_name: value * float(np.clip(1 + change, *_BENT))
+        for (own_name, value), change in zip(own.items(), found.tolist(), strict=False)
+        if value is not None and own_name in _MOTOR
     }
-    return rank, ScreenedCandidate(basis.effect, float(share), plain, float(heldout_share), motor)
+    return rank, ScreenedCandidate(name, float(share), plain, float(heldout_share), motor)
 
 
 def context_of(missing: Missing, motion: Motion, nuisance: Sequence[Trace]) -> Context:

@@ -13,9 +13,9 @@ from servo_daemon.diagnosis.screening.screen import ScreenedCandidate
 from servo_daemon.diagnosis.trial.trial import Trial, model_exists
 from servo_daemon.identification.output_error.problem.rollout import INPUT
 from servo_daemon.kalman.gaussian import natural_values
-from servo_daemon.plant.effects import effects_by_name
+from servo_daemon.plant.contribution import contribution
+from servo_daemon.plant.effects import effects_by_name, further_harmonics
 from servo_daemon.plant.effects.base import LATE_STEPS
-from servo_daemon.plant.effects.cogging_torque import HARMONICS
 
 #: Of the screened candidates so many are fitted in each round, if they explain this share of what the best does.
 MOST_FITTED, WORTH_A_FIT, WORTH_A_PAIR = 6, 0.2, 0.1
@@ -35,18 +35,6 @@ CONTAINED: Mapping[str, tuple[str, ...]] = {
 NESTED: Mapping[str, tuple[str, ...]] = {
     small: tuple(n for n in rich if not model_exists((small, n))) for small, rich in CONTAINED.items()
 }
-
-
-def as_simpler(values: Mapping[str, float], name: str, instead: Sequence[str]) -> dict[str, float]:
-    """Start values of what stands in the place of an effect: the nearest that the simpler model has to it."""
-    out = dict(values)
-    if name == "asymmetric_friction":
-        out["Tc"] = (values["Tc"] + values["Tc_neg"]) / 2
-        if "constant_load_torque" in instead:
-            out["TL"] = (values["Tc"] - values["Tc_neg"]) / 2
-    if name == "load_torque_step" and "constant_load_torque" in instead:
-        out["TL"] = values["dTL"]
-    return out
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +137,8 @@ def scaled_friction(
     """
     for effect in effects_by_name().values():
         effects = (*present, effect.name)
-        if effect.name == "position_dependent_friction" and "position_rad" not in channels:
+        added = contribution(effect.name)
+        if added.follows(added.signals.theta) and "position_rad" not in channels:
             continue
         if effect.scales_friction and effect.name not in present and model_exists(effects):
             nothing = {p.name: p.nominal for p in effect.parameters}
@@ -205,9 +194,7 @@ def _far(value: float, before: float) -> bool:
 
 def _free_name(effect: str, present: Sequence[str]) -> str:
     """The effect's first harmonic that the model does not have."""
-    if effect != "cogging_torque":
-        return effect
-    return next((effect + e for e in HARMONICS if effect + e not in present), effect)
+    return next((n for n in (effect, *further_harmonics(effect)) if n not in present), effect)
 
 
 def extended(present: tuple[str, ...], name: str) -> tuple[str, ...] | None:

@@ -26,8 +26,6 @@ LEAST_SHARE = 2e-3
 LEAST_OWN, LEAST_TOGETHER = 0.5, 0.75
 #: BIC of an effect that screening thought little of.
 _UNSEEN_BIC = -100.0
-#: Parameters that are such a share themselves.
-_SHARES = ("k_rip", "mu")
 #: Least part of the squared error that the search began with.
 _LEAST_OF_ALL = 1e-4
 #: Least inertia behind a spring or a gap, as a share of the motor's.
@@ -42,12 +40,7 @@ NESTED_GAIN = 0.02
 OVERWHELMING_BIC, _CLEARLY = -1000.0, 0.1
 #: Lower end of a gain that needs no other evidence.
 _PLAINLY = 0.2
-#: Least friction at the first step out of rest, over that at speed.
-_AT_REST = 0.95
-#: Thermal time constants of windings in catalogues: 2 s (6 mm across) to minutes.
-_FASTEST_HEAT_S = 1.0
-#: What is late, and by which parameter; later than this share of a sample, at least: L takes what is less.
-_LATE = {"drive_lag": "t_lag", "measurement_delay": "t_d", "speed_filter": "t_f"}
+#: What is late is so by this share of a sample, at least: L takes what is less.
 _LEAST_LATE = 0.1
 _SERIES = {"N·m": "torque", "V": "voltage"}
 
@@ -103,27 +96,20 @@ def noticeable(name: str, trial: Trial | OutputErrorFit, missing: Missing) -> bo
     """Whether an effect's torques and voltages are a noticeable share of what the motor works with, and its load's
     inertia of the motor's: encoders feign less. Of a friction the level at speed counts, not that of the first step out
     of rest."""
-    if "J_l" in (p.name for p in effects_by_name()[name].parameters):
-        return trial.values["J_l"] > _LEAST_INERTIA * trial.values["J"]
+    effect, values = effects_by_name()[name], trial.values
+    if "J_l" in (p.name for p in effect.parameters):
+        return values["J_l"] > _LEAST_INERTIA * values["J"]
     shares = working_shares((name,), trial, missing)
-    shares |= {p.name: abs(trial.values[p.name]) for p in effects_by_name()[name].parameters if p.name in _SHARES}
+    shares |= {p: abs(values[p]) / (values[over] if over else 1.0) for p, over in effect.share_of.items()}
     shares.pop("Ts", None)
-    if name == "resistance_step":
-        shares["dR"] = abs(trial.values["dR"]) / trial.values["R"]
-    if name in _LATE and trial.values[_LATE[name]] < _LEAST_LATE * trial.problem.sample_period_s:
+    if effect.late and values[effect.late] < _LEAST_LATE * trial.problem.sample_period_s:
         return False
-    return (not shares or max(shares.values()) > LEAST_SHARE) and not _warms_at_once(name, trial.values)
+    return (not shares or max(shares.values()) > LEAST_SHARE) and effect.possible(values)
 
 
-def _warms_at_once(name: str, values: Mapping[str, float]) -> bool:
-    """Whether a winding would get warm faster than any does: what follows the current's square so fast is no heat."""
-    return name == "winding_heating" and values["R_th"] * values["C_th"] < _FASTEST_HEAT_S
-
-
-def is_what_it_is_called(names: Iterable[str], values: Mapping[str, float]) -> bool:
-    """Whether effects with these values are what their names say. A curve that bends otherwise than Stribeck's, with
-    less friction at rest than at speed, is something else that fits it (a brake by eddy currents)."""
-    return "stribeck_friction" not in names or values["Ts"] >= _AT_REST * values["Tc"]
+def are_what_they_are_called(names: Iterable[str], values: Mapping[str, float]) -> bool:
+    """Whether effects with these values are what their names say."""
+    return all(effects_by_name()[name].true_to_name(values) for name in names)
 
 
 def worth_a_name(trial: Trial, current: Trial, base: Trial) -> bool:

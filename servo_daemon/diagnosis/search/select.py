@@ -11,14 +11,11 @@ import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from servo_daemon.diagnosis.missing.missing import Missing
 from servo_daemon.diagnosis.screening.screen import ScreenedCandidate, screen
 from servo_daemon.diagnosis.search.candidates import (
     WORTH_A_PAIR,
     Proposal,
-    as_simpler,
     late_without_current,
     open_at_zero,
     pairs,
@@ -29,26 +26,23 @@ from servo_daemon.diagnosis.search.evidence import (
     at_odds,
     convinces,
     half_convinces,
-    needless,
     noticeable,
     speaks_against_screening,
     worth_a_name,
 )
 from servo_daemon.diagnosis.search.fitting import COLOURED, Candidate, best_of, closer, fitted, ties
+from servo_daemon.diagnosis.search.pruning import pruned
 from servo_daemon.diagnosis.trial.compare import advantage
 from servo_daemon.diagnosis.trial.data import Data
 from servo_daemon.diagnosis.trial.lacking import leaves, leaves_less, seen_missing
 from servo_daemon.diagnosis.trial.likelihood import Whole, needs_no_effect
-from servo_daemon.diagnosis.trial.split import TRAIN, shorter_s
-from servo_daemon.diagnosis.trial.trial import Trial, fit_trial, model_exists
+from servo_daemon.diagnosis.trial.split import shorter_s
+from servo_daemon.diagnosis.trial.trial import Trial, fit_trial
 from servo_daemon.errors import NumericalError
 from servo_daemon.identification.short_runs import is_placed
-from servo_daemon.plant.effects import effects_by_name
 
 #: At most so many effects are taken.
 _MOST_EFFECTS = 4
-#: Viscous frictions that differ by less are the same.
-_ALIKE = 0.15
 #: Screened so well, a cause must show in a fit: if none does, the free runs are too long for this motor.
 _PROMISING = 0.25
 #: … of these: with them a motor may stand where it cannot stay.
@@ -297,40 +291,3 @@ def _with_shorter_runs(had: _Found, proposed: Sequence[Proposal], workers: int) 
     found = replace(search, data=data, base=base)
     found.current = current
     return found, again, best
-
-
-def pruned(data: Data, current: Trial, added: Sequence[str]) -> tuple[Trial, list[str]]:
-    """Effects that a later one has made needless go, and what is richer than needed becomes what it contains."""
-    kept = list(added)
-    for name in list(added):
-        for instead in ((),) * (len(added) > 1) + effects_by_name()[name].simpler:
-            if "constant_load_torque" in instead and name == "asymmetric_friction" and not _only_levels(current):
-                continue
-            without = without_effect(data, current, name, instead=instead)
-            if without is None or not np.isfinite(without.choice.squares).all():
-                continue
-            if needless(advantage(without, current)):
-                kept = [k for present in kept for k in (instead if present == name else (present,))]
-                current = without
-                break
-    return current, kept
-
-
-def _only_levels(trial: Trial) -> bool:
-    """Whether friction differs by direction in its dry level only, which is Coulomb friction and a constant load."""
-    return abs(trial.values["B_neg"] / trial.values["B"] - 1.0) < _ALIKE
-
-
-def without_effect(
-    data: Data, trial: Trial, name: str, *, instead: tuple[str, ...] = (), parts: Sequence[int] = (TRAIN,)
-) -> Trial | None:
-    """The model less one effect, or with simpler ones in its place, fitted anew; None: there is no such model."""
-    effects = tuple(e for present in trial.effects for e in (instead if present == name else (present,)))
-    if len(set(effects)) < len(effects):
-        return None
-    if not model_exists(effects):
-        return None
-    values = as_simpler(trial.values, name, instead)
-    for p in (p for e in effects for p in effects_by_name()[e].parameters):
-        values.setdefault(p.name, p.nominal)
-    return fit_trial(data, effects, values, parts=parts, like=trial)

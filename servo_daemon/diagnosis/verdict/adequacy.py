@@ -22,11 +22,12 @@ from servo_daemon.diagnosis.screening.dependence import LEAST_SIZE, Dependence, 
 from servo_daemon.diagnosis.search.evidence import (
     LEAST_OWN,
     LEAST_TOGETHER,
-    is_what_it_is_called,
+    are_what_they_are_called,
     noticeable,
     working_shares,
 )
-from servo_daemon.diagnosis.search.select import Selection, pruned, without_effect
+from servo_daemon.diagnosis.search.pruning import pruned, without_effect
+from servo_daemon.diagnosis.search.select import Selection
 from servo_daemon.diagnosis.trial.cuts import mean_over_cuts
 from servo_daemon.diagnosis.trial.data import Data
 from servo_daemon.diagnosis.trial.everything import (
@@ -90,7 +91,7 @@ def believed(selection: Selection, whole_fits: WholeFits) -> Believed:
         if fewer is not None:
             selection = fewer
             continue
-        if not is_what_it_is_called(selection.added, selection.chosen.values):
+        if not are_what_they_are_called(selection.added, selection.chosen.values):
             break
         removed = removed_share(selection.base.choice.nrmse, selection.chosen.choice.nrmse, floor)
         # A motor with a gap runs freely nowhere for long: the balances, which run nowhere, may speak for it.

@@ -11,7 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from servo_daemon.diagnosis.search.select import Selection, without_effect
+from servo_daemon.diagnosis.search.pruning import without_effect
+from servo_daemon.diagnosis.search.select import Selection
 from servo_daemon.diagnosis.trial.compare import bootstrapped
 from servo_daemon.diagnosis.trial.data import Data
 from servo_daemon.diagnosis.trial.scored import Scored

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from servo_daemon.diagnosis.search.select import Selection, without_effect
+from servo_daemon.diagnosis.search.pruning import without_effect
+from servo_daemon.diagnosis.search.select import Selection
 from servo_daemon.diagnosis.trial.compare import error_removed, share_of_removable
 from servo_daemon.diagnosis.trial.noise_floor import noise_floor
 from servo_daemon.diagnosis.trial.scored import Scored

@@ -23,6 +23,7 @@ import numpy as np
 
 from servo_daemon.errors import BadInputError
 from servo_daemon.identification.inverse_dynamics.filter import Filter
+from servo_daemon.parameters import WINDING_NAMES
 from servo_daemon.regression.linear_regression import LinearFit, fit_linear, is_determined
 from servo_daemon.samples import F64, SampleBlock
 
@@ -105,7 +106,7 @@ def fit_armature(
     Raises:
         BadInputError: the capture is too short, or no motor has such voltages and currents.
     """
-    free = [n for n in ("R", "L", "K") if n not in given] + (["one"] if with_offset and "i0" not in given else [])
+    free = [n for n in WINDING_NAMES if n not in given] + (["one"] if with_offset and "i0" not in given else [])
     period = 1.0 / f.rate_Hz
     raw = [np.column_stack([_held_volts(b, period), b.time_s[:-1]]) for b in pieces]
     volts, times = np.concatenate([f.decimate(r) for r in raw]).T

@@ -25,6 +25,7 @@ from servo_daemon.identification.inverse_dynamics.filter import Filter
 from servo_daemon.identification.inverse_dynamics.shaft import Kinematics, shaft_columns
 from servo_daemon.identification.inverse_dynamics.signals import measured
 from servo_daemon.identification.inverse_dynamics.solve import MakeRows
+from servo_daemon.numerics import MEDIAN_TO_STD
 from servo_daemon.samples import F64, SampleBlock
 
 #: φ and its derivatives on 0..1.
@@ -75,7 +76,7 @@ def sensor_step(position: F64) -> float:
     if 2 < len(different) < _HAS_STEPS * len(position):
         return float(np.percentile(np.diff(different), 10.0))
     third = np.diff(position, 3)  # what is no polynomial is noise; its variance is 20-fold
-    return _NOISE_STEPS * float(np.median(np.abs(third))) / (0.6745 * _THIRD)
+    return _NOISE_STEPS * float(np.median(np.abs(third))) / (MEDIAN_TO_STD * _THIRD)
 
 
 def slides(block: SampleBlock, step: float) -> list[Slide]:

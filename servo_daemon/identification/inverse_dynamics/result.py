@@ -10,11 +10,10 @@ import numpy as np
 from servo_daemon.identification.inverse_dynamics.armature import L_WEIGHT, ArmatureFit
 from servo_daemon.identification.inverse_dynamics.estimate import Axis, Estimate, unit_on
 from servo_daemon.identification.inverse_dynamics.solve import ShaftFit
+from servo_daemon.parameters import MOTOR_NAMES
 from servo_daemon.plant.effects import parameter_table
 from servo_daemon.regression.linear_regression import ROBUST, WHITE, is_determined
 from servo_daemon.samples import F64
-
-_ORDER = ("R", "L", "K", "J", "B")
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +36,9 @@ def sorted_out(shaft: ShaftFit, armature: ArmatureFit | None, axis: Axis) -> Fou
         value = np.concatenate([armature.value, value])
         covariances = _joint(armature.covariances, covariances, shaft.by_armature)
         directions = (*armature.fit.null_directions, *directions)
-    order = sorted(range(len(names)), key=lambda k: _ORDER.index(b) if (b := _base(names[k])) in _ORDER else 9)
+    order = sorted(
+        range(len(names)), key=lambda k: MOTOR_NAMES.index(b) if (b := _base(names[k])) in MOTOR_NAMES else 9
+    )
     chosen = tuple(names[k] for k in order)
     units = tuple(_unit(n, axis) for n in chosen)
     return Found(chosen, value[order], covariances[:, np.array(order, np.intp)[:, None], order], units, directions)

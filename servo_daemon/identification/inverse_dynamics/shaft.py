@@ -14,16 +14,17 @@ from numpy.typing import NDArray
 from servo_daemon.errors import ConfigError
 from servo_daemon.identification.inverse_dynamics.filter import Filter, noise_density, rests
 from servo_daemon.identification.inverse_dynamics.signals import EvenStretch
+from servo_daemon.plant import effects as library
 from servo_daemon.samples import F64
 
-#: Effects whose torque is linear in what is to be found, and what they bring.
-SUPPORTED: Mapping[str, tuple[str, ...]] = {
-    "coulomb_friction": ("Tc",),
-    "asymmetric_friction": ("Tc", "Tc_neg", "B_neg"),
-    "constant_load_torque": ("TL",),
-    "gravity_load": ("Tg", "phi_g"),
-    "current_sensor_offset": ("i0",),
-}
+#: Effects whose torque is linear in what is to be found.
+SUPPORTED = (
+    "coulomb_friction",
+    "asymmetric_friction",
+    "constant_load_torque",
+    "gravity_load",
+    "current_sensor_offset",
+)
 #: A shaft rests below so many standard deviations of the filtered speed, or this part of its rms.
 _REST_SIGMA, _REST_SHARE = 4.0, 1e-3
 
@@ -53,19 +54,18 @@ def speed_noise(s: EvenStretch, f: Filter) -> float:
 
 
 def check_effects(effects: Sequence[str]) -> None:
-    """Raises ConfigError: an effect that is not linear in its parameters."""
+    """Raises ConfigError: an effect that is not linear in its parameters, or two that no model has together."""
     for name in effects:
         if name not in SUPPORTED:
             raise ConfigError(
                 f"--method idim: {name} is not linear in its parameters; it takes {', '.join(SUPPORTED)} "
                 "(output-error takes every effect)"
             )
-    if "coulomb_friction" in effects and "asymmetric_friction" in effects:
-        raise ConfigError("coulomb_friction and asymmetric_friction are the same dry friction Tc: name one of them")
+    library.check_effects(effects)
 
 
 def has_dry_friction(effects: Sequence[str]) -> bool:
-    return "coulomb_friction" in effects or "asymmetric_friction" in effects
+    return not set(effects).isdisjoint(library.dry_frictions())
 
 
 def shaft_columns(effects: Sequence[str], m: Kinematics, phi: float | None, Tg: float | None) -> dict[str, F64]:
@@ -77,14 +77,15 @@ def shaft_columns(effects: Sequence[str], m: Kinematics, phi: float | None, Tg: 
             known.
     """
     columns = {"J": m.acceleration, "B": m.speed}
+    names = {p.name for e in effects for p in library.effects_by_name()[e].parameters}
     forward, backward = (m.speed > 0).astype(float), (m.speed < 0).astype(float)
-    if "coulomb_friction" in effects:
+    if "Tc" in names:
         columns["Tc"] = forward - backward
-    if "asymmetric_friction" in effects:
+    if "Tc_neg" in names:
         columns |= {"B": m.speed * forward, "B_neg": m.speed * backward, "Tc": forward, "Tc_neg": -backward}
-    if "constant_load_torque" in effects:
+    if "TL" in names:
         columns["TL"] = np.ones_like(m.speed)
-    if "gravity_load" in effects:
+    if "Tg" in names:
         columns |= _gravity(m, phi, Tg)
     return columns
 

@@ -15,8 +15,8 @@ import numpy as np
 from servo_daemon.identification.output_error.problem.instants import instants_of
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.problem.rollout import TIME
-from servo_daemon.identification.output_error.problem.spectrum import spectral_lines
 from servo_daemon.identification.output_error.solver.solver import Solution, solve
+from servo_daemon.plant.columns.scans import spectral_lines
 from servo_daemon.plant.effects import instants
 from servo_daemon.samples import F64
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -97,7 +97,8 @@ def fit_output_error(
     if problem.plant.drive != "voltage":
         shifted = make_problem(recordings, effects, options.fixed, segment_s=options.segment_s, input_share=SHIFTED)
         shifted = shifted if options.thorough else carrying(shifted, recordings)
-        after = with_input_error(after, problem, shifted, solution.point, {**options.nominal, **options.fixed})
+        given = {**options.nominal, **options.fixed}
+        after = with_input_error(after, recordings, (problem, shifted), solution.point, given)
     at_end = problem.coordinates(solution.point.unknowns, 0)
     answer = voltage_answer(problem.plant, at_end, after, scale)
     with_friction = seen_with_friction(problem, solution.point, scale)
@@ -134,9 +135,14 @@ def published(fit: OutputErrorFit, recordings: Sequence[Recording], options: Fit
         recordings, options: of the fit.
     """
 
-    def again(effects: tuple[str, ...], values: Mapping[str, float]) -> OutputErrorFit | None:
+    def again(
+        effects: tuple[str, ...], values: Mapping[str, float], held: Collection[str] = ()
+    ) -> OutputErrorFit | None:
+        fixed = {**{name: values[name] for name in held}, **options.fixed}
         with suppress(NumericalError):
-            begun = replace(options, nominal={**values, **options.fixed}, thorough=False, noise_model="none")
+            begun = replace(
+                options, nominal={**values, **fixed}, fixed=fixed, thorough=False, noise_model="none", misfit=False
+            )
             return fit_output_error(recordings, effects, begun)
         return None
 

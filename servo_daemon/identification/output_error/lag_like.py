@@ -8,25 +8,35 @@ makes, but beside a lag it is fitted as another pair: then the model with a lag 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Collection, Mapping
+from typing import Protocol
 
 import numpy as np
 
 from servo_daemon.identification.output_error.fitted import OutputErrorFit
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.kalman.gaussian import natural_values
+from servo_daemon.plant.contribution import contribution
+from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.samples import F64
 
 #: The lag that stands for all of them; and the effects that L may be.
 _LAG = "drive_lag"
-LAGS = (_LAG, "measurement_delay", "speed_filter")
+LAGS = tuple(name for name, effect in effects_by_name().items() if effect.late)
 #: Of a share between zero and one that nothing is known of, root of the mean square.
 _SHARE = 1.0 / np.sqrt(3.0)
 #: No logarithm is moved by more.
 _AT_MOST = 3.0
 
-#: Fits the model with these effects from these natural values.
-Refit = Callable[[tuple[str, ...], Mapping[str, float]], "OutputErrorFit | None"]
+
+class Refit(Protocol):
+    """Fits another model to the same recordings."""
+
+    def __call__(
+        self, effects: tuple[str, ...], values: Mapping[str, float], held: Collection[str] = (), /
+    ) -> OutputErrorFit | None:
+        """The model with these effects, from these natural values, of which some are held; None: it cannot be
+        simulated."""
 
 
 def leaves_the_trace_of_l(problem: Problem) -> bool:
@@ -40,7 +50,8 @@ def equivalents(problem: Problem) -> dict[str, tuple[str, ...]]:
     """By parameter, the effects whose trace it may be."""
     if not leaves_the_trace_of_l(problem):
         return {}
-    return {"L": LAGS if "velocity_rad_s" in problem.channels else LAGS[:2]}
+    seen = "velocity_rad_s" in problem.channels
+    return {"L": tuple(n for n in LAGS if seen or not contribution(n).touches("velocity_rad_s"))}
 
 
 def by_other_lags(fit: OutputErrorFit, again: Refit) -> F64 | None:
@@ -60,9 +71,13 @@ def by_other_lags(fit: OutputErrorFit, again: Refit) -> F64 | None:
         return column
     lag_s = values["L"] / values["R"] / 2.0
     other = again((*problem.plant.effects, _LAG), {**values, "L": values["L"] / 2.0, "t_lag": lag_s})
-    if other is None:
-        return None
+    return None if other is None else moved_to(other, fit)
+
+
+def moved_to(other: OutputErrorFit, fit: OutputErrorFit) -> F64:
+    """By how much another model's fit moves the coordinates of the free parameters, shape (k,)."""
     there = dict(zip(other.problem.parameter_of_column, other.solution.point.unknowns, strict=False))
+    names = fit.problem.parameter_of_column
     moved = [there[n] - fit.solution.point.unknowns[k] if n in there else 0.0 for k, n in enumerate(names)]
     return np.clip(moved, -_AT_MOST, _AT_MOST)
 

@@ -25,6 +25,7 @@ from servo_daemon.identification.output_error.lag_like import Refit, by_other_la
 from servo_daemon.identification.output_error.noise.noise import WORTH, resolution
 from servo_daemon.identification.output_error.noise.residual import ResidualTest, innovation_tests
 from servo_daemon.identification.output_error.noise.whitening import moving
+from servo_daemon.identification.output_error.other_laws import by_other_laws
 from servo_daemon.identification.output_error.precision.combinations import determined_combinations, wider_answer
 from servo_daemon.identification.output_error.precision.information import information
 from servo_daemon.identification.output_error.precision.parameters import FittedParameter, at_bounds, correlation_of
@@ -45,8 +46,8 @@ def unexplained(fit: OutputErrorFit) -> tuple[str, ...]:
 
 
 def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit:
-    """The fit with what its model lacks in the standard deviations, and what its L may be of something else's lag;
-    without values where it explains nothing.
+    """The fit with what its model lacks in the standard deviations, what its B and R may be of other losses, and its L
+    of something else's lag; without values where it explains nothing.
 
     Args:
         scale: as for `information`.
@@ -60,7 +61,8 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
     names = problem.parameter_of_column
     lacking = math.sqrt(_ALONG * square) * information(problem, fit.solution.point, scale).root if square else None
     lag = by_other_lags(fit, again)
-    columns = [c for c in (lacking, None if lag is None else lag[:, None]) if c is not None]
+    laws = by_other_laws(fit, again) if square else None
+    columns = [c for c in (lacking, *(None if c is None else c[:, None] for c in (laws, lag))) if c is not None]
     if not columns or not names:
         return fit
     added = np.hstack(columns)
@@ -73,7 +75,9 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
     after = replace(fit.after, root=root, undetermined=fit.after.undetermined | lost)
     at_end = problem.coordinates(fit.solution.point.unknowns, 0)
     seen, bounded = (names, scale), at_bounds(problem, fit.solution)
-    answer = fit.answer if lacking is None else wider_answer(fit.answer, problem.plant, at_end, seen, lacking)
+    # The lag is all in the answer of a motor that an encoder shows; the sensor of a speed has one of its own.
+    more = added if lag is None or "velocity_rad_s" in problem.channels else added[:, :-1]
+    answer = wider_answer(fit.answer, problem.plant, at_end, seen, more) if more.size else fit.answer
     return replace(
         fit,
         parameters=parameters,
@@ -97,10 +101,10 @@ def _wider(p: FittedParameter, coordinate_std: float, *, logarithm: bool) -> Fit
 
 
 def _square(fit: OutputErrorFit) -> float:
-    """S; 0 where noise explains what is left, of the voltage's too, or where no voltage is the input (of a current's or
-    torque's noise the residuals of free runs look the same)."""
+    """S; 0 where noise explains what is left, of the voltage's too. Of a current's or torque's noise, which adds up in
+    a free run, the residuals look the same, and it moves the parameters as much."""
     problem, tried = fit.problem, fit.polished
-    if fit.noise is not None or fit.white or problem.plant.drive != "voltage":
+    if fit.noise is not None or fit.white:
         return 0.0
     if tried is not None:
         innovations = tried.whitened.linearisation.residuals

@@ -23,7 +23,7 @@ from servo_daemon.identification.output_error.problem.setup import (
 )
 from servo_daemon.identification.output_error.window_regression import window_starts
 from servo_daemon.kalman.gaussian import to_coordinate
-from servo_daemon.parameters import LINEAR, Parameter
+from servo_daemon.parameters import LINEAR, MOTOR_NAMES, Parameter
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.regression.motor_rls import MotorRls
 from servo_daemon.regression.rls import SPANS_S
@@ -91,7 +91,7 @@ def _starts(
     def complete(some: Mapping[str, float], rest: Mapping[str, float] = guesses[0]) -> dict[str, float]:
         return {name: some.get(name, rest[name]) for name in problem.plant.parameter_names}
 
-    needed = {p.name for p in LINEAR} & {*problem.free, *problem.local}
+    needed = {*MOTOR_NAMES} & {*problem.free, *problem.local}
     if nominal and needed <= nominal.keys():
         yield Start("nominal values", complete(nominal))
     if regression := regression_values(block, problem.plant):

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from servo_daemon.numerics import least_squares
 from servo_daemon.samples import F64, SampleBlock
 
 #: Samples in a window: a factor of four from one to the next, so that none is off by more than two.
@@ -86,8 +87,7 @@ def _solved(columns: list[F64], y: F64) -> F64 | None:
     A = np.column_stack(columns)
     good = np.isfinite(A).all(axis=1) & np.isfinite(y)
     A, y = A[good], y[good]
-    size = np.linalg.norm(A, axis=0)
-    if len(A) < _FEWEST - 2 or not (size > 0.0).all():
+    if len(A) < _FEWEST - 2:
         return None
-    found, _, rank, _ = np.linalg.lstsq(A / size, y, rcond=1e-9)
-    return np.asarray(found / size) if rank == A.shape[1] else None
+    found, rank = least_squares(A, y)
+    return found if rank == A.shape[1] else None

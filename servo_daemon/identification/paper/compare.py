@@ -22,14 +22,14 @@ from servo_daemon.identification.procedure.validate import natural_values
 from servo_daemon.kalman.gaussian import to_coordinate
 from servo_daemon.learning.examples.drawing import TrainingSpec
 from servo_daemon.learning.model.model import LearnedModel
-from servo_daemon.parameters import LINEAR
+from servo_daemon.parameters import LINEAR, MOTOR_NAMES
 from servo_daemon.plant.build import build_plant
 from servo_daemon.plant.servo_loop import suitable_gains
 from servo_daemon.samples import SampleBlock
 
 #: The last part of the capture is only scored.
 HELD_OUT = 0.3
-NAMES = tuple(p.name for p in LINEAR)
+NAMES = MOTOR_NAMES
 #: L/R of a motor whose method does not tell L, s: too fast to show anywhere.
 _NO_WINDING_S = 1e-6
 

@@ -18,6 +18,7 @@ from servo_daemon.identification.output_error.problem.lazy import linearise
 from servo_daemon.identification.paper.coefficients import PaperCoefficients, redo_paper
 from servo_daemon.identification.paper.position_experiment import PositionTest, position_test, product_for
 from servo_daemon.kalman.gaussian import to_coordinate
+from servo_daemon.parameters import MOTOR_NAMES
 from servo_daemon.samples import SampleBlock, make_block
 from servo_daemon.simulate import simulate_capture
 
@@ -66,7 +67,7 @@ def noise_floor(fit: OutputErrorFit) -> dict[str, float]:
 
 def method1_motor(found: PaperCoefficients) -> dict[str, float]:
     """R, L, K, J, B of the paper's method 1 (its D is our B)."""
-    return {name: found.values["D" if name == "B" else name] for name in ("R", "L", "K", "J", "B")}
+    return {name: found.values["D" if name == "B" else name] for name in MOTOR_NAMES}
 
 
 @cache

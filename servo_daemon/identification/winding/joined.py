@@ -15,7 +15,7 @@ import numpy as np
 from servo_daemon.captures import Capture
 from servo_daemon.captures.capture.model import capture_error
 from servo_daemon.identification.output_error import FittedParameter
-from servo_daemon.parameters import LINEAR
+from servo_daemon.parameters import MOTOR_NAMES, WINDING_NAMES
 from servo_daemon.plant.effects import parameter_table
 from servo_daemon.regression.winding.estimate import WindingEstimate, estimate_winding, without_hidden_inductance
 from servo_daemon.regression.winding.rows import winding_rows
@@ -26,7 +26,6 @@ from servo_daemon.signal_meaning import SignalMeaning
 _BETWEEN_SAMPLES = 1e-3
 #: Parameters of effects that the winding's balance can hold, by effect.
 _IN_BALANCE = {"brush_voltage_drop": "Vb", "voltage_sensor_offset": "v0"}
-_OWN = ("R", "L", "K")
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +92,7 @@ def winding_of(
         meaning: of their voltage and current.
         fixed: held parameters.
     """
-    given = {name: fixed[name] for name in _OWN if name in fixed}
+    given = {name: fixed[name] for name in WINDING_NAMES if name in fixed}
     added = [parameter for effect, parameter in _IN_BALANCE.items() if effect in effects]
     best: WindingEstimate | None = None
     for by_position in (True, False):
@@ -129,7 +128,7 @@ def joined_parameters(fitted: Mapping[str, FittedParameter], winding: Winding | 
     """
     if winding is None:
         return dict(fitted)
-    names = [*(p.name for p in LINEAR), *(n for n in fitted if n not in {p.name for p in LINEAR})]
+    names = [*MOTOR_NAMES, *(n for n in fitted if n not in MOTOR_NAMES)]
     return {name: _joined(name, fitted.get(name), winding) for name in names}
 
 

@@ -17,14 +17,14 @@ import numpy as np
 
 from servo_daemon.errors import BadInputError
 from servo_daemon.learning.examples.motions import DrawnMotion, draw_motion
-from servo_daemon.parameters import LINEAR
+from servo_daemon.parameters import MOTOR_NAMES
 from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.samples import F64
 from servo_daemon.simulate import Settings, make_settings
 from servo_daemon.simulate.drive import CHUNK
 from servo_daemon.simulate.visible import VISIBLE
 
-CORE = tuple(p.name for p in LINEAR)
+CORE = MOTOR_NAMES
 #: Effects that any drive may have, whatever its model says; of dry friction only if the model has none.
 _NUISANCE = ("constant_load_torque", "current_sensor_offset", "brush_voltage_drop")
 _DRY = ("coulomb_friction", "asymmetric_friction", "stribeck_friction")

@@ -8,25 +8,24 @@ import numpy as np
 
 from servo_daemon.learning.features.balance_fits import Case, Fits, fit
 from servo_daemon.learning.features.window import Window
+from servo_daemon.numerics import MEDIAN_TO_STD, THIRD_DIFFERENCE_GAIN, upper_median
+from servo_daemon.parameters import MOTOR_NAMES
 from servo_daemon.plant.build import build_plant
 from servo_daemon.regression.estimate import RegressionEstimate
 from servo_daemon.regression.modulating import Windows, make_windows
 from servo_daemon.regression.motor_rls import MotorRls
 from servo_daemon.regression.rls import SPANS_S
-from servo_daemon.regression.stretch import Stretch, median, motion, speed, speed_sign
+from servo_daemon.regression.stretch import Stretch, motion
 from servo_daemon.samples import F64
 
 #: What the regression has beside R, L, K, J, B; the drop of the brushes only where the current flows both ways, which
 #: tells it from an offset: each for this share of the samples at least.
 _EFFECTS = ("coulomb_friction", "constant_load_torque", "current_sensor_offset")
 _DROP, _EACH_WAY = "brush_voltage_drop", 0.02
-#: Of white noise: the median of magnitudes over 1 σ, and the square's gain in third differences.
-_MEDIAN_TO_STD, _THIRD_DIFFERENCE_GAIN = 0.6745, 20.0
 #: A current has a direction beyond so many standard deviations of its noise.
 _DIRECTED = 3.0
 #: The regression corrects what the current does between samples once it has an estimate: from this first share.
 _FIRST = 0.3
-_CORE = ("R", "L", "K", "J", "B")
 _FEWEST = 12
 #: Signals are shifted against each other by this much, s.
 _SHIFT_S = 0.004
@@ -55,14 +54,14 @@ def _regression(w: Window, effects: tuple[str, ...], noise: Mapping[str, float])
     for part in (_cut(s, 0, cut), _cut(s, cut, len(s.time_s))):
         rls.update(part, noise)
     found = rls.estimate()
-    return found if found is not None and set(_CORE) <= set(found.names) else None
+    return found if found is not None and set(MOTOR_NAMES) <= set(found.names) else None
 
 
 def _noise_var(signal: F64) -> float:
-    """Variance of the white part of a signal: as `estimators.noise.white_noise_var`, from a quarter of the third
+    """Variance of the white part of a signal: as `numerics.white_noise_var`, from a quarter of the third
     differences, which tells it to a few percent."""
     a, b, c, d = signal[: len(signal) // 4 * 4].reshape(-1, 4).T
-    return (median(np.abs(d - a + 3.0 * (b - c))) / _MEDIAN_TO_STD) ** 2 / _THIRD_DIFFERENCE_GAIN
+    return (upper_median(np.abs(d - a + 3.0 * (b - c))) / MEDIAN_TO_STD) ** 2 / THIRD_DIFFERENCE_GAIN
 
 
 def _cut(s: Stretch, a: int, b: int) -> Stretch:
@@ -79,9 +78,9 @@ def regression_features(found: RegressionEstimate | None, rms_v: float, rms_i: f
         return {}
     value = dict(zip(found.names, found.value.tolist(), strict=True))
     std = dict(zip(found.names, found.std.tolist(), strict=True))
-    out = {f"reg_{n}": value[n] for n in _CORE}
-    out |= {f"reg_{n}_std": std[n] / max(abs(value[n]), 1e-300) for n in _CORE}
-    R, L, K, J, B = (value[n] for n in _CORE)
+    out = {f"reg_{n}": value[n] for n in MOTOR_NAMES}
+    out |= {f"reg_{n}_std": std[n] / max(abs(value[n]), 1e-300) for n in MOTOR_NAMES}
+    R, L, K, J, B = (value[n] for n in MOTOR_NAMES)
     torque = K * rms_i
     if rms_v > 0.0:
         out["reg_Vb_share"] = value.get("Vb", 0.0) / rms_v
@@ -164,7 +163,7 @@ def _shaft(w: Window, reg: dict[str, float], rms: F64) -> dict[str, float]:
     assert s.current is not None
     out: dict[str, float] = {}
     short, long = _windows(w, "shaft"), _windows(w, "shaft long")
-    direction = speed_sign(s)
+    direction = s.sliding
     if short is not None:
         out |= _shaft_short(short, s, reg, rms, direction, _shift(w))
     if long is not None:
@@ -178,7 +177,7 @@ def _shaft_short(
     w: Windows, s: Stretch, reg: dict[str, float], rms: F64, direction: F64, shift: int
 ) -> dict[str, float]:
     assert s.current is not None
-    K, omega = reg["reg_K"], speed(s)
+    K, omega = reg["reg_K"], s.speed
     current, minus_rate = w.integrals(s.current, 0, 1)
     columns = [*_shaft_columns(w, s), w.integral(direction), w.integral(omega * np.abs(omega)), minus_rate, current]
     columns += [w.moved(k).integral(s.current) for k in (shift, -shift)]
@@ -218,7 +217,7 @@ def closure(w: Window, value: Mapping[str, float]) -> tuple[float, float] | None
     acceleration, shaft_speed, shaft_one = _shaft_columns(shaft, s)
     torque = value["J"] * acceleration + value["B"] * shaft_speed
     shaft_left = shaft.integral(s.current) - torque / value["K"]
-    friction = shaft.integral(speed_sign(s))
+    friction = shaft.integral(s.sliding)
     return (
         _left(left, [one, drop], short.held(s.voltage)),
         _left(shaft_left, [shaft_one, friction], shaft.integral(s.current)),

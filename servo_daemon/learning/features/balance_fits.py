@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_daemon.numerics import STD_OF_MEDIAN, median
 from servo_daemon.samples import F64
 
 #: A model: which columns explain, and which one is explained.
@@ -18,7 +19,7 @@ Case = tuple[Sequence[int], int]
 #: Added to the squares of columns of size 1: columns that say the same share what they explain.
 _RIDGE = 1e-10
 #: Of what happened once: beyond six robust standard deviations, found in so many rounds.
-_REJECT, _REJECTIONS = 6.0 * 1.4826, 3
+_REJECT, _REJECTIONS = 6.0 * STD_OF_MEDIAN, 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +78,7 @@ class Fits:
             if theta is None:
                 return math.nan
             left = np.abs(wanted - theta @ A)
-            kept = left <= _REJECT * _median(left) + 1e-300
+            kept = left <= _REJECT * median(left) + 1e-300
         away = left[~kept]
         return float(np.sqrt(away @ away))
 
@@ -99,12 +100,3 @@ def _coefficients(A: F64, y: F64, kept: NDArray[np.bool_]) -> F64 | None:
     gram /= np.outer(size, size)
     gram.flat[:: len(gram) + 1] += _RIDGE
     return np.asarray(np.linalg.solve(gram, own @ y / size) / size)
-
-
-def _median(values: F64) -> float:
-    """Of an even number the mean of the middle two, as NumPy's, without its overhead."""
-    middle = len(values) // 2
-    if len(values) % 2:
-        return float(np.partition(values, middle)[middle])
-    low, high = np.partition(values, (middle - 1, middle))[middle - 1 : middle + 1].tolist()
-    return float(0.5 * (low + high))

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from servo_daemon.conditioning.layout import Stretches
 from servo_daemon.errors import BadInputError
-from servo_daemon.regression.stretch import Stretch, median
-from servo_daemon.regression.stretch import speed as speed_of
+from servo_daemon.numerics import upper_median
+from servo_daemon.regression.stretch import Stretch
 from servo_daemon.samples import F64, Quality, SampleBlock
 
 #: Windows may be this long, s: shorter ones hold too little of the shaft, in longer ones the motor changes.
@@ -64,7 +64,7 @@ def prepare(block: SampleBlock) -> Window:
         )
     if block.position_rad is None and block.velocity_rad_s is None:
         raise BadInputError("a window needs position_rad or velocity_rad_s")
-    period = median(np.diff(block.time_s))
+    period = upper_median(np.diff(block.time_s))
     stretch = Stretches().of(block, float(block.time_s[0]), None, period)
     usable = float(np.count_nonzero(stretch.usable)) / max(n, round(seconds / period) + 1)
     if usable < LEAST_USABLE:
@@ -90,7 +90,7 @@ def _even(s: Stretch, period: float) -> F64:
     since = np.minimum(grid, time[-1]) - time.take(at)
     step = np.diff(time)
     step[step <= 0.0] = np.inf  # a time stamp told twice: the later sample counts
-    for k, values in ((1, s.current), (2, speed_of(s))):
+    for k, values in ((1, s.current), (2, s.speed)):
         if values is not None:
             known = values[good]
             out[k] = known.take(at) + since * (np.diff(known) / step).take(at)

@@ -47,7 +47,8 @@ def make_learner(name: str, *, jobs: int = -1, seed: int = 0, windows: int = _MA
     if name == "neighbours":
         from sklearn.neighbors import KNeighborsRegressor
 
-        return KNeighborsRegressor(n_neighbors=8, weights="distance")
+        # A search tree is no faster for so many features, and compiled code would have to believe a file's.
+        return KNeighborsRegressor(n_neighbors=8, weights="distance", algorithm="brute")
     raise BadInputError(f"unknown learner {name!r}: there are {', '.join(LEARNERS)}")
 
 

@@ -43,7 +43,7 @@ def cached_model(spec: TrainingSpec, motors: int, learner: str | None = None) ->
     if not path.exists():
         return None
     try:
-        model = load_model(path)
+        model = load_model(path, own=True)
     except BadInputError as error:
         log.info("%s: training it again", error)
         return None
@@ -60,7 +60,7 @@ def kept_model(wanted: TrainingSpec, learner: str) -> LearnedModel | None:
         try:
             spec, trained = trained_as(path)
             if trained == learner and serves(spec, wanted):
-                return load_model(path)
+                return load_model(path, own=True)
         except BadInputError as error:
             log.info("%s", error)
     return None

@@ -1,8 +1,8 @@
 """Models on disk: a zip of `manifest.json`, for people and for every check, and `model.skops`, the learned numbers.
 
 skops, not pickle: a file names the types it is made of, and what is not on the list below is refused before anything is
-built from it. The hashes find damage and careless editing; they are no signature: who can write the file can write new
-hashes, and still gets nothing executed.
+built from it; what is built is looked at (`checked.py`) before anything is asked of it. The hashes find damage and
+careless editing; that this installation has made a file is told by a mark with its own key (`own_key.py`).
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import logging
 import os
 import tempfile
 import zipfile
@@ -29,8 +30,12 @@ from servo_daemon.learning.examples.training import TARGETS
 from servo_daemon.learning.features import catalogue
 from servo_daemon.learning.learners.conformal import Intervals
 from servo_daemon.learning.learners.learners import LEARNERS
+from servo_daemon.learning.model.checked import check_parts
 from servo_daemon.learning.model.model import LearnedModel
+from servo_daemon.learning.model.own_key import is_ours, mark
 from servo_daemon.plant.build import build_plant
+
+log = logging.getLogger(__name__)
 
 SCHEMA = 5
 _KIND = "servo-daemon learned model"
@@ -48,9 +53,6 @@ _TYPES = frozenset(
         "servo_daemon.learning.model.strangeness.Strangeness",
         "servo_daemon.learning.learners.trees.BoostedTrees",
         "sklearn.tree._tree.Tree",
-        "sklearn.metrics._dist_metrics.EuclideanDistance64",
-        "sklearn.neighbors._kd_tree.KDTree",
-        "sklearn.neighbors._ball_tree.BallTree",
     }
 )
 
@@ -100,13 +102,14 @@ def save_model(model: LearnedModel, path: Path) -> None:
 
 
 def _packed(manifest: Mapping[str, Any], numbers: bytes) -> bytes:
-    """The file: a zip whose comment is the hash of all bytes before it, so that no byte can change unnoticed."""
+    """The file: a zip whose comment is our mark and the hash of all bytes before them: none can change unnoticed."""
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(_MANIFEST, json.dumps(manifest, indent=1, ensure_ascii=False))
         archive.writestr(_MODEL, numbers)
-        archive.comment = bytes(_DIGITS)
-    content = packed.getvalue()[:-_DIGITS]
+        archive.comment = bytes(2 * _DIGITS)
+    content = packed.getvalue()[: -2 * _DIGITS]
+    content += mark(content)
     return content + hashlib.sha256(content).hexdigest().encode()
 
 
@@ -146,22 +149,28 @@ def _hash(content: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True, ensure_ascii=False).encode()).hexdigest()
 
 
-def load_model(path: Path, drive: DriveIdentity | None = None) -> LearnedModel:
+def load_model(path: Path, drive: DriveIdentity | None = None, *, own: bool = False) -> LearnedModel:
     """A model from its file.
 
     Args:
         drive: for which it must have been trained; None: any.
+        own: only if this installation has made it.
 
     Raises:
-        BadInputError: the file is not a model, is damaged or altered, is made of types that no model is made of, was
-            trained by other versions, or for another drive; one line that says which.
+        BadInputError: the file is not a model, is damaged or altered, is made of types, shapes or values that no
+            model is made of, was trained by other versions, for another drive, or (`own`) elsewhere; one line that
+            says which.
     """
-    manifest, numbers = _unpacked(path)
+    manifest, numbers = _unpacked(path, own)
     _check_versions(path, manifest)
     spec = _spec(path, manifest)
     if drive is not None:
         _check_drive(path, spec, drive)
     parts = _built(path, numbers)
+    try:
+        check_parts(parts, manifest["learner"])
+    except BadInputError as error:
+        raise BadInputError(f"{path}: refused: {error}") from error
     try:
         return LearnedModel(
             spec,
@@ -180,17 +189,17 @@ def load_model(path: Path, drive: DriveIdentity | None = None) -> LearnedModel:
 
 
 def trained_as(path: Path) -> tuple[TrainingSpec, str]:
-    """On what the model in a file was trained, and which learner it is; its numbers are not built.
+    """On what a model of our own was trained, and which learner it is; its numbers are not built.
 
     Raises:
         BadInputError: see `load_model`.
     """
-    manifest, _ = _unpacked(path)
+    manifest, _ = _unpacked(path, own=True)
     _check_versions(path, manifest)
     return _spec(path, manifest), str(manifest["learner"])
 
 
-def _unpacked(path: Path) -> tuple[dict[str, Any], bytes]:
+def _unpacked(path: Path, own: bool) -> tuple[dict[str, Any], bytes]:
     try:
         packed = path.read_bytes()
     except OSError as error:
@@ -215,6 +224,10 @@ def _unpacked(path: Path) -> tuple[dict[str, Any], bytes]:
         raise BadInputError(f"{path}: the model has been altered: the content hash does not match")
     if packed[-_DIGITS:] != hashlib.sha256(packed[:-_DIGITS]).hexdigest().encode():
         raise BadInputError(f"{path}: the file has been altered: its hash does not match")
+    if not is_ours(packed[: -2 * _DIGITS], packed[-2 * _DIGITS : -_DIGITS]):
+        if own:
+            raise BadInputError(f"{path}: not made by this installation: not used unless it is named with --model")
+        log.info("%s: made by another installation: whether it is a model is checked, not who made it", path)
     return manifest, numbers
 
 

@@ -52,10 +52,23 @@ def effects_by_name() -> Mapping[str, Effect]:
                 where = f"{__path__[0]}: {effect.name}"
                 raise ImportError(f"{where}: its parameter {p.name} is another's, too, and not the same: rename it")
     for effect in out.values():
-        for name in (*effect.told_from, *(n for instead in effect.simpler for n in instead)):
-            if name not in out:
-                raise ImportError(f"{__path__[0]}: {effect.name} names {name}, which is no effect")
+        _check_names(effect, out, table)
     return out
+
+
+def _check_names(effect: Effect, known: Mapping[str, Effect], table: Mapping[str, Parameter]) -> None:
+    """Raises ImportError: it names what is no effect or no parameter."""
+    columns = effect.regressors
+    beside = (columns.beside,) if columns is not None and columns.beside else ()
+    for name in (*effect.told_from, *(n for instead in effect.simpler for n in instead), *beside):
+        if name not in known:
+            raise ImportError(f"{__path__[0]}: {effect.name} names {name}, which is no effect")
+    gives = (c.gives for c in (*columns.shaft, *columns.armature)) if columns is not None else ()
+    of = {**effect.phases, **effect.share_of}
+    concerned = (n for by in (effect.hides, effect.never_sure) for own, others in by.items() for n in (own, *others))
+    for name in (*gives, *of, *filter(None, (effect.late, *of.values())), *concerned):
+        if name not in table:
+            raise ImportError(f"{__path__[0]}: {effect.name} names {name}, which is no parameter")
 
 
 @cache

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import casadi as ca
 
-from servo_daemon.parameters import LINEAR, Parameter
+from servo_daemon.parameters import MOTOR_NAMES, Parameter
+from servo_daemon.plant.columns.regressors import Regressors, Values
+from servo_daemon.plant.columns.screening import Family
 
 #: Half angles below this: sin x/x by its series, whose next term is x⁴/120.
 _SMALL_ANGLE = 1e-3
@@ -137,6 +140,20 @@ class Effect:
         ladder: its place among the others, simpler causes first.
         simpler: what may stand in its place where a search ends, simplest first; it contains each single one of them.
         told_from: by another effect's name, the experiment that tells the two apart, in words; one of the two has it.
+        kind: what it is among others that one experiment tells apart ("": nothing of them).
+        screening: its shapes in what a fit leaves, over a scan of what is not linear, with start values; None: those
+            that follow from its terms.
+        regressors: its columns in the regressions; None: those that follow from its terms.
+        phases: its phases against the angle, and the parameter that says how often they repeat in a turn ("": once).
+        as_simpler: from all values, those of what stands in its place: the nearest that the simpler model has to it;
+            None: with these values that is not near.
+        hides: by a parameter of its own, those of which no motion shows anything while nobody has given that one: it
+            trades places with them, or only a filter that begins near it sees it. One that is not among them is held.
+        never_sure: by a parameter of its own, those of which a running filter cannot tell how sure it is beside it.
+        late: the parameter that says by how much something is late; what is as slow leaves nearly the same trace.
+        share_of: parameters that are a share ("") or, over another parameter, make one, of what the motor works with.
+        possible: whether there is such a thing with these values.
+        true_to_name: whether with these values it is what it is called; else it is something else that they fit.
     """
 
     name: str
@@ -151,11 +168,22 @@ class Effect:
     ladder: int = 1_000
     simpler: tuple[tuple[str, ...], ...] = ()
     told_from: Mapping[str, str] = field(default_factory=dict)
+    kind: Literal["", "friction", "angle", "event"] = ""
+    screening: Family | None = None
+    regressors: Regressors | None = None
+    phases: Mapping[str, str] = field(default_factory=dict)
+    as_simpler: Callable[[Values, Sequence[str]], Values | None] = lambda _, __: {}
+    hides: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    never_sure: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    late: str = ""
+    share_of: Mapping[str, str] = field(default_factory=dict)
+    possible: Callable[[Values], bool] = lambda _: True
+    true_to_name: Callable[[Values], bool] = lambda _: True
 
 
 def probe(effect: Effect) -> tuple[Signals, Terms]:
     """Symbols of its own, and what an effect makes of them; with the motor's parameters and the dry friction Tc."""
-    names = (*(p.name for p in LINEAR), "Tc", *(p.name for p in effect.parameters))
+    names = (*MOTOR_NAMES, "Tc", *(p.name for p in effect.parameters))
     scalars = ("t", "v", "i", "i_square", "omega", "theta", "torque", "h")
     signals = Signals(
         **{name: ca.SX.sym(name) for name in scalars},

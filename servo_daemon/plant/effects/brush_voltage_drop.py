@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from servo_daemon.parameters import Parameter, Scale
+from servo_daemon.plant.columns.regressors import Regressors, itself
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
 
 VB = Parameter(
@@ -30,6 +31,7 @@ EFFECT = Effect(
     equation=r"V_b\operatorname{sgn} i",
     parameters=(VB,),
     terms=_terms,
+    regressors=Regressors(armature=(itself(VB),)),
     ladder=170,
     told_from={
         "resistance_step": "hold several currents for a second each: a brush drop is the same at all of them, R i is "

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from servo_daemon.parameters import Parameter
+from servo_daemon.plant.columns.regressors import Regressors, constant
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
 
 TL = Parameter(
@@ -28,6 +31,7 @@ EFFECT = Effect(
     equation=r"T_L",
     parameters=(TL,),
     terms=_terms,
+    regressors=Regressors(shaft=(constant(TL),), signals=lambda c, _: [np.ones_like(c.time_s)]),
     ladder=70,
     told_from={
         "current_sensor_offset": "record a few seconds with the drive off: what the current sensor shows then is its "

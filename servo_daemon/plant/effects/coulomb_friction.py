@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from servo_daemon.parameters import Parameter
+from servo_daemon.plant.columns.regressors import Regressors, itself
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
 
 TC = Parameter(
@@ -28,6 +29,8 @@ EFFECT = Effect(
     equation=r"T_c \operatorname{sgn}\omega",
     parameters=(TC,),
     terms=_terms,
+    regressors=Regressors(shaft=(itself(TC),), signals=lambda c, _: [c.sliding]),
+    kind="friction",
     ladder=10,
     told_from={
         "brush_voltage_drop": "lock the shaft and step the voltage: friction leaves no trace then, a brush drop its "

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
-import casadi as ca
+from collections.abc import Iterator
 
-from servo_daemon.parameters import Parameter, Scale
+import casadi as ca
+import numpy as np
+
+from servo_daemon.parameters import MOTOR_NAMES, Parameter, Scale
+from servo_daemon.plant.columns.regressors import NO_COLUMNS
+from servo_daemon.plant.columns.screening import Basis, Context, Trace, phase
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
+from servo_daemon.samples import F64
 
 E_ENC = Parameter(
     "e_enc", "e", "rad", 0.01, 1e-09, 3.0, "log", "amplitude of the encoder's error", "start value", scale=Scale(0.01)
@@ -14,9 +20,26 @@ PHI_ENC = Parameter(
     "phi_enc", r"\varphi_e", "rad", 0.0, -6.5, 6.5, "identity", "its phase at angle zero", "start value"
 )
 
+#: rad; an encoder's disk that runs further out of true is not read any more. Without a bound an angle that is wrong by
+#: a radian stands for any gravity.
+_MOST_ECCENTRIC = 0.3
+
 
 def _terms(s: Signals) -> Terms:
     return Terms(sensed={"position_rad": s.p["e_enc"] * ca.sin(s.theta + s.p["phi_enc"])})
+
+
+def _screening(c: Context) -> Iterator[Basis]:
+    angle = c.motion.at_sample["position_rad"]
+
+    def start(b: F64) -> dict[str, float] | None:
+        size, phi = phase(b[0], b[1])
+        return {"e_enc": size, "phi_enc": phi} if size < _MOST_ECCENTRIC else None
+
+    shown = [{"position_rad": wave, "velocity_rad_s": rate * c.motion.at_sample["velocity_rad_s"]}
+             for wave, rate in ((np.sin(angle), np.cos(angle)), (np.cos(angle), -np.sin(angle)))]  # fmt: skip
+    columns = tuple(c.add(f"eccentric {k}", Trace(shown=s)) for k, s in enumerate(shown))
+    yield Basis(columns, start, 2)
 
 
 EFFECT = Effect(
@@ -28,5 +51,11 @@ EFFECT = Effect(
         PHI_ENC,
     ),
     terms=_terms,
+    screening=_screening,
+    regressors=NO_COLUMNS,
+    phases={PHI_ENC.name: ""},
+    kind="angle",
+    # A small wave in everything.
+    hides={PHI_ENC.name: (E_ENC.name, PHI_ENC.name, *MOTOR_NAMES)},
     ladder=160,
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
+from servo_daemon.plant.columns.regressors import NO_COLUMNS
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
 
 #: V: more than any back-EMF that the bridge's diodes hold back (they conduct against the supply; what is left of the
@@ -22,6 +23,9 @@ EFFECT = Effect(
     equation=r"i = 0 \quad (v_{\mathrm{command}} = 0)",
     parameters=(),
     terms=_terms,
+    # Missing is a voltage as large as the back-EMF, in stretches of no command alone: a search proposes it by these.
+    screening=lambda _: (),
+    regressors=NO_COLUMNS,
     ladder=210,
     told_from={
         "coulomb_friction": "command zero at speed: an open bridge lets the motor coast, a closed one brakes it with "

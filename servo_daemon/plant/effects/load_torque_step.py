@@ -2,8 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
+import numpy as np
+
 from servo_daemon.parameters import Parameter, Scale
+from servo_daemon.plant.columns.regressors import NO_COLUMNS
+from servo_daemon.plant.columns.scans import step_instants
+from servo_daemon.plant.columns.screening import Basis, Context
 from servo_daemon.plant.effects.base import Effect, Signals, Terms, share_after
+from servo_daemon.samples import F64
 
 DTL = Parameter(
     "dTL",
@@ -35,6 +43,18 @@ def _terms(s: Signals) -> Terms:
     return Terms(load_torque=s.p["dTL"] * share_after(s.t, s.h, s.p["t_TL"]))
 
 
+def _screening(c: Context) -> Iterator[Basis]:
+    if "torque" not in c.residual:
+        return
+    t = c.motion.t
+    for k in step_instants(c.residual["torque"], np.where(c.motion.rest, 0.0, 1.0)):
+
+        def start(b: F64, at: float = float(t[k])) -> dict[str, float]:
+            return {"dTL": b[0], "t_TL": at}
+
+        yield Basis((c.torque(f"step {k}", (t >= t[k]).astype(float)),), start, 2)
+
+
 EFFECT = Effect(
     name="load_torque_step",
     cause="Something was put on, clamped or let go during the recording: from one instant on the load is another.",
@@ -44,6 +64,10 @@ EFFECT = Effect(
         T_TL,
     ),
     terms=_terms,
+    screening=_screening,
+    regressors=NO_COLUMNS,
+    kind="event",
+    as_simpler=lambda value, instead: {"TL": value["dTL"]} if "constant_load_torque" in instead else {},
     ladder=90,
     simpler=(("constant_load_torque",),),
 )

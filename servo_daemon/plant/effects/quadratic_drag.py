@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import casadi as ca
+import numpy as np
 
 from servo_daemon.parameters import Parameter, Scale
+from servo_daemon.plant.columns.regressors import Regressors, itself
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
 
 C2 = Parameter(
@@ -32,5 +34,6 @@ EFFECT = Effect(
     equation=r"c_2\,\omega\,|\omega|",
     parameters=(C2,),
     terms=_terms,
+    regressors=Regressors(shaft=(itself(C2),), signals=lambda c, _: [c.speed * np.abs(c.speed)]),
     ladder=60,
 )

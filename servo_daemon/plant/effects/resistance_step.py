@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import casadi as ca
+import numpy as np
 
 from servo_daemon.parameters import Parameter, Scale
+from servo_daemon.plant.columns.regressors import NO_COLUMNS
+from servo_daemon.plant.columns.scans import step_instants
+from servo_daemon.plant.columns.screening import Basis, Context
 from servo_daemon.plant.effects.base import Effect, Signals, Terms, share_after
+from servo_daemon.samples import F64
 
 #: Whatever the step, this share of the resistance is left.
 _LEAST = 1e-3
@@ -42,6 +49,18 @@ def _terms(s: Signals) -> Terms:
     return Terms(factor_R=ca.fmax(factor, _LEAST))
 
 
+def _screening(c: Context) -> Iterator[Basis]:
+    m = c.motion
+    if "voltage" not in c.residual:
+        return
+    for k in step_instants(c.residual["voltage"], m.i):
+
+        def start(b: F64, at: float = float(m.t[k])) -> dict[str, float]:
+            return {"dR": b[0], "t_R": at}
+
+        yield Basis((c.voltage(f"step i {k}", np.where(m.t >= m.t[k], m.i, 0.0)),), start, 2)
+
+
 EFFECT = Effect(
     name="resistance_step",
     cause="A connector, cable or brush got better or worse at one instant: a bad contact and a change of the winding "
@@ -52,5 +71,9 @@ EFFECT = Effect(
         T_R,
     ),
     terms=_terms,
+    screening=_screening,
+    regressors=NO_COLUMNS,
+    kind="event",
+    share_of={DR.name: "R"},
     ladder=180,
 )

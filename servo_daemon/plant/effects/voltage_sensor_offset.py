@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from servo_daemon.parameters import Parameter
+from servo_daemon.plant.columns.regressors import Regressors, constant
 from servo_daemon.plant.effects.base import Effect, Signals, Terms
 
 V0 = Parameter(
@@ -29,5 +30,6 @@ EFFECT = Effect(
     equation=r"v_{\mathrm{shown}} = v + v_0",
     parameters=(V0,),
     terms=_terms,
+    regressors=Regressors(armature=(constant(V0),)),
     ladder=150,
 )

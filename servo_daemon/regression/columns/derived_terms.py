@@ -13,9 +13,9 @@ from functools import cache
 import casadi as ca
 import numpy as np
 
-from servo_daemon.parameters import LINEAR
+from servo_daemon.parameters import MOTOR_NAMES
 from servo_daemon.plant.contribution import SENSORS, contribution
-from servo_daemon.regression.stretch import Stretch, speed, speed_sign
+from servo_daemon.regression.stretch import Stretch
 from servo_daemon.samples import F64
 
 #: The balances as the regressions call them, and what is added to them.
@@ -50,9 +50,9 @@ class DerivedTerms:
         motion: dict[str, F64] = {
             "t": s.time_s,
             "i": current,
-            "omega": speed(s),
+            "omega": s.speed,
             "h": np.full_like(s.time_s, np.median(np.diff(s.time_s))),
-            "sliding": speed_sign(s),
+            "sliding": s.sliding,
             "flowing": np.sign(current),
         }
         motion |= {n: x for n, x in (("v", s.voltage), ("theta", s.position), ("torque", s.torque)) if x is not None}
@@ -67,7 +67,7 @@ def derived_terms(effect: str) -> DerivedTerms:
     """Of an effect of the library, from its terms."""
     c = contribution(effect)
     s, own = c.signals, {p.name for p in c.effect.parameters}
-    looked_for = ca.vertcat(s.torque, *(s.p[name] for name in {*(p.name for p in LINEAR), "Tc"} - own))
+    looked_for = ca.vertcat(s.torque, *(s.p[name] for name in {*MOTOR_NAMES, "Tc"} - own))
     direct = c.is_along_motion and not c.effect.states
     columns: dict[str, tuple[str, ...]] = {}
     for which, balance in ADDED_TO.items():

@@ -1,106 +1,26 @@
-"""What effects add to the regressions: columns, the signals they are integrals of, the parameters they give.
+"""What effects add to the regressions, as their files say it (`Effect.regressors`) or as it follows from their terms.
 
-A column's coefficient is a torque (N·m), a share of the motor torque, or a voltage; `coefficient` says how it follows
-from the parameters, `as_parameters` the way back. What is held in a running filter (orders, frequencies) is a constant
-of the signals; a term that is not linear in what is left (`ws` of the Stribeck friction) is taken at its start value.
+`coefficient` says how a column's coefficient follows from the parameters, `as_parameters` the way back.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from functools import cache
 
 import numpy as np
 
+from servo_daemon.plant.columns.regressors import Column, Derived, itself
 from servo_daemon.plant.contribution import contribution
-from servo_daemon.plant.effects import parameter_table
+from servo_daemon.plant.effects import effects_by_name, parameter_table
 from servo_daemon.regression.columns.derived_terms import DerivedTerms, derived_terms
-from servo_daemon.regression.stretch import Stretch, speed_sign
-from servo_daemon.regression.stretch import speed as speed_of
+from servo_daemon.regression.stretch import Stretch
 from servo_daemon.samples import F64
-
-#: Signals of an effect's columns, from a stretch and the values that are held or begun with.
-Signals = Callable[[Stretch, Mapping[str, float]], list[F64]]
-
-#: Columns whose coefficient is a share of the motor torque.
-SHARES = frozenset({"mu", "rip_sin", "rip_cos"})
-
-
-@dataclass(frozen=True, slots=True)
-class Wave:
-    """A sine of an angle: A sin(α + φ) = (A cos φ) sin α + (A sin φ) cos α.
-
-    Attributes:
-        sine, cosine: columns.
-        amplitude, phase: parameters.
-    """
-
-    sine: str
-    cosine: str
-    amplitude: str
-    phase: str
-
-
-_ENDINGS = ("", "_2", "_3", "_4")
-#: By effect.
-WAVES: Mapping[str, Wave] = {
-    "gravity_load": Wave("sin", "cos", "Tg", "phi_g"),
-    "periodic_disturbance": Wave("per_sin", "per_cos", "Tper", "phi_per"),
-    "torque_ripple": Wave("rip_sin", "rip_cos", "k_rip", "phi_rip"),
-    **{f"cogging_torque{e}": Wave(f"cog{e}_sin", f"cog{e}_cos", f"Tcog{e}", f"phi_cog{e}") for e in _ENDINGS},
-}
-#: The order of a wave, by its phase.
-_ORDER_OF = {"phi_rip": "n_rip", **{f"phi_cog{e}": f"n_cog{e}" for e in _ENDINGS}}
-_WAVE_OF = {column: wave for wave in WAVES.values() for column in (wave.sine, wave.cosine)}
-#: Friction along the travel: the column, the parameter that it is per unit of Tc.
-_ALONG = ("Tc_slope", "Tc_curve")
-#: What effects add to the shaft's regression, beside waves.
-_SHAFT: Mapping[str, tuple[str, ...]] = {
-    "coulomb_friction": ("Tc",),
-    "asymmetric_friction": ("Tc", "Tc_neg", "B_neg"),
-    "stribeck_friction": ("Tc", "boundary"),
-    "load_dependent_friction": ("mu",),
-    "position_dependent_friction": _ALONG,
-    "quadratic_drag": ("c2",),
-    "constant_load_torque": ("one",),
-}
-#: The parameter that a column gives, where it has another name.
-_GIVES: Mapping[str, str] = {
-    "one": "TL",
-    "boundary": "Ts",
-    **{w.sine: w.amplitude for w in WAVES.values()},
-    **{w.cosine: w.phase for w in WAVES.values()},
-}
-#: Effects without which the balances are judged: small, or no terms of theirs but errors of a sensor.
-_NO_COLUMNS = frozenset(
-    {
-        "load_torque_step",
-        "current_sensor_gain",
-        "encoder_eccentricity",
-        "resistance_step",
-        "magnetic_saturation",
-        "winding_heating",
-        "freewheel_drive",
-        "drive_lag",
-        "measurement_delay",
-        "speed_filter",
-    }
-)
-#: Effects that are a constant in the armature's balance, and their parameters.
-ARMATURE_OFFSETS = {"current_sensor_offset": "i0", "voltage_sensor_offset": "v0"}
-
-#: Columns whose coefficient is not the parameter itself.
-_CHANGED = frozenset({*(w.sine for w in WAVES.values()), "boundary", *_ALONG})
-
-
-#: Effects that have their columns here, or are known to have none.
-_TOLD = _NO_COLUMNS | {*WAVES, *_SHAFT, *ARMATURE_OFFSETS, "brush_voltage_drop"}
 
 
 def derived_of(effects: Sequence[str]) -> tuple[DerivedTerms, ...]:
     """Of those effects that have their columns from their terms."""
-    return tuple(derived_terms(e) for e in effects if e not in _TOLD)
+    return tuple(derived_terms(e) for e in effects if effects_by_name()[e].regressors is None)
 
 
 def unseen_in(effects: Sequence[str], *, sees_current: bool, sees_angle: bool) -> frozenset[str]:
@@ -117,11 +37,10 @@ def columns_of(effect: str, effects: Sequence[str]) -> tuple[str, ...]:
     Args:
         effects: all there are.
     """
-    if effect in WAVES:
-        return WAVES[effect].sine, WAVES[effect].cosine
-    if effect == "position_dependent_friction" and "coulomb_friction" not in effects:
-        return ()  # the level that varies is no single column
-    return _SHAFT[effect] if effect in _SHAFT else tuple(c for d in derived_of((effect,)) for c in d.columns["shaft"])
+    own = effects_by_name()[effect].regressors
+    if own is None:
+        return derived_terms(effect).columns["shaft"]
+    return tuple(c.name for c in own.shaft) if not own.beside or own.beside in effects else ()
 
 
 def shaft_columns(effects: Sequence[str]) -> tuple[str, ...]:
@@ -130,62 +49,53 @@ def shaft_columns(effects: Sequence[str]) -> tuple[str, ...]:
 
 
 def armature_columns(effects: Sequence[str]) -> tuple[str, ...]:
-    """Beside R, L and K."""
-    offset = ("one",) if ARMATURE_OFFSETS.keys() & set(effects) else ()
-    brushes = ("Vb",) if "brush_voltage_drop" in effects else ()
-    ripple = ("rip_sin", "rip_cos") if "torque_ripple" in effects else ()
-    return (*offset, *brushes, *ripple, *(c for d in derived_of(effects) for c in d.columns["armature"]))
+    """Beside R, L and K: the constant, then what is one column, then waves, then what follows from terms."""
+    own = [r.armature for e in effects if (r := effects_by_name()[e].regressors) is not None]
+    ordered = sorted(own, key=lambda columns: (not any(c.name == "one" for c in columns), len(columns)))
+    named = dict.fromkeys(c.name for columns in ordered for c in columns)
+    return (*named, *(c for d in derived_of(effects) for c in d.columns["armature"]))
+
+
+def armature_offsets(effects: Sequence[str]) -> tuple[str, ...]:
+    """Parameters that are a constant in the armature's balance."""
+    return tuple(c.gives for e, c in _columns("armature") if c.name == "one" and e in effects)
 
 
 def waves_per_turn(phase: str, held: Mapping[str, float]) -> float:
     """How often a wave repeats in a turn, by the name of its phase; 0 of what is no phase. Where an encoder's zero lies
     within its count nobody knows: the phase is known no better than so many times half a count."""
-    if phase in ("phi_g", "phi_enc"):
-        return 1.0
-    return held[_ORDER_OF[phase]] if phase in _ORDER_OF else 0.0
+    for effect in effects_by_name().values():
+        if phase in effect.phases:
+            return held[effect.phases[phase]] if effect.phases[phase] else 1.0
+    return 0.0
 
 
 def given_by(column: str) -> str:
     """The parameter that a column of the shaft's regression gives."""
-    return _GIVES.get(column, column)
+    return _named("shaft")[column][0].gives if column in _named("shaft") else column
 
 
-def coefficient(column: str, value: Mapping[str, float]) -> tuple[float, dict[str, float]]:
+def is_share(column: str) -> bool:
+    """Whether its coefficient is a share of the motor torque."""
+    return column in _named("shaft") and _named("shaft")[column][0].share
+
+
+def coefficient(column: str, value: Mapping[str, float]) -> Derived:
     """A column's coefficient in the shaft's balance (N·m or a share), and its derivatives by the estimated coordinates.
 
     Args:
         value: of all parameters, natural units.
     """
-    if column in _WAVE_OF:
-        wave = _WAVE_OF[column]
-        A, phi = value[wave.amplitude], value[wave.phase]
-        c, s = A * math.cos(phi), A * math.sin(phi)
-        if column == wave.sine:
-            return c, {wave.amplitude: c, wave.phase: -s}
-        return s, {wave.amplitude: s, wave.phase: c}
-    if column in _ALONG:
-        Tc, share = value["Tc"], value[column]
-        return Tc * share, {"Tc": Tc * share, column: Tc}
-    if column == "boundary":
-        return value["Ts"] - value["Tc"], {"Ts": value["Ts"], "Tc": -value["Tc"]}
-    if column == "one":
-        return value.get("TL", 0.0), {"TL": 1.0}
-    return value[column], _by_itself(column, value)
+    return _coefficient("shaft", column, value)
 
 
-def _by_itself(column: str, value: Mapping[str, float]) -> dict[str, float]:
-    """Derivative of a parameter by its own estimated coordinate."""
-    return {column: value[column] if parameter_table()[column].transform == "log" else 1.0}
-
-
-def armature_coefficient(column: str, value: Mapping[str, float]) -> tuple[float, dict[str, float]]:
+def armature_coefficient(column: str, value: Mapping[str, float]) -> Derived:
     """The same in the armature's balance (V per unit of the column)."""
-    if column == "one":
-        return value.get("v0", 0.0) - value["R"] * value.get("i0", 0.0), {"i0": -value["R"], "v0": 1.0}
-    if column in SHARES:
-        share, by = coefficient(column, value)
-        return value["K"] * share, {"K": value["K"] * share, **{p: value["K"] * slope for p, slope in by.items()}}
-    return value[column], _by_itself(column, value)
+    found, by = _coefficient("armature", column, value)
+    if not is_share(column):
+        return found, by
+    K = value["K"]
+    return K * found, {"K": K * found, **{p: K * slope for p, slope in by.items()}}
 
 
 def as_parameters(columns: Sequence[str], value: F64, covariance: F64) -> tuple[F64, F64]:
@@ -195,84 +105,19 @@ def as_parameters(columns: Sequence[str], value: F64, covariance: F64) -> tuple[
         columns: what stands behind the values; those of the armature may be among them.
         value, covariance: shapes (n,), (n, n), in natural units.
     """
-    if not _CHANGED.intersection(columns):
+    own = {name: c for name, (c, *_) in _named("shaft").items() if c.solve is not None and name in columns}
+    if not own:
         return value, covariance
     out, by = value.copy(), np.eye(len(value))
     at = {name: k for k, name in enumerate(columns)}
-    for wave in WAVES.values():
-        if wave.sine in at:
-            k, j = at[wave.sine], at[wave.cosine]
-            c, s = value[k], value[j]
-            size = max(math.hypot(c, s), 1e-300)
-            out[k], out[j] = size, math.atan2(s, c)
-            by[k, [k, j]], by[j, [k, j]] = (c / size, s / size), (-s / size**2, c / size**2)
-    if "boundary" in at:
-        out[at["boundary"]] = value[at["boundary"]] + value[at["Tc"]]
-        by[at["boundary"], at["Tc"]] = 1.0
-    for name in _ALONG:
-        if name in at and value[at["Tc"]] != 0.0:
-            k, Tc = at[name], value[at["Tc"]]
-            out[k] = value[k] / Tc
-            by[k, k], by[k, at["Tc"]] = 1.0 / Tc, -value[k] / Tc**2
+    found = dict(zip(columns, value.tolist(), strict=True))
+    for name, c in own.items():
+        assert c.solve is not None
+        out[at[name]], slopes = c.solve(found)
+        by[at[name], at[name]] = 0.0
+        for other, slope in slopes.items():
+            by[at[name], at[other]] = slope
     return out, by @ covariance @ by.T
-
-
-def _asymmetric(s: Stretch, _: Mapping[str, float]) -> list[F64]:
-    sign = speed_sign(s)
-    return [np.maximum(sign, 0.0), np.minimum(sign, 0.0), np.minimum(speed_of(s), 0.0)]
-
-
-def _stribeck(s: Stretch, value: Mapping[str, float]) -> list[F64]:
-    sign = speed_sign(s)
-    return [sign, sign * np.exp(-np.square(speed_of(s) / value["ws"]))]
-
-
-def _effort(s: Stretch) -> F64:
-    effort = s.current if s.torque is None else s.torque
-    return np.zeros_like(s.time_s) if effort is None else effort
-
-
-def _angle(s: Stretch) -> F64:
-    return s.position if s.position is not None else np.zeros_like(s.time_s)
-
-
-def _along(s: Stretch, _: Mapping[str, float]) -> list[F64]:
-    sign, angle = speed_sign(s), _angle(s)
-    return [sign * angle, sign * angle * angle]
-
-
-def _by_angle(order: str | None) -> Signals:
-    def waves(s: Stretch, value: Mapping[str, float]) -> list[F64]:
-        angle = (1.0 if order is None else value[order]) * _angle(s)
-        return [np.sin(angle), np.cos(angle)]
-
-    return waves
-
-
-def _by_time(s: Stretch, value: Mapping[str, float]) -> list[F64]:
-    angle = 2 * math.pi * value["f_per"] * s.time_s
-    return [np.sin(angle), np.cos(angle)]
-
-
-def _ripple(s: Stretch, value: Mapping[str, float]) -> list[F64]:
-    effort, angle = _effort(s), value["n_rip"] * _angle(s)
-    return [-effort * np.sin(angle), -effort * np.cos(angle)]
-
-
-#: What the shaft's columns are the modulated integrals of, by effect.
-SIGNALS: Mapping[str, Signals] = {
-    "coulomb_friction": lambda s, _: [speed_sign(s)],
-    "asymmetric_friction": _asymmetric,
-    "stribeck_friction": _stribeck,
-    "load_dependent_friction": lambda s, _: [speed_sign(s) * np.abs(_effort(s))],
-    "position_dependent_friction": _along,
-    "quadratic_drag": lambda s, _: [speed_of(s) * np.abs(speed_of(s))],
-    "constant_load_torque": lambda s, _: [np.ones_like(s.time_s)],
-    "gravity_load": _by_angle(None),
-    "periodic_disturbance": _by_time,
-    "torque_ripple": _ripple,
-    **{f"cogging_torque{e}": _by_angle(f"n_cog{e}") for e in _ENDINGS},
-}
 
 
 def shaft_signals(effect: str, s: Stretch, value: Mapping[str, float]) -> list[F64]:
@@ -281,4 +126,28 @@ def shaft_signals(effect: str, s: Stretch, value: Mapping[str, float]) -> list[F
     Args:
         value: what is held, and where what is not linear is taken, natural units.
     """
-    return SIGNALS[effect](s, value) if effect in SIGNALS else derived_terms(effect).signals("shaft", s, value)
+    own = effects_by_name()[effect].regressors
+    return derived_terms(effect).signals("shaft", s, value) if own is None else own.signals(s, value)
+
+
+def _columns(which: str) -> list[tuple[str, Column]]:
+    """Of the library, in its order, with the effects that bring them."""
+    own = ((n, e.regressors) for n, e in effects_by_name().items() if e.regressors is not None)
+    return [(n, c) for n, r in own for c in (r.shaft if which == "shaft" else r.armature)]
+
+
+@cache
+def _named(which: str) -> Mapping[str, list[Column]]:
+    """By name, one of each parameter."""
+    out: dict[str, dict[str, Column]] = {}
+    for _, c in _columns(which):
+        out.setdefault(c.name, {}).setdefault(c.gives, c)
+    return {name: list(of.values()) for name, of in out.items()}
+
+
+def _coefficient(which: str, column: str, value: Mapping[str, float]) -> Derived:
+    found = _named(which).get(column)
+    if found is None:
+        return itself(parameter_table()[column]).coefficient(value)
+    parts = [c.coefficient(value) for c in found]
+    return sum(part for part, _ in parts), {p: slope for _, by in parts for p, slope in by.items()}

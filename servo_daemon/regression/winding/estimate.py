@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from servo_daemon.parameters import WINDING_NAMES
 from servo_daemon.regression.linear_regression import long_run
 from servo_daemon.regression.sampling import settles_between
 from servo_daemon.regression.winding.rows import RESOLVED, Rows, added_up, unresolved
 from servo_daemon.samples import F64
 
-NAMES = ("R", "L", "K")
+NAMES = WINDING_NAMES
 #: Windows that are tried, s; beyond, what the shaft does between their ends is averaged away.
 WINDOWS_S = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
 #: Fewest rows for each column.

@@ -9,9 +9,12 @@ from collections.abc import Sequence
 from servo_daemon.sim_drive.makes.moving import Motor, Shown
 from servo_daemon.sim_drive.slcan_adapter import BusFrame
 
-_SYNC, _PDO1, _SDO_ANSWER, _SDO_REQUEST = 0x80, 0x180, 0x580, 0x600
+_SYNC, _PDO1, _SDO_ANSWER, _SDO_REQUEST, _HEARTBEAT = 0x80, 0x180, 0x580, 0x600, 0x700
+#: A heartbeat with the state "operational" comes with every so many PDOs.
+_OPERATIONAL, _PDOS_A_BEAT = b"\x05", 100
 #: Switched on, operation enabled (CiA 402-2, statusword).
 _ENABLED = 0x0637
+_DEVICE_TYPE = 0x0002_0192  # a servo drive with the profile 402
 _NO_SUCH_OBJECT = 0x0602_0000
 
 
@@ -40,13 +43,16 @@ class Cia402Node:
         self._counts_per_rev = counts_per_rev
         self._rated_current_A, self._rated_torque_Nm = rated_current_A, rated_torque_Nm
         self.period_s = period_s
+        self._pdos = 0
         self._shown: Shown | None = None  # of the round of uploads that has begun
 
     def due(self) -> Sequence[BusFrame]:
-        """PDO 1: statusword, position, torque."""
+        """PDO 1: statusword, position, torque; now and then the heartbeat before it."""
+        beat = (BusFrame(_HEARTBEAT + self._node_id, _OPERATIONAL),) if self._pdos % _PDOS_A_BEAT == 0 else ()
+        self._pdos += 1
         s = self._motor.now()
         data = struct.pack("<H", _ENABLED) + self._position(s) + self._torque(s)
-        return (BusFrame(_PDO1 + self._node_id, data),)
+        return (*beat, BusFrame(_PDO1 + self._node_id, data))
 
     def receive(self, frame: BusFrame) -> Sequence[BusFrame]:
         """The PDO at SYNC, the answer to an SDO upload."""
@@ -65,6 +71,11 @@ class Cia402Node:
         else:
             s = self._shown or self._motor.now()
             values = {
+                (0x1000, 0): struct.pack("<I", _DEVICE_TYPE),
+                (0x6075, 0): struct.pack("<I", round(1e3 * self._rated_current_A)),
+                (0x6076, 0): struct.pack("<I", round(1e3 * self._rated_torque_Nm)),
+                (0x608F, 1): struct.pack("<I", self._counts_per_rev),
+                (0x608F, 2): struct.pack("<I", 1),
                 (0x6077, 0): self._torque(s),
                 (0x6078, 0): _short(1e3 * s.current_A / self._rated_current_A),
                 (0x606C, 0): struct.pack("<i", round(1e3 * s.velocity_rad_s)),

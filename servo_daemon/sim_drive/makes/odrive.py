@@ -75,4 +75,6 @@ class OdriveText:
             return b"%f %f\r\n" % (drive.theta / turn, drive.omega / turn)
         if line == b"r axis0.motor.current_control.Iq_measured":
             return b"%f\r\n" % drive.i_q_filtered
+        if line == b"r axis0.motor.config.torque_constant":
+            return b"%f\r\n" % drive.motor.Kt
         return b"unknown command\r\n"

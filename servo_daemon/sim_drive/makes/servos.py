@@ -10,6 +10,7 @@ from servo_daemon.sim_drive.makes.moving import Motor, Shown
 
 #: What a chain is supplied with, V, and how warm a servo is.
 SUPPLY_V, _CELSIUS = 12.0, 35
+_FIRMWARE = 45
 _COUNTS_PER_RAD = 4096 / (2.0 * math.pi)
 
 
@@ -61,6 +62,9 @@ class DynamixelChain:
         return answers
 
     def _answer(self, servo: int, instruction: int, parameters: bytes) -> bytes:
+        if instruction == 0x01:
+            asked = [servo] if servo in self._motors else list(self._motors) if servo == 0xFE else []
+            return b"".join(self._status(s, struct.pack("<HB", self._model, _FIRMWARE)) for s in asked)
         address, length = struct.unpack_from("<HH", parameters)
         if instruction == 0x02 and servo in self._motors:
             return self._status(servo, self._registers(servo, address, length))
@@ -130,8 +134,8 @@ class FeetechChain:
         return answers
 
     def _status(self, servo: int, address: int, length: int) -> bytes:
-        if (address, length) == (3, 2):
-            data = struct.pack("<H", self._model)
+        if (address, length) == (3, 3):
+            data = struct.pack("<HB", self._model, servo)
         else:
             data = self._state(self._motors[servo].now())[:length]
         body = bytes([servo, len(data) + 2, 0]) + data

@@ -8,13 +8,15 @@ from collections.abc import Sequence
 
 from drivers.base import DriverCounters
 from drivers.vesc.packets import PacketReader, encode_packet
-from drivers.vesc.requests import FORWARD_CAN, FW_VERSION, GET_VALUES, GET_VALUES_SELECTIVE
+from drivers.vesc.requests import FORWARD_CAN, FW_VERSION, GET_MCCONF, GET_VALUES, GET_VALUES_SELECTIVE
 from drivers.vesc.values import NO_AVERAGE, VALUES
 from servo_daemon.sim_drive.makes.foc import FocDrive, RunningFoc, Sums
+from servo_daemon.sim_drive.makes.vesc_configuration import packed
 from servo_daemon.sim_drive.slcan_adapter import BusFrame
 
 UUID = bytes(range(0x10, 0x1C))
 _FIRMWARE = bytes([FW_VERSION, 6, 2]) + b"SIMULATED\0" + UUID + b"\0\0"
+_SIGNATURE = 2_509_944_602
 
 #: The averaged fields and the sums behind them.
 _AVERAGED = {"avg_id_A": "i_d", "avg_iq_A": "i_q", "avg_vd_V": "v_d", "avg_vq_V": "v_q"}
@@ -78,11 +80,18 @@ class VescDevice:
             payload = payload[2:]
         if payload == bytes([FW_VERSION]):
             return _FIRMWARE
+        if payload == bytes([GET_MCCONF]):
+            return payload + packed(_SIGNATURE, self._configuration())
         if payload == bytes([GET_VALUES]):
             return bytes([GET_VALUES]) + self._values((1 << len(VALUES)) - 1)
         if payload[:1] == bytes([GET_VALUES_SELECTIVE]) and len(payload) == 5:
             return payload + self._values(int.from_bytes(payload[1:], "big"))
         return b""
+
+    def _configuration(self) -> dict[str, float]:
+        motor = self._motor.now().motor
+        told = {"ratio": float(motor.pole_pairs), "sensor_mode": float(self._encoder), "poles": 2.0 * motor.pole_pairs}
+        return told | {"L": motor.L, "R": motor.R, "flux": motor.flux}
 
     def _values(self, mask: int) -> bytes:
         drive = self._motor.now()

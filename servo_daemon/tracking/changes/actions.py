@@ -11,6 +11,7 @@ from servo_daemon.samples import F64
 from servo_daemon.tracking.changes import jumps
 from servo_daemon.tracking.changes.jumps import JumpWatch, Known
 from servo_daemon.tracking.changes.search import Found, JumpSearch
+from servo_daemon.tracking.changes.wander import Wander
 from servo_daemon.tracking.noise.watch import TickVerdict
 from servo_daemon.tracking.plan.roster import Roster
 from servo_daemon.tracking.plan.settings import Message
@@ -25,11 +26,13 @@ class JumpActions:
         self.watch = JumpWatch()
         self.search = search
         self._before: tuple[F64, float] | None = None
+        self._wander = Wander()
 
     def reset(self) -> None:
         self.watch.reset()
         self.search.clear()
         self._before = None
+        self._wander.clear()
 
     @property
     def quiet(self) -> bool:
@@ -45,6 +48,7 @@ class JumpActions:
         """What is known now, unless something is being looked into."""
         if self.quiet:
             self._before = self._ekf.snapshot(), time_s
+            self._wander.add(self._ekf.coordinates.copy())
 
     def take(
         self, verdict: TickVerdict, end_s: float, *, explained: bool, judged: bool, searched: bool | None
@@ -109,12 +113,7 @@ class JumpActions:
         alone[found.k] = candidates[found.k]
         scales = self._judge.excitation.scales
         moved = jumps.jumped(before, self._ekf.coordinates, self._ekf.coordinate_std, scales, alone)
-        after = self._ekf.coordinates
-        return [
-            jumps.message(self._roster.parameters[k], before, float(after[k]), time_s)
-            for k in moved
-            if self._roster.published[k]
-        ]
+        return self._named(before, moved, time_s)
 
     def _known_before(self) -> Known:
         """What was known of the parameters before something happened."""
@@ -136,11 +135,18 @@ class JumpActions:
         stayed = self._roster.free.copy()
         stayed[moved] = False
         self._ekf.recall(stayed, before.mean, before.covariance)
-        after = self._ekf.coordinates
+        return self._named(before, moved, time_s) if self.watch.sudden else []
+
+    def _named(self, before: Known, moved: list[int], time_s: float) -> list[Message]:
+        """What is told of parameters that have moved: those published that have not wandered as far before, either."""
+        after, published = self._ekf.coordinates, self._roster.published
+        steps = np.abs(after - before.mean) > jumps.SIGNIFICANT * self._wander.spread(len(after))
+        if any(published[k] and steps[k] for k in moved):
+            self._wander.clear()  # what follows is about another value
         return [
             jumps.message(self._roster.parameters[k], before, float(after[k]), time_s)
             for k in moved
-            if self.watch.sudden and self._roster.published[k]
+            if published[k] and steps[k]
         ]
 
     def published(self) -> Gaussian | None:
@@ -149,7 +155,7 @@ class JumpActions:
         spread that it has by now."""
         if not self._ekf.started:
             return None
-        balance = np.square(self._judge.mismatch_std)
+        balance = np.square(self._judge.mismatch.std)
         if self._before is None or not self.is_open:
             g = self._ekf.estimate()
             return Gaussian(g.names, g.mean, _widened(g.covariance, balance))

@@ -32,8 +32,9 @@ _REST = 300
 OPEN_STD = 0.13
 #: The same for signed parameters (a load torque), which have no qualification to lose by it.
 OPEN_SIGNED_STD = 0.5
-#: A parameter has jumped when it moved by this many standard deviations, and by this much of its size.
-_SIGNIFICANT, _NOTICEABLE = 6.0, 0.02
+#: A parameter has jumped when it moved by this many standard deviations, and by this much of its size. It is named if
+#: that is as much more than it wandered before (two invented steps of K under a hidden brush drop: 3.9 times).
+SIGNIFICANT, _NOTICEABLE = 6.0, 0.02
 #: Beside a large jump of one, others are named only if they are this share as significant: they have been pulled along.
 _BESIDE = 0.3
 
@@ -147,7 +148,7 @@ def jumped(before: Known, mean: F64, std: F64, scales: F64, candidates: NDArray[
     """
     moved = np.abs(mean - before.mean)
     z = moved / np.sqrt(np.diag(before.covariance) + std**2)
-    possible = candidates & (z > _SIGNIFICANT) & (moved > _NOTICEABLE * scales)
+    possible = candidates & (z > SIGNIFICANT) & (moved > _NOTICEABLE * scales)
     significant = possible & (z > _BESIDE * np.max(z, where=possible, initial=0.0))
     return [int(k) for k in np.argsort(-z) if significant[k]]
 

@@ -20,7 +20,7 @@ from servo_daemon.kalman.ekf import Ekf
 from servo_daemon.kalman.records import ChannelStatistics
 from servo_daemon.samples import F64
 from servo_daemon.tracking.noise.levels import Whiteness
-from servo_daemon.tracking.noise.watch import judged
+from servo_daemon.tracking.noise.watch import WHITE_OUT, judged
 from servo_daemon.tracking.plan.roster import Roster
 from servo_daemon.tracking.samples.filtering import Filtering, Forget
 
@@ -33,9 +33,9 @@ _STEP_STD, _SIGNED_STEP_STD, _OF_ALL = 0.3, 1.0, 0.4
 _STEPS = (4, 2, 1)
 #: Passes until none moves the value by more than this (standard deviations, share of the scale).
 _PASSES, _SETTLED_STDS, _SETTLED_SHARE = 4, 0.5, 0.01
-#: Innovations over all ticks since are white below this correlation, and below this mean of ν²/s over what it usually
-#: is; standard deviations that chance may make.
-_WHITE, _NIS_MORE, _CHANCE = 0.25, 3.0, 4.0
+#: Innovations over all ticks since are white below this mean of ν²/s over what it usually is; standard deviations of
+#: their correlation that chance may make.
+_NIS_MORE, _CHANCE = 3.0, 4.0
 #: ν²/s at which an outlier counts.
 _OUTLIER_SQUARE = 25.0
 
@@ -221,7 +221,7 @@ class Trials:
         """Larger innovations that are white are noise that has grown, as that of a drive does with its current."""
         usual = self._whiteness.get(channel)
         nis = max(1.0, usual.nis if usual is not None else 1.0) * _NIS_MORE
-        return s.count < 1 or (s.nis < nis and s.correlation < max(_WHITE, _CHANCE / math.sqrt(s.count)))
+        return s.count < 1 or (s.nis < nis and s.correlation < max(WHITE_OUT, _CHANCE / math.sqrt(s.count)))
 
     def _over(self, number: int) -> float:
         """What a section's samples cost: −2 log p, or see `slow`."""

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from servo_daemon.numerics import white_noise_var
 from servo_daemon.samples import F64
 
-_MEDIAN_TO_STD = 0.6745
-_THIRD_DIFFERENCE_GAIN = 20.0
 #: Time constant of the adaptation, s.
 _ADAPTATION_S = 5.0
 #: While the level is still a guess it may change fourfold at once.
@@ -49,15 +48,6 @@ def smallest_step(signal: F64) -> float:
     near = np.abs(multiples - np.round(multiples)) < 0.02 * np.maximum(1.0, multiples)
     few = multiples < 20
     return smallest if few.sum() >= 8 and near[few].mean() > 0.95 else 0.0
-
-
-def white_noise_var(signal: F64) -> float:
-    """Variance of the white part of a signal, by the median of its third differences."""
-    if len(signal) < 8:
-        return 0.0
-    third = np.diff(signal, 3)
-    sigma = float(np.median(np.abs(third))) / _MEDIAN_TO_STD
-    return sigma**2 / _THIRD_DIFFERENCE_GAIN
 
 
 @dataclass(frozen=True, slots=True)

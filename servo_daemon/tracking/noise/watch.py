@@ -18,8 +18,8 @@ _CROSS_MEMORY_S, _CROSS_WEIGHT, _CROSS_WEIGHT_SETTLED = 10.0, 4.0, 10.0
 #: Of a sensor's noise that is known from elsewhere at least this much stays, however small the innovations are beside
 #: what a filter that has just started expects of them.
 _LEAST_SHARE = 0.5
-#: Whiteness: leaves at the second value, returns at the first.
-_WHITE_IN, _WHITE_OUT = 0.15, 0.25
+#: Whiteness, by the correlation of neighbouring innovations: leaves at the second value, returns at the first.
+WHITE_IN, WHITE_OUT = 0.15, 0.25
 #: White, but only because process noise was raised by this factor: not white. Of the torque; of the held input, whose
 #: noise is a drive's own (dead time, ripple) up to 1.4 % of its rms.
 _UNEXPLAINED = (10.0, 200.0)
@@ -265,5 +265,5 @@ class InnovationWatch:
         # Innovations that are smaller than they should be are of a channel whose noise is not known yet.
         correlation = max((abs(w.correlation) for w in self.whiteness.values() if w.nis > noise.NIS_LOW), default=0.0)
         unexplained = max((n.factor / _UNEXPLAINED[c == "current_A"] for c, n in self._process.items()), default=0.0)
-        out, limit = (_WHITE_OUT, 2.0) if self.white else (_WHITE_IN, 1.0)
+        out, limit = (WHITE_OUT, 2.0) if self.white else (WHITE_IN, 1.0)
         self.white = bool(correlation < out and unexplained < limit)

@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from servo_daemon.parameters import LINEAR, Parameter
+from servo_daemon.parameters import LINEAR, MOTOR_NAMES, WINDING_NAMES, Parameter
 from servo_daemon.plant.build import PlantModel, build_plant
 from servo_daemon.plant.contribution import contribution
 from servo_daemon.plant.core import Drive
-from servo_daemon.plant.effects import instants
+from servo_daemon.plant.effects import effects_by_name, instants
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,51 +43,30 @@ class SignalPlan:
     @property
     def known(self) -> Mapping[str, float]:
         """The motor's own parameters among the held ones: what stands for a missing signal."""
-        own = {p.name for p in LINEAR}
+        own = {*MOTOR_NAMES}
         return {name: value for name, value in self.held.items() if name in own}
 
 
 #: Offsets that are always in the filter's model: of the torque (a hanging cable, a tilted axis) and, where a voltage
 #: lets it be told apart, of the current sensor (one of the voltage leaves the same trace).
-_NUISANCE: Mapping[str, str] = {"constant_load_torque": "TL", "current_sensor_offset": "i0"}
+_LOAD, _SENSOR = "constant_load_torque", "current_sensor_offset"
+_NUISANCE: Mapping[str, str] = {_LOAD: "TL", _SENSOR: "i0"}
 #: A constant in a balance leaves the same trace as this offset: only one of them is estimated.
-_SAME_AS: Mapping[str, str] = {"torque": "constant_load_torque", "voltage": "current_sensor_offset"}
-#: An effect that is such an offset together with something else: levels that differ by direction are equal ones and a
-#: constant load.
-_STANDS_FOR: Mapping[str, str] = {"asymmetric_friction": "constant_load_torque"}
+_SAME_AS: Mapping[str, str] = {"torque": _LOAD, "voltage": _SENSOR}
 #: Which effect a nuisance parameter stands for.
 EFFECT_OF: Mapping[str, str] = {parameter: effect for effect, parameter in _NUISANCE.items()}
-_HIDDEN_BY: dict[Drive, tuple[str, ...]] = {"voltage": (), "current": ("R", "L"), "torque": ("R", "L", "K")}
+_HIDDEN_BY: dict[Drive, tuple[str, ...]] = {"voltage": (), "current": ("R", "L"), "torque": WINDING_NAMES}
 _NOT_SEARCHED = "held {}: a filter that runs along cannot search for it"
 _AS_GIVEN, _AT_START = "as given", "at its start value, for none is given"
-#: What a second inertia on a spring has to do with.
-_SHAFT = ("J", "B", "k_s", "c_s", "J_l")
-#: What no motion shows beside other parameters, or only to a filter that begins near it; and of what nothing can be
-#: said while nobody has given it. (R/g_i, L/g_i and every torque times g_i are all that voltage, current and motion
-#: hold; L and a lag trade places; an eccentricity is a small wave in everything.)
-_UNSEEN: Mapping[str, tuple[str, ...]] = {
-    "g_i": (
-        *("R", "L", "J", "B", "B_neg", "Tc", "Tc_neg", "Ts", "c2", "TL", "dTL"),
-        *("Tg", "Tper", "Tcog", "Tcog_2", "Tcog_3", "Tcog_4"),
-    ),
-    "t_lag": ("t_lag", "R", "L", "K", "J", "B"),
-    "t_f": ("t_f",),
-    "phi_enc": ("e_enc", "phi_enc", "R", "L", "K", "J", "B"),
-    "k_s": _SHAFT,
-    "J_l": _SHAFT,
-}
-#: Within a gap the load is where no sensor sees it, and a filter that has taken it for pressed against the wrong flank
-#: is sure of what it makes of that (k_s 96 % off at 300 std): it runs along, and what it finds is not published.
-_NEVER_CLAIMED: Mapping[str, tuple[str, ...]] = {"gap": _SHAFT}
-_HELD_UNSEEN = ("g_i",)
 #: Without a current sensor the armature's share must be given: R and K close the two null directions of ω/v, and L/R is
 #: far too short to show in the motion.
-_NEEDED_WITHOUT_CURRENT = ("R", "L", "K")
+_NEEDED_WITHOUT_CURRENT = WINDING_NAMES
 
 
 def is_held(p: Parameter) -> bool:
     """Whether a filter that runs along holds it at the value that is given."""
-    return p.held != "no" or p.name in _HELD_UNSEEN
+    hidden = [e.hides[p.name] for e in effects_by_name().values() if p.name in e.hides]
+    return p.held != "no" or any(p.name not in concerned for concerned in hidden)
 
 
 def plan_signals(channels: tuple[str, ...], effects: tuple[str, ...], nominal: Mapping[str, float]) -> SignalPlan:
@@ -113,19 +92,20 @@ def plan_signals(channels: tuple[str, ...], effects: tuple[str, ...], nominal: M
         held={**plan.held, **given},
         free=free,
         reasons={**plan.reasons, **{name: why[name] for name in given}},
-        unclaimed=_unclaimed(plan.plant.parameter_names, free, nominal),
+        unclaimed=_unclaimed(plan.plant.effects, free, nominal),
     )
 
 
-def _unclaimed(names: Sequence[str], free: Sequence[str], nominal: Mapping[str, float]) -> dict[str, str]:
+def _unclaimed(effects: Sequence[str], free: Sequence[str], nominal: Mapping[str, float]) -> dict[str, str]:
     out: dict[str, str] = {}
-    for unseen, concerned in _UNSEEN.items():
-        if unseen in names and unseen not in nominal:
-            why = f"nothing shows it while {unseen} is not given: give it as nominal value (a diagnosis finds one)"
-            out |= {n: why for n in free if n in concerned}
-    for parameter, concerned in _NEVER_CLAIMED.items():
-        if parameter in names:
-            why = f"a filter that runs along cannot tell how sure it is beside a {parameter}: `fit` and `diagnose` can"
+    for effect in (effects_by_name()[name] for name in effects):
+        for unseen, concerned in effect.hides.items():
+            if unseen not in nominal:
+                why = f"nothing shows it while {unseen} is not given: give it as nominal value (a diagnosis finds one)"
+                out |= {n: why for n in free if n in concerned}
+    for effect in (effects_by_name()[name] for name in effects):
+        for own, concerned in effect.never_sure.items():
+            why = f"a filter that runs along cannot tell how sure it is beside a {own}: `fit` and `diagnose` can"
             out |= {n: why for n in free if n in concerned}
     return out
 
@@ -158,7 +138,7 @@ def _with_voltage(
         why += f"; give {', '.join(missing)} as nominal values to determine the others"
         return SignalPlan(None, (), {}, (), {p.name: why for p in LINEAR})
     held = {name: nominal[name] for name in _NEEDED_WITHOUT_CURRENT}
-    plant, nuisance = _with_offsets(effects, "voltage", ("constant_load_torque",))
+    plant, nuisance = _with_offsets(effects, "voltage", (_LOAD,))
     free = tuple(n for n in _own(plant, nuisance) if n not in held)
     reasons = dict.fromkeys(held, f"held at the nominal value: {why}")
     return SignalPlan(plant, motion, held, free, reasons, nuisance)
@@ -168,7 +148,9 @@ def _with_offsets(
     effects: tuple[str, ...], drive: Drive, offsets: tuple[str, ...]
 ) -> tuple[PlantModel, tuple[str, ...]]:
     """The plant with the offsets that are not in it already, and their parameters."""
-    there = {*effects, *(_STANDS_FOR[e] for e in effects if e in _STANDS_FOR)}
+    # Levels that differ by direction are equal ones and a constant load.
+    together = (instead for e in effects for instead in effects_by_name()[e].simpler if len(instead) > 1)
+    there = {*effects, *(e for instead in together for e in instead)}
     there |= {same for balance, same in _SAME_AS.items() if any(contribution(e).is_offset(balance) for e in effects)}
     added = tuple(e for e in offsets if e not in there)
     return build_plant((*effects, *added), drive), tuple(_NUISANCE[e] for e in added)
@@ -182,7 +164,7 @@ def _without_voltage(
     drive: Drive, motion: tuple[str, ...], effects: tuple[str, ...], nominal: Mapping[str, float]
 ) -> SignalPlan:
     shown = tuple(e for e in effects if contribution(e).shows(drive))
-    plant, nuisance = _with_offsets(shown, drive, ("constant_load_torque",))
+    plant, nuisance = _with_offsets(shown, drive, (_LOAD,))
     missing_signal = "voltage" if drive == "current" else "voltage and current"
     reasons = {name: f"no {missing_signal} measured: {name} not visible" for name in _HIDDEN_BY[drive]}
     if drive == "torque":

@@ -8,7 +8,7 @@ from servo_daemon.regression.motor_rls import MotorRls
 from servo_daemon.tracking.noise.watch import InnovationWatch
 from servo_daemon.tracking.plan.roster import Roster
 from servo_daemon.tracking.start.starting_point import well_known
-from servo_daemon.tracking.validity.fusion import QUALIFIED
+from servo_daemon.tracking.validity.gates import QUALIFIED
 from servo_daemon.tracking.validity.parameter_judge import ParameterJudge
 from servo_daemon.tracking.validity.vouching import on_one_line
 
@@ -61,7 +61,9 @@ class Doubts:
         # (L is not claimed by a model that lacks something: beginning again would not help it.)
         index = self._index if self._watch.white else self._index_but_L
         std = self._ekf.coordinate_std[index] / self._judge.excitation.scales[index]
-        lost = ~self._judge.qualification.qualified[index] & ((std > QUALIFIED) | ~self._judge.confirmed[index])
+        lost = ~self._judge.qualification.qualified[index] & (
+            (std > QUALIFIED) | ~self._judge.confirmation.parameters[index]
+        )
         if not lost.any() or not well_known(self._rls.estimate(), self._core):
             return False
         self._begun_better += 1  # what did not help is tried less and less often

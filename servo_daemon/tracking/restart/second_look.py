@@ -26,6 +26,7 @@ from servo_daemon.kalman.ekf import Ekf
 from servo_daemon.kalman.gaussian import Gaussian
 from servo_daemon.samples import F64
 from servo_daemon.tracking.noise.setting import NoiseSetting
+from servo_daemon.tracking.noise.watch import WHITE_IN
 from servo_daemon.tracking.plan.roster import Mask, Roster
 from servo_daemon.tracking.samples.filtering import Filtering, Fit
 from servo_daemon.tracking.start.starter import Start
@@ -58,8 +59,8 @@ _NOISE_STEP, _NOISE_EXACT, _NOISE_COST, _NOISE_PASSES = 1.5, 0.3, 3.0, 25
 _LEAST_VAR = 1e-18
 #: Of fewer samples the values, which are fitted as well, leave too little of the noise.
 _FEWEST = 300
-#: Innovations are white below this lag-1 correlation, and explained below this mean of ν²/s.
-_WHITE, _AS_EXPECTED = 0.15, 1.3
+#: Innovations are explained below this mean of ν²/s.
+_AS_EXPECTED = 1.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,7 +186,7 @@ class SecondLook:
     def _is_white(self) -> bool:
         """Whether the last pass left white innovations."""
         channels = self._ekf.take_statistics().values()
-        return all(abs(c.correlation) < _WHITE and c.nis < _AS_EXPECTED for c in channels)
+        return all(abs(c.correlation) < WHITE_IN and c.nis < _AS_EXPECTED for c in channels)
 
     def _iterate(self, look: _Look, *, guessed: bool) -> tuple[int, bool]:
         """Passes until none moves the values any more. Returns how many outliers the best has left, and whether it was

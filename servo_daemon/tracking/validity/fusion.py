@@ -10,19 +10,14 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from servo_daemon.kalman.gaussian import from_coordinate
 from servo_daemon.parameters import Parameter, spaced
 from servo_daemon.regression.estimate import KNOWS
-from servo_daemon.samples import F64
 from servo_daemon.tracking.validity import excitation
+from servo_daemon.tracking.validity.gates import QUALIFIED, UNCONFIRMED
 
 Status = Literal["estimating", "tracking", "unexcited", "at_bound", "fixed", "invalid"]
 
-#: A parameter qualifies below this (1 σ, relative) and loses its qualification above the second: hysteresis.
-QUALIFIED, LOST = 0.05, 0.15
 #: A held value further than so many standard deviations from the running filter's is not held any longer.
 EXCLUDED_STDS = 4.0
 #: A regression agrees with a value within this share of it and 3 σ.
@@ -55,19 +50,6 @@ class Trusted:
     unconfirmed_s: float
 
 
-class Qualification:
-    """Which parameters have ever been, and still are, known well enough; flags with hysteresis."""
-
-    def __init__(self, n: int) -> None:
-        self.qualified: NDArray[np.bool_] = np.zeros(n, dtype=bool)
-
-    def update(self, relative_std: F64, excited: NDArray[np.bool_], confirmed: NDArray[np.bool_]) -> None:
-        """All shape (n,). Only an excited parameter that is confirmed by another estimator can qualify; any can lose
-        it."""
-        gained = (relative_std < QUALIFIED) & excited & confirmed
-        self.qualified = (self.qualified | gained) & (relative_std < LOST)
-
-
 def confirms(found: float, found_std: float, value: float) -> bool:
     """Whether a regression's estimate speaks for the filter's: it knows the parameter, and they are not far apart. The
     filter alone, started far off on data that show little, can be sure of nonsense; a regression has no start."""
@@ -82,6 +64,7 @@ def fuse(
     qualified: bool,
     nominal: float | None,
     floor_std: float = 0.0,
+    why_not: str | None = None,
 ) -> Fused:
     """One free parameter.
 
@@ -89,13 +72,14 @@ def fuse(
         coordinate, coordinate_std: the estimate, in the estimated coordinate.
         nominal: published while the estimate is not qualified.
         floor_std: 1 σ in the parameter's unit that no amount of data removes (sampling skew for L).
+        why_not: what keeps it from being qualified, in words (`Qualification.why_not`).
     """
     value, std = from_coordinate(parameter, coordinate, coordinate_std)
     std = math.hypot(std, floor_std)
     if not math.isfinite(value) or not math.isfinite(std):
         return Fused(nominal, None, "invalid", "the filter's estimate is not a number: it is being restarted")
     if not qualified:
-        why = _not_yet(parameter, value, std) if excited else excitation.reason(parameter.name)
+        why = _not_yet(parameter, value, std, why_not) if excited else excitation.reason(parameter.name)
         return Fused(nominal, None, "estimating", why)
     if value <= parameter.lower * (1 + 1e-9) or value >= parameter.upper * (1 - 1e-9):
         return Fused(value, std, "at_bound", f"at the edge of {parameter.lower:g} .. {parameter.upper:g}")
@@ -104,9 +88,9 @@ def fuse(
     return Fused(value, std, "tracking", None)
 
 
-def _not_yet(parameter: Parameter, value: float, std: float) -> str:
+def _not_yet(parameter: Parameter, value: float, std: float, why_not: str | None) -> str:
     if parameter.transform == "log" and std < QUALIFIED * value:
-        return "the filter is sure of a value, which nothing confirms yet"
+        return why_not or UNCONFIRMED
     return f"known to {_percent(parameter, value, std)} so far"
 
 

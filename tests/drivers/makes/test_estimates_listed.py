@@ -77,6 +77,7 @@ def test_a_polled_vesc_tells_everything(rate_hz: float, measured: dict[str, floa
     check(found, TRUTH, {"R": 0.01, "K": 0.005}, measured)
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("rate_hz", [200.0, 1000.0])
 def test_a_vesc_on_can_tells_what_its_steps_let_it(rate_hz: float) -> None:
     clock, driver = Clock(), closed_can("vesc", can_id=7)

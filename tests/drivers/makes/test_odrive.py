@@ -66,6 +66,7 @@ class TestOdriveText(OnAPort):
             yield {"port": str(tmp_path / "odrive")}
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("node_id", [0, 9, 63])
 @pytest.mark.parametrize("generation", ["0.5", "0.6"])
 def test_any_node_of_both_generations(tmp_path: Path, generation: Generation, node_id: int) -> None:

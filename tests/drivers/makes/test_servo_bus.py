@@ -181,8 +181,10 @@ def test_several_drives_share_a_line(kind: str, fast: bool, tmp_path: Path) -> N
         for driver in drivers:
             block = concatenate(read_until(driver, 80))
             assert_follows_the_sine(block.slice(10, len(block)), 0.01, voltage=None, tolerance=0.06)
+        sent = drivers[0].counters.extra["polls_sent"]
         drivers[1].close()
         assert len(concatenate(read_until(drivers[0], 20))) >= 20
+        assert drivers[0].counters.extra["polls_sent"] > sent  # on from there, without the one that has left
         with pytest.raises(DriverConfigError, match="axis9"):
             make_driver(kind, "axis9", options | {"drive_id": 1}).open()
         for driver in drivers:

@@ -16,7 +16,7 @@ from drivers.registry import make_driver
 from drivers.vesc.listening import fields_of, key_of
 from drivers.vesc.packets import PacketReader
 from drivers.vesc.polling import PolledVesc
-from drivers.vesc.requests import FORWARD_CAN, MAY_SEND
+from drivers.vesc.requests import FORWARD_CAN, GET_MCCONF, MAY_SEND
 from servo_daemon.samples import F64, Quality, concatenate
 from servo_daemon.sim_drive.makes.can_nodes import SlcanBus
 from servo_daemon.sim_drive.makes.foc import FocDrive, Motion, RunningFoc
@@ -25,7 +25,7 @@ from tests.drivers.conformance import read_until
 from tests.drivers.makes.conformance import OnABus, OnAPort
 from tests.drivers.makes.rig import Line, Silent, line
 
-ALLOWED = {payload for payloads in MAY_SEND.values() for payload in payloads}
+ALLOWED = {payload for payloads in MAY_SEND.values() for payload in payloads} - {bytes([GET_MCCONF])}  # only scan's
 
 
 def vesc(**kwargs: Any) -> VescDevice:
@@ -75,6 +75,7 @@ def balance(block: Any, time_s: F64) -> F64:
     return solution
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize(("encoder", "extra"), [(True, {}), (False, {"pole_pairs": 7})])
 def test_means_and_angle_are_the_motors(tmp_path: Path, encoder: bool, extra: dict[str, Any]) -> None:
     """The port alone is enough with an encoder. R and K by the electrical balance, on the device's own times: the
@@ -192,6 +193,7 @@ class TestVescOnCan(OnABus):
             yield {"interface": "slcan", "channel": str(tmp_path / "can0"), "position": "encoder"}
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("encoder", [True, False])
 def test_status_messages_are_the_motors(tmp_path: Path, encoder: bool) -> None:
     """v = R iq + K ω of one instant, with the sign that the current of message 1 does not have."""

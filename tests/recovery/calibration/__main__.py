@@ -9,20 +9,15 @@ code another file has to be begun.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import random
 import sys
-from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from tests.recovery.calibration.cases import CalibrationCase, Result, diagnosed, run_case, tracked
 from tests.recovery.calibration.table import table
+from tests.recovery.resumed import rows_of, run
 
 #: Runs of a part with nothing to find, and rounds over all that may be: 77 captures and 60 recordings, by the processor
 #: time of single ones about 20 minutes of two idle cores.
@@ -32,28 +27,12 @@ _ROUNDS = {"diagnosis": 1, "tracker": 4}
 
 def read(path: Path) -> list[Result]:
     """Results of a file; none where there is no file."""
-    if not path.exists():
-        return []
-    return [_result(json.loads(line)) for line in path.read_text(encoding="utf-8").splitlines()]
+    return [_result(row) for row in rows_of(path)]
 
 
 def _result(row: dict[str, Any]) -> Result:
     seen = {name: (value, tuple(statistics)) for name, (value, statistics) in row["seen"].items()}
     return Result(CalibrationCase(**row["case"]), tuple(row["outcome"]), row["right"], seen)
-
-
-def run(path: Path, wanted: Sequence[CalibrationCase], workers: int) -> list[Result]:
-    """All runs, those in the file as they are there."""
-    done = {r.case.key: r for r in read(path)}
-    left = [c for c in wanted if c.key not in done]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a", encoding="utf-8") as file, ProcessPoolExecutor(workers) as pool:
-        futures = [pool.submit(run_case, c) for c in left]
-        for future in tqdm(as_completed(futures), total=len(wanted), initial=len(wanted) - len(left), unit="run"):
-            result = future.result()
-            print(json.dumps(asdict(result), ensure_ascii=False), file=file, flush=True)
-            done[result.case.key] = result
-    return [done[c.key] for c in wanted]
 
 
 def main() -> int:
@@ -72,7 +51,7 @@ def main() -> int:
         wanted = list((diagnosed if part == "diagnosis" else tracked)(clean, rounds))
         random.Random(part).shuffle(wanted)  # what is there when it is stopped is then a fair sample
         found = [r for r in read(asked.file) if r.case.part == part] if asked.table else None
-        results = run(asked.file, wanted, asked.workers) if found is None else found
+        results = [_result(r) for r in run(asked.file, wanted, run_case, asked.workers)] if found is None else found
         sys.stdout.write(f"{part}: {len(results)} runs\n{table(results) if results else ''}\n\n")
     return 0
 

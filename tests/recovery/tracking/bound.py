@@ -19,10 +19,12 @@ from servo_daemon.kalman.ekf import Ekf
 from servo_daemon.kalman.gaussian import Gaussian
 from servo_daemon.kalman.layout import EkfLayout
 from servo_daemon.kalman.records import NoiseLevels
+from servo_daemon.parameters import LINEAR
 from servo_daemon.plant.build import build_plant
 from servo_daemon.samples import F64
+from servo_daemon.tracking.plan.roster import Roster
 from servo_daemon.tracking.validity.excitation import Excitation
-from servo_daemon.tracking.validity.fusion import Qualification
+from servo_daemon.tracking.validity.gates import Evidence, Qualification
 from tests.recovery.generator import MOTORS, Motor, Recording, Scenario, Sensors, generate, stream
 from tests.recovery.tracking.cramer_rao import START_STD, bound_std
 from tests.recovery.tracking.follow import BURN_IN_S, MOTIONS, NAMES, Z95, Flags, nominal_of, sampled, tracked
@@ -87,12 +89,14 @@ def filtered(ekf: Ekf, samples: F64) -> tuple[F64, F64, Flags]:
     m = len(samples) // STRIDE
     mean_, std, tracking = np.empty((m, 5)), np.empty((m, 5)), np.zeros((m, 5), dtype=bool)
     excitation, qualification = Excitation(5), Qualification(5)
+    all_ = np.ones(5, dtype=bool)
+    roster = Roster(LINEAR, all_, ~all_, all_, all_, all_, np.zeros(5))
     for k in range(m):
         ekf.update(samples[k * STRIDE : (k + 1) * STRIDE])
         found = ekf.estimate()
         mean_[k], std[k] = found.mean, found.std
         excitation.update(ekf.take_information(), STRIDE / RATE_HZ)
-        qualification.update(found.std, excitation.excited, np.ones(5, dtype=bool))
+        qualification.update(Evidence(roster, found.std, excitation.excited, all_))
         tracking[k] = qualification.qualified & excitation.excited
     return mean_, std, tracking
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -227,6 +228,23 @@ def test_ready_from_the_first_samples_of_any_drive_on() -> None:
     # It stays ready: a drive that is switched off must not take the daemon out of service.
     daemon.drives["b"].lose("silent", "nothing arrives")
     assert ask(daemon, API + "/ready")["drives"]["b"]["connection"] == "silent"
+
+
+def test_it_is_not_ready_while_the_only_drive_is_down() -> None:
+    daemon = fake_daemon()
+    daemon.drives["axis1"].lose("down", "unplugged")
+    document = ask(daemon, API + "/ready", 503)
+    assert document["drives"]["axis1"] == {"ready": False, "connection": "down", "reason": "unplugged"}
+
+
+def test_the_history_up_to_now_holds_nothing_of_the_future() -> None:
+    """The clock was an hour fast when the first row was made."""
+    daemon, now = fake_daemon(published=False), time.time()
+    for t in (now + 3600.0, now - 2.0, now - 1.0):
+        daemon.drives["axis1"].publish(replace(make_snapshot(t=1.0), time=t))
+    rows = ask(daemon, API + "/drives/axis1/history?parameter=R&start=-10min")
+    assert len(rows["time"]) == 2
+    assert len(ask(daemon, API + "/drives/axis1/history?parameter=R&end=2100-01-01")["time"]) == 2
 
 
 def test_a_restored_estimate_without_samples_is_not_ready() -> None:

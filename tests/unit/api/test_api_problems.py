@@ -57,8 +57,9 @@ def test_reset_of_an_unknown_drive(client: Client) -> None:
 def test_wrong_method_names_the_right_one(client: Client) -> None:
     response = client.post(AXIS1 + "/estimates")
     assert problem(response, 405)["code"] == "method_not_allowed"
-    assert response.headers["allow"] == "GET"
+    assert response.headers["allow"] == "GET, HEAD"
     assert client.get(AXIS1 + "/reset").headers["allow"] == "POST"
+    assert client.request("DELETE", AXIS1 + "/diagnosis").headers["allow"] == "GET, HEAD, POST"
 
 
 @pytest.mark.parametrize(
@@ -123,6 +124,16 @@ def test_other_sites_may_not_post(origin: str) -> None:
     response = Client(create_app(daemon)).post(AXIS1 + "/reset", headers={"Origin": origin})
     assert problem(response, 403)["code"] == "foreign_origin"
     assert daemon.drives["axis1"].resets == 0
+
+
+@pytest.mark.parametrize("path", ["/metrics", AXIS1 + "/tuning", "/api/v1/openapi.json"])
+def test_other_sites_may_not_let_us_work(client: Client, path: str) -> None:
+    """As an image of their page, or by a script that may not read the answer."""
+    for headers in ({"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "no-cors"}, {"Origin": "http://evil.example"}):
+        assert problem(client.get(path, headers=headers), 403)["code"] == "foreign_origin"
+    assert client.get("/", headers={"Sec-Fetch-Site": "cross-site"}).status_code == 200, "a link to the page"
+    link = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Dest": "document"}
+    assert problem(client.get(AXIS1 + "/diagnosis/report", headers=link), 404)["code"] == "no_report"
 
 
 def test_a_cross_site_post_without_origin_is_refused(client: Client) -> None:

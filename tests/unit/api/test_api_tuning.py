@@ -11,6 +11,7 @@ from typing import Any
 
 import httpx
 import pytest
+from fastapi import FastAPI
 
 from servo_daemon.api import tuning as api_tuning
 from servo_daemon.api.app import create_app
@@ -26,20 +27,37 @@ PATH = "/api/v1/drives/axis1/tuning"
 GAINS = CascadeGains(1.2, 84.0, filter_hz=120.0)
 
 
+class Here:
+    """Computes in a thread of this process, so that the test sees what is computed. One at a time, as the process."""
+
+    def __init__(self) -> None:
+        self.turn = asyncio.Lock()
+
+    async def run(self, function: Any, *arguments: object) -> Any:
+        async with self.turn:
+            return await asyncio.get_running_loop().run_in_executor(None, function, *arguments)
+
+    def close(self) -> None:
+        pass
+
+
+def app_of(daemon: FakeDaemon) -> FastAPI:
+    return create_app(daemon, computer=Here())
+
+
 def ask(daemon: FakeDaemon, query: str = "", status: int = 200) -> Any:
-    response = Client(create_app(daemon)).get(PATH + query)
+    response = Client(app_of(daemon)).get(PATH + query)
     assert response.status_code == status, response.text
     return strict(response)
 
 
 @pytest.fixture
 def computed(monkeypatch: pytest.MonkeyPatch) -> list[Ask]:
-    """What was computed, in order; threads are checked."""
+    """What was computed, in order."""
     asks: list[Ask] = []
     real = report.tune
 
     def spy(motor: Any, setup: Any, asked: Ask, nominal: Any) -> Any:
-        assert threading.current_thread().name.startswith("tuning")
         asks.append(asked)
         return real(motor, setup, asked, nominal)
 
@@ -51,7 +69,7 @@ def computed(monkeypatch: pytest.MonkeyPatch) -> list[Ask]:
 def test_the_document_is_what_the_schema_says(in_use: CascadeGains | None) -> None:
     daemon = fake_daemon()
     daemon.drives["axis1"].loop = LoopFacts(in_use=in_use, nominal=NOMINAL, voltage_V=24.0, counts_per_rev=4096)
-    response = Client(create_app(daemon)).get(PATH)
+    response = Client(app_of(daemon)).get(PATH)
     assert response.status_code == 200
     assert response.headers["content-type"] == "application/json" and response.headers["cache-control"] == "no-store"
     document = tuning_schemas.TuningDocument.model_validate(strict(response))
@@ -128,13 +146,13 @@ def test_before_the_first_samples_nominal_values_need_a_rate() -> None:
 
 
 def test_an_unknown_drive_is_unknown() -> None:
-    response = Client(create_app(fake_daemon())).get("/api/v1/drives/axis9/tuning")
+    response = Client(app_of(fake_daemon())).get("/api/v1/drives/axis9/tuning")
     assert response.status_code == 404 and response.json()["code"] == "unknown_drive"
 
 
 def test_polling_computes_once(computed: list[Ask]) -> None:
     daemon = fake_daemon()
-    client = Client(create_app(daemon))
+    client = Client(app_of(daemon))
     first = client.get(PATH).content
     for k in range(5):
         daemon.drives["axis1"].publish(make_snapshot(t=2.0 + k))
@@ -148,7 +166,7 @@ def test_it_is_computed_again_when_a_status_changes_or_it_is_old(
     computed: list[Ask], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     daemon = fake_daemon()
-    client = Client(create_app(daemon))
+    client = Client(app_of(daemon))
     client.get(PATH)
     estimate = make_estimate(2.0, parameters_at(2.0, "unexcited"))
     daemon.drives["axis1"].publish(make_snapshot(t=2.0, estimate=estimate))
@@ -170,7 +188,7 @@ def test_many_at_once_are_one_computation_and_the_loop_stays_free(computed: list
         return release(*arguments)
 
     async def ask_all() -> list[httpx.Response]:
-        transport = httpx.ASGITransport(app=create_app(fake_daemon()))
+        transport = httpx.ASGITransport(app=app_of(fake_daemon()))
         async with httpx.AsyncClient(transport=transport, base_url=BASE) as client:
             tasks = [asyncio.create_task(client.get(PATH)) for _ in range(8)]
             await asyncio.sleep(0)
@@ -184,11 +202,60 @@ def test_many_at_once_are_one_computation_and_the_loop_stays_free(computed: list
     assert len({r.content for r in responses[1:]}) == 1 and len(computed) == 1
 
 
+def test_it_is_computed_as_long_as_somebody_waits_for_it() -> None:
+    """Two clients wait for one computation, which ends when the second has gone as well."""
+
+    class Endless:
+        running = 0
+
+        async def run(self, function: Any, *arguments: object) -> Any:
+            self.running += 1
+            try:
+                await asyncio.Event().wait()
+            finally:
+                self.running -= 1
+
+        def close(self) -> None:
+            pass
+
+    async def ask_and_go(app: Any, gone: asyncio.Event) -> None:
+        first = [{"type": "http.request", "body": b"", "more_body": False}]
+
+        async def receive() -> Any:
+            if first:
+                return first.pop()
+            await gone.wait()
+            return {"type": "http.disconnect"}
+
+        async def send(message: Any) -> None:
+            pass
+
+        scope = {"type": "http", "method": "GET", "path": PATH, "query_string": b"", "headers": []}
+        await app(scope, receive, send)
+
+    async def inside() -> None:
+        computer = Endless()
+        app = create_app(fake_daemon(), computer=computer)
+        gone = [asyncio.Event(), asyncio.Event()]
+        clients = [asyncio.create_task(ask_and_go(app, event)) for event in gone]
+        while not computer.running:
+            await asyncio.sleep(0)
+        gone[0].set()
+        await clients[0]
+        assert computer.running == 1
+        gone[1].set()
+        await clients[1]
+        await asyncio.sleep(0)
+        assert computer.running == 0
+
+    asyncio.run(inside())
+
+
 def test_openapi_describes_it() -> None:
-    document = Client(create_app(fake_daemon())).get("/openapi.json").json()
+    document = Client(app_of(fake_daemon())).get("/openapi.json").json()
     operation = document["paths"]["/api/v1/drives/{drive}/tuning"]["get"]
     assert {p["name"] for p in operation["parameters"]} == {"drive", "bandwidth_hz", "settling_s"}
-    assert set(operation["responses"]) == {"200", "404", "409", "422"}
+    assert set(operation["responses"]) == {"200", "404", "409", "422", "503"}
     assert "TuningDocument" in document["components"]["schemas"]
 
 

@@ -240,6 +240,12 @@ def test_bad_log_is_one_line_naming_what_it_holds(tmp_path: Path, name: str, suf
     assert "\n" not in str(caught.value)
 
 
+def test_a_log_of_more_frames_than_memory_holds_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("servo_daemon.captures.formats.can_log.MAX_OBJECTS", 100)
+    with pytest.raises(CaptureError, match=r"at most 100 numbers are read; cut it up"):
+        read(tmp_path, vendor(60))
+
+
 def test_damaged_and_cut_off_logs(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     blf, asc = logged(tmp_path / "a.blf", own()).read_bytes(), logged(tmp_path / "a.asc", own()).read_bytes()
     plain = tmp_path / "plain.blf"

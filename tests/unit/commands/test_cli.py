@@ -462,6 +462,7 @@ def test_record_of_a_device_that_goes_away_fails_and_keeps_what_there_was(run: R
     assert len(read_capture(tmp_path / "r.csv")) == 1500
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP], ids=lambda n: n.name)
 def test_record_that_is_stopped_keeps_what_there_was(tmp_path: Path, number: signal.Signals) -> None:
     config = simulated_config(tmp_path, "seed = 3")

@@ -43,6 +43,7 @@ def config(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_model_for_the_drive_of_a_config(config: Path, tmp_path: Path) -> None:
     out = tmp_path / "axis1.model"
     words = ("--motors", "160", "--rate", "500", "--window", "2", "--jobs", "1", "--out", out)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -22,9 +23,10 @@ from servo_daemon.daemon.notify import Notifier
 from servo_daemon.errors import DriverConfigError, DriverDisconnectedError
 from servo_daemon.pipeline.pipeline import Pipeline
 from servo_daemon.samples import Quality, SampleBlock
+from servo_daemon.signal_meaning import SignalMeaning
 from servo_daemon.simulate import DEFAULT_NOMINAL, PAPER_MOTOR, SimulatedDrive, make_settings
 from tests.can_tools import frames_of, new_channel, virtual_sender
-from tests.daemon_rig import PATIENCE_S, Rig, configuration, starter
+from tests.daemon_rig import PATIENCE_S, Fed, Rig, configuration, starter
 
 
 @pytest.fixture
@@ -44,6 +46,28 @@ def test_samples_become_a_snapshot(start: Callable[..., Rig]) -> None:
     assert rig.statuses() == {"tracking"}
     assert snapshot is rig.snapshot(), "the same object until the next one is published"
     assert rig.daemon.problems() == []
+
+
+@pytest.mark.parametrize(("signals", "factor"), [({}, 1.0), ({"publish": "phase"}, 1.0 / math.sqrt(2.0))])
+def test_what_the_drivers_signals_mean_is_what_the_daemon_takes_them_for(
+    start: Callable[..., Rig], monkeypatch: pytest.MonkeyPatch, signals: dict[str, str], factor: float
+) -> None:
+    """A drive that reports the q axis of a motor whose values line to line are the simulated one's; a key of the
+    configuration stands above what the driver says."""
+    told = SignalMeaning("instant", "instant", "dq", "line")
+    monkeypatch.setattr(Fed, "meaning", told)
+    rig = start(configuration("one", nominal={}, signals=signals))
+    for _ in range(16):
+        block = rig.driver("one").source.next_block(500)
+        assert block.voltage_V is not None and block.current_A is not None
+        v, i = block.voltage_V / math.sqrt(3.0), block.current_A * 2.0 / math.sqrt(3.0)
+        rig.driver("one").put(replace(block, voltage_V=v, current_A=i))
+    estimate = rig.until_samples(8000, "one").estimate
+    assert rig.runtime("one").meaning == (replace(told, publish="phase") if signals else told)
+    assert estimate is not None
+    assert set(estimate.equivalents) == {"phase", "line", "kt"} - {"phase" if signals else "line"}
+    K = next(p for p in estimate.parameters if p.name == "K")
+    assert K.value == pytest.approx(factor * PAPER_MOTOR["K"], rel=0.05)
 
 
 def test_a_slow_worker_loses_the_oldest_and_says_how_many(

@@ -10,11 +10,11 @@ import pytest
 
 from servo_daemon.diagnosis.screening.dependence import _moments
 from servo_daemon.diagnosis.screening.screen import ScreenedCandidate
-from servo_daemon.diagnosis.search.candidates import as_simpler, late_without_current, proposals
+from servo_daemon.diagnosis.search.candidates import late_without_current, proposals
 from servo_daemon.diagnosis.search.evidence import (
+    are_what_they_are_called,
     at_odds,
     convinces,
-    is_what_it_is_called,
     needless,
     noticeable,
     overwhelming,
@@ -26,13 +26,14 @@ from servo_daemon.diagnosis.verdict.adequacy import contradicts
 from servo_daemon.identification.output_error.precision.parameters import FittedParameter
 from servo_daemon.kalman.gaussian import to_coordinate
 from servo_daemon.plant.build import build_plant
+from servo_daemon.plant.effects import effects_by_name
 
 
 def test_stribeck_friction_is_larger_at_rest() -> None:
     falling, rising = {"Tc": 1.0, "Ts": 1.6}, {"Tc": 1.12, "Ts": 0.22}
-    assert is_what_it_is_called(["stribeck_friction"], falling)
-    assert not is_what_it_is_called(["gravity_load", "stribeck_friction"], rising)
-    assert is_what_it_is_called(["coulomb_friction"], {"Tc": 1.0})
+    assert are_what_they_are_called(["stribeck_friction"], falling)
+    assert not are_what_they_are_called(["gravity_load", "stribeck_friction"], rising)
+    assert are_what_they_are_called(["coulomb_friction"], {"Tc": 1.0})
 
 
 def trial(**values: float) -> Any:
@@ -98,12 +99,13 @@ def test_runs_that_run_away_are_told_from_a_wrong_model() -> None:
 
 
 def test_what_stands_in_an_effects_place_begins_nearest_to_it() -> None:
-    start = as_simpler({"Tc": 0.18, "Tc_neg": 0.0, "B_neg": 1.0}, "asymmetric_friction", ("coulomb_friction",))
-    assert start["Tc"] == pytest.approx(0.09)
+    by_direction = effects_by_name()["asymmetric_friction"].as_simpler
+    values = {"Tc": 0.18, "Tc_neg": 0.0, "B": 1.0, "B_neg": 1.1}
+    assert by_direction(values, ("coulomb_friction",)) == pytest.approx({"Tc": 0.09})
     both = ("coulomb_friction", "constant_load_torque")
-    start = as_simpler({"Tc": 0.18, "Tc_neg": 0.0, "B_neg": 1.0}, "asymmetric_friction", both)
-    assert (start["Tc"], start["TL"]) == pytest.approx((0.09, 0.09))
-    assert as_simpler({"dTL": 0.3, "t_TL": 1.0}, "load_torque_step", ("constant_load_torque",))["TL"] == 0.3
+    assert by_direction(values, both) == pytest.approx({"Tc": 0.09, "TL": 0.09})
+    assert by_direction({**values, "B_neg": 1.5}, both) is None  # no load makes the viscous frictions differ
+    assert effects_by_name()["load_torque_step"].as_simpler({"dTL": 0.3}, both) == {"TL": 0.3}
 
 
 def test_two_estimates_that_cannot_both_be_right() -> None:

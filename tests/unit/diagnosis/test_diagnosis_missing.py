@@ -7,9 +7,10 @@ import pytest
 
 from servo_daemon.diagnosis.missing.missing import Missing, missing_inputs
 from servo_daemon.diagnosis.missing.noise_levels import NoiseLevels, alive, resolution
-from servo_daemon.diagnosis.missing.response import Trace, smoothed
+from servo_daemon.diagnosis.missing.response import smoothed
 from servo_daemon.identification.output_error import FitOptions, Recording, fit_output_error
 from servo_daemon.plant.build import build_plant
+from servo_daemon.plant.columns.screening import Trace
 from servo_daemon.samples import F64, SampleBlock, make_block
 
 VALUES = {"R": 1.0, "L": 2e-3, "K": 0.1, "J": 1e-4, "B": 1e-4}

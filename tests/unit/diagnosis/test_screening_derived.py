@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servo_daemon.diagnosis.missing.response import Trace
-from servo_daemon.diagnosis.missing.signals import Motion
-from servo_daemon.diagnosis.screening.basis import Context
 from servo_daemon.diagnosis.screening.derived import derived, scan
 from servo_daemon.parameters import Parameter, Scale
+from servo_daemon.plant.columns.screening import Context, Motion, Trace
 from servo_daemon.plant.effects import parameter_table
 
 N = 500

@@ -58,3 +58,17 @@ def test_the_tachometer_wraps() -> None:
     raw = (steps + 2**31 - 5 + 2**31) % 2**32 - 2**31
     angle = run(Shaft("electrical", 7), degrees, raw)
     np.testing.assert_allclose(np.diff(angle), np.diff(MOTION), atol=1e-9)
+
+
+@pytest.mark.parametrize("inverted", [False, True])
+@pytest.mark.parametrize("pole_pairs", [4, 7, 20])
+def test_the_direction_is_found_whatever_pauses_the_host_makes(pole_pairs: int, inverted: bool) -> None:
+    """Turning steadily, with more than half a turn between two polls now and then from the start."""
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        time_s = np.cumsum(np.where(random.random(400) < 0.3, random.uniform(0.03, 0.06, 400), 0.005))
+        shaft = Shaft("auto", None)
+        angle = run(shaft, *shown(110.0 * time_s, pole_pairs, True, inverted))
+        assert (shaft.source, shaft.inverted) == ("encoder", inverted), seed
+        known = np.isfinite(angle)
+        np.testing.assert_allclose(np.diff(angle[known]), 110.0 * np.diff(time_s[known]), atol=1e-9)

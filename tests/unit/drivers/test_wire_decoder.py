@@ -117,6 +117,27 @@ def test_a_repeated_frame_is_delivered_once(in_one_read: bool) -> None:
     assert decoder.counters.samples_lost == 0
 
 
+@pytest.mark.parametrize("in_one_read", [True, False])
+@pytest.mark.parametrize("burst", [1, 5])
+def test_old_frames_that_come_once_more_are_no_losses(burst: int, in_one_read: bool) -> None:
+    """Long after the last 32, alone or several in a row (which begins as a restart would)."""
+    decoder = started()
+    wire = [frame(10 * k) for k in range(400)]
+    replayed = []
+    for k, live in enumerate(wire):
+        replayed.append(live)
+        if k in (100, 200, 300):
+            replayed += wire[k - 60 : k - 60 + burst]
+    parts = [decoder.feed(b"".join(replayed))] if in_one_read else [decoder.feed(w) for w in replayed]
+    block = concatenate([b for b in parts if b is not None])
+    assert_time_and_sequence_increase(block)
+    assert decoder.counters.samples_lost == 0
+    assert decoder.counters.device_restarts == (0 if burst == 1 else 3)
+    assert len(block) + 10 * decoder.counters.samples_repeated == 10 * len(replayed)
+    if burst == 1:
+        assert block.sequence.tolist() == list(range(4000)) and not block.quality.any()
+
+
 def test_a_damaged_frame_is_counted_and_the_next_is_read() -> None:
     decoder = started()
     damaged = bytearray(frame(10))

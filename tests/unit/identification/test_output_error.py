@@ -19,7 +19,7 @@ from servo_daemon.identification.output_error.problem.setup import make_problem
 from servo_daemon.identification.output_error.solver.robust import sample_weights
 from servo_daemon.identification.output_error.solver.solver import solve
 from servo_daemon.plant.build import build_plant
-from servo_daemon.plant.reference import linear_step
+from servo_daemon.plant.linear import linear_step
 from servo_daemon.samples import F64, SampleBlock, make_block
 
 MOTOR = {"R": 1.2, "L": 2e-3, "K": 0.08, "J": 2e-4, "B": 1e-3}

@@ -59,6 +59,7 @@ class _NeverStrange:
         return np.ones(len(strange))
 
 
+@pytest.mark.slow
 def test_a_model_declines_what_is_unfamiliar() -> None:
     """The features of healthy windows, and the same with most of them another motor's and three times as large."""
     model: LearnedModel = dataclasses.replace(small_model(), strangeness=_NeverStrange())  # type: ignore[arg-type]

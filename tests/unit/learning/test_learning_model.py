@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import itertools
 import json
+import math
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -35,6 +36,7 @@ from servo_daemon.learning.examples.training import (
 from servo_daemon.learning.features import catalogue
 from servo_daemon.learning.features.features import transformed
 from servo_daemon.learning.features.preparation import Preparation
+from servo_daemon.learning.learners.learners import make_learner
 from servo_daemon.learning.learners.screening import correlated_groups, screen
 from servo_daemon.learning.model.model import LearnedModel
 from servo_daemon.learning.model.model_file import DriveIdentity, load_model, save_model
@@ -154,6 +156,7 @@ def test_what_healthy_motors_look_like_is_calibrated(model: LearnedModel) -> Non
     assert model.facts["accepted_faulty"] < model.facts["accepted"] - 0.25
 
 
+@pytest.mark.slow
 def test_strange_windows_of_other_motors_are_declined(model: LearnedModel) -> None:
     """Motors outside and faults, 200 and 400 windows that took no part in anything (the facts know 22 and 41)."""
     spec = dataclasses.replace(SPEC, seed=13)
@@ -294,6 +297,89 @@ def test_an_altered_file_is_refused(change: Any, rehash: bool, message: str, sav
     altered(saved, change, rehash=rehash)
     with pytest.raises(BadInputError, match=message):
         load_model(saved)
+
+
+def hostile(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
+    """The file with one of its parts changed, by somebody who knows how everything is made."""
+
+    def changed(manifest: dict[str, Any], numbers: bytes) -> tuple[dict[str, Any], bytes]:
+        parts = skops.io.loads(numbers, trusted=skops.io.get_untrusted_types(data=numbers))
+        change(parts)
+        return manifest, skops.io.dumps(parts)
+
+    altered(path, changed, rehash=True)
+
+
+def put(values: Any, at: Any, value: Any) -> None:
+    values[at] = value
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda p: put(p["kept"], 0, 2**40), "kept points outside"),
+        (lambda p: put(p["preparation"].used_, 0, -1), "preparation points outside"),
+        (lambda p: put(p["preparation"].points_, (0, 0), 1e9), "do not grow"),
+        (lambda p: put(p["estimator"].centers_, (0, 0), math.nan), "GRNN holds a value that is not finite"),
+        (lambda p: setattr(p["estimator"], "count_", p["estimator"].count_[:-1]), "GRNN has the shape"),
+        (lambda p: p.update(estimator=p["familiarity"]), "GRNN is a Familiarity"),
+        (lambda p: put(p["strangeness"]._trees.below_, 3, 2**40), "strangeness points outside"),
+        (lambda p: put(p["strangeness"]._trees.feature_, 0, 9999), "strangeness points outside"),
+        (lambda p: setattr(p["strangeness"]._trees, "depth_", 10**12), "deep"),
+        (lambda p: put(p["intervals"]["factor"], 0, -1.0), "negative width"),
+        (lambda p: p["intervals"].pop("factor"), "is missing"),
+        (lambda p: setattr(p["familiarity"], "_components", "PCA"), "familiarity is a str"),
+    ],
+)
+def test_numbers_that_are_no_model_s_are_refused(change: Any, message: str, saved: Path) -> None:
+    hostile(saved, change)
+    with pytest.raises(BadInputError, match=message):
+        load_model(saved)
+
+
+def test_a_forest_and_neighbours_with_a_node_or_a_shape_of_their_own_are_refused(
+    model: LearnedModel, tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(2)
+    d, m, path = len(model.kept), len(TARGETS), tmp_path / "m"
+    X, y = rng.normal(size=(60, d)), rng.normal(size=(60, m))
+
+    def spoilt(learner: str, spoil: Callable[[Any], None]) -> None:
+        fitted = make_learner(learner, jobs=1).fit(X, y)
+        save_model(dataclasses.replace(model, learner=learner, estimator=fitted), path)
+        assert load_model(path).learner == learner
+        hostile(path, lambda parts: spoil(parts["estimator"]))
+        with pytest.raises(BadInputError, match="refused"):
+            load_model(path)
+
+    def child(forest: Any) -> None:
+        tree = forest.estimators_[0].tree_
+        state = tree.__getstate__()
+        state["nodes"]["left_child"][0] = 2**40
+        tree.__setstate__(state)
+
+    spoilt("forest", child)
+    spoilt("neighbours", lambda e: setattr(e, "_y", e._y[:-1]))
+    spoilt("ridge", lambda e: put(e.coef_, (0, 0), math.inf))
+
+
+def test_a_model_made_elsewhere_is_used_only_where_it_is_named(
+    model: LearnedModel, saved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert load_model(saved, own=True).spec == model.spec
+    altered(saved, lambda m, n: (m, n), rehash=True)
+    assert load_model(saved).spec == model.spec
+    with pytest.raises(BadInputError, match="not made by this installation"):
+        load_model(saved, own=True)
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path / "state"))
+    save_model(model, saved)
+    load_model(saved, own=True)
+    key = tmp_path / "state" / "model.key"
+    assert key.stat().st_mode & 0o777 == 0o600 and len(key.read_bytes()) == 32
+    key.chmod(0o644)
+    with pytest.raises(BadInputError, match="not made by this installation"):
+        load_model(saved, own=True)
+    assert key.stat().st_mode & 0o777 == 0o600, "a key that others could read is replaced"
 
 
 class Foreign:

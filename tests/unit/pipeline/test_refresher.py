@@ -102,9 +102,9 @@ def test_it_is_left_out_after_a_change_of_the_model(model: LearnedModel, recordi
 def test_what_enters_the_filter_is_told_once(model: LearnedModel, recording: SampleBlock) -> None:
     """A filter held three times off by force, each time a window is due."""
     from servo_daemon.tracking.plan.settings import Resolutions, TrackerSettings
-    from servo_daemon.tracking.tracker import Tracker
+    from servo_daemon.tracking.plant_tracker import make_tracker
 
-    tracker = Tracker(recording.channels, TrackerSettings((), dict(PAPER_MOTOR), {}, "compiled"), Resolutions())
+    tracker = make_tracker(recording.channels, TrackerSettings((), dict(PAPER_MOTOR), {}, "compiled"), Resolutions())
     refresher, told = Refresher(model, CORE, 2.0), []
     for k in range(0, len(recording), 50):
         tick = recording.slice(k, k + 50)
@@ -168,10 +168,10 @@ def test_what_the_filter_lacks_is_published_as_the_windows_have_it(model: Learne
 
 def test_windows_of_before_a_jump_do_not_count(model: LearnedModel, recording: SampleBlock) -> None:
     from servo_daemon.tracking.plan.settings import Resolutions, TrackerSettings
-    from servo_daemon.tracking.tracker import Tracker
+    from servo_daemon.tracking.plant_tracker import make_tracker
     from servo_daemon.tracking.validity.fusion import Fused
 
-    tracker = Tracker(recording.channels, TrackerSettings((), dict(PAPER_MOTOR), {}, "compiled"), Resolutions())
+    tracker = make_tracker(recording.channels, TrackerSettings((), dict(PAPER_MOTOR), {}, "compiled"), Resolutions())
     refresher, unknown = Refresher(model, CORE, 2.0), Fused(1.0, None, "estimating", "known to ± 20 % so far")
     jump_s, shown = 7.0, []
     for k in range(0, len(recording), 50):
@@ -191,10 +191,10 @@ def test_while_a_jump_is_examined_only_what_the_filter_followed_stands(
     model: LearnedModel, recording: SampleBlock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from servo_daemon.tracking.plan.settings import Resolutions, TrackerSettings
-    from servo_daemon.tracking.tracker import Tracker
+    from servo_daemon.tracking.plant_tracker import PlantTracker, make_tracker
     from servo_daemon.tracking.validity.fusion import Fused
 
-    tracker = Tracker(recording.channels, TrackerSettings((), dict(PAPER_MOTOR), {}, "compiled"), Resolutions())
+    tracker = make_tracker(recording.channels, TrackerSettings((), dict(PAPER_MOTOR), {}, "compiled"), Resolutions())
     refresher = Refresher(model, CORE, 2.0)
     opened = Fused(PAPER_MOTOR["L"], 0.13 * PAPER_MOTOR["L"], "tracking", None)
     held = dataclasses.replace(opened, status="unexcited")
@@ -205,7 +205,7 @@ def test_while_a_jump_is_examined_only_what_the_filter_followed_stands(
         refresher.take(tick, tracker)
     now_s = float(tick.time_s[-1])
     assert refresher.instead_of("L", opened, now_s) is not opened
-    monkeypatch.setattr(Tracker, "examines_jump", True)
+    monkeypatch.setattr(PlantTracker, "examines_jump", True)
     refresher.take(recording.slice(3500, 3550), tracker)
     assert refresher.instead_of("L", opened, now_s) is opened
     assert refresher.instead_of("L", held, now_s) is not held

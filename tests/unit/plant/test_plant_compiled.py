@@ -17,8 +17,8 @@ import pytest
 from servo_daemon.plant import at_once, compiled
 from servo_daemon.plant.build import build_plant
 from servo_daemon.plant.compiled import SampleLoop, find_compiler
-from servo_daemon.plant.reference import reference_step
 from servo_daemon.samples import F64
+from tests.twin import reference_step
 
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler on this machine")
 ALL = ("coulomb_friction", "constant_load_torque", "gravity_load", "winding_heating")

@@ -16,10 +16,10 @@ from servo_daemon.identification.output_error.problem.rollout import free_run, s
 from servo_daemon.plant import effects as library
 from servo_daemon.plant.build import PlantModel, build_plant
 from servo_daemon.plant.effects import effects_by_name, parameter_table
-from servo_daemon.plant.reference import reference_step
 from servo_daemon.samples import F64
 from servo_daemon.simulate.settings import make_settings, parse_effect, parse_effects
 from servo_daemon.tracking.plan.signals import plan_signals
+from tests.twin import reference_step
 
 #: The table of the design's section 4.
 CONTRACT = {
@@ -75,6 +75,16 @@ def test_the_library_is_the_contract() -> None:
             "from dataclasses import replace\nfrom servo_daemon.plant.effects import gravity_load as g\n"
             "EFFECT = replace(g.EFFECT, name='weight', parameters=(replace(g.TG, nominal=2.0), g.PHI_G))",
             "weight: its parameter Tg is another's, too",
+        ),
+        (
+            "from dataclasses import replace\nfrom servo_daemon.plant.effects.drive_lag import EFFECT as lag\n"
+            "EFFECT = replace(lag, name='line', simpler=(('lag',),))",
+            "line names lag, which is no effect",
+        ),
+        (
+            "from dataclasses import replace\nfrom servo_daemon.plant.effects.drive_lag import EFFECT as lag\n"
+            "EFFECT = replace(lag, name='line', hides={'t_lag': ('L', 't_L')})",
+            "line names t_L, which is no parameter",
         ),
     ],
 )

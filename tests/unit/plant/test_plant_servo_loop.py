@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import control
 import numpy as np
 import pytest
@@ -9,17 +11,14 @@ import pytest
 from servo_daemon.parameters import LINEAR
 from servo_daemon.plant.build import build_plant
 from servo_daemon.plant.compiled import SampleLoop
-from servo_daemon.plant.reference import linear_step
+from servo_daemon.plant.linear import linear_step
 from servo_daemon.plant.servo_loop import (
     N_ROW,
     OUT,
     ROW,
     ServoGains,
     closed_servo,
-    motor_angle,
     motor_speed,
-    printed_motor_angle,
-    printed_servo,
     servo_constants,
     servo_step,
     suitable_gains,
@@ -29,6 +28,22 @@ from servo_daemon.samples import F64
 PAPER = {p.name: p.nominal for p in LINEAR}
 GAINS = ServoGains()
 STEP = np.deg2rad(50.0)
+S = control.TransferFunction([1, 0], [1])
+
+
+def motor_angle(p: Mapping[str, float]) -> control.TransferFunction:
+    """θ/v of the unloaded motor, rad per V: what the paper's G_o means, K / (s [(J s + B)(R + s L) + K²])."""
+    return motor_speed(p) / S
+
+
+def printed_motor_angle(p: Mapping[str, float]) -> control.TransferFunction:
+    """G_o as printed: its s multiplies only the product, k_t / (s [J s + D][R + s L] + k_t k_b)."""
+    return p["K"] / (S * (p["J"] * S + p["B"]) * (p["R"] + S * p["L"]) + p["K"] ** 2)
+
+
+def printed_servo(p: Mapping[str, float], gains: ServoGains) -> control.TransferFunction:
+    """G_s as printed first, with G_o = ω/v: k_io k_s G_o / (1 + k_s G_o k_g) · 1/s. A step gives a ramp."""
+    return gains.k_io * control.feedback(gains.k_s * motor_speed(p), gains.k_g) / S
 
 
 def run(

@@ -16,8 +16,8 @@ from servo_daemon.parameters import LINEAR
 from servo_daemon.plant import build, equations
 from servo_daemon.plant.build import PlantModel, build_plant
 from servo_daemon.plant.compiled import SampleLoop
-from servo_daemon.plant.reference import reference_step
 from servo_daemon.samples import F64
+from tests.twin import reference_step
 
 EFFECTS = ("coulomb_friction", "constant_load_torque", "gravity_load", "winding_heating")
 SMOOTH = EFFECTS[1:]

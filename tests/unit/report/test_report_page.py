@@ -18,7 +18,7 @@ from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
 from servo_daemon import __version__
-from servo_daemon.api.guard import Guard
+from servo_daemon.api.access.guard import Guard
 from servo_daemon.errors import BadInputError
 from servo_daemon.report import (
     Axis,

@@ -9,7 +9,7 @@ from servo_daemon.parameters import J, L
 from servo_daemon.regression.sampling import WINDOW_S
 from servo_daemon.tracking.validity import excitation
 from servo_daemon.tracking.validity.excitation import Excitation
-from servo_daemon.tracking.validity.fusion import Qualification, Trusted, as_last_known, confirms, fuse
+from servo_daemon.tracking.validity.fusion import Trusted, as_last_known, confirms, fuse
 
 
 def fed(e: Excitation, std: float, seconds: float = 6.0) -> None:
@@ -67,24 +67,7 @@ def test_single_parameters_are_held_and_those_seen_together_are_not() -> None:
     assert e.held(np.array([True, True, False])).tolist() == [False, False, False]
 
 
-YES, NO = np.array([True]), np.array([False])
-
-
-def test_qualification_needs_excitation_and_has_hysteresis() -> None:
-    q = Qualification(1)
-    q.update(np.array([0.01]), NO, YES)
-    assert not q.qualified[0]
-    q.update(np.array([0.01]), YES, YES)
-    q.update(np.array([0.10]), NO, YES)
-    assert q.qualified[0]
-    q.update(np.array([0.20]), YES, YES)
-    assert not q.qualified[0]
-
-
-def test_what_no_other_estimator_confirms_does_not_qualify() -> None:
-    q = Qualification(1)
-    q.update(np.array([0.01]), YES, NO)
-    assert not q.qualified[0]
+def test_a_regression_that_knows_confirms_what_is_near() -> None:
     assert confirms(1.0, 0.05, 1.2) and not confirms(1.0, 0.02, 1.5)
     assert not confirms(1.0, 0.4, 1.0)
 

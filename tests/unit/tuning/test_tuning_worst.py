@@ -70,6 +70,7 @@ def check_against_brute_force(gains: Gains, region: Region, seed: int) -> None:
         assert worst.gain_reduction_margin_dB <= -20 * np.log10(every.down.max()) + 0.02
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("name", LOOPS)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_no_motor_of_the_ellipsoid_is_worse(name: str, seed: int) -> None:

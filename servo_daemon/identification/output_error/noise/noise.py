@@ -20,6 +20,7 @@ from servo_daemon.identification.output_error.noise.scoring import Axes, devianc
 from servo_daemon.identification.output_error.noise.whitening import SOURCES, Prepared, Tangent, prepare
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.problem.rollout import INPUT
+from servo_daemon.numerics import STD_OF_MEDIAN
 from servo_daemon.samples import F64
 
 #: A source must lower −2 log p by more than this: chance does so once in 10⁵ (χ² with one degree of freedom).
@@ -162,6 +163,6 @@ def likelihood_of(
     squares = np.sum([(w * r * r).sum(axis=0) for w, r in zip(weights, residuals, strict=True)], axis=0)
     alone = np.log(np.maximum(squares / np.maximum(counts, 1), 1e-300))
     second = np.concatenate([np.diff(r, 2, axis=0) for r in residuals])
-    local = 2 * np.log(np.maximum(1.4826 / np.sqrt(6.0) * np.median(np.abs(second), axis=0), 1e-300))
+    local = 2 * np.log(np.maximum(STD_OF_MEDIAN / np.sqrt(6.0) * np.median(np.abs(second), axis=0), 1e-300))
     parts = zip(models, weights, residuals, strict=True)
     return NoiseLikelihood(tuple(prepare(m, w, r[:, :, None]) for m, w, r in parts), alone, local, *limits)

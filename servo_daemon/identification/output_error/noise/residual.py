@@ -42,6 +42,11 @@ class ResidualTest:
     outliers: int
 
 
+def white_below(n: int) -> float:
+    """The correlation that is none: what chance makes of n samples, or what does not matter."""
+    return float(max(RELEVANT, _SIGNIFICANT / np.sqrt(max(n, 1))))
+
+
 def residual_tests(problem: Problem, point: Point) -> dict[str, ResidualTest]:
     """One test for each channel."""
     out = {}
@@ -50,7 +55,7 @@ def residual_tests(problem: Problem, point: Point) -> dict[str, ResidualTest]:
         inputs = [s.rows[:, INPUT] for s in problem.segments]
         there = [s.valid[:, c] for s in problem.segments]
         auto, cross, n = _autocorrelation(parts), _input_correlation(parts, inputs, there), sum(map(len, parts))
-        limit = max(RELEVANT, _SIGNIFICANT / np.sqrt(n))
+        limit = white_below(n)
         rmse = float(np.sqrt(point.sse[c] / problem.counts[c]))
         outliers = int(sum((w[:, c] < 1.0).sum() for w in point.weights))
         out[name] = ResidualTest(rmse, auto, cross, max(abs(auto), abs(cross)) < limit, outliers)
@@ -107,7 +112,7 @@ def innovation_tests(
         every, n = [r[:, c] for r in innovations], sum(int(u[:, c].sum()) for u in counted)
         there = [s.valid[:, c] for s in problem.segments]
         auto, cross = _autocorrelation(parts), _past_input_correlation(parts, inputs, there)
-        limit = max(RELEVANT, _SIGNIFICANT / np.sqrt(max(n, 1)))
+        limit = white_below(n)
         rounding = resolution[c] ** 2 / 12.0 > 0.5 * rms[c] ** 2
         pattern = bool(rounding and abs(auto) < _PATTERN and _slow_excess(every) < _SLOW)
         white = abs(cross) < limit and (abs(auto) < limit or pattern)

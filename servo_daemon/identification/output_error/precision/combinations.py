@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from servo_daemon.identification.output_error.precision.information import Information
+from servo_daemon.parameters import MOTOR_NAMES
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.samples import F64
 
@@ -34,13 +35,13 @@ _CANDIDATES: tuple[_Candidate, ...] = (
     (
         "(J R + L B)/(B R + K²)",
         "s",
-        ("R", "L", "K", "J", "B"),
+        MOTOR_NAMES,
         lambda p: (p["J"] * p["R"] + p["L"] * p["B"]) / (p["B"] * p["R"] + p["K"] ** 2),
     ),
     (
         "J L/(B R + K²)",
         "s²",
-        ("R", "L", "K", "J", "B"),
+        MOTOR_NAMES,
         lambda p: p["J"] * p["L"] / (p["B"] * p["R"] + p["K"] ** 2),
     ),
     ("K/R", "N·m/V", ("R", "K"), lambda p: p["K"] / p["R"]),

@@ -19,20 +19,21 @@ half a sample over the mechanical time constant R J/K² at the most (2 % for an 
 That shows in no residual; where R is known it is another column, for J alone.
 
 In neither is the input's own noise, which an angle adds up twice: B of a motion with little speed is off by up to 2 %
-where 0.3 to 1 % are claimed.
+where 0.3 to 1 % are claimed. Its rounding is, see `rounding.py`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from servo_daemon.identification.output_error.precision.information import Information
+from servo_daemon.identification.output_error.precision.rounding import DRAWS, rounded_otherwise
 from servo_daemon.identification.output_error.problem.lazy import linearise
 from servo_daemon.identification.output_error.problem.problem import Linearisation, Problem
-from servo_daemon.identification.output_error.problem.setup import STRAIGHT
+from servo_daemon.identification.output_error.problem.setup import STRAIGHT, Recording
 from servo_daemon.identification.output_error.solver.solver import Point, normal_equations
 from servo_daemon.samples import F64
 
@@ -45,36 +46,47 @@ _RIDGE = 1e-10
 
 
 def with_input_error(
-    info: Information, problem: Problem, shifted: Problem, point: Point, known: Mapping[str, float]
+    info: Information,
+    recordings: Sequence[Recording],
+    problems: tuple[Problem, Problem],
+    point: Point,
+    known: Mapping[str, float],
 ) -> Information:
-    """The same with both columns.
+    """The same with the columns of both, and of the input's rounding.
 
     Args:
-        shifted: the same problem with `input_share=SHIFTED`.
-        point: of `problem`, where it is estimated.
+        recordings: of the problem.
+        problems: it, and the same problem with `input_share=SHIFTED`.
+        point: where it is estimated.
         known: values that are given, by name.
     """
-    share = SHARE_STD / (SHIFTED - STRAIGHT) * _shift(problem, shifted, point)
+    problem, shifted = problems
+    share = SHARE_STD / (SHIFTED - STRAIGHT) * _shifts(problem, [shifted], point)
     held = _shift_by_held_voltage(problem, point, known)
-    return replace(info, root=np.column_stack([info.root, share, held]))
+    rounding = _shifts(problem, rounded_otherwise(problem, recordings), point) / np.sqrt(DRAWS)
+    return replace(info, root=np.column_stack([info.root, share, held, rounding]))
 
 
-def _shift(problem: Problem, other: Problem, point: Point) -> F64:
-    """By how much the parameters move, to first order, if the input is that of another problem, shape (k,); zero where
-    that cannot be simulated."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        there = linearise(other, point.unknowns)
+def _shifts(problem: Problem, others: Iterable[Problem], point: Point) -> F64:
+    """By how much the parameters move, to first order, if the input is that of each of other problems, shape (k, ·);
+    zero where that cannot be simulated."""
     n = len(problem.parameter_of_column)
-    if not there.finite:
-        return np.zeros(n)
     J, here = point.linearisation.jacobian, point.linearisation.residuals
-    moved = tuple(b - a for a, b in zip(here, there.residuals, strict=True))
-    nothing = tuple(np.zeros_like(r) for r in here)
-    H, g = normal_equations(problem, replace(point, linearisation=Linearisation(moved, J, True)))
-    _, at_rest = normal_equations(problem, replace(point, linearisation=Linearisation(nothing, J, True)))
+
+    def equations(moved: Sequence[F64]) -> tuple[F64, F64]:
+        return normal_equations(problem, replace(point, linearisation=Linearisation(tuple(moved), J, True)))
+
+    H, at_rest = equations([np.zeros_like(r) for r in here])
     size = np.sqrt(np.maximum(np.diag(H), 1e-300))
     A = H / np.outer(size, size) + _RIDGE * np.eye(len(size))
-    return np.asarray((np.linalg.solve(A, (g - at_rest) / size) / size)[:n])
+    columns = []
+    for other in others:
+        with np.errstate(over="ignore", invalid="ignore"):
+            there = linearise(other, point.unknowns)
+        if there.finite:
+            _, g = equations([b - a for a, b in zip(here, there.residuals, strict=True)])
+            columns.append((np.linalg.solve(A, (g - at_rest) / size) / size)[:n])
+    return np.column_stack(columns) if columns else np.zeros((n, 0))
 
 
 def _share_settled(period_s: float, values: Mapping[str, float]) -> float:

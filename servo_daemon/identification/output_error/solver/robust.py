@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_daemon.numerics import STD_OF_MEDIAN
 from servo_daemon.samples import F64
 
 #: A residual that stands out from its neighbours by more standard deviations is suspect (Gaussian: 1 in 1.7 million).
@@ -49,7 +50,7 @@ def _scale(residuals: Sequence[F64], differences: Sequence[F64]) -> float:
     """
     every = np.concatenate(differences)
     middle, large = np.percentile(np.abs(every), [50.0, 95.0])
-    usual = max(1.4826 * float(middle), 0.51 * float(large))
+    usual = max(STD_OF_MEDIAN * float(middle), 0.51 * float(large))
     glitches = np.concatenate(_isolated(differences, usual))
     left = np.concatenate(residuals)[~glitches]
     return max(usual, _OF_RESIDUAL * float(np.sqrt(np.mean(left**2))) if left.size else 0.0)

@@ -1,4 +1,4 @@
-"""Columns of the regressions that are read off an effect's terms, beside those that `terms.py` writes by hand."""
+"""Columns of the regressions that are read off an effect's terms, beside those that their files write by hand."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 from servo_daemon.plant.effects import effects_by_name, parameter_table
 from servo_daemon.regression.columns.derived_terms import derived_terms
-from servo_daemon.regression.columns.terms import SIGNALS, columns_of, unseen_in
+from servo_daemon.regression.columns.terms import columns_of, shaft_signals, unseen_in
 from servo_daemon.regression.stretch import Stretch
 
 NOMINAL = {name: p.nominal for name, p in parameter_table().items()} | {"f_per": 3.0}
@@ -26,7 +26,7 @@ def stretch() -> Stretch:
 def test_signals_are_those_by_hand(name: str) -> None:
     s = stretch()
     found = np.array(derived_terms(name).signals("shaft", s, NOMINAL))
-    by_hand = np.array(SIGNALS[name](s, NOMINAL))
+    by_hand = np.array(shaft_signals(name, s, NOMINAL))
     if name == "stribeck_friction":  # by hand in Tc and the excess Ts − Tc
         by_hand = np.array([by_hand[0] - by_hand[1], by_hand[1]])
     np.testing.assert_allclose(found, by_hand, rtol=1e-12, atol=1e-12)

@@ -9,14 +9,14 @@ from servo_daemon.kalman.gaussian import from_coordinate, to_coordinate
 from servo_daemon.plant.build import build_plant
 from servo_daemon.plant.effects import parameter_table
 from servo_daemon.regression.columns.terms import (
-    SHARES,
-    SIGNALS,
     armature_columns,
     as_parameters,
     coefficient,
     columns_of,
     given_by,
+    is_share,
     shaft_columns,
+    shaft_signals,
 )
 from servo_daemon.regression.motor_rls import MotorRls
 from servo_daemon.regression.stretch import Stretch
@@ -121,8 +121,8 @@ def test_columns_are_the_effects_torque(effect: str) -> None:
         lost = VALUE["J"] * (without - with_it) / h
         s = stretch(speed, angle, current, t)
         names = columns_of(effect, effects)
-        factors = [VALUE["K"] if c in SHARES else 1.0 for c in names]
-        signals = SIGNALS[effect](s, VALUE)
+        factors = [VALUE["K"] if is_share(c) else 1.0 for c in names]
+        signals = shaft_signals(effect, s, VALUE)
         assert len(signals) == len(names)
         made = sum(f * coefficient(c, VALUE)[0] * x[5] for f, c, x in zip(factors, names, signals, strict=True))
         assert made == pytest.approx(lost, rel=2e-3, abs=2e-5), (speed, angle, current)

@@ -5,7 +5,9 @@ on that network happens to visit. Two checks prevent that, before any route runs
 
 - The Host header must be a name that no stranger can point at this machine (DNS rebinding): an IP address, a name
   without dots, a name under a local-only domain, this machine's own name, or one that was allowed explicitly.
-- A request that changes something must not carry the Origin of another site. Programs send no Origin.
+- A request for data, or one that changes something, must not come from another site's page (Origin, Sec-Fetch-Site):
+  some answers take seconds to compute, whether the page can read them or not. Programs send neither header. A link to
+  a report may be followed from anywhere.
 
 No CORS header is ever sent, so scripts of other sites cannot read answers either.
 """
@@ -21,7 +23,7 @@ from urllib.parse import urlsplit
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from servo_daemon.api.problems import MEDIA_TYPE, problem_body
+from servo_daemon.api.problems import refusal
 
 #: Nothing on these pages comes from anywhere else, and nothing runs that is not a file of the dashboard.
 _POLICY: Final = (
@@ -36,6 +38,10 @@ SECURITY_HEADERS: Final = {
     "Cross-Origin-Opener-Policy": "same-origin",
 }
 _SAFE_METHODS: Final = frozenset({"GET", "HEAD", "OPTIONS"})
+#: What is answered from a daemon's records; of it, what is read in a window of its own.
+_DATA: Final = ("/api/", "/metrics")
+_DOCUMENTS: Final = "/diagnosis/report"
+_OTHER_SITES: Final = frozenset({"cross-site", "same-site"})
 #: Domains that public DNS does not serve (RFC 6761, RFC 6762, RFC 8375, ICANN's .internal) or that home routers use.
 _LOCAL_DOMAINS: Final = (".localhost", ".local", ".internal", ".home.arpa", ".lan")
 _DEFAULT_PORTS: Final = {"http": 80, "https": 443}
@@ -99,18 +105,9 @@ class Guard:
                     headers.setdefault(name, value)  # a report admits its own script by hash, and nothing else
             await send(message)
 
-        refusal = self._refusal(scope)
-        if refusal is None:
-            await self.app(scope, receive, send_guarded)
-            return
-        body = problem_body(*refusal, scope["path"])
-        headers = [
-            (b"content-type", MEDIA_TYPE.encode()),
-            (b"content-length", str(len(body)).encode()),
-            (b"cache-control", b"no-store"),
-        ]
-        await send_guarded({"type": "http.response.start", "status": refusal[0], "headers": headers})
-        await send({"type": "http.response.body", "body": body})
+        refused = self._refusal(scope)
+        answer = self.app if refused is None else refusal(scope["path"], *refused)
+        await answer(scope, receive, send_guarded)
 
     def _refusal(self, scope: Scope) -> tuple[int, str, str] | None:
         """Status, code and detail where the request is refused."""
@@ -119,11 +116,14 @@ class Guard:
         if host and not host_is_ours(host, self.allowed):
             detail = f"This daemon does not answer to the host name {host!r}; use its IP address or a local name."
             return 421, "foreign_host", detail
-        if scope["method"] in _SAFE_METHODS:
+        path, safe = scope["path"], scope["method"] in _SAFE_METHODS
+        if safe and not path.startswith(_DATA):
+            return None  # page and files
+        if safe and path.endswith(_DOCUMENTS) and headers.get("sec-fetch-dest") == "document":
             return None
         origin = headers.get("origin")
         if (origin is not None and not origin_is_ours(origin, host)) or (
-            origin is None and headers.get("sec-fetch-site") in {"cross-site", "same-site"}
+            headers.get("sec-fetch-site") in _OTHER_SITES and origin is None
         ):
-            return 403, "foreign_origin", "Pages of other sites may not change anything here."
+            return 403, "foreign_origin", "Pages of other sites may neither ask for data here nor change anything."
         return None

@@ -1,4 +1,4 @@
-"""The NumPy twin: the same step as `step.py`, from other building blocks, for tests to compare with.
+"""The NumPy twin: the same step as `plant/step.py`, from other building blocks, to compare with.
 
 The linear core and the spring of a second inertia are SciPy's `expm` instead of the closed form, flanks part where a
 root finder says so, the splitting is written out in NumPy, and only the effects' own terms are shared (evaluated on
@@ -23,21 +23,6 @@ from servo_daemon.samples import F64
 
 _FACTORS = ("factor_R", "factor_K", "factor_B", "factor_dry")
 _SUMS = ("load_torque", "voltage_drop", "dry_drop", "viscous", "moment_K")
-
-
-def linear_step(p: Mapping[str, float | F64], h: float) -> tuple[F64, F64]:
-    """(Ad, Bd) of (i, ω, θ) over h seconds with (voltage, load torque) held: shapes (…, 3, 3) and (…, 3, 2).
-
-    Args:
-        p: R, L, K, J, B: numbers, or arrays of one shape (…) for as many motors.
-    """
-    R, L, K, J, B = np.broadcast_arrays(*(np.asarray(p[name], np.float64) for name in ("R", "L", "K", "J", "B")))
-    augmented = np.zeros((*R.shape, 5, 5))
-    augmented[..., 0, 0], augmented[..., 0, 1], augmented[..., 0, 3] = -R / L, -K / L, 1 / L
-    augmented[..., 1, 0], augmented[..., 1, 1], augmented[..., 1, 4] = K / J, -B / J, -1 / J
-    augmented[..., 2, 1] = 1.0
-    step = expm(augmented * h)
-    return step[..., :3, :3], step[..., :3, 3:]
 
 
 def _driven_step(p: Mapping[str, float], h: float, turning: tuple[float, float]) -> tuple[F64, F64]:

@@ -1,0 +1,45 @@
+"""Medians, white noise and least squares, as every room takes them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from servo_daemon.samples import F64
+
+#: Of white Gaussian noise: the median of magnitudes over 1 σ; its inverse as it is rounded in books.
+MEDIAN_TO_STD, STD_OF_MEDIAN = 0.6745, 1.4826
+#: Variance of third differences of white noise over its own (binomials 1, 3, 3, 1).
+THIRD_DIFFERENCE_GAIN = 20.0
+
+
+def median(values: F64) -> float:
+    """As NumPy's, without its overhead."""
+    middle = len(values) // 2
+    if len(values) % 2:
+        return upper_median(values)
+    low, high = np.partition(values, (middle - 1, middle))[middle - 1 : middle + 1].tolist()
+    return float(0.5 * (low + high))
+
+
+def upper_median(values: F64) -> float:
+    """Of an even number the larger of the middle two: what is asked for in every tick."""
+    middle = len(values) // 2
+    return float(np.partition(values, middle)[middle])
+
+
+def white_noise_var(signal: F64) -> float:
+    """Variance of the white part of a signal, by the median of its third differences: what is smooth is a polynomial
+    over four samples."""
+    if len(signal) < 8:
+        return 0.0
+    third = np.diff(signal, 3)
+    sigma = float(np.median(np.abs(third))) / MEDIAN_TO_STD
+    return sigma**2 / THIRD_DIFFERENCE_GAIN
+
+
+def least_squares(A: F64, y: F64) -> tuple[F64, int]:
+    """Columns of any size, shape (n, m): coefficients, shape (m,), the smallest where several do as well, and how many
+    of them the columns tell."""
+    size = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
+    found, _, rank, _ = np.linalg.lstsq(A / size, y, rcond=1e-9)
+    return np.asarray(found / size), int(rank)

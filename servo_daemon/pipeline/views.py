@@ -1,0 +1,79 @@
+"""What is published beside the parameters: what each estimator says, the drive's state, the filter's health."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from servo_daemon.kalman.gaussian import Gaussian, from_coordinate
+from servo_daemon.plant.effects import parameter_table
+from servo_daemon.published.snapshot import EstimatorView, finite_or_none
+from servo_daemon.regression.estimate import KNOWS, RegressionEstimate
+from servo_daemon.tracking.tracker import Tracker
+
+#: Parameter -> (value, std), natural units.
+Values = Mapping[str, tuple[float | None, float | None]]
+
+
+class Views:
+    """One drive's estimators."""
+
+    def __init__(self) -> None:
+        self._table = parameter_table()
+        self._regression: tuple[RegressionEstimate, EstimatorView] | None = None  # the last one, as published
+
+    def of(self, tracker: Tracker) -> dict[str, EstimatorView]:
+        """What each estimator says by itself."""
+        views = {}
+        hidden = tracker.plan.nuisance
+        if tracker.ekf is not None and tracker.ekf.started:
+            views["ekf"] = EstimatorView(self._natural(tracker.ekf.estimate(), hidden), {"restarts": tracker.restarts})
+        rls = tracker.rls.estimate() if tracker.rls is not None else None
+        if rls is None:
+            views["rls"] = EstimatorView({})
+        else:
+            if self._regression is None or self._regression[0] is not rls:  # it changes once a second or so
+                detail = {"window_s": rls.span_s, "balances_close": rls.closes}
+                self._regression = rls, EstimatorView(self.possible(rls, hidden), detail)
+            views["rls"] = self._regression[1]
+        return views
+
+    def possible(self, e: RegressionEstimate, hidden: tuple[str, ...]) -> Values:
+        """Possible values only, of positive parameters those that it knows: a negative resistance, or one that is known
+        to ± 40 %, says that the regression does not know it (yet, or with balances that do not close)."""
+        return {
+            name: (finite_or_none(value), finite_or_none(std))
+            for name, value, std in zip(e.names, e.value.tolist(), e.std.tolist(), strict=True)
+            if name not in hidden
+            and self._table[name].lower <= value <= self._table[name].upper
+            and (self._table[name].transform != "log" or std < KNOWS * value)
+        }
+
+    def _natural(self, g: Gaussian, hidden: tuple[str, ...]) -> Values:
+        pairs = (
+            (name, from_coordinate(self._table[name], m, s))
+            for name, m, s in zip(g.names, g.mean.tolist(), g.std.tolist(), strict=True)
+            if name not in hidden
+        )
+        return {name: (finite_or_none(value), finite_or_none(std)) for name, (value, std) in pairs}
+
+
+def state_of(tracker: Tracker) -> dict[str, float | None]:
+    state: dict[str, float | None] = dict.fromkeys(("current_A", "velocity_rad_s", "position_rad"))
+    state.update({name: finite_or_none(value) for name, value in tracker.measured_state.items()})
+    if tracker.ekf is not None and tracker.ekf.started:
+        for name, value in zip(tracker.ekf.plant.state_names, tracker.ekf.x.tolist(), strict=True):
+            state[name] = finite_or_none(value)
+    return state
+
+
+def health_of(tracker: Tracker) -> dict[str, float | int | bool | str | None]:
+    health: dict[str, float | int | bool | str | None] = {
+        "innovation_white": tracker.explained if tracker.watch.whiteness else None,
+        "gated_samples": tracker.watch.gated,
+        "filter_restarts": tracker.restarts,
+    }
+    for name, w in tracker.watch.whiteness.items():
+        channel = name.split("_")[0]
+        health[f"nis_{channel}"] = finite_or_none(w.nis)
+        health[f"innovation_correlation_{channel}"] = finite_or_none(w.correlation)
+    return health
