@@ -1,10 +1,11 @@
 """The history of 32 drives over a simulated year, through the real store.
 
-    python -m benchmarks.life [--drives 32] [--filled 4] [--days 365]
+    python -m benchmarks.life [--drives 32] [--filled 2] [--days 365]
 
-Some of the drives live the whole year, all write afterwards (a year of 32 takes an hour and shows no more). Each minute of the year is a bucket as the recorder makes them, from an estimate that ages, wanders with the filter's
-memory and follows a temperature; the last day comes in seconds and the last hour in single rows, so that every level
-is as full as in service. Then the year is asked for, beside 32 writers at ten rows a second each.
+Some of the drives live the whole year, all write afterwards (a year of 32 takes an hour and shows no more). Each
+minute of the year is a bucket as the recorder makes them, from an estimate that ages, wanders with the filter's memory
+and follows a temperature; the last day comes in seconds and the last hour in single rows, so that every level is as
+full as in service. Then the year is asked for, beside 32 writers at ten rows a second each.
 """
 
 from __future__ import annotations
@@ -150,19 +151,21 @@ def serve(database: Database, drives: int, filled: int, config: HistoryConfig) -
     turns(1)  # opens the database
     cpu = 0.0
     turns(200)
-    share, done, took = cpu / 600.0, threading.Event(), []
+    share, done = cpu / 600.0, threading.Event()
+    took: list[tuple[float, float]] = []
 
     def write() -> None:
         while not done.is_set():
+            began = time.perf_counter()
             turns(1)
-            done.wait(0.5)
+            done.wait(max(0.0, 3.0 - (time.perf_counter() - began)))
 
     writing = threading.Thread(target=write)
     writing.start()
     for k in range(400):
-        began = time.perf_counter()
+        began, worked = time.perf_counter(), time.thread_time()
         span = archive.span(f"axis{k % filled}", ["R"], now[0] - YEAR, None, 500)
-        took.append(time.perf_counter() - began)
+        took.append((time.perf_counter() - began, time.thread_time() - worked))
         assert 200 < len(span.buckets) <= 500 and span.level == "1 h", (len(span.buckets), span.level)
     done.set()
     writing.join()
@@ -173,7 +176,7 @@ def serve(database: Database, drives: int, filled: int, config: HistoryConfig) -
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--drives", type=int, default=32)
-    parser.add_argument("--filled", type=int, default=4, help="of them live the whole year")
+    parser.add_argument("--filled", type=int, default=2, help="of them live the whole year")
     parser.add_argument("--days", type=int, default=365)
     arguments = parser.parse_args()
     config = HistoryConfig()
@@ -188,17 +191,17 @@ def main() -> None:
         share, took = serve(database, arguments.drives, arguments.filled, config)
         database.close()
     kinds = f"{len(PARAMETERS)} parameters and {len(CHANNELS) + 1} channels"
-    print(
-        f"{arguments.drives} drives, {kinds} each; {arguments.filled} of them over {arguments.days} days (in {filled:.0f} s)\n"
-    )
+    lived = f"{arguments.filled} of them over {arguments.days} days (in {filled:.0f} s)"
+    print(f"{arguments.drives} drives, {kinds} each; {lived}\n")
     print("| | measured | wanted |\n|---|---|---|")
     print(f"| on disk, MB a drive after the year | {size:.1f} | ≤ 15 |")
     for level, stored, count in by_level:
         name, MB = levels_of(config)[level].name, stored / arguments.filled / 1e6
         print(f"| … packed blocks of {name}: MB a drive, bytes a row | {MB:.2f}, {stored / count:.0f} | |")
-    p50, p99 = np.percentile(took, [50, 99]) * 1e3
-    what = f"a year of R in 500 points beside the writers, ms: median, p99 of {len(took)}"
-    print(f"| {what} | {p50:.0f}, {p99:.0f} | p99 ≤ 50 |")
+    for what, times, wanted in (("", took[:, 0], "p99 ≤ 50"), (" (its own time on the processor)", took[:, 1], "")):
+        p50, p99 = np.percentile(times, [50, 99]) * 1e3
+        text = f"a year of R in 500 points beside the writers{what}, ms: median, p99 of {len(took)}"
+        print(f"| {text} | {p50:.0f}, {p99:.0f} | {wanted} |")
     print(f"| the writer's share of a core, % | {100 * share:.1f} | ≤ 2 |")
 
 

@@ -36,6 +36,8 @@ COMMANDS = {
     "train": "servo_daemon.commands.train",
     "check": "servo_daemon.commands.check",
     "scan": "servo_daemon.commands.scan.command",
+    "status": "servo_daemon.commands.status",
+    "export-history": "servo_daemon.commands.export_history",
 }
 
 

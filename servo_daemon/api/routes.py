@@ -9,7 +9,7 @@ from fastapi import APIRouter, Path, Query, Request
 from pydantic import BaseModel
 from starlette.responses import Response, StreamingResponse
 
-from servo_daemon.api import diagnosis, documents, past
+from servo_daemon.api import diagnosis, documents
 from servo_daemon.api.answers import (
     INVALID,
     NO_STORE,
@@ -22,6 +22,7 @@ from servo_daemon.api.answers import (
 )
 from servo_daemon.api.computing import Computer, while_connected
 from servo_daemon.api.fleet import fleet_document
+from servo_daemon.api.past import routes as past
 from servo_daemon.api.problems import ProblemError, parameter_problem
 from servo_daemon.api.schemas import estimates as schemas
 from servo_daemon.api.schemas import past as past_schemas

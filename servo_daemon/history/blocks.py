@@ -60,19 +60,18 @@ class BlockWriter:
 
     def _insert_open(self, connection: sa.Connection, drive: int, level: Level, rows: Buckets) -> None:
         slot = None
-        for slot, part in _by_slot(rows, level.block_s):
-            self._insert(connection, drive, level, slot, part, is_open=True)
-            self._open.setdefault((drive, level.number), set()).add(slot)
-        for old in sorted(self._open.get((drive, level.number), set()) - {slot}):
-            self._close(connection, drive, level, old)
+        for slot, new in _by_slot(rows, level.block_s):
+            known = self._open.setdefault((drive, level.number), set())
+            old = [self._taken_out(connection, drive, level, slot)] if level.whole and slot in known else []
+            self._insert(connection, drive, level, slot, join([*old, new]), is_open=True)
+            known.add(slot)
+        for gone in sorted(self._open.get((drive, level.number), set()) - {slot}):
+            self._close(connection, drive, level, gone)
 
     def _close(self, connection: sa.Connection, drive: int, level: Level, slot: int) -> None:
         """Pack an open span and hand it on to the next level."""
         self._open[drive, level.number].discard(slot)
-        here = sa.and_(_B.open == 1, _B.drive == drive, _B.level == level.number, _B.slot == slot)
-        data = connection.scalars(sa.select(_B.data).where(here).order_by(_B.id)).all()
-        connection.execute(sa.delete(BLOCK).where(here))
-        rows = join([r for d in data if (r := _read(d)) is not None])
+        rows = self._taken_out(connection, drive, level, slot)
         if level.period_s:
             rows = roll_up(rows, level.period_s)
         if not len(rows):
@@ -81,6 +80,14 @@ class BlockWriter:
         if level.number + 1 < len(self._levels):
             upper = self._levels[level.number + 1]
             self._insert_open(connection, drive, upper, roll_up(rows, upper.period_s))
+
+    @staticmethod
+    def _taken_out(connection: sa.Connection, drive: int, level: Level, slot: int) -> Buckets:
+        """The rows of an open span, which are no longer in the table."""
+        here = sa.and_(_B.open == 1, _B.drive == drive, _B.level == level.number, _B.slot == slot)
+        data = connection.scalars(sa.select(_B.data).where(here).order_by(_B.id)).all()
+        connection.execute(sa.delete(BLOCK).where(here))
+        return join([rows for d in data if (rows := _read(d)) is not None])
 
     def _insert(
         self, connection: sa.Connection, drive: int, level: Level, slot: int, rows: Buckets, *, is_open: bool
@@ -131,10 +138,11 @@ def read_blocks(
         fresh: rows that are not in the database yet.
     """
     level = levels[number]
-    begin = start_s - max(level.period_s, 1.0)
+    begin, finer = start_s - max(level.period_s, 1.0), levels[max(0, number - 1)]
     wanted = sa.or_(
         sa.and_(_B.level == number, _B.start.between(begin - level.block_s, end_s)),
-        sa.and_(_B.open == 1, _B.level < number, _B.start.between(begin - levels[max(0, number - 1)].block_s, end_s)),
+        # The last bucket is whole: finer rows of it may begin after the end.
+        sa.and_(_B.open == 1, _B.level < number, _B.start.between(begin - finer.block_s, end_s + level.period_s)),
     )
     # One statement: what moves from one level to the next meanwhile is seen in exactly one of them.
     found = connection.execute(sa.select(_B.data).where(_B.drive == drive, wanted)).scalars()

@@ -90,8 +90,7 @@ def unpack(data: bytes, names: Sequence[str] | None = None) -> Buckets:
         if zlib.crc32(body, zlib.crc32(header)) != checksum:
             raise BlockError("its checksum is wrong")
         if kind == _PLAIN:
-            rows = _load(json.loads(header), body)
-            return rows if names is None else rows.select(names)
+            return _load(json.loads(header), body, names)
         if kind != _PACKED:
             raise BlockError(f"of unknown kind {kind!r}")
         return _unpack(json.loads(zlib.decompress(header)), body, names)
@@ -99,23 +98,24 @@ def unpack(data: bytes, names: Sequence[str] | None = None) -> Buckets:
         raise BlockError(f"damaged: {error}") from error
 
 
-def _load(header: list[Any], body: memoryview) -> Buckets:
+def _load(header: list[Any], body: memoryview, wanted: Sequence[str] | None) -> Buckets:
     n, period_s, names, units, kinds = header
     shape, at = (n, len(names)), 0
+    chosen = [k for k, name in enumerate(names) if wanted is None or name in wanted]
+    names, units, kinds = ([column[k] for k in chosen] for column in (names, units, kinds))
 
-    def take(dtype: type[np.generic], shape: tuple[int, ...]) -> NDArray[Any]:
+    def take(dtype: type[np.generic], *more: int) -> NDArray[Any]:
         nonlocal at
-        length = math.prod(shape)
-        part = np.frombuffer(body, dtype, length, at).reshape(shape)
+        part = np.frombuffer(body, dtype, math.prod((*shape, *more)), at).reshape(*shape, *more)
         at += part.nbytes
-        return part
+        return part[:, chosen]
 
-    time_s = take(np.float64, (n,))
+    time_s = np.frombuffer(body, np.float64, n)
+    at = time_s.nbytes
     if period_s == 0:
-        value, std = take(np.float64, shape), take(np.float64, shape)
-        return Buckets.of_rows(time_s, names, units, kinds, value, std, take(np.int8, shape))
-    mean, low, high, spread, std = (take(np.float64, shape) for _ in _FLOATS)
-    count, status = take(np.int32, shape), take(np.int32, (*shape, len(STATUSES)))
+        return Buckets.of_rows(time_s, names, units, kinds, take(np.float64), take(np.float64), take(np.int8))
+    mean, low, high, spread, std = (take(np.float64) for _ in _FLOATS)
+    count, status = take(np.int32), take(np.int32, len(STATUSES))
     return Buckets(
         period_s, time_s, tuple(names), tuple(units), tuple(kinds), count, mean, low, high, spread, std, status
     )

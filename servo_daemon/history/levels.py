@@ -19,6 +19,8 @@ class Level:
         block_s: rows of so long a span become one packed block, and are then rolled up into the next level. A divisor
             of the next level's.
         keep_s: how long they are kept.
+        whole: what is added to an open block is joined with what is there: one to be read instead of many, where
+            little is added seldom.
     """
 
     number: int
@@ -26,6 +28,7 @@ class Level:
     period_s: float
     block_s: float
     keep_s: float
+    whole: bool
 
 
 #: Rows a second that the ring delivers at most (`published/history.py`).
@@ -37,10 +40,10 @@ def levels_of(config: HistoryConfig) -> tuple[Level, ...]:
     """The levels, finest first. Blocks have 240 to 600 rows: long enough to be compressed well (one of 60 takes half as
     much again), short enough that a year is read in a few milliseconds."""
     return (
-        Level(0, "rows", 0.0, 60.0, config.rows_hours * _HOUR),
-        Level(1, "1 s", 1.0, 600.0, config.seconds_days * _DAY),
-        Level(2, "1 min", 60.0, 6 * _HOUR, config.minutes_days * _DAY),
-        Level(3, "1 h", 3600.0, 20 * _DAY, config.hours_years * _YEAR),
+        Level(0, "rows", 0.0, 60.0, config.rows_hours * _HOUR, False),
+        Level(1, "1 s", 1.0, 600.0, config.seconds_days * _DAY, False),
+        Level(2, "1 min", 60.0, 6 * _HOUR, config.minutes_days * _DAY, True),
+        Level(3, "1 h", 3600.0, 20 * _DAY, config.hours_years * _YEAR, True),
     )
 
 

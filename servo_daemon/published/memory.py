@@ -8,7 +8,8 @@ import numpy as np
 
 from servo_daemon.published.archive import Span
 from servo_daemon.published.buckets import TRUTH, Buckets
-from servo_daemon.published.history import HistoryRing, RingRows
+from servo_daemon.published.history import HistoryRing
+from servo_daemon.published.ring_rows import RingRows
 
 
 def of_ring(found: RingRows) -> Buckets:

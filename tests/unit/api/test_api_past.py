@@ -81,7 +81,8 @@ def test_csv(client: Client, accept: str) -> None:
     assert [float(row["R"]) for row in rows] == document["series"]["R"]["value"]
     assert list(rows[0]) == [
         "time", "R", "R_std", "R_min", "R_max", "R_spread", "R_count", "R_status",
-        "current_A", "current_A_min", "current_A_max", "current_A_spread", "current_A_count", "L",
+        "current_A", "current_A_min", "current_A_max", "current_A_spread", "current_A_count",
+        "L", "L_std", "L_min", "L_max", "L_spread", "L_count", "L_status",
     ]  # fmt: skip
     assert {row["L"] for row in rows} == {""} and {row["R_status"] for row in rows} == {"tracking"}
 

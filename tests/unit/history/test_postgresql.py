@@ -14,9 +14,10 @@ import pytest
 from servo_daemon.config import HistoryConfig
 from servo_daemon.errors import ConfigError
 from servo_daemon.history.database import Database
+from servo_daemon.history.move import move
 from tests import postgresql
 from tests.fake_daemon import T0
-from tests.unit.history.world import World
+from tests.unit.history.world import Drive, World
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +64,22 @@ def test_a_life_in_postgresql(url: str) -> None:
     with engine.connect() as connection:
         assert 10_000 < world.database.size_bytes(connection) < 10_000_000
     world.recorder.close()
+
+
+@pytest.mark.slow
+@pytest.mark.system
+def test_a_file_moved_to_postgresql_is_gone_on_with(url: str, tmp_path: Path) -> None:
+    other = url.replace("/postgres?", "/template1?")  # a database of its own
+    world = World.in_folder(tmp_path)
+    world.run(90.0)
+    world.recorder.close()
+    move(Database(tmp_path / "history.sqlite"), Database(None, other))
+    there = World(Database(None, other), drives=(Drive(),), now=world.now, monotonic=world.monotonic, truth=world.truth)
+    there.turn()
+    there.run(60.0)
+    assert there.recorder.problem is None
+    assert there.archive.span("axis1", ["R"], T0 - 1, None, None, "1 h").buckets.count.sum() == 1500
+    there.recorder.close()
 
 
 def test_a_server_that_is_not_there_is_told_and_tried_again(tmp_path: Path) -> None:

@@ -55,6 +55,12 @@ def test_single_rows_are_there_with_state_and_truth(half_an_hour: World) -> None
     assert set(half_an_hour.archive.names("axis1")) == set(span.buckets.names)
 
 
+def test_the_bucket_in_which_a_span_ends_is_whole(half_an_hour: World) -> None:
+    for end in (T0 + 1441.0, T0 + 661.0):  # in blocks that are open and packed
+        minutes = half_an_hour.archive.span("axis1", ["R"], end - 100, end, None, "1 min").buckets
+        assert minutes.time_s.tolist() == [end - 121, end - 61, end - 1] and set(minutes.count[:, 0]) == {600}
+
+
 def test_few_points_hold_all_that_was_there(half_an_hour: World) -> None:
     span = half_an_hour.archive.span("axis1", ["R"], T0, None, 40, "1 s")
     assert 20 <= len(span.buckets) <= 40

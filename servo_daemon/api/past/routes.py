@@ -7,17 +7,32 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import Annotated, Final, TypeVar
+from typing import Final, TypeVar
 
-from fastapi import APIRouter, Path, Query, Request
+from fastapi import APIRouter, Request
 from starlette.responses import Response
 
-from servo_daemon.api import past_documents, spans
 from servo_daemon.api.answers import INVALID, UNKNOWN_DRIVE, Responses, problem_answer, tagged
+from servo_daemon.api.past import documents, spans
+from servo_daemon.api.past.queries import (
+    DEFAULT_POINTS,
+    MOST_EVENTS,
+    Before,
+    DriveName,
+    Kinds,
+    LevelName,
+    Limit,
+    Points,
+    Question,
+    SeriesNames,
+    TimeText,
+    Window,
+    question,
+    split_names,
+    time_of,
+)
 from servo_daemon.api.problems import ProblemError, parameter_problem
 from servo_daemon.api.schemas import past as schemas
-from servo_daemon.api.times import ACCEPTED, DURATIONS, parse_duration, parse_time
 from servo_daemon.published.archive import Archive, ArchiveUnavailableError, EventPage, Span
 from servo_daemon.published.history import HistorySeries
 from servo_daemon.published.memory import memory_span
@@ -25,60 +40,10 @@ from servo_daemon.published.rollup import fewer
 from servo_daemon.published.units import split_unit
 from servo_daemon.published.view import DaemonView, DriveView
 
-DEFAULT_POINTS: Final = 1000
-MAX_POINTS: Final = 20_000
-#: As many series as the page could show, and more than a drive has.
-_MOST_SERIES: Final = 64
-#: As many events as the memory holds.
-_MOST_EVENTS: Final = 1000
+Found = TypeVar("Found")
 
 #: What every drive shows beside its parameters, as far as it is measured or follows from it.
 _STATE: Final = ("current_A", "velocity_rad_s", "position_rad")
-
-DriveName = Annotated[str, Path(description="The drive's name in the configuration.", examples=["axis1"])]
-TimeText = Annotated[str | None, Query(description=f"Inclusive; {ACCEPTED}.", examples=["-10min"])]
-Window = Annotated[
-    str | None,
-    Query(description=f"Instead of `start`: how far back from the end; {DURATIONS}.", examples=["1y"]),
-]
-Points = Annotated[
-    int,
-    Query(
-        ge=2,
-        le=MAX_POINTS,
-        description="At most so many rows. More single rows are thinned: of equally many each the lowest and the "
-        "highest value are kept, as they were recorded. Buckets are summed up, with `min` and `max` of all.",
-    ),
-]
-SeriesNames = Annotated[
-    str,
-    Query(
-        max_length=2000,
-        description="A parameter (`R`, `L`, `K`, `J`, `B`, an effect's own) or a state channel (`current_A`, "
-        "`velocity_rad_s`, ...); several, separated by commas, get one column of times.",
-        examples=["R", "R,K,current_A"],
-    ),
-]
-LevelName = Annotated[
-    str | None,
-    Query(description="`rows`, `1 s`, `1 min` or `1 h` instead of the level that suits.", examples=["1 min"]),
-]
-Kinds = Annotated[
-    str | None, Query(max_length=2000, description="Only these, separated by commas.", examples=["alarm"])
-]
-Limit = Annotated[int, Query(ge=1, le=_MOST_EVENTS, description="At most so many, the newest.")]
-Before = Annotated[int | None, Query(ge=1, le=2**62, description="`next` of the page after this one.")]
-
-Found = TypeVar("Found")
-
-
-@dataclass(frozen=True, slots=True)
-class _Question:
-    names: tuple[str, ...]
-    start: float | None
-    end: float | None
-    points: int
-    level: str | None
 
 
 class PastRoutes:
@@ -109,14 +74,14 @@ class PastRoutes:
         """
         view = self._find(drive)
         kind = spans.wanted(request.headers.get("accept", ""))
-        asked = _question(parameter, start, end, window, points, level)
+        asked = question(parameter, start, end, window, points, level)
         if kind == "json" and len(asked.names) == 1 and (self._archive is None or self._in_memory(view, asked)):
-            return tagged(request, past_documents.encode_series(view, _from_memory(view, asked)))
+            return tagged(request, documents.encode_series(view, _from_memory(view, asked)))
         if kind != "json":
             spans.check_available(kind)
         return await self._call(self._answer, request, view, asked, kind)
 
-    def _in_memory(self, view: DriveView, asked: _Question) -> bool:
+    def _in_memory(self, view: DriveView, asked: Question) -> bool:
         """Whether the ring alone holds all of the span."""
         ring = view.history
         first = ring.first_time
@@ -124,18 +89,18 @@ class PastRoutes:
             return False
         return len(ring) == ring.capacity if asked.start is None else first <= asked.start
 
-    def _answer(self, request: Request, view: DriveView, asked: _Question, kind: spans.Kind) -> Response:
+    def _answer(self, request: Request, view: DriveView, asked: Question, kind: spans.Kind) -> Response:
         span, note = self._span(view, asked, must=kind != "json")
         _check_known(view, self._archive, asked.names, span)
         if kind != "json":
-            body, media_type = spans.encode(span, asked.names, kind)
+            body, media_type = spans.encode(span, asked.names, _units(view), kind)
             return tagged(request, body, media_type)
         if len(asked.names) > 1:
-            return tagged(request, past_documents.encode_span(view, asked.names, span, note))
-        series = past_documents.series_of(span, asked.names[0], _empty(view, asked.names[0]), asked.points)
-        return tagged(request, past_documents.encode_series(view, series, span, note))
+            return tagged(request, documents.encode_span(view, asked.names, span, note))
+        series = documents.series_of(span, asked.names[0], _empty(view, asked.names[0]), asked.points)
+        return tagged(request, documents.encode_series(view, series, span, note))
 
-    def _span(self, view: DriveView, asked: _Question, *, must: bool) -> tuple[Span, str | None]:
+    def _span(self, view: DriveView, asked: Question, *, must: bool) -> tuple[Span, str | None]:
         """From the store, or what memory has with a note why.
 
         Raises:
@@ -167,15 +132,15 @@ class PastRoutes:
         drive: DriveName,
         kinds: Kinds = None,
         since: TimeText = None,
-        limit: Limit = _MOST_EVENTS,
+        limit: Limit = MOST_EVENTS,
         before: Before = None,
     ) -> Response:
         """What happened to this drive, oldest first: the newest of all that match, and by `next` those before them."""
         view = self._find(drive)
-        wanted = _split("kinds", kinds) if kinds else ()
-        since_s = _time("since", since, time.time())
+        wanted = split_names("kinds", kinds) if kinds else ()
+        since_s = time_of("since", since, time.time())
         if self._archive is None:
-            return tagged(request, past_documents.encode_events(_memory_events(view, wanted, since_s, limit)))
+            return tagged(request, documents.encode_events(_memory_events(view, wanted, since_s, limit)))
         return await self._call(self._page, request, view, wanted, since_s, limit, before)
 
     def _page(
@@ -187,46 +152,10 @@ class PastRoutes:
             page = self._archive.events(view.name, kinds, since_s, limit, before)
         except ArchiveUnavailableError:
             page = _memory_events(view, kinds, since_s, limit)
-        return tagged(request, past_documents.encode_events(page))
+        return tagged(request, documents.encode_events(page))
 
     async def _call(self, work: Callable[..., Found], *arguments: object) -> Found:
         return await asyncio.get_running_loop().run_in_executor(self._executor, lambda: work(*arguments))
-
-
-def _question(
-    parameter: str, start: str | None, end: str | None, window: str | None, points: int, level: str | None
-) -> _Question:
-    now = time.time()
-    names = _split("parameter", parameter)
-    start_s, end_s = _time("start", start, now), _time("end", end, now)
-    if window is not None:
-        if start is not None:
-            raise parameter_problem("window", "give start or window, not both")
-        try:
-            start_s = (now if end_s is None else end_s) - parse_duration(window)
-        except ValueError as error:
-            raise parameter_problem("window", str(error)) from error
-    if start_s is not None and end_s is not None and start_s > end_s:
-        raise parameter_problem("start", "must not be after 'end'")
-    return _Question(names, start_s, end_s, points, level)
-
-
-def _split(name: str, text: str) -> tuple[str, ...]:
-    parts = tuple(dict.fromkeys(part.strip() for part in text.split(",")))
-    if "" in parts:
-        raise parameter_problem(name, "a name is missing")
-    if len(parts) > _MOST_SERIES:
-        raise parameter_problem(name, f"at most {_MOST_SERIES} names")
-    return parts
-
-
-def _time(name: str, text: str | None, now_s: float) -> float | None:
-    if text is None:
-        return None
-    try:
-        return parse_time(text, now_s)
-    except ValueError as error:
-        raise parameter_problem(name, str(error)) from error
 
 
 def _default_start(view: DriveView) -> float:
@@ -239,7 +168,7 @@ def _limited(span: Span, points: int) -> Span:
     return Span(span.level, span.start_s, span.end_s, fewer(span.buckets, points))
 
 
-def _from_memory(view: DriveView, asked: _Question) -> HistorySeries:
+def _from_memory(view: DriveView, asked: Question) -> HistorySeries:
     """One series of the ring. Rows later than the last one are of a clock that has been set back since."""
     name, last = asked.names[0], view.snapshot().time
     end = asked.end if last is None else last if asked.end is None else min(last, asked.end)

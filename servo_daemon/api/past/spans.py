@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import importlib
 import io
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, Final, Literal
 
 import numpy as np
 
-from servo_daemon.api.past_documents import column, dominant
+from servo_daemon.api.past.documents import column, dominant
 from servo_daemon.api.problems import ProblemError
 from servo_daemon.api.times import iso_utc_list
 from servo_daemon.published.archive import Span
@@ -57,13 +57,16 @@ def check_available(kind: Kind) -> None:
             raise ProblemError(406, "no_parquet", detail, available=["application/json", CSV]) from None
 
 
-def encode(span: Span, names: Sequence[str], kind: Kind) -> tuple[bytes, str]:
+def encode(span: Span, names: Sequence[str], parameters: Collection[str], kind: Kind) -> tuple[bytes, str]:
     """The table as bytes, and their media type.
 
     Columns: `time`, then for each series P `P`, and of a parameter `P_std`, `P_status`; of buckets also `P_min`,
-    `P_max`, `P_spread`, `P_count`.
+    `P_max`, `P_spread`, `P_count`. The same for every span of a level, whatever was there in it.
+
+    Args:
+        parameters: of `names`, those that are parameters where the span does not say it.
     """
-    columns = _table(span, names)
+    columns = _table(span, names, parameters)
     if kind == "parquet":
         return _parquet(span, columns), PARQUET
     lines = [",".join(["time", *columns])]
@@ -72,24 +75,22 @@ def encode(span: Span, names: Sequence[str], kind: Kind) -> tuple[bytes, str]:
     return ("\n".join(lines) + "\n").encode(), f"{CSV}; charset=utf-8"
 
 
-def _table(span: Span, names: Sequence[str]) -> dict[str, list[Any]]:
+def _table(span: Span, names: Sequence[str], parameters: Collection[str]) -> dict[str, list[Any]]:
     b = span.buckets
     columns: dict[str, list[Any]] = {}
+    nothing = [None] * len(b)
     for name in names:
-        if name not in b.names:
-            columns[name] = [None] * len(b)
-            continue
-        k = b.names.index(name)
-        columns[name] = column(b.mean[:, k])
-        if b.is_parameter[k]:
-            columns[f"{name}_std"] = column(b.std[:, k])
-        if b.period_s:
-            columns[f"{name}_min"] = column(b.low[:, k])
-            columns[f"{name}_max"] = column(b.high[:, k])
-            columns[f"{name}_spread"] = column(b.spread[:, k])
-            columns[f"{name}_count"] = b.count[:, k].tolist()
-        if b.is_parameter[k]:
-            columns[f"{name}_status"] = list(dominant(b, k))
+        k = b.names.index(name) if name in b.names else None
+        is_parameter = name in parameters if k is None else b.is_parameter[k]
+        columns[name] = nothing if k is None else column(b.mean[:, k])
+        if is_parameter:
+            columns[f"{name}_std"] = nothing if k is None else column(b.std[:, k])
+        if b.period_s or span.level != "rows":
+            for key, values in (("min", b.low), ("max", b.high), ("spread", b.spread)):
+                columns[f"{name}_{key}"] = nothing if k is None else column(values[:, k])
+            columns[f"{name}_count"] = nothing if k is None else b.count[:, k].tolist()
+        if is_parameter:
+            columns[f"{name}_status"] = nothing if k is None else list(dominant(b, k))
     return columns
 
 

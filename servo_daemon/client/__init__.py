@@ -1,0 +1,28 @@
+"""A running daemon, read from Python: `pip install 'servo-daemon[client]'`.
+
+    from servo_daemon.client import Client
+
+    with Client("http://127.0.0.1:8077") as daemon:
+        print(daemon.estimates("axis1")["R"])
+        year = daemon.history("axis1", "R", "K", window="1y").to_pandas()
+
+`AsyncClient` has the same methods to be awaited.
+"""
+
+from servo_daemon.client.clients import AsyncClient, Client
+from servo_daemon.client.errors import DaemonError, UnreachableError
+from servo_daemon.client.records import Diagnosis, Estimates, Event, History, Model, Parameter, Series
+
+__all__ = [
+    "AsyncClient",
+    "Client",
+    "DaemonError",
+    "Diagnosis",
+    "Estimates",
+    "Event",
+    "History",
+    "Model",
+    "Parameter",
+    "Series",
+    "UnreachableError",
+]
