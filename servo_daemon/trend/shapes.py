@@ -50,8 +50,8 @@ class Shape:
     step: float = 0.5
 
 
-#: Chances of a trend and of none are even; wear that grows faster and faster is taken for more likely than wear that does
-#: not, so that limits are reached before and after the interval equally often (benchmarks/life_trend.py --calibration).
+#: Wear that grows faster and faster is taken for more likely than wear that does not, so that limits are reached before
+#: and after the interval equally often (benchmarks/life_trend.py --calibration).
 SHAPES: Final = (
     Shape("none", 0.24),
     *(Shape("none", 0.1 / len(_WANDERING), wandering=w) for w in _WANDERING),
