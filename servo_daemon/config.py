@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from servo_daemon.config_hints import did_you_mean, keys_at, line_of
 from servo_daemon.config_texts import is_limit, parse_days, parse_drift
 from servo_daemon.errors import ConfigError
 from servo_daemon.plant.effects import check_effects, parameter_table
@@ -133,8 +134,10 @@ class LimitsConfig(BaseModel):
     def _alarms_are_known(self) -> LimitsConfig:
         for key, value in (self.model_extra or {}).items():
             match = _ALARM.fullmatch(key)
-            if match is None or match["parameter"] not in {*parameter_table(), "J_d"}:
-                raise ValueError(f"unknown key '{key}'")
+            known = (*parameter_table(), "J_d")
+            if match is None or match["parameter"] not in known:
+                alarms = (f"{name}_{side}" for name in known for side in ("max", "min"))
+                raise ValueError(f"unknown key '{key}'{did_you_mean(key, (*type(self).model_fields, *alarms))}")
             if not is_limit(value):
                 raise ValueError(f"'{key}' must be a number or a text such as \"+30 %\", not {value!r}")
         return self
@@ -230,7 +233,8 @@ class DriveConfig(_Section):
         read: dict[str, float] = {}
         for name, given in nominal.items():
             if name not in table:
-                raise ValueError(f"unknown key '{name}': parameters are {', '.join(sorted(table))}")
+                parameters = f"parameters are {', '.join(sorted(table))}"
+                raise ValueError(f"unknown key '{name}'{did_you_mean(name, table)}: {parameters}")
             try:
                 read[name] = table[name].read(given)
             except ValueError as error:
@@ -244,7 +248,7 @@ class DriveConfig(_Section):
     def _drift_is_readable(cls, drift: dict[str, str]) -> dict[str, str]:
         for name, text in drift.items():
             if name not in parameter_table():
-                raise ValueError(f"unknown key '{name}'")
+                raise ValueError(f"unknown key '{name}'{did_you_mean(name, parameter_table())}")
             try:
                 parse_drift(text)
             except ValueError as error:
@@ -292,14 +296,17 @@ class Config(_Section):
         raise ConfigError(f"no drive named {name!r}: the config has {', '.join(d.name for d in self.drive)}")
 
 
-def _explain(error: ValidationError, source: str) -> str:
+def _explain(error: ValidationError, source: str, text: str) -> str:
     """Pydantic's first complaint as one line that names the place; a misspelt key before the one it leaves missing."""
     complaints = error.errors()
     first = next((e for e in complaints if e["type"] == "extra_forbidden"), complaints[0])
     where = ".".join(str(part) for part in first["loc"]) or "config"
     where = re.sub(r"\.(\d+)", lambda m: f"[{m[1]}]", where)
     if first["type"] == "extra_forbidden":
-        return f"{source}: unknown key '{where}'"
+        place = first["loc"]
+        line = line_of(text, place)
+        told = "" if line is None else f", line {line}"
+        return f"{source}: unknown key '{where}'{told}{did_you_mean(str(place[-1]), keys_at(Config, place))}"
     message = first["msg"].removeprefix("Value error, ")
     if first["type"] == "tuple_type":  # TOML knows none
         message = "must be a list, [[drive]]" if where == "drive" else "must be a list, in brackets"
@@ -307,8 +314,11 @@ def _explain(error: ValidationError, source: str) -> str:
     return f"{source}: {where}: {message}" + (f" (and {more} more)" if more else "")
 
 
-def parse_config(data: Mapping[str, Any], source: str = "config") -> Config:
+def parse_config(data: Mapping[str, Any], source: str = "config", text: str = "") -> Config:
     """A checked configuration from already parsed TOML.
+
+    Args:
+        text: the TOML, to name lines of.
 
     Raises:
         ConfigError: with one line naming file and key.
@@ -316,7 +326,7 @@ def parse_config(data: Mapping[str, Any], source: str = "config") -> Config:
     try:
         return Config.model_validate(dict(data))
     except ValidationError as error:
-        raise ConfigError(_explain(error, source)) from error
+        raise ConfigError(_explain(error, source, text)) from error
 
 
 def _apply_environment(data: dict[str, Any], environ: Mapping[str, str]) -> None:
@@ -341,10 +351,11 @@ def load_config(path: Path | None, environ: Mapping[str, str] = os.environ) -> C
         ConfigError: unreadable, not TOML, unknown or impossible keys; one line naming the place.
     """
     data: dict[str, Any] = {}
-    source = "config" if path is None else str(path)
+    source, text = "config" if path is None else str(path), ""
     if path is not None:
         try:
-            data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+            text = path.read_text(encoding="utf-8-sig")
+            data = tomllib.loads(text)
         except OSError as error:
             raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
         except UnicodeDecodeError as error:
@@ -352,4 +363,4 @@ def load_config(path: Path | None, environ: Mapping[str, str] = os.environ) -> C
         except tomllib.TOMLDecodeError as error:
             raise ConfigError(f"{path}: not valid TOML: {error}") from error
     _apply_environment(data, environ)
-    return parse_config(data, source)
+    return parse_config(data, source, text)

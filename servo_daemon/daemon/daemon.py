@@ -15,7 +15,7 @@ from servo_daemon.daemon.drive import DriveRuntime
 from servo_daemon.daemon.learned_desk import LearnedDesk
 from servo_daemon.daemon.notify import Notifier
 from servo_daemon.daemon.recording import Recording
-from servo_daemon.daemon.trend_desk import TrendDesk
+from servo_daemon.daemon.trends.desk import TrendDesk
 from servo_daemon.daemon.worker import Seat, Workers
 from servo_daemon.history.archive import StoreArchive
 

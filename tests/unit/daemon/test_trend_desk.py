@@ -12,11 +12,11 @@ import pytest
 from servo_daemon.api.app import create_app
 from servo_daemon.api.schemas.trend import TrendDocument
 from servo_daemon.config import DriveConfig, parse_config
-from servo_daemon.daemon.trend_desk import TrendDesk
+from servo_daemon.daemon.trends.desk import TrendDesk
+from servo_daemon.daemon.trends.watch import FAR, NEAR, already_told, warnings
 from servo_daemon.errors import ConfigError
 from servo_daemon.pipeline.event_log import EventLog
 from servo_daemon.pipeline.pipeline import Pipeline
-from servo_daemon.pipeline.trend_watch import FAR, NEAR, already_told, warnings
 from servo_daemon.published.archive import ArchiveUnavailableError, Document, EventPage, Span
 from servo_daemon.published.buckets import Buckets
 from servo_daemon.published.history import STATUS_BY_CODE

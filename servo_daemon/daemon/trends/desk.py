@@ -9,8 +9,8 @@ from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
 from servo_daemon.config import DriveConfig
+from servo_daemon.daemon.trends.watch import FAR, NEAR, already_told, find_trends, names_of, warnings
 from servo_daemon.pipeline.event_log import EventLog
-from servo_daemon.pipeline.trend_watch import FAR, NEAR, already_told, find_trends, names_of, warnings
 from servo_daemon.published.archive import Archive, ArchiveUnavailableError
 from servo_daemon.published.trends import DriveTrends
 
