@@ -6,13 +6,15 @@ from collections.abc import Iterable
 from typing import Any, Final
 
 from fastapi import FastAPI
-from starlette.responses import JSONResponse
+from starlette.responses import HTMLResponse, JSONResponse
 
 from servo_daemon.api import assets, problems
 from servo_daemon.api.access.guard import Guard
 from servo_daemon.api.access.request_limits import RequestLimits
+from servo_daemon.api.answers import NO_STORE
 from servo_daemon.api.computing import Computer, ProcessComputer
 from servo_daemon.api.head import Head
+from servo_daemon.api.reference import reference_page
 from servo_daemon.api.routes import api_router, metrics_router
 from servo_daemon.api.schemas import diagnosis as diagnosis_schemas
 from servo_daemon.api.schemas import estimates as schemas
@@ -47,7 +49,7 @@ def create_app(daemon: DaemonView, allowed_hosts: Iterable[str] = (), computer: 
         version=daemon.version,
         description=_DESCRIPTION,
         openapi_url="/openapi.json",
-        docs_url=None,  # both pages load their scripts from a CDN
+        docs_url=None,  # both pages load their scripts from a CDN; `reference.py` has ours
         redoc_url=None,
         redirect_slashes=False,
     )
@@ -77,6 +79,10 @@ def _describe(app: FastAPI) -> None:
     @app.get(f"{PREFIX}/openapi.json", include_in_schema=False)
     async def openapi_json() -> JSONResponse:
         return JSONResponse(openapi())
+
+    @app.get("/docs", include_in_schema=False)
+    async def docs() -> HTMLResponse:
+        return HTMLResponse(reference_page(openapi()), headers=NO_STORE)
 
 
 #: By name; those with examples are asked for.

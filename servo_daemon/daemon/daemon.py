@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from drivers.registry import make_driver
 from servo_daemon import __version__
@@ -14,10 +15,12 @@ from servo_daemon.daemon.diagnosis.runner import DiagnosisRunner
 from servo_daemon.daemon.drive import DriveRuntime
 from servo_daemon.daemon.learned_desk import LearnedDesk
 from servo_daemon.daemon.notify import Notifier
-from servo_daemon.daemon.recording import Recording
 from servo_daemon.daemon.trends.desk import TrendDesk
 from servo_daemon.daemon.worker import Seat, Workers
-from servo_daemon.history.archive import StoreArchive
+
+if TYPE_CHECKING:
+    from servo_daemon.daemon.recording import Recording
+    from servo_daemon.history.archive import StoreArchive
 
 #: The workers are looked after this often, s.
 _WATCH_S = 0.02
@@ -53,10 +56,19 @@ class Daemon:
         self._learned = LearnedDesk(config.learning)
         self._workers = Workers(self._stop)
         self._seats = {d.name: self._seat_for(d, state_dir) for d in config.drive}
-        self._recording = Recording.of(config.history, state_dir, [seat.runtime for seat in self._seats.values()])
+        self._recording = self._recorded(state_dir)
         self._trends = TrendDesk(self.archive, [seat.runtime for seat in self._seats.values()])
         self._watcher = threading.Thread(target=self._watch, name="watch", daemon=True)
         self._saver = threading.Thread(target=self._save, name="saver", daemon=True)
+
+    def _recorded(self, state_dir: Path | None) -> Recording | None:
+        """What writes the history, if one is kept."""
+        h = self.config.history
+        if not h.enabled or (h.path is None and h.url is None and state_dir is None):
+            return None
+        from servo_daemon.daemon.recording import Recording  # SQLAlchemy takes its time to load
+
+        return Recording(h, state_dir, [seat.runtime for seat in self._seats.values()])
 
     def _seat_for(self, config: DriveConfig, state_dir: Path | None) -> Seat:
         driver = make_driver(config.driver, config.name, config.options)

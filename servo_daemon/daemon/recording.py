@@ -25,23 +25,21 @@ FILE: Final = "history.sqlite"
 class Recording:
     """`start` and `stop` once each.
 
+    Args:
+        config: with `url` or `path`, unless there is a `state_dir`.
+        sources: the drives.
+
     Raises:
         ConfigError: `[history] url` makes no sense.
     """
 
-    def __init__(self, database: Database, config: HistoryConfig, sources: Sequence[Source]) -> None:
+    def __init__(self, config: HistoryConfig, state_dir: Path | None, sources: Sequence[Source]) -> None:
+        path = config.path if state_dir is None or config.path is not None else state_dir / FILE
+        database = Database(None if config.url is not None or path is None else Path(path), config.url)
         self.recorder = Recorder(database, levels_of(config), sources, config.quota_MB * 1e6)
         self.archive = StoreArchive(self.recorder)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="history", daemon=True)
-
-    @classmethod
-    def of(cls, config: HistoryConfig, state_dir: Path | None, sources: Sequence[Source]) -> Recording | None:
-        """As configured; None: nothing is kept beyond memory."""
-        path = Path(config.path) if config.path is not None else None if state_dir is None else state_dir / FILE
-        if not config.enabled or (config.url is None and path is None):
-            return None
-        return cls(Database(None if config.url is not None else path, config.url), config, sources)
 
     @property
     def problem(self) -> str | None:

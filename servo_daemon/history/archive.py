@@ -17,7 +17,7 @@ from servo_daemon.history.events import read_documents, read_events
 from servo_daemon.history.levels import Level, choose
 from servo_daemon.history.recorder import Recorder, Source
 from servo_daemon.history.tables import BLOCK
-from servo_daemon.published.archive import ArchiveUnavailableError, Document, EventPage, Span
+from servo_daemon.published.archive import ArchiveUnavailableError, Counts, Document, EventPage, Span
 from servo_daemon.published.buckets import Buckets
 from servo_daemon.published.memory import of_ring, within
 from servo_daemon.published.rollup import fewer, roll_up
@@ -36,6 +36,11 @@ class StoreArchive:
     @property
     def _levels(self) -> tuple[Level, ...]:
         return tuple(self.recorder.levels)
+
+    @property
+    def counts(self) -> Counts:
+        """See `Archive`."""
+        return self.recorder.counts
 
     def names(self, drive: str) -> tuple[str, ...]:
         """See `Archive`: of the last hour, day and 90 days that are there."""

@@ -21,6 +21,7 @@ from servo_daemon.history.blocks import BlockWriter, drive_id
 from servo_daemon.history.database import Database, describe, is_broken
 from servo_daemon.history.events import add_document, add_events
 from servo_daemon.history.levels import Level
+from servo_daemon.published.archive import Counts
 from servo_daemon.published.diagnosis_state import DiagnosisView
 from servo_daemon.published.history import HistoryRing
 from servo_daemon.published.memory import of_ring
@@ -72,16 +73,6 @@ class Mark:
     event: int = 0
     diagnosed: float | None = None
     model: tuple[str, ...] | None = None
-
-
-@dataclass
-class Counts:
-    """Since the start."""
-
-    rows: int = 0
-    rows_dropped: int = 0
-    events_dropped: int = 0
-    outages: int = 0
 
 
 @dataclass
@@ -144,30 +135,36 @@ class Recorder:
         return self.engine
 
     def _write(self, wall_s: float) -> bool:
-        marks, counts = dict(self.marks), replace(self.counts)
+        marks, counts = dict(self.marks), self.counts
         more = False
         with self._opened().connect() as connection, connection.begin() as transaction:
             for source in self.sources:
-                marks[source.name] = self._write_drive(connection, source, counts, wall_s)
+                marks[source.name], counts = self._write_drive(connection, source, counts, wall_s)
                 more = more or marks[source.name].row < source.history.rows - 100
             with self.lock:
                 transaction.commit()
                 self.marks, self.counts = marks, counts
         return more
 
-    def _write_drive(self, connection: sa.Connection, source: Source, counts: Counts, wall_s: float) -> Mark:
+    def _write_drive(
+        self, connection: sa.Connection, source: Source, counts: Counts, wall_s: float
+    ) -> tuple[Mark, Counts]:
         drive, mark = self._ids[source.name], self.marks[source.name]
         found = source.history.since(mark.row)
         rows = of_ring(found).take(slice(0, _MOST_ROWS))
         if len(rows):
             self._blocks.add(connection, drive, rows)
-        counts.rows += len(rows)
-        counts.rows_dropped += found.first - mark.row
         after = found.next if len(rows) == len(found.time_s) else found.first + len(rows)
         number, events = source.log.since(mark.event)
         add_events(connection, drive, events)
-        counts.events_dropped += number - mark.event - len(events)
-        return _write_documents(connection, drive, source, replace(mark, row=after, event=number), wall_s)
+        counts = replace(
+            counts,
+            rows=counts.rows + len(rows),
+            rows_dropped=counts.rows_dropped + found.first - mark.row,
+            events_dropped=counts.events_dropped + number - mark.event - len(events),
+        )
+        mark = replace(mark, row=after, event=number)
+        return _write_documents(connection, drive, source, mark, wall_s), counts
 
     def _look_after(self, wall_s: float, monotonic_s: float) -> None:
         """Delete what is too old, or too much."""
@@ -190,7 +187,7 @@ class Recorder:
         text = f"the history cannot be written to {self.database.where}: {describe(error)}"
         if self.problem is None:
             log.warning("%s; the estimation goes on, and what the memory holds is written when it can be", text)
-            self.counts.outages += 1
+            self.counts = replace(self.counts, outages=self.counts.outages + 1)
         self.problem = text
         self._retry_s = monotonic_s + _RETRY_S
         if is_broken(error) and self.database.path is not None:

@@ -47,9 +47,23 @@ class Span:
     buckets: Buckets
 
 
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """What has happened to rows and events since the start; `outages`: times the database went out of reach."""
+
+    rows: int = 0
+    rows_dropped: int = 0
+    events_dropped: int = 0
+    outages: int = 0
+
+
 class Archive(Protocol):
     """The past of all drives. Each method may wait for a disk or a server: not for the event loop. All raise
-    ArchiveUnavailableError."""
+    ArchiveUnavailableError. `counts` does neither."""
+
+    @property
+    def counts(self) -> Counts:
+        """What was written and what was lost."""
 
     def names(self, drive: str) -> tuple[str, ...]:
         """Series of that drive of which the newest blocks of any level hold something."""

@@ -37,6 +37,13 @@ _COUNTER_HELP: Final = {
     "device_restarts": "Times the device's own time or numbering jumped back.",
 }
 
+_HISTORY_HELP: Final = {
+    "rows": "Rows written to the history.",
+    "rows_dropped": "Rows that memory no longer had when the history could be written again.",
+    "events_dropped": "Events that memory no longer had when the history could be written again.",
+    "outages": "Times the history went out of reach.",
+}
+
 #: Unit at the end of a key of the health record -> unit in the metric name, and the factor to the SI base unit.
 _HEALTH_UNITS: Final = (
     ("_rad_s", "_radian_per_second", 1.0),
@@ -59,6 +66,9 @@ def render_metrics(daemon: DaemonView) -> str:
     out.add(_PREFIX + "build_info", "gauge", "Version of the daemon.", 1, version=daemon.version)
     out.add(_PREFIX + "start_time_seconds", "gauge", "Start of the daemon, Unix time.", daemon.started)
     out.add(_PREFIX + "healthy", "gauge", "1 while the daemon itself has no problem.", not daemon.problems())
+    if daemon.archive is not None:
+        for name, help_text in _HISTORY_HELP.items():
+            out.add(f"{_PREFIX}history_{name}_total", "counter", help_text, getattr(daemon.archive.counts, name))
     for drive in daemon.drives.values():
         snapshot = drive.snapshot()
         _add_drive(out, drive.name, drive.driver, snapshot)

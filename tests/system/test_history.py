@@ -57,7 +57,7 @@ from servo_daemon.daemon.recording import Recording
 from tests.fake_daemon import make_snapshot
 from tests.unit.history.world import Drive
 drive = Drive()
-recording = Recording.of(HistoryConfig(), Path(sys.argv[1]), [drive])
+recording = Recording(HistoryConfig(), Path(sys.argv[1]), [drive])
 recording.start()
 while True:
     time.sleep(0.1)

@@ -20,7 +20,6 @@ from servo_daemon.published.trends import DAY_S, DriveTrends
 from servo_daemon.samples import F64
 from servo_daemon.tracking.plan.settings import Message
 from servo_daemon.trend.records import Limit, Trend
-from servo_daemon.trend.trend import assess
 from servo_daemon.trend.warning import is_near
 from servo_daemon.trend.words import sentence
 
@@ -63,6 +62,8 @@ def find_trends(config: DriveConfig, hours: Buckets, time_s: float) -> DriveTren
 
 
 def _trend(config: DriveConfig, name: str, time_s: F64, means: Mapping[str, F64], limits: tuple[Limit, ...]) -> Trend:
+    from servo_daemon.trend.trend import assess  # loads scipy
+
     warm = means.get(TEMPERATURE)
     if warm is not None and not np.isfinite(warm).any():
         warm = None

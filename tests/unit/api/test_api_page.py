@@ -92,6 +92,22 @@ def test_the_vendored_library_is_what_its_note_says() -> None:
     assert "MIT" in (DASHBOARD / "vendor" / "uPlot.LICENSE").read_text(encoding="utf-8")
 
 
+def test_the_api_is_described_on_a_page_that_needs_nothing_from_elsewhere(client: Client) -> None:
+    page = client.get("/docs")
+    assert page.status_code == 200 and page.headers["content-type"] == "text/html; charset=utf-8"
+    for path, item in client.get("/openapi.json").json()["paths"].items():
+        for method in item:
+            assert f"<b>{method.upper()}</b> <code>{path}</code></h2>" in page.text
+    assert "<script" not in page.text and not re.findall(r"(?:src|href)=.(?:https?:)?//", page.text)
+    for sheet in re.findall(r'href="(assets/[^"]+)"', page.text):
+        assert client.get(f"/{sheet}").status_code == 200
+    targets = set(re.findall(r'href="#([^"]+)"', page.text))
+    assert targets and targets == set(re.findall(r'<section id="([^"]+)"', page.text))
+    assert (
+        page.text.count("<code>application/vnd.apache.parquet</code>") <= 1 and "&lt;" not in page.text.split("<pre")[0]
+    )
+
+
 def _references(node: Any) -> set[str]:
     if isinstance(node, dict):
         own = {node["$ref"]} if isinstance(node.get("$ref"), str) else set()

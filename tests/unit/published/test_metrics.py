@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import pytest
 
@@ -14,6 +15,7 @@ from servo_daemon.published.metrics import render_metrics
 from servo_daemon.published.snapshot import ParameterEstimate
 from tests.fake_daemon import FakeDaemon, fake_daemon, make_estimate, make_snapshot
 from tests.http_rig import Client
+from tests.unit.history.world import World
 
 _LABEL = re.compile(r'([a-zA-Z_][a-zA-Z0-9_]*)="((?:[^"\\\n]|\\["\\n])*)"(,|$)')
 _SAMPLE = re.compile(r"([a-zA-Z_:][a-zA-Z0-9_:]*)(?:\{(.*)\})? (\S+)")
@@ -187,6 +189,17 @@ def test_a_daemon_with_a_problem() -> None:
     daemon = fake_daemon()
     daemon.wrong = ("it does not turn",)
     assert metrics(daemon)["servo_daemon_healthy"].samples == {(): 0}
+
+
+def test_what_the_history_lost_is_counted(tmp_path: Path) -> None:
+    daemon = fake_daemon()
+    assert "history" not in render_metrics(daemon)
+    world = World.in_folder(tmp_path)
+    world.run(3.0)
+    daemon.archive = world.archive
+    text = render_metrics(daemon)
+    assert "servo_daemon_history_rows_total 30\n" in text and "servo_daemon_history_rows_dropped_total 0\n" in text
+    world.recorder.close()
 
 
 def test_impossible_metrics_are_refused() -> None:
