@@ -21,13 +21,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from servo_daemon.config import LimitsConfig
 from servo_daemon.trend.records import Limit, Trend
 from servo_daemon.trend.series import YEAR_D
 from servo_daemon.trend.trend import assess
-from servo_daemon.trend.warning import WARN_BEFORE_D, is_near
+from servo_daemon.trend.warning import is_near
 from tests.lives import KINDS, STEADY, Life, calibration_seed, kinds, make_life, report_seed
 
 _EVERY_D = 45.0
+WARN_BEFORE_D = LimitsConfig().warn_before_d
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from servo_daemon.config_texts import is_limit, parse_drift
+from servo_daemon.config_hints import did_you_mean, keys_at, line_of
+from servo_daemon.config_texts import is_limit, parse_days, parse_drift
 from servo_daemon.errors import ConfigError
 from servo_daemon.plant.effects import check_effects, parameter_table
 from servo_daemon.signal_meaning import SignalMeaning
@@ -128,13 +129,27 @@ class LimitsConfig(BaseModel):
     current_A: PositiveFloat | None = None
     velocity_rad_s: PositiveFloat | None = None
     travel_rad: PositiveFloat | None = None
+    warn_before: str = "180 d"  # an event when the time until a limit may be shorter
+
+    @field_validator("warn_before")
+    @classmethod
+    def _warn_before_is_readable(cls, text: str) -> str:
+        parse_days(text)
+        return text
+
+    @property
+    def warn_before_d(self) -> float:
+        """In days."""
+        return parse_days(self.warn_before)
 
     @model_validator(mode="after")
     def _alarms_are_known(self) -> LimitsConfig:
         for key, value in (self.model_extra or {}).items():
             match = _ALARM.fullmatch(key)
-            if match is None or match["parameter"] not in {*parameter_table(), "J_d"}:
-                raise ValueError(f"unknown key '{key}'")
+            known = (*parameter_table(), "J_d")
+            if match is None or match["parameter"] not in known:
+                alarms = (f"{name}_{side}" for name in known for side in ("max", "min"))
+                raise ValueError(f"unknown key '{key}'{did_you_mean(key, (*type(self).model_fields, *alarms))}")
             if not is_limit(value):
                 raise ValueError(f"'{key}' must be a number or a text such as \"+30 %\", not {value!r}")
         return self
@@ -156,10 +171,11 @@ class SignalsConfig(_Section):
     gear_ratio: PositiveFloat | None = None
     truncated_A: float | None = Field(None, ge=0)
     truncated_V: float | None = Field(None, ge=0)
+    temperature: Literal["winding", "elsewhere"] = "elsewhere"  # what the drive's temperature is of
 
     def meaning(self, otherwise: SignalMeaning | None = None) -> SignalMeaning:
         """With these keys; the others as the driver says."""
-        return (otherwise or SignalMeaning()).with_keys(self.model_dump(exclude_none=True))
+        return (otherwise or SignalMeaning()).with_keys(self.model_dump(exclude_none=True, exclude={"temperature"}))
 
 
 class ControllerConfig(_Section):
@@ -229,7 +245,8 @@ class DriveConfig(_Section):
         read: dict[str, float] = {}
         for name, given in nominal.items():
             if name not in table:
-                raise ValueError(f"unknown key '{name}': parameters are {', '.join(sorted(table))}")
+                parameters = f"parameters are {', '.join(sorted(table))}"
+                raise ValueError(f"unknown key '{name}'{did_you_mean(name, table)}: {parameters}")
             try:
                 read[name] = table[name].read(given)
             except ValueError as error:
@@ -243,7 +260,7 @@ class DriveConfig(_Section):
     def _drift_is_readable(cls, drift: dict[str, str]) -> dict[str, str]:
         for name, text in drift.items():
             if name not in parameter_table():
-                raise ValueError(f"unknown key '{name}'")
+                raise ValueError(f"unknown key '{name}'{did_you_mean(name, parameter_table())}")
             try:
                 parse_drift(text)
             except ValueError as error:
@@ -291,14 +308,17 @@ class Config(_Section):
         raise ConfigError(f"no drive named {name!r}: the config has {', '.join(d.name for d in self.drive)}")
 
 
-def _explain(error: ValidationError, source: str) -> str:
+def _explain(error: ValidationError, source: str, text: str) -> str:
     """Pydantic's first complaint as one line that names the place; a misspelt key before the one it leaves missing."""
     complaints = error.errors()
     first = next((e for e in complaints if e["type"] == "extra_forbidden"), complaints[0])
     where = ".".join(str(part) for part in first["loc"]) or "config"
     where = re.sub(r"\.(\d+)", lambda m: f"[{m[1]}]", where)
     if first["type"] == "extra_forbidden":
-        return f"{source}: unknown key '{where}'"
+        place = first["loc"]
+        line = line_of(text, place)
+        told = "" if line is None else f", line {line}"
+        return f"{source}: unknown key '{where}'{told}{did_you_mean(str(place[-1]), keys_at(Config, place))}"
     message = first["msg"].removeprefix("Value error, ")
     if first["type"] == "tuple_type":  # TOML knows none
         message = "must be a list, [[drive]]" if where == "drive" else "must be a list, in brackets"
@@ -306,8 +326,11 @@ def _explain(error: ValidationError, source: str) -> str:
     return f"{source}: {where}: {message}" + (f" (and {more} more)" if more else "")
 
 
-def parse_config(data: Mapping[str, Any], source: str = "config") -> Config:
+def parse_config(data: Mapping[str, Any], source: str = "config", text: str = "") -> Config:
     """A checked configuration from already parsed TOML.
+
+    Args:
+        text: the TOML, to name lines of.
 
     Raises:
         ConfigError: with one line naming file and key.
@@ -315,7 +338,7 @@ def parse_config(data: Mapping[str, Any], source: str = "config") -> Config:
     try:
         return Config.model_validate(dict(data))
     except ValidationError as error:
-        raise ConfigError(_explain(error, source)) from error
+        raise ConfigError(_explain(error, source, text)) from error
 
 
 def _apply_environment(data: dict[str, Any], environ: Mapping[str, str]) -> None:
@@ -340,10 +363,11 @@ def load_config(path: Path | None, environ: Mapping[str, str] = os.environ) -> C
         ConfigError: unreadable, not TOML, unknown or impossible keys; one line naming the place.
     """
     data: dict[str, Any] = {}
-    source = "config" if path is None else str(path)
+    source, text = "config" if path is None else str(path), ""
     if path is not None:
         try:
-            data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+            text = path.read_text(encoding="utf-8-sig")
+            data = tomllib.loads(text)
         except OSError as error:
             raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
         except UnicodeDecodeError as error:
@@ -351,4 +375,4 @@ def load_config(path: Path | None, environ: Mapping[str, str] = os.environ) -> C
         except tomllib.TOMLDecodeError as error:
             raise ConfigError(f"{path}: not valid TOML: {error}") from error
     _apply_environment(data, environ)
-    return parse_config(data, source)
+    return parse_config(data, source, text)

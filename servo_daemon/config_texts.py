@@ -1,4 +1,5 @@
-"""What a configuration writes as text with a unit: how fast parameters drift, limits relative to nominal values."""
+"""What a configuration writes as text with a unit: how fast parameters drift, limits relative to nominal values,
+spans of days."""
 
 from __future__ import annotations
 
@@ -9,6 +10,8 @@ _NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _UNIT = r"s|min|h|d"
 _DRIFT = re.compile(rf"\s*({_NUMBER})\s*%\s*/\s*(?:sqrt\s*)?(?:({_UNIT})|\(\s*({_UNIT})\s*\))\s*")
 _RELATIVE = re.compile(rf"\s*([+-]?{_NUMBER})\s*%\s*")
+_SPAN = re.compile(rf"\s*({_NUMBER})\s*([dwy])\s*")
+_DAYS = {"d": 1.0, "w": 7.0, "y": 365.25}
 _SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 
 
@@ -25,6 +28,19 @@ def parse_drift(text: str) -> float:
     if not math.isfinite(percent):
         raise ValueError(f"{text!r} is not finite")
     return percent / 100.0 / math.sqrt(_SECONDS[match[2] or match[3]])
+
+
+def parse_days(text: str) -> float:
+    """'180 d', '26 w' or '0.5 y' in days.
+
+    Raises:
+        ValueError: not of this form, or not positive.
+    """
+    match = _SPAN.fullmatch(text)
+    days = 0.0 if match is None else float(match[1]) * _DAYS[match[2]]
+    if not 0.0 < days < math.inf:
+        raise ValueError(f"{text!r} is not a time such as '180 d' (units d, w, y)")
+    return days
 
 
 def is_limit(value: object) -> bool:

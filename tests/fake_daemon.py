@@ -25,6 +25,7 @@ from servo_daemon.published.snapshot import (
     Snapshot,
     Status,
 )
+from servo_daemon.published.trends import DriveTrends
 from servo_daemon.published.view import ModelChange, StartValues, initial_parameters
 
 #: A fixed moment, so that answers can be compared as text: 2026-11-21T12:00:00Z.
@@ -104,6 +105,7 @@ class FakeDrive:
     current: Snapshot | None = None
     log: deque[Event] = field(default_factory=lambda: deque(maxlen=100))
     resets: int = 0
+    trends: DriveTrends = field(default_factory=DriveTrends)
     loop: LoopFacts = field(default_factory=lambda: LoopFacts(nominal=NOMINAL))
     diagnosis: DiagnosisView = field(default_factory=lambda: DiagnosisView(Diagnosis(), Adoption(False), True, None))
     refusal: Exception | None = None  # of the next request

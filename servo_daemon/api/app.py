@@ -21,6 +21,7 @@ from servo_daemon.api.routes import api_router, metrics_router
 from servo_daemon.api.schemas import diagnosis as diagnosis_schemas
 from servo_daemon.api.schemas import estimates as schemas
 from servo_daemon.api.schemas import past as past_schemas
+from servo_daemon.api.schemas import trend as trend_schemas
 from servo_daemon.published.view import DaemonView
 
 PREFIX: Final = "/api/v1"
@@ -98,7 +99,12 @@ def _describe(app: FastAPI) -> None:
 
 
 #: By name; those with examples are asked for.
-_MODELS: Final[dict[str, Any]] = {**vars(schemas), **vars(diagnosis_schemas), **vars(past_schemas)}
+_MODELS: Final[dict[str, Any]] = {
+    **vars(schemas),
+    **vars(diagnosis_schemas),
+    **vars(past_schemas),
+    **vars(trend_schemas),
+}
 
 
 def _corrected(document: dict[str, Any]) -> dict[str, Any]:

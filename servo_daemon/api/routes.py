@@ -26,8 +26,10 @@ from servo_daemon.api.past import routes as past
 from servo_daemon.api.problems import ProblemError, parameter_problem
 from servo_daemon.api.schemas import estimates as schemas
 from servo_daemon.api.schemas import past as past_schemas
+from servo_daemon.api.schemas import trend as trend_schemas
 from servo_daemon.api.schemas import tuning as tuning_schemas
 from servo_daemon.api.stream import StreamSlots, estimates_stream
+from servo_daemon.api.trend import trend_document
 from servo_daemon.api.tuning import TuningAnswers
 from servo_daemon.published import exposition
 from servo_daemon.published.metrics import render_metrics
@@ -122,6 +124,11 @@ class Routes:
         body = await while_connected(request, self._tuning[drive].get(Ask(bandwidth_hz, settling_s)))
         return Response(body, headers=NO_STORE, media_type="application/json")
 
+    async def trend(self, request: Request, drive: DriveName) -> Response:
+        """How the parameters age, season and temperature taken out, and when they reach their limits; found every hour
+        from the history."""
+        return tagged(request, documents.encode(trend_document(self.find(drive))))
+
     async def stream(self, drive: DriveName) -> Response:
         """The estimates document as server-sent events (`event: estimates`), each new one, at most ten a second.
 
@@ -174,6 +181,7 @@ def api_router(daemon: DaemonView, prefix: str, computer: Computer) -> APIRouter
     of_a_drive: tuple[tuple[str, Callable[..., Any], type[BaseModel], Responses], ...] = (
         ("", routes.drive, schemas.DriveDocument, {}),
         ("/estimates", routes.estimates, schemas.EstimatesDocument, {}),
+        ("/trend", routes.trend, trend_schemas.TrendDocument, {}),
         ("/tuning", routes.tuning, tuning_schemas.TuningDocument, {**INVALID, **_NOT_YET}),
     )
     for path, handler, model, responses in of_a_drive:

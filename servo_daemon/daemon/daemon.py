@@ -15,6 +15,7 @@ from servo_daemon.daemon.diagnosis.runner import DiagnosisRunner
 from servo_daemon.daemon.drive import DriveRuntime
 from servo_daemon.daemon.learned_desk import LearnedDesk
 from servo_daemon.daemon.notify import Notifier
+from servo_daemon.daemon.trends.desk import TrendDesk
 from servo_daemon.daemon.worker import Seat, Workers
 
 if TYPE_CHECKING:
@@ -56,6 +57,7 @@ class Daemon:
         self._workers = Workers(self._stop)
         self._seats = {d.name: self._seat_for(d, state_dir) for d in config.drive}
         self._recording = self._recorded(state_dir)
+        self._trends = TrendDesk(self.archive, [seat.runtime for seat in self._seats.values()])
         self._watcher = threading.Thread(target=self._watch, name="watch", daemon=True)
         self._saver = threading.Thread(target=self._save, name="saver", daemon=True)
 
@@ -105,6 +107,7 @@ class Daemon:
         self._learned.start()
         if self._recording is not None:
             self._recording.start()
+        self._trends.start()
         for runtime in self.drives.values():
             runtime.reader.start()
 
@@ -115,6 +118,7 @@ class Daemon:
             self._stop.set()
             self._diagnoses.kill()
             self._learned.begin_stop()
+            self._trends.begin_stop()
             for seat in self._seats.values():
                 seat.runtime.reader.request_stop()
                 seat.call()
@@ -128,6 +132,7 @@ class Daemon:
         for thread in (self._workers, self._watcher, self._saver):
             if thread.is_alive():
                 thread.join(max(0.05, deadline - time.monotonic()))
+        self._trends.stop(max(0.05, deadline - time.monotonic()))
         if self._recording is not None:  # after the workers: with their last rows
             self._recording.stop(max(0.05, deadline - time.monotonic()))
         self._diagnoses.stop(max(0.05, deadline - time.monotonic()))

@@ -31,6 +31,7 @@ from servo_daemon.published.diagnosis_state import DiagnosisView
 from servo_daemon.published.history import HistoryRing
 from servo_daemon.published.knowledge import LoopFacts
 from servo_daemon.published.snapshot import Estimate, Event, ParameterEstimate, Snapshot
+from servo_daemon.published.trends import DriveTrends
 from servo_daemon.published.view import ModelChange, StartValues, initial_parameters
 from servo_daemon.samples import SampleBlock, concatenate
 from servo_daemon.signal_meaning import SignalMeaning
@@ -80,6 +81,7 @@ class DriveRuntime:
         self._identity: str | None = None
         self.info: DriveInfo = driver.info
         self.estimate: Estimate | None = None
+        self.trends = DriveTrends()  # written by the desk of trends
         self._sample_time: float | None = None
         self._failures = self._repeated = 0
         self._quiet_until = 0.0

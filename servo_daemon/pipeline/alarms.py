@@ -60,6 +60,11 @@ class Alarms:
                 self.impossible.append(("alarm_impossible", f"the alarm {name} cannot work: {why}", {"alarm": name}))
 
     @property
+    def limits(self) -> tuple[Limit, ...]:
+        """Those that can ring."""
+        return tuple(self._limits)
+
+    @property
     def active(self) -> str | None:
         """Names of the alarms that ring, separated by commas, in the order of the configuration; None: none does."""
         return ",".join(limit.name for limit in self._limits if limit.name in self._active) or None

@@ -22,6 +22,7 @@ from servo_daemon.pipeline.publish import Publisher, SavedState
 from servo_daemon.pipeline.refresher import Refresher
 from servo_daemon.pipeline.ring import SampleRing
 from servo_daemon.pipeline.stream import TickCutter
+from servo_daemon.pipeline.temperature import last_temperature, with_temperature
 from servo_daemon.published.snapshot import Estimate
 from servo_daemon.samples import SampleBlock, concatenate
 from servo_daemon.signal_meaning import SignalMeaning
@@ -69,6 +70,7 @@ class Pipeline:
         self._refresher: Refresher | None = None
         self._samples = 0
         self._last_s = 0.0  # of the last sample
+        self._temperature_C: float | None = None  # the last that was measured
         self.samples_repeated = 0  # those without a time of their own
         self.preparing = False  # a tracker is being made
         self.messages: list[Message] = []
@@ -180,6 +182,7 @@ class Pipeline:
         self._tracker.take(driven)
         self._handover.take(driven)
         self._last_s = float(block.time_s[-1])
+        self._temperature_C = last_temperature(block, self._temperature_C)
         self._tick.append(block)
         self._driven.append(driven)
 
@@ -284,7 +287,7 @@ class Pipeline:
             self._published = replace(self._published, time_s=self._last_s)
         elif self._published.time_s != self._last_s:
             self._published = publish.moved_on(self._published, self._tracker, self._last_s, self._samples)
-        return self._published
+        return with_temperature(self._published, self._temperature_C)
 
 
 def all_finite(estimate: Estimate) -> bool:

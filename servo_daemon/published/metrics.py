@@ -9,8 +9,10 @@ from typing import Final, get_args
 from servo_daemon.published.diagnosis_state import DiagnosisStatus
 from servo_daemon.published.exposition import Exposition, unit_words
 from servo_daemon.published.snapshot import Connection, Estimate, ParameterEstimate, Snapshot, Status
+from servo_daemon.published.trends import DAY_S
 from servo_daemon.published.units import split_unit
 from servo_daemon.published.view import DaemonView, DriveView
+from servo_daemon.trend.series import YEAR_D
 
 _PREFIX: Final = "servo_daemon_"
 
@@ -71,6 +73,7 @@ def render_metrics(daemon: DaemonView) -> str:
         snapshot = drive.snapshot()
         _add_drive(out, drive.name, drive.driver, snapshot)
         _add_model(out, drive)
+        _add_trends(out, drive)
         if snapshot.estimate is not None:
             _add_estimate(out, drive.name, snapshot.estimate, set(snapshot.counters))
     return out.render()
@@ -131,6 +134,29 @@ def _add_model(out: Exposition, drive: DriveView) -> None:
         out.add(_PREFIX + "diagnoses_total", "counter", text, view.counts.get(verdict, 0), drive=name, verdict=verdict)
     for effect in view.diagnosis.effects:
         out.add(_PREFIX + "diagnosis_found", "gauge", "What the last diagnosis found.", 1, drive=name, effect=effect)
+
+
+def _add_trends(out: Exposition, drive: DriveView) -> None:
+    for name, trend in drive.trends.trends.items():
+        of = {"drive": drive.name, "parameter": name}
+        if trend.used is not None:
+            text = (
+                "Share of the way from the nominal value to the limit that is gone, season and temperature taken out."
+            )
+            out.add(_PREFIX + "life_used_ratio", "gauge", text, trend.used.mid, **of)
+        if trend.rate_percent is not None and trend.rate_percent.mid is not None:
+            text = "Change in a year as a share of the nominal value; absent without a trend."
+            out.add(_PREFIX + "ageing_ratio_per_year", "gauge", text, trend.rate_percent.mid / 100.0, **of)
+        if trend.years is None or trend.limit is None:
+            continue
+        text = "Time until the parameter reaches its limit, by probability; absent without a trend or beyond 30 years."
+        for probability, years in (("0.1", trend.years.low), ("0.5", trend.years.mid), ("0.9", trend.years.high)):
+            seconds = None if years is None else years * YEAR_D * DAY_S
+            more = {**of, "limit": trend.limit.name, "probability": probability}
+            out.add(_PREFIX + "time_until_limit_seconds", "gauge", text, seconds, **more)
+    if drive.trends.time is not None:
+        text = "1 while a parameter of the drive may reach its limit within warn_before."
+        out.add(_PREFIX + "limit_near", "gauge", text, bool(drive.trends.near), drive=drive.name)
 
 
 def _add_estimate(out: Exposition, drive: str, estimate: Estimate, counters: set[str]) -> None:

@@ -17,6 +17,7 @@ from servo_daemon.published.diagnosis_state import DiagnosisView
 from servo_daemon.published.history import HistoryRing
 from servo_daemon.published.knowledge import LoopFacts
 from servo_daemon.published.snapshot import Event, ParameterEstimate, Snapshot
+from servo_daemon.published.trends import DriveTrends
 
 #: Value (a choice by its name) and 1 σ (None: not known) of parameters, in their units.
 StartValues = Mapping[str, tuple[float | str, float | None]]
@@ -61,6 +62,10 @@ class DriveView(Protocol):
     @property
     def loop(self) -> LoopFacts:
         """What configuration and driver say of the control loop around it."""
+
+    @property
+    def trends(self) -> DriveTrends:
+        """How its parameters age, as it was found last."""
 
     def snapshot(self) -> Snapshot:
         """The last published snapshot: the same object until the next one is published (answers are encoded once per

@@ -50,16 +50,17 @@ class Shape:
     step: float = 0.5
 
 
-#: Chances of a trend and of none are even.
+#: Wear that grows faster and faster is taken for more likely than wear that does not, so that limits are reached before
+#: and after the interval equally often (benchmarks/life_trend.py --calibration).
 SHAPES: Final = (
-    Shape("none", 0.3),
+    Shape("none", 0.24),
     *(Shape("none", 0.1 / len(_WANDERING), wandering=w) for w in _WANDERING),
     Shape("stepwise", 0.1, steps_1_y=3.0, step=0.15),
-    Shape("linear", 0.16),
-    Shape("linear", 0.02, bending=_BENDING),
-    *(Shape("linear", 0.04 / len(_WANDERING), wandering=w) for w in _WANDERING),
-    *(Shape("exponential", 0.22 / len(_GROWING), k) for k in _GROWING),
-    *(Shape("settling", 0.06 / len(_SETTLING), k) for k in _SETTLING),
+    Shape("linear", 0.09),
+    Shape("linear", 0.01, bending=_BENDING),
+    *(Shape("linear", 0.02 / len(_WANDERING), wandering=w) for w in _WANDERING),
+    *(Shape("exponential", 0.34 / len(_GROWING), k) for k in _GROWING),
+    *(Shape("settling", 0.1 / len(_SETTLING), k) for k in _SETTLING),
 )
 
 

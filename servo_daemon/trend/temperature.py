@@ -47,6 +47,10 @@ _MAGNETS: Final = (
     "the magnets' temperature coefficient is not known (ferrite -0.2 %/K, NdFeB -0.1 %/K); what follows the "
     "temperature is found from the data and is no ageing"
 )
+_ELSEWHERE: Final = (
+    "the temperature is not said to be the winding's ([drive.signals] temperature): what follows it is found from the "
+    "data and is no ageing, and R is not given at 25 °C"
+)
 _FRICTION: Final = "what follows the temperature (grease) is found from the data and is no ageing"
 _BY_PARAMETER: Final = {
     "R": _effect(COPPER_1_K, 0.25 * COPPER_1_K),  # a sensor beside the winding shows some three quarters of its swing
@@ -55,10 +59,18 @@ _BY_PARAMETER: Final = {
     "Tc": _effect(0.0, 0.01, _FRICTION),
 }
 _OTHER: Final = _effect(0.0, 0.001)
+#: Of a sensor elsewhere (power stage, housing) copper may follow as much as all of its swing, or nothing.
+_COPPER_ELSEWHERE: Final = _effect(0.0, COPPER_1_K, _ELSEWHERE)
 
 
-def effect_on(parameter: str) -> TemperatureEffect:
-    """What is known of a parameter by its name."""
+def effect_on(parameter: str, *, of_winding: bool) -> TemperatureEffect:
+    """What is known of a parameter by its name.
+
+    Args:
+        of_winding: whether it is the winding's temperature.
+    """
+    if parameter == "R" and not of_winding:
+        return _COPPER_ELSEWHERE
     return _BY_PARAMETER.get(parameter, _OTHER)
 
 

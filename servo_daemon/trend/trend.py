@@ -37,6 +37,8 @@ def assess(
     temperature_C: F64 | None = None,
     limits: tuple[Limit, ...] = (),
     nominal: float | None = None,
+    *,
+    of_winding: bool = True,
 ) -> Trend:
     """The trend of a parameter from means of hours or days.
 
@@ -44,14 +46,15 @@ def assess(
         parameter: its name, by which the temperature's effect is known.
         time_d: days, oldest first, shape (n,).
         value: in the parameter's unit; NaN where it was not known. Shape (n,).
-        temperature_C: of the winding; NaN where not known, shape (n,). None: never.
+        temperature_C: NaN where not known, shape (n,). None: never.
         limits: of `[drive.limits]`.
         nominal: None: the value at the beginning stands for it.
+        of_winding: whether the temperature is the winding's.
 
     Raises:
         ValueError: arrays whose shapes differ, or times that decrease.
     """
-    effect = effect_on(parameter)
+    effect = effect_on(parameter, of_winding=of_winding)
     days = daily(time_d, value, temperature_C)
     if days.temperature_C is not None:
         days = replace(days, value=at_reference(effect, days.value, days.temperature_C))
@@ -150,7 +153,7 @@ class _Study:
             used=self._used(drawn),
             changes=changes,
             at_25_C=float(series.value[-1]) if copper else None,
-            remark=self._effect.remark,
+            remark=None if series.temperature_C is None else self._effect.remark,
         )
         if not sure:
             return told

@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 from servo_daemon.trend.records import Trend
 from servo_daemon.trend.series import YEAR_D
-
-#: Where the configuration does not say: half a year, in which a motor can be bought and a standstill planned.
-WARN_BEFORE_D: Final = 180.0
 
 
 def is_near(trend: Trend, warn_before_d: float) -> bool:

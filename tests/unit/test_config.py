@@ -90,7 +90,9 @@ def test_every_section_of_the_contract_is_read(file: Path) -> None:
 def test_an_unknown_key_is_refused_by_name_in_every_section(file: Path, section: str) -> None:
     head = "[[drive]]\n" if section.startswith("drive.") else ""
     where = section.replace("drive.", r"drive\[0\]\.")
-    with pytest.raises(ConfigError, match=rf"c\.toml: unknown key '{where}\.prot'$"):
+    line = 3 if head else 2
+    meant = r" \(did you mean 'port'\?\)" if section == "api" else ""
+    with pytest.raises(ConfigError, match=rf"c\.toml: unknown key '{where}\.prot', line {line}{meant}$"):
         load(file, f"{head}[{section}]\nprot = 1\n")
 
 
@@ -100,6 +102,14 @@ def test_an_unknown_key_is_refused_by_name_in_every_section(file: Path, section:
         ("colour = 1", "unknown key 'colour'"),
         ("[[drive]]\nnmae = 'x'\nname = 5", r"unknown key 'drive\[0\]\.nmae'"),
         ("[[drive]]\n[drive.limits]\nQ_max = 1", "unknown key 'Q_max'"),
+        ("[[drive]]\n[drive.limits]\nRmax = 1", r"unknown key 'Rmax' \(did you mean 'R_max'\?\)"),
+        ("[[drive]]\n[drive.nominal]\nKt = 1", r"unknown key 'Kt' \(did you mean 'K'\?\): parameters are"),
+        ("[[drive]]\n[drive.drift]\nk_e = '1 %/h'", r"unknown key 'k_e' \(did you mean 'K'\?\)"),
+        (
+            "[[drive]]\nname = 'a'\n[drive.estimation] # a\nring_s = 1\n[[drive]]\n[drive.estimation]\nenigne = 1",
+            r"unknown key 'drive\[1\]\.estimation\.enigne', line 7 \(did you mean 'engine'\?\)",
+        ),
+        ("[drives]\nname = 'a'", r"unknown key 'drives', line 1 \(did you mean 'drive'\?\)"),
         ("[[drive]]\n[drive.limits]\nR_max = 'much'", "R_max"),
         ("[[drive]]\n[drive.limits]\nR_max = '1.2.3 %'", r"R_max.*not '1\.2\.3 %'"),
         ("[[drive]]\n[drive.limits]\nR_max = '+1e999 %'", "R_max"),

@@ -1,0 +1,1 @@
+"""Trends from the history: found every hour, and told where a limit is near."""
