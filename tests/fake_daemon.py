@@ -16,6 +16,7 @@ from servo_daemon.published.diagnosis_state import Adoption, Diagnosis, Diagnosi
 from servo_daemon.published.history import HistoryRing
 from servo_daemon.published.knowledge import LoopFacts
 from servo_daemon.published.snapshot import (
+    AlarmLimit,
     Connection,
     Covariance,
     Estimate,
@@ -105,6 +106,7 @@ class FakeDrive:
     current: Snapshot | None = None
     log: deque[Event] = field(default_factory=lambda: deque(maxlen=100))
     resets: int = 0
+    limits: Sequence[AlarmLimit] = ()
     trends: DriveTrends = field(default_factory=DriveTrends)
     loop: LoopFacts = field(default_factory=lambda: LoopFacts(nominal=NOMINAL))
     diagnosis: DiagnosisView = field(default_factory=lambda: DiagnosisView(Diagnosis(), Adoption(False), True, None))

@@ -30,7 +30,7 @@ from servo_daemon.pipeline.ring import SampleRing
 from servo_daemon.published.diagnosis_state import DiagnosisView
 from servo_daemon.published.history import HistoryRing
 from servo_daemon.published.knowledge import LoopFacts
-from servo_daemon.published.snapshot import Estimate, Event, ParameterEstimate, Snapshot
+from servo_daemon.published.snapshot import AlarmLimit, Estimate, Event, ParameterEstimate, Snapshot
 from servo_daemon.published.trends import DriveTrends
 from servo_daemon.published.view import ModelChange, StartValues, initial_parameters
 from servo_daemon.samples import SampleBlock, concatenate
@@ -121,6 +121,11 @@ class DriveRuntime:
     def loop(self) -> LoopFacts:
         """What is known of the control loop around this drive."""
         return loop_facts(self.config, self.reader.driver.info.counts_per_rev)
+
+    @property
+    def limits(self) -> Sequence[AlarmLimit]:
+        """Those whose alarms can ring."""
+        return self._warnings.limits
 
     def snapshot(self) -> Snapshot:
         """The last published state; immutable."""

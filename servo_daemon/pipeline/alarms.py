@@ -7,32 +7,16 @@ as `unexcited`); with any other status it stays as it is.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from servo_daemon.config import DriveConfig
 from servo_daemon.config_texts import share
 from servo_daemon.parameters import J_D, spaced
 from servo_daemon.pipeline.publish import published_names
-from servo_daemon.published.snapshot import Estimate, ParameterEstimate
+from servo_daemon.published.snapshot import AlarmLimit, Estimate, ParameterEstimate
 from servo_daemon.tracking.plan.settings import Message
 
 #: Standard deviations beyond the limit at which an alarm rings, and inside at which it ends.
 MARGIN_STD = 2.0
 _KNOWN = ("tracking", "unexcited")
-
-
-@dataclass(frozen=True, slots=True)
-class Limit:
-    """One limit: `name` as in the configuration (R_max), `value` in the parameter's unit."""
-
-    name: str
-    parameter: str
-    is_upper: bool
-    value: float
-
-    def excess(self, value: float) -> float:
-        """By how much a value is beyond; negative inside."""
-        return value - self.value if self.is_upper else self.value - value
 
 
 class Alarms:
@@ -46,7 +30,7 @@ class Alarms:
     """
 
     def __init__(self, config: DriveConfig) -> None:
-        self._limits: list[Limit] = []
+        self._limits: list[AlarmLimit] = []
         self._active: set[str] = set()
         self._seen: tuple[ParameterEstimate, ...] | None = None
         self.impossible: list[Message] = []
@@ -55,12 +39,12 @@ class Alarms:
             why = _impossible(config, parameter, isinstance(written, str))
             if why is None:
                 value = _limit(config, parameter, written)
-                self._limits.append(Limit(name, parameter, side == "max", value))
+                self._limits.append(AlarmLimit(name, parameter, side == "max", value))
             else:
                 self.impossible.append(("alarm_impossible", f"the alarm {name} cannot work: {why}", {"alarm": name}))
 
     @property
-    def limits(self) -> tuple[Limit, ...]:
+    def limits(self) -> tuple[AlarmLimit, ...]:
         """Those that can ring."""
         return tuple(self._limits)
 
@@ -135,7 +119,7 @@ def _limit(config: DriveConfig, parameter: str, written: float | str) -> float:
     return nominal + share(written) * abs(nominal)
 
 
-def _message(kind: str, limit: Limit, p: ParameterEstimate, value: float, time_s: float) -> Message:
+def _message(kind: str, limit: AlarmLimit, p: ParameterEstimate, value: float, time_s: float) -> Message:
     side = "above" if limit.is_upper else "below"
     back = "below" if limit.is_upper else "above"
     where = f"is {side}" if kind == "alarm" else f"is back {back}"

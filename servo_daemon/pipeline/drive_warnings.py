@@ -8,7 +8,7 @@ from servo_daemon.config import DriveConfig
 from servo_daemon.pipeline.alarms import Alarms
 from servo_daemon.pipeline.controller import incomplete, loop_facts
 from servo_daemon.pipeline.margin_watch import ALARM, MarginWatch
-from servo_daemon.published.snapshot import Estimate
+from servo_daemon.published.snapshot import AlarmLimit, Estimate
 from servo_daemon.tracking.plan.settings import Message
 
 
@@ -27,6 +27,11 @@ class DriveWarnings:
         self.at_start: list[Message] = list(self._alarms.impossible)
         if (why := incomplete(config.controller)) is not None:
             self.at_start.append(("margin_impossible", f"margins cannot be watched: {why}", {}))
+
+    @property
+    def limits(self) -> tuple[AlarmLimit, ...]:
+        """Those whose alarms can ring."""
+        return self._alarms.limits
 
     def update(self, estimate: Estimate) -> tuple[Estimate, list[Message]]:
         """The estimate with what warns of it in its health record, and what begins or ends with it."""

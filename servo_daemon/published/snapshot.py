@@ -35,6 +35,20 @@ class ParameterEstimate:
 
 
 @dataclass(frozen=True, slots=True)
+class AlarmLimit:
+    """A limit of `[drive.limits]` whose alarm can ring: `name` as there (R_max), `value` in the parameter's unit."""
+
+    name: str
+    parameter: str
+    is_upper: bool
+    value: float
+
+    def excess(self, value: float) -> float:
+        """By how much a value is beyond; negative inside."""
+        return value - self.value if self.is_upper else self.value - value
+
+
+@dataclass(frozen=True, slots=True)
 class Covariance:
     """Joint covariance of the parameters that are known, those with a std and the status `tracking` or `unexcited`.
 

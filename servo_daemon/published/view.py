@@ -16,7 +16,7 @@ from servo_daemon.published.archive import Archive
 from servo_daemon.published.diagnosis_state import DiagnosisView
 from servo_daemon.published.history import HistoryRing
 from servo_daemon.published.knowledge import LoopFacts
-from servo_daemon.published.snapshot import Event, ParameterEstimate, Snapshot
+from servo_daemon.published.snapshot import AlarmLimit, Event, ParameterEstimate, Snapshot
 from servo_daemon.published.trends import DriveTrends
 
 #: Value (a choice by its name) and 1 σ (None: not known) of parameters, in their units.
@@ -62,6 +62,10 @@ class DriveView(Protocol):
     @property
     def loop(self) -> LoopFacts:
         """What configuration and driver say of the control loop around it."""
+
+    @property
+    def limits(self) -> Sequence[AlarmLimit]:
+        """Those of `[drive.limits]` whose alarms can ring with the model as it is now."""
 
     @property
     def trends(self) -> DriveTrends:

@@ -1,8 +1,9 @@
 // The cards: one for each parameter, one for each state channel.
 
 import { Chart } from "./chart.js";
-import { clock, decimalsFor, fixed, pair, percent, plain, scaleFor } from "./format.js";
+import { decimalsFor, fixed, pair, percent, plain, scaleFor } from "./format.js";
 import { Series, drawn } from "./series.js";
+import { moment } from "./times.js";
 
 const PARAMETER_WORDS = {
   R: "resistance", L: "inductance", K: "torque constant", J: "inertia", B: "viscous friction", J_d: "load inertia",
@@ -48,6 +49,7 @@ class Card {
     this.element = copy(template);
     this.element.dataset.name = name;
     this.series = new Series(windowS);
+    this.zoomed = null; // the series of a span of time that was drawn up
     this.scale = null;
     this.pointed = null;
     this.chart = null; // made when the card is in the page and has a width
@@ -57,12 +59,17 @@ class Card {
     return this.element.querySelector(selector);
   }
 
-  attach(grid) {
+  get shown() {
+    return this.zoomed ?? this.series;
+  }
+
+  attach(grid, onZoom) {
     grid.append(this.element);
-    this.chart = new Chart(this.find(".chart"), (time, row) => {
+    const onPoint = (time, row) => {
       this.pointed = time === null ? null : { time, row };
       this.render();
-    });
+    };
+    this.chart = new Chart(this.find(".chart"), onPoint, onZoom);
   }
 
   destroy() {
@@ -78,15 +85,10 @@ export class ParameterCard extends Card {
     this.truth = null;
     this.windowS = windowS;
     this.marks = [];
+    this.limits = []; // of [drive.limits], those of this parameter
+    this.alarm = null; // the name of the limit whose alarm rings
     this.find(".symbol").replaceChildren(...symbol(name));
     write(this.find(".words"), PARAMETER_WORDS[name] ?? "");
-  }
-
-  history(document) {
-    document.time.forEach((time, k) => {
-      const value = drawn(document.value[k], document.status?.[k] ?? null);
-      this.series.push(Date.parse(time) / 1000, value, document.std[k], document.truth?.[k] ?? null);
-    });
   }
 
   receive(time, parameter, truth) {
@@ -95,19 +97,33 @@ export class ParameterCard extends Card {
     if (time !== null) this.series.push(time, drawn(parameter.value, parameter.status), parameter.std, truth);
   }
 
+  /** Its limits, and the names of all alarms that ring. */
+  warn(limits, names) {
+    this.limits = limits.filter((limit) => limit.parameter === this.name);
+    this.alarm = this.limits.find((limit) => names.includes(limit.name))?.name ?? null;
+  }
+
   /** The learned model's estimate of a window that ended at `time`. */
   learned(time, { value, std }, applied) {
     this.marks.push({ time, value, std: std ?? 0, applied });
     while (this.marks.length && this.marks[0].time < time - this.windowS) this.marks.shift();
   }
 
-  draw(from, now) {
+  draw(from, to) {
     if (this.latest === null) return;
     this.render();
     this.chart.marks = this.marks;
-    this.chart.update(this.series, from, now, this.scale, this.latest.nominal);
+    this.chart.update(this.shown, from, to, this.scale, this.#lines());
     const label = `${this.name} over time; now ${this.find(".value").textContent.replace(/\s+/g, " ").trim()}`;
     this.find(".chart").setAttribute("aria-label", label);
+  }
+
+  #lines() {
+    const { nominal } = this.latest;
+    const lines = this.limits.map(({ name, value }) => ({
+      name, value, colour: "--bad", dash: [6, 3], must: name === this.alarm,
+    }));
+    return nominal === null ? lines : [{ name: "nominal", value: nominal, colour: "--nominal" }, ...lines];
   }
 
   render() {
@@ -123,7 +139,8 @@ export class ParameterCard extends Card {
     const badge = this.find(".badge");
     badge.dataset.status = p.status;
     this.element.dataset.status = p.status;
-    write(badge, BADGES[p.status] ?? p.status);
+    this.element.classList.toggle("alarm", this.alarm !== null);
+    write(badge, this.alarm ? `▲ alarm ${this.alarm}` : (BADGES[p.status] ?? p.status));
     write(this.find(".reason"), this.pointed ? this.#pointedText() : heldSince(p));
   }
 
@@ -139,7 +156,7 @@ export class ParameterCard extends Card {
     const { time, row } = this.pointed;
     const std = row[3] === null || row[1] === null ? null : (row[3] - row[1]) / 2;
     const shown = row[1] === null ? { value: "no value", std: "" } : pair(row[1], std, this.scale);
-    return `${clock(time)}: ${shown.value} ${shown.std} ${row[1] === null ? "" : this.scale.unit}`;
+    return `${moment(time)}: ${shown.value} ${shown.std} ${row[1] === null ? "" : this.scale.unit}`;
   }
 }
 
@@ -154,20 +171,16 @@ export class StateCard extends Card {
     write(this.find(".words"), STATE_WORDS[name] ?? stem.replaceAll("_", " "));
   }
 
-  history(document) {
-    document.time.forEach((time, k) => this.series.push(Date.parse(time) / 1000, document.value[k]));
-  }
-
   receive(time, value) {
     this.value = value;
     if (time !== null) this.series.push(time, value);
   }
 
-  draw(from, now) {
-    const values = this.series.columns[1];
+  draw(from, to) {
+    const values = this.shown.columns[1];
     this.largest = values.reduce((most, v) => Math.max(most, Math.abs(v ?? 0)), 0);
     this.render();
-    this.chart.update(this.series, from, now, this.scale);
+    this.chart.update(this.shown, from, to, this.scale);
     const name = this.find(".words").textContent;
     this.find(".chart").setAttribute("aria-label", `${name} over time; now ${this.find(".number").textContent}`);
   }
@@ -178,6 +191,6 @@ export class StateCard extends Card {
     const value = this.pointed ? this.pointed.row[1] : this.value;
     const decimals = decimalsFor(this.largest / this.scale.factor, 4);
     write(this.find(".number"), value === null ? fixed(null) : fixed(value / this.scale.factor, decimals));
-    write(this.find(".unit"), this.scale.unit + (this.pointed ? ` at ${clock(this.pointed.time)}` : ""));
+    write(this.find(".unit"), this.scale.unit + (this.pointed ? ` at ${moment(this.pointed.time)}` : ""));
   }
 }

@@ -1,13 +1,14 @@
-// One small chart: value with its ±2σ band, the simulated truth dashed, nominal as a thin line, RF+GRNN as diamonds.
+// One small chart: value with its 95 % band (± 2 σ), the simulated truth dashed, and what is drawn over them.
 /* global uPlot */
 
-import { clock, decimalsFor, fixed } from "./format.js";
+import { decimalsFor, fixed } from "./format.js";
+import { colour, drawLines, drawMarks } from "./overlays.js";
 import { extent } from "./series.js";
+import { tickSpace, tickText } from "./times.js";
 
 const HEIGHT = 150;
+const LEAST_DRAG = 8; // pixels that the pointer is pulled before it is meant as a span of time
 const FONT = "11px system-ui, sans-serif";
-const style = getComputedStyle(document.documentElement);
-const colour = (name) => () => style.getPropertyValue(name).trim();
 export const charts = new Set();
 
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => charts.forEach((c) => c.plot.redraw()));
@@ -18,10 +19,11 @@ const tickTexts = (chart) => (_plot, ticks, _axis, _space, step) => {
   return ticks.map((tick) => fixed(tick / chart.scale.factor, decimals));
 };
 
-/** Clock times; not where the edge of the chart would cut the text. */
-const timeTexts = (plot, ticks) => {
-  const right = plot.bbox.width / uPlot.pxRatio - 20;
-  return ticks.map((tick) => (plot.valToPos(tick, "x") < right ? clock(tick) : ""));
+/** Times; not where the edge of the chart would cut the text. */
+const timeTexts = (plot, ticks, _axis, _space, step) => {
+  const { min, max } = plot.scales.x;
+  const right = plot.bbox.width / uPlot.pxRatio - tickSpace(min, max) / 4;
+  return ticks.map((tick) => (plot.valToPos(tick, "x") < right ? tickText(tick, step, min, max) : ""));
 };
 
 const axisWidth = (_plot, texts) => 14 + 6.3 * Math.max(3, ...(texts ?? []).map((text) => text.length));
@@ -35,10 +37,16 @@ function options(chart, width) {
     height: HEIGHT,
     padding: [8, 10, 0, 0],
     legend: { show: false },
-    cursor: { drag: { x: false, y: false }, points: { size: 5 }, sync: { key: "servo" }, y: false },
+    cursor: {
+      drag: { x: true, y: false, setScale: false, dist: LEAST_DRAG },
+      bind: { dblclick: () => () => chart.onZoom(null) },
+      points: { size: 5 },
+      sync: { key: "servo", filters: { pub: (type) => type === "mousemove" || type === "mouseleave" } },
+      y: false,
+    },
     scales: { x: { time: true, auto: false }, y: { auto: false } },
     axes: [
-      { ...axis, space: 80, size: 22, gap: 4, values: timeTexts },
+      { ...axis, space: (_plot, _axis, min, max) => tickSpace(min, max), size: 22, gap: 4, values: timeTexts },
       { ...axis, space: 24, size: axisWidth, gap: 4, values: tickTexts(chart) },
     ],
     series: [
@@ -49,7 +57,11 @@ function options(chart, width) {
       line("--truth", { dash: [5, 4] }),
     ],
     bands: [{ series: [3, 2], fill: colour("--band") }],
-    hooks: { draw: [(plot) => chart.drawNominal(plot), (plot) => chart.drawMarks(plot)], setCursor: [(plot) => chart.pointed(plot)] },
+    hooks: {
+      draw: [(plot) => drawLines(plot, chart.lines), (plot) => drawMarks(plot, chart.marks)],
+      setCursor: [(plot) => chart.pointed(plot)],
+      setSelect: [(plot) => chart.selected(plot)],
+    },
   };
 }
 
@@ -57,12 +69,14 @@ export class Chart {
   /**
    * @param {HTMLElement} element where it is put; its width is followed
    * @param {(time: number|null, row: (number|null)[]) => void} onPoint told what is under the pointer, null when it left
+   * @param {(span: {from: number, to: number}|null) => void} onZoom told what span has been drawn up, null to go back
    */
-  constructor(element, onPoint = () => {}) {
+  constructor(element, onPoint, onZoom) {
     this.element = element;
     this.onPoint = onPoint;
+    this.onZoom = onZoom;
     this.scale = { factor: 1, unit: "" };
-    this.nominal = null;
+    this.lines = [];
     this.marks = [];
     this.plot = new uPlot(options(this, element.clientWidth || 300), [[], [], [], [], []], element);
     this.resizer = new ResizeObserver(([entry]) => {
@@ -73,87 +87,46 @@ export class Chart {
     charts.add(this);
   }
 
-  /** Show a Series between two times, on this scale. */
-  update(series, from, now, scale, nominal = null) {
+  /**
+   * Show a Series between two times, on this scale.
+   * @param {{name: string, value: number, colour: string, dash?: number[], must?: boolean}[]} lines `must`: to be seen
+   */
+  update(series, from, to, scale, lines = []) {
     this.scale = scale;
-    this.nominal = nominal;
-    const range = this.#range(series.columns, from) ?? (nominal === null ? [-1, 1] : [nominal * 0.9, nominal * 1.1]);
-    range.sort((a, b) => a - b);
+    this.lines = lines;
+    const range = this.#range(series.columns, from, to);
     if (range[0] === range[1]) range[1] += scale.factor;
     this.plot.batch(() => {
       this.plot.setData(series.columns, false);
-      this.plot.setScale("x", { min: from, max: now });
+      this.plot.setScale("x", { min: from, max: to });
       this.plot.setScale("y", { min: range[0], max: range[1] });
     });
   }
 
-  /** Nominal is part of the picture unless that would squeeze the estimate to less than half of it. */
-  #range(columns, from) {
-    const tight = extent(columns, from);
-    if (tight === null || this.nominal === null) return tight;
-    const wide = extent(columns, from, [this.nominal]);
-    return wide[1] - wide[0] <= 2 * (tight[1] - tight[0]) ? wide : tight;
+  /** A line is part of the picture unless that would squeeze the estimate to less than half of it. */
+  #range(columns, from, to) {
+    const seen = this.lines.filter((line) => line.must).map((line) => line.value);
+    let range = extent(columns, from, to, seen);
+    for (const { value, must } of this.lines) {
+      if (must) continue;
+      if (range === null) {
+        range = [value * 0.9, value * 1.1].sort((a, b) => a - b);
+        continue;
+      }
+      const wide = extent(columns, from, to, [...seen, value]);
+      if (wide[1] - wide[0] > 2 * (range[1] - range[0])) continue;
+      range = wide;
+      seen.push(value);
+    }
+    return range ?? [-1, 1];
   }
 
-  /** A thin line, or an arrow that says where it would be. */
-  drawNominal(plot) {
-    if (this.nominal === null) return;
-    const { ctx, bbox } = plot;
-    const { min, max } = plot.scales.y;
-    const ratio = uPlot.pxRatio;
-    ctx.save();
-    ctx.strokeStyle = ctx.fillStyle = colour("--nominal")();
-    if (this.nominal >= min && this.nominal <= max) {
-      const y = Math.round(plot.valToPos(this.nominal, "y", true)) + 0.5;
-      ctx.lineWidth = ratio;
-      ctx.beginPath();
-      ctx.moveTo(bbox.left, y);
-      ctx.lineTo(bbox.left + bbox.width, y);
-      ctx.stroke();
-    } else {
-      const above = this.nominal > max;
-      ctx.font = `${11 * ratio}px system-ui, sans-serif`;
-      ctx.textAlign = "right";
-      ctx.textBaseline = above ? "top" : "bottom";
-      const y = above ? bbox.top + 3 * ratio : bbox.top + bbox.height - 3 * ratio;
-      ctx.fillText(above ? "nominal ↑" : "nominal ↓", bbox.left + bbox.width - 4 * ratio, y);
-    }
-    ctx.restore();
-  }
-
-  /** What the learned model said of its windows: {time, value, std, applied}. */
-  drawMarks(plot) {
-    const { ctx, bbox, scales } = plot;
-    const size = 4 * uPlot.pxRatio;
-    ctx.save();
-    ctx.beginPath();
-    ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
-    ctx.clip();
-    ctx.setLineDash([]); // as the last line left it
-    ctx.strokeStyle = ctx.fillStyle = colour("--learned")();
-    for (const mark of this.marks) {
-      if (mark.time < scales.x.min) continue;
-      const x = plot.valToPos(mark.time, "x", true);
-      const at = (value) => plot.valToPos(value, "y", true);
-      ctx.globalAlpha = 0.4;
-      ctx.lineWidth = uPlot.pxRatio;
-      ctx.beginPath();
-      ctx.moveTo(x, at(mark.value - 2 * mark.std));
-      ctx.lineTo(x, at(mark.value + 2 * mark.std));
-      ctx.stroke();
-      const y = at(mark.value);
-      ctx.globalAlpha = 1;
-      ctx.lineWidth = 1.5 * uPlot.pxRatio;
-      ctx.beginPath();
-      ctx.moveTo(x, y - size);
-      ctx.lineTo(x + size, y);
-      ctx.lineTo(x, y + size);
-      ctx.lineTo(x - size, y);
-      ctx.closePath();
-      if (mark.applied) ctx.fill();
-      else ctx.stroke();
-    }
-    ctx.restore();
+  selected(plot) {
+    const { left, width } = plot.select;
+    if (width < LEAST_DRAG) return;
+    const [from, to] = [left, left + width].map((x) => plot.posToVal(x, "x"));
+    plot.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
+    this.onZoom({ from, to });
   }
 
   pointed(plot) {

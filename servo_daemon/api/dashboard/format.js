@@ -66,6 +66,3 @@ export function percent(ratio) {
 
 /** 1 234 567 with thin spaces. */
 export const count = (n) => String(Math.trunc(n)).replace(/\B(?=(\d{3})+$)/g, "\u202f");
-
-export const clock = (seconds) =>
-  new Date(seconds * 1000).toLocaleTimeString([], { hour: "2-digit", minute: "2-digit", second: "2-digit", hour12: false });

@@ -11,6 +11,15 @@ export class Series {
     this.columns = [[], [], [], [], []]; // time, value, value − 2σ, value + 2σ, truth
   }
 
+  /** A document of the history; buckets may lie farther apart than points that arrive one by one. */
+  load(document) {
+    this.gapS = Math.max(this.gapS, 2.5 * document.period_s);
+    document.time.forEach((time, k) => {
+      const value = drawn(document.value[k], document.status?.[k] ?? null);
+      this.push(Date.parse(time) / 1000, value, document.std[k], document.truth?.[k] ?? null);
+    });
+  }
+
   get lastTime() {
     return this.columns[0].at(-1) ?? -Infinity;
   }
@@ -45,7 +54,7 @@ const DRAWN = new Set(["tracking", "unexcited", "at_bound", "fixed"]);
 export const drawn = (value, status) => (status === null || DRAWN.has(status) ? value : null);
 
 /** What of the series should be seen: all values and truths, the band where it is not wildly wider than usual. */
-export function extent(columns, from, extra = []) {
+export function extent(columns, from, to, extra = []) {
   const [times, values, lows, highs, truths] = columns;
   const widths = [];
   let low = Infinity;
@@ -55,7 +64,11 @@ export function extent(columns, from, extra = []) {
     low = Math.min(low, y);
     high = Math.max(high, y);
   };
-  for (let k = times.length - 1; k >= 0 && times[k] >= from; k--) {
+  const first = times.findIndex((t) => t >= from);
+  let end = first < 0 ? 0 : times.length;
+  while (end > 0 && times[end - 1] > to) end--;
+  const start = Math.max(0, first);
+  for (let k = start; k < end; k++) {
     see(values[k]);
     see(truths[k]);
     if (highs[k] !== null) widths.push(highs[k] - values[k]);
@@ -63,7 +76,7 @@ export function extent(columns, from, extra = []) {
   extra.forEach(see);
   if (low > high) return null;
   const usual = widths.length ? widths.sort((a, b) => a - b)[widths.length >> 1] : 0;
-  for (let k = times.length - 1; k >= 0 && times[k] >= from; k--) {
+  for (let k = start; k < end; k++) {
     if (highs[k] === null) continue;
     const width = Math.min(highs[k] - values[k], 3 * usual);
     see(values[k] - width);

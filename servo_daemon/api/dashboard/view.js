@@ -1,6 +1,7 @@
 // One drive on the page: loads its history, follows its stream, fills the gap after a lost connection, and draws.
 
 import { Stream, drivePath, get } from "./api.js";
+import { renderAlarms, ringing } from "./alarms.js";
 import { ParameterCard, StateCard } from "./cards.js";
 import { DiagnosisPanel } from "./diagnosis.js";
 import { renderEvents, renderFacts } from "./facts.js";
@@ -19,6 +20,8 @@ export class DriveView {
     this.diagnosis = new DiagnosisPanel(name);
     this.document = null;
     this.truth = {};
+    this.limits = [];
+    this.events = [];
     this.lastEvent = null;
     this.now = null;
     this.pending = null; // documents that arrive while history is loading
@@ -40,6 +43,7 @@ export class DriveView {
     cancelAnimationFrame(this.frame);
     this.cards.forEach((card) => card.destroy());
     this.cards.clear();
+    renderAlarms([], [], []);
   }
 
   /** What the stream does not carry: truth, diagnosis, events. */
@@ -47,11 +51,16 @@ export class DriveView {
     const drive = await get(drivePath(this.name));
     if (this.closed) return drive;
     this.truth = drive.truth ?? {};
+    this.limits = drive.limits;
     document.getElementById("truth-key").hidden = drive.truth === undefined;
+    document.getElementById("limit-key").hidden = drive.limits.length === 0;
     await this.diagnosis.poll(drive.last_event !== this.lastEvent);
     if (drive.last_event !== this.lastEvent) {
       const { events } = await get(`${drivePath(this.name)}/events`);
-      if (!this.closed) renderEvents(events);
+      if (this.closed) return drive;
+      renderEvents(events);
+      this.events = events;
+      this.dirty = this.document !== null;
       this.lastEvent = drive.last_event;
     }
     return drive;
@@ -84,7 +93,7 @@ export class DriveView {
     const start = Number.isFinite(last) ? new Date(last * 1000 + 1).toISOString() : `-${this.windowS}s`;
     const query = new URLSearchParams({ parameter: name, start, points: POINTS });
     const history = await get(`${drivePath(this.name)}/history?${query}`);
-    if (!this.closed) card.history(history);
+    if (!this.closed) card.series.load(history);
   }
 
   #receive(estimates) {
@@ -130,7 +139,7 @@ export class DriveView {
     for (const [name, Kind] of wanted) {
       if (this.cards.has(name)) continue;
       const card = new Kind(name, this.windowS);
-      card.attach(document.getElementById(Kind === StateCard ? "state" : "parameters"));
+      card.attach(document.getElementById(Kind === StateCard ? "state" : "parameters"), () => {});
       this.cards.set(name, card);
     }
   }
@@ -141,9 +150,14 @@ export class DriveView {
     this.dirty = false;
     this.drawnAt = time;
     renderFacts(this.document);
+    const alarms = ringing(this.document);
+    renderAlarms(alarms, this.events, this.limits);
     const now = this.now ?? Date.now() / 1000;
     const first = Math.min(...[...this.cards.values()].map((card) => card.series.columns[0][0] ?? now));
     const from = Math.max(now - this.windowS, Math.min(first, now - LEAST_S));
-    this.cards.forEach((card) => card.draw(from, now));
+    for (const card of this.cards.values()) {
+      card.warn?.(this.limits, alarms);
+      card.draw(from, now);
+    }
   }
 }

@@ -159,11 +159,21 @@ class HistoryInfoDocument(Closed):
     rate_hz: float = Field(description="Rows a second at most, Hz.")
 
 
+class LimitDocument(Closed):
+    """A limit of `[drive.limits]` whose alarm can ring; `health.alarms` names those that do."""
+
+    name: str = Field(examples=["R_max"])
+    parameter: str
+    value: float = Field(description="In the parameter's unit.")
+    is_upper: bool
+
+
 class DriveDocument(DriveSummaryDocument):
     """One drive in full."""
 
     nominal: dict[str, float | None] = Field(description="Configured values, in the units of `units`.")
     units: dict[str, str]
+    limits: list[LimitDocument]
     counters: dict[str, int] = Field(description="Totals of driver and queue since the start.")
     history: HistoryInfoDocument
     last_event: str | None = Field(description="Time of the newest event, UTC; a reason to ask for /events.")

@@ -162,6 +162,10 @@ def test_a_drive_tells_its_alarms(caplog: pytest.LogCaptureFixture) -> None:
     told = [r for r in caplog.records if "its limit R_max" in r.getMessage()]
     assert len(told) == 1 and told[0].levelno == logging.WARNING
     assert documents.estimates_document(drive, drive.snapshot())["health"]["alarms"] == "K_max,R_max"
+    assert documents.drive_document(drive)["limits"] == [
+        {"name": name, "parameter": name[0], "value": limits[name], "is_upper": True}
+        for name in ("K_max", "R_max", "B_max")
+    ]
 
     drive.request_reset()
     drive.work()
