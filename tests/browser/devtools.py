@@ -103,6 +103,23 @@ class Page:
             event = {"type": kind, "key": key, "code": key, "windowsVirtualKeyCode": code}
             self.command("Input.dispatchKeyEvent", event)
 
+    def drag(self, x: float, y: float, to_x: float) -> None:
+        """The left button is pressed, the pointer pulled sideways, and the button let go."""
+        for kind, at, pressed in (
+            ("mouseMoved", x, 0),
+            ("mousePressed", x, 1),
+            ("mouseMoved", to_x, 1),
+            ("mouseReleased", to_x, 0),
+        ):
+            event = {
+                "type": kind,
+                "x": at,
+                "y": y,
+                "button": "none" if kind == "mouseMoved" else "left",
+                "buttons": pressed,
+            }
+            self.command("Input.dispatchMouseEvent", {**event, "clickCount": 1})
+
     def picture(self, path: Path) -> None:
         """The whole page as a PNG."""
         size = self.command("Page.getLayoutMetrics")["cssContentSize"]

@@ -21,7 +21,7 @@ def main() -> int:
     parser.add_argument("--width", type=int, default=1280)
     parser.add_argument("--dark", action="store_true")
     parser.add_argument("--seconds", type=float, default=5.0, help="how long the page is open before the picture")
-    parser.add_argument("--window", default="60", choices=["60", "300", "1800"], help="seconds of time in the charts")
+    parser.add_argument("--window", default="60", help="seconds of time in the charts")
     arguments = parser.parse_args()
     with browsing(chromium() or sys.exit("chromium is not installed")) as browser:
         page = Page(browser)

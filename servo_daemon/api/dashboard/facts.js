@@ -58,6 +58,12 @@ function renderLearned(grnn) {
   byId("learned-fact").title = declined ?? reason ?? "";
 }
 
+/** Why the history is shorter than it could be; null: it is not. */
+export function renderNote(note) {
+  write("history-note", note ?? "");
+  byId("history-note").hidden = !note;
+}
+
 function eventItem(event) {
   const item = document.createElement("li");
   const time = document.createElement("time");

@@ -4,9 +4,9 @@ import { Stream, drivePath, get } from "./api.js";
 import { renderAlarms, ringing } from "./alarms.js";
 import { ParameterCard, StateCard } from "./cards.js";
 import { DiagnosisPanel } from "./diagnosis.js";
-import { renderEvents, renderFacts } from "./facts.js";
+import { renderEvents, renderFacts, renderNote } from "./facts.js";
+import { POINTS, Zoom } from "./zoom.js";
 
-const POINTS = 1500;
 const LEAST_S = 15; // charts show at least so much time, also of a drive that has just started
 const DRAW_MS = 200; // numbers that change faster cannot be read
 
@@ -17,6 +17,7 @@ export class DriveView {
     this.windowS = windowS;
     this.onLink = onLink;
     this.cards = new Map();
+    this.zoom = new Zoom(name, this.cards, () => (this.dirty = this.document !== null));
     this.diagnosis = new DiagnosisPanel(name);
     this.document = null;
     this.truth = {};
@@ -39,6 +40,7 @@ export class DriveView {
   close() {
     this.closed = true;
     this.diagnosis.close();
+    this.zoom.close();
     this.stream.close();
     cancelAnimationFrame(this.frame);
     this.cards.forEach((card) => card.destroy());
@@ -90,10 +92,12 @@ export class DriveView {
     const card = this.cards.get(name);
     if (!card) return;
     const last = card.series.lastTime;
-    const start = Number.isFinite(last) ? new Date(last * 1000 + 1).toISOString() : `-${this.windowS}s`;
-    const query = new URLSearchParams({ parameter: name, start, points: POINTS });
+    const since = Number.isFinite(last) ? { start: new Date(last * 1000 + 1).toISOString() } : { window: `${this.windowS}s` };
+    const query = new URLSearchParams({ parameter: name, ...since, points: POINTS });
     const history = await get(`${drivePath(this.name)}/history?${query}`);
-    if (!this.closed) card.series.load(history);
+    if (this.closed) return;
+    card.series.load(history);
+    renderNote(history.note);
   }
 
   #receive(estimates) {
@@ -139,7 +143,7 @@ export class DriveView {
     for (const [name, Kind] of wanted) {
       if (this.cards.has(name)) continue;
       const card = new Kind(name, this.windowS);
-      card.attach(document.getElementById(Kind === StateCard ? "state" : "parameters"), () => {});
+      card.attach(document.getElementById(Kind === StateCard ? "state" : "parameters"), (span) => this.zoom.show(span));
       this.cards.set(name, card);
     }
   }
@@ -154,10 +158,10 @@ export class DriveView {
     renderAlarms(alarms, this.events, this.limits);
     const now = this.now ?? Date.now() / 1000;
     const first = Math.min(...[...this.cards.values()].map((card) => card.series.columns[0][0] ?? now));
-    const from = Math.max(now - this.windowS, Math.min(first, now - LEAST_S));
+    const { from, to } = this.zoom.span ?? { from: Math.max(now - this.windowS, Math.min(first, now - LEAST_S)), to: now };
     for (const card of this.cards.values()) {
       card.warn?.(this.limits, alarms);
-      card.draw(from, now);
+      card.draw(from, to);
     }
   }
 }
