@@ -22,6 +22,19 @@ TICKS = "import('/assets/times.js').then(({tickText}) => tickText(%s))"
 WHERE = "(() => { const r = document.querySelector('[data-name=R] .u-over').getBoundingClientRect(); return [r.x, r.y, r.width]; })()"
 
 
+#: The least number of labels on a chart's time axis while it moves on by its own length.
+LABELS = """import('/assets/chart.js').then(({charts}) => {
+  const { plot } = [...charts][0];
+  let least = Infinity;
+  for (let k = 0; k < 30; k++) {
+    const min = 1795262400 + k * %(s)d / 30;
+    plot.batch(() => plot.setScale('x', { min, max: min + %(s)d }));
+    least = Math.min(least, plot.axes[0]._values.filter((text) => text).length);
+  }
+  return least;
+})"""
+
+
 def choose(page: Page, seconds: int) -> None:
     page.evaluate(
         f"(() => {{ const w = document.getElementById('window'); w.value = '{seconds}';"
@@ -47,6 +60,8 @@ def test_a_year_is_asked_for_and_what_there_is_of_it_shown(open_page: OpenPage, 
 
 def test_labels_of_the_time_axis(open_page: OpenPage) -> None:
     page = open_page()
+    for seconds in (60, 300, 1800, 21_600, 86_400, 604_800, 2_592_000, 31_557_600):
+        assert page.evaluate(LABELS % {"s": seconds}) >= 1, f"{seconds} s: labels vanish"
     noon = page.evaluate("new Date().setHours(12, 0, 0, 0) / 1000")
     for call, text in (
         (f"{noon}, 30, {noon} - 100, {noon}", "12:00:00"),

@@ -4,7 +4,7 @@
 import { decimalsFor, fixed } from "./format.js";
 import { colour, drawLines, drawMarks } from "./overlays.js";
 import { extent } from "./series.js";
-import { tickSpace, tickText } from "./times.js";
+import { STEPS_S, tickSpace, tickText } from "./times.js";
 
 const HEIGHT = 150;
 const LEAST_DRAG = 8; // pixels that the pointer is pulled before it is meant as a span of time
@@ -46,7 +46,7 @@ function options(chart, width) {
     },
     scales: { x: { time: true, auto: false }, y: { auto: false } },
     axes: [
-      { ...axis, space: (_plot, _axis, min, max) => tickSpace(min, max), size: 22, gap: 4, values: timeTexts },
+      { ...axis, incrs: STEPS_S, space: (_plot, _axis, min, max) => tickSpace(min, max), size: 22, gap: 4, values: timeTexts },
       { ...axis, space: 24, size: axisWidth, gap: 4, values: tickTexts(chart) },
     ],
     series: [
