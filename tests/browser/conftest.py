@@ -92,7 +92,7 @@ def open_page(browser: Browser, server: LiveServer) -> Iterator[Callable[..., Pa
     """`open_page(width=1280, dark=False)`: the dashboard, its charts drawn. Closed at the end."""
     pages = []
 
-    def opened(width: int = 1280, fragment: str = "", **look: Any) -> Page:
+    def opened(width: int = 1280, fragment: str = "#axis1", **look: Any) -> Page:
         page = Page(browser)
         pages.append(page)
         page.look(width, 900, **look)

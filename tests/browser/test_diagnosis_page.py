@@ -78,6 +78,26 @@ def test_a_verdict_and_its_adoption(open_page: OpenPage, server: LiveServer) -> 
     assert page.errors() == []
 
 
+def test_what_is_adopted_is_forgotten(open_page: OpenPage, server: LiveServer) -> None:
+    rest = {"budget_s": 900.0, "cpu_s": 903.1, "not_tried": ["coulomb_friction + backlash"]}
+    show(server, replace(DONE, result={**FOUND, "unfinished": rest}), Adoption(True, FRICTION))
+    page = open_page()
+    page.until("document.getElementById('verdict').dataset.verdict == 'found'")
+    assert "within 900 s of processor time: not tried is coulomb friction + backlash" in text(page)
+    assert "another request goes on" in text(page)
+    show(server, DONE, Adoption(False, FRICTION, "the drive has this model"))
+    server.paused.add("axis1")
+    live = server.axis1.snapshot()
+    assert live.estimate is not None
+    server.axis1.publish(replace(live, estimate=replace(live.estimate, model=FRICTION)))
+    page.until("document.getElementById('verdict').dataset.verdict == 'adopted'")
+    assert "coulomb friction was found, and is part of the model now" in text(page)
+    assert page.evaluate("document.getElementById('found').children.length") == 0
+    assert page.evaluate("document.getElementById('adopt').hidden && document.getElementById('unfinished').hidden")
+    assert "Nothing to adopt" not in text(page)
+    assert page.errors() == []
+
+
 def test_a_refusal_is_shown(open_page: OpenPage, server: LiveServer) -> None:
     page = open_page()
     show(server, DONE, Adoption(True, FRICTION))

@@ -101,7 +101,7 @@ def test_a_drive_that_is_down(open_page: OpenPage, server: LiveServer) -> None:
     assert page.text("[data-name=R] .number") != "–"
     page.until("document.querySelectorAll('#events li').length == 1")
     assert "/dev/ttyUSB0 is <gone> (after_s 3.5)" in page.text("#events")
-    assert "axis1 (down)" in page.evaluate("document.getElementById('drive').options[0].text")
+    assert "axis1 (down)" in page.evaluate("document.getElementById('drive').options[1].text")
     server.paused.clear()
     page.until("document.getElementById('banner').hidden")
     page.until("document.querySelector('[data-name=R] .badge').dataset.status == 'tracking'")

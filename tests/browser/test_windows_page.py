@@ -19,7 +19,10 @@ CHART = """import('/assets/chart.js').then(({charts}) => {
   return [plot.scales.x.min, plot.scales.x.max, plot.axes[0]._values];
 })"""
 TICKS = "import('/assets/times.js').then(({tickText}) => tickText(%s))"
-WHERE = "(() => { const r = document.querySelector('[data-name=R] .u-over').getBoundingClientRect(); return [r.x, r.y, r.width]; })()"
+WHERE = """(() => {
+  const r = document.querySelector('[data-name=R] .u-over').getBoundingClientRect();
+  return [r.x, r.y, r.width];
+})()"""
 
 
 #: The least number of labels on a chart's time axis while it moves on by its own length.

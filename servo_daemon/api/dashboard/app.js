@@ -1,7 +1,8 @@
-// The page: which drives there are, which one is shown, and whether the daemon is there at all.
+// The page: which drives there are, whether one or all are shown, and whether the daemon is there at all.
 
 import { drivePath, get, post } from "./api.js";
-import { renderConnection } from "./facts.js";
+import { renderConnection, renderFleetConnection } from "./facts.js";
+import { pollFleet } from "./fleet.js";
 import { DriveView } from "./view.js";
 
 const POLL_MS = 1000;
@@ -10,48 +11,68 @@ let view = null;
 let live = false;
 let answers = false;
 
+const wanted = () => decodeURIComponent(location.hash.slice(1));
+const ALL = "";
+
+/** One drive, or ALL. */
 function show(name) {
   view?.close();
+  view = null;
   live = false;
   byId("events").replaceChildren();
+  const change = document.body.dataset.view === undefined ? "replaceState" : "pushState";
+  if (wanted() !== name) history[change](null, "", `#${encodeURIComponent(name)}`);
+  document.body.dataset.view = name === ALL ? "fleet" : "drive";
+  byId("fleet").hidden = name !== ALL;
+  byId("drive").value = name;
+  document.title = name === ALL ? "servo-daemon" : `${name} · servo-daemon`;
+  if (name === ALL) return;
   view = new DriveView(name, Number(byId("window").value), (open) => {
     live = open;
     refresh();
   });
-  if (byId("drive").value !== name) byId("drive").value = name;
-  document.title = `${name} · servo-daemon`;
-  history.replaceState(null, "", `#${encodeURIComponent(name)}`);
 }
 
 /** The picker follows the list without losing the choice; each entry tells how its drive is. */
 function fillPicker(drives) {
   const picker = byId("drive");
-  if (picker.length !== drives.length) {
-    picker.replaceChildren(...drives.map((drive) => new Option(drive.name, drive.name)));
+  const all = drives.length > 1 ? [new Option("all drives", ALL)] : [];
+  if (picker.length !== drives.length + all.length) {
+    picker.replaceChildren(...all, ...drives.map((drive) => new Option(drive.name, drive.name)));
   }
   drives.forEach((drive, k) => {
     const text = drive.connection === "connected" ? drive.name : `${drive.name} (${drive.connection})`;
-    if (picker.options[k].text !== text) picker.options[k].text = text;
+    const option = picker.options[k + all.length];
+    if (option.text !== text) option.text = text;
   });
 }
 
+/** The drive that the address names, else all, else the only one. */
 function chosen(drives) {
-  const wanted = decodeURIComponent(location.hash.slice(1));
-  return (drives.find((drive) => drive.name === wanted) ?? drives[0]).name;
+  const named = drives.find((drive) => drive.name === wanted());
+  return named?.name ?? (drives.length > 1 ? ALL : drives[0].name);
 }
 
 async function refresh() {
   try {
     const { drives } = await get("/drives");
     fillPicker(drives);
-    if (view === null) show(chosen(drives));
-    const drive = await view.poll();
+    if (document.body.dataset.view === undefined) show(chosen(drives));
+    if (view === null) {
+      await pollFleet();
+      answers = true;
+      renderFleetConnection(drives);
+      return;
+    }
+    const shown = view;
+    const drive = await shown.poll();
     answers = true;
+    if (shown !== view) return;
     byId("driver").textContent = drive.driver;
     const following = live || drive.connection !== "connected";
     renderConnection(following ? drive.connection : "loading", drive.name, drive.reason);
   } catch (error) {
-    if (answers || view === null) console.info(`the daemon does not answer: ${error.message}`);
+    if (answers || document.body.dataset.view === undefined) console.info(`the daemon does not answer: ${error.message}`);
     answers = false;
     renderConnection("lost", view?.name ?? "", null);
   }
@@ -62,11 +83,18 @@ async function poll() {
   setTimeout(poll, POLL_MS);
 }
 
-byId("drive").addEventListener("change", (event) => show(event.target.value));
+byId("drive").addEventListener("change", (event) => {
+  show(event.target.value);
+  refresh();
+});
 byId("window").addEventListener("change", () => view && show(view.name));
+/** Also by the buttons back and forward. */
 window.addEventListener("hashchange", () => {
-  const name = decodeURIComponent(location.hash.slice(1));
-  if ([...byId("drive").options].some((option) => option.value === name)) show(name);
+  const name = wanted();
+  if (view?.name !== name && [...byId("drive").options].some((option) => option.value === name)) {
+    show(name);
+    refresh();
+  }
 });
 byId("reset").addEventListener("click", async () => {
   const question = `Forget what was learned of ${view.name} and start from its nominal values?`;

@@ -8,7 +8,7 @@ const ADOPT_TIMEOUT_MS = 40_000; // a model that this machine has not seen yet i
 const ASK_EVERY = 5;
 const BADGES = {
   idle: "not looked at yet", running: "◔ looking…", failed: "✕ failed", none: "● nothing is missing",
-  found: "▲ found", unexplained: "◌ no name for it",
+  found: "▲ found", adopted: "● adopted", unexplained: "◌ no name for it",
 };
 const words = (name) => name.replaceAll("_", " ");
 const named = (effects) => ["linear motor", ...effects.map(words)].join(" + ");
@@ -64,12 +64,27 @@ function follows(result) {
   return on.filter(Boolean).join(", ");
 }
 
-function sentence(d) {
+/** Whether the drive's model has by now what was found. */
+function isAdopted(d, model) {
+  const effects = d.status === "done" && d.result.verdict === "found" ? d.adoption.effects : null;
+  return effects !== null && effects.length === model.length && effects.every((name) => model.includes(name));
+}
+
+/** What there was no time for, and that it need not be lost. */
+function unfinished(d) {
+  const rest = d.status === "done" ? d.result.unfinished : null;
+  if (!rest) return "";
+  const tried = rest.not_tried.length ? `: not tried ${rest.not_tried.length === 1 ? "is" : "are"} ${rest.not_tried.map(words).join(", ")}` : "";
+  return `Not finished within ${Math.round(rest.budget_s)} s of processor time${tried}. This is the best so far; another request goes on from here.`;
+}
+
+function sentence(d, adopted) {
   const span = `${d.span_s < 10 ? d.span_s.toFixed(1) : Math.round(d.span_s)} s of samples`;
   const when = d.finished ? new Date(d.finished).toLocaleString("sv-SE") : "";
   if (d.status === "idle") return "Finds out what the simulation of this drive gets wrong, from the samples of the last minute.";
   if (d.status === "running") return d.step ?? "";
   if (d.status === "failed") return `${when}: ${d.reason}`;
+  if (adopted) return `${when}: ${d.result.effects.map((effect) => words(effect.name)).join(" + ")} was found, and is part of the model now.`;
   const about = `${when}, ${span}, ${named(d.model)}`;
   if (d.result.verdict === "none") return `${about}: explains the data to its noise.`;
   if (d.result.verdict === "unexplained") {
@@ -84,6 +99,7 @@ export class DiagnosisPanel {
   constructor(drive) {
     this.drive = drive;
     this.document = null;
+    this.model = []; // the drive's, as it is now
     this.waiting = null; // what the user has asked for and is not answered yet
     this.problem = "";
     this.closed = false;
@@ -104,10 +120,13 @@ export class DiagnosisPanel {
   /**
    * Asks when there is reason to: a result is a large document that hardly ever changes.
    * @param {boolean} changed whether something has happened to the drive
+   * @param {string[]} model the drive's effects, as they are now
    */
-  async poll(changed = true) {
+  async poll(changed = true, model = this.model) {
+    const exchanged = model.join() !== this.model.join();
+    this.model = model;
     const rests = this.document !== null && this.document.status !== "running";
-    if (rests && !changed && ++this.passed < ASK_EVERY) return;
+    if (rests && !changed && !exchanged && ++this.passed < ASK_EVERY) return;
     this.passed = 0;
     const document = await get(`${drivePath(this.drive)}/diagnosis`);
     if (this.closed) return;
@@ -140,18 +159,20 @@ export class DiagnosisPanel {
     const d = this.document;
     if (d === null || this.closed) return;
     byId("diagnosis").hidden = false;
-    const verdict = d.status === "done" ? d.result.verdict : d.status;
+    const adopted = isAdopted(d, this.model);
+    const verdict = adopted ? "adopted" : d.status === "done" ? d.result.verdict : d.status;
     byId("verdict").dataset.verdict = verdict;
     write("verdict", BADGES[verdict] ?? verdict);
-    write("diagnosis-text", sentence(d));
+    write("diagnosis-text", sentence(d, adopted));
+    write("unfinished", unfinished(d));
     const running = d.status === "running";
     byId("diagnosis-progress").hidden = !running;
     if (running) byId("diagnosis-progress").value = d.progress ?? 0;
-    this.#renderFound(d.status === "done" ? d.result.effects : []);
+    this.#renderFound(d.status === "done" && !adopted ? d.result.effects : []);
     const report = byId("report-link");
     report.hidden = d.report === null;
     if (d.report !== null) report.href = `api/v1${drivePath(this.drive)}/diagnosis/report`;
-    this.#renderButtons(d);
+    this.#renderButtons(d, adopted);
   }
 
   /** Only when it changes, so that a text that is being selected stays. */
@@ -162,16 +183,16 @@ export class DiagnosisPanel {
     byId("found").replaceChildren(...effects.map(foundItem));
   }
 
-  #renderButtons(d) {
+  #renderButtons(d, adopted) {
     const diagnose = byId("diagnose");
     diagnose.disabled = !d.request.allowed || this.waiting !== null;
     const adopt = byId("adopt");
-    adopt.hidden = d.adoption.effects === null;
+    adopt.hidden = d.adoption.effects === null || adopted;
     adopt.disabled = !d.adoption.allowed || this.waiting !== null;
     adopt.textContent = this.waiting === "adoption" ? "Adopting…" : "Adopt…";
     const why = [];
     if (!d.request.allowed && d.status !== "running") why.push(`No diagnosis now: ${d.request.reason}.`);
-    if (!d.adoption.allowed && d.adoption.reason) why.push(`Nothing to adopt: ${d.adoption.reason}.`);
+    if (!d.adoption.allowed && d.adoption.reason && !adopted) why.push(`Nothing to adopt: ${d.adoption.reason}.`);
     write("diagnosis-why", this.problem || why.join(" "));
   }
 }

@@ -33,6 +33,14 @@ export function renderConnection(state, drive, reason) {
   document.body.dataset.connection = state;
 }
 
+/** How many of all drives are connected. */
+export function renderFleetConnection(drives) {
+  const connected = drives.filter((drive) => drive.connection === "connected").length;
+  renderConnection(connected === drives.length ? "connected" : "connecting", "", null);
+  write("connection", `${connected} of ${drives.length} connected`);
+  byId("banner").hidden = true;
+}
+
 export function renderFacts(estimates) {
   const { health } = estimates;
   const rate = estimates.sample_rate_hz;

@@ -5,6 +5,7 @@ import { renderAlarms, ringing } from "./alarms.js";
 import { ParameterCard, StateCard } from "./cards.js";
 import { DiagnosisPanel } from "./diagnosis.js";
 import { renderEvents, renderFacts, renderNote } from "./facts.js";
+import { TrendCard } from "./trend.js";
 import { POINTS, Zoom } from "./zoom.js";
 
 const LEAST_S = 15; // charts show at least so much time, also of a drive that has just started
@@ -19,6 +20,7 @@ export class DriveView {
     this.cards = new Map();
     this.zoom = new Zoom(name, this.cards, () => (this.dirty = this.document !== null));
     this.diagnosis = new DiagnosisPanel(name);
+    this.trend = new TrendCard(name);
     this.document = null;
     this.truth = {};
     this.limits = [];
@@ -40,6 +42,7 @@ export class DriveView {
   close() {
     this.closed = true;
     this.diagnosis.close();
+    this.trend.close();
     this.zoom.close();
     this.stream.close();
     cancelAnimationFrame(this.frame);
@@ -55,8 +58,9 @@ export class DriveView {
     this.truth = drive.truth ?? {};
     this.limits = drive.limits;
     document.getElementById("truth-key").hidden = drive.truth === undefined;
+    document.getElementById("simulated").hidden = drive.truth === undefined;
     document.getElementById("limit-key").hidden = drive.limits.length === 0;
-    await this.diagnosis.poll(drive.last_event !== this.lastEvent);
+    await this.diagnosis.poll(drive.last_event !== this.lastEvent, drive.model);
     if (drive.last_event !== this.lastEvent) {
       const { events } = await get(`${drivePath(this.name)}/events`);
       if (this.closed) return drive;

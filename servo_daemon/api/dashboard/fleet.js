@@ -1,0 +1,79 @@
+// All drives at a glance: one row each, a click opens the drive.
+
+import { get } from "./api.js";
+
+const byId = (id) => document.getElementById(id);
+const spaced = (name) => name.replaceAll("_", " ");
+const KNOWN = ["tracking", "unexcited", "fixed"];
+
+/** What is to be done about a drive, the most urgent; null: nothing. */
+export function toDo(drive) {
+  const { worst, diagnosis, alarms, statuses } = drive;
+  if (drive.connection === "down" || drive.connection === "silent") return `Check supply and line: ${drive.reason ?? drive.connection}`;
+  if (alarms.includes("controller_margin")) return "Tune again: the controller's margins are too small";
+  if (alarms.length) return `Inspect what ${worst?.parameter ?? alarms[0]} depends on`;
+  if (statuses.invalid || statuses.at_bound) return `See why ${worst.parameter} cannot be told`;
+  const lacks = diagnosis.effects.filter((name) => !drive.model.includes(name));
+  if (diagnosis.verdict === "found" && lacks.length) return `Decide about ${lacks.map(spaced).join(" + ")}: found by the diagnosis`;
+  if (statuses.estimating && drive.connection === "connected") return "Let it move: not all parameters are known yet";
+  return null;
+}
+
+function known(drive) {
+  const all = Object.values(drive.statuses).reduce((sum, n) => sum + n, 0);
+  return `${KNOWN.reduce((sum, status) => sum + (drive.statuses[status] ?? 0), 0)} of ${all} known`;
+}
+
+function cell(row, label, className, text) {
+  const made = row.insertCell();
+  made.dataset.label = label;
+  const inner = document.createElement("span");
+  inner.className = className;
+  inner.textContent = text;
+  made.append(inner);
+  return inner;
+}
+
+function fill(row, drive) {
+  const name = document.createElement("th");
+  name.scope = "row";
+  const link = document.createElement("a");
+  link.href = `#${encodeURIComponent(drive.name)}`;
+  link.textContent = drive.name;
+  name.append(link);
+  if (drive.simulated) name.append(Object.assign(document.createElement("small"), { textContent: " simulated" }));
+  row.append(name);
+  cell(row, "Status", "pill", drive.connection).dataset.state = drive.connection;
+  cell(row, "Parameters", "", known(drive));
+  cell(row, "Look at", "", drive.worst ? `${drive.worst.parameter}: ${drive.worst.why}` : "–");
+  const alarms = drive.alarms.map(spaced).join(", ");
+  cell(row, "Alarms", alarms ? "badge ringing" : "quiet", alarms || "none");
+  const todo = toDo(drive);
+  cell(row, "To do", todo ? "todo" : "quiet", todo ?? "nothing");
+}
+
+/** Rows are written anew only when they change, so that focus and selection stay. */
+function render(drives) {
+  const rows = byId("fleet-rows");
+  while (rows.rows.length > drives.length) rows.deleteRow(-1);
+  drives.forEach((drive, k) => {
+    const { time: _time, parameters: _parameters, ...shown } = drive;
+    const key = JSON.stringify(shown);
+    const row = rows.rows[k] ?? rows.insertRow();
+    if (row.dataset.key === key) return;
+    const focused = row.contains(document.activeElement);
+    row.dataset.key = key;
+    row.replaceChildren();
+    fill(row, drive);
+    row.classList.toggle("alarm", drive.alarms.length > 0);
+    row.onclick = () => (location.hash = encodeURIComponent(drive.name));
+    if (focused) row.querySelector("a").focus();
+  });
+}
+
+export async function pollFleet() {
+  const { drives, problems } = await get("/fleet");
+  render(drives);
+  byId("fleet-problems").textContent = problems.join(". ");
+  byId("fleet-problems").hidden = problems.length === 0;
+}

@@ -1,0 +1,72 @@
+"""All drives at a glance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from tests.browser.conftest import LiveServer
+from tests.browser.devtools import Browser, Page
+from tests.browser.test_alarm_page import R_MAX, ring
+
+pytestmark = pytest.mark.system
+TO_DO = """import('/assets/fleet.js').then(({toDo}) => toDo({
+  connection: 'connected', alarms: [], statuses: {tracking: 5}, model: [], worst: null,
+  diagnosis: {verdict: null, effects: []}, ...%s,
+}))"""
+ROW = "document.getElementById('fleet-rows').rows[%d]"
+
+
+@pytest.fixture
+def fleet(browser: Browser, server: LiveServer) -> Iterator[Page]:
+    page = Page(browser)
+    page.look(1280, 900)
+    page.open(server.address + "/")
+    page.until("document.getElementById('fleet-rows').rows.length == 2")
+    yield page
+    page.close()
+
+
+def row(page: Page, k: int) -> str:
+    return " ".join(str(page.evaluate((ROW % k) + ".innerText")).split())
+
+
+def test_one_row_a_drive_and_a_click_opens_it(fleet: Page, server: LiveServer) -> None:
+    assert row(fleet, 0).startswith("axis1 simulated connected 5 of 5 known K: +53.")
+    assert row(fleet, 0).endswith("none nothing")
+    assert fleet.text("#connection") == "2 of 2 connected"
+    assert fleet.evaluate("document.querySelectorAll('.uplot').length") == 0
+    fleet.evaluate((ROW % 1) + ".cells[3].click()")
+    fleet.until("document.querySelectorAll('#parameters .card').length == 5")
+    assert fleet.evaluate("document.title") == "axis2 · servo-daemon"
+    assert fleet.evaluate("document.getElementById('fleet').hidden") is True
+    fleet.evaluate("history.back()")
+    fleet.until("!document.getElementById('fleet').hidden && document.querySelectorAll('.card').length == 0")
+    assert fleet.evaluate("document.getElementById('drive').value") == ""
+    assert fleet.errors() == []
+
+
+def test_what_is_to_be_done(fleet: Page, server: LiveServer) -> None:
+    server.paused |= {"axis1", "axis2"}
+    server.axis1.limits = (R_MAX,)
+    ring(server, "R_max")
+    server.daemon.drives["axis2"].lose("down", "/dev/ttyUSB0 is gone")
+    fleet.until((ROW % 0) + ".classList.contains('alarm')")
+    assert row(fleet, 0).endswith("R: alarm R_max R max Inspect what R depends on")
+    fleet.until((ROW % 1) + ".innerText.includes('Check supply and line: /dev/ttyUSB0 is gone')")
+    for changes, said in (
+        ("{}", None),
+        ("{statuses: {tracking: 4, estimating: 1}}", "Let it move: not all parameters are known yet"),
+        (
+            "{diagnosis: {verdict: 'found', effects: ['dry_friction']}}",
+            "Decide about dry friction: found by the diagnosis",
+        ),
+        ("{diagnosis: {verdict: 'found', effects: ['dry_friction']}, model: ['dry_friction']}", None),
+        ("{alarms: ['controller_margin']}", "Tune again: the controller's margins are too small"),
+        ("{statuses: {at_bound: 1}, worst: {parameter: 'J', why: 'at its bound'}}", "See why J cannot be told"),
+    ):
+        assert fleet.evaluate(TO_DO % changes) == said
+    fleet.look(390, 900, dark=True)
+    assert fleet.evaluate("document.documentElement.scrollWidth") == 390
+    assert fleet.errors() == []
