@@ -53,7 +53,7 @@ def test_what_is_to_be_done(fleet: Page, server: LiveServer) -> None:
     ring(server, "R_max")
     server.daemon.drives["axis2"].lose("down", "/dev/ttyUSB0 is gone")
     fleet.until((ROW % 0) + ".classList.contains('alarm')")
-    assert row(fleet, 0).endswith("R: alarm R_max R max Inspect what R depends on")
+    assert row(fleet, 0).endswith("R: alarm R_max R_max Inspect what R depends on")
     fleet.until((ROW % 1) + ".innerText.includes('Check supply and line: /dev/ttyUSB0 is gone')")
     for changes, said in (
         ("{}", None),

@@ -91,7 +91,7 @@ def test_a_drive_that_is_down(open_page: OpenPage, server: LiveServer) -> None:
     page = open_page()
     server.paused.add("axis1")
     server.axis1.lose("down", "/dev/ttyUSB0 is gone")
-    server.axis1.log.append(Event(server.started, "disconnected", "/dev/ttyUSB0 is <gone>", {"after_s": 3.5}))
+    server.axis1.log.append(Event(server.started, "disconnected", "/dev/ttyUSB0 is <gone>", {"after_s": 3.5000000000000004}))
     page.until("document.getElementById('connection').dataset.state == 'down'")
     banner = page.text("#banner")
     assert "axis1" in banner
@@ -100,7 +100,7 @@ def test_a_drive_that_is_down(open_page: OpenPage, server: LiveServer) -> None:
     assert "/dev/ttyUSB0 is gone" in page.text("[data-name=R] .reason")
     assert page.text("[data-name=R] .number") != "–"
     page.until("document.querySelectorAll('#events li').length == 1")
-    assert "/dev/ttyUSB0 is <gone> (after_s 3.5)" in page.text("#events")
+    assert "/dev/ttyUSB0 is <gone> (after s 3.5)" in page.text("#events")
     assert "axis1 (down)" in page.evaluate("document.getElementById('drive').options[1].text")
     server.paused.clear()
     page.until("document.getElementById('banner').hidden")

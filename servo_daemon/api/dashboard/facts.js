@@ -72,6 +72,9 @@ export function renderNote(note) {
   byId("history-note").hidden = !note;
 }
 
+/** A number with the four digits that a message has, too. */
+const short = (value) => (typeof value === "number" ? Number(value.toPrecision(4)) : value);
+
 function eventItem(event) {
   const item = document.createElement("li");
   const time = document.createElement("time");
@@ -80,7 +83,7 @@ function eventItem(event) {
   time.textContent = new Date(event.time).toLocaleString("sv-SE");
   const kind = document.createElement("b");
   kind.textContent = event.kind.replaceAll("_", " ");
-  const data = Object.entries(event.data).map(([key, value]) => `${key} ${value}`).join(", ");
+  const data = Object.entries(event.data).map(([key, value]) => `${key.replaceAll("_", " ")} ${short(value)}`).join(", ");
   const message = document.createElement("span");
   message.textContent = event.message + (data ? ` (${data})` : "");
   item.append(time, kind, message);

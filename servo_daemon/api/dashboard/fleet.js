@@ -46,7 +46,7 @@ function fill(row, drive) {
   cell(row, "Status", "pill", drive.connection).dataset.state = drive.connection;
   cell(row, "Parameters", "", known(drive));
   cell(row, "Look at", "", drive.worst ? `${drive.worst.parameter}: ${drive.worst.why}` : "–");
-  const alarms = drive.alarms.map(spaced).join(", ");
+  const alarms = drive.alarms.map((name) => (name === "controller_margin" ? spaced(name) : name)).join(", ");
   cell(row, "Alarms", alarms ? "badge ringing" : "quiet", alarms || "none");
   const todo = toDo(drive);
   cell(row, "To do", todo ? "todo" : "quiet", todo ?? "nothing");
