@@ -6,6 +6,7 @@ import gzip
 import json
 import logging
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -99,10 +100,10 @@ def test_help_has_an_example_that_parses(run: Run, command: str) -> None:
     result = run(command, "--help")
     assert result.code == 0 and result.err == ""
     _, _, examples = result.out.partition("example:\n")
-    lines = [line.split("#")[0].strip() for line in examples.strip().splitlines()]
+    lines = examples.replace("\\\n", "").strip().splitlines()
     assert lines
     for line in lines:
-        program, name, *words = line.split()
+        program, name, *words = shlex.split(line, comments=True)
         assert (program, name) == ("servo-daemon", command)
         assert cli._parser().parse_args([name, *words]).command == command
 
