@@ -44,9 +44,11 @@ def effect_list(width: int) -> str:
     allow."""
     from servo_daemon.plant.effects import effects_by_name
 
+    wrapper = textwrap.TextWrapper(max(width, 40), initial_indent="    ", subsequent_indent="    ")
+    wrapper.break_on_hyphens = False
     lines = []
     for name, effect in effects_by_name().items():
         lines.append(f"{name} ({', '.join(p.name for p in effect.parameters)})")
         what = f"A further harmonic of {effect.further}." if effect.further else effect.cause
-        lines += textwrap.wrap(what, max(width, 40), initial_indent="    ", subsequent_indent="    ")
+        lines += wrapper.wrap(what)
     return "\n".join(lines)
