@@ -47,6 +47,7 @@ def test_a_network_without_tokens() -> None:
     ("text", "says"),
     [
         ("[api]\nprot = 1\n", ("unknown key 'api.prot'",)),
+        ("[api]\nhost = '127.0.0.1'\n", ("c.toml: no [[drive]]",)),
         ("[[drive]]\ndriver = 'morse'\n", ("unknown driver 'morse'", "serial")),
         ("[[drive]]\ndriver = 'serial'\n[drive.options]\nprot = 1\n", ("axis1", "unknown option 'prot'")),
     ],
