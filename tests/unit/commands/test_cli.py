@@ -6,6 +6,7 @@ import gzip
 import json
 import logging
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -102,7 +103,7 @@ def test_help_has_an_example_that_parses(run: Run, command: str) -> None:
     lines = [line.split("#")[0].strip() for line in examples.strip().splitlines()]
     assert lines
     for line in lines:
-        program, name, *words = line.split()
+        program, name, *words = shlex.split(line)
         assert (program, name) == ("servo-daemon", command)
         assert cli._parser().parse_args([name, *words]).command == command
 
