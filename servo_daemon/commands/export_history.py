@@ -18,8 +18,7 @@ from servo_daemon.files import AtomicFile
 
 HELP = "the history of a running daemon as CSV or Parquet"
 EXAMPLE = """  servo-daemon export-history --drive axis1 --window 1y --out axis1.csv
-  servo-daemon export-history http://192.168.1.20:8077 --parameter R,K,temperature_C --level "1 min" --window 30d \\
-      --out axis1.parquet"""
+  servo-daemon export-history --parameter R,K --level "1 min" --window 30d --out axis1.parquet"""
 
 #: Rows that one request asks for: the daemon gives 20,000 at most, and neither side is to hold much more at once.
 _ROWS: Final = 10_000
