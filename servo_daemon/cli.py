@@ -39,6 +39,7 @@ COMMANDS = {
     "status": "servo_daemon.commands.status",
     "export-history": "servo_daemon.commands.export_history",
     "token": "servo_daemon.commands.token",
+    "completion": "servo_daemon.commands.completion",
 }
 
 
@@ -86,7 +87,7 @@ def _parser() -> argparse.ArgumentParser:
             default=os.environ.get("SERVO_DAEMON_LOG_LEVEL", "info"),
             help="what goes to stderr (default: info)",
         )
-        sub.set_defaults(run=module.run)
+        sub.set_defaults(run=module.run, parser=parser)
     return parser
 
 

@@ -360,7 +360,8 @@ def load_config(path: Path | None, environ: Mapping[str, str] = os.environ) -> C
     """The configuration from a TOML file (None: defaults) and the environment.
 
     Raises:
-        ConfigError: unreadable, not TOML, unknown or impossible keys; one line naming the place.
+        ConfigError: unreadable, not TOML, unknown or impossible keys, a file without a drive; one line naming
+            the place.
     """
     data: dict[str, Any] = {}
     source, text = "config" if path is None else str(path), ""
@@ -375,4 +376,10 @@ def load_config(path: Path | None, environ: Mapping[str, str] = os.environ) -> C
         except tomllib.TOMLDecodeError as error:
             raise ConfigError(f"{path}: not valid TOML: {error}") from error
     _apply_environment(data, environ)
-    return parse_config(data, source, text)
+    config = parse_config(data, source, text)
+    if path is not None and "drive" not in data:
+        raise ConfigError(
+            f'{path}: no [[drive]]: add that line and below it driver = "serial", options = {{ port = "…" }}, or what '
+            '`servo-daemon scan` prints (driver = "simulated" is a simulated motor)'
+        )
+    return config

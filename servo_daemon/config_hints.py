@@ -69,7 +69,7 @@ def line_of(text: str, place: Sequence[str | int]) -> int | None:
             if header[1] == "[[":
                 count[names[0]] = count.get(names[0], -1) + 1
             here = [names[0], *([count[names[0]]] if names[0] in count else []), *names[1:]]
-            if here == list(place):
+            if list(place) in (here, names):
                 return number
         elif here == list(place[:-1]) and re.match(rf"\s*[\"']?{re.escape(str(place[-1]))}[\"']?\s*[=.]", line):
             return number

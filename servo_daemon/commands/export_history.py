@@ -18,8 +18,7 @@ from servo_daemon.files import AtomicFile
 
 HELP = "the history of a running daemon as CSV or Parquet"
 EXAMPLE = """  servo-daemon export-history --drive axis1 --window 1y --out axis1.csv
-  servo-daemon export-history http://192.168.1.20:8077 --parameter R,K,temperature_C --level "1 min" --window 30d \\
-      --out axis1.parquet"""
+  servo-daemon export-history --parameter R,K --level "1 min" --window 30d --out axis1.parquet"""
 
 #: Rows that one request asks for: the daemon gives 20,000 at most, and neither side is to hold much more at once.
 _ROWS: Final = 10_000
@@ -33,8 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--parameter", metavar="P,…", help="parameters and state channels (default: all parameters)")
     parser.add_argument("--window", default="1y", metavar="T", help="how far back: 30min, 7d, 1y (default)")
     parser.add_argument("--level", choices=tuple(_PERIODS_S), help="default: what gives at most 20,000 rows")
-    parser.add_argument("--out", type=Path, required=True, metavar="F", help=".csv, .csv.gz or .parquet")
-    parser.add_argument("--force", action="store_true", help="overwrite F")
+    common.add_out(parser, ".csv, .csv.gz or .parquet", required=True)
     common.add_json(parser)
 
 
@@ -43,8 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
     parquet = out.suffix == ".parquet"
     if not parquet and not out.name.endswith((".csv", ".csv.gz")):
         raise BadInputError(f"{out}: the name must end in .csv, .csv.gz or .parquet")
-    if out.is_file() and not arguments.force:
-        raise BadInputError(f"{out} exists; --force overwrites it")
+    common.may_overwrite(arguments.force, out)
     url, drive = arguments.url, arguments.drive
     drives = [d["name"] for d in daemon_http.document(url, "/drives")["drives"]]
     drive = drives[0] if drive is None else drive

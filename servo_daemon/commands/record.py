@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import time
-from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seconds", type=float, required=True, metavar="N", help="of device time, or of the clock if that is slower"
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="F", help=".csv, .csv.gz or .parquet")
+    common.add_out(parser, ".csv, .csv.gz or .parquet", required=True)
     common.add_json(parser)
 
 
@@ -40,6 +39,8 @@ def run(arguments: argparse.Namespace) -> int:
     if not 0 < arguments.seconds < float("inf"):
         raise BadInputError(f"--seconds must be greater than 0, not {arguments.seconds:g}")
     drive = common.offline_drive(arguments)
+    common.keep_inputs(arguments.out, arguments.config)
+    common.may_overwrite(arguments.force, arguments.out)
     driver = make_driver(drive.driver, drive.name, drive.options)
     metadata = {"generator": f"servo-daemon {__version__} record", "drive": drive.name, "driver": drive.driver}
     metadata |= {k: f"{v:g}" for k, v in drive.load.model_dump().items() if v is not None}

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from servo_daemon.commands import sim_makes
 from servo_daemon.commands.shared import common
+from servo_daemon.commands.shared.effect_flag import add_effect
 
 HELP = "a simulated drive that speaks the real wire on a pseudo-terminal, until it is stopped"
 EXAMPLE = """  servo-daemon sim-drive --serial /tmp/servo0    # then: driver = "serial", port = "/tmp/servo0"
@@ -26,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--drive-id", type=int, default=1, help="the drive's number on the wire (default: 1)")
     parser.add_argument("--rate", type=float, default=None, metavar="HZ", help="samples a second (default: 1000)")
     parser.add_argument("--seed", type=int, default=0, help="same seed, same motor noise (default: 0)")
-    parser.add_argument("--effect", action="append", default=[], metavar="NAME[:k=v,…]", help="repeatable")
+    add_effect(parser, "an effect the motor has")
     parser.add_argument(
         "--ageing", nargs="+", action="extend", default=None, metavar="P=±%/T", help="default: ages like `run`'s motor"
     )

@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
-from pathlib import Path
 
 from servo_daemon.commands.shared import common
+from servo_daemon.commands.shared.effect_flag import add_effect
 from servo_daemon.errors import BadInputError
 
 HELP = "write a capture of a simulated motor (the paper's, unless told otherwise)"
@@ -16,10 +16,8 @@ EXAMPLE = """  servo-daemon simulate --out aged.csv.gz --seconds 60 --ageing R=+
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--out", type=Path, required=True, metavar="F", help=".csv, .csv.gz or .parquet")
-    parser.add_argument(
-        "--effect", action="append", default=[], metavar="NAME[:k=v,…]", help="an effect the motor has; repeatable"
-    )
+    common.add_out(parser, ".csv, .csv.gz or .parquet", required=True)
+    add_effect(parser, "an effect the motor has")
     parser.add_argument("--seconds", type=float, default=60.0, help="length (default: 60)")
     parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="samples a second (default: 1000)")
     parser.add_argument("--seed", type=int, default=0, help="same seed, same capture (default: 0)")
@@ -60,6 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     from servo_daemon.captures.capture.model import MIN_SAMPLES
     from servo_daemon.simulate import simulate_capture
 
+    common.may_overwrite(arguments.force, arguments.out)
     ageing = [part for text in arguments.ageing for part in text.split(",") if part]
     block, metadata = simulate_capture(
         effects=arguments.effect,

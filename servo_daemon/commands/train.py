@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a capture of a motor whose metadata say truth_R … truth_B, learned beside the simulated ones; repeatable",
     )
     parser.add_argument("--seed", type=int, default=0, help="same seed, same model (default: 0)")
-    parser.add_argument("--out", type=Path, metavar="F", help="where to write the model (default: where `run` looks)")
+    common.add_out(parser, "where to write the model (default: where `run` looks, in place of the one before)")
     common.add_signals(parser, rate=False)
     common.add_config(parser)
     common.add_json(parser)
@@ -115,6 +115,7 @@ def _check_out(arguments: argparse.Namespace, path: Path) -> None:
     common.keep_inputs(path, arguments.config, *arguments.measured)
     if path.is_dir():
         raise BadInputError(f"--out {path}: is a folder")
+    common.may_overwrite(arguments.force or arguments.out is None, path)
     OutputFolder(path.parent).check_writable()
 
 

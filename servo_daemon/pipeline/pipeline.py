@@ -22,7 +22,7 @@ from servo_daemon.pipeline.publish import Publisher, SavedState
 from servo_daemon.pipeline.refresher import Refresher
 from servo_daemon.pipeline.ring import SampleRing
 from servo_daemon.pipeline.stream import TickCutter
-from servo_daemon.pipeline.temperature import last_temperature, with_temperature
+from servo_daemon.pipeline.views import last_temperature, with_temperature
 from servo_daemon.published.snapshot import Estimate
 from servo_daemon.samples import SampleBlock, concatenate
 from servo_daemon.signal_meaning import SignalMeaning

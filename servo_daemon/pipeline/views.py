@@ -1,13 +1,18 @@
-"""What is published beside the parameters: what each estimator says, the drive's state, the filter's health."""
+"""What is published beside the parameters: what each estimator says, the drive's state and temperature, the
+filter's health."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
 
 from servo_daemon.kalman.gaussian import Gaussian, from_coordinate
 from servo_daemon.plant.effects import parameter_table
-from servo_daemon.published.snapshot import EstimatorView, finite_or_none
+from servo_daemon.published.snapshot import Estimate, EstimatorView, finite_or_none
 from servo_daemon.regression.estimate import KNOWS, RegressionEstimate
+from servo_daemon.samples import SampleBlock
 from servo_daemon.tracking.tracker import Tracker
 
 #: Parameter -> (value, std), natural units.
@@ -77,3 +82,18 @@ def health_of(tracker: Tracker) -> dict[str, float | int | bool | str | None]:
         health[f"nis_{channel}"] = finite_or_none(w.nis)
         health[f"innovation_correlation_{channel}"] = finite_or_none(w.correlation)
     return health
+
+
+def last_temperature(block: SampleBlock, before: float | None) -> float | None:
+    """The last finite temperature of a block, °C; without one that from before, as long as the channel is there."""
+    if block.temperature_C is None:
+        return None
+    known = block.temperature_C[np.isfinite(block.temperature_C)]
+    return float(known[-1]) if len(known) else before
+
+
+def with_temperature(estimate: Estimate, temperature_C: float | None) -> Estimate:
+    """With the drive's temperature in its state; where none is measured as it is."""
+    if temperature_C is None or estimate.state.get("temperature_C") == temperature_C:
+        return estimate
+    return replace(estimate, state={**estimate.state, "temperature_C": temperature_C})

@@ -126,8 +126,8 @@ _COMMANDS: dict[str, tuple[str, ...]] = {
     "compare paper": ("compare", "--paper"),
     "tune full": ("tune", "full"),
     "excite": ("excite", "--config", "compiled.toml", "--out", "motion.csv"),
-    "diagnose full": ("diagnose", "full", "--out", "diagnosed"),
-    "diagnose xl330": ("diagnose", "xl330_up_and_down_kp100", "--out", "diagnosed"),
+    "diagnose full": ("diagnose", "full", "--out", "diagnosed-full"),
+    "diagnose xl330": ("diagnose", "xl330_up_and_down_kp100", "--out", "diagnosed-xl330"),
 }
 
 

@@ -161,7 +161,7 @@ def test_several_mistakes_are_counted(file: Path) -> None:
 
 
 def test_a_byte_order_mark_is_no_part_of_the_text(file: Path) -> None:
-    assert load(file, "\ufeff[api]\nport = 1\n").api.port == 1
+    assert load(file, "\ufeff[api]\nport = 1\n[[drive]]\n").api.port == 1
 
 
 def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
@@ -175,8 +175,20 @@ def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
         load_config(latin, {})
 
 
+@pytest.mark.parametrize("text", ["", "[api]\nport = 1\n"])
+def test_a_file_without_a_drive_is_refused(file: Path, text: str) -> None:
+    """Nobody who writes a file means a motor that is not there."""
+    with pytest.raises(ConfigError, match=r"c\.toml: no \[\[drive\]\]: add .*driver = .*servo-daemon scan"):
+        load(file, text)
+
+
+def test_a_misspelt_drive_is_told_before_the_one_that_is_missing(file: Path) -> None:
+    with pytest.raises(ConfigError, match=r"unknown key 'drives', line 1 \(did you mean 'drive'\?\)"):
+        load(file, "[[drives]]\n")
+
+
 def test_the_environment_overrides_the_file(file: Path) -> None:
-    text = "[api]\nport = 1\nhost = 'a'\n[storage]\nstate_dir = '/a'\n"
+    text = "[api]\nport = 1\nhost = 'a'\n[storage]\nstate_dir = '/a'\n[[drive]]\n"
     names = {"API_PORT": "2", "API_HOST": "b", "STATE_DIR": "/b", "STORAGE_SAVE_INTERVAL_S": "7"}
     config = load(file, text, **{f"SERVO_DAEMON_{k}": v for k, v in names.items()})
     assert (config.api.port, config.api.host) == (2, "b")

@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"({QUICK_MOTORS}: some seconds; 0: leave method 3 out)",
     )
     add_model(parser)
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write compare.json and report.html there")
+    common.add_out(parser, "write compare.json and report.html there", metavar="DIR")
     common.add_signals(parser)
     common.add_config(parser)
     common.add_json(parser)
@@ -64,6 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.assumed_R is not None and not arguments.assumed_R > 0.0:
         raise BadInputError(f"--assumed-R must be greater than zero, not {arguments.assumed_R:g}")
     if arguments.out is not None:
+        common.may_overwrite(arguments.force, *(arguments.out / name for name in ("compare.json", "report.html")))
         OutputFolder(arguments.out).check_writable()  # what cannot be written should not be computed first
     document: dict[str, Any] = {}
     paper = redo() if arguments.paper else None

@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("captures", type=Path, nargs="+", metavar="CAPTURE", help=common.CAPTURE_HELP)
     add_model(parser)
     add_validation(parser)
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write diagnosis.json and report.html there")
+    common.add_out(parser, "write diagnosis.json and report.html there", metavar="DIR")
     parser.add_argument(
         "--progress-json", action="store_true", help="progress as lines of JSON on stderr instead of a bar"
     )
@@ -63,6 +63,10 @@ def run(arguments: argparse.Namespace) -> int:
     from servo_daemon.commands.shared.output_folder import OutputFolder
 
     if arguments.out is not None:
+        goes_on = arguments.journal is not None and arguments.journal.is_file()  # the same command once more
+        common.may_overwrite(
+            arguments.force or goes_on, *(arguments.out / name for name in ("diagnosis.json", "report.html"))
+        )
         OutputFolder(arguments.out).check_writable()  # a minute's work should not end there
     inputs = gather(arguments, arguments.captures, arguments.validate, searches=True)
     check_validation(inputs, arguments.adapt)

@@ -29,13 +29,17 @@ _COUNTS, _CURRENT_SHARE, _INPUT_SHARE = 4096.0, 0.002, 0.001
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     common.add_config(parser, required=True)
-    parser.add_argument("--out", type=Path, required=True, metavar="F", help="the plan, .csv or .csv.gz")
+    common.add_out(parser, "the plan, .csv or .csv.gz", required=True)
     asked = parser.add_mutually_exclusive_group()
     asked.add_argument(
         "--for", nargs="+", default=[], dest="wanted", metavar="P", help="determine these (default: all)"
     )
     asked.add_argument(
-        "--between", nargs="+", default=[], metavar="EFFECT", help="tell these effects apart ('none': no effect at all)"
+        "--between",
+        nargs="+",
+        default=[],
+        metavar="EFFECT",
+        help="tell these effects apart ('none': no effect at all; `fit --effect help` lists them)",
     )
     asked.add_argument(
         "--diagnosis", type=Path, metavar="JSON", help="tell apart what this diagnosis.json could not; its values count"
@@ -63,6 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     check_path(arguments.out)
     common.keep_inputs(arguments.out, arguments.config, arguments.diagnosis)
+    common.may_overwrite(arguments.force, arguments.out)
     drive = common.offline_drive(arguments)
     request, notes = make_request(drive, arguments)
     for line in notes:

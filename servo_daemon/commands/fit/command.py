@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from servo_daemon.commands.shared import common
+from servo_daemon.commands.shared.effect_flag import add_effect
 
 if TYPE_CHECKING:
     from servo_daemon.commands.fit.inputs import Inputs
@@ -31,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--segment", type=float, metavar="S", help="free runs of this length, each with its own initial state"
     )
     parser.add_argument("--no-robust", action="store_true", help="give isolated wrong samples full weight")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write fit.json and report.html there")
+    common.add_out(parser, "write fit.json and report.html there", metavar="DIR")
     common.add_signals(parser)
     common.add_config(parser)
     common.add_json(parser)
@@ -39,13 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_model(parser: argparse.ArgumentParser) -> None:
     """The flags that say which model is fitted."""
-    parser.add_argument(
-        "--effect",
-        action="append",
-        default=[],
-        metavar="NAME[:k=v,…]",
-        help="an effect beside the config's model, with start values; repeatable",
-    )
+    add_effect(parser, "an effect beside the config's model, with start values")
     common.add_fix(parser, "parameters held at a value, e.g. R=3.57,K=0.046; repeatable")
 
 
@@ -78,6 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
     from servo_daemon.identification.output_error import FitOptions
 
     if arguments.out is not None:
+        common.may_overwrite(arguments.force, *(arguments.out / name for name in ("fit.json", "report.html")))
         OutputFolder(arguments.out).check_writable()  # what cannot be written should not be computed first
     inputs = gather(arguments, arguments.captures, arguments.validate)
     _check_segment(arguments.segment, inputs)

@@ -27,7 +27,7 @@ BLOCK_SAMPLES = 8192
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("capture", type=Path, metavar="CAPTURE", help=common.CAPTURE_HELP)
     common.add_signals(parser)
-    parser.add_argument("--out", type=Path, required=True, metavar="EST.csv", help="estimates at 10 Hz of capture time")
+    common.add_out(parser, "estimates at 10 Hz of capture time", metavar="EST.csv", required=True)
     parser.add_argument(
         "--block",
         type=int,
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from servo_daemon.commands.replay.estimates_csv import EstimatesWriter
+    from servo_daemon.commands.replay.estimates_csv import EstimatesWriter, is_estimates
     from servo_daemon.errors import BadInputError
     from servo_daemon.pipeline.pipeline import Pipeline
     from servo_daemon.pipeline.publish import published_names
@@ -51,6 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.block < 1:
         raise BadInputError(f"--block must be at least 1, not {arguments.block}")
     common.keep_inputs(arguments.out, arguments.capture, arguments.config, arguments.learned, arguments.signals)
+    common.may_overwrite(arguments.force or is_estimates(arguments.out), arguments.out)
     drive = common.offline_drive(arguments)
     (capture,) = common.read_captures([arguments.capture], arguments)
     meaning = capture.meaning(drive.signals.meaning())

@@ -6,7 +6,9 @@ own parameters as the model lists them, J_d last; then the same with the prefix 
 
 from __future__ import annotations
 
+import gzip
 import re
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
@@ -21,12 +23,25 @@ ESTIMATORS = ("ekf", "rls", "grnn")
 #: No ending at all (/dev/stdout), or that of a table of text.
 _CSV_NAME = re.compile(r"^[^.]*$|\.csv(\.gz)?$", re.IGNORECASE)
 
+#: The first parameter's status is within the first hundred bytes; a file that is none of ours may be one long line.
+_HEADER_BYTES = 4096
+
 
 def parameter_order(names: Sequence[str]) -> tuple[str, ...]:
     """The order of the columns: the linear motor's parameters, the effects' as given, J_d."""
     linear = tuple(p.name for p in LINEAR if p.name in names)
     own = tuple(name for name in names if name not in linear and name != J_D.name)
     return (*linear, *own, *((J_D.name,) if J_D.name in names else ()))
+
+
+def is_estimates(path: Path) -> bool:
+    """Whether the file has the header of one that `EstimatesWriter` wrote: what can be computed again may be."""
+    try:
+        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
+            header = file.readline(_HEADER_BYTES)
+    except (OSError, EOFError, zlib.error):
+        return False
+    return header.startswith(b"time_s,") and b"_status," in header
 
 
 class EstimatesWriter:

@@ -80,6 +80,33 @@ def keep_inputs(out: Path, *inputs: Path | None) -> None:
             raise BadInputError(f"--out {out}: is {path} itself, which is read: choose another name")
 
 
+def add_out(parser: argparse.ArgumentParser, meaning: str, *, metavar: str = "F", required: bool = False) -> None:
+    """`--out`, and the `--force` that `may_overwrite` takes."""
+    parser.add_argument("--out", type=Path, required=required, metavar=metavar, help=meaning)
+    parser.add_argument("--force", action="store_true", help="overwrite what is there already")
+
+
+def may_overwrite(force: bool, *outputs: Path) -> None:
+    """See that no file is lost to `--out` unasked: on a terminal the user is asked. To be called before the work.
+
+    Args:
+        force: of `--force`.
+        outputs: files that are going to be written.
+
+    Raises:
+        BadInputError: one of them is there, and nobody said that it may go.
+    """
+    there = [str(path) for path in outputs if path.is_file()]
+    if force or not there:
+        return
+    exist = f"{' and '.join(there)} {'exists' if len(there) == 1 else 'exist'}"
+    if sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty():
+        print(f"{exist}: overwrite? [y/N] ", end="", file=sys.stderr, flush=True)
+        if sys.stdin.readline().strip().lower() in ("y", "yes"):
+            return
+    raise BadInputError(f"{exist}: choose another --out, or --force to overwrite")
+
+
 def add_json(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print exactly one JSON document on stdout")
 

@@ -44,9 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--rate-hz", type=float, metavar="F", help="samples a second of the controller")
     parser.add_argument("--delay-samples", type=float, metavar="N", help="from encoder to voltage (default: 1)")
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="tuning.json, controller.toml, bode.csv and step responses go there"
-    )
+    common.add_out(parser, "tuning.json, controller.toml, bode.csv and step responses go there", metavar="DIR")
     common.add_json(parser)
 
 
@@ -58,6 +56,8 @@ def run(arguments: argparse.Namespace) -> int:
     from servo_daemon.tuning.knowledge import Ask
     from servo_daemon.tuning.report import tune
 
+    if arguments.out is not None:
+        common.may_overwrite(arguments.force, arguments.out / "tuning.json", arguments.out / "controller.toml")
     drive = common.offline_drive(arguments)
     fixed, tolerance = common.parse_fix(",".join(arguments.fix)), parse_tolerance(arguments.tolerance)
     drive = drive.model_copy(update={"nominal": {**drive.nominal, **fixed}})

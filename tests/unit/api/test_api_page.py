@@ -130,6 +130,7 @@ def test_openapi_describes_every_route_with_examples(client: Client) -> None:
         f"{drive}/estimates",
         f"{drive}/history",
         f"{drive}/events",
+        f"{drive}/trend",
         f"{drive}/tuning",
         f"{drive}/diagnosis",
         f"{drive}/diagnosis/report",

@@ -6,6 +6,7 @@ import gzip
 import json
 import logging
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -99,10 +100,10 @@ def test_help_has_an_example_that_parses(run: Run, command: str) -> None:
     result = run(command, "--help")
     assert result.code == 0 and result.err == ""
     _, _, examples = result.out.partition("example:\n")
-    lines = [line.split("#")[0].strip() for line in examples.strip().splitlines()]
+    lines = examples.replace("\\\n", "").strip().splitlines()
     assert lines
     for line in lines:
-        program, name, *words = line.split()
+        program, name, *words = shlex.split(line, comments=True)
         assert (program, name) == ("servo-daemon", command)
         assert cli._parser().parse_args([name, *words]).command == command
 
@@ -604,6 +605,15 @@ def test_what_is_read_is_not_written_over(run: Run, capture: Path, tmp_path: Pat
         result = run(*words)
         assert result.code == 2 and "which is read: choose another name" in result.err
     assert capture.read_bytes() == before and config.read_text().startswith("[[drive]]")
+
+
+def test_a_configuration_without_a_drive_runs_nothing(run: Run, tmp_path: Path) -> None:
+    config = tmp_path / "servo.toml"
+    config.write_text("[api]\nport = 0\n")
+    for words in (("check", "--json"), ("record", "--seconds", "0.1", "--out", tmp_path / "r.csv")):
+        result = run(*words, "--config", config)
+        assert result.code == 2 and "servo.toml: no [[drive]]: add that line" in result.err
+        assert "--json" not in words or "no [[drive]]" in json.loads(result.out)["error"]
 
 
 @pytest.mark.parametrize(

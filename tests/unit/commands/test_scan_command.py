@@ -124,7 +124,7 @@ def test_a_simplefoc_monitor_is_found_without_asking(
 ) -> None:
     """All seven columns say what they are; of four only the sketch knows which."""
     with line(tmp_path / "foc", SimpleFocMonitor(sine_motor(0.01), monitor=monitor, period_s=0.01)) as rig:
-        _, document = scan(capsys, "--port", str(rig.link), "--seconds", "1")
+        _, document = scan(capsys, "--port", str(rig.link), "--seconds", "2")
         assert bytes(rig.heard) == b""
     drive = only_drive(document)
     assert drive["driver"] == "simplefoc"

@@ -169,7 +169,7 @@ def test_a_drive_tells_it_in_health_events_and_metrics(monkeypatch: pytest.Monke
 class One:
     """A daemon with one drive, for the metrics."""
 
-    version, started = "0", 0.0
+    version, started, archive = "0", 0.0, None
 
     def __init__(self, drive: DriveRuntime) -> None:
         self.drives = {"axis1": drive}
