@@ -91,7 +91,7 @@ def test_a_drive_that_is_down(open_page: OpenPage, server: LiveServer) -> None:
     page = open_page()
     server.paused.add("axis1")
     server.axis1.lose("down", "/dev/ttyUSB0 is gone")
-    server.axis1.log.append(Event(server.started, "disconnected", "/dev/ttyUSB0 is <gone>", {"after_s": 3.5000000000000004}))
+    server.axis1.log.append(Event(server.started, "disconnected", "/dev/ttyUSB0 is <gone>", {"after_s": 3.50000000004}))
     page.until("document.getElementById('connection').dataset.state == 'down'")
     banner = page.text("#banner")
     assert "axis1" in banner
