@@ -82,7 +82,8 @@ def _too_short(series: Series, anew: bool) -> str | None:
     if days >= FEWEST_DAYS and span >= SHORTEST_D and len(series) >= FEWEST_VALUES:
         return None
     since = " since the last exchange" if anew else ""
-    return f"{days:.0f} days with data within {span:.0f}{since}: {FEWEST_DAYS} within {SHORTEST_D:.0f} are needed"
+    had = f"{days:.0f} {'day' if days == 1.0 else 'days'} with data{since}"
+    return f"{had}; needed are {FEWEST_DAYS}, over {SHORTEST_D:.0f} days"
 
 
 class _Study:
