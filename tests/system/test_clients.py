@@ -72,6 +72,7 @@ def test_a_body_of_60_MB_costs_neither_samples_nor_memory(running: tuple[DaemonP
 @pytest.mark.slow
 def test_idle_clients_leave_descriptors_for_the_state(running: tuple[DaemonProgram, Path]) -> None:
     program, state = running
+    wait_for(state.exists, "the state is saved for the first time")
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, min(hard, CLIENTS + 200)), hard))
     address = httpx.URL(program.url)
