@@ -12,8 +12,6 @@ from drivers.cia402.drive import Cia402Driver
 from drivers.polling.poller import Reply, Request
 from drivers.servo_bus.chain import State
 from drivers.servo_bus.families import Family
-from servo_daemon.config import DriveConfig
-from servo_daemon.pipeline.pipeline import Pipeline
 from servo_daemon.samples import SampleBlock
 from servo_daemon.sim_drive.makes.catalogue import ACTUATOR, SLOW
 from servo_daemon.sim_drive.makes.cia402 import Cia402Node
@@ -26,7 +24,7 @@ from servo_daemon.sim_drive.makes.simplefoc import SimpleFocMonitor
 from servo_daemon.simulate import SimulatedDrive, make_settings
 from servo_daemon.simulate.settings import PAPER_MOTOR
 from tests.drivers.makes.can_rig import batch
-from tests.recovery.foc.lockstep import Clock, closed, closed_can, polled
+from tests.recovery.foc.lockstep import Clock, claimed, closed, closed_can, polled
 
 MOTOR = Pmsm()
 TRUTH = {"R": MOTOR.R, "K": MOTOR.K_phase, "J": MOTOR.J, "B": MOTOR.B}
@@ -41,16 +39,10 @@ def _check(
 ) -> None:
     """Exactly the parameters of `within` are claimed, each so near (a share of its truth) and within 4 of its std and
     3 %: what the std leaves out, as the project promises."""
-    pipeline = Pipeline(DriveConfig(), driver.info, meaning=driver.meaning)
-    for block in blocks:
-        pipeline.process(block, rows=False)
-    estimate = pipeline.finish() or pipeline.current()
-    assert estimate is not None
-    claimed = {p.name: p for p in estimate.parameters if p.status == "tracking"}
-    assert set(claimed) == set(within)
+    found = claimed(driver, blocks)
+    assert set(found) == set(within)
     for name, share in within.items():
-        value, std = claimed[name].value, claimed[name].std
-        assert value is not None and std is not None
+        value, std = found[name]
         error = abs(value - truth[name])
         assert error <= share * truth[name], (name, value / truth[name])
         assert error <= 4.0 * std + 0.03 * truth[name], (name, value / truth[name], std / truth[name])

@@ -15,18 +15,15 @@ from drivers.can.decode import EXTENDED
 from drivers.moteus import fdcanusb, query, telemetry
 from drivers.moteus.drive import MoteusDriver
 from drivers.moteus.voltage import VoltageQuery, may_send, voltages
-from drivers.polling.poller import Answer
+from drivers.polling.poller import Reply
 from drivers.registry import make_driver
-from servo_daemon.config import DriveConfig
 from servo_daemon.errors import WireError
-from servo_daemon.pipeline.pipeline import Pipeline
-from servo_daemon.samples import SampleBlock
 from servo_daemon.sim_drive.makes.foc import FocDrive, Pmsm, RunningFoc
 from servo_daemon.sim_drive.makes.moteus import Fdcanusb, Moteus
 from servo_daemon.sim_drive.makes.moving import DQ_VOLTAGE, FocMotor, Shown
 from tests.drivers.makes.conformance import OnAPort
 from tests.drivers.makes.rig import line, sine_motor
-from tests.recovery.foc.lockstep import Clock
+from tests.recovery.foc.lockstep import Clock, assert_told_by_its_voltage, exchanged
 
 #: From one frame to the next, CAN FD at 1 and 5 Mbit/s behind USB.
 FRAME_S = 2.5e-4
@@ -44,41 +41,21 @@ class TestMoteusVoltage(OnAPort):
         assert set(bytes(rig.heard).split(b"\n")) <= {*allowed, b""}
 
 
-def lockstep(driver: MoteusDriver, device: Fdcanusb, clock: Clock, rate_hz: float, n: int) -> Iterator[SampleBlock]:
-    """Every frame takes its time."""
-    dialogue, answers = driver._new_dialogue(), []
-    for k in range(n):
-        clock.now_s = sent_s = k / rate_hz
-        request = dialogue.next_request()
-        assert request is not None
-        replies = []
-        for command in request.data.splitlines(keepends=True):
-            clock.now_s += FRAME_S
-            replies += dialogue.feed(device.receive(command))
-        answers += [Answer(k, sent_s, clock.now_s, reply.value) for reply in replies]
-        if len(answers) >= 20:
-            block = driver._samples(answers)
-            answers = []
-            if block is not None:
-                yield block
-
-
 def test_the_voltage_tells_r_and_k() -> None:
     motor, clock = Pmsm(), Clock()
     driver = make_driver("moteus", "axis1", {"port": "lockstep", "signal": "voltage", "pole_pairs": 7})
     assert isinstance(driver, MoteusDriver)
     device = Fdcanusb(Moteus(FocMotor(RunningFoc(FocDrive(motor), clock)), torque_constant=motor.Kt))
-    pipeline = Pipeline(DriveConfig(), driver.info, meaning=driver.meaning)
-    for block in lockstep(driver, device, clock, 200.0, 2400):
-        pipeline.process(block, rows=False)
-    estimate = pipeline.finish() or pipeline.current()
-    assert estimate is not None
-    truth = {"R": 1.5 * motor.R, "K": motor.Kt, "J": motor.J, "B": motor.B}
-    claimed = {p.name: p for p in estimate.parameters if p.status == "tracking"}
-    assert {"K", "R"} <= set(claimed) <= set(truth)  # and no inductance
-    for name, p in claimed.items():
-        off = abs(p.value - truth[name])
-        assert off < 0.01 * truth[name] and off < 4.0 * p.std, (name, p.value / truth[name], p.std)
+    dialogue = driver._new_dialogue()
+
+    def exchange(data: bytes) -> list[Reply[Any]]:
+        replies: list[Reply[Any]] = []
+        for command in data.splitlines(keepends=True):  # every frame takes its time
+            clock.now_s += FRAME_S
+            replies += dialogue.feed(device.receive(command))
+        return replies
+
+    assert_told_by_its_voltage(motor, driver, exchanged(driver, dialogue, exchange, clock, 200.0, 2400))
 
 
 class Late(Fdcanusb):

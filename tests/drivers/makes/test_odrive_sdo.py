@@ -12,12 +12,10 @@ import pytest
 
 from drivers.odrive.sdo import ENDPOINTS, SdoDialogue, SdoOdrive, may_send
 from drivers.polling.can_link import Frame, pack, unpack
-from drivers.polling.poller import Answer
+from drivers.polling.poller import Reply
 from drivers.registry import make_driver
-from servo_daemon.config import DriveConfig
 from servo_daemon.errors import DriverConfigError
-from servo_daemon.pipeline.pipeline import Pipeline
-from servo_daemon.samples import SampleBlock, concatenate
+from servo_daemon.samples import concatenate
 from servo_daemon.sim_drive.makes import odrive as simulated
 from servo_daemon.sim_drive.makes.can_nodes import SlcanBus
 from servo_daemon.sim_drive.makes.foc import FocDrive, Pmsm, RunningFoc
@@ -26,7 +24,7 @@ from servo_daemon.sim_drive.slcan_adapter import BusFrame
 from tests.drivers.conformance import read_until
 from tests.drivers.makes.conformance import OnABus
 from tests.drivers.makes.rig import Silent, line
-from tests.recovery.foc.lockstep import Clock
+from tests.recovery.foc.lockstep import Clock, assert_told_by_its_voltage, exchanged
 
 #: From one frame to the next on a bus of 500 kbit/s.
 FRAME_S = 2.6e-4
@@ -75,43 +73,23 @@ class TestOdriveBySdo(OnABus):
         }
 
 
-def lockstep(driver: SdoOdrive, node: OdriveNode, clock: Clock, rate_hz: float, n: int) -> Iterator[SampleBlock]:
-    """Every read is answered two frames after the one before it."""
-    dialogue, answers = driver._new_dialogue(), []
-    for k in range(n):
-        clock.now_s = sent_s = k / rate_hz
-        request = dialogue.next_request()
-        assert request is not None
-        replies = []
-        for frame in unpack(request.data):
-            clock.now_s += 2.0 * FRAME_S
-            for answer in node.receive(BusFrame(frame.key, frame.data)):
-                replies += dialogue.feed(pack(Frame(answer.frame_id, answer.data)))
-        answers += [Answer(k, sent_s, clock.now_s, reply.value) for reply in replies]
-        if len(answers) >= 20:
-            block = driver._samples(answers)
-            answers = []
-            if block is not None:
-                yield block
-
-
 def test_the_voltage_tells_r_and_k(tmp_path: Path) -> None:
     motor, clock = Pmsm(), Clock()
     options = {"interface": "virtual", "channel": "x", "endpoints": endpoints_file(tmp_path), "pole_pairs": 7}
     driver = make_driver("odrive", "axis1", options)
     assert isinstance(driver, SdoOdrive)
     node = OdriveNode(RunningFoc(FocDrive(motor), clock))
-    pipeline = Pipeline(DriveConfig(), driver.info, meaning=driver.meaning)
-    for block in lockstep(driver, node, clock, 200.0, 2400):
-        pipeline.process(block, rows=False)
-    estimate = pipeline.finish() or pipeline.current()
-    assert estimate is not None
-    truth = {"R": 1.5 * motor.R, "K": motor.Kt, "J": motor.J, "B": motor.B}
-    claimed = {p.name: p for p in estimate.parameters if p.status == "tracking"}
-    assert {"K", "R"} <= set(claimed) <= set(truth)  # and no inductance
-    for name, p in claimed.items():
-        off = abs(p.value - truth[name])
-        assert off < 0.01 * truth[name] and off < 4.0 * p.std, (name, p.value / truth[name], p.std)
+    dialogue = driver._new_dialogue()
+
+    def exchange(data: bytes) -> list[Reply[Any]]:
+        replies: list[Reply[Any]] = []
+        for frame in unpack(data):  # every read is answered two frames after the one before it
+            clock.now_s += 2.0 * FRAME_S
+            for answer in node.receive(BusFrame(frame.key, frame.data)):
+                replies += dialogue.feed(pack(Frame(answer.frame_id, answer.data)))
+        return replies
+
+    assert_told_by_its_voltage(motor, driver, exchanged(driver, dialogue, exchange, clock, 200.0, 2400))
 
 
 def test_endpoints_of_another_firmware_are_not_read(tmp_path: Path) -> None:

@@ -3,12 +3,17 @@ times those of a perfect host, the load of the machine has no part in it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from drivers.polling.poller import Answer
+from drivers.base import Driver
+from drivers.polling.poller import Answer, Reply
 from drivers.registry import make_driver
+from servo_daemon.config import DriveConfig
+from servo_daemon.pipeline.pipeline import Pipeline
+from servo_daemon.samples import SampleBlock
+from servo_daemon.sim_drive.makes.foc import Pmsm
 from servo_daemon.sim_drive.makes.serve import Device
 
 #: From the request to the answer.
@@ -25,20 +30,56 @@ class Clock:
         return self.now_s
 
 
+#: Carries a request to the device, moves the clock on by what that takes, and has its dialogue read what comes back.
+Exchange = Callable[[bytes], Sequence[Reply[Any]]]
+
+
 def polled(driver: Any, dialogue: Any, device: Device, clock: Clock, rate_hz: float, n: int) -> Iterator[Any]:
     """Blocks of about 25 ms of a polling driver: n requests of its dialogue, answered by the device."""
+
+    def exchange(data: bytes) -> Sequence[Reply[Any]]:
+        replies: Sequence[Reply[Any]] = dialogue.feed(device.receive(data))
+        clock.now_s += TRIP_S
+        return replies
+
+    return exchanged(driver, dialogue, exchange, clock, rate_hz, n)
+
+
+def exchanged(driver: Any, dialogue: Any, exchange: Exchange, clock: Clock, rate_hz: float, n: int) -> Iterator[Any]:
+    """The same over any line."""
     answers: list[Answer[Any]] = []
     for k in range(n):
-        clock.now_s = k / rate_hz
+        clock.now_s = sent_s = k / rate_hz
         request = dialogue.next_request()
         if request is not None:
-            replies = dialogue.feed(device.receive(request.data))
-            answers += [Answer(k, clock.now_s, clock.now_s + TRIP_S, reply.value) for reply in replies]
+            replies = exchange(request.data)
+            answers += [Answer(k, sent_s, clock.now_s, reply.value) for reply in replies]
         if len(answers) >= rate_hz / 40 or (k == n - 1 and answers):
             block = driver._samples(answers)
             answers = []
             if block is not None:
                 yield block
+
+
+def claimed(driver: Driver, blocks: Iterable[SampleBlock]) -> dict[str, tuple[float, float]]:
+    """What is tracked at the end: value and standard deviation by name."""
+    pipeline = Pipeline(DriveConfig(), driver.info, meaning=driver.meaning)
+    for block in blocks:
+        pipeline.process(block, rows=False)
+    estimate = pipeline.finish() or pipeline.current()
+    assert estimate is not None
+    tracked = {p.name: (p.value, p.std) for p in estimate.parameters if p.status == "tracking"}
+    return {name: (value, std) for name, (value, std) in tracked.items() if value is not None and std is not None}
+
+
+def assert_told_by_its_voltage(motor: Pmsm, driver: Driver, blocks: Iterable[SampleBlock]) -> None:
+    """R and K are claimed and no inductance; all that is lies within 1 % and 4 of its std."""
+    truth = {"R": 1.5 * motor.R, "K": motor.Kt, "J": motor.J, "B": motor.B}
+    found = claimed(driver, blocks)
+    assert {"K", "R"} <= set(found) <= set(truth)
+    for name, (value, std) in found.items():
+        off = abs(value - truth[name])
+        assert off < 0.01 * truth[name] and off < 4.0 * std, (name, value / truth[name], std)
 
 
 def closed(kind: str, **options: Any) -> Any:
