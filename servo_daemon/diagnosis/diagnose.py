@@ -88,7 +88,8 @@ def _diagnose(
 ) -> Diagnosis:
     began = time.perf_counter()
     recordings = tuple(Recording(str(c.path), c.block()) for c in captures)
-    effort = Effort(options.workers, options.budget_s, Journal(options.journal, _fingerprint(recordings, options)))
+    journal = None if options.journal is None else Journal(options.journal, _fingerprint(recordings, options))
+    effort = Effort(options.workers, options.budget_s, journal)
     progress(0.0, "fitting the baseline")
     data = Data.of(recordings, options.fixed, options.baseline, segment_length_s(recordings))
     base = first_trial(data, options.baseline, options.nominal)
