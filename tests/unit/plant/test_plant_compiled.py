@@ -17,7 +17,7 @@ import pytest
 from servo_daemon.plant import at_once, compiled, compiler
 from servo_daemon.plant.build import build_plant
 from servo_daemon.plant.compiled import SampleLoop
-from servo_daemon.plant.compiler import find_compiler
+from servo_daemon.plant.compiler import find_compiler, split
 from servo_daemon.samples import F64
 from tests.twin import reference_step
 
@@ -45,6 +45,30 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.delenv("SERVO_DAEMON_CC", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     return tmp_path / "cache" / "servo-daemon"
+
+
+@needs_compiler
+def test_what_is_prepared_once_a_length_gives_the_same_bits() -> None:
+    effects = ("coulomb_friction",)
+    x, p, rows = inputs(effects, 10_000)
+    plain, paced = SampleLoop(step_function(effects)), SampleLoop(step_function(effects), paced_by=1)
+    few = rows.copy()
+    few[:, 1] = rows[np.random.default_rng(4).integers(0, 300, len(rows)), 1]
+    few[[5, 6], 1] = 0.0, -0.0
+    few[-1, 1] = np.frombuffer(b"\xff" * 8)[0]  # the length whose key would be that of an empty place
+    for case in (rows, few):  # more lengths than a call's table has places for, and fewer
+        one, other = x.copy(), x.copy()
+        np.testing.assert_array_equal(plain.run(one, p, case), paced.run(other, p, case))
+        np.testing.assert_array_equal(one, other)
+
+
+def test_only_what_depends_on_the_motion_is_left_to_every_sample() -> None:
+    function = step_function(())
+    prepare, rest = split(function, 1)
+    assert prepare is not None
+    assert rest.n_instructions() < 0.2 * function.n_instructions()
+    by_the_heat = step_function(("winding_heating",))  # R follows the winding's temperature
+    assert split(by_the_heat, 1) == (None, by_the_heat)
 
 
 @needs_compiler
