@@ -23,8 +23,8 @@ from servo_daemon.samples import F64
 
 log = logging.getLogger(__name__)
 
-#: Runs of fewer samples in all are not worth a second thread.
-_WORTH_A_THREAD = 2_000
+#: Runs of fewer samples in all are not worth a second thread: 40 to 500 ns each, and to hand them over takes 100 µs.
+_WORTH_A_THREAD = 8_000
 
 
 def _dense(function: ca.Function) -> ca.Function:
@@ -146,7 +146,7 @@ class SampleLoop:
             return int(self._call_many(len(arrays[0]), n, *map(_address, arrays)))
 
         threads = min(cores(), k) if k * n >= _WORTH_A_THREAD else 1
-        edges = np.linspace(0, k, threads + 1).astype(int).tolist()
+        edges = [k * part // threads for part in range(threads + 1)]
         parts = [slice(a, b) for a, b in pairwise(edges)]
         if any(on_all_cores(part, parts)):
             raise RuntimeError("the compiled step reported an error")

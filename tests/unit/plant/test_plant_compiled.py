@@ -109,7 +109,7 @@ def many(k: int, n: int) -> tuple[F64, F64, F64]:
 
 
 @pytest.mark.parametrize("use_c", [pytest.param(True, marks=needs_compiler), False], ids=["c", "vm"])
-@pytest.mark.parametrize(("k", "n"), [(1, 40), (7, 30), (5, 900)], ids=["one", "few", "threads"])
+@pytest.mark.parametrize(("k", "n"), [(1, 40), (7, 30), (5, 1800)], ids=["one", "few", "threads"])
 def test_many_runs_are_each_what_it_is_alone(use_c: bool, k: int, n: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compiled, "cores", lambda: 3)
     loop = SampleLoop(step_function(ALL), compiled=use_c)
