@@ -62,6 +62,21 @@ def test_what_is_prepared_once_a_length_gives_the_same_bits() -> None:
         np.testing.assert_array_equal(one, other)
 
 
+@needs_compiler
+def test_a_function_of_the_same_argument_as_before_is_known_by_its_bits() -> None:
+    """0 is no −0 to a sine, and not a number is none."""
+    x, p, row = ca.SX.sym("x"), ca.SX.sym("p"), ca.SX.sym("row", 2)
+    step = ca.Function("step", [x, p, row], [x, ca.vertcat(ca.sin(row[0]), ca.atan2(row[0], row[1]))])
+    at = np.frombuffer(b"\xff" * 8)[0]
+    rows = np.array(
+        [[at, at], [0.0, -1.0], [-0.0, -1.0], [-0.0, 1.0], [np.nan, 1.0], [2.0, 1.0], [2.0, 1.0], [2.0, 3.0]]
+    )
+    out = SampleLoop(step).run(np.zeros(1), np.zeros(1), rows)
+    wanted = np.stack([np.sin(rows[:, 0]), np.arctan2(rows[:, 0], rows[:, 1])], axis=1)
+    np.testing.assert_allclose(out, wanted, rtol=1e-15)
+    np.testing.assert_array_equal(np.signbit(out[1:4]), np.signbit(wanted[1:4]))
+
+
 def test_only_what_depends_on_the_motion_is_left_to_every_sample() -> None:
     function = step_function(())
     prepare, rest = split(function, 1)
@@ -72,7 +87,7 @@ def test_only_what_depends_on_the_motion_is_left_to_every_sample() -> None:
 
 
 @needs_compiler
-@pytest.mark.parametrize("effects", [(), ("coulomb_friction",), ("winding_heating",), ALL], ids="+".join)
+@pytest.mark.parametrize("effects", [(), ("coulomb_friction",), ("winding_heating",), ("backlash",), ALL], ids="+".join)
 def test_c_and_machine_give_the_same_bits(effects: tuple[str, ...]) -> None:
     x, p, rows = inputs(effects, 3000)
     in_c, in_vm = SampleLoop(step_function(effects)), SampleLoop(step_function(effects), compiled=False)
