@@ -34,6 +34,7 @@ COMMANDS = {
     "excite": "servo_daemon.commands.excite.command",
     "tune": "servo_daemon.commands.tune.command",
     "train": "servo_daemon.commands.train",
+    "fleet": "servo_daemon.commands.fleet.command",
     "check": "servo_daemon.commands.check",
     "scan": "servo_daemon.commands.scan.command",
     "status": "servo_daemon.commands.status",
