@@ -113,7 +113,7 @@ def polish(problem: Problem, point: Point, torque_size: float, below: float = np
     alone = at.sensors_alone()
     plain = at.value(alone)
     a, value = at.with_source(alone, INPUT_NOISE)
-    end = _settle(problem, point, a, limits, below) if value < plain - WORTH else None
+    end = _settle(problem, _seen(problem, point, a), a, limits, below) if value < plain - WORTH else None
     instant_std: dict[int, float] = {}
     if end is not None and end.at_rest and instants_of(problem):
         end, instant_std = _settle_instants(problem, end, limits, below)
@@ -159,6 +159,23 @@ def _settle_instants(
                 break
             end = again
     return end, std
+
+
+def _seen(problem: Problem, point: Point, a: F64) -> Point:
+    """The point with positive parameters that a free run has driven to nothing put one standard deviation (all else
+    held) away from it: at nothing their logarithms have no derivative, and neither a way back nor a share in what the
+    others are known by."""
+    whitened, _ = whiten_point(problem, point, a)
+    known = np.diag(normal_equations(problem, whitened)[0])
+    lost = problem.logarithmic & (known > 0.0) & (known < _FAINT)
+    if not lost.any():
+        return point
+    unknowns = point.unknowns.copy()
+    unknowns[lost] -= 0.5 * np.log(known[lost])
+    unknowns = within(problem, unknowns)
+    with np.errstate(over="ignore", invalid="ignore"):
+        linear = linearise(problem, unknowns)
+    return point_of(problem, unknowns, linear, point.weights) if linear.finite else point
 
 
 def _moved(problem: Problem, point: Point, column: int, at_s: float) -> Point:
