@@ -61,7 +61,7 @@ class Tracker:
 
     @property
     def explained(self) -> bool:
-        """Whether the model explains the data; see `Telling`."""
+        """Whether the model explains the data; see `Notifications`."""
         return True
 
     @property

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from servo_daemon.learning.features.balance_features import closure
+from servo_daemon.learning.features.balance_features import residual_shares
 from servo_daemon.learning.features.window import Window
 
 #: Windows in a row that must be won to be trusted, and lost to be so no longer.
@@ -32,7 +32,7 @@ Values = Mapping[str, float]
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Comparison:
     """What the beliefs of the window before leave of this one's balances; None where there was none to judge."""
 
     model: Left | None = None
@@ -61,7 +61,7 @@ class Proof:
         """The next window is of another device, or of other signals."""
         self._before, self.refuted = None, frozenset()
 
-    def judge(self, window: Window, present: Values | None) -> Verdict:
+    def judge(self, window: Window, present: Values | None) -> Comparison:
         """Hold both beliefs of the window before against this one.
 
         Args:
@@ -69,14 +69,14 @@ class Proof:
         """
         before, self.refuted = self._before, frozenset()
         if before is None:
-            return Verdict()
+            return Comparison()
         model, filtered = before
-        ours, theirs = closure(window, model), None if filtered is None else closure(window, filtered)
+        ours, theirs = residual_shares(window, model), None if filtered is None else residual_shares(window, filtered)
         if ours is None or theirs is None:
-            return Verdict(ours, theirs)
+            return Comparison(ours, theirs)
         if self._count(ours, theirs) and present is not None:
-            self.refuted = _refuted(ours, theirs, closure(window, present))
-        return Verdict(ours, theirs)
+            self.refuted = _refuted(ours, theirs, residual_shares(window, present))
+        return Comparison(ours, theirs)
 
     def _count(self, ours: Left, theirs: Left) -> bool:
         """Whether the model has won this time."""

@@ -31,7 +31,7 @@ _NONE = ProcessNoise()
 
 
 @dataclass(frozen=True, slots=True)
-class TickVerdict:
+class InnovationTest:
     """What a tick's innovations look like.
 
     Attributes:
@@ -46,7 +46,7 @@ class TickVerdict:
     settled: bool
 
 
-def judged(statistics: Mapping[str, ChannelStatistics]) -> TickVerdict:
+def judged(statistics: Mapping[str, ChannelStatistics]) -> InnovationTest:
     """What a tick's innovations look like."""
     worst, unexplained, settled = 0.0, False, True
     for s in statistics.values():
@@ -59,7 +59,7 @@ def judged(statistics: Mapping[str, ChannelStatistics]) -> TickVerdict:
         drifts = nis > 1.0 + _UNEXPLAINED_NIS * spread and correlation > max(0.2, 3.0 / math.sqrt(s.count))
         unexplained |= drifts or s.gated >= max(_FEWEST_GATED, _GATED_SHARE * s.count)
         settled &= nis < 1.0 + _SETTLED_NIS * spread and s.gated < _FEWEST_GATED
-    return TickVerdict(worst, unexplained, settled)
+    return InnovationTest(worst, unexplained, settled)
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +205,7 @@ class InnovationWatch:
         factor = var / noise.input_variance(input_rms, input_lsb)
         self._process["current_A"] = ProcessNoise(min(max(factor, 1.0), noise.FACTOR_MOST))
 
-    def judge(self, statistics: Mapping[str, ChannelStatistics]) -> TickVerdict:
+    def judge(self, statistics: Mapping[str, ChannelStatistics]) -> InnovationTest:
         """Look at the innovations of a tick; nothing is learned yet."""
         self.gated += sum(int(s.gated) for s in statistics.values())
         return judged(statistics)

@@ -51,7 +51,7 @@ class TrackerSettings:
         """1 σ of this parameter's random walk over its scale, 1/√s.
 
         Args:
-            offset: a nuisance parameter.
+            offset: a bias state.
         """
         given = (self.drift_per_sqrt_s or {}).get(name)
         if given is not None and not offset:

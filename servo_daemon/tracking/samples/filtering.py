@@ -16,7 +16,7 @@ from servo_daemon.kalman.gaussian import Gaussian
 from servo_daemon.kalman.model import GATE
 from servo_daemon.kalman.records import Innovations
 from servo_daemon.samples import F64, SampleBlock
-from servo_daemon.tracking.samples.signal_scales import Levels
+from servo_daemon.tracking.samples.signal_scales import SignalScales
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +51,8 @@ class Filtering:
         own: how badly the samples fitted as they came, while they are kept and since this was last set.
     """
 
-    def __init__(self, ekf: Ekf, levels: Levels) -> None:
-        self._ekf, self._levels = ekf, levels
+    def __init__(self, ekf: Ekf, signal_scales: SignalScales) -> None:
+        self._ekf, self._signal_scales = ekf, signal_scales
         self.layout = Layout(ekf.plant.drive, ekf.channels)
         self._before: SampleBlock | None = None  # the last samples
         self._kept: list[tuple[SampleBlock, float | None, float | None]] | None = None
@@ -123,10 +123,10 @@ class Filtering:
 
     def _rows(self, part: SampleBlock, new: Mask | None = None) -> F64:
         """Args: new: samples of the part that were put in."""
-        levels = self._levels
-        line_var = LINE_VAR * levels.input_step_square
-        leaps = levels.largest_leap, levels.largest_current_leap
-        return self.layout.rows(part, levels.input_square, new, line_var, *leaps)
+        scales = self._signal_scales
+        line_var = LINE_VAR * scales.input_step_square
+        spikes = scales.spike_limit, scales.current_spike_limit
+        return self.layout.rows(part, scales.input_square, new, line_var, *spikes)
 
     def _forget(self, at: Forget) -> None:
         forget = self._ekf.forget_state if at.everything else self._ekf.forget_motion

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from servo_daemon.samples import F64
-from servo_daemon.tracking.plan.roster import Mask, Roster
+from servo_daemon.tracking.plan.parameter_masks import Mask, ParameterMasks
 
 #: A parameter qualifies below this (1 σ, relative) and loses its qualification above the second: hysteresis.
 QUALIFIED, LOST = 0.05, 0.15
@@ -33,11 +33,11 @@ class Evidence:
         white, explained: the innovations are, and ticks that the noise does not explain are the exception.
         settles: the winding does between two samples.
         few_samples: a winding's time constant has so few that its current shows L/R alone.
-        lags_alike: those of drive and winding cannot be told apart.
+        lags_alike: those of drive and winding are not identifiable apart from each other.
         correlation: of the filter's errors of two parameters, by index.
     """
 
-    roster: Roster
+    masks: ParameterMasks
     relative_std: F64
     excited: Mask
     confirmed: Mask
@@ -65,7 +65,7 @@ class Gate:
 
 
 def _only(e: Evidence, name: str, stopped: bool) -> Mask:
-    return np.array([stopped and name == n for n in e.roster.names])
+    return np.array([stopped and name == n for n in e.masks.names])
 
 
 def blind_to_inductance(e: Evidence, _: Mask) -> Mask:
@@ -95,21 +95,21 @@ def lost(e: Evidence, _: Mask) -> Mask:
 
 
 def unclaimable(e: Evidence, _: Mask) -> Mask:
-    return ~e.roster.claimable
+    return ~e.masks.claimable
 
 
 def without_second_opinion(e: Evidence, _: Mask) -> Mask:
     """Where the model lacks something none is to be had of what no regression judges."""
-    return e.roster.published & ~e.roster.covered & (not e.white)
+    return e.masks.published & ~e.masks.covered & (not e.white)
 
 
 def between_two_lags(e: Evidence, _: Mask) -> Mask:
-    return e.roster.published & e.lags_alike
+    return e.masks.published & e.lags_alike
 
 
 def resistance_without_torque_constant(e: Evidence, qualified: Mask) -> Mask:
     """Where R and K lie on one line the one is as wrong as the other."""
-    names = e.roster.names
+    names = e.masks.names
     if "R" not in names or "K" not in names:
         return np.zeros_like(qualified)
     R, K = names.index("R"), names.index("K")
@@ -118,7 +118,7 @@ def resistance_without_torque_constant(e: Evidence, qualified: Mask) -> Mask:
 
 def inductance_without_resistance(e: Evidence, qualified: Mask) -> Mask:
     """Over few samples a current shows L/R: with a wrong R the filter is sure of a wrong L."""
-    names = e.roster.names
+    names = e.masks.names
     return _only(e, "L", e.few_samples and "R" in names and not qualified[names.index("R")])
 
 
@@ -169,7 +169,7 @@ class Qualification:
     def why_not(self, name: str) -> str | None:
         """What keeps a parameter from being known, in words: what lasts first. None: it is known, or nobody has asked
         yet."""
-        k = self._evidence.roster.names.index(name) if self._evidence is not None else 0
+        k = self._evidence.masks.names.index(name) if self._evidence is not None else 0
         if self._evidence is None or self.qualified[k]:
             return None
         closed = (gate for gate in (*STAYS, *LAPSES, *ENTRY) if gate.stops(self._evidence, self.qualified)[k])

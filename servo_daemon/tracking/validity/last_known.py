@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from servo_daemon.samples import F64
-from servo_daemon.tracking.plan.roster import Mask
+from servo_daemon.tracking.plan.parameter_masks import Mask
 from servo_daemon.tracking.validity.fusion import Trusted
 
 

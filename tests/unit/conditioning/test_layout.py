@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from servo_daemon.conditioning.layout import Layout
-from servo_daemon.kalman.layout import LEAPT
+from servo_daemon.kalman.layout import SPIKE
 from servo_daemon.samples import Quality, make_block
 
 LSB = 1e-3
@@ -101,7 +101,7 @@ def test_an_input_that_leaps_and_leaps_back_is_put_right_by_the_next_sample() ->
     for cut in range(1, len(u)):
         layout = Layout("voltage", ("current_A", "position_rad"))
         parts = (block.slice(0, cut), block.slice(cut, len(u)))
-        rows = np.concatenate([layout.rows(part, 0.0, largest_leap=2.0) for part in parts])
+        rows = np.concatenate([layout.rows(part, 0.0, spike_limit=2.0) for part in parts])
         np.testing.assert_array_equal(rows[:, -1], expected)
         np.testing.assert_array_equal(rows[:, 2], u)
     layout = Layout("voltage", ("current_A", "position_rad"))
@@ -112,17 +112,17 @@ def test_a_current_that_leaps_is_not_believed_at_once() -> None:
     """Wherever blocks end, and with samples in between that are no measurement. A step is doubted for one sample, what
     comes back from a leap is not, nor is a current that just runs, nor a reading of another channel."""
     i = np.array([1.0, 1.1, 9.0, 1.0, 1.1, 6.0, 6.0, 6.1, -9.0, np.nan, 6.0, 9.0, 12.0, 15.0, 18.0, 18.1, 2.0])
-    leaps = np.array([0, 0, 1, 0, 0, 1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1], dtype=bool)
+    spikes = np.array([0, 0, 1, 0, 0, 1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1], dtype=bool)
     n = len(i)
     columns = {"voltage_V": np.zeros(n), "current_A": i, "position_rad": np.nan_to_num(i)}
     block = make_block(np.arange(n) * 1e-3, **columns)
     for cut in range(1, n):
         layout = Layout("voltage", ("current_A", "position_rad"))
         parts = (block.slice(0, cut), block.slice(cut, n))
-        rows = np.concatenate([layout.rows(part, 0.0, largest_current_leap=2.0) for part in parts])
-        np.testing.assert_array_equal(rows[:, 6] >= LEAPT, leaps)
-        np.testing.assert_array_equal(rows[:, 5] > 0, ~leaps & np.isfinite(i))
-        np.testing.assert_array_equal(rows[~leaps, 6], 1.0)
+        rows = np.concatenate([layout.rows(part, 0.0, current_spike_limit=2.0) for part in parts])
+        np.testing.assert_array_equal(rows[:, 6] >= SPIKE, spikes)
+        np.testing.assert_array_equal(rows[:, 5] > 0, ~spikes & np.isfinite(i))
+        np.testing.assert_array_equal(rows[~spikes, 6], 1.0)
         np.testing.assert_array_equal(rows[:, 9], 1.0)
     assert not (Layout("voltage", ("current_A", "position_rad")).rows(block, 0.0)[:, 6] > 1.0).any()
 
@@ -132,10 +132,10 @@ def test_after_a_gap_nothing_leaps() -> None:
     columns = {"voltage_V": i * 3.0, "current_A": i, "position_rad": i}
     block = make_block(np.arange(6) * 1e-3, **columns)
     layout = Layout("voltage", ("current_A", "position_rad"))
-    layout.rows(block.slice(0, 2), 0.0, largest_leap=2.0, largest_current_leap=2.0)
+    layout.rows(block.slice(0, 2), 0.0, spike_limit=2.0, current_spike_limit=2.0)
     layout.resume(2e-3)
-    rows = layout.rows(block.slice(2, 6), 0.0, largest_leap=30.0, largest_current_leap=2.0)
-    assert (rows[:, 6] >= LEAPT).tolist() == [False, False, False, True]
+    rows = layout.rows(block.slice(2, 6), 0.0, spike_limit=30.0, current_spike_limit=2.0)
+    assert (rows[:, 6] >= SPIKE).tolist() == [False, False, False, True]
     assert rows[0, 1] == 0.0
 
 
@@ -147,8 +147,8 @@ def test_a_current_that_leaps_with_the_voltage_is_believed(late: int) -> None:
     i = np.array([0.0, 0.0, 0.1, 0.0, 8.0, 8.1, 8.0, 0.5, 8.0])
     block = make_block(np.arange(len(u)) * 1e-3, voltage_V=np.roll(u, late), current_A=i, position_rad=np.zeros(len(u)))
     layout = Layout("voltage", ("current_A", "position_rad"))
-    rows = layout.rows(block, 0.0, largest_leap=1.0, largest_current_leap=1.0)
-    assert np.flatnonzero(rows[:, 6] >= LEAPT).tolist() == [7]
+    rows = layout.rows(block, 0.0, spike_limit=1.0, current_spike_limit=1.0)
+    assert np.flatnonzero(rows[:, 6] >= SPIKE).tolist() == [7]
 
 
 def test_a_measurement_that_is_none_is_marked() -> None:

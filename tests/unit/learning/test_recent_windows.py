@@ -112,10 +112,10 @@ def test_each_balance_refutes_what_is_in_it(
 ) -> None:
     proof = Proof()
     proof.believe(believed(), believed(**then))
-    verdict = proof.judge(window, believed(**now))
+    comparison = proof.judge(window, believed(**now))
     assert proof.refuted == refuted
-    assert verdict.model is not None
-    assert verdict.filter is not None
+    assert comparison.model is not None
+    assert comparison.filter is not None
 
 
 def test_trusted_after_two_windows_won_and_no_more_after_two_lost(window: Window) -> None:

@@ -1,4 +1,4 @@
-"""What a user should be told of, once when it begins and once when it ends."""
+"""Notifications to the user: each once when its cause begins and once when it ends."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from servo_daemon.kalman.ekf import Ekf
 from servo_daemon.regression.stretch import Stretch
 from servo_daemon.samples import F64
 from servo_daemon.tracking.noise.watch import InnovationWatch
-from servo_daemon.tracking.plan.roster import Roster
+from servo_daemon.tracking.plan.parameter_masks import ParameterMasks
 from servo_daemon.tracking.plan.settings import Message
 from servo_daemon.tracking.plan.signals import EFFECT_OF
 
@@ -20,8 +20,8 @@ _FROZEN_S = 0.5
 _OFFSET_OUT, _OFFSET_IN = 0.10, 0.07
 
 
-class Telling:
-    """Remembers what has been said.
+class Notifications:
+    """Makes each notification once, and remembers which have been made.
 
     Args:
         scales: one unit of each coordinate, as it is now.
@@ -30,8 +30,8 @@ class Telling:
         explained: the model explains the data: innovations are white, and without an offset that is not in it.
     """
 
-    def __init__(self, roster: Roster, ekf: Ekf, watch: InnovationWatch, scales: Callable[[], F64]) -> None:
-        self._roster, self._ekf, self._watch, self._scales = roster, ekf, watch, scales
+    def __init__(self, masks: ParameterMasks, ekf: Ekf, watch: InnovationWatch, scales: Callable[[], F64]) -> None:
+        self._masks, self._ekf, self._watch, self._scales = masks, ekf, watch, scales
         self.explained, self._said_frozen = True, False
 
     def whether_white(self, *, seen: bool) -> list[Message]:
@@ -49,7 +49,7 @@ class Telling:
         if explained:
             return [("model_fits", "innovations are white again: the model explains the data", {})]
         if self._watch.white:
-            names = " and ".join(EFFECT_OF[self._roster.names[k]] for k in self._large_offsets())
+            names = " and ".join(EFFECT_OF[self._masks.names[k]] for k in self._large_offsets())
             return [("model_mismatch", f"the data hold an offset that the model does not: add {names}", {})]
         return [("model_mismatch", "innovations are not white: the data hold what the model does not", {})]
 
@@ -68,10 +68,10 @@ class Telling:
         return [("channel_frozen", "current_A shows one value although the voltage moves: it is not believed", {})]
 
     def _large_offsets(self) -> list[int]:
-        """Indices of the nuisance parameters too large to be one."""
-        if not self._roster.offsets:
+        """Indices of the bias states too large to be one."""
+        if not self._masks.offsets:
             return []
         value, std = self._ekf.coordinates.tolist(), self._ekf.coordinate_std.tolist()
         scales = self._scales().tolist()
         share = _OFFSET_OUT if self.explained else _OFFSET_IN
-        return [k for k in self._roster.offsets if abs(value[k]) > share * scales[k] + 3.0 * std[k]]
+        return [k for k in self._masks.offsets if abs(value[k]) > share * scales[k] + 3.0 * std[k]]

@@ -1,9 +1,9 @@
-"""Whether the balances close, and what they say of the filter's values.
+"""Residual analysis: whether the balances close, and by how much the filter's values differ from theirs.
 
 Two regressions (armature, shaft) see the same samples as the filter, but each only its own balance, with the measured
-motion in place of a model of it. That makes them consistent where the filter is not: a torque that is in no model bends
-the filter's R and K through the speed that it predicts; the armature's balance does not know of it. Two questions
-follow.
+motion in place of a model of it. That makes them consistent where the filter is not: a torque that is in no model
+biases the filter's R and K through the speed that it predicts; the armature's balance does not know of it. Two
+questions follow.
 
 1. *What does the best fit of a balance leave*, beyond the noise? A torque or a voltage that the model lacks. It may lie
    along any of the parameters' terms, and as large a share of the term may be wrong (`mismatch_std`).
@@ -15,7 +15,7 @@ follow.
    is the filter's mean error over the window, as the balance sees it (the score test of Rao 1948, taken as an estimate;
    values that follow an ageing motor have none). A filter that is efficient if its model is right, beside a regression
    that is consistent in any case: their difference is a test of the model (Hausman, *Econometrica* 46, 1978). What of
-   δ² chance does not explain is added to what is published (`doubt_var`).
+   δ² chance does not explain is added to what is published (`unexplained_var`).
 """
 
 from __future__ import annotations
@@ -83,8 +83,8 @@ def mismatch_std(gram: F64, expected: float, slopes: Mapping[str, F64], followed
 
 
 @dataclass(frozen=True, slots=True)
-class Confronted:
-    """Rows beside the filter's values.
+class Residuals:
+    """Residuals of a balance's rows with the filter's values.
 
     Attributes:
         sums: of the rows.
@@ -99,7 +99,7 @@ class Confronted:
     square: float
 
     @classmethod
-    def of(cls, sums: Sums, coefficients: F64, noise: F64) -> Confronted:
+    def of(cls, sums: Sums, coefficients: F64, noise: F64) -> Residuals:
         """With the filter's values as coefficients of Φ, shape (n,), and N's diagonal, shape (n,)."""
         A, b, total = sums.gram[:-1, :-1], sums.gram[:-1, -1], float(sums.gram[-1, -1])
         square = total - 2.0 * float(b @ coefficients) + float(coefficients @ A @ coefficients)
@@ -107,15 +107,15 @@ class Confronted:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
-    """How far the filter's coefficients are off by a balance's word, shape (n,), and that word's covariance."""
+class MeanError:
+    """By how much the filter's coefficients differ from a balance's, shape (n,), and the covariance of the latter."""
 
     error: F64
     covariance: F64
 
 
-def verdict(parts: list[Confronted]) -> Verdict | None:
-    """None where the rows do not determine the coefficients."""
+def mean_error(parts: list[Residuals]) -> MeanError | None:
+    """Mean error over the rows of all parts; None where they do not determine the coefficients."""
     sums = Sums.total([p.sums for p in parts])
     if sums is None:
         return None
@@ -130,11 +130,11 @@ def verdict(parts: list[Confronted]) -> Verdict | None:
     error = inverse @ score
     left = max(0.0, sum(p.square for p in parts) - float(error @ score))
     spread = OVERLAP * left / (sums.rows - n) + SYSTEMATIC**2 * float(sums.gram[-1, -1])
-    return Verdict(error, inverse * spread)
+    return MeanError(error, inverse * spread)
 
 
-def doubt_var(error: float, var: float) -> float:
-    """What a difference of a logarithm from a balance's word adds to its variance: its square, as far as it is not by
+def unexplained_var(error: float, var: float) -> float:
+    """What a difference of a logarithm from a balance's adds to its variance: its square, as far as it is not by
     chance.
 
     Args:

@@ -1,4 +1,4 @@
-"""The values that predict the first samples best, for a filter that has not found its own.
+"""Maximum-likelihood restart: the values that predict the first samples best, for a filter that has not found its own.
 
 Where R and K lie along a line on which the balances hardly change (slow motion of a motor with much friction), or R and
 L along one (a winding that settles between two samples), an extended Kalman filter is led astray by its derivatives at
@@ -25,11 +25,11 @@ from servo_daemon.kalman.gaussian import Gaussian
 from servo_daemon.kalman.records import Innovations, NoiseLevels
 from servo_daemon.samples import F64
 from servo_daemon.tracking.noise.setting import NoiseSetting
-from servo_daemon.tracking.plan.roster import Roster
-from servo_daemon.tracking.restart.doubts import Doubts
+from servo_daemon.tracking.plan.parameter_masks import ParameterMasks
+from servo_daemon.tracking.restart.divergence import DivergenceMonitor
 from servo_daemon.tracking.samples.filtering import Filtering, Fit
 
-#: From this tick on the filter has found its values, or is in doubt.
+#: From this tick on the filter has found its values, or is suspected of having diverged.
 _FIRST_TICK = 40
 #: After so many ticks of the filter the samples since its start are asked, and once more with those up to then.
 _TICKS = (100, 155)
@@ -63,14 +63,15 @@ class _Point:
     log_var: F64
 
 
-class LikelihoodLook:
-    """One drive's."""
+class MaximumLikelihoodRestart:
+    """Maximises the likelihood of one filter's first samples, an iteration a tick, and sets the filter to the
+    result."""
 
-    def __init__(self, roster: Roster, ekf: Ekf, filtering: Filtering, noise: NoiseSetting) -> None:
-        self._roster, self._ekf, self._filtering, self._noise = roster, ekf, filtering, noise
-        self._free = np.flatnonzero(roster.free)
-        asked = [p.transform == "log" and p.name != "L" for p in roster.parameters]
-        self._asked = np.flatnonzero((roster.published & np.array(asked))[self._free])
+    def __init__(self, masks: ParameterMasks, ekf: Ekf, filtering: Filtering, noise: NoiseSetting) -> None:
+        self._masks, self._ekf, self._filtering, self._noise = masks, ekf, filtering, noise
+        self._free = np.flatnonzero(masks.free)
+        asked = [p.transform == "log" and p.name != "L" for p in masks.parameters]
+        self._asked = np.flatnonzero((masks.published & np.array(asked))[self._free])
         self.begin(asked=False)
 
     def begin(self, *, asked: bool) -> None:
@@ -84,17 +85,17 @@ class LikelihoodLook:
         self._at = _Point(np.zeros(0), np.zeros(0))
         self._least_log_var: F64 = np.zeros(0)
 
-    def look(self, tick: int, scales: F64, doubts: Doubts) -> bool:
+    def update(self, tick: int, scales: F64, monitor: DivergenceMonitor) -> bool:
         """After each tick. Returns whether the filter has been set to what was found.
 
         Args:
             tick: number of the running filter's.
             scales: one unit of each coordinate, shape (n,).
-            doubts: of what the filter has found.
+            monitor: of what the filter has found.
         """
         if not self._waits or tick < _FIRST_TICK:
             return False
-        if not doubts.of_its_start or self._filtering.kept > _MOST_SAMPLES:
+        if not monitor.of_its_start or self._filtering.kept > _MOST_SAMPLES:
             self.end()
             return False
         if not self._compares:
@@ -146,7 +147,7 @@ class LikelihoodLook:
         self._ekf.set_noise(NoiseLevels(var[0], var[1], tuple(var[2:])))
         zeros = np.zeros(len(at.coordinates))
         self._ekf.set_active(zeros, zeros)
-        return self._filtering.predictions(Gaussian(self._roster.names, at.coordinates, np.diag(zeros)))
+        return self._filtering.predictions(Gaussian(self._masks.names, at.coordinates, np.diag(zeros)))
 
     def _step(self, base: Innovations, scales: F64) -> tuple[F64, F64]:
         """Of the free coordinates and the log-variances, shape (n + m,); and the covariance of the former, (n, n)."""

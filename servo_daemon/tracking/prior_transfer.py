@@ -1,8 +1,9 @@
-"""What a tracker with another model takes over from the one that ran before it.
+"""Hand-over of the prior: what a tracker with another model takes over from the one that ran before it.
 
-The exchange of a model must neither forget the motor nor carry on what the lack of an effect has bent. A filter mostly
-knows when it is bent: what the model lacks costs the parameters it touches their qualification. So what is qualified is
-kept, a little widened, what is not is found anew, and what a diagnosis has fitted with the new effect wins over both.
+The exchange of a model must neither forget the motor nor carry on what the lack of an effect has biased. A filter
+mostly knows when it is biased: what the model lacks costs the parameters it touches their qualification. So what is
+qualified is kept, a little widened, what is not is found anew, and what a diagnosis has fitted with the new effect wins
+over both.
 """
 
 from __future__ import annotations
@@ -14,15 +15,15 @@ import numpy as np
 
 from servo_daemon.kalman.ekf import Ekf
 from servo_daemon.kalman.gaussian import Gaussian
-from servo_daemon.tracking.plan.roster import Mask
+from servo_daemon.tracking.plan.parameter_masks import Mask
 
 #: Value and 1 σ (None: not known) in the parameter's unit.
 StartValue = tuple[float, float | None]
 
 
 @dataclass(frozen=True, slots=True)
-class Heritage:
-    """What is taken over.
+class PriorTransfer:
+    """Prior and slow states for the new filter.
 
     Attributes:
         known: coordinates and covariance of parameters that the new tracker estimates; those that are missing it has to
@@ -43,11 +44,11 @@ class Heritage:
             ekf.know_state(name, mean, var)
 
 
-def trusted_mask(names: Sequence[str], heritage: Heritage | None, saved: Sequence[str]) -> Mask:
+def trusted_mask(names: Sequence[str], transfer: PriorTransfer | None, saved: Sequence[str]) -> Mask:
     """Parameters that begin as they were known before, shape (n,): from another filter, or from a saved state.
 
     Args:
         saved: names of the parameters in the saved state: it keeps those only that were qualified.
     """
-    sure = saved if heritage is None else heritage.sure
+    sure = saved if transfer is None else transfer.sure
     return np.array([name in sure for name in names])

@@ -1,4 +1,4 @@
-"""When a running filter is not to be trusted with the values it has: what should be begun again, and from what."""
+"""Divergence monitor: whether a running filter should begin again, from what the regressions know."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from servo_daemon.kalman.ekf import Ekf
 from servo_daemon.parameters import LINEAR
 from servo_daemon.regression.motor_rls import MotorRls
 from servo_daemon.tracking.noise.watch import InnovationWatch
-from servo_daemon.tracking.plan.roster import Roster
+from servo_daemon.tracking.plan.parameter_masks import ParameterMasks
 from servo_daemon.tracking.start.starting_point import well_known
+from servo_daemon.tracking.validity.cross_check import on_one_line
 from servo_daemon.tracking.validity.gates import QUALIFIED
-from servo_daemon.tracking.validity.parameter_judge import ParameterJudge
-from servo_daemon.tracking.validity.vouching import on_one_line
+from servo_daemon.tracking.validity.validity_gate import ValidityGate
 
 #: Diverged: innovations this many times larger than they should be, for as many ticks, while the regression is well.
 _DIVERGED_NIS, _DIVERGED_TICKS = 6.0, 20
@@ -18,16 +18,18 @@ _DIVERGED_NIS, _DIVERGED_TICKS = 6.0, 20
 _TICKS_TO_BEGIN_BETTER = 50
 
 
-class Doubts:
-    """One drive's.
+class DivergenceMonitor:
+    """Compares one running filter with its regressions.
 
     Attributes:
         suspicious_ticks: in a row, whose innovations are far too large.
     """
 
-    def __init__(self, roster: Roster, ekf: Ekf, rls: MotorRls, judge: ParameterJudge, watch: InnovationWatch) -> None:
-        self._ekf, self._rls, self._judge, self._watch = ekf, rls, judge, watch
-        free = [(k, p.name) for k, p in enumerate(roster.parameters) if roster.published[k] and p in LINEAR]
+    def __init__(
+        self, masks: ParameterMasks, ekf: Ekf, rls: MotorRls, validity: ValidityGate, watch: InnovationWatch
+    ) -> None:
+        self._ekf, self._rls, self._validity, self._watch = ekf, rls, validity, watch
+        free = [(k, p.name) for k, p in enumerate(masks.parameters) if masks.published[k] and p in LINEAR]
         self._core = [name for _, name in free]
         self._index = [k for k, _ in free]
         self._index_but_L = [k for k, name in free if name != "L"]
@@ -60,9 +62,9 @@ class Doubts:
             return False
         # (L is not claimed by a model that lacks something: beginning again would not help it.)
         index = self._index if self._watch.white else self._index_but_L
-        std = self._ekf.coordinate_std[index] / self._judge.excitation.scales[index]
-        lost = ~self._judge.qualification.qualified[index] & (
-            (std > QUALIFIED) | ~self._judge.confirmation.parameters[index]
+        std = self._ekf.coordinate_std[index] / self._validity.excitation.scales[index]
+        lost = ~self._validity.qualification.qualified[index] & (
+            (std > QUALIFIED) | ~self._validity.confirmation.parameters[index]
         )
         if not lost.any() or not well_known(self._rls.estimate(), self._core):
             return False
@@ -73,7 +75,7 @@ class Doubts:
     def of_its_start(self) -> bool:
         """Whether the filter has not found its values on a motion that should show them, or goes along a line on which
         it hardly can."""
-        known, excited = self._judge.qualification.qualified, self._judge.excitation.excited
+        known, excited = self._validity.qualification.qualified, self._validity.excitation.excited
         lost = (known | excited)[self._index_but_L].any() and not known[self._index_but_L].all()
         found = self._rls.estimate()
         return bool(lost) or (found is not None and bool(on_one_line(found)))

@@ -20,13 +20,13 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class Roster:
-    """Shapes (n,).
+class ParameterMasks:
+    """Masks over the plant's parameters, shape (n,) each.
 
     Attributes:
         parameters: the plant's.
         published: estimated and published.
-        nuisance: estimated and not published.
+        biases: estimated and not published.
         covered: estimated, and in a regression that can judge them.
         claimable: published, and to be believed (`SignalPlan.unclaimed`).
         logarithmic: positive ones, estimated as logarithms.
@@ -35,7 +35,7 @@ class Roster:
 
     parameters: tuple[Parameter, ...]
     published: Mask
-    nuisance: Mask
+    biases: Mask
     covered: Mask
     claimable: Mask
     logarithmic: Mask
@@ -48,7 +48,7 @@ class Roster:
     @cached_property
     def free(self) -> Mask:
         """What the filter estimates."""
-        mask: Mask = self.published | self.nuisance
+        mask: Mask = self.published | self.biases
         return mask
 
     @cached_property
@@ -68,10 +68,10 @@ class Roster:
 
     @cached_property
     def offsets(self) -> list[int]:
-        """Indices of the nuisance parameters."""
-        return [int(k) for k in np.flatnonzero(self.nuisance)]
+        """Indices of the bias states."""
+        return [int(k) for k in np.flatnonzero(self.biases)]
 
-    def free_without_instrument(self, coordinates: F64, period_s: float) -> Mask:
+    def free_along_own_states(self, coordinates: F64, period_s: float) -> Mask:
         """What the filter may estimate along its own states: all but the inductance of a winding that settles between
         two samples. Of that little more than the colour of the innovations is left, and a wrong share of the noise
         between sensor and voltage colours them, too (L 26 % off at 11 σ, and 37 % at 23)."""
@@ -85,18 +85,18 @@ class Roster:
         return natural_values(self.parameters, coordinates)
 
 
-def make_roster(plan: SignalPlan, settings: TrackerSettings, in_regression: tuple[str, ...]) -> Roster:
+def make_masks(plan: SignalPlan, settings: TrackerSettings, in_regression: tuple[str, ...]) -> ParameterMasks:
     """For a plan that has a plant."""
     assert plan.plant is not None
     names = plan.plant.parameter_names
     published = np.array([n in plan.free for n in names])
-    nuisance = np.array([n in plan.nuisance for n in names])
-    return Roster(
+    biases = np.array([n in plan.biases for n in names])
+    return ParameterMasks(
         parameters=plan.plant.parameters,
         published=published,
-        nuisance=nuisance,
-        covered=np.array([n in in_regression for n in names]) & (published | nuisance),
+        biases=biases,
+        covered=np.array([n in in_regression for n in names]) & (published | biases),
         claimable=np.array([n not in plan.unclaimed for n in names]),
         logarithmic=np.array([p.transform == "log" for p in plan.plant.parameters]),
-        drift=np.array([settings.drift_of(n, offset=n in plan.nuisance) for n in names]),
+        drift=np.array([settings.drift_of(n, offset=n in plan.biases) for n in names]),
     )

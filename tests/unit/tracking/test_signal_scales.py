@@ -11,7 +11,7 @@ import pytest
 from servo_daemon.plant.build import Drive, build_plant
 from servo_daemon.regression.stretch import Stretch
 from servo_daemon.samples import F64
-from servo_daemon.tracking.samples.signal_scales import Levels
+from servo_daemon.tracking.samples.signal_scales import SignalScales
 
 OFFSETS = ("constant_load_torque", "current_sensor_offset")
 N = 100
@@ -23,17 +23,17 @@ def tick(voltage: F64 | None = None, current: F64 | None = None, torque: F64 | N
     return Stretch(np.arange(N) * 1e-3, np.ones(N, dtype=bool), voltage, current, torque, np.zeros(N), None)
 
 
-def levels(drive: Drive = "voltage", effects: tuple[str, ...] = ()) -> Levels:
-    return Levels(build_plant(effects, drive))
+def scales_of(drive: Drive = "voltage", effects: tuple[str, ...] = ()) -> SignalScales:
+    return SignalScales(build_plant(effects, drive))
 
 
-def take(found: Levels, stretch: Stretch, position_lsb: float = 0.0, current_var: float = 0.0) -> None:
+def take(found: SignalScales, stretch: Stretch, position_lsb: float = 0.0, current_var: float = 0.0) -> None:
     found.take(stretch, position_lsb, {"current_A": current_var})
 
 
 def test_the_larger_is_remembered() -> None:
     """Up at once; down by 1 % of the square a tick, so that a rest of 2 s is no smaller motor."""
-    found = levels()
+    found = scales_of()
     take(found, tick(np.full(N, 3.0), np.full(N, 1.0)))
     take(found, tick(np.full(N, 12.0), np.full(N, -4.0)))
     assert found.input_square == pytest.approx(144.0)
@@ -50,7 +50,7 @@ def test_the_larger_is_remembered() -> None:
 
 
 def test_rms_not_peak() -> None:
-    found = levels()
+    found = scales_of()
     square_wave = np.where(np.arange(N) % 2 == 0, 6.0, 0.0)
     take(found, tick(square_wave, square_wave / 3))
     assert found.input_square == pytest.approx(18.0)
@@ -60,7 +60,7 @@ def test_rms_not_peak() -> None:
 def test_steps_between_samples() -> None:
     """Of the input the larger is remembered; of the current what the last seconds showed counts, lively ticks and quiet
     ones alike: one of them may happen to be quiet, or the first of a rest."""
-    found = levels()
+    found = scales_of()
     take(found, tick(2.0 * np.arange(N), 0.5 * np.arange(N)))
     assert found.input_step_square == pytest.approx(4.0)
     assert found.current_step_square == pytest.approx(0.25)
@@ -71,23 +71,23 @@ def test_steps_between_samples() -> None:
 
 def test_a_few_wrong_samples_leap_and_change_nothing_of_what_a_leap_is() -> None:
     """Far beyond the largest change but for theirs; nothing is one before there is anything to compare with."""
-    rng, found = np.random.default_rng(1), levels()
-    assert found.largest_leap == found.largest_current_leap == math.inf
+    rng, found = np.random.default_rng(1), scales_of()
+    assert found.spike_limit == found.current_spike_limit == math.inf
     noise = rng.normal(size=N)
     take(found, tick(10.0 * noise, noise))
-    usual = found.largest_current_leap
+    usual = found.current_spike_limit
     assert 1.0 * np.abs(np.diff(noise)).max() < usual < 4.0 * np.abs(np.diff(noise)).max()
-    assert found.largest_leap == pytest.approx(10.0 * usual)
+    assert found.spike_limit == pytest.approx(10.0 * usual)
     spiky = noise.copy()
     spiky[[20, 60]] += 100.0
     take(found, tick(10.0 * noise, spiky))
-    assert usual <= found.largest_current_leap <= 4.0 * np.abs(np.diff(noise)).max()
+    assert usual <= found.current_spike_limit <= 4.0 * np.abs(np.diff(noise)).max()
     take(found, tick(10.0 * noise, 3.0 * noise))
-    assert found.largest_current_leap == pytest.approx(3.0 * usual)
+    assert found.current_spike_limit == pytest.approx(3.0 * usual)
 
 
 def test_without_a_current_sensor_ohms_law() -> None:
-    found = levels()
+    found = scales_of()
     take(found, tick(np.full(N, 6.0)))
     assert found.current_A({"R": 2.0}) == pytest.approx(3.0)
     assert found.torque_Nm({"R": 2.0, "K": 0.5}) == pytest.approx(1.5)
@@ -97,7 +97,7 @@ def test_without_a_current_sensor_ohms_law() -> None:
     ("drive", "values", "torque_Nm"), [("voltage", {"K": 0.5}, 2.0), ("current", {"K": 0.5}, 2.0), ("torque", {}, 3.0)]
 )
 def test_torque_by_what_drives_the_motor(drive: Drive, values: dict[str, float], torque_Nm: float) -> None:
-    found = levels(drive)
+    found = scales_of(drive)
     take(found, tick(np.full(N, 24.0), np.full(N, 4.0), np.full(N, 3.0) if drive == "torque" else None))
     assert found.torque_Nm(values) == pytest.approx(torque_Nm)
 
@@ -105,7 +105,7 @@ def test_torque_by_what_drives_the_motor(drive: Drive, values: dict[str, float],
 def test_one_unit_of_each_parameter() -> None:
     """1 for logarithms and angles, the typical torque or current for what has their units."""
     plant = build_plant((*OFFSETS, "gravity_load"))
-    found = Levels(plant)
+    found = SignalScales(plant)
     take(found, tick(np.full(N, 24.0), np.full(N, 4.0)))
     scales = dict(zip(plant.parameter_names, found.scales({"K": 0.5, "R": 1.0}), strict=True))
     signed = {p.name for p in plant.parameters if p.transform != "log"}
@@ -120,7 +120,7 @@ def test_one_unit_of_each_parameter() -> None:
 def test_scales_are_never_zero(drive: Drive) -> None:
     """Before the first sample, with nothing but zeros, and with a tick without any sample."""
     effects = OFFSETS if drive == "voltage" else OFFSETS[:1]
-    found = levels(drive, effects)
+    found = scales_of(drive, effects)
     nothing = np.zeros(0)
     zeros = np.zeros(N)
     empty = Stretch(nothing, np.zeros(0, dtype=bool), nothing, nothing, nothing, nothing, None)
@@ -142,7 +142,7 @@ def test_a_drive_rests_where_neither_encoder_nor_winding_shows_anything(
     rng = np.random.default_rng(1)
     position = np.round(np.linspace(0.0, counts, N)) * 1e-3
     stretch = replace(tick(np.zeros(N), 2.0 + noise_A * rng.standard_normal(N)), position=position)
-    found = levels()
+    found = scales_of()
     take(found, tick(np.full(N, 12.0), np.full(N, 4.0)), 1e-3, 0.01)
     take(found, stretch, 1e-3, 0.01)
     assert found.rests is rests

@@ -1,7 +1,7 @@
-"""Samples that leap and leap back: misread rather than measured, and no good in a window of the regressions.
+"""Spikes, samples that jump and jump back: misread rather than measured, and left out of the regressions' windows.
 
 The running filter weighs them one by one (`layout_step.py`), and what it does not believe the regressions are not told.
-Before it starts nothing does that, and a window with one current at its limit bends what the filter begins with.
+Before it starts nothing does that, and a window with one current at its limit biases what the filter begins with.
 """
 
 from __future__ import annotations
@@ -17,26 +17,26 @@ from servo_daemon.samples import F64
 Mask = NDArray[np.bool_]
 
 
-def without_leaps(tick: Stretch, input_signal: F64 | None, largest_leap: float, largest_current_leap: float) -> Stretch:
-    """A tick's samples without those whose input leaps and leaps back, or whose current does so where the input does
-    not leap. Of the first and last sample that is only seen from one side: a step just there is left out as well.
+def without_spikes(tick: Stretch, input_signal: F64 | None, spike_limit: float, current_spike_limit: float) -> Stretch:
+    """A tick's samples without spikes of the input, and of the current where the input does not move. The first and
+    last sample have one neighbour only: a step just there is left out as well.
 
     Args:
         input_signal: what drives the model, shape (n,); None: it is not there.
-        largest_leap, largest_current_leap: the largest that are none, as `Levels` has them.
+        spike_limit, current_spike_limit: the largest that are none, as `SignalScales` has them.
     """
-    leaps = np.zeros(len(tick.time_s), dtype=bool)
-    if len(leaps) < 3:
+    spikes = np.zeros(len(tick.time_s), dtype=bool)
+    if len(spikes) < 3:
         return tick
-    moves = np.zeros(len(leaps), dtype=bool)
+    moves = np.zeros(len(spikes), dtype=bool)
     if input_signal is not None:
-        leaps |= _lone(input_signal, largest_leap)
-        far = np.abs(input_signal[1:] - input_signal[:-1]) > largest_leap
+        spikes |= _lone(input_signal, spike_limit)
+        far = np.abs(input_signal[1:] - input_signal[:-1]) > spike_limit
         moves[1:] |= far
         moves[2:] |= far[:-1]  # a current may be sensed late
     if tick.current is not None and tick.current is not input_signal:
-        leaps |= _lone(tick.current, largest_current_leap) & ~moves
-    return replace(tick, usable=tick.usable & ~leaps) if leaps.any() else tick
+        spikes |= _lone(tick.current, current_spike_limit) & ~moves
+    return replace(tick, usable=tick.usable & ~spikes) if spikes.any() else tick
 
 
 def _lone(signal: F64, most: float) -> Mask:

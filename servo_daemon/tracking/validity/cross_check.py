@@ -1,4 +1,5 @@
-"""Where R and K lie along a line on which the balance hardly changes, the filter needs a witness before it is believed.
+"""Regression cross-check: where R and K lie along a line on which the balance hardly changes, the filter's values are
+published only after they agreed with the regressions'.
 
 On slow motion of a motor with much friction current and speed are all but proportional: a larger R with a smaller K
 explains the same voltage, to a thousandth. A filter that began beside the truth goes along such a line by what its
@@ -25,8 +26,8 @@ _NEAR, _STDS = 0.03, 2.0
 _BESIDE = ("R", "J", "B")
 
 
-class Vouching:
-    """One filter's.
+class RegressionCrossCheck:
+    """Compares one filter's values with the regressions' until they have once agreed.
 
     Attributes:
         done: its values have been near the regression's, of all parameters on the line at once.
@@ -35,7 +36,7 @@ class Vouching:
     def __init__(self) -> None:
         self.done = False
 
-    def doubtful(
+    def unconfirmed(
         self,
         found: RegressionEstimate,
         value: Mapping[str, float],
@@ -64,7 +65,7 @@ class Vouching:
 
 
 def on_one_line(found: RegressionEstimate) -> tuple[tuple[str, int], ...]:
-    """K, R, and what is on the line with them, with their indices; empty where R and K are told apart."""
+    """K, R, and what is on the line with them, with their indices; empty where R and K are identifiable."""
     if not {"R", "K"} <= set(found.names):
         return ()
     at = found.names.index("K")

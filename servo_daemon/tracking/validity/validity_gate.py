@@ -1,4 +1,5 @@
-"""Of each parameter: is it excited, may it move, is it known, and how far the balances let it be off."""
+"""The validity gate of each parameter: is it excited, may it move, is it known, and how far the balances let it be
+off."""
 
 from __future__ import annotations
 
@@ -10,8 +11,8 @@ from servo_daemon.kalman.ekf import Ekf
 from servo_daemon.regression.motor_rls import MotorRls
 from servo_daemon.regression.sampling import coarse
 from servo_daemon.samples import F64
-from servo_daemon.tracking.plan.roster import Mask, Roster
-from servo_daemon.tracking.start.starter import NUISANCE_SHARE
+from servo_daemon.tracking.plan.parameter_masks import Mask, ParameterMasks
+from servo_daemon.tracking.start.starter import BIAS_SHARE
 from servo_daemon.tracking.validity.confirmation import Confirmation
 from servo_daemon.tracking.validity.excitation import Excitation
 from servo_daemon.tracking.validity.gates import LOST, QUALIFIED, Evidence, Qualification
@@ -21,37 +22,38 @@ from servo_daemon.tracking.validity.tick import Tick
 
 #: An unexcited parameter's covariance grows with its drift up to this 1 σ.
 _IDLE_STD = 0.3
-#: The lags of winding and drive are told apart by the speed alone, which acts behind the drive's: alike to this factor
-#: one of them may be as much longer as the other is shorter (with 4.0 and 4.6 ms all of R .. B were up to 26 % off).
+#: The lags of winding and drive are identifiable by the speed alone, which acts behind the drive's: alike to this
+#: factor one of them may be as much longer as the other is shorter (with 4.0 and 4.6 ms all of R .. B were up to 26 %
+#: off).
 _ALIKE = 2.0
-#: Parameters that are known worse than this would lead the instrument astray.
+#: Parameters that are known worse than this would let the instrumental trajectory diverge.
 _LED_ASTRAY_STD = 0.25
 
 
-class ParameterJudge:
-    """One drive's.
+class ValidityGate:
+    """Decides after each tick which parameters of one filter may move and which may be published.
 
     Attributes:
         excitation, qualification: per parameter.
         confirmation: for which the regressions speak.
         mismatch: by how much they may be off because the balances do not close.
-        begins_to_follow: the filter uses its instrument for the first time.
+        begins_to_follow: the filter uses its instrumental trajectory for the first time.
         last_known: each parameter as it was when it was last known.
         calm_s: for how long the filter's innovations have been as they should be.
     """
 
-    def __init__(self, roster: Roster, ekf: Ekf, rls: MotorRls) -> None:
-        self._roster, self._ekf, self._rls = roster, ekf, rls
-        n = len(roster.parameters)
+    def __init__(self, masks: ParameterMasks, ekf: Ekf, rls: MotorRls) -> None:
+        self._masks, self._ekf, self._rls = masks, ekf, rls
+        n = len(masks.parameters)
         self.excitation, self.qualification = Excitation(n), Qualification(n)
         self._lags_alike = False
         self._unjudged = False  # by the balances, since the first samples were gone over
-        self._idle_std: F64 = np.where(roster.nuisance, NUISANCE_SHARE, _IDLE_STD)
+        self._idle_std: F64 = np.where(masks.biases, BIAS_SHARE, _IDLE_STD)
         self.last_known = LastKnown(n)
-        self.mismatch = Mismatch(roster, ekf, rls, self.excitation, self.last_known)
+        self.mismatch = Mismatch(masks, ekf, rls, self.excitation, self.last_known)
         self.calm_s = 0.0
         self._trusted: Mask = np.zeros(n, dtype=bool)
-        self.confirmation = Confirmation(roster, ekf, rls, self._trusted)
+        self.confirmation = Confirmation(masks, ekf, rls, self._trusted)
         self._follows = self._followed = self.begins_to_follow = False
         self._moves: tuple[Mask, F64] = self._trusted, np.zeros(n)  # which may, and their process noise
 
@@ -66,25 +68,25 @@ class ParameterJudge:
         self._unjudged = False
         self.calm_s = 0.0
         self._trusted = trusted
-        self.confirmation = Confirmation(self._roster, self._ekf, self._rls, trusted)
+        self.confirmation = Confirmation(self._masks, self._ekf, self._rls, trusted)
         self._follows = self._followed = self.begins_to_follow = False
 
     def begin_anew(self, follows: bool) -> None:
         """The first samples have been gone over again: what was seen with the values of then is forgotten.
 
         Args:
-            follows: along the instrument.
+            follows: along the instrumental trajectory.
         """
         self._follows = self._followed = follows
         self._rls.window.pass_over()
         self._rls.window.forget_values()
         self._unjudged = True
         self.excitation.forget()
-        self._ekf.use_instrument(follows)
+        self._ekf.use_instrumental_trajectory(follows)
 
-    def vouch(self) -> None:
+    def waive_cross_check(self) -> None:
         """The filter's values are those of the greatest likelihood: no regression need speak for them."""
-        self.confirmation.vouching.done = True
+        self.confirmation.cross_check.done = True
 
     def reset(self) -> None:
         self.qualification.qualified[:] = False
@@ -92,7 +94,7 @@ class ParameterJudge:
 
     def walk(self, walking: Mask) -> F64:
         """Process noise per coordinate, 1/s."""
-        return np.asarray(walking * self._roster.drift_square * np.square(self.excitation.scales))
+        return np.asarray(walking * self._masks.drift_square * np.square(self.excitation.scales))
 
     def update(self, duration_s: float, fresh: bool, tick: Tick) -> None:
         """After each tick: which parameters may move, which are known.
@@ -100,14 +102,14 @@ class ParameterJudge:
         Args:
             fresh: the regressions have been worked off.
         """
-        roster, values = self._roster, self._roster.values(self._ekf.coordinates) if fresh else {}
+        masks, values = self._masks, self._masks.values(self._ekf.coordinates) if fresh else {}
         self.calm_s = self.calm_s + duration_s if tick.white and tick.explained else 0.0
         if fresh:
             self._lags_alike = _are_alike(values)
-            if "t_lag" in values and self._ekf.coordinate_std[roster.names.index("t_lag")] < LOST:
+            if "t_lag" in values and self._ekf.coordinate_std[masks.names.index("t_lag")] < LOST:
                 self._rls.follow_lag(values["t_lag"])
             self.excitation.determine(
-                self._rls.window.determined(self._roster.names, values, tick.sampling), self._roster.covered
+                self._rls.window.determined(self._masks.names, values, tick.sampling), self._masks.covered
             )
         self.excitation.update(self._ekf.take_information(), duration_s)
         excited, own_std = self.excitation.excited, self._ekf.coordinate_std
@@ -122,7 +124,7 @@ class ParameterJudge:
         settled = tick.settled or bool(self._trusted.all())
         whole_std = np.hypot(std, self.mismatch.std)
         evidence = Evidence(
-            roster=roster,
+            masks=masks,
             relative_std=whole_std,
             excited=excited,
             confirmed=self.confirmation.parameters,
@@ -136,10 +138,10 @@ class ParameterJudge:
             correlation=self._ekf.correlation,
         )
         self.qualification.update(evidence)
-        walk = self.walk(roster.free)
+        walk = self.walk(masks.free)
         self._remember(whole_std, own_std, walk * duration_s, tick, duration_s)
-        shown = roster.published & excited
-        seen = roster.free_without_instrument(self._ekf.coordinates, tick.sampling.period_s)
+        shown = masks.published & excited
+        seen = masks.free_along_own_states(self._ekf.coordinates, tick.sampling.period_s)
         self._follow(settled, shown & seen, std)
         self._moves = self._moving(seen, tick), walk * (shown | (std < self._idle_std))
         self.resume()
@@ -147,10 +149,11 @@ class ParameterJudge:
     def resume(self) -> None:
         """The filter is to go on as after the last tick."""
         self._ekf.set_active(*self._moves)
-        self._ekf.use_instrument(self._follows)
+        self._ekf.use_instrumental_trajectory(self._follows)
 
     def _follow(self, settled: bool, needed: Mask, std: F64) -> None:
-        """Whether derivatives are taken along the instrument from now on: where all that is needed is known."""
+        """Whether derivatives are taken along the instrumental trajectory from now on: where all that is needed is
+        known."""
         limit = _LED_ASTRAY_STD if self._follows else QUALIFIED
         follows = settled and not np.count_nonzero(needed & ~(std < limit))
         self.begins_to_follow = follows and not self._follows and not self._followed
@@ -181,20 +184,20 @@ class ParameterJudge:
         """Which parameters are not held.
 
         Args:
-            seen: what may be estimated without the instrument.
+            seen: what may be estimated without the instrumental trajectory.
         """
-        roster = self._roster
-        free = roster.free if self._follows else seen
+        masks = self._masks
+        free = masks.free if self._follows else seen
         if tick.open:
             return free
         # What no regression can judge is free until it has been seen once: there is nothing to hold yet.
-        known = self.qualification.qualified | roster.covered
+        known = self.qualification.qualified | masks.covered
         moving: Mask = free & ~self.excitation.held(known)
         return moving
 
 
 def _are_alike(values: Mapping[str, float]) -> bool:
-    """Whether the lags of drive and winding cannot be told apart; see `_ALIKE`."""
+    """Whether the lags of drive and winding are not identifiable apart from each other; see `_ALIKE`."""
     if "t_lag" not in values or "L" not in values:
         return False
     return 1.0 / _ALIKE < values["t_lag"] * values["R"] / values["L"] < _ALIKE

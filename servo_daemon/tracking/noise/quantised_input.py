@@ -1,4 +1,4 @@
-"""What a voltage that is recorded in coarse steps leaves open of the inductance.
+"""What a quantised voltage leaves open of the inductance.
 
 A filter allows for noise that is in the applied voltage and not in the record: it is independent of what is recorded,
 and averages out. Rounding is the other way round. The error e of steps q, σ_e² = q²/12, stands in the record and not in
@@ -42,7 +42,7 @@ _MOST_STD = 3.0
 _MOST_PERIODS = 50.0
 
 
-class CoarseInput:
+class QuantisedInput:
     """One drive's recorded voltage.
 
     Attributes:

@@ -9,7 +9,7 @@ import pytest
 
 from servo_daemon.regression.stretch import Stretch
 from servo_daemon.samples import F64
-from servo_daemon.tracking.samples.leaps import without_leaps
+from servo_daemon.tracking.samples.spikes import without_spikes
 
 N = 20
 
@@ -20,7 +20,7 @@ def tick(voltage: F64, current: F64 | None) -> Stretch:
 
 
 def left_out(voltage: F64, current: F64 | None, most: float = 1.0) -> list[int]:
-    return np.flatnonzero(~without_leaps(tick(voltage, current), voltage, most, most).usable).tolist()
+    return np.flatnonzero(~without_spikes(tick(voltage, current), voltage, most, most).usable).tolist()
 
 
 def noise() -> F64:
@@ -61,7 +61,7 @@ def test_nothing_is_one_before_there_is_anything_to_compare_with_and_what_was_le
     assert left_out(noise(), current, math.inf) == []
     before = tick(noise(), current)
     before.usable[3] = False
-    after = without_leaps(before, before.voltage, 1.0, 1.0)
+    after = without_spikes(before, before.voltage, 1.0, 1.0)
     assert np.flatnonzero(~after.usable).tolist() == [3, 5]
     assert np.flatnonzero(~before.usable).tolist() == [3]
 
@@ -69,11 +69,11 @@ def test_nothing_is_one_before_there_is_anything_to_compare_with_and_what_was_le
 def test_where_the_current_is_the_input_it_is_judged_once() -> None:
     current = noise()
     current[5] += 30.0
-    found = without_leaps(tick(noise(), current), current, 1.0, math.inf)
+    found = without_spikes(tick(noise(), current), current, 1.0, math.inf)
     assert np.flatnonzero(~found.usable).tolist() == [5]
 
 
 @pytest.mark.parametrize("n", [0, 1, 2])
 def test_of_two_samples_nothing_is_told(n: int) -> None:
     few = Stretch(np.arange(n) * 1e-3, np.ones(n, dtype=bool), np.arange(n) * 9.0, np.arange(n) * 9.0, None, None, None)
-    assert without_leaps(few, few.voltage, 0.0, 0.0) is few
+    assert without_spikes(few, few.voltage, 0.0, 0.0) is few

@@ -10,12 +10,12 @@ from scipy.optimize import brentq
 from scipy.signal import lfilter
 
 from servo_daemon.regression.balances import Sums
-from servo_daemon.regression.closure import Confronted, doubt_var, structure, verdict
 from servo_daemon.regression.plausible import Plausible
+from servo_daemon.regression.residual_analysis import Residuals, mean_error, structure, unexplained_var
 from servo_daemon.regression.rls_fit import SYSTEMATIC
 from servo_daemon.samples import F64
-from servo_daemon.tracking.noise.coarse_input import CoarseInput, along
 from servo_daemon.tracking.noise.levels import ProcessNoise
+from servo_daemon.tracking.noise.quantised_input import QuantisedInput, along
 
 N = 2000
 TRUE = np.array([2.0, -0.5])
@@ -33,7 +33,7 @@ def sums(Phi: F64, y: F64) -> Sums:
 
 
 def test_right_values_have_no_error() -> None:
-    found = verdict([Confronted.of(sums(*rows(1)), TRUE, NOISELESS)])
+    found = mean_error([Residuals.of(sums(*rows(1)), TRUE, NOISELESS)])
     assert found is not None
     np.testing.assert_allclose(found.error, 0.0, atol=1e-9)
     # Without noise the share SYSTEMATIC of y is left, along each of two regressors of variance 1.
@@ -42,7 +42,7 @@ def test_right_values_have_no_error() -> None:
 
 
 def test_wrong_values_are_found_wrong_by_what_they_are() -> None:
-    found = verdict([Confronted.of(sums(*rows(1)), TRUE * [1.2, 1.0], NOISELESS)])
+    found = mean_error([Residuals.of(sums(*rows(1)), TRUE * [1.2, 1.0], NOISELESS)])
     assert found is not None
     np.testing.assert_allclose(found.error, [-0.4, 0.0], atol=1e-9)
 
@@ -51,8 +51,8 @@ def test_values_that_follow_what_ages_have_no_error() -> None:
     """Each part beside the values of its time; one fit over both parts would find neither."""
     Phi, y = rows(1)
     older, newer = sums(Phi, y), sums(Phi, Phi @ (1.3 * TRUE))
-    parts = [Confronted.of(older, TRUE, NOISELESS), Confronted.of(newer, 1.3 * TRUE, NOISELESS)]
-    found = verdict(parts)
+    parts = [Residuals.of(older, TRUE, NOISELESS), Residuals.of(newer, 1.3 * TRUE, NOISELESS)]
+    found = mean_error(parts)
     assert found is not None
     np.testing.assert_allclose(found.error, 0.0, atol=1e-9)
     assert structure(older.gram + newer.gram, 0.0) > 0.01 * (older.gram + newer.gram)[-1, -1]
@@ -62,8 +62,8 @@ def test_noise_of_the_regressors_is_no_error_of_the_values() -> None:
     """Seen with noise of variance 0.2 the regressors draw a fit to TRUE / 1.2."""
     Phi, y = rows(1)
     seen = Phi + np.sqrt(0.2) * np.random.default_rng(2).normal(size=Phi.shape)
-    blind = verdict([Confronted.of(sums(seen, y), TRUE, NOISELESS)])
-    aware = verdict([Confronted.of(sums(seen, y), TRUE, np.full(2, 0.2 * N))])
+    blind = mean_error([Residuals.of(sums(seen, y), TRUE, NOISELESS)])
+    aware = mean_error([Residuals.of(sums(seen, y), TRUE, np.full(2, 0.2 * N))])
     assert blind is not None and aware is not None
     np.testing.assert_allclose(blind.error, -TRUE / 6, atol=0.1)
     assert (np.abs(aware.error) < 3 * np.sqrt(np.diag(aware.covariance))).all()
@@ -71,21 +71,21 @@ def test_noise_of_the_regressors_is_no_error_of_the_values() -> None:
 
 def test_nothing_is_said_of_what_the_rows_do_not_determine() -> None:
     Phi = np.outer(np.arange(N, dtype=float), [1.0, 2.0])
-    assert verdict([Confronted.of(sums(Phi, Phi @ TRUE), TRUE, NOISELESS)]) is None
-    assert verdict([]) is None
+    assert mean_error([Residuals.of(sums(Phi, Phi @ TRUE), TRUE, NOISELESS)]) is None
+    assert mean_error([]) is None
 
 
 @pytest.mark.parametrize(("error", "std", "added"), [(0.015, 0.0, 0.0), (0.06, 0.03, 0.0), (0.2, 0.01, 0.198)])
 def test_a_difference_is_doubt_only_beyond_chance(error: float, std: float, added: float) -> None:
     """Two standard deviations, of the difference and of 1 % that integrals over samples may be off, are chance."""
-    assert doubt_var(error, std**2) ** 0.5 == pytest.approx(added, abs=0.001)
+    assert unexplained_var(error, std**2) ** 0.5 == pytest.approx(added, abs=0.001)
 
 
 # -- a voltage in coarse steps -----------------------------------------------------------------------------------------
 
 
-def coarse(lsb: float, change_rms: float, R: float, L: float, period_s: float = 1e-3) -> float:
-    found, rng = CoarseInput(), np.random.default_rng(5)
+def quantised(lsb: float, change_rms: float, R: float, L: float, period_s: float = 1e-3) -> float:
+    found, rng = QuantisedInput(), np.random.default_rng(5)
     found.lsb_V = lsb
     value = {"R": R, "L": L}
     for _ in range(500):
@@ -101,15 +101,15 @@ def test_steps_leave_of_L_what_rounding_is_of_the_changes() -> None:
     def lost(x: float) -> float:
         return share * math.expm1(x) / x
 
-    assert coarse(0.1, 0.2, 1.0, 0.01) == pytest.approx(lost(0.1), rel=0.1)
-    assert coarse(0.1, 0.2, 1.0, 5e-4) == pytest.approx(lost(2.0 * math.exp(lost(2.0))), rel=0.15)
-    assert coarse(0.1, 0.01, 1.0, 0.01) == pytest.approx(math.expm1(0.3) / 0.3, rel=0.1), "all of it is rounding"
-    assert coarse(0.0, 0.2, 1.0, 5e-4) == 0.0, "no steps"
+    assert quantised(0.1, 0.2, 1.0, 0.01) == pytest.approx(lost(0.1), rel=0.1)
+    assert quantised(0.1, 0.2, 1.0, 5e-4) == pytest.approx(lost(2.0 * math.exp(lost(2.0))), rel=0.15)
+    assert quantised(0.1, 0.01, 1.0, 0.01) == pytest.approx(math.expm1(0.3) / 0.3, rel=0.1), "all of it is rounding"
+    assert quantised(0.0, 0.2, 1.0, 5e-4) == 0.0, "no steps"
 
 
 def test_changes_within_the_time_of_a_winding_that_was_none_are_forgotten() -> None:
     """A filter that has just started may have L 25 times too large; a ramp changes more within so many samples."""
-    found, ramp = CoarseInput(), np.arange(100) * 0.1 + np.random.default_rng(5).normal(size=100) * 0.05
+    found, ramp = QuantisedInput(), np.arange(100) * 0.1 + np.random.default_rng(5).normal(size=100) * 0.05
     found.lsb_V = 0.1
     right, wrong = {"R": 1.0, "L": 0.5e-3}, {"R": 1.0, "L": 12e-3}
     for _ in range(3):
@@ -149,7 +149,7 @@ def test_what_steps_leave_of_L_is_what_a_filter_of_the_current_is_off_by(R: floa
 
     off = brentq(lambda d: float(derivative(math.log(L) + d) @ innovations(math.log(L) + d)), -0.5, 0.5)
     information = float(np.mean(np.square(derivative(math.log(L))))) / s
-    found = CoarseInput()
+    found = QuantisedInput()
     found.lsb_V = lsb
     found.take(u[:100] * 1e3, h, {"R": R, "L": L})  # changes so large that rounding is nothing of them
     found.learned(information)
