@@ -99,7 +99,8 @@ class Refresher:
         if told is None or filtered.status == "fixed":
             return filtered
         value, std = told
-        # The narrower limit of a filter keeps a start that still converges from being believed: here that is the proof.
+        # The narrower limit of a filter keeps a start that still converges from being believed: here that is the
+        # champion–challenger test.
         if not math.isfinite(value) or not std < LOST * abs(value):
             return filtered
         # While a jump is examined the filter says how far what it followed may have gone, and the windows do not.

@@ -80,7 +80,7 @@ GROUPS: Mapping[str, Group] = {
     "refresh": Group(
         (
             "servo_daemon/learning/refresh/refresh.py",
-            "servo_daemon/learning/refresh/proof.py",
+            "servo_daemon/learning/refresh/champion_challenger.py",
             "servo_daemon/learning/refresh/recent.py",
             "servo_daemon/pipeline/refresher.py",
         ),

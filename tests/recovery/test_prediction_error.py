@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from servo_daemon.diagnosis.trial.everything import honest
+from servo_daemon.diagnosis.trial.full_data_fit import honest
 from servo_daemon.identification.output_error import FitOptions, OutputErrorFit, fit_output_error
 from servo_daemon.identification.output_error.problem.setup import Recording
 from servo_daemon.identification.prediction_error import predicted_fit

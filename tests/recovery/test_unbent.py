@@ -9,7 +9,7 @@ from threadpoolctl import threadpool_limits
 
 from servo_daemon.captures import read_capture
 from servo_daemon.diagnosis.trial.data import Data
-from servo_daemon.diagnosis.trial.everything import fit_runs
+from servo_daemon.diagnosis.trial.full_data_fit import fit_runs
 from servo_daemon.diagnosis.trial.split import segment_length_s
 from servo_daemon.diagnosis.trial.trial import fit_trial
 from servo_daemon.diagnosis.verdict.adequacy import _unbent

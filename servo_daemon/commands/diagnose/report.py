@@ -23,7 +23,7 @@ from servo_daemon.commands.diagnose.tables import (
 )
 from servo_daemon.commands.fit.report import validation_sections
 from servo_daemon.diagnosis.verdict.result import Diagnosis
-from servo_daemon.plant.effects import instants
+from servo_daemon.plant.effects import event_times
 from servo_daemon.report import Mark, Provenance, Report, Section, Text
 from servo_daemon.report.document import Block
 
@@ -70,7 +70,7 @@ def _events(document: Mapping[str, Any]) -> list[Mark]:
     rows = {name: p for e in document["effects"] for name, p in e["parameters"].items()}
     return [
         Mark(rows[n]["value"], n)
-        for n in dict.fromkeys(instants().values())
+        for n in dict.fromkeys(event_times().values())
         if n in rows and rows[n]["value"] is not None
     ]
 

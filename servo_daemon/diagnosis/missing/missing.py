@@ -23,7 +23,7 @@ from servo_daemon.identification.output_error import Recording
 from servo_daemon.identification.output_error.problem.problem import Problem, Segment
 from servo_daemon.identification.output_error.problem.rollout import INPUT, STEP, TIME
 from servo_daemon.identification.output_error.problem.setup import make_problem
-from servo_daemon.identification.short_runs import is_placed, placed_in_short_runs, placed_within
+from servo_daemon.identification.short_runs import found_states_std, has_found_states, short_runs_with_found_states
 from servo_daemon.kalman.gaussian import natural_values
 from servo_daemon.numerics import white_noise_var
 from servo_daemon.plant.build import PlantModel, build_plant
@@ -139,7 +139,7 @@ def missing_inputs(
     disturbances, visible = _unknown(plant, problem.channels)
     a = Augmented(plant, problem.channels, disturbances)
     size = _sizes(plant, q, problem)
-    near = placed_within(problem, q) if is_placed(problem) else None
+    near = found_states_std(problem, q) if has_found_states(problem) else None
     stretches = [_stretch(a, s, size, near, where) for s, where in zip(problem.segments, shown, strict=True)]
     steps = {
         c: resolution(np.concatenate([s.measured[s.valid[:, k], k] for s in problem.segments]))
@@ -174,7 +174,7 @@ def _in_runs(recording: Recording, plant: PlantModel, q: F64) -> Problem:
     """The whole capture at once; where there is a load behind a gap, in short runs that begin where the load is: a
     filter that comes to an impact early or late has lost it for good."""
     values = natural_values(plant.parameters, q[: len(plant.parameters)])
-    return placed_in_short_runs(make_problem([recording], plant.effects, {}), [recording], values)
+    return short_runs_with_found_states(make_problem([recording], plant.effects, {}), [recording], values)
 
 
 def coordinates_with_load(fit: Fitted, recording: int = 0) -> tuple[tuple[str, ...], F64]:

@@ -13,11 +13,11 @@ from servo_daemon.diagnosis.search.effort import Effort, model_key
 from servo_daemon.diagnosis.search.evidence import LEAST_BIC, NESTED_GAIN, convinces, no_worse, overwhelming
 from servo_daemon.diagnosis.trial.compare import Advantage, advantage
 from servo_daemon.diagnosis.trial.data import Data
+from servo_daemon.diagnosis.trial.equivalent_models import equivalent_lags
 from servo_daemon.diagnosis.trial.split import shorter_s
 from servo_daemon.diagnosis.trial.trial import Trial, fit_trial
-from servo_daemon.diagnosis.trial.twins import lag_twin
 from servo_daemon.identification.output_error.starts import by_sizes
-from servo_daemon.identification.short_runs import begun_short_runs, is_placed, with_all_inertia
+from servo_daemon.identification.short_runs import begun_short_runs, has_found_states, with_all_inertia
 from servo_daemon.plant.effects import effects_by_name
 
 #: Iterations that every candidate gets, and the share of the best one's gain that earns it the rest.
@@ -98,9 +98,9 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], effort: Eff
                 trial = fit_trial(data, p.effects, trial.values, like=trial, careful=True) or trial
             if trial.independent < COLOURED and gained(trial) >= _KEPT * most:
                 trial = _better(trial, fit_trial(data, p.effects, trial.values)) or trial
-            twin = lag_twin(trial.values)
-            if twin is not None:
-                trial = _better(trial, fit_trial(data, p.effects, twin)) or trial
+            equivalent = equivalent_lags(trial.values)
+            if equivalent is not None:
+                trial = _better(trial, fit_trial(data, p.effects, equivalent)) or trial
         return trial
 
     def gained(trial: Trial) -> float:
@@ -147,7 +147,7 @@ def closer(data: Data, trial: Trial) -> Trial:
     `_over_the_gap`.)
     """
     shorter = shorter_s(data.recordings, data.split.segment_s)
-    if shorter is None or trial.independent >= COLOURED or is_placed(trial.fitted):
+    if shorter is None or trial.independent >= COLOURED or has_found_states(trial.fitted):
         return trial
     short = fit_trial(data.cut(trial.effects, shorter), trial.effects, trial.values)
     again = None if short is None else fit_trial(data, trial.effects, short.values)

@@ -35,12 +35,12 @@ from servo_daemon.diagnosis.search.fitting import COLOURED, Candidate, best_of, 
 from servo_daemon.diagnosis.search.pruning import pruned
 from servo_daemon.diagnosis.trial.compare import advantage
 from servo_daemon.diagnosis.trial.data import Data
-from servo_daemon.diagnosis.trial.lacking import leaves, leaves_less, seen_missing
 from servo_daemon.diagnosis.trial.likelihood import Whole, needs_no_effect
+from servo_daemon.diagnosis.trial.model_discrepancy import leaves, leaves_less, seen_missing
 from servo_daemon.diagnosis.trial.split import shorter_s
 from servo_daemon.diagnosis.trial.trial import Trial, fit_trial
 from servo_daemon.errors import NumericalError
-from servo_daemon.identification.short_runs import is_placed
+from servo_daemon.identification.short_runs import has_found_states
 
 #: At most so many effects are taken.
 _MOST_EFFECTS = 4
@@ -140,7 +140,7 @@ def _round(search: _Search, missing: Missing, progress: Progress, effort: Effort
     proposed = proposals(current, screened, missing, given=search.data.fixed)
     progress(0.1, "fitting " + ", ".join(p.name for p in proposed))
     found = _against_the_best_chance(search, _worthy(search, missing, proposed, effort))
-    if is_placed(current.fitted):  # what is left is how the load went on within the runs
+    if has_found_states(current.fitted):  # what is left is how the load went on within the runs
         return found
     if found[2] is None and (rest := _thought_little_of(current, screened, missing, proposed)):
         more = tuple(c for c in _worthy(search, missing, rest, effort) if speaks_against_screening(c.against))

@@ -13,7 +13,7 @@ from contextlib import suppress
 import numpy as np
 
 from servo_daemon.diagnosis.trial.data import Data
-from servo_daemon.diagnosis.trial.everything import fit_runs, honest
+from servo_daemon.diagnosis.trial.full_data_fit import fit_runs, honest
 from servo_daemon.diagnosis.trial.trial import Trial
 from servo_daemon.errors import NumericalError
 from servo_daemon.identification.output_error import OutputErrorFit
@@ -33,7 +33,7 @@ def mean_over_cuts(data: Data, trial: Trial, fit: OutputErrorFit) -> OutputError
     of such fits over several lengths of the free runs, in the parameters' coordinates.
 
     Args:
-        fit: of the trial's model to everything.
+        fit: of the trial's model to the full data.
     """
     problem = fit.problem
     if fit.white or problem.plant.drive == "voltage" or problem.local or "gap" in problem.free:

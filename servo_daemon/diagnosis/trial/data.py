@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from servo_daemon.diagnosis.trial.split import HELD_OUT, Split, divide, divide_seen
 from servo_daemon.identification.output_error import Recording
 from servo_daemon.identification.output_error.problem.problem import Problem, Segment
-from servo_daemon.identification.output_error.problem.setup import make_problem, state_scale, telling
+from servo_daemon.identification.output_error.problem.setup import make_problem, state_scale, without_dead_current
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class Data:
         Raises:
             BadInputError: see `make_problem`, or too few runs.
         """
-        recordings = telling(recordings)
+        recordings = without_dead_current(recordings)
         segments = make_problem(_unmarked(recordings), effects, dict(fixed), segment_s=segment_s).segments
         marks = [r.seen for r in recordings if r.seen is not None]
         if len(marks) == len(recordings):
@@ -60,7 +60,7 @@ class Data:
         return Data.of(self.recordings, self.fixed, effects, segment_s)
 
     @property
-    def everything(self) -> Data:
+    def full(self) -> Data:
         """With nothing held out: for what is published when all is decided."""
         return replace(self, recordings=_unmarked(self.recordings))
 

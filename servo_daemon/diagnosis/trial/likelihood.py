@@ -22,7 +22,7 @@ _LIKELIER = 30.0
 _PLAINLY = 2.0
 
 
-#: Fits a trial's model to everything from these values, with noise that enters the motor; None where that fails.
+#: Fits a trial's model to the full data from these values, with noise that enters the motor; None where that fails.
 Whole = Callable[[Trial, Mapping[str, float]], OutputErrorFit | None]
 
 

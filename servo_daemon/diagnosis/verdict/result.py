@@ -116,7 +116,7 @@ class Diagnosis:
         captures: what was diagnosed.
         verdict: see `Verdict`.
         effects: what was added to the baseline, in the order of the search; empty unless found.
-        baseline: the configured model (else the linear motor), fitted to everything.
+        baseline: the configured model (else the linear motor), fitted to the full data.
         extended: with the effects; None unless found.
         baseline_score, extended_score: held-out errors; the second is None unless found.
         noise_floor: normalised error that noise alone would leave; None unless found.

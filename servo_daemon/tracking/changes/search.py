@@ -214,7 +214,7 @@ class JumpSearch:
             self._best[k] = trials.likeliest(k, self._best.get(k))
         ranked = self._ranked()
         for trial in (self._best[MOMENT], *ranked[:2]):
-            self._best[trial.k] = trials.elsewhere(trial)
+            self._best[trial.k] = trials.at_another_time(trial)
         ranked, moment = self._ranked(), self._best[MOMENT]
         best = ranked[0]
         if moment.explained and moment.cost - best.cost < _CHANGED:

@@ -157,7 +157,7 @@ class Trials:
             best = min(best, again, key=lambda t: t.cost)
         return best
 
-    def elsewhere(self, trial: Trial) -> Trial:
+    def at_another_time(self, trial: Trial) -> Trial:
         """The same change at another moment, if it is likelier then: by smaller and smaller steps."""
         best = trial
         for step in _STEPS:

@@ -14,7 +14,7 @@ from servo_daemon.parameters import LINEAR, MOTOR_NAMES, WINDING_NAMES, Paramete
 from servo_daemon.plant.build import PlantModel, build_plant
 from servo_daemon.plant.contribution import contribution
 from servo_daemon.plant.core import Drive
-from servo_daemon.plant.effects import effects_by_name, instants
+from servo_daemon.plant.effects import effects_by_name, event_times
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ def plan_signals(channels: tuple[str, ...], effects: tuple[str, ...], nominal: M
         return plan
     held = [p.name for p in plan.plant.parameters if is_held(p)]
     why = {name: _NOT_SEARCHED.format(_AS_GIVEN if name in nominal else _AT_START) for name in held}
-    for size, instant in instants().items():  # from a wrong one on it could not be told from what it changes
+    for size, instant in event_times().items():  # from a wrong one on it could not be told from what it changes
         if instant not in nominal:
             why[size] = f"held as given: give {instant} as nominal value, before which there is nothing of it"
     given = {p.name: nominal.get(p.name, p.nominal) for p in plan.plant.parameters if p.name in why}

@@ -1,9 +1,9 @@
-"""When something happened, and how often it does: what no descent finds.
+"""Multi-start over event times and frequencies, which no descent finds.
 
-Moving the instant of a step changes the simulation only between the old instant and the new one, so that the sum of
-squares falls towards the true one from nearby alone; and while the step has no size the instant has no effect at all.
-A frequency is found from within half a period over the whole recording. So instants all over the recording are tried,
-and the frequencies that stand out of the residual, each for a few iterations; the best goes on.
+Moving the time of a step changes the simulation only between the old time and the new one, so that the sum of squares
+falls towards the true one from nearby alone; and while the step has no size its time has no effect at all. A frequency
+is found from within half a period over the whole recording. So times all over the recording are tried, and the
+frequencies that stand out of the residual, each for a few iterations; the best goes on.
 """
 
 from __future__ import annotations
@@ -12,20 +12,20 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from servo_daemon.identification.output_error.problem.instants import instants_of
+from servo_daemon.identification.output_error.problem.event_times import event_times_of
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.problem.rollout import TIME
 from servo_daemon.identification.output_error.solver.solver import Solution, solve
 from servo_daemon.plant.columns.scans import spectral_lines
-from servo_daemon.plant.effects import instants
+from servo_daemon.plant.effects import event_times
 from servo_daemon.samples import F64
 
-#: Instants that are tried, iterations of each (the first finds the step's size, the others the instant), and how often
-#: instants closer together are tried around the best: the sum of squares has small valleys of its own.
+#: Event times that are tried, iterations of each (the first finds the step's size, the others its time), and how often
+#: times closer together are tried around the best: the sum of squares has small valleys of its own.
 _TRIED, _ITERATIONS, _CLOSER = 16, 6, 3
 #: So many on either side, at this part of the distance before.
 _ASIDE, _PART = 3, 0.25
-#: Instants nearby are tried this part of a piece apart.
+#: Event times nearby are tried this part of a piece apart.
 _NEARBY = 0.75
 #: Lines of the residual's spectrum that are tried, with these phases.
 _LINES, _PHASES = 4, (0.0, np.pi / 2, np.pi, -np.pi / 2)
@@ -34,14 +34,14 @@ _SHARE = 0.05
 
 
 def is_to_be_searched(problem: Problem) -> bool:
-    """Whether an instant or a frequency is free."""
-    return not {*instants().values(), "f_per"}.isdisjoint(problem.free)
+    """Whether an event time or a frequency is free."""
+    return not {*event_times().values(), "f_per"}.isdisjoint(problem.free)
 
 
-def from_elsewhere(
+def from_other_starts(
     problem: Problem, found: Solution, seconds: float, torque_Nm: float, *, robust: bool
 ) -> Solution | None:
-    """The best of a few iterations from other instants and frequencies, if that is better than what was found; None:
+    """The best of a few iterations from other event times and frequencies, if that is better than what was found; None:
     nothing is.
 
     Args:
@@ -50,16 +50,18 @@ def from_elsewhere(
         torque_Nm: what the motor typically exerts.
     """
     best = found
-    for size, name in instants().items():
+    for size, name in event_times().items():
         if name in problem.free:
-            best = _from_instants(problem, best, name, size, seconds, robust=robust)
+            best = _from_event_times(problem, best, name, size, seconds, robust=robust)
     if "f_per" in problem.free:
         best = _from_frequencies(problem, best, float(np.log(_SHARE * torque_Nm)), robust=robust)
     return None if best is found else best
 
 
-def _from_instants(problem: Problem, best: Solution, name: str, size: str, seconds: float, *, robust: bool) -> Solution:
-    """Args: name, size: of the instant and of what steps."""
+def _from_event_times(
+    problem: Problem, best: Solution, name: str, size: str, seconds: float, *, robust: bool
+) -> Solution:
+    """Args: name, size: of the event time and of what steps then."""
     column, apart_s = problem.free.index(name), seconds / _TRIED
     tried_s = (np.arange(_TRIED) + 0.5) * apart_s
     for level in range(_CLOSER + 1):
@@ -75,12 +77,12 @@ def _from_instants(problem: Problem, best: Solution, name: str, size: str, secon
 
 
 def from_nearby(problem: Problem, found: Solution, *, robust: bool) -> Solution | None:
-    """The same of instants within some pieces of the recording of where the search has ended: across the edge of a
+    """The same of event times within some pieces of the recording of where the search has ended: across the edge of a
     piece, which begins in a state of its own, no derivative leads."""
     best = found
     spans_s = [float(s.rows[-1, TIME] - s.rows[0, TIME]) for s in problem.segments]
     apart_s = _NEARBY * float(np.median(spans_s))
-    for column in instants_of(problem):
+    for column in event_times_of(problem):
         for _ in range(_CLOSER):
             before = best
             for at_s in before.point.unknowns[column] + apart_s * np.array([-4.0, -2.0, -1.0, 1.0, 2.0, 4.0]):

@@ -1,4 +1,4 @@
-"""Fits to everything are made once, for whoever asks."""
+"""Fits to the full data are made once, for whoever asks."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import pytest
 
-from servo_daemon.diagnosis.trial import everything
+from servo_daemon.diagnosis.trial import full_data_fit
 from servo_daemon.diagnosis.trial.data import Data
 from servo_daemon.diagnosis.trial.trial import Trial
 from servo_daemon.errors import NumericalError
@@ -23,15 +23,15 @@ def test_the_same_model_from_the_same_values_is_fitted_once(monkeypatch: pytest.
             raise NumericalError("left the range of numbers")
         return f"fit {len(asked)}"
 
-    monkeypatch.setattr(everything, "fit_runs", fit_runs)
-    whole_fits = everything.WholeFits(cast(Data, None))
+    monkeypatch.setattr(full_data_fit, "fit_runs", fit_runs)
+    full_fits = full_data_fit.FullDataFits(cast(Data, None))
     trial = Trial(("coulomb_friction",), {"Tc": 1.0}, {}, *cast(Any, (None, None, None, None)))
-    first = whole_fits.of(trial)
-    assert whole_fits.of(replace(trial)) is first
-    assert whole_fits.of(trial, {"Tc": 1.0}) is first
-    assert whole_fits.of(trial, {"Tc": 2.0}) is not first
-    assert whole_fits.of(replace(trial, effects=("cogging_torque",))) is not first
-    assert whole_fits.of(trial, below=10.0) is not first
-    assert whole_fits.of(trial, below=-1.0) is whole_fits.of(trial, below=-1.0) is None
+    first = full_fits.of(trial)
+    assert full_fits.of(replace(trial)) is first
+    assert full_fits.of(trial, {"Tc": 1.0}) is first
+    assert full_fits.of(trial, {"Tc": 2.0}) is not first
+    assert full_fits.of(replace(trial, effects=("cogging_torque",))) is not first
+    assert full_fits.of(trial, below=10.0) is not first
+    assert full_fits.of(trial, below=-1.0) is full_fits.of(trial, below=-1.0) is None
     assert len(asked) == 5
     assert asked[0] == (("coulomb_friction",), {"Tc": 1.0}, None, math.inf)

@@ -32,7 +32,7 @@ from servo_daemon.identification.output_error.noise.noise import (
     noise_model,
 )
 from servo_daemon.identification.output_error.noise.whitening import channel_weights, moving, tangents, whiten
-from servo_daemon.identification.output_error.problem.instants import instants_of, profile
+from servo_daemon.identification.output_error.problem.event_times import event_times_of, profile
 from servo_daemon.identification.output_error.problem.lazy import linearise
 from servo_daemon.identification.output_error.problem.problem import Linearisation, Problem
 from servo_daemon.identification.output_error.solver.solver import Point, normal_equations, point_of, within
@@ -57,11 +57,11 @@ _DECREMENT, _SAME, _CLOSE = 1e-4, 0.01, 0.01
 #: effects and clean captures alike. What would take more than this many times the promise is out of reach.
 _REACH = 3.0
 #: How often the likeliest instant and the rest are looked for in turn.
-_INSTANT_ROUNDS = 3
+_EVENT_TIME_ROUNDS = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Polished:
+class Refined:
     """Where the likelihood is largest.
 
     Attributes:
@@ -73,7 +73,7 @@ class Polished:
         torque_gain: by how much a white load torque beside it would lower −2 log p.
         innovation_rms: shape (c,), in the channels' units.
         at_bound: columns of parameters that ended at a bound.
-        instant_std: of the columns of instants, s: what no derivative tells.
+        event_time_std: of the columns of event times, s: what no derivative tells.
         remaining: what a further step promises −2 log p to fall by.
     """
 
@@ -85,12 +85,12 @@ class Polished:
     torque_gain: float
     innovation_rms: F64
     at_bound: frozenset[int]
-    instant_std: Mapping[int, float]
+    event_time_std: Mapping[int, float]
     remaining: float
 
     @property
     def at_rest(self) -> bool:
-        """Whether the search came to its end. Under a model that is far off its valley is bent so much that no step
+        """Whether the search came to its end. Under a model that is far off its valley is curved so much that no step
         along its slope is better."""
         return self.remaining < _CLOSE
 
@@ -100,7 +100,7 @@ class Polished:
         return self.deviance if self.at_rest else self.deviance - _REACH * self.remaining
 
 
-def polish(problem: Problem, point: Point, torque_size: float, below: float = np.inf) -> Polished | None:
+def refine(problem: Problem, point: Point, torque_size: float, below: float = np.inf) -> Refined | None:
     """From the plain output-error estimate, to where its search ends; None where no noise but the sensors' is seen, or
     it was given up.
 
@@ -114,9 +114,9 @@ def polish(problem: Problem, point: Point, torque_size: float, below: float = np
     plain = at.value(alone)
     a, value = at.with_source(alone, INPUT_NOISE)
     end = _settle(problem, point, a, limits, below) if value < plain - WORTH else None
-    instant_std: dict[int, float] = {}
-    if end is not None and end.at_rest and instants_of(problem):
-        end, instant_std = _settle_instants(problem, end, limits, below)
+    event_time_std: dict[int, float] = {}
+    if end is not None and end.at_rest and event_times_of(problem):
+        end, event_time_std = _settle_event_times(problem, end, limits, below)
     if end is None:
         return None
     point, a = end.point, end.log_variance
@@ -125,12 +125,12 @@ def polish(problem: Problem, point: Point, torque_size: float, below: float = np
     torque = _torque_gain(problem, point, a, limits) if end.at_rest else np.inf
     noise = noise_model(problem, a, plain - deviance)
     at_bound = _at_bound(problem, whitened)
-    return Polished(point, whitened, noise, a, deviance, torque, rms, at_bound, instant_std, end.remaining)
+    return Refined(point, whitened, noise, a, deviance, torque, rms, at_bound, event_time_std, end.remaining)
 
 
 @dataclass(frozen=True, slots=True)
 class _End:
-    """Free run, the same whitened, log variances; see `Polished`."""
+    """Free run, the same whitened, log variances; see `Refined`."""
 
     point: Point
     whitened: Point
@@ -142,13 +142,13 @@ class _End:
         return self.remaining < _CLOSE
 
 
-def _settle_instants(
+def _settle_event_times(
     problem: Problem, end: _End, limits: tuple[F64, F64], below: float
 ) -> tuple[_End, dict[int, float]]:
-    """From the likeliest instants of the steps that the model holds, and how well these are known."""
+    """From the likeliest times of the steps that the model holds, and how well these are known."""
     std: dict[int, float] = {}
-    for column in instants_of(problem):
-        for _ in range(_INSTANT_ROUNDS):
+    for column in event_times_of(problem):
+        for _ in range(_EVENT_TIME_ROUNDS):
             here = float(end.point.unknowns[column])
             there, std[column] = profile(problem, column, here, partial(_deviance_at, problem, end, column))
             if there == here:
@@ -169,7 +169,7 @@ def _moved(problem: Problem, point: Point, column: int, at_s: float) -> Point:
 
 
 def _deviance_at(problem: Problem, end: _End, column: int, at_s: float) -> float:
-    """−2 log p with one instant elsewhere and all else as it is."""
+    """−2 log p with one event at another time and all else as it is."""
     moved = _moved(problem, end.point, column, at_s)
     return whiten_point(problem, moved, end.log_variance)[0].value if moved.linearisation.finite else np.inf
 
@@ -195,7 +195,7 @@ def _settle(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64], bel
         step, decrement = _step(problem, whitened)
         if steps > 0 and whitened.value - _REACH * decrement > below:
             return None
-        share, last = (share / 2 if decrement > _PROGRESS * last else share), decrement  # to and fro in a bent valley
+        share, last = (share / 2 if decrement > _PROGRESS * last else share), decrement  # to and fro in a curved valley
         if share < _LEAST_SHARE:
             break
         if decrement < _DECREMENT and settled:

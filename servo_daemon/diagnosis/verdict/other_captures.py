@@ -1,4 +1,4 @@
-"""Whether what is named helps captures that took no part, where there are several.
+"""Leave-captures-out validation: whether what is named predicts captures that took no part, where there are several.
 
 Free runs that decide lie between those that were fitted. What one capture alone wants (its own temperature, a load
 that was hung on) fits its neighbours too; a cause that is the motor's is in the next capture as well.

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from servo_daemon.config import parse_config
-from servo_daemon.daemon import learned_desk
+from servo_daemon.daemon import learning_coordinator
 from servo_daemon.errors import BadInputError
 from servo_daemon.learning.examples.drawing import TrainingSpec, draw_parameters
 from servo_daemon.learning.examples.training import simulate_motors
@@ -30,8 +30,8 @@ SPEC = TrainingSpec(NOMINAL, window_s=2.0, rate_hz=1000.0)
 @pytest.fixture
 def start(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callable[..., Rig]]:
     monkeypatch.setattr(cache, "_directory", lambda: tmp_path / "models")
-    monkeypatch.setattr(learned_desk, "_TURN_S", 0.01)
-    monkeypatch.setattr(learned_desk, "TRAIN_AFTER_S", 0.0)
+    monkeypatch.setattr(learning_coordinator, "_TURN_S", 0.01)
+    monkeypatch.setattr(learning_coordinator, "TRAIN_AFTER_S", 0.0)
     with starter(monkeypatch) as begin:
         yield begin
 
@@ -152,7 +152,7 @@ def test_training_can_be_forbidden(start: Callable[..., Rig], training: type[Tra
 def test_the_first_seconds_are_not_worth_it(
     start: Callable[..., Rig], training: type[Trained], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(learned_desk, "TRAIN_AFTER_S", 1000.0)
+    monkeypatch.setattr(learning_coordinator, "TRAIN_AFTER_S", 1000.0)
     view = until(start(config()), lambda v: "training begins" in str(v.detail.get("reason")), "waiting")
     assert view.detail["mode"] == "waiting"
     assert training.begun == []

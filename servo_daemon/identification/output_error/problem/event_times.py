@@ -1,10 +1,10 @@
-"""When something happened, by the likelihood's profile.
+"""Event times by the likelihood's profile.
 
-The derivative by the instant of a step knows the sample in which it lies and no other. Where little flows at that very
-sample a descent stays there, however much likelier another instant would make the data; and its Fisher information says
-nothing of how well the instant is known: −2 log p falls towards the true one along a random walk with drift, and the
+The derivative by the time of a step knows the sample in which it lies and no other. Where little flows at that very
+sample a descent stays there, however much likelier another time would make the data; and its Fisher information says
+nothing of how well the time is known: −2 log p falls towards the true one along a random walk with drift, and the
 distance at which that has become likelier by one grows with the square of the noise and not with the noise (Hinkley,
-*Biometrika* 57, 1970). So the likelihood is looked at at instants in growing distances on either side, and is its own
+*Biometrika* 57, 1970). So the likelihood is looked at at times in growing distances on either side, and is its own
 standard deviation.
 """
 
@@ -17,31 +17,31 @@ from scipy.integrate import trapezoid
 
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.problem.rollout import TIME
-from servo_daemon.plant.effects import instants
+from servo_daemon.plant.effects import event_times
 from servo_daemon.samples import F64
 
-#: Distances from the best instant: one sample, and each so many times the one before.
+#: Distances from the best time: one sample, and each so many times the one before.
 _GROWTH = 3.0
-#: How often a better instant may be gone on from.
+#: How often a better time may be gone on from.
 _MOVES = 6
 
 
-def instants_of(problem: Problem) -> tuple[int, ...]:
-    """Columns of the free instants whose step is free as well."""
+def event_times_of(problem: Problem) -> tuple[int, ...]:
+    """Columns of the free event times whose step is free as well."""
     free = problem.free
-    return tuple(dict.fromkeys(free.index(at) for size, at in instants().items() if at in free and size in free))
+    return tuple(dict.fromkeys(free.index(at) for size, at in event_times().items() if at in free and size in free))
 
 
 def profile(problem: Problem, column: int, at_s: float, deviance: Callable[[float], float]) -> tuple[float, float]:
-    """The likeliest instant, and its standard deviation.
+    """The likeliest event time, and its standard deviation.
 
     Args:
-        column: of the instant.
+        column: of the event time.
         at_s: from this one.
-        deviance: −2 log p with the instant there; infinite where that cannot be simulated.
+        deviance: −2 log p with the event there; infinite where that cannot be simulated.
 
     Returns:
-        both in s; the standard deviation is that of the likelihood about the likeliest instant.
+        both in s; the standard deviation is that of the likelihood about the likeliest time.
     """
     low, high = problem.bounds[0][column], min(float(problem.bounds[1][column]), _end_s(problem))
     period_s = problem.sample_period_s

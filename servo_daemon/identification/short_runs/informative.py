@@ -1,4 +1,4 @@
-"""Which runs of a recording tell of a load behind a gap: those that a motor alone does not explain.
+"""Which runs of a recording are informative of a load behind a gap: those that a motor alone does not explain.
 
 In slow reversals the load crosses its gap for a few percent of the time. Runs from all over the recording then say
 nearly nothing of the teeth, and a descent goes where their noise leads it.
@@ -24,7 +24,7 @@ from servo_daemon.samples import F64
 
 #: Length of the runs of the motor alone, s.
 _LENGTH_S = 0.05
-#: Runs that tell hold this share of what the motor alone leaves beyond the noise, and have so many samples at least:
+#: Informative runs hold this share of what the motor alone leaves beyond the noise, and have so many samples at least:
 #: winding and motor are to be seen, too.
 _MOST_OF_IT, _LEAST_SAMPLES = 0.9, 2_500
 #: Of the runs as many are taken for noise alone.
@@ -44,15 +44,17 @@ class RunSource:
     motor: Mapping[str, float]
 
     def runs(self, length_s: float, most_samples: int) -> Runs | None:
-        """Of the runs of this length those that tell, of which some are taken, evenly over the recording, that have no
-        more samples than that; None as `Runs.of`."""
+        """Of the runs of this length the informative ones, of which some are taken, evenly over the recording, that
+        have no more samples than that; None as `Runs.of`."""
         runs = Runs.of(self.problem, length_s)
         if runs is None or self._left is None:
             return runs
         time, left = self._left
         begin = np.searchsorted(time, runs.rows[:, 0, TIME])
         end = np.searchsorted(time, runs.rows[:, -1, TIME], side="right")
-        return runs.only(_telling(left[end] - left[begin], _LEAST_SAMPLES // runs.measured.shape[1])).some(most_samples)
+        return runs.only(_informative(left[end] - left[begin], _LEAST_SAMPLES // runs.measured.shape[1])).some(
+            most_samples
+        )
 
     def in_swings(self, q: F64, swings: float, most_samples: int) -> Runs | None:
         """Runs of so many of the teeth's own swings, with the load and the teeth of these coordinates. See `runs`."""
@@ -86,8 +88,8 @@ def with_all_inertia(values: Mapping[str, float]) -> dict[str, float]:
     return {**values, "J": values["J"] + values.get("J_l", 0.0)}
 
 
-def _telling(left: F64, least: int) -> NDArray[np.int_]:
-    """Of runs that leave so much, shape (k,), the numbers of those that tell, so many at least, in their order."""
+def _informative(left: F64, least: int) -> NDArray[np.int_]:
+    """Of runs that leave so much, shape (k,), the numbers of the informative ones, so many at least, in their order."""
     beyond = np.maximum(left - np.quantile(left, _QUIET), 0.0)
     order = np.argsort(-beyond, kind="stable")
     held = np.cumsum(beyond[order])

@@ -39,12 +39,12 @@ class Source(Protocol):
     trends: DriveTrends
 
 
-class TrendDesk:
-    """`start` and `stop` once each.
+class TrendCoordinator:
+    """Finds the trends of all drives in a thread of its own. `start` and `stop` once each.
 
     Args:
         archive: None: no history is kept, and there are no trends.
-        sources: the drives; their `trends` are written by the desk.
+        sources: the drives; their `trends` are written by the coordinator.
     """
 
     def __init__(

@@ -1,7 +1,7 @@
 """Learned models for the drives: found among the kept ones, or trained, one at a time, in a process of its own.
 
-The worker only writes down what a drive needs and takes what has come (`Seat`); looking through files, loading
-scikit-learn (a second) and training are the desk's thread's and its process' work.
+The worker only writes down what a drive needs and takes what has come (`Subscription`); looking through files, loading
+scikit-learn (a second) and training are the coordinator's thread's and its process' work.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ log = logging.getLogger(__name__)
 
 #: A drive that has run for less is not worth the training yet, s.
 TRAIN_AFTER_S = 30.0
-#: How often the desk looks at its seats and at the training, s.
+#: How often the coordinator looks at its subscriptions and at the training, s.
 _TURN_S = 0.25
 
 
@@ -44,13 +44,14 @@ class _Wanted:
         return config is self.config and channels == self.channels and same_rate(rate_hz, self.rate_hz)
 
 
-class Seat:
-    """One drive's place at the desk. `follow`, `take` and `begin_again` belong to the worker, the rest to the desk."""
+class Subscription:
+    """One drive's requests for a model and their answers. `follow`, `take` and `begin_again` belong to the worker, the
+    rest to the coordinator."""
 
     def __init__(self, drive: str) -> None:
         self.drive = drive
         self.wanted: _Wanted | None = None
-        self.answered: _Wanted | None = None  # what the desk is done with, well or not
+        self.answered: _Wanted | None = None  # what the coordinator is done with, well or not
         self._given: tuple[_Wanted, LearnedModel] | None = None
         self._taken: tuple[_Wanted, LearnedModel] | None = None
         self.view = EstimatorView({}, {"mode": "waiting", "reason": "no samples yet"})
@@ -76,7 +77,7 @@ class Seat:
         self._taken = None
 
     def give(self, wanted: _Wanted, model: LearnedModel) -> None:
-        """The desk has found it."""
+        """The coordinator has found it."""
         self.answered, self._given = wanted, (wanted, model)
 
     def tell(self, mode: str, **detail: float | int | bool | str | None) -> None:
@@ -84,8 +85,8 @@ class Seat:
         self.view = EstimatorView({}, {"mode": mode, **detail})
 
 
-class LearnedDesk:
-    """See the module. `start` and `stop` once each.
+class LearningCoordinator:
+    """Finds or trains the models of all subscriptions in a thread of its own. `start` and `stop` once each.
 
     Args:
         config: how to train.
@@ -93,21 +94,21 @@ class LearnedDesk:
 
     def __init__(self, config: LearningConfig) -> None:
         self._config = config
-        self._seats: list[Seat] = []
+        self._subscriptions: list[Subscription] = []
         self._stop = threading.Event()
         self._training: BackgroundTraining | None = None
-        self._for: tuple[Seat, _Wanted] | None = None
+        self._for: tuple[Subscription, _Wanted] | None = None
         self._looked: dict[str, _Wanted] = {}  # for which the files have been looked through, by drive
         self._thread = threading.Thread(target=self._work, name="learning", daemon=True)
 
-    def seat(self, drive: str) -> Seat:
-        """A place for a drive; before `start`."""
-        seat = Seat(drive)
-        self._seats.append(seat)
-        return seat
+    def subscribe(self, drive: str) -> Subscription:
+        """The subscription of a drive; before `start`."""
+        subscription = Subscription(drive)
+        self._subscriptions.append(subscription)
+        return subscription
 
     def start(self) -> None:
-        if self._seats:
+        if self._subscriptions:
             self._thread.start()
 
     def begin_stop(self) -> None:
@@ -120,7 +121,7 @@ class LearnedDesk:
         if self._thread.is_alive():
             self._thread.join(timeout_s)
 
-    # -- the desk's thread -----------------------------------------------------------------------------------
+    # -- the coordinator's thread -----------------------------------------------------------------------------------
 
     def _work(self) -> None:
         try:
@@ -138,66 +139,66 @@ class LearnedDesk:
     def _turn(self) -> None:
         if self._training is not None:
             self._follow_training()
-        for seat in self._seats:
-            wanted = seat.wanted
-            if wanted is not None and wanted is not seat.answered:
-                self._serve(seat, wanted)
+        for subscription in self._subscriptions:
+            wanted = subscription.wanted
+            if wanted is not None and wanted is not subscription.answered:
+                self._serve(subscription, wanted)
 
-    def _serve(self, seat: Seat, wanted: _Wanted) -> None:
+    def _serve(self, subscription: Subscription, wanted: _Wanted) -> None:
         """A kept model at once; else one is trained when it is the drive's turn."""
         try:
             spec = _spec(wanted)
         except ServoDaemonError as error:
-            seat.answered = wanted
-            seat.tell("unavailable", reason=str(error))
+            subscription.answered = wanted
+            subscription.tell("unavailable", reason=str(error))
             return
         if self._for is not None and self._for[1] is wanted:
             return
-        model = self._kept(seat, wanted, spec)
+        model = self._kept(subscription, wanted, spec)
         if model is not None:
-            log.info("drive %s: RF+GRNN model of %s motors", seat.drive, model.facts.get("motors"))
-            seat.give(wanted, model)
+            log.info("drive %s: RF+GRNN model of %s motors", subscription.drive, model.facts.get("motors"))
+            subscription.give(wanted, model)
         elif not self._config.train:
-            seat.answered = wanted
-            seat.tell("unavailable", reason="no kept model fits this drive, and [learning] train is false")
+            subscription.answered = wanted
+            subscription.tell("unavailable", reason="no kept model fits this drive, and [learning] train is false")
         elif time.monotonic() - wanted.since_s < TRAIN_AFTER_S:
-            seat.tell("waiting", reason=f"training begins when the drive has run for {TRAIN_AFTER_S:.0f} s")
+            subscription.tell("waiting", reason=f"training begins when the drive has run for {TRAIN_AFTER_S:.0f} s")
         elif self._training is not None:
-            seat.tell("waiting", reason="the model of another drive is being trained")
+            subscription.tell("waiting", reason="the model of another drive is being trained")
         else:
-            self._train(seat, wanted, spec)
+            self._train(subscription, wanted, spec)
 
-    def _kept(self, seat: Seat, wanted: _Wanted, spec: TrainingSpec) -> LearnedModel | None:
+    def _kept(self, subscription: Subscription, wanted: _Wanted, spec: TrainingSpec) -> LearnedModel | None:
         """A kept model; looked for once, and again after each training, which may have made one for this drive, too."""
         from servo_daemon.learning.model.cache import kept_model
 
-        if self._looked.get(seat.drive) is wanted:
+        if self._looked.get(subscription.drive) is wanted:
             return None
-        self._looked[seat.drive] = wanted
+        self._looked[subscription.drive] = wanted
         return kept_model(spec, self._config.learner)
 
-    def _train(self, seat: Seat, wanted: _Wanted, spec: TrainingSpec) -> None:
+    def _train(self, subscription: Subscription, wanted: _Wanted, spec: TrainingSpec) -> None:
         from servo_daemon.learning.training.background import BackgroundTraining
 
-        log.info("drive %s: training an RF+GRNN model with %d motors", seat.drive, self._config.motors)
-        self._for = seat, wanted
+        log.info("drive %s: training an RF+GRNN model with %d motors", subscription.drive, self._config.motors)
+        self._for = subscription, wanted
         self._training = BackgroundTraining(spec, self._config.motors, self._config.nice, self._config.learner)
         self._follow_training()
 
     def _follow_training(self) -> None:
         assert self._training is not None and self._for is not None
-        seat, wanted = self._for
+        subscription, wanted = self._for
         model = self._training.model()
         if self._training.running:
-            if wanted is seat.wanted:
-                seat.tell("training", motors_done=self._training.done, motors=self._config.motors)
+            if wanted is subscription.wanted:
+                subscription.tell("training", motors_done=self._training.done, motors=self._config.motors)
             return
         if model is not None:
-            seat.give(wanted, model)
+            subscription.give(wanted, model)
         else:
-            log.warning("drive %s: no RF+GRNN model: %s", seat.drive, self._training.error)
-            seat.answered = wanted
-            seat.tell("unavailable", reason=self._training.error)
+            log.warning("drive %s: no RF+GRNN model: %s", subscription.drive, self._training.error)
+            subscription.answered = wanted
+            subscription.tell("unavailable", reason=self._training.error)
         self._training = self._for = None
         self._looked.clear()
 

@@ -1,4 +1,4 @@
-"""Whether a learned model has proven itself beside a filter, and which of the filter's values the balances refute.
+"""Champion–challenger test of a learned model against the filter, and which of the filter's values the balances refute.
 
 An estimate of one window must close the balances of the *next* one, which it has not seen, as well as the filter's
 values of the same moment do. Each balance refutes what is in it: with friction that the filter lacks the shaft's
@@ -39,8 +39,8 @@ class Comparison:
     filter: Left | None = None
 
 
-class Proof:
-    """See the module.
+class ChampionChallengerTest:
+    """Compares both on one window after the other.
 
     Attributes:
         trusted: the model has proven itself.

@@ -1,8 +1,8 @@
 """Requests for another model, one at a time: prepared in a thread of their own, carried out by the worker.
 
 Compiling a plant that this machine has not seen yet takes up to ten seconds, in which samples must go on being worked
-off. So the caller gets a future at once, a thread of the desk makes the tracker, and the worker takes it from there
-between two blocks (`Pipeline.change_model`).
+off. So the caller gets a future at once, a thread of the coordinator makes the tracker, and the worker takes it from
+there between two blocks (`Pipeline.change_model`).
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class Pending:
     begun: bool = False
 
 
-class ModelDesk:
-    """One drive's.
+class ModelCoordinator:
+    """Carries out one drive's requests for another model.
 
     Args:
         wake: called when there is work for the worker.
@@ -79,7 +79,7 @@ class ModelDesk:
         except ServoDaemonError as error:
             self._end(pending, error)
             return
-        except Exception as error:  # a plant that cannot be built must not leave the desk closed for ever
+        except Exception as error:  # a plant that cannot be built must not leave the coordinator closed for ever
             log.exception("drive %s: the model cannot be made", self._drive)
             self._end(pending, ServoDaemonError(f"the model cannot be made: {error}"))
             return

@@ -1,4 +1,4 @@
-"""Free runs that began in the wrong place.
+"""Diverged segments: free runs that began in the wrong place.
 
 Beside a point where the motor cannot stand (a rotor between two detents) a run turns one way or the other, and no small
 change of its initial state leads across. A fit in which a few runs went the wrong way follows these and not the motor.
@@ -18,9 +18,9 @@ from servo_daemon.samples import F64
 _STATE_ITERATIONS = 8
 #: A fit is over when an iteration lowers V by less than this per value: the RMS by half of it.
 ENOUGH = 1e-4
-#: A run whose sum of squares is so many times the usual one of its channel may have begun in a wrong place; it is begun
-#: again from what these shares of it say, one after the other.
-_LOST, _GROWING = 25.0, (0.2, 0.5)
+#: A run whose sum of squares is so many times the usual one of its channel may have diverged from a wrong beginning; it
+#: is begun again from what these shares of it say, one after the other.
+_DIVERGED, _GROWING = 25.0, (0.2, 0.5)
 #: Of its signal a run always leaves more.
 _NOTHING = 1e-12
 #: Samples that tell an initial state.
@@ -44,10 +44,10 @@ def error_of(residuals: F64, spread: F64) -> float:
     return float(np.sum(np.square(residuals / spread)))
 
 
-def lost(squares: F64, spread: F64) -> list[int]:
-    """Which runs end far from what others of the model do."""
+def diverged(squares: F64, spread: F64) -> list[int]:
+    """Numbers of the runs whose errors are far beyond those of the others."""
     usual = np.maximum(np.median(squares, axis=0), (_NOTHING * spread) ** 2)
-    return [int(k) for k in np.flatnonzero((squares > _LOST * usual).any(axis=1))]
+    return [int(k) for k in np.flatnonzero((squares > _DIVERGED * usual).any(axis=1))]
 
 
 def grown(problem: Problem, number: int) -> tuple[F64, F64] | None:
@@ -71,14 +71,15 @@ def grown(problem: Problem, number: int) -> tuple[F64, F64] | None:
 
 
 def begun_again(problem: Problem, found: Solution) -> F64 | None:
-    """The unknowns of a fit with the initial states of its lost runs found anew; None: no run is the better for it."""
+    """The unknowns of a fit with the initial states of its diverged runs found anew; None: no run is the better for
+    it."""
     point, spread = found.point, problem.spread
     residuals = point.linearisation.residuals
     squares = np.array([(r * r).sum(axis=0) for r in residuals])
     unknowns = point.unknowns.copy()
     states = len(problem.plant.states)
     first, better = len(problem.parameter_of_column), False
-    for k in lost(squares, spread):
+    for k in diverged(squares, spread):
         q = problem.acting(point.unknowns, problem.segments[k].recording)
         given = dict(problem.given) | dict(zip(problem.plant.parameter_names, q, strict=True))
         again = grown(replace(problem, free=(), local=(), given=given), k)

@@ -1,4 +1,4 @@
-"""Two models of one structure that the data hardly tell apart.
+"""Equivalent models: two sets of values of one structure that the data hardly distinguish.
 
 A voltage that follows by a first-order lag and a winding that follows by L/R are two lags in a row: but for the
 back-EMF, which passes the winding alone, it is the same in which order. A fit ends in either, and the standard
@@ -15,30 +15,30 @@ import numpy as np
 
 from servo_daemon.identification.output_error import OutputErrorFit
 
-#: Twins whose residuals differ by no more than this share are one to the data: simulation, noise that is not quite
+#: Models whose residuals differ by no more than this share are one to the data: simulation, noise that is not quite
 #: white and what else is missing make as much.
 _ALIKE = 0.01
 #: Where both are white their deviances tell: a difference of 3 σ, squared.
 _BY_CHANCE = 9.0
 
 
-def lag_twin(values: Mapping[str, float]) -> dict[str, float] | None:
+def equivalent_lags(values: Mapping[str, float]) -> dict[str, float] | None:
     """The values with drive's lag and winding's time constant exchanged; None where there is no lag."""
     if not {"t_lag", "R", "L"} <= values.keys() or min(values["t_lag"], values["R"], values["L"]) <= 0.0:
         return None
     return {**values, "t_lag": values["L"] / values["R"], "L": values["R"] * values["t_lag"]}
 
 
-def told_from_twin(
+def told_from_equivalent(
     fit: OutputErrorFit, again: Callable[[Mapping[str, float]], OutputErrorFit | None]
 ) -> OutputErrorFit:
-    """A fit or its twin, whichever is better; where they are alike, with what lies between them in the standard
+    """A fit or its equivalent, whichever is better; where they are alike, with what lies between them in the standard
     deviations.
 
     Args:
         again: the same fit begun from other values; None where it fails.
     """
-    start = lag_twin(fit.values)
+    start = equivalent_lags(fit.values)
     other = None if start is None else again(start)
     if other is None:
         return fit

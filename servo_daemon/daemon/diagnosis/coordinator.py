@@ -54,8 +54,9 @@ class Drive(Protocol):
         """Have a model exchanged."""
 
 
-class DiagnosisDesk:
-    """See the module. `watch` belongs to the worker; everything else may be called from any thread.
+class DiagnosisCoordinator:
+    """Starts one drive's diagnoses and acts on what they find. `watch` belongs to the worker; everything else may be
+    called from any thread.
 
     Args:
         runner: the daemon's.

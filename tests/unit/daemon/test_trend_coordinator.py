@@ -12,7 +12,7 @@ import pytest
 from servo_daemon.api.app import create_app
 from servo_daemon.api.schemas.trend import TrendDocument
 from servo_daemon.config import DriveConfig, parse_config
-from servo_daemon.daemon.trends.desk import TrendDesk
+from servo_daemon.daemon.trends.coordinator import TrendCoordinator
 from servo_daemon.daemon.trends.watch import FAR, NEAR, already_told, warnings
 from servo_daemon.errors import ConfigError
 from servo_daemon.pipeline.event_log import EventLog
@@ -96,25 +96,25 @@ def _code(status: str) -> int:
 def found() -> DriveTrends:
     """Of a drive with an upper limit of R."""
     source, store = Source(configured(R_max="+30 %")), Store()
-    TrendDesk(store, [source], lambda: store.now).turn()
+    TrendCoordinator(store, [source], lambda: store.now).turn()
     return source.trends
 
 
 def test_trends_are_found_in_the_store_and_a_near_limit_is_told_once() -> None:
     source, store = Source(configured(R_max="+30 %", K_min="-30 %", warn_before="0.5 y")), Store()
-    desk = TrendDesk(store, [source], lambda: store.now)
+    coordinator = TrendCoordinator(store, [source], lambda: store.now)
     assert source.trends.time is None and "minute" in (source.trends.reason or "")
-    desk.turn()
+    coordinator.turn()
     R, K, J = (source.trends.trends[name] for name in ("R", "K", "J"))
     left = 1.5 - 420 / 365.25
     assert R.years is not None and R.years.low is not None and R.years.high is not None
     assert R.years.low < left < R.years.high and R.limit is not None and R.limit.name == "R_max"
     assert (K.status, K.years, J.status) == ("no_trend", None, "too_short"), "what was invalid is no data"
     assert source.trends.near == {"R"} and source.kinds == [NEAR]
-    desk.turn()
+    coordinator.turn()
     assert source.kinds == [NEAR]
     again, store.seen = Source(source.active, source.log), source.log.all()  # the daemon is started again
-    TrendDesk(store, [again], lambda: store.now).turn()
+    TrendCoordinator(store, [again], lambda: store.now).turn()
     assert again.trends.near == {"R"} and source.kinds == [NEAR], "it stands since before the start"
 
 
@@ -144,15 +144,15 @@ def test_trends_are_asked_of_the_real_store(tmp_path: Path) -> None:
     world = World.in_folder(tmp_path)
     world.run(3.0)
     source = Source(configured())
-    TrendDesk(world.archive, [source], lambda: world.now).turn()
+    TrendCoordinator(world.archive, [source], lambda: world.now).turn()
     assert {name: t.status for name, t in source.trends.trends.items()} == {"R": "too_short"}
 
 
 def test_without_a_store_it_is_said_why_there_are_none() -> None:
     source = Source(configured())
-    TrendDesk(Broken(), [source]).turn()
+    TrendCoordinator(Broken(), [source]).turn()
     assert (source.trends.trends, source.trends.reason) == ({}, "the disk is gone")
-    TrendDesk(None, [source]).turn()
+    TrendCoordinator(None, [source]).turn()
     assert source.trends.time is None and "state_dir" in (source.trends.reason or "")
 
 

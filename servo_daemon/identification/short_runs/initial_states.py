@@ -1,4 +1,4 @@
-"""Free runs of any length with the load where it suits each of them best."""
+"""Initial-state search for a load behind a gap: free runs of any length, each from the state that suits it best."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _OF_MOTOR, _OF_GAP, _OF_RATE = 1e-3, 0.02, 0.02
 _FEW_SAMPLES = 5_000
 
 
-def placed(problem: Problem, values: Mapping[str, float]) -> Problem:
-    """The same with every segment beginning where its load is, all its states its own; as it was where there is no such
-    load.
+def with_found_states(problem: Problem, values: Mapping[str, float]) -> Problem:
+    """The same with every segment beginning in a state of its own that was searched for; as it was where there is no
+    such load.
 
     Args:
         values: natural units, of every parameter that is not given by the problem.
@@ -44,8 +44,11 @@ def placed(problem: Problem, values: Mapping[str, float]) -> Problem:
     return replace(problem, segments=segments, exact=False, own_states=plant.state_names, whole=())
 
 
-def placed_in_short_runs(problem: Problem, recordings: Sequence[Recording], values: Mapping[str, float]) -> Problem:
-    """A model in free runs in which the load meets its teeth about once, placed; as it was where there is no such load.
+def short_runs_with_found_states(
+    problem: Problem, recordings: Sequence[Recording], values: Mapping[str, float]
+) -> Problem:
+    """A model in free runs in which the load meets its teeth about once, each from the state that was found; as it was
+    where there is no such load.
 
     Args:
         problem: of these recordings, uncut, nothing of it given.
@@ -54,16 +57,16 @@ def placed_in_short_runs(problem: Problem, recordings: Sequence[Recording], valu
     if not can_be_searched(problem):
         return problem
     length_s = max(SHORT * swing_s(values), FEWEST * problem.sample_period_s)
-    return placed(make_problem(recordings, problem.plant.effects, {}, segment_s=length_s), values)
+    return with_found_states(make_problem(recordings, problem.plant.effects, {}, segment_s=length_s), values)
 
 
-def is_placed(problem: Problem) -> bool:
-    """Whether its segments begin with a load of their own."""
+def has_found_states(problem: Problem) -> bool:
+    """Whether its segments begin in states that were searched for."""
     return TWIST in problem.own_states
 
 
-def placed_within(problem: Problem, q: F64) -> F64:
-    """1 σ of the states that a placed problem's segments begin in, shape (nx,).
+def found_states_std(problem: Problem, q: F64) -> F64:
+    """1 σ of the states that were found for the segments to begin in, shape (nx,).
 
     Args:
         q: shape (np,) or longer, the plant's coordinates.

@@ -1,4 +1,4 @@
-"""What is missing under a fitted model: of the longest recording, over parameters that leave little of it."""
+"""Model discrepancy: the unmodelled torque and voltage of a fitted model over its longest recording."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from servo_daemon.diagnosis.trial.data import Data
 from servo_daemon.diagnosis.trial.trial import Trial
 from servo_daemon.errors import NumericalError
 
-#: For screening the missing torque and voltage walk at least by this share of the working ones in this time, s. A cause
-#: that changes fast (a ripple over the turn) may look most like white noise of the voltage; taken for that, nothing of
-#: it is left to screen.
+#: For screening the unmodelled torque and voltage walk at least by this share of the working ones in this time, s. A
+#: cause that changes fast (a ripple over the turn) may look most like white noise of the voltage; taken for that,
+#: nothing of it is left to screen.
 _LEAST_WALK, _WITHIN_S = 1e-3, 0.01
 #: … and white noise of the input is at most this share of the working input: converters are better, and friction that
 #: sticks and slides passes for noise of the voltage as large as the voltage itself.
@@ -23,7 +23,8 @@ _MOST_INPUT = 0.05
 
 
 def longest_missing(data: Data, fit: Fitted) -> Missing:
-    """Missing torque and voltage of the longest recording under a fitted model.
+    """Unmodelled torque and voltage of the longest recording under a fitted model, at parameters that leave little of
+    it.
 
     Raises:
         NumericalError: see `balanced_missing_inputs`.

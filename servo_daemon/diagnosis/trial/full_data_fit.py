@@ -1,4 +1,4 @@
-"""A model fitted to everything: in one run with noise that enters the motor, or in free runs."""
+"""A model fitted to the full data: in one run with noise that enters the motor, or in free runs."""
 
 from __future__ import annotations
 
@@ -27,8 +27,9 @@ _EXACT = 2.5e-3
 _ONE_PLACE = 1e-9
 
 
-class WholeFits:
-    """`fit_whole` over the same data: search, belief and predictions ask for the same models, and one takes seconds."""
+class FullDataFits:
+    """Keeps fits of `fit_whole` to the same data: search, belief and predictions ask for the same models, and one takes
+    seconds."""
 
     def __init__(self, data: Data) -> None:
         self._data = data
@@ -37,7 +38,7 @@ class WholeFits:
     def of(
         self, trial: Trial, values: Mapping[str, float] | None = None, below: float = math.inf
     ) -> OutputErrorFit | None:
-        """See `fit_whole`; made once."""
+        """The fit of `fit_whole`, made the first time that it is asked for."""
         begin = values or trial.values
         asked = (trial.effects, tuple(sorted(trial.held.items())), tuple(sorted(begin.items())), below)
         if asked not in self._known:
@@ -48,7 +49,7 @@ class WholeFits:
         self, trial: Trial, start: Mapping[str, float] | None, below: float = math.inf
     ) -> OutputErrorFit | None:
         """From where the search has come to; if the data are not white with that, from where screening put it, if they
-        are then: free runs that follow a drift may have bent a spring to follow it, too.
+        are then: free runs that follow a drift may have biased a spring to follow it, too.
 
         Args:
             start: of screening, natural values; None: there is none.
@@ -60,25 +61,25 @@ class WholeFits:
         return other if other is not None and other.white else fit
 
 
-def fit_everything(
-    data: Data, trial: Trial, whole_fits: WholeFits | None, start: Mapping[str, float] | None = None
+def fit_full_data(
+    data: Data, trial: Trial, full_fits: FullDataFits | None, start: Mapping[str, float] | None = None
 ) -> OutputErrorFit:
     """A trial's model fitted to all parts, with standard deviations: in one run if that explains the data to their
     noise (then noise that enters the motor is told from what the sensors add), else in the free runs of the search.
 
     Args:
-        whole_fits: over the same recordings; None: no noise that enters the motor is looked for, and the fit cannot be
+        full_fits: over the same recordings; None: no noise that enters the motor is looked for, and the fit cannot be
             found white.
         start: where screening put it, natural values.
     """
-    whole = None if whole_fits is None else whole_fits.from_either(trial, start)
+    whole = None if full_fits is None else full_fits.from_either(trial, start)
     return whole if whole is not None and whole.white else fit_runs(data, trial, trial.values, data.split.segment_s)
 
 
 def fit_whole(
     data: Data, trial: Trial, values: Mapping[str, float] | None = None, below: float = math.inf
 ) -> OutputErrorFit | None:
-    """A trial's model fitted to everything in one run, with noise that enters the motor; None where that fails.
+    """A trial's model fitted to the full data in one run, with noise that enters the motor; None where that fails.
 
     Args:
         values: from these instead of the trial's.
@@ -92,7 +93,7 @@ def fit_whole(
 def fit_runs(
     data: Data, trial: Trial, values: Mapping[str, float], runs_s: float | None, below: float = math.inf
 ) -> OutputErrorFit:
-    """A trial's model fitted to everything.
+    """A trial's model fitted to the full data.
 
     Args:
         values: from these.
@@ -111,7 +112,7 @@ def fit_runs(
 def by_predictions(data: Data, fit: OutputErrorFit) -> OutputErrorFit:
     """The fit, or, where dry friction may hold the shaft and whole recordings are not explained to their noise, the
     same model as each sample is predicted best from those before it: noise of the voltage decides when the shaft lets
-    go, and bends what is fitted to free runs."""
+    go, and biases what is fitted to free runs."""
     in_pieces = len(fit.problem.segments) > len(data.recordings)
     if (fit.white and not in_pieces) or not fit.problem.plant.may_stick:
         return fit

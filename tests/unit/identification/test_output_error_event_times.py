@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from servo_daemon.identification.output_error.problem.instants import profile
+from servo_daemon.identification.output_error.problem.event_times import profile
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.problem.rollout import INPUT, TIME
 from servo_daemon.samples import F64
