@@ -102,7 +102,7 @@ class _Turn:
 
 
 class Workers:
-    """See the module. `start` once.
+    """The threads that turn all drives. `start` once.
 
     Args:
         stop: set when they are to end.

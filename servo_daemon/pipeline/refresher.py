@@ -32,7 +32,7 @@ _WHY_TRACKING = "RF+GRNN estimate of the last windows: the filter does not know 
 
 
 class Refresher:
-    """See the module.
+    """Feeds one drive's ticks to the learned model, and its estimates to the filter.
 
     Args:
         model: trained for this drive.

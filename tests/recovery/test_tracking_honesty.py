@@ -439,7 +439,8 @@ def test_what_was_known_is_held_and_not_the_datasheet(motor: str) -> None:
 @pytest.mark.first_is_fast
 @pytest.mark.parametrize("motion", ["multisine", "pick_and_place"])
 def test_a_brush_drop_that_the_model_lacks_is_not_passed_on_to_the_shaft(motion: str) -> None:
-    """It bends R, L and K, which the armature's balance tells; J and B are seen beside K i only, and bend along."""
+    """It biases R, L and K, which the armature's balance tells; J and B are seen beside K i only, and are biased
+    along."""
     motor = MOTORS["paper"]
     drop = {"brush_voltage_drop": {"Vb": 0.02 * motor.supply_V}}
     recording = generate(motor, Scenario(motion, seconds=40.0, seed=3, effects=drop))

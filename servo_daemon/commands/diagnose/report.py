@@ -105,7 +105,7 @@ def _missing(d: Diagnosis, evidence: Evidence) -> Block:
     if evidence.asked is not None:
         where = "All figures here" if has_other_torques(d, evidence) else "Over speed, angle and current the figures"
         visible += (
-            "\n\nA fit that lacks a cause bends its other parameters to make up for it, and what the baseline then "
+            "\n\nA fit that lacks a cause biases its other parameters to make up for it, and what the baseline then "
             f"lacks has another shape than the cause. {where} therefore show the "
             "extended model with its effects left out: what the effects answer for. “Extended” is what they leave."
         )

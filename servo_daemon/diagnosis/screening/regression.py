@@ -105,7 +105,8 @@ def bent_names(fit: Fitted, missing: Missing) -> list[str]:
 
 def of_parameters(motion: Motion, fit: Fitted, missing: Missing) -> tuple[list[Trace], list[float]]:
     """What a change of each free parameter of the plant would leave missing (R, L, K, J, B: per relative change), and
-    how stiff each is: J, without which none of the trivial explanations works; R, K and B may be bent by any amount."""
+    how stiff each is: J, without which none of the trivial explanations works; R, K and B may be biased by any
+        amount."""
     m, one = motion, np.ones(len(motion.t))
     voltage = missing.augmented.plant.drive == "voltage"
     K = m.p.get("K", 1.0)

@@ -2,7 +2,7 @@
 
 Every effect is a few columns (its formula over the smoothed signals, carried through the smoother), linear in their
 coefficients; what is not linear is scanned. They are fitted to both series at once, in units of their standard
-deviations, beside what the plant's free parameters would explain: a bent R, K or B is no effect. The score is the
+deviations, beside what the plant's free parameters would explain: a biased R, K or B is no effect. The score is the
 share explained of time blocks that the coefficients have not seen. It ranks candidates and gives their start values; a
 verdict it is not.
 """
@@ -27,7 +27,7 @@ from servo_daemon.plant.effects import effects_by_name
 
 #: A parameter more must lower what is left by this share to come before.
 _WORTH = 0.05
-#: The motor's own parameters, and by what factors a missing effect may have bent them.
+#: The motor's own parameters, and by what factors a missing effect may have biased them.
 _MOTOR, _BENT = MOTOR_NAMES, (0.2, 5.0)
 
 

@@ -74,7 +74,7 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], effort: Eff
             # Worse than the model that it contains: it began in the wrong place.
             if best is not None and gained(best) > 0.0 and not p.far:
                 break
-        for start in _by_sizes(data, p) if bent else ():
+        for start in _by_sizes(data, p) if biased else ():
             best = _better(best, fit_trial(data, p.effects, start, max_iterations=_FIRST_ITERATIONS))
         return best
 
@@ -92,7 +92,7 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], effort: Eff
         over = _over_the_gap(data, current, p, trial) if loads >= little else None
         if over is not None:
             trial = over
-        elif (bent and gained(trial) < 0.0) or gained(trial) >= max(_KEPT * most, little):
+        elif (biased and gained(trial) < 0.0) or gained(trial) >= max(_KEPT * most, little):
             trial = fit_trial(data, p.effects, trial.values, like=trial) or trial
             if not trial.solution.converged and gained(trial) >= _KEPT * most:
                 trial = fit_trial(data, p.effects, trial.values, like=trial, careful=True) or trial
@@ -107,7 +107,7 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], effort: Eff
         return current.solution.point.value - trial.solution.point.value
 
     # Without a current R and K may have any values, and a motor that lacks much ends far from the real one.
-    bent = has_no_current(current) and current.independent < COLOURED and current.choice.nrmse > _MUCH
+    biased = has_no_current(current) and current.independent < COLOURED and current.choice.nrmse > _MUCH
     with ThreadPoolExecutor(effort.workers) as pool:
         begun = [(p, t) for p, t in zip(proposed, pool.map(begin, proposed), strict=True) if t is not None]
         most = max((gained(t) for _, t in begun), default=0.0)

@@ -1,7 +1,7 @@
 """A model fitted to free runs of several lengths, where what it leaves is no noise.
 
 Where the torque itself is given there is no noise of a supply that adds up along a run: what free runs leave are the
-model's own errors, and how much they bend a parameter depends on where the runs happen to begin. On the EMPS axis cuts
+model's own errors, and how much they bias a parameter depends on where the runs happen to begin. On the EMPS axis cuts
 of 0.5 and 0.52 s put the moving mass at 94.3 and 95.1 kg, each with 0.2 kg of standard deviation. The mean over several
 lengths has less of that, and how far they lie apart is what a single one leaves unsaid.
 """

@@ -153,12 +153,12 @@ def _screened_start(selection: Selection) -> Mapping[str, float] | None:
 
 def _straight(data: Data, trial: Trial, fit: OutputErrorFit) -> OutputErrorFit:
     """The fit, less what free runs of one length do to it."""
-    straight = _unbent(data, trial, fit)
+    straight = _unbiased(data, trial, fit)
     straight = _told_from_equivalent(data, trial, straight, short=straight is not fit)
     return mean_over_cuts(data, trial, straight)
 
 
-def _unbent(data: Data, trial: Trial, fit: OutputErrorFit) -> OutputErrorFit:
+def _unbiased(data: Data, trial: Trial, fit: OutputErrorFit) -> OutputErrorFit:
     """The fit, or one over shorter free runs if that contradicts it.
 
     If the model and noise of the sensors were all there is, both would be right, and the longer runs tell more. Noise
@@ -181,7 +181,7 @@ def _told_from_equivalent(data: Data, trial: Trial, fit: OutputErrorFit, *, shor
     """The fit or its equivalent over the same runs, whichever is better (`told_from_equivalent`).
 
     Args:
-        short: the fit is that of `_unbent` over shorter ones.
+        short: the fit is that of `_unbiased` over shorter ones.
     """
     runs_s = shorter_s(data.recordings, data.split.segment_s) if short else data.split.segment_s
 

@@ -1,4 +1,4 @@
-"""A fit whose free runs noise bends, made again by what each sample is predicted to be.
+"""A fit whose free runs noise biases, made again by what each sample is predicted to be.
 
 Where dry friction may hold the shaft, a voltage noise that no recording shows does not average out: it decides when the
 shaft lets go, and free runs through such moments are no smooth function of anything. Fitted to them the parameters of

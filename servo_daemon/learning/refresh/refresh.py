@@ -86,7 +86,7 @@ class RefreshEstimate:
 
 
 class Refresh:
-    """See the module.
+    """Estimates a window every few seconds, and decides whether it may correct the filter.
 
     Args:
         model: for this drive.

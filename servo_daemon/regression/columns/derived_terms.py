@@ -24,7 +24,7 @@ ADDED_TO = {"armature": "voltage", "shaft": "torque"}
 
 @dataclass(frozen=True, slots=True)
 class DerivedTerms:
-    """One effect's.
+    """The columns of one effect in both balances.
 
     Attributes:
         columns: parameters that are the coefficients of columns, by balance.

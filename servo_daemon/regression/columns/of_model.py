@@ -21,7 +21,7 @@ from servo_daemon.regression.columns.terms import (
 
 @dataclass(frozen=True)
 class ModelColumns:
-    """One model's.
+    """The columns of one model in both balances.
 
     Attributes:
         armature, shaft: names of the columns.

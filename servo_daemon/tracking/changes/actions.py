@@ -19,7 +19,8 @@ from servo_daemon.tracking.validity.validity_gate import ValidityGate
 
 
 class JumpActions:
-    """One drive's. `watch` decides, `remember` is called after every tick that is quiet."""
+    """Carries out on one filter what the watch for jumps decides. `watch` decides, `remember` is called after every
+    tick that is quiet."""
 
     def __init__(
         self, masks: ParameterMasks, ekf: Ekf, rls: MotorRls, validity: ValidityGate, search: JumpSearch

@@ -83,7 +83,7 @@ class Found:
 
 
 class JumpSearch:
-    """One drive's.
+    """Searches the last ticks of one filter for a step of a parameter, a part of the search a tick.
 
     Attributes:
         promising: a change has been found that explains the samples, and is not certain yet; or nothing is known yet of

@@ -43,7 +43,7 @@ _MOST_PERIODS = 50.0
 
 
 class QuantisedInput:
-    """One drive's recorded voltage.
+    """Counts the steps of one drive's recorded voltage.
 
     Attributes:
         lsb_V: its step; 0: none is to be seen.

@@ -44,7 +44,7 @@ class Forget:
 
 
 class Filtering:
-    """One drive's.
+    """Lays out samples for one filter and runs it over them; keeps them while they may be needed again.
 
     Attributes:
         layout: how samples are laid out.

@@ -49,7 +49,7 @@ class Start:
 
 
 class Starter:
-    """See the module.
+    """Collects one drive's first samples and makes a filter's start of them.
 
     Args:
         plan: what is to be estimated.

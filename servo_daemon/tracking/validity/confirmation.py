@@ -1,4 +1,4 @@
-"""For which of the filter's values the regressions speak, which have no start that could have led them astray."""
+"""Which of the filter's values the regressions confirm, which have no start that could have misled them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _BLIND = 0.1
 
 
 class Confirmation:
-    """One filter's, from its start on.
+    """Compares one filter's values with the regressions', from its start on.
 
     Args:
         trusted: parameters for which nothing else need speak, shape (n,).

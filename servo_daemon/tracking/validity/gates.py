@@ -53,7 +53,7 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """One.
+    """A named condition on which a parameter is not published.
 
     Attributes:
         reason: in words.

@@ -1,4 +1,4 @@
-"""How far parameters may be off because the balances do not close, or by the balances' word."""
+"""How far parameters may be off because the balances do not close, or differ from what the balances say."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _JUDGED = (*WINDING_NAMES, "J", "B", "Tc")
 
 
 class Mismatch:
-    """One filter's.
+    """The systematic uncertainty of one filter's values.
 
     Attributes:
         std: 1 σ of the coordinates, shape (n,); kept while a parameter is not excited.

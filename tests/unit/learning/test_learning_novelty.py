@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from servo_daemon.learning.examples.drawing import CORE, TrainingSpec
 from servo_daemon.learning.examples.targets import Baseline
 from servo_daemon.learning.examples.training import FAULTY, FOREIGN, HEALTHY
-from servo_daemon.learning.model.strangeness import MOST_STRANGE, Looks, Strangeness
+from servo_daemon.learning.model.novelty import MOST_NOVEL, Looks, Novelty
 from servo_daemon.samples import F64
 from servo_daemon.simulate import PAPER_MOTOR
 
@@ -35,26 +35,26 @@ def drawn(rng: np.random.Generator, kind: NDArray[np.int64], beyond: tuple[float
 
 
 @pytest.fixture(scope="module")
-def strangeness() -> Strangeness:
+def novelty() -> Novelty:
     rng = np.random.default_rng(0)
     kind = rng.choice((HEALTHY, FAULTY, FOREIGN), 3000)
     looks, truth = drawn(rng, kind, (1.4, 5.0))
     calibration, _ = drawn(rng, np.full(500, HEALTHY), (1.0, 1.0))
-    return Strangeness().fit(SPEC, looks, truth, kind, calibration)
+    return Novelty().fit(SPEC, looks, truth, kind, calibration)
 
 
-def shares(strangeness: Strangeness, kind: int, beyond: tuple[float, float]) -> F64:
+def shares(novelty: Novelty, kind: int, beyond: tuple[float, float]) -> F64:
     looks, _ = drawn(np.random.default_rng(2), np.full(1000, kind), beyond)
-    return strangeness.share(strangeness.judge(looks)[0])
+    return novelty.share(novelty.judge(looks)[0])
 
 
-def test_a_motor_a_little_outside_is_told_where_the_regression_is_off_by_as_much(strangeness: Strangeness) -> None:
+def test_a_motor_a_little_outside_is_told_where_the_regression_is_off_by_as_much(novelty: Novelty) -> None:
     """Beyond by 1.5 to 2 times is 0.4 to 0.7, the regression off by 0.3: but what it is off by can be seen."""
-    assert (shares(strangeness, FOREIGN, (1.5, 2.0)) < MOST_STRANGE).mean() > 0.9
-    assert (shares(strangeness, HEALTHY, (1.0, 1.0)) < MOST_STRANGE).mean() < 0.06
+    assert (shares(novelty, FOREIGN, (1.5, 2.0)) < MOST_NOVEL).mean() > 0.9
+    assert (shares(novelty, HEALTHY, (1.0, 1.0)) < MOST_NOVEL).mean() < 0.06
 
 
-def test_faults_are_told_beside_it(strangeness: Strangeness) -> None:
-    assert (shares(strangeness, FAULTY, (1.0, 1.0)) < MOST_STRANGE).mean() > 0.95
+def test_faults_are_told_beside_it(novelty: Novelty) -> None:
+    assert (shares(novelty, FAULTY, (1.0, 1.0)) < MOST_NOVEL).mean() > 0.95
     looks, _ = drawn(np.random.default_rng(3), np.full(200, FOREIGN), (3.0, 5.0))
-    assert (strangeness.judge(looks)[1] == FOREIGN).mean() > 0.9
+    assert (novelty.judge(looks)[1] == FOREIGN).mean() > 0.9

@@ -12,7 +12,7 @@ from servo_daemon.diagnosis.trial.data import Data
 from servo_daemon.diagnosis.trial.full_data_fit import fit_runs
 from servo_daemon.diagnosis.trial.split import segment_length_s
 from servo_daemon.diagnosis.trial.trial import fit_trial
-from servo_daemon.diagnosis.verdict.adequacy import _unbent
+from servo_daemon.diagnosis.verdict.adequacy import _unbiased
 from servo_daemon.identification.output_error import Recording
 from tests.recovery.generator import MOTORS, Scenario, generate, typical
 
@@ -33,7 +33,7 @@ def test_a_ripple_is_not_given_up_for_the_speeds_that_shorter_runs_begin_with(tm
         trial = fit_trial(data, ("torque_ripple",), truth)
         assert trial is not None
         longer = fit_runs(data, trial, trial.values, data.split.segment_s)
-        found = _unbent(data, trial, longer).parameters
+        found = _unbiased(data, trial, longer).parameters
     k_rip = found["k_rip"]
     assert k_rip.value == pytest.approx(hidden["k_rip"], rel=0.05)
     assert found["B"].value == pytest.approx(motor.B, rel=0.2)
