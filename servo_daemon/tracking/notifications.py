@@ -50,8 +50,9 @@ class Notifications:
             return [("model_fits", "innovations are white again: the model explains the data", {})]
         if self._watch.white:
             names = " and ".join(EFFECT_OF[self._masks.names[k]] for k in self._large_offsets())
-            return [("model_mismatch", f"the data hold an offset that the model does not: add {names}", {})]
-        return [("model_mismatch", "innovations are not white: the data hold what the model does not", {})]
+            return [("model_mismatch", f"the data hold an offset that the model does not: add {names} to `model`", {})]
+        text = "innovations are not white: the data hold what the model does not; a diagnosis looks for it"
+        return [("model_mismatch", text, {})]
 
     def whether_frozen(self, stretch: Stretch, alike_s: float) -> list[Message]:
         """A current that no longer flickers while the voltage moves is no measurement; nobody else would notice.

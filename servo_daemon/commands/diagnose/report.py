@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from servo_daemon.commands.diagnose.criterion import by_balance
 from servo_daemon.commands.diagnose.evidence import Evidence, has_other_torques
 from servo_daemon.commands.diagnose.figures import MOST_DRAWN, free_run_figures, needed_figures, signal_figures
-from servo_daemon.commands.diagnose.judge import by_balance
 from servo_daemon.commands.diagnose.missing import missing_figures
 from servo_daemon.commands.diagnose.tables import (
     candidate_blocks,

@@ -1,4 +1,4 @@
-"""Sudden changes: told apart from noise, from slow drift and from what no parameter explains.
+"""Sudden changes, distinguished from noise, from slow drift and from what no parameter explains.
 
 A tick whose innovations the noise does not explain is not learned from: the parameters go back to what they were before
 it. A wrong sample or two, a lost encoder count, a voltage that read zero for a moment end there. If such ticks go on,

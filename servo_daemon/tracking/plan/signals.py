@@ -48,7 +48,7 @@ class SignalPlan:
 
 
 #: Offsets that are always in the filter's model: of the torque (a hanging cable, a tilted axis) and, where a voltage
-#: lets it be told apart, of the current sensor (one of the voltage leaves the same trace).
+#: makes it identifiable, of the current sensor (one of the voltage leaves the same trace).
 _LOAD, _SENSOR = "constant_load_torque", "current_sensor_offset"
 _BIASES: Mapping[str, str] = {_LOAD: "TL", _SENSOR: "i0"}
 #: A constant in a balance leaves the same trace as this offset: only one of them is estimated.

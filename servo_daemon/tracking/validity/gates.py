@@ -138,10 +138,10 @@ ENTRY = (
 #: What ends a qualification, and allows none.
 STAYS = (
     Gate(UNCONFIRMED, lost),
-    Gate("nothing shows it while something that it trades places with is not given", unclaimable),
-    Gate("the model lacks something, and no regression judges this", without_second_opinion),
-    Gate("the lags of winding and drive cannot be told apart", between_two_lags),
-    Gate("it trades places with K, which is not known", resistance_without_torque_constant),
+    Gate("it is identifiable only beside a value that [drive.nominal] does not give", unclaimable),
+    Gate("the model lacks something, and no regression shows it by itself", without_second_opinion),
+    Gate("the lags of winding and drive are not identifiable separately", between_two_lags),
+    Gate("it is not identifiable without K, which is not known", resistance_without_torque_constant),
     Gate("only L/R shows, and R is not known", inductance_without_resistance),
 )
 

@@ -85,7 +85,7 @@ def test_xl330_with_its_known_load(servo_data: Path, capture: str) -> None:
     assert 2.8 < p["R"]["value"] < 4.9
     assert abs(p["phi_g"]["value"]) < 0.05
     without = fitted(path, *effects)
-    assert without["null_directions"]  # with free viscous friction K²/R and B cannot be told apart
+    assert without["null_directions"]  # with free viscous friction K²/R and B are not identifiable separately
 
 
 def test_unal_has_the_published_gain_and_dead_zone(servo_data: Path) -> None:

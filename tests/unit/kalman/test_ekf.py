@@ -64,10 +64,10 @@ def test_finds_the_motor_and_its_intervals_hold() -> None:
 def test_a_misread_input_that_is_put_right_costs_no_more_than_one_that_is_not_known() -> None:
     clean = rows(record(4.0))
     wrong, unknown = clean.copy(), clean.copy()
-    leap = np.where(np.arange(len(clean)) % 300 == 299, 40.0, 0.0)
-    wrong[:, 2] += leap
-    wrong[1:, 10] -= leap[:-1]
-    unknown[:, 3] = np.square(leap)
+    spike = np.where(np.arange(len(clean)) % 300 == 299, 40.0, 0.0)
+    wrong[:, 2] += spike
+    wrong[1:, 10] -= spike[:-1]
+    unknown[:, 3] = np.square(spike)
     found = []
     for samples in (wrong, unknown):
         ekf = started(wrong=0.1)
@@ -78,14 +78,14 @@ def test_a_misread_input_that_is_put_right_costs_no_more_than_one_that_is_not_kn
     np.testing.assert_allclose(found[0].covariance, found[1].covariance, rtol=1e-9)
 
 
-def test_a_current_that_leapt_says_nothing_and_is_an_outlier() -> None:
+def test_a_spike_of_the_current_says_nothing_and_is_an_outlier() -> None:
     clean = rows(record(4.0))
-    leapt, missing = clean.copy(), clean.copy()
+    spiked, missing = clean.copy(), clean.copy()
     where = np.arange(len(clean)) % 300 == 299
-    leapt[where, 4:7] = np.column_stack([clean[where, 4] + 40.0, np.zeros(where.sum()), np.full(where.sum(), SPIKE)])
+    spiked[where, 4:7] = np.column_stack([clean[where, 4] + 40.0, np.zeros(where.sum()), np.full(where.sum(), SPIKE)])
     missing[where, 4:6] = 0.0
     found = []
-    for samples in (leapt, missing):
+    for samples in (spiked, missing):
         ekf = started(wrong=0.1)
         gated = ekf.update(samples).gated[3:]
         assert gated.any(axis=1).tolist() == (samples[3:, 6] > 1.0).tolist()
@@ -116,7 +116,7 @@ def test_compiled_and_filterpy_agree(effects: tuple[str, ...]) -> None:
     samples[300, 1] = 0.0  # the same time stamp twice
     samples[400, 3] = 4.0  # voltage hardly known
     samples[450, 2], samples[451, 10] = samples[450, 2] + 20.0, -20.0  # one that was misread, and put right
-    samples[500, 4:7] = samples[500, 4] + 30.0, 0.0, SPIKE  # a current that leapt
+    samples[500, 4:7] = samples[500, 4] + 30.0, 0.0, SPIKE  # a current that spiked
     plant = build_plant(effects)
     results = []
     for engine in ("compiled", "filterpy"):

@@ -81,7 +81,7 @@ def test_the_reasons() -> None:
     q.update(evidence(confirmed=all_but("J")))
     assert q.why_not("J") == UNCONFIRMED and q.why_not("R") is None
     q.update(evidence(confirmed=all_but("J"), lags_alike=True))
-    assert q.why_not("J") == q.why_not("R") == "the lags of winding and drive cannot be told apart"
+    assert q.why_not("J") == q.why_not("R") == "the lags of winding and drive are not identifiable separately"
     q.update(evidence(confirmed=all_but("K"), excited=all_but("B"), correlation=lambda k, j: 1.0))
-    assert q.why_not("R") == "it trades places with K, which is not known"
+    assert q.why_not("R") == "it is not identifiable without K, which is not known"
     assert q.why_not("B") == "the motion does not show it"

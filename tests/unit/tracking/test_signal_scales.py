@@ -69,7 +69,7 @@ def test_steps_between_samples() -> None:
     assert found.current_step_square == pytest.approx(0.125)
 
 
-def test_a_few_wrong_samples_leap_and_change_nothing_of_what_a_leap_is() -> None:
+def test_a_few_wrong_samples_are_spikes_and_change_nothing_of_what_a_spike_is() -> None:
     """Far beyond the largest change but for theirs; nothing is one before there is anything to compare with."""
     rng, found = np.random.default_rng(1), scales_of()
     assert found.spike_limit == found.current_spike_limit == math.inf

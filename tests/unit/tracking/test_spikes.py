@@ -1,4 +1,4 @@
-"""What leaps and leaps back is left out of the regressions; a step, a pulse of the input and its answer are not."""
+"""Spikes are left out of the regressions; a step, a pulse of the input and its answer are not."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ def noise() -> F64:
 
 @pytest.mark.parametrize("at", [0, 1, 9, N - 2, N - 1])
 @pytest.mark.parametrize("size", [-30.0, 30.0])
-def test_a_current_that_leaps_wherever_it_is(at: int, size: float) -> None:
+def test_a_spike_of_the_current_wherever_it_is(at: int, size: float) -> None:
     current = noise()
     current[at] += size
     assert left_out(noise(), current) == [at]
 
 
-def test_a_voltage_that_leaps_with_and_without_a_current() -> None:
+def test_a_spike_of_the_voltage_with_and_without_a_current() -> None:
     voltage = noise()
     voltage[7] -= 24.0
     assert left_out(voltage, None) == left_out(voltage, noise()) == [7]

@@ -1,4 +1,4 @@
-"""What text and report of `diagnose` say of the judge, where that is not the free run."""
+"""What text and report of `diagnose` say of the criterion that decided, where that is not the free run."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ _TIMES = {"unseen": "that neither fit nor choice has seen", "choosing": "that th
 
 
 def by_balance(document: Mapping[str, Any]) -> bool:
-    """Whether the shaft's balance was the judge."""
+    """Whether the shaft's balance decided."""
     return bool(document["judged_by"] == "balance")
 
 
 def by_predictions(document: Mapping[str, Any]) -> bool:
-    """Whether predictions of the next sample were."""
+    """Whether predictions of the next sample decided."""
     return bool(document["judged_by"] == "predictions")
 
 
 def why(document: Mapping[str, Any]) -> list[str]:
-    """Why free runs were not the judge; nothing where they were."""
+    """Why free runs did not decide; nothing where they did."""
     text, gain = WHY.get(document["judged_by"]), document["deviance_gain"]
     if text is None:
         return []
