@@ -1,4 +1,5 @@
-"""Missing torque, screening and dependence on captures of the independent generator, which knows no plant of ours."""
+"""Unmodelled torque, screening and dependence on captures of the independent generator, which knows no plant of
+ours."""
 
 from __future__ import annotations
 

@@ -113,12 +113,12 @@ def test_with_the_load_in_its_place_nothing_is_missing_but_what_is() -> None:
     made = scenario(PAPER, "multisine", 6.0)
     pulled = 0.1 * PAPER.K * PAPER.rated_current_A
     both = replace(made, effects={**made.effects, "constant_load_torque": {"TL": pulled}})
-    nothing, torque = (_missing_torque(hidden, truth(PAPER, made)) for hidden in (made, both))
+    nothing, torque = (_unmodelled_torque(hidden, truth(PAPER, made)) for hidden in (made, both))
     assert np.median(np.abs(nothing)) < 0.1 * pulled
     assert np.median(torque) == pytest.approx(pulled, abs=0.2 * pulled)
 
 
-def _missing_torque(hidden: Scenario, values: Mapping[str, float]) -> F64:
+def _unmodelled_torque(hidden: Scenario, values: Mapping[str, float]) -> F64:
     recording = capture(PAPER, hidden)
     missing = missing_inputs(Known(problem_of(recording), values), recording.block)
     assert len(missing.stretches) > 20

@@ -1,4 +1,4 @@
-"""Figures of the missing torque and voltage: over time, speed, angle and current, and as a spectrum."""
+"""Figures of the unmodelled torque and voltage: over time, speed, angle and current, and as a spectrum."""
 
 from __future__ import annotations
 

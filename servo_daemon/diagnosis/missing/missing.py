@@ -1,4 +1,4 @@
-"""Missing torque and missing voltage: what would have to be added to the balances for the simulation to be right.
+"""Unmodelled torque and unmodelled voltage: what would have to be added to the balances for the simulation to be right.
 
     L di/dt = v − R i − K ω − d_V            J dω/dt = K i − B ω − τ_load − d_T
 
@@ -116,7 +116,7 @@ def missing_inputs(
     least_walk: Mapping[str, float] | None = None,
     seen: NDArray[np.bool_] | None = None,
 ) -> Missing:
-    """Missing torque and voltage over a capture.
+    """Unmodelled torque and voltage over a capture.
 
     Args:
         fit: the plant and its parameters.
@@ -178,7 +178,7 @@ def _in_runs(recording: Recording, plant: PlantModel, q: F64) -> Problem:
 
 
 def coordinates_with_load(fit: Fitted, recording: int = 0) -> tuple[tuple[str, ...], F64]:
-    """Names and coordinates of the plant in which the missing torque has a place, as fitted."""
+    """Names and coordinates of the plant in which the unmodelled torque has a place, as fitted."""
     plant = _with_load(fit.problem.plant)
     q = np.zeros(len(plant.parameters))
     q[: len(fit.problem.plant.parameters)] = fit.coordinates(recording)
@@ -186,7 +186,7 @@ def coordinates_with_load(fit: Fitted, recording: int = 0) -> tuple[tuple[str, .
 
 
 def _with_load(plant: PlantModel) -> PlantModel:
-    """The plant with the parameter TL, through which the missing torque acts."""
+    """The plant with the parameter TL, through which the unmodelled torque acts."""
     if "TL" in plant.parameter_names:
         return plant
     return build_plant((*plant.effects, "constant_load_torque"), plant.drive)

@@ -1,4 +1,4 @@
-"""What a missing torque or voltage follows, where no effect has a name for it.
+"""What an unmodelled torque or voltage follows, where no effect has a name for it.
 
 Each quantity is a set of columns without a physical formula: hats over speed, travel, current or time, harmonics of the
 turn, a step, a spectral line, the heat of the winding. A quantity counts by the share of the series that it explains on

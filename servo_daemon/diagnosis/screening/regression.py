@@ -30,7 +30,7 @@ class Regression:
         unknown: the series' variances summed, in the same units.
         stiffness: shape (m,), 1/(largest relative change)² of the inertia's column, 0 of the others.
 
-    The stiffness matters: the missing torque is K i − J dω/dt − B ω, so a current together with parameters near zero
+    The stiffness matters: the unmodelled torque is K i − J dω/dt − B ω, so a current together with parameters near zero
     "explains" any of it. A change of J by `MOST_CHANGE` therefore costs as much as the whole series.
     """
 

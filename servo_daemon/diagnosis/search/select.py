@@ -86,7 +86,7 @@ def select(data: Data, base: Trial, progress: Progress, whole: Whole, effort: Ef
         effort: what it may cost. Where that is not enough the result is the best so far.
 
     Raises:
-        NumericalError: the baseline's missing torque cannot be computed.
+        NumericalError: the baseline's unmodelled torque cannot be computed.
     """
     search = _Search(data, base)
     while len(search.added) < _MOST_EFFECTS:
@@ -257,7 +257,7 @@ def _own_values(current: Trial, other: Trial) -> dict[str, float]:
 
 
 def _kept_promise(found: _Found, before: Missing, promised: float) -> bool:
-    """Whether the best model takes of the missing torque and voltage about what screening said could be taken. Where
+    """Whether the best model takes of the unmodelled torque and voltage about what screening said could be taken. Where
     free runs diverge (a rotor between two detents) a fit to them follows the divergence and not the motor: the
     balances, which run nowhere, tell.
 

@@ -124,10 +124,10 @@ class Diagnosis:
             of which an end may be infinite; None unless found, and where noise leaves as much as the baseline does.
         measured_on: see `MeasuredOn`.
         candidates: all models that were fitted, by round.
-        before, after: missing torque and voltage under both models, of the longest capture; the second None unless
+        before, after: unmodelled torque and voltage under both models, of the longest capture; the second None unless
             found.
         white: whether the final model and the noise explain the data.
-        depends_on: what the remaining missing torque and voltage follow.
+        depends_on: what the remaining unmodelled torque and voltage follow.
         differences: parameters that differ between the captures beyond chance.
         own_models: what that means for each capture; empty where there is one capture.
         validation: scores on captures that were not diagnosed.

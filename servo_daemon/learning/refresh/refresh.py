@@ -68,8 +68,8 @@ class RefreshEstimate:
         pseudo: what is to be done with it; None: nothing.
         reason: why nothing is to be done, or why the filter is to be widened; "" else.
         distance: RMS distance from the filter's values in standard deviations; None without a filter.
-        closure, filter_closure: what the model's estimate of the window before, and the filter's values of that time,
-            leave of this window's balances (armature, shaft); None where there was none to judge.
+        residuals, filter_residuals: what the model's estimate of the window before, and the filter's values of that
+            time, leave of this window's balances (armature, shaft); None where there was none to judge.
     """
 
     time_s: float
@@ -81,8 +81,8 @@ class RefreshEstimate:
     pseudo: PseudoMeasurement | None = None
     reason: str = ""
     distance: float | None = None
-    closure: tuple[float, float] | None = None
-    filter_closure: tuple[float, float] | None = None
+    residuals: tuple[float, float] | None = None
+    filter_residuals: tuple[float, float] | None = None
 
 
 class Refresh:
