@@ -125,7 +125,7 @@ NAMED: Sequence[Named] = (
     Named(
         "a refresh that is not proven enters",
         "servo_daemon/learning/refresh/refresh.py",
-        "if not self._proof.trusted:",
+        "if not self._challenge.trusted:",
         "if False:",
         REFRESH,
     ),
