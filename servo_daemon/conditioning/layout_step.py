@@ -44,7 +44,7 @@ class LayoutStep:
                value, half its step, from how many alike on it is doubted, the largest change that is no spike) per
                channel
     sample:    time | (value, whether the drive calls it valid) per channel
-    output:    a sample as `ekf_layout.EkfLayout` has it
+    output:    a sample as `kalman.layout.EkfLayout` has it
     """
 
     channels: int

@@ -44,7 +44,7 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True, slots=True)
 class DiagnoseOptions:
-    """What is asked for.
+    """Settings of a diagnosis.
 
     Attributes:
         baseline: effects of the model that is doubted.

@@ -1,4 +1,4 @@
-"""The extended Kalman filter as an object: state, constants and the compiled loop over `ekf_model`'s step."""
+"""The extended Kalman filter as an object: state, constants and the compiled loop over `model`'s step."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Ekf:
 
     Args:
         plant: the model.
-        channels: measured channels, some of `ekf_model.MEASURABLE`.
+        channels: measured channels, some of `layout.MEASURABLE`.
         loop: engine of the running recursion; the compiled one if None.
         mean_input: see `build_ekf_step`.
     """
@@ -154,7 +154,7 @@ class Ekf:
         self._constants[self._lay.active] = 0.0
 
     def use_instrumental_trajectory(self, use: bool) -> None:
-        """Whether derivatives are taken along the instrumental trajectory (`ekf_model`); for parameters that are nearly
+        """Whether derivatives are taken along the instrumental trajectory (`model`); for parameters that are nearly
         right."""
         self._constants[-1] = INSTRUMENT_S if use else NO_INSTRUMENT_S
 

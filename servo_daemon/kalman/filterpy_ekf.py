@@ -1,6 +1,6 @@
 """The same filter on filterpy's ExtendedKalmanFilter: readable, slow, and the check on the compiled one.
 
-It runs sample by sample in Python over the same plant, keeps the same flat vectors as `ekf_model` and so can take the
+It runs sample by sample in Python over the same plant, keeps the same flat vectors as `model` and so can take the
 place of the compiled loop (`engine = "filterpy"`). The two agree to rounding; a test holds them to 1e-6.
 """
 

@@ -132,7 +132,7 @@ class MotorRls:
         self._plausible = {which: Plausible() for which in SPAN_S}
 
     def follow_lag(self, lag_s: float) -> None:
-        """What the filter has found of the drive's lag, which no regression finds."""
+        """Take over the drive's lag as the filter has found it, which no regression finds."""
         if self._lag is not None:
             self._lag.lag_s = lag_s
 

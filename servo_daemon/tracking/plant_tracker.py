@@ -380,7 +380,7 @@ class PlantTracker(Tracker):
 def make_tracker(
     channels: tuple[str, ...], settings: TrackerSettings, resolutions: Resolutions, prior: Gaussian | None = None
 ) -> Tracker:
-    """Of a drive with these channels; a `PlantTracker` where a model can be run.
+    """The tracker of a drive with these channels; a `PlantTracker` where a model can be run.
 
     Args:
         prior: what a saved state knows; left out where it is of other parameters.

@@ -39,7 +39,7 @@ class PriorTransfer:
     origin_s: float
 
     def hand_states_to(self, ekf: Ekf) -> None:
-        """To the new filter, when it starts."""
+        """Set the slow states of the new filter when it starts."""
         for name, (mean, var) in self.states.items():
             ekf.know_state(name, mean, var)
 

@@ -40,7 +40,7 @@ class _Values:
 
 
 def found_by_balance(data: Data, baseline: OutputErrorFit, base: Trial, nominal: Mapping[str, float]) -> Finding | None:
-    """Look at the shaft's balance where free runs have named nothing.
+    """Search the shaft's balance for a cause where free runs have named none.
 
     Args:
         data: recordings and their split.

@@ -69,7 +69,7 @@ class SmoothedStretch:
 
 @dataclass(frozen=True)
 class Missing:
-    """What is missing, n samples in all.
+    """Unmodelled torque and voltage with their standard deviations, n samples in all.
 
     Attributes:
         visible: what the signals tell apart; "torque" where current, torque or force is the input.
@@ -102,7 +102,7 @@ class Missing:
 
     @property
     def mean_square(self) -> Mapping[str, float]:
-        """Of each series over what the motor works with, where it may be seen."""
+        """Mean square of each series over that of the working torque or voltage, where it may be seen."""
         return {n: float(np.mean(np.square(v[self.seen]))) / self.size[n] ** 2 for n, v in self.series.items()}
 
 

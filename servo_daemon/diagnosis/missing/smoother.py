@@ -186,7 +186,7 @@ def forward(a: Augmented) -> SampleLoop:
 
 @cache
 def likelihood(a: Augmented) -> SampleLoop:
-    """The same with innovations and precisions only."""
+    """The forward pass with innovations and their precisions only."""
     return SampleLoop(_Pass.of(a).function(lambda found: ca.vertcat(found["innovation"], found["precision"])))
 
 

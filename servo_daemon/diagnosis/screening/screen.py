@@ -33,7 +33,7 @@ _MOTOR, _BENT = MOTOR_NAMES, (0.2, 5.0)
 
 @dataclass(frozen=True, slots=True)
 class ScreenedCandidate:
-    """One effect.
+    """An effect with what screening has found of it.
 
     Attributes:
         effect: name of the contract.

@@ -34,7 +34,7 @@ _MUCH = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One effect that was fitted.
+    """An effect fitted together with the motor.
 
     Attributes:
         name: of the effect.

@@ -78,7 +78,7 @@ class Selection:
 
 
 def select(data: Data, base: Trial, progress: Progress, whole: Whole, effort: Effort) -> Selection:
-    """Search from a fitted baseline.
+    """Forward selection of effects from a fitted baseline, then backward pruning.
 
     Args:
         progress: told what is being done.

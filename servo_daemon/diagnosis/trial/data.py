@@ -16,7 +16,7 @@ from servo_daemon.identification.output_error.problem.setup import make_problem,
 
 @dataclass(frozen=True, slots=True)
 class Data:
-    """What all trials share.
+    """Recordings and their split, shared by all trials.
 
     Attributes:
         recordings: the captures, marked where fit and choice may look: nowhere in the part that is held out.
@@ -61,7 +61,7 @@ class Data:
 
     @property
     def full(self) -> Data:
-        """With nothing held out: for what is published when all is decided."""
+        """The data with nothing held out, for what is published when all is decided."""
         return replace(self, recordings=_unmarked(self.recordings))
 
     def problem(self, effects: tuple[str, ...], held: Mapping[str, float]) -> Problem:

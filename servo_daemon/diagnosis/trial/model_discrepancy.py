@@ -35,7 +35,7 @@ def longest_missing(data: Data, fit: Fitted) -> Missing:
 
 
 def seen_missing(data: Data, trial: Trial) -> Missing:
-    """The same for screening: never all of it taken for noise.
+    """As `longest_missing`, for screening: never all of it taken for noise.
 
     Raises:
         NumericalError: see `balanced_missing_inputs`.
@@ -72,7 +72,7 @@ def leaves(data: Data, trial: Trial, before: Missing) -> float:
 
 
 def leaves_less(data: Data, trial: Trial, other_data: Data, other: Trial) -> bool:
-    """Whether less is missing under one model than under another."""
+    """Whether one model has a smaller discrepancy than another."""
     try:
         return _size(longest_missing(data, trial)) < _size(longest_missing(other_data, other))
     except NumericalError:

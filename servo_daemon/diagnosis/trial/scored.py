@@ -46,7 +46,7 @@ class Scored:
 
     @property
     def mse(self) -> F64:
-        """Shape (c,)."""
+        """Mean square error of each channel, shape (c,)."""
         return np.asarray(self.squares.sum(axis=0) / np.maximum(self.counts.sum(axis=0), 1.0))
 
 

@@ -94,7 +94,7 @@ class Trial:
         return scored_states(self.states(part))
 
     def states(self, part: int) -> Problem:
-        """A part with these parameters; only initial states are free."""
+        """Problem of a part with these parameters, of which only initial states are free."""
         chosen = self.split.of(part)
         given = dict(self.problem.given) | dict(
             zip(self.problem.plant.parameter_names, self.mean_coordinates, strict=True)

@@ -60,7 +60,7 @@ _DIFFERENT = 3.0
 
 @dataclass(frozen=True)
 class Believed:
-    """What remains of a search.
+    """Effects of a search that can be believed, with the fit that holds them.
 
     Attributes:
         selection: with the effects that are believed; none: the model it began with.

@@ -41,7 +41,7 @@ def times_of(data: Data, effects: tuple[str, ...], part: int) -> Times:
 
 @dataclass(frozen=True, slots=True)
 class Predicted:
-    """Of the times of a part, by free run, h of them, c channels.
+    """Prediction errors over the times of a part, by free run, h of them, c channels.
 
     Attributes:
         deviance: shape (h,), −2 log p given all that came before each sample.

@@ -1,4 +1,4 @@
-"""What a diagnosis says."""
+"""Records of a diagnosis' result."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class OwnModel:
 
 @dataclass(frozen=True)
 class Finding:
-    """What another judge than free runs has named; see `Diagnosis`.
+    """What the balance or predictions have named; fields as in `Diagnosis`.
 
     Attributes:
         before: None: as the free runs have it.
@@ -110,7 +110,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The result.
+    """The result of a diagnosis.
 
     Attributes:
         captures: what was diagnosed.

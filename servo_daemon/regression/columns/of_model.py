@@ -42,7 +42,7 @@ class ModelColumns:
 
     @classmethod
     def of(cls, plant: PlantModel, biases: Sequence[str], *, sees_current: bool, sees_angle: bool) -> ModelColumns:
-        """Of a plant.
+        """Columns of a plant's balances.
 
         Args:
             biases: parameters that nobody asks for: no offset of the armature is named that is one of them.

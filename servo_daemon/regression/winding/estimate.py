@@ -38,7 +38,7 @@ _SKEW_S = 5e-5 / np.sqrt(3.0)
 
 @dataclass(frozen=True, slots=True)
 class WindingEstimate:
-    """What the voltage's balance says.
+    """R, L and K by the voltage's balance.
 
     Attributes:
         names: of R, L and K (and what was added) those that are determined.

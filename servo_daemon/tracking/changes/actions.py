@@ -1,4 +1,4 @@
-"""Does with the filter what the watch for jumps decides, and knows what to publish meanwhile."""
+"""Carries out on the filter what the watch for jumps decides, and knows what to publish meanwhile."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ class JumpActions:
 
     @property
     def quiet(self) -> bool:
-        """Nothing is being looked into."""
+        """Whether no change is being examined."""
         return self.watch.quiet and not self.search.running
 
     @property
     def is_open(self) -> bool:
-        """Something has changed, and it is not certain yet what."""
+        """Whether a change is being examined."""
         return self.watch.is_open or self.search.promising
 
     def remember(self, time_s: float) -> None:
-        """What is known now, unless something is being looked into."""
+        """Keep what is known now, unless a change is being examined."""
         if self.quiet:
             self._before = self._ekf.snapshot(), time_s
             self._wander.add(self._ekf.coordinates.copy())

@@ -66,7 +66,7 @@ class JumpWatch:
         self.is_open = False
 
     def explain(self) -> None:
-        """It is known what the unexplained ticks were."""
+        """The unexplained ticks have been explained: count anew."""
         self._usual = self._usual_before
         self.reset()
 
@@ -77,11 +77,11 @@ class JumpWatch:
 
     @property
     def calm(self) -> bool:
-        """Unexplained ticks are the exception."""
+        """Whether unexplained ticks are the exception."""
         return self._usual < _RULE
 
     def observe(self, unexplained: bool, explained: bool) -> None:
-        """Every tick, also those that are not judged.
+        """Count a tick, also one that no decision is made on.
 
         Args:
             unexplained: as for `judge`.
@@ -92,7 +92,7 @@ class JumpWatch:
         self._usual += (float(unexplained) - self._usual) / _USUAL_TICKS
 
     def judge(self, unexplained: bool, settled: bool, searched: bool = False) -> Action:
-        """Take a tick.
+        """Decide after a tick.
 
         Args:
             unexplained: its innovations are beyond what the noise explains.

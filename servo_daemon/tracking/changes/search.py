@@ -99,11 +99,11 @@ class JumpSearch:
 
     @property
     def running(self) -> bool:
-        """A change is being looked for."""
+        """Whether a change is being searched for."""
         return self._trials is not None
 
     def clear(self) -> None:
-        """What was kept is of another filter."""
+        """Forget what was kept: it is of another filter."""
         self._filtering.take_passed()
         self._count = 0
         self._ticks: list[_Tick] = []
@@ -119,11 +119,11 @@ class JumpSearch:
         self._best: dict[int, Trial] = {}
 
     def mark(self) -> None:
-        """A tick begins, and the filter is as it is."""
+        """Keep the filter's state at the beginning of a tick."""
         self._begins = self._ekf.snapshot(), self._ekf.constants, self._watch.mark()
 
     def take(self, end_s: float) -> None:
-        """A tick has ended.
+        """Take the samples of a tick that has ended.
 
         Args:
             end_s: of device time.
@@ -139,7 +139,7 @@ class JumpSearch:
                 del self._ticks[0]
 
     def look(self, unexplained: bool, may_begin: bool) -> Found | None:
-        """After each tick.
+        """Go on with the search after a tick.
 
         Args:
             unexplained: its innovations are beyond what the noise explains.

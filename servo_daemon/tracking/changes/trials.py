@@ -85,7 +85,7 @@ class Unchanged:
 
 
 class Trials:
-    """Over one stretch of samples, which may grow.
+    """Trials of changes over one stretch of samples, which may grow.
 
     Args:
         scales: one unit of each coordinate, shape (n,).
@@ -125,7 +125,7 @@ class Trials:
         return self._unchanged[-1].cost
 
     def extend(self, sections: Sequence[Section]) -> None:
-        """Go over more samples without a change."""
+        """Filter more samples without a change."""
         self._ekf.restore(self._unchanged[-1].state)
         for section in sections:
             self.sections.append(section)

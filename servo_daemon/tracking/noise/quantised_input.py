@@ -56,7 +56,7 @@ class QuantisedInput:
         self._information, self._looks = 0.0, 0.0  # that a sample gives on ln L, on average, and looks at that
 
     def take(self, voltage_V: F64, period_s: float, value: Mapping[str, float]) -> None:
-        """A tick's samples.
+        """Take a tick's samples.
 
         Args:
             value: of R and L, natural units.

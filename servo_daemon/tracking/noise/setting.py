@@ -64,7 +64,7 @@ class NoiseSetting:
         return flows * (R * self._watch.settled) ** 2 * (1.0 - slow)
 
     def take(self, tick: Stretch, period_s: float) -> None:
-        """A tick's samples while the filter runs."""
+        """Take a tick's samples while the filter runs."""
         if tick.voltage is not None and len(tick.voltage) and "L" in self._masks.names:
             self._quantised.take(tick.voltage, period_s, self._value)
 
@@ -80,7 +80,7 @@ class NoiseSetting:
         return np.array(self._signal_scales.scales(self._value))
 
     def set(self) -> None:
-        """Noise as it is known by now."""
+        """Set the filter's noise as it is known by now."""
         input_rms = self._signal_scales.input_square**0.5
         self._ekf.set_noise(self._watch.levels(input_rms, self._input_lsb, self._torque_Nm))
 
@@ -92,7 +92,7 @@ class NoiseSetting:
         return self._watch.noise_var["current_A"], self._ekf.noise.input_var
 
     def put_of_current(self, sensor_A2: float, voltage_V2: float) -> None:
-        """See `of_current`; as far as resolutions and what a voltage has at least allow."""
+        """Set the variances of `of_current`, no lower than resolutions and the voltage's least noise allow."""
         self._watch.put_sensor("current_A", sensor_A2)
         self._watch.put_input(voltage_V2, self._signal_scales.input_square**0.5, self._input_lsb)
         self.set()

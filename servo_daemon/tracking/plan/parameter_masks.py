@@ -47,7 +47,7 @@ class ParameterMasks:
 
     @cached_property
     def free(self) -> Mask:
-        """What the filter estimates."""
+        """Parameters that the filter estimates."""
         mask: Mask = self.published | self.biases
         return mask
 
@@ -81,12 +81,12 @@ class ParameterMasks:
         return self._without_L if settles_between(R, L, period_s) else self.free
 
     def values(self, coordinates: F64) -> dict[str, float]:
-        """Natural units."""
+        """Values by name in natural units."""
         return natural_values(self.parameters, coordinates)
 
 
 def make_masks(plan: SignalPlan, settings: TrackerSettings, in_regression: tuple[str, ...]) -> ParameterMasks:
-    """For a plan that has a plant."""
+    """Masks of a plan that has a plant."""
     assert plan.plant is not None
     names = plan.plant.parameter_names
     published = np.array([n in plan.free for n in names])

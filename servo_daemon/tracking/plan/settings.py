@@ -1,4 +1,4 @@
-"""What the estimators are told: resolutions of the drive, and what the user fixed."""
+"""Settings of the estimators: resolutions of the drive, and the configuration's values."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Resolutions:
 
 @dataclass(frozen=True, slots=True)
 class TrackerSettings:
-    """What the user fixed.
+    """Settings of the live estimator from the configuration.
 
     Attributes:
         effects: names of the effects in the model.

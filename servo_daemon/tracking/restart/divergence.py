@@ -36,7 +36,7 @@ class DivergenceMonitor:
         self.suspicious_ticks = self._begun_better = 0
 
     def reset(self) -> None:
-        """The filter begins again."""
+        """Count anew: the filter begins again."""
         self.suspicious_ticks = 0
 
     def has_diverged(self, nis: float, examines_jump: bool) -> bool:

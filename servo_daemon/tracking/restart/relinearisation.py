@@ -147,7 +147,7 @@ class BatchRelinearisation:
         return True
 
     def end(self) -> None:
-        """The motor is another one than in its first samples."""
+        """Give up the first samples: the motor has changed since."""
         self._start, self.pending = None, False
 
     def _has_moved(self, tick: int) -> bool:

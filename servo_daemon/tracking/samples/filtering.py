@@ -63,7 +63,7 @@ class Filtering:
         self._gated: list[F64] = []  # of each run of samples since they were last asked for; (n, channels)
 
     def take(self, block: SampleBlock, last_s: float | None, period_s: float | None) -> None:
-        """Samples in order.
+        """Filter samples, in order.
 
         Args:
             last_s: time of the sample before them.
@@ -122,7 +122,7 @@ class Filtering:
                 yield self._rows(part)
 
     def _rows(self, part: SampleBlock, new: Mask | None = None) -> F64:
-        """Args: new: samples of the part that were put in."""
+        """The part as the filter's rows. `new`: which samples were filled in, shape (n,)."""
         scales = self._signal_scales
         line_var = LINE_VAR * scales.input_step_square
         spikes = scales.spike_limit, scales.current_spike_limit
@@ -215,5 +215,5 @@ class Filtering:
         return np.asarray(np.logical_or.reduce(np.concatenate(taken), axis=1))
 
     def forget_outliers(self) -> None:
-        """A filter begins: what was gated before is no longer asked for."""
+        """Forget which samples were gated: a filter begins."""
         self._gated = []

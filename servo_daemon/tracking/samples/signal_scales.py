@@ -44,7 +44,7 @@ class Recent:
         self.number, self.total = 0, 0.0
 
     def add(self, end_s: float, number: int, total: float) -> None:
-        """A tick's, and when it ended."""
+        """Take a tick's sum, and when it ended."""
         self._ends_s.append(end_s)
         self._numbers.append(number)
         self._totals.append(total)
@@ -79,7 +79,7 @@ class SignalScales:
         self._current_square: float | None = None
 
     def take(self, tick: Stretch, position_lsb: float, noise_var: Mapping[str, float]) -> None:
-        """A tick's samples.
+        """Take a tick's samples.
 
         Args:
             position_lsb: the encoder's step; 0: none, or not known yet.
@@ -114,7 +114,7 @@ class SignalScales:
 
     @property
     def current_spike_limit(self) -> float:
-        """The same of a measured current."""
+        """The largest change of a measured current that is no spike; infinite where that is not known."""
         return math.inf if self._usual_current_step is None else _SPIKE * self._usual_current_step
 
     def without_spikes(self, tick: Stretch) -> Stretch:

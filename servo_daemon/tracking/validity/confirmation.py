@@ -35,7 +35,7 @@ class Confirmation:
         self.parameters: Mask = trusted | ~masks.covered
 
     def update(self, values: Mapping[str, float], tick: Tick, calm_s: float) -> None:
-        """With what the regressions say by now.
+        """Compare with what the regressions say by now.
 
         Args:
             calm_s: for how long the filter's innovations have been as they should be.

@@ -22,7 +22,7 @@ _ONE_LINE = 0.8
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What is known after a tick.
+    """What the gates decide on after a tick.
 
     Attributes:
         relative_std: 1 σ over the scales, what the balances leave open included, shape (n,).
@@ -158,7 +158,7 @@ class Qualification:
         self._evidence: Evidence | None = None
 
     def update(self, e: Evidence) -> None:
-        """After a tick."""
+        """Decide after a tick."""
         self.qualified, self._evidence = self.qualified.copy(), e
         _close(LAPSES, e, self.qualified)
         gained = np.ones_like(self.qualified)

@@ -10,7 +10,7 @@ from servo_daemon.regression.sampling import Sampling, settles_between
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """What else there is to know after a tick.
+    """Facts of a tick beside the estimates.
 
     Attributes:
         settled: the filter has run for long enough for its noise levels to be no guesses, and its first samples have

@@ -147,7 +147,7 @@ class ValidityGate:
         self.resume()
 
     def resume(self) -> None:
-        """The filter is to go on as after the last tick."""
+        """Let the filter go on as after the last tick."""
         self._ekf.set_active(*self._moves)
         self._ekf.use_instrumental_trajectory(self._follows)
 
