@@ -2,7 +2,7 @@
 
 The thread that all share is woken by the readers' blocks, which come some 25 times a second, and takes what has queued
 up for each drive in one go: eight drives cost 20 % less so than with a thread each. A drive whose turn takes long (a
-plant that is compiled, a start or a jump gone over again, a slow engine) keeps the thread that it is in, and another
+plant that is compiled, a start or a jump filtered again, a slow engine) keeps the thread that it is in, and another
 goes on with the rest. Compiled code and CasADi release the interpreter, and plain Python gives it up every few
 milliseconds, so that the others do turn meanwhile.
 """

@@ -308,7 +308,7 @@ class PlantTracker(Tracker):
         return messages
 
     def _has_looked_again(self) -> bool:
-        """Whether the first samples have just been gone over again, and the filter goes on from what that came to."""
+        """Whether the first samples have just been re-linearised, and the filter goes on from what that came to."""
         if self._relinearisation.update(self._ticks, self.watch.white, self.sample_period_s or 0.0):
             return True
         if not self._likelihood_restart.update(self._ticks, self.excitation.scales, self._divergence):

@@ -115,7 +115,7 @@ class JumpSearch:
         self.promising = False
         self._age = 0
         self._trials: Trials | None = None
-        self._new: list[Section] = []  # not gone over yet
+        self._new: list[Section] = []  # not filtered yet
         self._best: dict[int, Trial] = {}
 
     def mark(self) -> None:

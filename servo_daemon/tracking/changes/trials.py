@@ -97,7 +97,7 @@ class Trials:
             change.
 
     Attributes:
-        sections: what has been gone over.
+        sections: what has been filtered.
         cost: −2 log p of all samples without a change.
     """
 

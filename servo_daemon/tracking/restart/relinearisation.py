@@ -13,7 +13,7 @@ voltage are taken as the samples are likeliest with.
 
 What the first samples did not show (an inertia on a motion that hardly accelerates) the filter meets at its guess later
 on, and everything else pays for the jump that it makes then: whenever a guessed parameter has jumped, the samples since
-the start are gone over once more.
+the start are filtered once more.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ from servo_daemon.tracking.validity.validity_gate import ValidityGate
 
 #: Begun with a larger 1 σ than this a parameter's derivatives may be wrong.
 _VAGUE_STD = 0.1
-#: After so many ticks the first samples are gone over, and after the first when a parameter has moved by so much (a
-#: share of one unit) from where the last time has left it; each time in at most so many passes.
+#: After so many ticks the first samples are filtered again, and after the first when a parameter has moved by so much
+#: (a share of one unit) from where the last time has left it; each time in at most so many passes.
 _TICKS, _MOVED, _PASSES = (10, 40), 0.1, 8
 #: After so many jumps of a parameter the second time is waited for.
 _MOST_MOVES = 4
 #: So often noise and values are found in turn, where values have jumped meanwhile.
 _TURNS = 2
-#: More samples than these are not gone over: others wait for their turn meanwhile.
+#: More samples than these are not filtered again: others wait for their turn meanwhile.
 _MOST_SAMPLES = 20_000
 #: A pass begins with no larger 1 σ: further off a logarithm's derivatives say nothing of where it would have to go.
 _WIDEST_STD = 0.2
@@ -87,7 +87,7 @@ class BatchRelinearisation:
     """Re-linearises one filter at its first samples, at fixed ticks and whenever a guessed parameter has jumped.
 
     Attributes:
-        pending: the filter started from no saved state, and its first samples have not been gone over yet.
+        pending: the filter started from no saved state, and its first samples have not been re-linearised yet.
     """
 
     def __init__(
@@ -116,8 +116,8 @@ class BatchRelinearisation:
         self._filtering.keep(None if trusted else start.last)
 
     def update(self, tick: int, white: bool, period_s: float) -> bool:
-        """Go over the first samples, if it is time to. Returns whether it was: all that was said of the filter's values
-        was of others.
+        """Filter the first samples again, if it is time to. Returns whether it was: all that was said of the filter's
+        values was of others.
 
         Args:
             tick: number of the running filter's.
@@ -133,7 +133,7 @@ class BatchRelinearisation:
         start = self._start.parameters
         walk = self._validity.walk(self._masks.free)
         batch = _Batch(start, self._index(start), self._vague(start), walk, period_s)
-        follows = self._go_over(batch, white) if usable else None
+        follows = self._filter_again(batch, white) if usable else None
         if follows is None and not first:
             self._widen_moved(batch)
         self._left_at = self._ekf.coordinates.copy()
@@ -160,7 +160,7 @@ class BatchRelinearisation:
         moved = (np.abs(self._ekf.coordinates - self._left_at) > _MOVED) & (self._ekf.coordinate_std < _VAGUE_STD)
         return bool(moved[index].any())
 
-    def _go_over(self, batch: _Batch, white: bool) -> bool | None:
+    def _filter_again(self, batch: _Batch, white: bool) -> bool | None:
         """Pass over the samples since the start. Returns whether the last pass used the instrumental trajectory; None:
         with the best values there are still samples that do not fit, so that these are no samples to begin from, and
         nothing is done.
@@ -275,8 +275,8 @@ class BatchRelinearisation:
         return self._filtering.again(Gaussian(start.names, begins, spread))
 
     def _widen_moved(self, batch: _Batch) -> None:
-        """The samples could not be gone over. What has jumped did so along derivatives that were taken at other values,
-        and is known no better than by as much."""
+        """The samples could not be filtered again. What has jumped did so along derivatives that were taken at other
+        values, and is known no better than by as much."""
         moved = np.minimum(np.abs(self._ekf.coordinates - self._left_at), _WIDEST_STD)
         vague = np.zeros(len(moved), dtype=bool)
         vague[batch.index] = batch.vague

@@ -57,7 +57,7 @@ class Filtering:
         self._before: SampleBlock | None = None  # the last samples
         self._kept: list[tuple[SampleBlock, float | None, float | None]] | None = None
         self._kept_from: tuple[SampleBlock, Marked] | None = None
-        self._laid_out: tuple[float, list[Forget | F64]] | None = None  # the kept ones, since they were gone over
+        self._laid_out: tuple[float, list[Forget | F64]] | None = None  # the kept ones, since they were filtered
         self.own = Fit()
         self._passed: list[Forget | F64] = []  # what the filter took since it was last asked for
         self._gated: list[F64] = []  # of each run of samples since they were last asked for; (n, channels)
@@ -138,7 +138,7 @@ class Filtering:
         return 0 if self._kept is None else sum(len(block) for block, _, _ in self._kept)
 
     def keep(self, last: SampleBlock | None) -> None:
-        """A filter starts: from now on samples are kept, so that they can be gone over `again`.
+        """A filter starts: from now on samples are kept, so that they can be filtered `again`.
 
         Args:
             last: the last sample before them; None: no samples are kept, nor those that were.

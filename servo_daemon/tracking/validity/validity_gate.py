@@ -47,7 +47,7 @@ class ValidityGate:
         n = len(masks.parameters)
         self.excitation, self.qualification = Excitation(n), Qualification(n)
         self._lags_alike = False
-        self._unjudged = False  # by the balances, since the first samples were gone over
+        self._unjudged = False  # by the balances, since the first samples were re-linearised
         self._idle_std: F64 = np.where(masks.biases, BIAS_SHARE, _IDLE_STD)
         self.last_known = LastKnown(n)
         self.mismatch = Mismatch(masks, ekf, rls, self.excitation, self.last_known)
@@ -72,7 +72,7 @@ class ValidityGate:
         self._follows = self._followed = self.begins_to_follow = False
 
     def begin_anew(self, follows: bool) -> None:
-        """The first samples have been gone over again: what was seen with the values of then is forgotten.
+        """The first samples have been re-linearised: what was seen with the values of then is forgotten.
 
         Args:
             follows: along the instrumental trajectory.
