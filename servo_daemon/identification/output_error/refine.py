@@ -113,7 +113,7 @@ def refine(problem: Problem, point: Point, torque_size: float, below: float = np
     alone = at.sensors_alone()
     plain = at.value(alone)
     a, value = at.with_source(alone, INPUT_NOISE)
-    end = _settle(problem, _seen(problem, point, a), a, limits, below) if value < plain - WORTH else None
+    end = _settle(problem, point, a, limits, below) if value < plain - WORTH else None
     event_time_std: dict[int, float] = {}
     if end is not None and end.at_rest and event_times_of(problem):
         end, event_time_std = _settle_event_times(problem, end, limits, below)
@@ -126,6 +126,23 @@ def refine(problem: Problem, point: Point, torque_size: float, below: float = np
     noise = noise_model(problem, a, plain - deviance)
     at_bound = _at_bound(problem, whitened)
     return Refined(point, whitened, noise, a, deviance, torque, rms, at_bound, event_time_std, end.remaining)
+
+
+def with_lost_seen(problem: Problem, point: Point, log_variance: F64) -> Point | None:
+    """The point with positive parameters that a search has driven to nothing put one standard deviation (all else held)
+    away from it: at nothing their logarithms have no derivative, and neither a way back nor a share in what the others
+    are known by. None: there are none."""
+    whitened, _ = whiten_point(problem, point, log_variance)
+    known = np.diag(normal_equations(problem, whitened)[0])
+    lost = problem.logarithmic & (known > 0.0) & (known < _FAINT)
+    if not lost.any():
+        return None
+    unknowns = point.unknowns.copy()
+    unknowns[lost] -= 0.5 * np.log(known[lost])
+    unknowns = within(problem, unknowns)
+    with np.errstate(over="ignore", invalid="ignore"):
+        linear = linearise(problem, unknowns)
+    return point_of(problem, unknowns, linear, point.weights) if linear.finite else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,23 +176,6 @@ def _settle_event_times(
                 break
             end = again
     return end, std
-
-
-def _seen(problem: Problem, point: Point, a: F64) -> Point:
-    """The point with positive parameters that a free run has driven to nothing put one standard deviation (all else
-    held) away from it: at nothing their logarithms have no derivative, and neither a way back nor a share in what the
-    others are known by."""
-    whitened, _ = whiten_point(problem, point, a)
-    known = np.diag(normal_equations(problem, whitened)[0])
-    lost = problem.logarithmic & (known > 0.0) & (known < _FAINT)
-    if not lost.any():
-        return point
-    unknowns = point.unknowns.copy()
-    unknowns[lost] -= 0.5 * np.log(known[lost])
-    unknowns = within(problem, unknowns)
-    with np.errstate(over="ignore", invalid="ignore"):
-        linear = linearise(problem, unknowns)
-    return point_of(problem, unknowns, linear, point.weights) if linear.finite else point
 
 
 def _moved(problem: Problem, point: Point, column: int, at_s: float) -> Point:

@@ -21,6 +21,7 @@ def fit(R: float, *, K: float | None = 0.05) -> dict[str, Any]:
 
     return {
         "parameters": {"R": row(R, "Ω"), "K": row(K, "N·m/A")},
+        "residual": {"white": True},
         "correlation": {"R": {"R": 1.0, "K": 0.5}, "K": {"K": 1.0, "R": 0.5}},
     }
 
