@@ -139,7 +139,7 @@ def _coordinates(fit: Document, names: Sequence[str], logs: Sequence[bool]) -> t
             y[k] = np.log(row["value"]) if log else row["value"]
             std[k] = row["std"] / row["value"] if log else row["std"]
     known = np.isfinite(y)
-    # Where residuals are not white the standard deviations are wider than the likelihood's, whose correlations these are.
+    # Where residuals are not white the standard deviations are wider than the likelihood, whose correlations these are.
     table = fit["correlation"] if fit.get("residual", {}).get("white") else {}
     correlation = np.eye(p)
     for a, name in enumerate(names):
