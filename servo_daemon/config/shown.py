@@ -47,7 +47,7 @@ def toml(document: Mapping[str, Any]) -> str:
 
 def _table(table: Mapping[str, Any], place: tuple[str, ...]) -> Iterator[str]:
     inner = {k: v for k, v in table.items() if isinstance(v, Mapping) or (not place and _is_tables(v))}
-    yield from (f"{_key(k)} = {_value(v)}" for k, v in table.items() if k not in inner)
+    yield from (f"{_key(k)} = {as_toml(v)}" for k, v in table.items() if k not in inner)
     for key, value in inner.items():
         here = (*place, key)
         name = ".".join(_key(part) for part in here)
@@ -60,14 +60,15 @@ def _is_tables(value: Any) -> bool:
 
 
 def _key(key: str) -> str:
-    return key if _BARE.fullmatch(key) else _value(key)
+    return key if _BARE.fullmatch(key) else as_toml(key)
 
 
-def _value(value: Any) -> str:
+def as_toml(value: Any) -> str:
+    """A value on one line."""
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f" {_key(k)} = {_value(v)}" for k, v in value.items()) + " }" if value else "{}"
+        return "{" + ", ".join(f" {_key(k)} = {as_toml(v)}" for k, v in value.items()) + " }" if value else "{}"
     if isinstance(value, list):
-        return "[" + ", ".join(_value(v) for v in value) + "]"
+        return "[" + ", ".join(as_toml(v) for v in value) + "]"
     if isinstance(value, float):  # TOML has inf and nan, too
         return repr(value)
     # TOML's basic strings are JSON's, with one character more escaped.

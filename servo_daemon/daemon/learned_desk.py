@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from servo_daemon.config import DriveConfig, LearningConfig
+from servo_daemon.config.changes import looked_up
 from servo_daemon.errors import ServoDaemonError
 from servo_daemon.learning.examples.drive import rounded_rate, same_rate
 from servo_daemon.pipeline.training_spec import training_spec
@@ -41,7 +42,8 @@ class _Wanted:
     since_s: float  # monotonic
 
     def serves(self, config: DriveConfig, channels: tuple[str, ...], rate_hz: float) -> bool:
-        return config is self.config and channels == self.channels and same_rate(rate_hz, self.rate_hz)
+        same = config is self.config or looked_up(self.config, config) == config  # but for limits and the like
+        return same and channels == self.channels and same_rate(rate_hz, self.rate_hz)
 
 
 class Seat:
@@ -101,13 +103,18 @@ class LearnedDesk:
         self._thread = threading.Thread(target=self._work, name="learning", daemon=True)
 
     def seat(self, drive: str) -> Seat:
-        """A place for a drive; before `start`."""
+        """A place for a drive; any time."""
         seat = Seat(drive)
-        self._seats.append(seat)
+        self._seats = [*self._seats, seat]
         return seat
 
+    def leave(self, seat: Seat) -> None:
+        """The drive has gone."""
+        self._seats = [s for s in self._seats if s is not seat]
+
     def start(self) -> None:
-        if self._seats:
+        """Again where the first seats have come since."""
+        if self._seats and not self._thread.is_alive():
             self._thread.start()
 
     def begin_stop(self) -> None:

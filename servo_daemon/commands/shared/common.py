@@ -210,6 +210,11 @@ def parameter_rows(parameters: tuple[ParameterEstimate, ...]) -> dict[str, dict[
     return {p.name: {key: getattr(p, key) for key in keys} for p in parameters}
 
 
+def has_terminal() -> bool:
+    """Whether it runs in a terminal, whose end it should share: a service does not."""
+    return any(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stdout, sys.stderr))
+
+
 def stop_signals() -> tuple[signal.Signals, ...]:
     """What asks a command that runs on to end in order: SIGTERM, Ctrl-C, and the terminal that is closed (unless
     `nohup` keeps that from it)."""

@@ -64,7 +64,7 @@ def test_no_secret_is_shown(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def validator() -> Draft202012Validator:
     schema = json_schema(available())
-    assert DIALECT == Draft202012Validator.META_SCHEMA["$schema"]
+    assert Draft202012Validator.META_SCHEMA["$schema"] == DIALECT
     Draft202012Validator.check_schema(schema)
     return Draft202012Validator(schema)
 
