@@ -102,7 +102,7 @@ def _without_drives(config: Config) -> dict[str, Any]:
 def _different(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Keys, dotted, and what has become of each, in words."""
     before, after = dict(_leaves(old, "")), dict(_leaves(new, ""))
-    for key in dict.fromkeys((*before, *after)):
+    for key in dict.fromkeys((*after, *before)):
         a, b = before.get(key), after.get(key)
         if a == b:
             continue

@@ -70,7 +70,7 @@ class Recording:
             except Exception:  # an error in the program must end neither the thread nor the daemon
                 log.exception("history: a turn failed")
                 more = False
-            if not more:
+            if not (more or last):
                 self._wake.wait(TURN_S)
                 self._wake.clear()
         self.recorder.close()
