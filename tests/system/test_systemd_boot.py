@@ -141,7 +141,7 @@ def test_tokens_come_as_a_credential_that_only_the_service_can_read(unit: Machin
     try:
         unit.run("systemctl", "daemon-reload")
         unit.run("systemctl", "start", UNIT)
-        ask = "import sys, urllib.request as r; r.urlopen(r.Request(sys.argv[1], headers=dict([sys.argv[2:]])), timeout=5)"
+        ask = "import sys, urllib.request as r; r.urlopen(r.Request(sys.argv[1], headers={sys.argv[2]: sys.argv[3]}))"
         address = "http://127.0.0.1:8077/api/v1/health"
         unit.run("python3", "-c", ask, address, "Authorization", f"Bearer {secret}")
         assert "HTTP Error 401" in unit.run("sh", "-c", f"python3 -c '{ask}' {address} A B 2>&1", check=False)
