@@ -45,7 +45,7 @@ class Access:
 
 
 class Permission:
-    """See the module."""
+    """Lets a request through if its token permits it, and logs changes."""
 
     def __init__(self, app: ASGIApp, access: Access) -> None:
         self.app, self._access = app, access
