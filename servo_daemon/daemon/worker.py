@@ -72,11 +72,12 @@ class DriveSlot:
         """A round of the drive's work, and time and again what it knows laid out to be saved."""
         if self.left.is_set():
             return
+        leaving = self._leaving  # looked at before: then everything that will come is in the queue
         self.has_worked |= self.runtime.work()
         self.turned = time.monotonic()
         if self.runtime.reader.queue.samples:
             self.call()
-        elif self._leaving:
+        elif leaving:
             self.offer()
             self.left.set()
             return
