@@ -15,6 +15,7 @@ from tests.system.machine import UNIT, Machine, booted, installed_root, wait_for
 pytestmark = [pytest.mark.slow, pytest.mark.system, pytest.mark.timeout(1200)]
 
 STATE = f"/var/lib/{UNIT}/axis1.state.json"
+PROGRAM = "/opt/servo-daemon/.venv/bin/servo-daemon"
 SILENT_DRIVE = '[[drive]]\nname = "axis1"\ndriver = "serial"\n[drive.options]\nport = "/dev/servo/nobody"\n'
 
 
@@ -109,6 +110,44 @@ def test_a_wrong_configuration_is_said_once_and_not_tried_again(unit: Machine) -
     unit.run("systemctl", "start", UNIT, check=False)
     assert unit.is_(ActiveState="failed", SubState="failed", ExecMainStatus="2", NRestarts="0")
     assert unit.journal().count("unknown key 'api.prot'") == 1
+
+
+def test_a_reload_reads_conf_d_and_a_wrong_file_changes_nothing(unit: Machine) -> None:
+    config = unit.run("sh", "-c", f"systemctl cat {UNIT} | sed -n 's/^ExecStart=.*--config //p'").strip()
+    drop_in = str(Path(config).parent / "conf.d" / "test.toml")
+    start_and_learn(unit)
+    process = unit.show("MainPID")
+    try:
+        unit.run("mkdir", "-p", str(Path(drop_in).parent))
+        unit.write(drop_in, '[[drive]]\nname = "axis2"\n')
+        unit.run("systemctl", "reload", UNIT)
+        wait_for("the new drive", lambda: "axis2" in unit.show("StatusText")["StatusText"])
+        wait_for("READY again", lambda: unit.is_(ActiveState="active", SubState="running"))
+        unit.write(drop_in, "[api]\nprot = 1\n")
+        unit.run("systemctl", "reload", UNIT)
+        wait_for("the refusal", lambda: f"{drop_in}: unknown key 'api.prot', line 2" in unit.journal())
+        wait_for("READY again", lambda: unit.is_(ActiveState="active", SubState="running", NRestarts="0"))
+        assert "axis2" in unit.show("StatusText")["StatusText"] and unit.show("MainPID") == process
+    finally:
+        unit.run("rm", "-f", drop_in)
+
+
+def test_tokens_come_as_a_credential_that_only_the_service_can_read(unit: Machine) -> None:
+    tokens, folder = "/etc/tokens-of-root", f"/etc/systemd/system/{UNIT}.service.d"
+    secret = unit.run(f"{PROGRAM}", "token", "new", "me", "--file", tokens).strip()
+    unit.run("chmod", "600", tokens)
+    unit.run("mkdir", "-p", folder)
+    unit.write(f"{folder}/tokens.conf", f"[Service]\nLoadCredential=servo-daemon.tokens:{tokens}\n")
+    try:
+        unit.run("systemctl", "daemon-reload")
+        unit.run("systemctl", "start", UNIT)
+        ask = "import sys, urllib.request as r; r.urlopen(r.Request(sys.argv[1], headers={sys.argv[2]: sys.argv[3]}))"
+        address = "http://127.0.0.1:8077/api/v1/health"
+        unit.run("python3", "-c", ask, address, "Authorization", f"Bearer {secret}")
+        assert "HTTP Error 401" in unit.run("sh", "-c", f"python3 -c '{ask}' {address} A B 2>&1", check=False)
+    finally:
+        unit.run("rm", "-rf", folder, tokens)
+        unit.run("systemctl", "daemon-reload")
 
 
 def test_udev_understands_the_rules(machine: Machine) -> None:
