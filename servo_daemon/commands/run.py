@@ -29,7 +29,7 @@ log = logging.getLogger(__name__)
 
 HELP = "the daemon: estimates, REST API and dashboard; without a config, of a simulated ageing motor"
 EXAMPLE = """  servo-daemon run
-  servo-daemon run --config /etc/servo-daemon.toml"""
+  servo-daemon run --config /etc/servo-daemon/servo-daemon.toml"""
 
 #: Open streams and slow clients may hold up a stop this long, s.
 _DRAIN_S = 1

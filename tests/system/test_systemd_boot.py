@@ -34,7 +34,7 @@ def unit(machine: Machine) -> Machine:
     machine.run("systemctl", "stop", UNIT)
     machine.run("systemctl", "reset-failed", UNIT, check=False)
     machine.run("rm", "-rf", f"/var/lib/private/{UNIT}", f"/var/lib/{UNIT}")
-    machine.run("cp", "/opt/servo-daemon/share/example.toml", "/etc/servo-daemon.toml")
+    machine.run("cp", "/opt/servo-daemon/share/example.toml", "/etc/servo-daemon/servo-daemon.toml")
     machine.forget_journal()
     return machine
 
@@ -65,7 +65,7 @@ def test_the_sandbox_lets_it_compile_and_load_the_plant(unit: Machine) -> None:
 
 
 def test_a_missing_port_delays_the_start_and_does_not_stop_it(unit: Machine) -> None:
-    unit.write("/etc/servo-daemon.toml", SILENT_DRIVE)
+    unit.write("/etc/servo-daemon/servo-daemon.toml", SILENT_DRIVE)
     unit.run("systemctl", "start", "--no-block", UNIT)
     wait_for("the process", lambda: unit.show("MainPID")["MainPID"] != "0")
     wait_for("READY", lambda: unit.is_(ActiveState="active", SubState="running"))
@@ -105,7 +105,7 @@ def test_a_stop_is_clean_and_takes_less_than_two_seconds(unit: Machine) -> None:
 
 
 def test_a_wrong_configuration_is_said_once_and_not_tried_again(unit: Machine) -> None:
-    unit.write("/etc/servo-daemon.toml", "[api]\nprot = 8077\n")
+    unit.write("/etc/servo-daemon/servo-daemon.toml", "[api]\nprot = 8077\n")
     unit.run("systemctl", "start", UNIT, check=False)
     assert unit.is_(ActiveState="failed", SubState="failed", ExecMainStatus="2", NRestarts="0")
     assert unit.journal().count("unknown key 'api.prot'") == 1
