@@ -1,4 +1,4 @@
-"""`deploy/manpages.py FOLDER`: the manual pages, from what the commands say of themselves and the example configuration.
+"""`deploy/manpages.py FOLDER`: manual pages, from what the commands say of themselves and the example configuration.
 
 One page for each command (`man servo-daemon fit`), one over all (`man servo-daemon`), and servo-daemon.toml(5).
 """
