@@ -25,30 +25,29 @@ T = TypeVar("T")
 
 SUITE = "bookworm"
 #: Debian 12 has Python 3.11, the oldest that we support. The compiler: compiled plants are loaded inside the sandbox.
-PACKAGES = (
-    "systemd",
-    "systemd-sysv",
-    "dbus",
-    "udev",
-    "make",
-    "python3",
-    "python3-venv",
-    "gcc",
-    "libc6-dev",
-    "debhelper",
-)
+#: debhelper builds the package.
+PACKAGES = "systemd systemd-sysv dbus udev make python3 python3-venv gcc libc6-dev debhelper".split()
 UNIT = "servo-daemon"
 SOURCE = "/usr/src/servo-daemon"
-#: Both in the container's `SOURCE`/build: what `make deb` has made, and the same with the lower version.
-NEW, OLD, OLD_VERSION = f"{SOURCE}/build/new.deb", f"{SOURCE}/build/old.deb", "0.0.1"
+#: In the container: what `make deb` has made, the same with a lower version, and the same without the packages of the
+#: lock, which are not ours to be found fault with.
+NEW, OLD, OWN = (f"{SOURCE}/build/{name}.deb" for name in ("new", "old", "own"))
+OLD_VERSION = "0.0.1"
 #: Nobody starts a service here, nothing runs: as whoever makes an image for many machines installs it.
 _PACKAGES_SCRIPT = f"""
 cd {SOURCE}
 rm -f build/*.deb
 make deb
 mv build/{UNIT}_*.deb {NEW}
-sed -i 's/^Version: .*/Version: {OLD_VERSION}/' build/deb/tree/debian/{UNIT}/DEBIAN/control
-dpkg-deb --root-owner-group -Znone --build build/deb/tree/debian/{UNIT} {OLD}
+tree=build/deb/tree/debian/{UNIT}
+pack() {{ dpkg-deb --root-owner-group -Zgzip -z1 --build $tree $1; }}
+version() {{ sed -i "s/^Version: .*/Version: $1/" $tree/DEBIAN/control; }}
+version {OLD_VERSION}
+pack {OLD}
+version "$(dpkg-deb --field {NEW} Version)"
+rm -rf $tree/opt/{UNIT}/.venv/lib
+sed -i '/\\.venv\\/lib/d' $tree/DEBIAN/md5sums
+pack {OWN}
 dpkg --purge {UNIT}
 dpkg --install --force-unsafe-io {OLD}
 """

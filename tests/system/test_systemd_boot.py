@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NoReturn
 
 import pytest
 
-from tests.system.machine import NEW, OLD_VERSION, UNIT, Machine, booted, packaged_root, wait_for
+from tests.system.machine import NEW, OLD_VERSION, OWN, UNIT, Machine, booted, packaged_root, wait_for
 
 # The first run builds the container: debootstrap, the packages of the lock, the package.
 pytestmark = [pytest.mark.slow, pytest.mark.system, pytest.mark.timeout(1200)]
@@ -20,12 +21,18 @@ SILENT_DRIVE = '[[drive]]\nname = "axis1"\ndriver = "serial"\n[drive.options]\np
 
 
 @pytest.fixture(scope="module")
-def machine(repo_root: Path, program: Callable[..., str], missing: Callable[[str], NoReturn]) -> Iterator[Machine]:
+def root(repo_root: Path, program: Callable[..., str], missing: Callable[[str], NoReturn]) -> Iterator[Path]:
     if os.geteuid() != 0:
         missing("root, which systemd-nspawn and debootstrap need")
     for name in ("systemd-nspawn", "debootstrap", "nsenter"):
         program(name)
-    with packaged_root(repo_root) as root, booted(root) as machine:
+    with packaged_root(repo_root) as root:
+        yield root
+
+
+@pytest.fixture(scope="module")
+def machine(root: Path) -> Iterator[Machine]:
+    with booted(root) as machine:
         # Before any test has started or stopped it.
         machine.at_boot = machine.show("ActiveState", "NRestarts", "UnitFileState") | {"drive": served(machine)}
         yield machine
@@ -162,6 +169,13 @@ def test_a_token_made_by_root_is_read_by_the_service_and_by_nobody_else(unit: Ma
     assert "drives" in unit.get("/api/v1/drives", token)
     assert unit.get("/api/v1/drives")["status"] == 401
     unit.run("rm", tokens)
+
+
+def test_lintian_finds_nothing_wrong(root: Path, program: Callable[..., str]) -> None:
+    package = root / OWN.lstrip("/")
+    command = [program("lintian"), "--allow-root", "--fail-on=error,warning", str(package)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_manual_pages_and_completion_are_there(machine: Machine) -> None:
