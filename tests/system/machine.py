@@ -26,7 +26,7 @@ T = TypeVar("T")
 SUITE = "bookworm"
 #: Debian 12 has Python 3.11, the oldest that we support. The compiler: compiled plants are loaded inside the sandbox.
 #: debhelper builds the package.
-PACKAGES = "systemd systemd-sysv dbus udev make python3 python3-venv gcc libc6-dev debhelper".split()
+PACKAGES = "systemd,systemd-sysv,dbus,udev,make,python3,python3-venv,gcc,libc6-dev,debhelper"
 UNIT = "servo-daemon"
 SOURCE = "/usr/src/servo-daemon"
 #: In the container: what `make deb` has made, the same with a lower version, and the same without the packages of the
@@ -121,7 +121,7 @@ def packaged_root(repo_root: Path) -> Iterator[Path]:
     """The root file system with the older package installed and the newer one beside it; locked while it is in use."""
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "servo-daemon-tests"
     cache.mkdir(parents=True, exist_ok=True)
-    root = cache / f"{SUITE}-{hashlib.sha256(' '.join(PACKAGES).encode()).hexdigest()[:12]}"
+    root = cache / f"{SUITE}-{hashlib.sha256(PACKAGES.encode()).hexdigest()[:12]}"
     with (cache / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not root.is_dir():
@@ -137,7 +137,7 @@ def packaged_root(repo_root: Path) -> Iterator[Path]:
 def _bootstrap(root: Path) -> None:
     unfinished = root.with_suffix(".unfinished")
     shutil.rmtree(unfinished, ignore_errors=True)
-    _call("debootstrap", "--variant=minbase", f"--include={','.join(PACKAGES)}", SUITE, str(unfinished))
+    _call("debootstrap", "--variant=minbase", f"--include={PACKAGES}", SUITE, str(unfinished))
     unfinished.rename(root)
 
 

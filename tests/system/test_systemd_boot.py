@@ -10,7 +10,7 @@ from typing import NoReturn
 
 import pytest
 
-from tests.system.machine import NEW, OLD_VERSION, OWN, UNIT, Machine, booted, packaged_root, wait_for
+from tests.system.machine import NEW, OLD_VERSION, OWN, SOURCE, UNIT, Machine, booted, packaged_root, wait_for
 
 # The first run builds the container: debootstrap, the packages of the lock, the package.
 pytestmark = [pytest.mark.slow, pytest.mark.system, pytest.mark.timeout(1200)]
@@ -225,10 +225,31 @@ def test_upgrade_keeps_purge_leaves_nothing_install_starts(unit: Machine) -> Non
     unit.run("dpkg", "--purge", UNIT)
     assert leftovers(unit) == []
     assert unit.show("LoadState") == {"LoadState": "not-found"}
+    install_from_source_and_remove(unit)
 
     unit.run("dpkg", "--install", "--force-unsafe-io", NEW)
     assert unit.is_(ActiveState="active", UnitFileState="enabled")
     assert served(unit)
+
+
+def install_from_source_and_remove(machine: Machine) -> None:
+    """`make install` where no package is; then what docs/operations.md says of removing it."""
+    machine.run("mkdir", f"/opt/{UNIT}")
+    machine.run("ln", "-s", f"{SOURCE}/build/deb/venv", f"/opt/{UNIT}/.venv")  # has the packages of the lock already
+    machine.write(f"/etc/{UNIT}.toml", SILENT_DRIVE)  # where the configuration was before there was a package
+    machine.run("make", "-C", SOURCE, "install")
+    assert machine.run("cat", CONFIG) == SILENT_DRIVE
+    machine.run("cp", f"/opt/{UNIT}/share/example.toml", CONFIG)
+    machine.run("systemctl", "daemon-reload")
+    machine.run("systemctl", "enable", "--now", UNIT)
+    assert served(machine)
+    machine.run("systemctl", "disable", "--now", UNIT)
+    places = ("lib", "lib/private", "cache", "cache/private")
+    folders = [f"/opt/{UNIT}", f"/etc/{UNIT}", *(f"/var/{place}/{UNIT}" for place in places)]
+    files = ["systemd/system/{}.service", "sysusers.d/{}.conf", "tmpfiles.d/{}.conf", "udev/rules.d/99-{}.rules"]
+    machine.run("rm", "-r", *folders, *(f"/etc/{name.format(UNIT)}" for name in files))
+    machine.run("userdel", UNIT)
+    assert leftovers(machine) == []
 
 
 def version(machine: Machine) -> str:
