@@ -40,14 +40,14 @@ rm -f build/*.deb
 make deb
 mv build/{UNIT}_*.deb {NEW}
 tree=build/deb/tree/debian/{UNIT}
-pack() {{ dpkg-deb --root-owner-group -Zgzip -z1 --build $tree $1; }}
+pack() {{ dpkg-deb --root-owner-group -Z$1 --build $tree $2; }}
 version() {{ sed -i "s/^Version: .*/Version: $1/" $tree/DEBIAN/control; }}
 version {OLD_VERSION}
-pack {OLD}
+pack none {OLD}
 version "$(dpkg-deb --field {NEW} Version)"
 rm -rf $tree/opt/{UNIT}/.venv/lib
 sed -i '/\\.venv\\/lib/d' $tree/DEBIAN/md5sums
-pack {OWN}
+pack gzip {OWN}
 dpkg --purge {UNIT}
 dpkg --install --force-unsafe-io {OLD}
 """
