@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from servo_daemon.api.times import iso_utc
 from servo_daemon.published.snapshot import (
     Event,
     ParameterEstimate,
     Snapshot,
     finite_or_none,
 )
+from servo_daemon.published.times import iso_utc
 from servo_daemon.published.view import DaemonView, DriveView
 
 Document = dict[str, Any]

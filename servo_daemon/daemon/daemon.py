@@ -15,8 +15,10 @@ from servo_daemon.daemon.diagnosis.runner import DiagnosisRunner
 from servo_daemon.daemon.drive import DriveRuntime
 from servo_daemon.daemon.learned_desk import LearnedDesk
 from servo_daemon.daemon.notify import Notifier
+from servo_daemon.daemon.sinks import sinks_of
 from servo_daemon.daemon.trends.desk import TrendDesk
 from servo_daemon.daemon.worker import Seat, Workers
+from servo_daemon.published.sinks import SinkState
 
 if TYPE_CHECKING:
     from servo_daemon.daemon.recording import Recording
@@ -57,6 +59,7 @@ class Daemon:
         self._workers = Workers(self._stop)
         self._seats = {d.name: self._seat_for(d, state_dir) for d in config.drive}
         self._recording = self._recorded(state_dir)
+        self._sinks = sinks_of(config, tuple(seat.runtime for seat in self._seats.values()), state_dir)
         self._trends = TrendDesk(self.archive, [seat.runtime for seat in self._seats.values()])
         self._watcher = threading.Thread(target=self._watch, name="watch", daemon=True)
         self._saver = threading.Thread(target=self._save, name="saver", daemon=True)
@@ -89,6 +92,11 @@ class Daemon:
         """What was published, for years; None: only the last minutes are kept."""
         return None if self._recording is None else self._recording.archive
 
+    @property
+    def sinks(self) -> Sequence[SinkState]:
+        """The broker and the webhooks, in the order of the configuration."""
+        return [sink.state for sink in self._sinks]
+
     def stopping(self) -> bool:
         """The daemon has been told to stop."""
         return self._stop.is_set()
@@ -98,6 +106,7 @@ class Daemon:
         found = [seat.runtime.problem for seat in self._seats.values()]
         found += [seat.problem for seat in self._seats.values() if self._workers.started]
         found += [None if self._recording is None else self._recording.problem]
+        found += [sink.problem for sink in self.sinks]
         return [p for p in found if p is not None]
 
     def start(self) -> None:
@@ -108,6 +117,8 @@ class Daemon:
         if self._recording is not None:
             self._recording.start()
         self._trends.start()
+        for sink in self._sinks:
+            sink.start()
         for runtime in self.drives.values():
             runtime.reader.start()
 
@@ -119,6 +130,8 @@ class Daemon:
             self._diagnoses.kill()
             self._learned.begin_stop()
             self._trends.begin_stop()
+            for sink in self._sinks:
+                sink.begin_stop()
             for seat in self._seats.values():
                 seat.runtime.reader.request_stop()
                 seat.call()
@@ -135,6 +148,8 @@ class Daemon:
         self._trends.stop(max(0.05, deadline - time.monotonic()))
         if self._recording is not None:  # after the workers: with their last rows
             self._recording.stop(max(0.05, deadline - time.monotonic()))
+        for sink in self._sinks:
+            sink.stop(max(0.05, deadline - time.monotonic()))
         self._diagnoses.stop(max(0.05, deadline - time.monotonic()))
         self._learned.stop(max(0.05, deadline - time.monotonic()))
 
