@@ -193,6 +193,16 @@ def health_document(daemon: DaemonView) -> Document:
         "started": iso_utc(daemon.started),
         "uptime_s": round(max(0.0, time.time() - daemon.started), 3),
         "drives": {name: drive.snapshot().connection for name, drive in daemon.drives.items()},
+        "sinks": {
+            sink.name: {
+                "connected": sink.connected,
+                "waiting": sink.waiting,
+                "sent": sink.sent,
+                "dropped": sink.dropped,
+                "reason": sink.reason,
+            }
+            for sink in daemon.sinks
+        },
     }
 
 

@@ -104,7 +104,7 @@ class Link:
             try:
                 self._session()
             except (_LostError, OSError, ValueError, ServoDaemonError) as error:
-                self._lost(f"{self._where}: {error}")
+                self._lost(f"{self._where}: {getattr(error, 'strerror', None) or error}")
             except Exception as error:  # an error in the program must not end the thread
                 log.exception("mqtt: the connection failed")
                 self._lost(f"{self._where}: {error}")

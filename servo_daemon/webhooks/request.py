@@ -87,7 +87,8 @@ def post(url: str, identity: str, body: bytes, secret: bytes | None, now: float)
         kind = AwayError if error.code >= 500 or error.code in _LATER else RefusedError
         raise kind(f"HTTP {error.code}") from None
     except (OSError, HTTPException) as error:  # URLError is an OSError
-        raise AwayError(str(getattr(error, "reason", None) or error or type(error).__name__)) from error
+        cause = getattr(error, "reason", error)
+        raise AwayError(str(getattr(cause, "strerror", None) or cause) or type(error).__name__) from error
 
 
 class _NoRedirect(urllib.request.HTTPRedirectHandler):
