@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from typing import Any, Final, get_args
 
 from servo_daemon import __version__
@@ -31,17 +32,20 @@ class Discovery:
         discovery_prefix: as Home Assistant is configured.
         topic_prefix: of the states (see `Plain`).
         node: the daemon's name among others.
+        drives: their names.
     """
 
-    def __init__(self, discovery_prefix: str, topic_prefix: str, node: str) -> None:
-        self._discovery_prefix, self._topic_prefix, self._node = discovery_prefix, topic_prefix, node
+    def __init__(self, discovery_prefix: str, topic_prefix: str, node: str, drives: Sequence[str]) -> None:
+        self._topic_prefix = topic_prefix
+        self._identities = {drive: f"servo-daemon_{_clean(node)}_{_clean(drive)}" for drive in drives}
+        self._topics = {drive: f"{discovery_prefix}/device/{i}/config" for drive, i in self._identities.items()}
         self._told: dict[str, dict[str, Any]] = {}  # topic -> the message
         self._known: dict[str, dict[str, str]] = {}  # topic -> platforms by component that the broker may know
 
     @property
-    def topics(self) -> str:
-        """Where the discovery messages are that an earlier run left at the broker."""
-        return f"{self._discovery_prefix}/device/+/config"
+    def topics(self) -> Sequence[str]:
+        """Where the messages are that an earlier run left at the broker."""
+        return tuple(self._topics.values())
 
     def of(self, report: Report, again: bool) -> list[Message]:
         """What has to be told before this report.
@@ -49,9 +53,8 @@ class Discovery:
         Args:
             again: also what was told before: the broker may have lost it.
         """
-        identity = f"servo-daemon_{_clean(self._node)}_{_clean(report.drive)}"
-        topic = f"{self._discovery_prefix}/device/{identity}/config"
-        document = self._document(identity, report)
+        topic = self._topics[report.drive]
+        document = self._document(self._identities[report.drive], report)
         if document == self._told.get(topic) and not again:
             return []
         self._told[topic] = document
@@ -59,16 +62,15 @@ class Discovery:
 
     def heard(self, topic: str, payload: bytes) -> list[Message]:
         """The answer to a discovery message at the broker: what a drive of ours no longer has is taken away."""
-        if topic not in self._told:
-            return []
         try:
             components = json.loads(payload)["components"]
             there = {str(key): str(c["platform"]) for key, c in components.items() if "unique_id" in c}
-        except (ValueError, LookupError, TypeError, AttributeError):
+        except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
             return []
-        known = self._known[topic]
+        known = self._known.setdefault(topic, {})
         known.update(there)
-        return [] if known.keys() <= self._told[topic]["components"].keys() else self._messages(topic)
+        told = self._told.get(topic)  # None: the drive's first report will answer
+        return [] if told is None or known.keys() <= told["components"].keys() else self._messages(topic)
 
     def _messages(self, topic: str) -> list[Message]:
         """The message; before it one that takes away what is no longer there, as Home Assistant wants it."""

@@ -34,7 +34,7 @@ class Plain:
 
     @property
     def topics(self) -> Sequence[str]:
-        return () if self._discovery is None else (self._discovery.topics,)
+        return () if self._discovery is None else self._discovery.topics
 
     def will(self) -> Message:
         return self._status(OFFLINE)

@@ -40,7 +40,9 @@ class MqttSink:
     def __init__(self, config: MqttConfig, sources: Sequence[Source], state_dir: Path | None) -> None:
         queue = DiskQueue(None if state_dir is None else state_dir / FILE, config.buffer_MB * 1e6)
         self._outbox = Outbox(queue)
-        self._link = Link(config, f"servo-daemon-{config.node_name}", encoding_of(config), self._outbox)
+        self._link = Link(
+            config, f"servo-daemon-{config.node_name}", encoding_of(config, [s.name for s in sources]), self._outbox
+        )
         self._sources, self._interval_s = sources, config.interval_s
         self._told: dict[str, Snapshot] = {}
         self._events = {source.name: 0 for source in sources}
@@ -102,7 +104,7 @@ class MqttSink:
         self._outbox.offer(reports)
 
 
-def encoding_of(config: MqttConfig) -> Encoding:
+def encoding_of(config: MqttConfig, drives: Sequence[str]) -> Encoding:
     """As configured.
 
     Raises:
@@ -111,4 +113,5 @@ def encoding_of(config: MqttConfig) -> Encoding:
     prefix, node = config.topic_prefix, config.node_name
     if config.encoding == "sparkplug":
         return Sparkplug(config.group, node)
-    return Plain(prefix, Discovery(config.discovery_prefix, prefix, node) if config.home_assistant else None)
+    discovery = Discovery(config.discovery_prefix, prefix, node, drives) if config.home_assistant else None
+    return Plain(prefix, discovery)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 import tomllib
 from pathlib import Path
 
@@ -10,6 +11,8 @@ import pytest
 
 from servo_daemon.config import parse_config
 from servo_daemon.errors import ConfigError
+from servo_daemon.mqtt import sparkplug_payload
+from servo_daemon.mqtt.sink import MqttSink
 
 
 @pytest.mark.parametrize(
@@ -47,3 +50,26 @@ def test_without_a_prefix_two_machines_do_not_meet() -> None:
     assert prefixes == ["servo-daemon/a", "servo-daemon/b"]
     assert parse_config({"mqtt": {"host": "b", "tls": True}}).mqtt.port_number == 8883  # type: ignore[union-attr]
     assert parse_config({}).mqtt is None
+
+
+@pytest.mark.parametrize(
+    ("module", "encoding", "says"),
+    [("paho.mqtt.client", "json", "needs paho-mqtt"), ("google.protobuf", "sparkplug", "needs protobuf")],
+)
+def test_an_extra_that_is_missing_is_told_at_the_start(
+    module: str, encoding: str, says: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    sparkplug_payload.messages.cache_clear()
+    config = parse_config({"mqtt": {"host": "b", "encoding": encoding}}).mqtt
+    assert config is not None
+    with pytest.raises(ConfigError, match=rf"{says}: pip install 'servo-daemon\[mqtt\]'"):
+        MqttSink(config, (), None)
+
+
+def test_a_password_file_that_cannot_be_read_is_told_at_the_start(tmp_path: Path) -> None:
+    keys = {"host": "b", "username": "u", "password_file": str(tmp_path / "nothing")}
+    config = parse_config({"mqtt": keys}).mqtt
+    assert config is not None
+    with pytest.raises(ConfigError, match=r"password_file .*nothing: cannot be read"):
+        MqttSink(config, (), None)

@@ -175,6 +175,23 @@ def test_what_waits_survives_a_restart_of_the_daemon(broker: Broker, tmp_path: P
         assert value(ear.wait(HISTORY)[0], "R") == drive.snapshot().estimate.parameters[0].value  # type: ignore[union-attr]
 
 
+def test_beyond_the_buffer_the_oldest_go_and_are_counted(broker: Broker, gate: Gate) -> None:
+    drive = Drive()
+    broker.kill()
+    with publishing(broker, [drive], buffer_MB=0.1) as sink:
+        for number in range(4):
+            drive.log.add("alarm", f"{number}", {"detail": "x" * 40_000})
+        wait_for(lambda: sink.state.dropped == 2, "two do not fit")
+        gate.shut()
+        broker.start()
+        with Listener(broker.port, EVENT) as ear:
+            gate.open()
+            events = ear.wait(EVENT, 2)
+            wait_for(lambda: not sink.state.waiting, "all is sent")
+    assert [json.loads(event)["message"] for event in events] == ["2", "3"]
+    assert sink.state.dropped == 2
+
+
 # paho leaves the socket of a failed handshake to the garbage collector.
 @pytest.mark.filterwarnings("ignore:unclosed <ssl:ResourceWarning")
 def test_password_and_tls(program: Callable[..., str], tmp_path: Path) -> None:
