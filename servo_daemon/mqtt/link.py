@@ -30,7 +30,7 @@ _RETRY_S: Final = (1.0, 60.0)
 #: The longest wait for something to come or to become due, s.
 _TURN_S: Final = 0.1
 #: At the end the broker may take so long to take the last messages, s: a stop of the daemon takes less than two.
-_FAREWELL_S: Final = 0.4
+_OFFLINE_S: Final = 0.4
 #: Of the queue so many are under way at a time.
 _BATCH: Final = 50
 
@@ -69,7 +69,7 @@ class Link:
         self._stop.set()
 
     def stop(self, timeout_s: float) -> None:
-        """Say farewell and close. Idempotent."""
+        """Publish that it ends, and close. Idempotent."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join(timeout_s)
@@ -126,13 +126,13 @@ class Link:
             while not self._stop.is_set():
                 self._send(client)
                 self._turn(client)
-            self._farewell(client)
+            self._go_offline(client)
         finally:
             self.connected = False
             unsent = [report for info, reports in self._under_way if not _arrived(info) for report in reports]
             self._under_way, self._batch_end = [], 0
             self._outbox.close(unsent)
-            _hang_up(client)
+            _disconnect(client)
 
     def _wait_for_answer(self, client: Client) -> None:
         deadline = time.monotonic() + _ANSWER_S
@@ -195,11 +195,11 @@ class Link:
         if info.rc:
             raise _LostError("the connection is lost")
 
-    def _farewell(self, client: Client) -> None:
-        """The last words; what else is under way may arrive meanwhile."""
+    def _go_offline(self, client: Client) -> None:
+        """Publish that it ends; what else is under way may arrive meanwhile."""
         for message in self._encoding.death():
             self._publish(client, message)
-        deadline = time.monotonic() + _FAREWELL_S
+        deadline = time.monotonic() + _OFFLINE_S
         while time.monotonic() < deadline and not all(_arrived(info) for info, _ in self._under_way):
             self._turn(client)
         if self._batch_end and all(_arrived(info) for info, _ in self._under_way):
@@ -228,7 +228,7 @@ def _arrived(info: MQTTMessageInfo) -> bool:
     return not info.rc and info.is_published()
 
 
-def _hang_up(client: Client) -> None:
+def _disconnect(client: Client) -> None:
     """Close in order, where there is still somebody."""
     client.disconnect()
     client.loop(0.0)

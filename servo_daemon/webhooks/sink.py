@@ -121,7 +121,7 @@ class WebhookSink:
             self._fail(str(error))
             return False
         self._queue.remove(item.number)
-        self._reach()
+        self._succeed()
         return True
 
     @property
@@ -129,7 +129,7 @@ class WebhookSink:
         """Without the path, which may be secret."""
         return urlsplit(self._config.url).hostname or ""
 
-    def _reach(self) -> None:
+    def _succeed(self) -> None:
         if self._reason is not None:
             self._reconnects += 1
             log.info("%s: %s takes events again", self._name, self._where)

@@ -70,7 +70,7 @@ kinds = ["connected", "filter_started"]
         ear.resubscribed()
         ear.wait(STATE)
         assert servo.stop() < STOP_S
-        wait_for(lambda: ear.of(STATUS)[-1:] == [b"offline"], "the farewell")
+        wait_for(lambda: ear.of(STATUS)[-1:] == [b"offline"], "it is told to be offline")
     assert [json.loads(body)["kind"] for _, body in receiver.requests] == ["connected", "filter_started"]
     receiver.close()
     check_metrics(program("promtool"), exposition)

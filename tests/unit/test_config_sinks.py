@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import re
 import sys
 import tomllib
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from servo_daemon.commands import check
 from servo_daemon.config import parse_config
 from servo_daemon.errors import ConfigError
 from servo_daemon.mqtt import sparkplug_payload
@@ -68,8 +70,9 @@ def test_an_extra_that_is_missing_is_told_at_the_start(
 
 
 def test_a_password_file_that_cannot_be_read_is_told_at_the_start(tmp_path: Path) -> None:
-    keys = {"host": "b", "username": "u", "password_file": str(tmp_path / "nothing")}
-    config = parse_config({"mqtt": keys}).mqtt
-    assert config is not None
+    """`check` tells it, too, before it opens a device."""
+    file = tmp_path / "c.toml"
+    file.write_text(f'[mqtt]\nhost = "b"\nusername = "u"\npassword_file = "{tmp_path}/nothing"\n[[drive]]\n')
+    arguments = argparse.Namespace(config=file, listen=1.0, json=False)
     with pytest.raises(ConfigError, match=r"password_file .*nothing: cannot be read"):
-        MqttSink(config, (), None)
+        check.run(arguments)
