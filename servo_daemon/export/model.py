@@ -38,6 +38,7 @@ class ExportedModel:
         linear: the axis moves along a line: units are m, N and kg.
         meaning: how the drive's own signals become those of this motor.
         gear_known: the source says how the encoder is geared.
+        sample_period_s: of the drive; None: not known.
         limits: `voltage_V`, `current_A`, `velocity_rad_s` as far as they are known, at the motor's shaft.
     """
 
@@ -51,6 +52,7 @@ class ExportedModel:
     meaning: SignalMeaning = field(default_factory=SignalMeaning)
     gear_known: bool = True
     limits: Mapping[str, float] = field(default_factory=dict)
+    sample_period_s: float | None = None
 
     @property
     def gear(self) -> float:
@@ -91,7 +93,7 @@ class Export:
     Attributes:
         content: of the file.
         notes: what the target cannot express, and other remarks, in words.
-        beside: further files that belong to it, by what their names end in.
+        beside: further files that belong into the same folder, by their names.
     """
 
     content: bytes

@@ -15,6 +15,7 @@ _MODULES = {
     "isaac": "isaac",
     "modelica": "modelica",
     "simulink": "simulink",
+    "c": "c.write",
 }
 NAMES = tuple(_MODULES)
 

@@ -33,6 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     common.add_config(parser)
     common.add_fix(parser, "values that are known, e.g. R=3.57,K=0.046 (SI); repeatable")
     parser.add_argument("--gear-ratio", type=float, metavar="N", help="turns of the motor for one of the output")
+    parser.add_argument("--rate-hz", type=float, metavar="F", help="samples a second of the drive (--to c, --to fmu)")
     common.add_out(parser, "the file (default: stdout)", metavar="FILE")
 
 
@@ -79,6 +80,10 @@ def read(arguments: argparse.Namespace) -> ExportedModel:
             model = replace(model, meaning=replace(model.meaning, gear_ratio=ratio), gear_known=True)
         except BadInputError as error:
             raise BadInputError(f"--gear-ratio: {error}") from None
+    if (rate := arguments.rate_hz) is not None:
+        if not 1.0 <= rate <= 1e6:
+            raise BadInputError(f"--rate-hz must lie between 1 and 1e6, not {rate:g}")
+        model = replace(model, sample_period_s=1.0 / rate)
     return model
 
 
@@ -95,7 +100,9 @@ def _put(out: Path | None, export: Export, force: bool) -> None:
             raise BadInputError("this target is more than a text: say --out FILE")
         sys.stdout.write(export.content.decode())
         return
-    others = {out.with_suffix(suffix): content for suffix, content in export.beside.items()}
+    others = {out.with_name(name): content for name, content in export.beside.items()}
+    if out in others:
+        raise BadInputError(f"--out {out}: is what belongs to it called: choose another name")
     common.may_overwrite(force, *others)
     for path, content in {**others, out: export.content}.items():
         with AtomicFile(path) as file:

@@ -72,7 +72,8 @@ def from_daemon(url: str, name: str | None, drive: DriveConfig | None) -> Export
     rows = document["parameters"]
     source = f"{url}, drive {name}, {document['time'] or 'before the first sample'}"
     model = _checked(name, source, _input(rows), document["model"], rows, url, linear=False)
-    return _with_drive(model, drive, None)
+    rate = document.get("sample_rate_hz")
+    return replace(_with_drive(model, drive, None), sample_period_s=1.0 / rate if rate else None)
 
 
 def from_config(drive: DriveConfig, path: Path) -> ExportedModel:
@@ -156,13 +157,15 @@ def _with_drive(model: ExportedModel, drive: DriveConfig | None, meaning: Signal
     known = meaning is not None
     meaning = meaning or SignalMeaning()
     limits: dict[str, float] = {}
+    period = None
     if drive is not None:
         known = True
+        period = None if drive.controller.rate_hz is None else 1.0 / drive.controller.rate_hz
         meaning = drive.signals.meaning(meaning)
         given = drive.limits
         names = ("voltage_V", "current_A", "velocity_rad_s")
         limits = {n: float(v) for n in names if (v := getattr(given, n)) is not None}
-    return replace(model, meaning=meaning, gear_known=known, limits=limits)
+    return replace(model, meaning=meaning, gear_known=known, limits=limits, sample_period_s=period)
 
 
 def _in_order(names: tuple[str, ...], values: Mapping[str, Value]) -> dict[str, Value]:
