@@ -16,6 +16,7 @@ _MODULES = {
     "modelica": "modelica",
     "simulink": "simulink",
     "c": "c.write",
+    "fmu": "fmu.write",
 }
 NAMES = tuple(_MODULES)
 
