@@ -17,6 +17,7 @@ from servo_daemon.daemon.drive_parts import line_counters, same_channels, stale
 from servo_daemon.daemon.learned_desk import Seat
 from servo_daemon.daemon.load import LoadWatch
 from servo_daemon.daemon.model_desk import ModelDesk
+from servo_daemon.daemon.onboard import with_onboard
 from servo_daemon.daemon.reader import Link, Reader
 from servo_daemon.daemon.state_keeper import StateKeeper
 from servo_daemon.errors import NumericalError, RefusedError
@@ -230,7 +231,7 @@ class DriveRuntime:
             estimate, told = self._warnings.update(estimate)
             self.log.tell(told)
             self._diagnoses.watch(estimate)
-        self.estimate = estimate
+        self.estimate = with_onboard(estimate, self.reader.driver.onboard, time.monotonic())
 
     def _learn(self, seat: Seat, pipeline: Pipeline, estimate: Estimate | None) -> Estimate | None:
         """Tell the desk what is needed, take what has come; the estimate with what is published until then."""

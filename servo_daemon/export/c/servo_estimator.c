@@ -36,6 +36,7 @@ enum { N = SERVO_STATES, NP = SERVO_PARAMETERS };
 static inline float servo_max(float a, float b) { return a > b ? a : b; }
 @HELPERS@static inline float servo_abs(float a) { return a < 0.0f ? -a : a; }
 
+const char servo_parameter_names[SERVO_PARAMETERS][8] = {@QUOTED@};
 /* Exported values, their standard deviation (relative; of TL in N m; 0: not known), bounds and kind. */
 static const float EXPORTED[NP] = {@VALUES@};
 static const float EXPORTED_STD[NP] = {@STDS@};

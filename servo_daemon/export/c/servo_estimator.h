@@ -21,6 +21,8 @@
 
 /* Parameters that are estimated. */
 enum { @NAMES@, SERVO_PARAMETERS };
+/* Their names as the daemon has them, for servo_wire_estimates. */
+extern const char servo_parameter_names[SERVO_PARAMETERS][8];
 /* Estimated quantities: current, speed, angle, then the parameters. */
 enum { SERVO_CURRENT, SERVO_SPEED, SERVO_ANGLE, SERVO_STATES = 3 + SERVO_PARAMETERS };
 /* Inductance, held, H. */

@@ -49,6 +49,7 @@ def write(model: ExportedModel) -> Export:
     filled = {
         "HEADER": comment,
         "NAMES": ", ".join(f"SERVO_{name.upper()}" for name in names),
+        "QUOTED": ", ".join(f'"{name}"' for name in names),
         "N": str(len(names)),
         "L": literal(values["L"]),
         "LONGEST": literal(longest),

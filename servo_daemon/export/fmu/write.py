@@ -112,9 +112,7 @@ def _variable(name: str, reference: int, attributes: str, real: str, what: str) 
     return f"{head} description={quoteattr(what)}>\n      <Real {real}/>\n    </ScalarVariable>"
 
 
-def _description(
-    plant: PlantModel, model: ExportedModel, values: dict[str, float], guid: str, head: list[str]
-) -> str:
+def _description(plant: PlantModel, model: ExportedModel, values: dict[str, float], guid: str, head: list[str]) -> str:
     name = identifier(model.name)
     given, unit = _INPUTS[model.drive]
     output, state = 'causality="output" variability="continuous"', 'causality="local" variability="continuous"'
