@@ -12,7 +12,7 @@ from servo_daemon.export.expressions import Language, as_text
 from servo_daemon.export.model import CORE, ExportedModel
 from servo_daemon.plant import equations
 from servo_daemon.plant.dry import dry_levels
-from servo_daemon.plant.effects import Signals, effects_by_name, instants, probe
+from servo_daemon.plant.effects import Signals, effects_by_name, event_times, probe
 
 #: An event takes so long, s: a step in an expression that has a derivative.
 _EVENT_S = 1e-6
@@ -90,7 +90,7 @@ def balances(model: ExportedModel) -> Balances:
         forward=forward, backward=backward, dry_drop=dry_drop if voltage else ca.SX(0), load=load,
         factor_K=K / p["K"], factor_R=R / p["R"], sensed=sensed, used=tuple(dict.fromkeys(names)),
     )  # fmt: skip
-    instant = 0.0 if not any(q in names for q in instants()) else _EVENT_S
+    instant = 0.0 if not any(q in names for q in event_times()) else _EVENT_S
     return _with_length(found, h, instant)
 
 

@@ -1,4 +1,4 @@
-"""`--to isaac`: the fields of Isaac Lab's actuator configurations (isaaclab.actuators: ImplicitActuatorCfg, DCMotorCfg)."""
+"""`--to isaac`: the fields of Isaac Lab's actuators (isaaclab.actuators: ImplicitActuatorCfg, DCMotorCfg)."""
 
 from __future__ import annotations
 

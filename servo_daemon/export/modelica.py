@@ -1,4 +1,4 @@
-"""`--to modelica`: a model with the pins and the flange of the Modelica Standard Library, whose bearing friction it uses."""
+"""`--to modelica`: a model with pins, flange and bearing friction of the Modelica Standard Library."""
 
 from __future__ import annotations
 

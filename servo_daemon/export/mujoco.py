@@ -22,7 +22,7 @@ from servo_daemon.plant.effects.winding_heating import ALPHA_COPPER_1_K
 
 #: Bristles of MuJoCo's LuGre friction swing with this share of the step: explicit integration is stable below 2.
 _BRISTLE_SWING = 0.5
-#: Impedance of dry friction (MuJoCo, *Computation*, solver parameters): nearly rigid, so that it holds a shaft that stands.
+#: Impedance of dry friction (MuJoCo, *Computation*, solver parameters): nearly rigid, so that it holds a shaft.
 _HARD = 0.9999
 #: Steps in a time constant of the winding; and the shortest and longest step, s.
 _STEPS, _SHORTEST_S, _LONGEST_S = 10.0, 2e-5, 2e-3

@@ -21,7 +21,8 @@ def write(model: ExportedModel) -> Export:
         inertial = [
             "      <inertial>",
             f"        <mass>{i if model.linear else 1}</mass>",
-            f"        <inertia><ixx>{i}</ixx><iyy>{i}</iyy><izz>{i}</izz><ixy>0</ixy><ixz>0</ixz><iyz>0</iyz></inertia>",
+            f"        <inertia><ixx>{i}</ixx><iyy>{i}</iyy><izz>{i}</izz>",
+            "          <ixy>0</ixy><ixz>0</ixz><iyz>0</iyz></inertia>",
             "      </inertial>",
         ]
         if not model.linear:

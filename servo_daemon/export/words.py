@@ -62,7 +62,10 @@ def common_notes(model: ExportedModel) -> list[str]:
 
 
 #: For targets whose model has bodies of its own.
-ALL_INERTIA = "J is all the inertia that the motor moved, load included: what the other model has of it as bodies must be taken off"
+ALL_INERTIA = (
+    "J is all the inertia that the motor moved, load included: what the other model has of it as bodies must be "
+    "taken off"
+)
 
 
 def not_expressed(model: ExportedModel, expressed: Collection[str], why: Mapping[str, str] | None = None) -> list[str]:

@@ -1,4 +1,4 @@
-"""A CasADi function as lines of C99 in single precision: one a step, no array but the arguments, no call into CasADi."""
+"""A CasADi function as lines of C99 in single precision: no array but the arguments, no call into CasADi."""
 
 from __future__ import annotations
 
@@ -7,10 +7,20 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-_BINARY = {ca.OP_ADD: "{0} + {1}", ca.OP_SUB: "{0} - {1}", ca.OP_MUL: "{0} * {1}", ca.OP_DIV: "{0} / {1}",
-           ca.OP_LT: "{0} < {1}", ca.OP_LE: "{0} <= {1}", ca.OP_EQ: "{0} == {1}", ca.OP_AND: "{0} && {1}", ca.OP_OR: "{0} || {1}",
-           ca.OP_FMIN: "servo_min({0}, {1})", ca.OP_FMAX: "servo_max({0}, {1})",
-           ca.OP_IF_ELSE_ZERO: "{0} ? {1} : 0.0f"}  # fmt: skip
+_BINARY = {
+    ca.OP_ADD: "{0} + {1}",
+    ca.OP_SUB: "{0} - {1}",
+    ca.OP_MUL: "{0} * {1}",
+    ca.OP_DIV: "{0} / {1}",
+    ca.OP_LT: "{0} < {1}",
+    ca.OP_LE: "{0} <= {1}",
+    ca.OP_EQ: "{0} == {1}",
+    ca.OP_AND: "{0} && {1}",
+    ca.OP_OR: "{0} || {1}",
+    ca.OP_FMIN: "servo_min({0}, {1})",
+    ca.OP_FMAX: "servo_max({0}, {1})",
+    ca.OP_IF_ELSE_ZERO: "{0} ? {1} : 0.0f",
+}
 _UNARY = {ca.OP_NEG: "-{0}", ca.OP_SQ: "{0} * {0}", ca.OP_TWICE: "2.0f * {0}", ca.OP_INV: "1.0f / {0}",
           ca.OP_FABS: "servo_abs({0})", ca.OP_NOT: "!{0}", ca.OP_SIGN: "servo_sign({0})"}  # fmt: skip
 _LOGICAL = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NOT, ca.OP_AND, ca.OP_OR)

@@ -63,7 +63,7 @@ def write(model: ExportedModel) -> Export:
         "STEP": textwrap.indent("\n".join(body), "    "),
         "HELPERS": "".join(text for name, text in _HELPERS.items() if any(f"{name}(" in line for line in body)),
         "AWAY": _AWAY if "Tc" in names else "",
-        "MEMORY": f"{_size(len(names))} bytes (sizeof(servo_estimator)), and with 4 parameters {_MEASURED_STACK} of stack.",
+        "MEMORY": f"{_size(len(names))} bytes (sizeof(servo_estimator)), with 4 parameters {_MEASURED_STACK} of stack.",
         "TIME": _TIME,
     }
     notes.append("define SERVO_RAD_PER_COUNT and give the noise of your converters to the start: no export knows them")
@@ -80,8 +80,11 @@ _HELPERS = {
 _AWAY = "    away[1] += (away[1] >= 0.0f ? TO_SLIDE : -TO_SLIDE) * sqrtf(variance(e, SERVO_SPEED));"
 
 
-_TIME = f"""{_MEASURED_INSTRUCTIONS} instructions a sample on a Cortex-M4F (-O3) with 4 parameters at 1 kHz, {_MEASURED_OPERATIONS} operations in the
- * step: {_MEASURED_INSTRUCTIONS / _CLOCK_MHZ:.0f} us at {_CLOCK_MHZ:g} MHz and an instruction a cycle; its some 40 divisions of 14 cycles take 3 us more."""
+_TIME = (
+    f"{_MEASURED_INSTRUCTIONS} instructions a sample on a Cortex-M4F (-O3) with 4 parameters at 1 kHz, where the step\n"
+    f" * has {_MEASURED_OPERATIONS} operations: {_MEASURED_INSTRUCTIONS / _CLOCK_MHZ:.0f} us at {_CLOCK_MHZ:g} MHz "
+    "and an instruction a cycle; its some 40 divisions of 14 cycles take 3 us more."
+)
 
 
 def _size(parameters: int) -> int:

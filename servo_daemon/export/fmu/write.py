@@ -74,8 +74,8 @@ def _source(plant: PlantModel, model: ExportedModel, values: dict[str, float]) -
         arguments = [ca.SX.sym(f"a{k}", function.numel_in(k)) for k in range(function.n_in())]
         dense = ca.Function(f"servo_plant_{key}", arguments, [ca.densify(r) for r in function.call(arguments)])
         generator.add(dense)
-        for size in ("arg", "res", "iw", "w"):
-            sizes.append(f"#define SZ_{size.upper()}_{key.upper()} {getattr(dense, f'sz_{size}')()}")
+        needs = {"ARG": dense.sz_arg(), "RES": dense.sz_res(), "IW": dense.sz_iw(), "W": dense.sz_w()}
+        sizes += [f"#define SZ_{what}_{key.upper()} {size}" for what, size in needs.items()]
     v, i = model.meaning.factors
     gear = model.gear
     filled = {

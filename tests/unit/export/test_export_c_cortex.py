@@ -11,8 +11,19 @@ import numpy as np
 import pytest
 
 from tests.unit.export.firmware import (
-    CURRENT_STD, NAMES, POSITION_STD, RAD_PER_COUNT, RATE_HZ, START_STD, TICK, VOLTAGE_STD, Recorded,
-    daemons_estimates, exported, recorded, wrapped,
+    CURRENT_STD,
+    NAMES,
+    POSITION_STD,
+    RAD_PER_COUNT,
+    RATE_HZ,
+    START_STD,
+    TICK,
+    VOLTAGE_STD,
+    Recorded,
+    daemons_estimates,
+    exported,
+    recorded,
+    wrapped,
 )  # fmt: skip
 from tests.unit.export.motor import VALUES
 

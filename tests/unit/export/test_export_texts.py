@@ -83,8 +83,15 @@ def test_what_is_not_known_is_not_invented(tmp_path: Path, export: Exporting) ->
     assert export(no_friction, "--to", "python")[0] == 2
 
 
-@pytest.mark.parametrize("content", [{}, {"verdict": "none"}, {"model": 3, "parameters": {}, "input": "voltage"},
-                                     {"model": [], "parameters": {"R": {"value": "x"}}, "input": "voltage"}])  # fmt: skip
+@pytest.mark.parametrize(
+    "content",
+    [
+        {},
+        {"verdict": "none"},
+        {"model": 3, "parameters": {}, "input": "voltage"},
+        {"model": [], "parameters": {"R": {"value": "x"}}, "input": "voltage"},
+    ],
+)
 def test_what_is_no_such_document_is_refused_by_name(content: dict[str, Any], export: Exporting) -> None:
     code, told = export(content, "--to", "json")
     assert code == 2
@@ -93,8 +100,9 @@ def test_what_is_no_such_document_is_refused_by_name(content: dict[str, Any], ex
 
 def test_a_diagnosis_exports_the_model_it_found_with_its_gear(tmp_path: Path, export: Exporting) -> None:
     fit = document("coulomb_friction", names=("Tc",))
-    diagnosis = {"verdict": "found", "input": "voltage", "drive": "axis1", "measured": [], "signals": fit["signals"],
-                 "baseline": document(), "extended": {"model": fit["model"], "parameters": fit["parameters"]}}  # fmt: skip
+    extended = {"model": fit["model"], "parameters": fit["parameters"]}
+    diagnosis = {"verdict": "found", "drive": "axis1", "baseline": document(), "extended": extended}
+    diagnosis |= {"input": "voltage", "measured": [], "signals": fit["signals"]}
     out = tmp_path / "a.json"
     assert export(diagnosis, "--to", "json", "--out", str(out))[0] == 0
     found = json.loads(out.read_text())
