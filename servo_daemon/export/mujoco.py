@@ -1,4 +1,4 @@
-"""`--to mujoco`: a joint and its actuator as MJCF. MuJoCo 3.8 and newer have a `dcmotor` with winding, cogging,
+"""`--to mujoco`: a joint and its actuator as MJCF. MuJoCo 3.7 and newer have a `dcmotor` with winding, cogging,
 Stribeck friction and heat; where the winding is not known, a `general` actuator takes the current.
 
 MuJoCo, *XML reference*, actuator/dcmotor and body/joint; *DC Motor Model* (dcmotor.pdf), sections 2.1 to 2.4.

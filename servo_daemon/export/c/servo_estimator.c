@@ -23,7 +23,9 @@
 #define SERVO_KNOWN 0.05f     /* relative standard deviation below which a parameter is known */
 #define SAMPLES_TO_TRUST 10u  /* after a start */
 #define DOUBTFUL_SHARE 0.1f   /* of outliers among the last samples */
-#define OUTLIER_MEMORY 0.005f /* the last 200 samples */
+#define MEMORY 0.005f         /* the last 200 samples */
+#define LARGE 2.0f            /* mean square of what should have 1 */
+#define COLOURED 0.3f         /* correlation of neighbours: white noise has 0.05 over so many */
 #define REBASE_RAD 8.0f       /* single precision keeps 1e-6 rad below this */
 #define WINDOW 16u            /* samples of a least-squares equation */
 #define START_KNOWN 0.1f      /* relative standard deviation at which least squares hands over */
@@ -150,6 +152,12 @@ static int measure(servo_estimator *e, int m, float y, float r) {
         s += v[j] * (j == m ? 1.0f : e->U[m][j]);
     }
     const float innovation = y - e->x[m];
+    if (m == SERVO_CURRENT && e->samples >= SAMPLES_TO_TRUST) {
+        const float size = servo_abs(innovation) < GATE * sqrtf(s) ? innovation / sqrtf(s) : 0.0f;
+        e->nis += MEMORY * (size * size - e->nis);
+        e->lagged += MEMORY * (size * e->last - e->lagged);
+        e->last = size;
+    }
     const float extra = innovation * innovation / (GATE * GATE) - s;
     const int outlier = extra > 0.0f;
     if (outlier) { /* half of it was the sensor, half the motor */
@@ -207,7 +215,8 @@ static void begin(servo_estimator *e, const float *values, const float *std, int
         put_parameter(e, k);
     }
     for (int k = 0; k < 3; k++) e->x[k] = e->instrument[k] = 0.0f;
-    e->age_s = e->outliers = 0.0f;
+    e->age_s = e->outliers = e->lagged = e->last = 0.0f;
+    e->nis = 1.0f;
     e->walks = 0;
     e->base_counts = counts;
     e->leaning = 0;
@@ -235,6 +244,7 @@ void servo_estimator_start(servo_estimator *e, const servo_noise *noise, int32_t
     e->start_std = wider;
 }
 
+#if SERVO_LINEAR
 void servo_estimator_start_unknown(servo_estimator *e, const servo_noise *noise, int32_t counts) {
     servo_estimator_start(e, noise, counts, 3.0f);
     e->leaning = 1;
@@ -313,15 +323,18 @@ static void least_squares(servo_estimator *e, float h, float voltage, float curr
     e->last_i = current;
     e->last_theta = theta;
 }
+#endif
 
 void servo_estimator_sample(servo_estimator *e, float h, float voltage, float current, int32_t counts, int valid) {
     int outlier = 0;
     h = servo_max(h, 1e-6f);
+#if SERVO_LINEAR
     if (e->leaning) {
         if (valid == SERVO_ALL_VALID) least_squares(e, h, voltage, current, counts);
         e->voltage = voltage;
         return;
     }
+#endif
     time_update(e, h);
     const float modelled[2] = {e->instrument[0], e->instrument[1]};
     if (valid & SERVO_CURRENT_VALID)
@@ -335,7 +348,7 @@ void servo_estimator_sample(servo_estimator *e, float h, float voltage, float cu
     for (int i = 0; i < 2; i++) e->instrument[i] = e->x[i] + slow * (modelled[i] - e->x[i]);
     e->instrument[2] = e->x[2];
     e->age_s = outlier ? SAMPLES_TO_FIND_SPEED * h : e->age_s < 1e4f ? e->age_s + h : e->age_s;
-    e->outliers += OUTLIER_MEMORY * ((outlier ? 1.0f : 0.0f) - e->outliers);
+    e->outliers += MEMORY * ((outlier ? 1.0f : 0.0f) - e->outliers);
     e->voltage = voltage;
     e->samples++;
     if (valid & SERVO_POSITION_VALID) rebase(e, counts);
@@ -355,7 +368,8 @@ void servo_estimator_sample(servo_estimator *e, float h, float voltage, float cu
 
 servo_status servo_estimator_status(const servo_estimator *e) {
     if (e->leaning || e->samples < SAMPLES_TO_TRUST) return e->broken ? SERVO_INVALID : SERVO_STARTING;
-    if (e->outliers > DOUBTFUL_SHARE) return SERVO_DOUBTFUL;
+    if (e->outliers > DOUBTFUL_SHARE || e->nis > LARGE || servo_abs(e->lagged) > COLOURED * servo_max(e->nis, 1.0f))
+        return SERVO_DOUBTFUL;
     for (int k = 0; k < NP; k++)
         if (!SIGNED[k] && !(variance(e, 3 + k) < SERVO_KNOWN * SERVO_KNOWN)) return SERVO_ESTIMATING;
     return SERVO_TRACKING;

@@ -31,6 +31,8 @@ enum { SERVO_CURRENT, SERVO_SPEED, SERVO_ANGLE, SERVO_STATES = 3 + SERVO_PARAMET
 #ifndef SERVO_RAD_PER_COUNT
 #error "define SERVO_RAD_PER_COUNT: what one count of your encoder is, rad at the motor's shaft"
 #endif
+/* 1: the linear motor and nothing else. */
+#define SERVO_LINEAR @LINEAR@
 /* Longest step that the series serves, s. */
 #define SERVO_LONGEST_STEP_S @LONGEST@
 
@@ -38,7 +40,8 @@ typedef enum {
     SERVO_STARTING,   /* least squares, or the first samples: no value is to be used */
     SERVO_ESTIMATING, /* some parameter is known to worse than SERVO_KNOWN */
     SERVO_TRACKING,   /* all are known */
-    SERVO_DOUBTFUL,   /* many samples are outliers: the model does not fit the motor now */
+    SERVO_DOUBTFUL,   /* many outliers, or innovations larger than the noise or like their neighbours: the model does
+                         not fit the motor, or the noise is not what it was said to be; the deviations are too small */
     SERVO_INVALID     /* numbers broke down; it has started again from where it began */
 } servo_status;
 
@@ -58,7 +61,9 @@ typedef struct {
     float start[SERVO_PARAMETERS];
     float U[SERVO_STATES][SERVO_STATES];       /* covariance U D U', U unit upper triangular */
     float D[SERVO_STATES];
-    float voltage, age_s, outliers, start_std; /* outliers: share of the last samples */
+    float voltage, age_s, start_std;
+    float outliers, nis, lagged, last; /* of the last samples: share; the current's innovations in units of their
+                                          standard deviation: mean square, product with the one before, the last */
     servo_noise noise;
     int32_t base_counts;
     uint32_t samples;
@@ -75,9 +80,10 @@ void servo_estimator_start(servo_estimator *e, const servo_noise *noise, int32_t
 /* Start from these, believed to a relative `std` each (of TL: in N m). */
 void servo_estimator_start_at(servo_estimator *e, const servo_noise *noise, int32_t counts, const float *values,
                               const float *std);
-/* Start from nothing known but L: least squares over the two balances first (R and K, then J and B; others from the
- * exported values), until the motion has told them; then the filter. */
+#if SERVO_LINEAR
+/* Start from nothing known but L: least squares over the two balances first (R and K, then J and B), until the motion has told them; then the filter. */
 void servo_estimator_start_unknown(servo_estimator *e, const servo_noise *noise, int32_t counts);
+#endif
 /* One sample, `h` s after the one before. */
 void servo_estimator_sample(servo_estimator *e, float h, float voltage, float current, int32_t counts, int valid);
 servo_status servo_estimator_status(const servo_estimator *e);

@@ -8,7 +8,7 @@ from importlib.resources import files
 from servo_daemon.errors import BadInputError
 from servo_daemon.export.c.lines import c_lines, literal
 from servo_daemon.export.c.step import KNOWN, build_step, doublings_for
-from servo_daemon.export.model import Export, ExportedModel, Target
+from servo_daemon.export.model import CORE, Export, ExportedModel, Target
 from servo_daemon.export.words import common_notes, header
 from servo_daemon.plant.effects import parameter_table
 
@@ -18,7 +18,7 @@ _ASSUMED_PERIOD_S = 1e-3
 _LONGEST = 2.0
 #: Measured with 4 parameters at 1 kHz by tests/unit/export/test_export_c_cortex.py (arm-none-eabi-gcc 12.2 -O3
 #: -mcpu=cortex-m4 -mfpu=fpv4-sp-d16, QEMU with -icount): the step's operations, all instructions of a sample, stack.
-_MEASURED_OPERATIONS, _MEASURED_INSTRUCTIONS, _MEASURED_STACK = 624, 2369, 360
+_MEASURED_OPERATIONS, _MEASURED_INSTRUCTIONS, _MEASURED_STACK = 624, 2402, 360
 _CLOCK_MHZ = 168.0
 
 
@@ -63,6 +63,7 @@ def write(model: ExportedModel) -> Export:
         "STEP": textwrap.indent("\n".join(body), "    "),
         "HELPERS": "".join(text for name, text in _HELPERS.items() if any(f"{name}(" in line for line in body)),
         "AWAY": _AWAY if "Tc" in names else "",
+        "LINEAR": str(int(len(names) == len(CORE["voltage"]) - 1)),
         "MEMORY": f"{_size(len(names))} bytes (sizeof(servo_estimator)), with 4 parameters {_MEASURED_STACK} of stack.",
         "TIME": _TIME,
     }
@@ -90,7 +91,7 @@ _TIME = (
 def _size(parameters: int) -> int:
     """sizeof(servo_estimator) where every member but the last bytes has four."""
     states = 3 + parameters
-    return 4 * (states * states + states + 4 * parameters + 38)
+    return 4 * (states * states + states + 4 * parameters + 41)
 
 
 def _std(model: ExportedModel, name: str) -> float:

@@ -51,12 +51,15 @@ def recorded(seconds: float, seed: int = 3, Tc: float = 0.0) -> Recorded:
     rng = np.random.default_rng(seed)
     n = int(seconds * RATE_HZ)
     voltage = np.repeat(rng.uniform(-6.0, 6.0, -(-n // 40)), 40)[:n]
-    Ad, Bd = linear_step(TRUE, H)
+    parts = 10 if Tc else 1  # dry friction turns round within a sample
+    Ad, Bd = linear_step(TRUE, H / parts)
     x, rows = np.zeros(3), []
     for v in voltage:
         rows.append(x)
-        x = Ad @ x + Bd[:, 0] * (v + VOLTAGE_STD * rng.standard_normal())
-        x = x + Bd[:, 1] * np.clip(-x[1] / Bd[1, 1], -Tc, Tc)
+        held = v + VOLTAGE_STD * rng.standard_normal()
+        for _ in range(parts):
+            x = Ad @ x + Bd[:, 0] * held
+            x = x + Bd[:, 1] * np.clip(-x[1] / Bd[1, 1], -Tc, Tc)
     states = np.array(rows)
     current = states[:, 0] + CURRENT_STD * rng.standard_normal(n)
     current[rng.integers(200, n, 5)] += 20.0

@@ -39,11 +39,19 @@ def test_every_tick_is_the_daemons(library) -> None:  # type: ignore[no-untyped-
 
 def test_with_dry_friction_too(program: Callable[..., str], tmp_path: Path) -> None:
     exported(tmp_path, "coulomb_friction")
-    capture = recorded(3.0, Tc=0.012)
+    capture = recorded(2.0, Tc=0.012)
     board = OnBoard(compiled(tmp_path, program("gcc", "cc")), capture.counts[0], friction=True)
-    values, _ = board.run(capture)
+    values, std = board.run(capture)
     expected, relative = daemons_estimates(capture, ("coulomb_friction",))
     assert np.all(np.abs(np.log(values / expected)) < WITHIN_STD * relative)
+    assert np.all(np.abs(values[-1] - [*(TRUE[n] for n in NAMES), 0.012]) < 4.0 * std[-1])
+
+
+def test_what_its_model_lacks_makes_it_doubtful(library) -> None:  # type: ignore[no-untyped-def]
+    capture = recorded(2.0, Tc=0.02)
+    board = OnBoard(library, capture.counts[0])
+    board.run(capture)
+    assert board.status == DOUBTFUL
 
 
 def test_it_starts_from_nothing_and_says_when_it_knows(library) -> None:  # type: ignore[no-untyped-def]
