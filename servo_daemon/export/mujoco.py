@@ -55,8 +55,13 @@ def write(model: ExportedModel) -> Export:
         friction = (f' frictionloss="{number(joint_friction)}" solreffriction="{number(2 * timestep)} 1"'
                     f' solimpfriction="{_HARD} {_HARD} 0.001"')  # fmt: skip
     lines = [
-        xml_comment([*header(model, notes), "armature, damping and friction are those of the joint's `frictionloss` "
-                     "and of the actuator, which multiplies by gear squared by itself"]),
+        xml_comment(
+            [
+                *header(model, notes),
+                "armature and damping are the actuator's, which multiplies them by gear squared by itself",
+                *(_older(model, v) if winding else []),
+            ]
+        ),
         f'<mujoco model="{name}">',
         f'  <option timestep="{number(timestep)}" gravity="0 0 0" integrator="implicitfast"/>',
         "  <worldbody>",
@@ -120,6 +125,18 @@ def _dcmotor(model: ExportedModel, v: dict[str, float], timestep: float, notes: 
     if (current := model.limits.get("current_A")) is not None:
         given["saturation"] = f"0 {number(current)}"
     return "<dcmotor " + " ".join(f'{key}="{text}"' for key, text in given.items()) + "/>"
+
+
+def _older(model: ExportedModel, v: dict[str, float]) -> list[str]:
+    """Joint and actuator for a MuJoCo that has no dcmotor: the current follows the voltage at once."""
+    name, n = identifier(model.name), model.gear
+    friction = f' frictionloss="{number(v["Tc"] * n)}"' if "Tc" in v else ""
+    gain, brake = number(v["K"] / v["R"]), number(-(v["K"] ** 2) / v["R"])
+    return [
+        "before MuJoCo 3.7 (without L, cogging, heat and Stribeck friction):",
+        f'<joint name="{name}" armature="{number(v["J"] * n**2)}" damping="{number(v["B"] * n**2)}"{friction}/>',
+        f'<general joint="{name}" gear="{number(n)}" gainprm="{gain}" biastype="affine" biasprm="0 0 {brake}"/>',
+    ]
 
 
 def _general(model: ExportedModel, v: dict[str, float]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -43,6 +44,24 @@ def test_a_held_out_voltage_moves_it_as_the_plant(
         rows.append((data.act[-1], GEAR * data.qvel[0], GEAR * data.qpos[0]))
     error = np.sqrt(np.mean((np.array(rows) - expected) ** 2, axis=0)) / np.ptp(expected, axis=0)
     assert np.all(error < TOLERANCE), error
+
+
+def test_the_older_form_comes_to_the_same_speed(model_of: Callable[..., ExportedModel]) -> None:
+    text = mjcf.write(model_of(document("coulomb_friction", names=("Tc",)))).content.decode()
+    joint, general = (
+        re.search(rf"<{tag} [^>]*gear[^>]*/>|<{tag} [^>]*armature[^>]*/>", text) for tag in ("joint", "general")
+    )
+    assert joint is not None and general is not None
+    body = f'<body><inertial pos="0 0 0" mass="1e-9" diaginertia="1e-9 1e-9 1e-9"/>{joint[0]}</body>'
+    option = '<option timestep="1e-4" gravity="0 0 0"/>'
+    sim = mujoco.MjModel.from_xml_string(
+        f"<mujoco>{option}<worldbody>{body}</worldbody><actuator>{general[0]}</actuator></mujoco>"
+    )
+    data = mujoco.MjData(sim)
+    data.ctrl[0] = 3.0
+    mujoco.mj_step(sim, data, 3000)
+    R, K, B, Tc = 1.1, 0.06, 3e-5, 0.01
+    assert data.qvel[0] * GEAR == pytest.approx((3.0 * K / R - Tc) / (B + K**2 / R), rel=1e-3)
 
 
 def test_without_a_winding_the_current_moves_it(model_of: Callable[..., ExportedModel]) -> None:
