@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 
 import casadi as ca
 
 from servo_daemon.export.expressions import Language, as_text
-from servo_daemon.export.model import CORE, ExportedModel
+from servo_daemon.export.model import CORE, ExportedModel, Value
 from servo_daemon.plant import equations
 from servo_daemon.plant.dry import dry_levels
-from servo_daemon.plant.effects import Signals, effects_by_name, event_times, probe
+from servo_daemon.plant.effects import Signals, effects_by_name, event_times
+from servo_daemon.plant.effects.base import probe
 
 #: An event takes so long, s: a step in an expression that has a derivative.
 _EVENT_S = 1e-6
@@ -22,6 +23,16 @@ def expressible(name: str) -> bool:
     """Whether an effect is a term in a balance: a second inertia, a late sensor and a lagging input are more."""
     terms = probe(effects_by_name()[name])[1]
     return terms.shaft is None and terms.lag_s is None and terms.delay is None
+
+
+def rigid(model: ExportedModel) -> ExportedModel:
+    """The model as it moves where its shaft is stiff: for targets that have one inertia. The effect stays among the
+    effects, so that it is told."""
+    if all(probe(effects_by_name()[name])[1].shaft is None for name in model.effects):
+        return model
+    v = model.require(("J", "J_l"), "a target with one inertia")
+    both = Value(v["J"] + v["J_l"], None, model.values["J"].unit, "J + J_l, as if the shaft were stiff")
+    return replace(model, values={**model.values, "J": both})
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from servo_daemon.export.balances import rigid
 from servo_daemon.export.joint import joint_notes, joint_of
 from servo_daemon.export.model import Export, ExportedModel, Target
 from servo_daemon.export.words import header, identifier, line_comments, number
@@ -9,6 +10,7 @@ from servo_daemon.export.words import header, identifier, line_comments, number
 
 def write(model: ExportedModel) -> Export:
     """Raises BadInputError: neither inertia nor friction is known."""
+    model = rigid(model)
     joint, name = joint_of(model, "isaac"), identifier(model.name)
     notes = joint_notes(model, joint, ("coulomb_friction", "stribeck_friction"))
     if "stribeck_friction" in model.effects:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from servo_daemon.export.balances import Balances, balances, expressible
+from servo_daemon.export.balances import Balances, balances, expressible, rigid
 from servo_daemon.export.expressions import MODELICA
 from servo_daemon.export.model import Export, ExportedModel, Target
 from servo_daemon.export.words import common_notes, header, identifier, line_comments, not_expressed, number, with_std
@@ -18,6 +18,7 @@ _POINTS, _UP_TO = 17, 4.0
 
 def write(model: ExportedModel) -> Export:
     """Raises BadInputError: a parameter is not known."""
+    model = rigid(model)
     model.require(model.needed, "modelica")
     b, name = balances(model), identifier(model.name)
     expressed = [n for n in model.effects if expressible(n) and n not in _NO_TABLE]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+from servo_daemon.export.balances import rigid
 from servo_daemon.export.model import Export, ExportedModel, Target
 from servo_daemon.export.words import (
     ALL_INERTIA,
@@ -18,6 +19,7 @@ from servo_daemon.export.words import (
     number,
     xml_comment,
 )  # fmt: skip
+from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.plant.effects.winding_heating import ALPHA_COPPER_1_K
 
 #: Bristles of MuJoCo's LuGre friction swing with this share of the step: explicit integration is stable below 2.
@@ -33,41 +35,31 @@ _EXPRESSED = ("coulomb_friction", "stribeck_friction", "cogging_torque", "windin
 
 def write(model: ExportedModel) -> Export:
     """Raises BadInputError: J, B, or (with voltage or current as input) K is not known."""
+    model = rigid(model)
     winding = "R" in model.values and "K" in model.values
     core = ("R", "K", "J", "B") if winding else (("J", "B") if model.drive == "torque" else ("K", "J", "B"))
-    own = [p for name in model.effects if name in _EXPRESSED for p in _parameters(name)]
+    own = [p.name for n in model.effects if n in _EXPRESSED for p in effects_by_name()[n].parameters]
     v = model.require((*core, *own), "mujoco")
     expressed = _EXPRESSED if winding else ("coulomb_friction", "quadratic_drag")
     notes = [*common_notes(model), ALL_INERTIA, *not_expressed(model, expressed)]
     if winding and "L" not in model.values:
         notes.append("without L the current follows the voltage at once")
     if not winding:
-        notes.append("without R the winding cannot be simulated: the actuator's control is the current, A"
-                     if "K" in v else "the actuator's control is the torque")  # fmt: skip
+        control = "current, A" if "K" in v else "torque"
+        notes.append(f"without R the winding cannot be simulated: the actuator's control is the {control}")
     timestep = _timestep_s(v, model.get("L"))
-    joint_friction = v.get("Tc", 0.0) * model.gear if "stribeck_friction" not in model.effects or not winding else 0.0
     actuator = _dcmotor(model, v, timestep, notes) if winding else _general(model, v)
-    name, kind = identifier(model.name), "slide" if model.linear else "hinge"
+    told = [*header(model, notes), _SCALED, *(_older(model, v) if winding else [])]
+    name = identifier(model.name)
     inertia = number(_BODY * v["J"] * model.gear**2)
-    armature = "" if winding else f' armature="{number(v["J"] * model.gear**2)}" damping="{_damping(v, model.gear)}"'
-    friction = ""
-    if joint_friction:
-        friction = (f' frictionloss="{number(joint_friction)}" solreffriction="{number(2 * timestep)} 1"'
-                    f' solimpfriction="{_HARD} {_HARD} 0.001"')  # fmt: skip
     lines = [
-        xml_comment(
-            [
-                *header(model, notes),
-                "armature and damping are the actuator's, which multiplies them by gear squared by itself",
-                *(_older(model, v) if winding else []),
-            ]
-        ),
+        xml_comment(told),
         f'<mujoco model="{name}">',
         f'  <option timestep="{number(timestep)}" gravity="0 0 0" integrator="implicitfast"/>',
         "  <worldbody>",
         f'    <body name="{name}_output">',
         f'      <inertial pos="0 0 0" mass="{inertia}" diaginertia="{inertia} {inertia} {inertia}"/>',
-        f'      <joint name="{name}" type="{kind}" axis="0 0 1"{armature}{friction}/>',
+        f"      {_joint(model, v, timestep, winding=winding)}",
         "    </body>",
         "  </worldbody>",
         "  <actuator>",
@@ -75,14 +67,26 @@ def write(model: ExportedModel) -> Export:
         "  </actuator>",
         "</mujoco>",
         "",
-    ]  # fmt: skip
+    ]
     return Export("\n".join(lines).encode(), tuple(notes))
 
 
-def _parameters(effect: str) -> tuple[str, ...]:
-    from servo_daemon.plant.effects import effects_by_name
+_SCALED = "armature and damping are the actuator's, which multiplies them by gear squared by itself"
 
-    return tuple(p.name for p in effects_by_name()[effect].parameters)
+
+def _joint(model: ExportedModel, v: dict[str, float], timestep: float, *, winding: bool) -> str:
+    given = {"name": identifier(model.name), "type": "slide" if model.linear else "hinge", "axis": "0 0 1"}
+    if not winding:
+        given |= {"armature": number(v["J"] * model.gear**2), "damping": _damping(v, model.gear)}
+    if "Tc" in v and _friction(model, winding) == "frictionloss":
+        given |= {"frictionloss": number(v["Tc"] * model.gear), "solreffriction": f"{number(2 * timestep)} 1"}
+        given["solimpfriction"] = f"{_HARD} {_HARD} 0.001"
+    return "<joint " + " ".join(f'{key}="{text}"' for key, text in given.items()) + "/>"
+
+
+def _friction(model: ExportedModel, winding: bool) -> str:
+    """Which of MuJoCo's two forms it takes."""
+    return "lugre" if winding and "stribeck_friction" in model.effects else "frictionloss"
 
 
 def _timestep_s(v: dict[str, float], L: float | None) -> float:

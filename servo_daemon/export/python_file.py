@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from servo_daemon.export.balances import Balances, balances, expressible
+from servo_daemon.export.balances import Balances, balances, expressible, rigid
 from servo_daemon.export.expressions import PYTHON
 from servo_daemon.export.model import Export, ExportedModel, Target
-from servo_daemon.export.reference import PHASES, simulated, trial_input
+from servo_daemon.export.reference import PHASES, Run, simulated, trial_input
 from servo_daemon.export.words import common_notes, header, line_comments, not_expressed, number
+from servo_daemon.samples import F64
 
 #: Substeps per time constant of the fastest part: RK4's error is then below 1e-5 of a step.
 _PER_CONSTANT = 8.0
@@ -72,6 +73,7 @@ if __name__ == "__main__":  # the same motion as servo-daemon's own simulation h
 
 def write(model: ExportedModel) -> Export:
     """Raises BadInputError: a parameter is not known."""
+    model = rigid(model)
     values = model.require(model.needed, "python")
     b = balances(model)
     why = dict.fromkeys(model.effects, "is more than a term in a balance, and left out of the twin")
@@ -79,7 +81,6 @@ def write(model: ExportedModel) -> Export:
     v, i = model.meaning.factors
     constants = [f"{name} = {number(values[name])}" for name in b.used]
     constants += [f"V_FACTOR, I_FACTOR, GEAR = {v!r}, {i!r}, {model.gear!r}", f"SUBSTEP = {_substep_s(values):.6g}"]
-    core = ["i", "omega", "theta"] if model.drive == "voltage" else ["omega", "theta"]
     plain = ExportedModel(
         model.name, model.source, model.drive, tuple(n for n in model.effects if expressible(n)), model.values, {}
     )
@@ -87,23 +88,29 @@ def write(model: ExportedModel) -> Export:
     run = simulated(plain, u, period)
     initial = [s.initial for s in run.plant.states]
     constants.append(f"X0 = {initial}  # {', '.join(run.plant.state_names)}")
+    body = _code(model, b, u, period, run)
+    head = line_comments([*header(model, notes), "python FILE runs its self-test"], "#")
+    return Export(("\n".join([head, "import numpy as np", "", *constants, ""]) + body).encode(), tuple(notes))
+
+
+def _code(model: ExportedModel, b: Balances, u: F64, period: float, run: Run) -> str:
+    """Functions and self-test."""
+    core = ["i", "omega", "theta"] if model.drive == "voltage" else ["omega", "theta"]
     rates = ([b.text(b.current_rate, PYTHON)] if model.drive == "voltage" else []) + [
         b.text(b.speed_rate, PYTHON), "omega", *(b.text(rate, PYTHON) for rate in b.states.values())
     ]  # fmt: skip
     shown = run.x[_EVERY::_EVERY, : len(core)]
-    body = _STEP.format(
+    return _STEP.format(
         input=f"{model.drive} of the DC motor",
         unpack=", ".join([*core, *b.states]),
         rates=", ".join(rates), blocks=_blocks(b), w=len(core) - 2,
         forward=b.text(b.forward, PYTHON), backward=b.text(b.backward, PYTHON),
         current=_shown(b, "current_A", {"voltage": "i", "current": "u", "torque": "0.0"}[model.drive]),
         speed=_shown(b, "velocity_rad_s", "omega"), angle=_shown(b, "position_rad", "theta"),
-        period=repr(period), inputs=u[:: _SAMPLES // PHASES].tolist(), each=_SAMPLES // PHASES, n=len(initial),
+        period=repr(period), inputs=u[:: _SAMPLES // PHASES].tolist(), each=_SAMPLES // PHASES, n=run.x.shape[1],
         every=_EVERY, tolerance=_TOLERANCE,
         expected=[[float(f"{x:.9g}") for x in row] for row in shown.tolist()],
     )  # fmt: skip
-    head = line_comments([*header(model, notes), "python FILE runs its self-test"], "#")
-    return Export(("\n".join([head, "import numpy as np", "", *constants, ""]) + body).encode(), tuple(notes))
 
 
 def _shown(b: Balances, channel: str, itself: str) -> str:

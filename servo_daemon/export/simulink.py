@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from servo_daemon.export.balances import balances, expressible
+from servo_daemon.export.balances import balances, expressible, rigid
 from servo_daemon.export.expressions import MATLAB
 from servo_daemon.export.model import Export, ExportedModel, Target
 from servo_daemon.export.words import common_notes, header, identifier, line_comments, not_expressed, number, with_std
@@ -22,6 +22,7 @@ _BLOCKS = (
 
 def write(model: ExportedModel) -> Export:
     """Raises BadInputError: a parameter is not known."""
+    model = rigid(model)
     model.require(model.needed, "simulink")
     b, name = balances(model), identifier(model.name)
     notes = [*common_notes(model), *not_expressed(model, [n for n in model.effects if expressible(n)])]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from servo_daemon.export.balances import rigid
 from servo_daemon.export.joint import joint_notes, joint_of
 from servo_daemon.export.model import Export, ExportedModel, Target
 from servo_daemon.export.words import header, identifier, number, xml_comment
@@ -9,6 +10,7 @@ from servo_daemon.export.words import header, identifier, number, xml_comment
 
 def write(model: ExportedModel) -> Export:
     """Raises BadInputError: neither inertia nor friction is known."""
+    model = rigid(model)
     joint, name = joint_of(model, "urdf"), identifier(model.name)
     notes = joint_notes(model, joint)
     kind = "prismatic" if model.linear else "continuous"

@@ -40,6 +40,7 @@ def from_document(path: Path, drive: DriveConfig | None) -> ExportedModel:
         raise BadInputError(f"{path}: no JSON document: {error}") from None
     if not isinstance(document, Mapping):
         raise BadInputError(f"{path}: neither a fit.json nor a diagnosis.json")
+    found: Any
     if "verdict" in document:
         found = document.get("extended") or document.get("baseline")
         what = f"the {'extended' if document.get('extended') else 'baseline'} model of {path}"

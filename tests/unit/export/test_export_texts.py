@@ -68,6 +68,7 @@ def test_every_text_says_its_values_and_what_it_leaves_out(name: str, tmp_path: 
     if name != "json":
         assert "shaft_compliance" in told
         assert "shaft_compliance" in text
+        assert "J = 8e-05 kg·m² (J + J_l" in text  # no inertia is lost with the spring
 
 
 def test_what_is_not_known_is_not_invented(tmp_path: Path, export: Exporting) -> None:
