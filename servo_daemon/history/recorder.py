@@ -25,7 +25,7 @@ from servo_daemon.published.archive import Counts
 from servo_daemon.published.diagnosis_state import DiagnosisView
 from servo_daemon.published.history import HistoryRing
 from servo_daemon.published.memory import of_ring
-from servo_daemon.published.view import EventSource
+from servo_daemon.published.sinks import EventSource
 
 log = logging.getLogger(__name__)
 
@@ -74,6 +74,7 @@ class Recorder:
     `marks` follow: who holds it sees each row either in the database or after its mark.
 
     Attributes:
+        wanted: the drives from the next turn on that leaves nothing to be written; any thread may exchange them.
         problem: why nothing is written now, in words; None: it is.
     """
 
@@ -94,6 +95,7 @@ class Recorder:
     def __post_init__(self) -> None:
         self._blocks = BlockWriter(self.levels)
         self.marks = {source.name: Mark() for source in self.sources}
+        self.wanted = self.sources
 
     def turn(self, wall_s: float, monotonic_s: float) -> bool:
         """Write what is new; whether there is more to be written at once. Never raises: a fault is told in `problem`.
@@ -105,6 +107,8 @@ class Recorder:
             return False
         try:
             more = self._write(wall_s)
+            if not more and self.wanted is not self.sources:
+                self._change_sources(self.wanted)
             self._look_after(wall_s, monotonic_s)
         except (SQLAlchemyError, OSError, ServoDaemonError) as error:
             self._fail(error, monotonic_s)
@@ -138,6 +142,14 @@ class Recorder:
                 transaction.commit()
                 self.marks, self.counts = marks, counts
         return more
+
+    def _change_sources(self, wanted: Sequence[Source]) -> None:
+        before = {source.name: source for source in self.sources}
+        with self._opened().begin() as connection:
+            ids = {s.name: drive_id(connection, s.name, make=True) or 0 for s in wanted}
+        with self.lock:
+            self._ids, self.sources = ids, wanted
+            self.marks = {s.name: self.marks[s.name] if before.get(s.name) is s else Mark() for s in wanted}
 
     def _write_drive(
         self, connection: sa.Connection, source: Source, counts: Counts, wall_s: float

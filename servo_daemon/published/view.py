@@ -37,13 +37,6 @@ class ModelChange:
     time: float | None
 
 
-class EventSource(Protocol):
-    """A drive's events, numbered as they come."""
-
-    def since(self, number: int) -> tuple[int, Sequence[Event]]:
-        """How many there have been ever, and those from that number on that are still kept."""
-
-
 class DriveView(Protocol):
     """One drive as the API sees it."""
 
@@ -131,7 +124,7 @@ class DaemonView(Protocol):
 
     @property
     def drives(self) -> Mapping[str, DriveView]:
-        """Drives by name, in the order of the configuration; fixed while the daemon runs."""
+        """Drives by name, in the order of the configuration; a reload of that exchanges the whole mapping."""
 
     @property
     def archive(self) -> Archive | None:
