@@ -208,6 +208,8 @@ class Daemon:
         if self._recording is not None:
             self._recording.follow(runtimes)
         self._trends.follow(runtimes)
+        for sink in self._sinks:
+            sink.follow(runtimes)
         self._learning.start()
 
     def _dismiss(self, slots: Sequence[DriveSlot]) -> None:
