@@ -16,6 +16,7 @@ from servo_daemon.published.archive import Archive
 from servo_daemon.published.diagnosis_state import DiagnosisView
 from servo_daemon.published.history import HistoryRing
 from servo_daemon.published.knowledge import LoopFacts
+from servo_daemon.published.sinks import SinkState
 from servo_daemon.published.snapshot import AlarmLimit, Event, ParameterEstimate, Snapshot
 from servo_daemon.published.trends import DriveTrends
 
@@ -123,11 +124,15 @@ class DaemonView(Protocol):
 
     @property
     def drives(self) -> Mapping[str, DriveView]:
-        """Drives by name, in the order of the configuration; fixed while the daemon runs."""
+        """Drives by name, in the order of the configuration; a reload of that exchanges the whole mapping."""
 
     @property
     def archive(self) -> Archive | None:
         """What was published, for years; None: only the last minutes are kept."""
+
+    @property
+    def sinks(self) -> Sequence[SinkState]:
+        """The broker and the webhooks that are sent to, in the order of the configuration."""
 
     def problems(self) -> Sequence[str]:
         """What is wrong with the daemon itself, in words (a pipeline that does not turn, a state directory that
