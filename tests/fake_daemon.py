@@ -15,6 +15,7 @@ from servo_daemon.published.archive import Archive
 from servo_daemon.published.diagnosis_state import Adoption, Diagnosis, DiagnosisView
 from servo_daemon.published.history import HistoryRing
 from servo_daemon.published.knowledge import LoopFacts
+from servo_daemon.published.sinks import SinkState
 from servo_daemon.published.snapshot import (
     AlarmLimit,
     Connection,
@@ -169,6 +170,7 @@ class FakeDaemon:
     wrong: tuple[str, ...] = ()
     stop: bool = False
     archive: Archive | None = None
+    sinks: Sequence[SinkState] = ()
 
     def problems(self) -> Sequence[str]:
         return self.wrong
