@@ -18,6 +18,7 @@ from servo_daemon.daemon.drive_parts import line_counters, same_channels, stale
 from servo_daemon.daemon.learning_coordinator import Subscription
 from servo_daemon.daemon.load import LoadWatch
 from servo_daemon.daemon.model_coordinator import ModelCoordinator
+from servo_daemon.daemon.onboard import with_onboard
 from servo_daemon.daemon.reader import Link, Reader
 from servo_daemon.daemon.state_keeper import StateKeeper
 from servo_daemon.errors import NumericalError, RefusedError
@@ -238,7 +239,7 @@ class DriveRuntime:
             estimate, told = self._warnings.update(estimate)
             self.log.tell(told)
             self._diagnoses.watch(estimate)
-        self.estimate = estimate
+        self.estimate = with_onboard(estimate, self.reader.driver.onboard, time.monotonic())
 
     def _learn(self, subscription: Subscription, pipeline: Pipeline, estimate: Estimate | None) -> Estimate | None:
         """Tell the coordinator what is needed, take what has come; the estimate with what is published until then."""
