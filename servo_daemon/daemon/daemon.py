@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 from drivers.registry import make_driver
 from servo_daemon import __version__
 from servo_daemon.config import Config, DriveConfig
+from servo_daemon.daemon.captures.desk import CaptureDesk
+from servo_daemon.daemon.captures.shelf import Shelf
 from servo_daemon.daemon.diagnosis.runner import DiagnosisRunner
 from servo_daemon.daemon.drive import DriveRuntime
 from servo_daemon.daemon.learned_desk import LearnedDesk
@@ -58,6 +60,7 @@ class Daemon:
         self._seats = {d.name: self._seat_for(d, state_dir) for d in config.drive}
         self._recording = self._recorded(state_dir)
         self._trends = TrendDesk(self.archive, [seat.runtime for seat in self._seats.values()])
+        self.captures = self._kept_captures(state_dir)
         self._watcher = threading.Thread(target=self._watch, name="watch", daemon=True)
         self._saver = threading.Thread(target=self._save, name="saver", daemon=True)
 
@@ -69,6 +72,14 @@ class Daemon:
         from servo_daemon.daemon.recording import Recording  # SQLAlchemy takes its time to load
 
         return Recording(h, state_dir, [seat.runtime for seat in self._seats.values()])
+
+    def _kept_captures(self, state_dir: Path | None) -> CaptureDesk | None:
+        """What keeps samples around events, if they are to be kept."""
+        quota = self.config.history.captures_quota_MB
+        if state_dir is None or not self.config.history.enabled or quota <= 0:
+            return None
+        shelf = Shelf(state_dir / "captures", quota * 1e6)
+        return CaptureDesk(shelf, [seat.runtime for seat in self._seats.values()])
 
     def _seat_for(self, config: DriveConfig, state_dir: Path | None) -> Seat:
         driver = make_driver(config.driver, config.name, config.options)
@@ -98,6 +109,7 @@ class Daemon:
         found = [seat.runtime.problem for seat in self._seats.values()]
         found += [seat.problem for seat in self._seats.values() if self._workers.started]
         found += [None if self._recording is None else self._recording.problem]
+        found += [None if self.captures is None else self.captures.problem]
         return [p for p in found if p is not None]
 
     def start(self) -> None:
@@ -108,6 +120,8 @@ class Daemon:
         if self._recording is not None:
             self._recording.start()
         self._trends.start()
+        if self.captures is not None:
+            self.captures.start()
         for runtime in self.drives.values():
             runtime.reader.start()
 
@@ -119,6 +133,8 @@ class Daemon:
             self._diagnoses.kill()
             self._learned.begin_stop()
             self._trends.begin_stop()
+            if self.captures is not None:
+                self.captures.begin_stop()
             for seat in self._seats.values():
                 seat.runtime.reader.request_stop()
                 seat.call()
@@ -133,6 +149,8 @@ class Daemon:
             if thread.is_alive():
                 thread.join(max(0.05, deadline - time.monotonic()))
         self._trends.stop(max(0.05, deadline - time.monotonic()))
+        if self.captures is not None:
+            self.captures.stop(max(0.05, deadline - time.monotonic()))
         if self._recording is not None:  # after the workers: with their last rows
             self._recording.stop(max(0.05, deadline - time.monotonic()))
         self._diagnoses.stop(max(0.05, deadline - time.monotonic()))
