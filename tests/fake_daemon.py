@@ -16,7 +16,7 @@ from servo_daemon.published.archive import Archive
 from servo_daemon.published.diagnosis_state import Adoption, Diagnosis, DiagnosisView
 from servo_daemon.published.history import HistoryRing
 from servo_daemon.published.knowledge import LoopFacts
-from servo_daemon.published.recorded import Captures
+from servo_daemon.published.recorded import Captures, KeptCapture
 from servo_daemon.published.snapshot import (
     AlarmLimit,
     Connection,
@@ -164,6 +164,26 @@ class FakeDrive:
         if isinstance(self.refusal, Exception):
             raise self.refusal
         self.diagnosis = replace(self.diagnosis, diagnosis=RUNNING, allowed=False, reason="one is running")
+
+
+@dataclass
+class FakeCaptures:
+    """`published.recorded.Captures` of what the test puts there."""
+
+    captures: list[KeptCapture] = field(default_factory=list)
+    refusal: Exception | None = None
+    asked: list[float] = field(default_factory=list)
+
+    def of(self, drive: str) -> Sequence[KeptCapture]:
+        return [k for k in self.captures if k.drive == drive]
+
+    def request(self, drive: str, seconds: float) -> Future[KeptCapture]:
+        if self.refusal is not None:
+            raise self.refusal
+        self.asked.append(seconds)
+        future: Future[KeptCapture] = Future()
+        future.set_result(self.captures[0])
+        return future
 
 
 @dataclass

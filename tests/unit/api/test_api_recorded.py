@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from concurrent.futures import Future
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,41 +15,21 @@ from servo_daemon.errors import BusyError
 from servo_daemon.pipeline.ring import SampleRing
 from servo_daemon.published.recorded import KeptCapture
 from servo_daemon.samples import SampleBlock, make_block
-from tests.fake_daemon import T0, FakeDaemon, fake_daemon
+from tests.fake_daemon import T0, FakeCaptures, FakeDaemon, fake_daemon
 from tests.http_rig import Client
 
 DRIVE = "/api/v1/drives/axis1"
 
 
-@dataclass
-class Kept:
-    """`published.recorded.Captures` of what the test puts there."""
-
-    captures: list[KeptCapture] = field(default_factory=list)
-    refusal: Exception | None = None
-    asked: list[float] = field(default_factory=list)
-
-    def of(self, drive: str) -> Sequence[KeptCapture]:
-        return [k for k in self.captures if k.drive == drive]
-
-    def request(self, drive: str, seconds: float) -> Future[KeptCapture]:
-        if self.refusal is not None:
-            raise self.refusal
-        self.asked.append(seconds)
-        future: Future[KeptCapture] = Future()
-        future.set_result(self.captures[0])
-        return future
-
-
 @pytest.fixture
-def kept(tmp_path: Path) -> Kept:
+def kept(tmp_path: Path) -> FakeCaptures:
     path = tmp_path / "20261121T120000000Z-60000ms-alarm.parquet"
     path.write_bytes(b"samples")
-    return Kept([KeptCapture(path.name.partition(".")[0], "axis1", "alarm", T0, T0 + 60, 7, path)])
+    return FakeCaptures([KeptCapture(path.name.partition(".")[0], "axis1", "alarm", T0, T0 + 60, 7, path)])
 
 
 @pytest.fixture
-def daemon(kept: Kept) -> FakeDaemon:
+def daemon(kept: FakeCaptures) -> FakeDaemon:
     daemon = fake_daemon()
     daemon.captures = kept
     return daemon
@@ -63,7 +40,7 @@ def client(daemon: FakeDaemon) -> Client:
     return Client(create_app(daemon))
 
 
-def test_list_and_file(client: Client, kept: Kept) -> None:
+def test_list_and_file(client: Client, kept: FakeCaptures) -> None:
     document = client.get(f"{DRIVE}/captures").json()
     schemas.CapturesDocument.model_validate(document)
     (capture,) = document["captures"]
@@ -79,7 +56,7 @@ def test_list_and_file(client: Client, kept: Kept) -> None:
     assert client.get(f"{DRIVE}/captures/..%2f..%2fstate").status_code == 404
 
 
-def test_record(client: Client, kept: Kept) -> None:
+def test_record(client: Client, kept: FakeCaptures) -> None:
     answer = client.post(f"{DRIVE}/captures", json={"seconds": 12})
     assert answer.status_code == 201 and schemas.CaptureDocument.model_validate(answer.json())
     assert client.post(f"{DRIVE}/captures").status_code == 201
