@@ -64,6 +64,7 @@ class Card {
       this.pointed = time === null ? null : { time, row };
       this.render();
     };
+    this.find(".chart").setAttribute("aria-label", `${this.name} over time; nothing known yet`);
     this.chart = new Chart(this.find(".chart"), onPoint, onZoom, onEvent);
   }
 
