@@ -157,6 +157,6 @@ def test_a_life_over_a_kill(
         page.until("document.querySelectorAll('#parameters .uplot').length >= 5")
         page.until((CHART % "R") + ".then(([from, to]) => to - from > 360 * 86400)")
         page.until("document.querySelectorAll('#trends li.near').length > 0")
-        assert "K −" in page.text("#trends") and "limit" in page.text("#trends").lower()
+        assert "K -6." in page.text("#trends") and "K_min in" in page.text("#trends")
         page.until("document.querySelectorAll('#events a').length > 0")  # the alarm's samples
         assert page.errors() == []

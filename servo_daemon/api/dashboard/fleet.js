@@ -46,7 +46,8 @@ function fill(row, drive) {
   row.append(name);
   cell(row, "Status", "pill", drive.connection).dataset.state = drive.connection;
   cell(row, "Parameters", "", known(drive));
-  cell(row, "Look at", "", drive.worst ? `${drive.worst.parameter}: ${drive.worst.why}` : "–");
+  const { worst, reason } = drive; // of a drive that is away all parameters say what is to be done says, too
+  cell(row, "Look at", "", worst && worst.why !== reason ? `${worst.parameter}: ${worst.why}` : "–");
   cell(row, "Last 30 days", "sparks", "").dataset.parameter = drive.worst?.parameter ?? Object.keys(drive.parameters)[0] ?? "";
   const alarms = drive.alarms.map((name) => (name === "controller_margin" ? spaced(name) : name)).join(", ");
   cell(row, "Alarms", alarms ? "badge ringing" : "quiet", alarms || "none");

@@ -10,6 +10,7 @@ const EVERY_MS = 600_000; // a point of such a curve is half a day
 const AGAIN_MS = 20_000; // of a curve that is short still
 const [WIDTH, HEIGHT] = [120, 24];
 const cache = new Map(); // drive and parameter: {svg, due}
+const wanted = new Map(); // by the same key: what is to be asked for
 let asking = false;
 
 /** Known values and their times. */
@@ -38,21 +39,34 @@ function curve(parameter, points) {
   return svg;
 }
 
-/** Puts the curve of a drive's parameter into an element; asked for at most one at a time. */
+/** Asks for one curve after the other: a table of many drives does not ask for all at once. */
+async function pump() {
+  asking = true;
+  for (const [key, { element, drive, parameter }] of wanted) {
+    wanted.delete(key);
+    const query = new URLSearchParams({ parameter, window: WINDOW, points: POINTS });
+    try {
+      const points = known(await get(`${drivePath(drive)}/history?${query}`));
+      const svg = points.length > 1 ? curve(parameter, points) : null;
+      cache.set(key, { svg, due: Date.now() + (points.length > POINTS / 2 ? EVERY_MS : AGAIN_MS) });
+      put(element, parameter, svg);
+    } catch {
+      cache.set(key, { svg: cache.get(key)?.svg ?? null, due: Date.now() + AGAIN_MS });
+    }
+  }
+  asking = false;
+}
+
+function put(element, parameter, svg) {
+  if (svg && element.lastChild !== svg) element.replaceChildren(`${parameter} `, svg);
+}
+
+/** Puts the curve of a drive's parameter into an element, at once where it is known, else when it has come. */
 export function sparkline(element, drive, parameter) {
   const key = `${drive} ${parameter}`;
   const kept = cache.get(key);
-  if (kept?.svg && element.firstElementChild !== kept.svg) element.replaceChildren(`${parameter} `, kept.svg);
-  if (asking || (kept && kept.due > Date.now())) return;
-  asking = true;
-  const query = new URLSearchParams({ parameter, window: WINDOW, points: POINTS });
-  get(`${drivePath(drive)}/history?${query}`)
-    .then((history) => {
-      const points = known(history);
-      const svg = points.length > 1 ? curve(parameter, points) : null;
-      cache.set(key, { svg, due: Date.now() + (points.length > POINTS / 2 ? EVERY_MS : AGAIN_MS) });
-      if (svg && element.isConnected) element.replaceChildren(`${parameter} `, svg);
-    })
-    .catch(() => cache.set(key, { svg: kept?.svg ?? null, due: Date.now() + AGAIN_MS }))
-    .finally(() => (asking = false));
+  put(element, parameter, kept?.svg);
+  if (kept && kept.due > Date.now()) return;
+  wanted.set(key, { element, drive, parameter });
+  if (!asking) pump();
 }

@@ -1,22 +1,23 @@
 // What a diagnosis found missing in the balance of torques: its size, and its course over the speed.
 
-import { plain, scaleFor } from "./format.js";
+import { decimalsFor, fixed, scaleFor } from "./format.js";
 import { colour } from "./overlays.js";
 
 const HEIGHT = 150;
 const FONT = "11px system-ui, sans-serif";
 /* global uPlot */
 
+const short = (value) => fixed(value, decimalsFor(Math.abs(value), 2));
 const sized = (value, unit) => {
   const scale = scaleFor(unit, value);
-  return `${plain(value / scale.factor)} ${scale.unit}`;
+  return `${short(value / scale.factor)} ${scale.unit}`;
 };
 
 /** In words; "" where the diagnosis is silent about it. */
 export function unmodelledText(missing) {
   const [name, row] = Object.entries(missing ?? {})[0] ?? [];
   if (typeof row?.before_rms !== "number") return "";
-  const share = row.working_rms > 0 ? `, ${plain((100 * row.before_rms) / row.working_rms)} % of what the motor works with` : "";
+  const share = row.working_rms > 0 ? `, ${short((100 * row.before_rms) / row.working_rms)} % of what the motor works with` : "";
   const rest = typeof row.after_rms === "number" ? `; with what was found ${sized(row.after_rms, row.unit)}` : "";
   return `Unmodelled ${name}: ${sized(row.before_rms, row.unit)} rms${share}${rest}.`;
 }
@@ -38,7 +39,8 @@ export function drawUnmodelled(element, missing) {
   const scale = scaleFor(row.unit, row.before_rms);
   const data = columns(curves).map((column, k) => (k ? column.map((y) => (typeof y === "number" ? y / scale.factor : y)) : column));
   const grid = { stroke: colour("--grid"), width: 1 };
-  const axis = { stroke: colour("--ink-2"), font: FONT, labelFont: FONT, grid, ticks: { show: false }, labelSize: 16 };
+  const values = (_plot, ticks, _axis, _space, step) => ticks.map((tick) => fixed(tick, decimalsFor(step, 1)));
+  const axis = { values, stroke: colour("--ink-2"), font: FONT, labelFont: FONT, grid, ticks: { show: false }, labelSize: 16 };
   const line = (name, dash) => ({ stroke: colour(name), width: 2, dash, points: { show: false } });
   element.setAttribute("role", "img");
   element.setAttribute("aria-label", `${unmodelledText(missing)} Over the speed, solid: the model as it is${after ? "; dashed: with what was found" : ""}`);
