@@ -23,7 +23,7 @@ log = logging.getLogger("servo_daemon")
 #: command -> module with `add_arguments(parser)`, `run(arguments) -> exit code`, `HELP` and `EXAMPLE`. A command's own
 #: imports (CasADi, uvicorn, …) are paid only when it is the one that runs.
 COMMANDS = {
-    "run": "servo_daemon.commands.run",
+    "run": "servo_daemon.commands.run.command",
     "simulate": "servo_daemon.commands.simulate",
     "sim-drive": "servo_daemon.commands.sim_drive",
     "record": "servo_daemon.commands.record",
@@ -34,7 +34,9 @@ COMMANDS = {
     "excite": "servo_daemon.commands.excite.command",
     "tune": "servo_daemon.commands.tune.command",
     "train": "servo_daemon.commands.train",
+    "fleet": "servo_daemon.commands.fleet.command",
     "check": "servo_daemon.commands.check",
+    "config": "servo_daemon.commands.config",
     "scan": "servo_daemon.commands.scan.command",
     "status": "servo_daemon.commands.status",
     "export-history": "servo_daemon.commands.export_history",
@@ -84,7 +86,7 @@ def _parser() -> argparse.ArgumentParser:
         sub.add_argument(
             "--log-level",
             choices=("debug", "info", "warning", "error"),
-            default=os.environ.get("SERVO_DAEMON_LOG_LEVEL", "info"),
+            default=os.environ.get("SERVO_DAEMON_LOG_LEVEL"),
             help="what goes to stderr (default: info)",
         )
         sub.set_defaults(run=module.run, parser=parser)
@@ -128,7 +130,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except _UsageError as error:
         print(error.usage, end="", file=sys.stderr)
         return _fail(error.program, str(error), 2, as_json="--json" in words)
-    _set_up_logging(arguments.log_level)
+    _set_up_logging(arguments.log_level or "info")
     as_json = getattr(arguments, "json", False)
     name = f"servo-daemon {arguments.command}"
     try:

@@ -19,7 +19,7 @@ from servo_daemon.signal_meaning import SignalMeaning, told
 from servo_daemon.tracking.plan.signals import SignalPlan, plan_signals
 
 HELP = "validate a config, open each driver and say what it sees"
-EXAMPLE = "  servo-daemon check --config /etc/servo-daemon.toml"
+EXAMPLE = "  servo-daemon check --config /etc/servo-daemon/servo-daemon.toml"
 
 #: How long a drive is listened to, s: description frames come once a second.
 _LISTEN_S = 3.0

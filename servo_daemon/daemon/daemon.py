@@ -2,27 +2,33 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from drivers.base import Driver
 from drivers.registry import make_driver
 from servo_daemon import __version__
 from servo_daemon.config import Config, DriveConfig
-from servo_daemon.daemon.captures.desk import CaptureDesk
-from servo_daemon.daemon.captures.shelf import Shelf
+from servo_daemon.config.changes import Change, How, at_work, drives_of
+from servo_daemon.daemon.captures.coordinator import CaptureCoordinator
+from servo_daemon.daemon.captures.folder import CaptureFolder
 from servo_daemon.daemon.diagnosis.runner import DiagnosisRunner
 from servo_daemon.daemon.drive import DriveRuntime
-from servo_daemon.daemon.learned_desk import LearnedDesk
+from servo_daemon.daemon.learning_coordinator import LearningCoordinator
 from servo_daemon.daemon.notify import Notifier
-from servo_daemon.daemon.trends.desk import TrendDesk
-from servo_daemon.daemon.worker import Seat, Workers
+from servo_daemon.daemon.state_lock import StateLocks
+from servo_daemon.daemon.trends.coordinator import TrendCoordinator
+from servo_daemon.daemon.worker import DriveSlot, Workers
 
 if TYPE_CHECKING:
     from servo_daemon.daemon.recording import Recording
     from servo_daemon.history.archive import StoreArchive
+
+log = logging.getLogger(__name__)
 
 #: The workers are looked after this often, s.
 _WATCH_S = 0.02
@@ -31,6 +37,9 @@ START_TIMEOUT_S = 10.0
 #: A stop waits so long for threads that are busy (with the first model's equations, say), s: of the 2 s that a stop may
 #: take the end of the server and of the interpreter need 0.5 on a slow machine.
 _STOP_S = 1.2
+#: A drive that goes has so long to work off what came before, s: an estimator that is being made may take ten.
+_LEAVE_S = 15.0
+_BY_DRIVE: tuple[How, ...] = ("again", "new", "gone")
 
 
 class Daemon:
@@ -39,13 +48,20 @@ class Daemon:
     Args:
         config: checked configuration.
         state_dir: where knowledge is kept over a restart; None: nowhere.
+        locks: of that of its drives, which are held already; None: it needs none.
 
     Raises:
         ConfigError: a driver's options are wrong.
     """
 
-    def __init__(self, config: Config, state_dir: Path | None = None, notifier: Notifier | None = None) -> None:
-        self.config = config
+    def __init__(
+        self,
+        config: Config,
+        state_dir: Path | None = None,
+        notifier: Notifier | None = None,
+        locks: StateLocks | None = None,
+    ) -> None:
+        self.config, self._state_dir, self._locks = config, state_dir, locks or StateLocks(None)
         self.version = __version__
         self.started = time.time()
         self._stop = threading.Event()
@@ -55,11 +71,11 @@ class Daemon:
         d = config.diagnosis
         home = None if state_dir is None else state_dir / "diagnosis"
         self._diagnoses = DiagnosisRunner(d.command, d.budget_s, d.time_limit_s, d.nice, home)
-        self._learned = LearnedDesk(config.learning)
+        self._learning = LearningCoordinator(config.learning)
         self._workers = Workers(self._stop)
-        self._seats = {d.name: self._seat_for(d, state_dir) for d in config.drive}
+        self._slots = {d.name: self._slot_for(d, _driver_for(d)) for d in config.drive}
         self._recording = self._recorded(state_dir)
-        self._trends = TrendDesk(self.archive, [seat.runtime for seat in self._seats.values()])
+        self._trends = TrendCoordinator(self.archive, [slot.runtime for slot in self._slots.values()])
         self.captures = self._kept_captures(state_dir)
         self._watcher = threading.Thread(target=self._watch, name="watch", daemon=True)
         self._saver = threading.Thread(target=self._save, name="saver", daemon=True)
@@ -71,29 +87,28 @@ class Daemon:
             return None
         from servo_daemon.daemon.recording import Recording  # SQLAlchemy takes its time to load
 
-        return Recording(h, state_dir, [seat.runtime for seat in self._seats.values()])
+        return Recording(h, state_dir, [slot.runtime for slot in self._slots.values()])
 
-    def _kept_captures(self, state_dir: Path | None) -> CaptureDesk | None:
+    def _kept_captures(self, state_dir: Path | None) -> CaptureCoordinator | None:
         """What keeps samples around events, if they are to be kept."""
         quota = self.config.history.captures_quota_MB
         if state_dir is None or not self.config.history.enabled or quota <= 0:
             return None
-        shelf = Shelf(state_dir / "captures", quota * 1e6)
-        return CaptureDesk(shelf, [seat.runtime for seat in self._seats.values()])
+        folder = CaptureFolder(state_dir / "captures", quota * 1e6)
+        return CaptureCoordinator(folder, [slot.runtime for slot in self._slots.values()])
 
-    def _seat_for(self, config: DriveConfig, state_dir: Path | None) -> Seat:
-        driver = make_driver(config.driver, config.name, config.options)
-        model = self._learned.seat(config.name) if config.estimation.refresh else None
+    def _slot_for(self, config: DriveConfig, driver: Driver) -> DriveSlot:
+        model = self._learning.subscribe(config.name) if config.estimation.refresh else None
 
         def make(wake: Callable[[], None]) -> DriveRuntime:
-            return DriveRuntime(config, driver, state_dir, wake, self._diagnoses, model)
+            return DriveRuntime(config, driver, self._state_dir, wake, self._diagnoses, model)
 
-        return Seat(make, self._workers.call, self.config.storage.save_interval_s, self._save_now.set)
+        return DriveSlot(make, self._workers.call, self.config.storage.save_interval_s, self._save_now.set)
 
     @property
     def drives(self) -> Mapping[str, DriveRuntime]:
         """Drives by name, in the order of the configuration."""
-        return {name: seat.runtime for name, seat in self._seats.items()}
+        return {name: slot.runtime for name, slot in self._slots.items()}
 
     @property
     def archive(self) -> StoreArchive | None:
@@ -106,17 +121,17 @@ class Daemon:
 
     def problems(self) -> Sequence[str]:
         """What is wrong with the daemon itself, in words; empty when healthy."""
-        found = [seat.runtime.problem for seat in self._seats.values()]
-        found += [seat.problem for seat in self._seats.values() if self._workers.started]
+        found = [slot.runtime.problem for slot in self._slots.values()]
+        found += [slot.problem for slot in self._slots.values() if self._workers.started]
         found += [None if self._recording is None else self._recording.problem]
         found += [None if self.captures is None else self.captures.problem]
         return [p for p in found if p is not None]
 
     def start(self) -> None:
-        self._workers.start(tuple(self._seats.values()))
+        self._workers.start(tuple(self._slots.values()))
         self._watcher.start()
         self._saver.start()
-        self._learned.start()
+        self._learning.start()
         if self._recording is not None:
             self._recording.start()
         self._trends.start()
@@ -131,13 +146,13 @@ class Daemon:
             self._notifier.stopping()
             self._stop.set()
             self._diagnoses.kill()
-            self._learned.begin_stop()
+            self._learning.begin_stop()
             self._trends.begin_stop()
             if self.captures is not None:
                 self.captures.begin_stop()
-            for seat in self._seats.values():
-                seat.runtime.reader.request_stop()
-                seat.call()
+            for slot in self._slots.values():
+                slot.runtime.reader.request_stop()
+                slot.call()
 
     def stop(self, timeout_s: float = _STOP_S) -> None:
         """End readers, workers and saver; what was learned is saved once more. Idempotent."""
@@ -154,7 +169,85 @@ class Daemon:
         if self._recording is not None:  # after the workers: with their last rows
             self._recording.stop(max(0.05, deadline - time.monotonic()))
         self._diagnoses.stop(max(0.05, deadline - time.monotonic()))
-        self._learned.stop(max(0.05, deadline - time.monotonic()))
+        self._learning.stop(max(0.05, deadline - time.monotonic()))
+
+    # -- another configuration -------------------------------------------------------------------------------
+
+    def follow(self, config: Config, changed: Sequence[Change]) -> None:
+        """Go over to another configuration, as far as that is possible without a restart; all of it or nothing.
+
+        Args:
+            changed: what is different.
+
+        Raises:
+            ServoDaemonError: a driver's options are wrong, or another process has the state of a new drive. Nothing has
+                changed then.
+        """
+        again, new, gone = (drives_of(changed, how) for how in _BY_DRIVE)
+        begin = again | new
+        drivers = {d.name: _driver_for(d) for d in config.drive if d.name in begin}
+        self._locks.take(new)
+        self._dismiss([self._slots[name] for name in again | gone])
+        self._locks.release(gone)
+        if self._stop.is_set():
+            return
+        slots = {}
+        for drive in config.drive:
+            if drive.name in begin:
+                slots[drive.name] = self._slot_for(drive, drivers[drive.name])
+            else:
+                slots[drive.name] = self._slots[drive.name]
+                slots[drive.name].runtime.reconfigure(drive)
+        self._slots, self.config = slots, at_work(self.config, config)
+        self._drives_changed()
+        for name in begin:
+            slots[name].runtime.reader.start()
+        self._tell(changed)
+
+    def _drives_changed(self) -> None:
+        """Tell everybody who works for them all."""
+        runtimes = list(self.drives.values())
+        self._workers.slots = tuple(self._slots.values())
+        if self._recording is not None:
+            self._recording.follow(runtimes)
+        self._trends.follow(runtimes)
+        if self.captures is not None:
+            self.captures.follow(runtimes)
+        self._learning.start()
+
+    def _dismiss(self, slots: Sequence[DriveSlot]) -> None:
+        """End these drives: what has come is worked off, what was learned is saved."""
+        for slot in slots:
+            slot.runtime.reader.request_stop()
+        deadline = time.monotonic() + _LEAVE_S
+        for slot in slots:
+            slot.runtime.reader.stop()
+            slot.leave()
+            while not (slot.left.wait(_WATCH_S) or self._stop.is_set()):
+                if time.monotonic() > deadline:
+                    log.warning("drive %s: its last samples are left out: they take too long", slot.runtime.name)
+                    break
+            slot.runtime.save_offered()
+            if slot.runtime.subscription is not None:
+                self._learning.unsubscribe(slot.runtime.subscription)
+
+    def _tell(self, changed: Sequence[Change]) -> None:
+        """Each drive of what concerns it; the log has it already."""
+        for name, runtime in self.drives.items():
+            own = [c.text.removeprefix(f"drive {name}: ") for c in changed if c.drive in (None, name)]
+            if own:
+                text = f"the configuration was read again: {'; '.join(own)}"
+                runtime.log.add("reloaded", text, {"changes": len(own)}, logged=False)
+
+    def begin_reload(self) -> None:
+        """Tell systemd that the configuration is being read again; `end_reload` must follow."""
+        if self._ready:
+            self._notifier.reloading()
+
+    def end_reload(self) -> None:
+        """That is over."""
+        if self._ready and not self._stop.is_set():
+            self._notifier.ready(self._summary())
 
     # -- threads ---------------------------------------------------------------------------------------------
 
@@ -171,7 +264,7 @@ class Daemon:
         began = time.monotonic()
         while not self._stop.wait(_WATCH_S):
             self._workers.look()
-            now, fresh = time.monotonic(), any(seat.has_worked for seat in self._seats.values())
+            now, fresh = time.monotonic(), any(slot.has_worked for slot in self._slots.values())
             if not self._ready and (fresh or now - began > START_TIMEOUT_S):
                 self._ready = True
                 self._notifier.ready(self._summary())
@@ -180,7 +273,7 @@ class Daemon:
 
     def _tell_systemd(self, now: float) -> None:
         """That all drives turn, and how the drives are. (One that is overloaded turns; a restart would not help.)"""
-        if all(seat.has_turned_since(self._told) for seat in self._seats.values()):
+        if all(slot.has_turned_since(self._told) for slot in self._slots.values()):
             self._told = now
             self._notifier.watchdog()
         if (summary := self._summary()) != self._said:
@@ -196,3 +289,8 @@ class Daemon:
             tracking = sum(p.status == "tracking" for p in parameters)
             parts.append(f"{name} {snapshot.connection}, {tracking} of {len(parameters)} parameters tracking")
         return "; ".join(parts)
+
+
+def _driver_for(config: DriveConfig) -> Driver:
+    """Raises: ConfigError: its options are wrong."""
+    return make_driver(config.driver, config.name, config.options)

@@ -11,12 +11,13 @@ from pathlib import Path
 
 from drivers.base import DriveInfo, Driver
 from servo_daemon.config import DriveConfig
-from servo_daemon.daemon.diagnosis.desk import DiagnosisDesk
+from servo_daemon.config.changes import looked_up
+from servo_daemon.daemon.diagnosis.coordinator import DiagnosisCoordinator
 from servo_daemon.daemon.diagnosis.runner import DiagnosisRunner
 from servo_daemon.daemon.drive_parts import line_counters, same_channels, stale
-from servo_daemon.daemon.learned_desk import Seat
+from servo_daemon.daemon.learning_coordinator import Subscription
 from servo_daemon.daemon.load import LoadWatch
-from servo_daemon.daemon.model_desk import ModelDesk
+from servo_daemon.daemon.model_coordinator import ModelCoordinator
 from servo_daemon.daemon.reader import Link, Reader
 from servo_daemon.daemon.state_keeper import StateKeeper
 from servo_daemon.errors import NumericalError, RefusedError
@@ -56,7 +57,7 @@ class DriveRuntime:
         state_dir: where its knowledge is kept over a restart; None: nowhere.
         wake: called when there is work, from the reader's thread.
         runner: of diagnoses, one for all drives.
-        seat: where learned models come from; None: nowhere.
+        subscription: where learned models come from; None: nowhere.
     """
 
     def __init__(
@@ -66,31 +67,32 @@ class DriveRuntime:
         state_dir: Path | None,
         wake: Callable[[], None],
         runner: DiagnosisRunner | None = None,
-        seat: Seat | None = None,
+        subscription: Subscription | None = None,
     ) -> None:
         self.config = config
-        self._seat = seat
+        self.subscription = subscription
         self.history = HistoryRing()
         self._keeper = StateKeeper(state_dir, config)
         self.ring = SampleRing(config.estimation.ring_s)
         self.log = EventLog(config.name)
         self.reader = Reader(driver, wake, self.log.add)
-        self._desk = ModelDesk(config.name, wake)
+        self._model_changes = ModelCoordinator(config.name, wake)
         self.active = config  # with the model as it is now
         self._pipeline: Pipeline | None = None
         self._identity: str | None = None
         self.info: DriveInfo = driver.info
         self.estimate: Estimate | None = None
-        self.trends = DriveTrends()  # written by the desk of trends
+        self.trends = DriveTrends()  # written by the coordinator of trends
         self._sample_time: float | None = None
         self._failures = self._repeated = 0
         self._quiet_until = 0.0
         self._reset_wanted = self._changed = False
+        self._wanted_config: DriveConfig | None = None
         self._was_silent = False
         self._link: Link = self.reader.link
         self._warnings = DriveWarnings(config)
         self._load = LoadWatch()
-        self._diagnoses = DiagnosisDesk(self, self.ring, self.log, runner or DiagnosisRunner())
+        self._diagnoses = DiagnosisCoordinator(self, self.ring, self.log, runner or DiagnosisRunner())
         self.log.tell(self._warnings.at_start)
         self._snapshot = self._make_snapshot()
 
@@ -143,6 +145,11 @@ class DriveRuntime:
         """Forget what was learned; carried out by the worker before the next samples."""
         self._reset_wanted = True
 
+    def reconfigure(self, config: DriveConfig) -> None:
+        """Another configuration, whose limits, gains and answers to a diagnosis are to count (`looked_up`); carried out
+        by the worker before the next samples."""
+        self._wanted_config = config
+
     def request_model(self, effects: Sequence[str], start: StartValues) -> Future[ModelChange]:
         """Go over to another model while the drive runs; see `DriveView`."""
         request = self._diagnoses.completed(checked_request(effects, start))
@@ -165,7 +172,7 @@ class DriveRuntime:
         Raises:
             BusyError: the last one is not done yet.
         """
-        return self._desk.ask(request, request.configure(self.config), self._pipeline)
+        return self._model_changes.ask(request, request.configure(self.config), self._pipeline)
 
     # -- worker thread ---------------------------------------------------------------------------------------
 
@@ -176,6 +183,7 @@ class DriveRuntime:
 
     def work(self) -> bool:
         """Process what has arrived, so much in a round, and publish. Returns whether there were samples."""
+        self._reconfigure()
         was_reset = self._reset_wanted
         if was_reset:
             self._reset()
@@ -192,7 +200,7 @@ class DriveRuntime:
         self._follow_link(bool(blocks or told) or was_reset)
         if self._changed:  # now that the first estimate of the new model is published
             self._changed = False
-            self._desk.done(self._sample_time)
+            self._model_changes.done(self._sample_time)
         return bool(blocks)
 
     def _relieve(self) -> list[Message]:
@@ -228,25 +236,25 @@ class DriveRuntime:
         if pipeline.config is not self.active:
             self._activate(pipeline.config)
             self._changed = True
-        if self._seat is not None:
-            estimate = self._learn(self._seat, pipeline, estimate)
+        if self.subscription is not None:
+            estimate = self._learn(self.subscription, pipeline, estimate)
         if estimate is not None:
             estimate, told = self._warnings.update(estimate)
             self.log.tell(told)
             self._diagnoses.watch(estimate)
         self.estimate = estimate
 
-    def _learn(self, seat: Seat, pipeline: Pipeline, estimate: Estimate | None) -> Estimate | None:
-        """Tell the desk what is needed, take what has come; the estimate with what is published until then."""
-        seat.follow(self.active, pipeline.channels, pipeline.sample_period_s)
-        model = seat.take()
+    def _learn(self, subscription: Subscription, pipeline: Pipeline, estimate: Estimate | None) -> Estimate | None:
+        """Tell the coordinator what is needed, take what has come; the estimate with what is published until then."""
+        subscription.follow(self.active, pipeline.channels, pipeline.sample_period_s)
+        model = subscription.take()
         if model is not None:
             pipeline.use_learned(model)
             text = f"RF+GRNN model of {model.facts.get('motors')} simulated motors at work, in the shadow first"
             self.log.add("model_learned", text)
         if estimate is None or "grnn" in estimate.estimators:
             return estimate
-        return replace(estimate, estimators={**estimate.estimators, "grnn": seat.view})
+        return replace(estimate, estimators={**estimate.estimators, "grnn": subscription.view})
 
     def _pipeline_for_device(self) -> Pipeline:
         """The pipeline of the device that is attached now; a new device starts from what is known of it."""
@@ -257,15 +265,15 @@ class DriveRuntime:
             if self._pipeline is not None:
                 self.log.add("device_changed", f"another device is attached: {info.identity}")
                 self.log.tell(self._warnings.forget("another device is attached"))
-                self._desk.fail("another device was attached")
+                self._model_changes.fail("another device was attached")
                 self.ring.clear()
                 self._activate(self.config)
             saved = self._keeper.load(info.identity)
             if saved is not None:
                 self._restored(saved)
             self._pipeline = Pipeline(self.active, info, saved, self.ring, self.meaning)
-            if self._seat is not None:
-                self._seat.begin_again()
+            if self.subscription is not None:
+                self.subscription.begin_again()
             self._identity, self.info = info.identity, info
         elif info != self.info:
             self._pipeline.learn_info(info)
@@ -283,23 +291,38 @@ class DriveRuntime:
             self.log.add("state_restored", "estimates of the last run restored")
 
     def _begin_model_change(self) -> None:
-        pending = self._desk.take()
+        pending = self._model_changes.take()
         if pending is None:
             return
         if self._pipeline is None:
             self.log.tell([change_message(self.model, pending.config.model)])
             self._activate(pending.config)
-            self._desk.done(None)
+            self._model_changes.done(None)
         else:
             self._pipeline.change_model(pending.request, pending.config, pending.tracker)
 
     def _activate(self, config: DriveConfig) -> None:
         """From now on this is the drive's configuration: the user's, with another model."""
+        config = looked_up(config, self.config)  # it may have been made before the last `reconfigure`
+        if self._pipeline is not None:
+            self._pipeline.config = config
         if config is self.active:
             return
         self.active = config
         self._diagnoses.model_changed()
         self.log.tell(self._warnings.follow(config))
+
+    def _reconfigure(self) -> None:
+        config, self._wanted_config = self._wanted_config, None
+        if config is None:
+            return
+        before, own = self.active, self.active is self.config
+        self.config = config
+        self.active = config if own else looked_up(before, config)
+        self._keeper.follow(self.config, before, self.active)
+        if self._pipeline is not None:
+            self._pipeline.config = self.active
+        self.log.tell(self._warnings.reconfigure(self.active))
 
     def _fail(self) -> None:
         self._failures += 1
@@ -311,7 +334,7 @@ class DriveRuntime:
             self.log.add("pipeline_failed", text, {"failures": self._failures})
         if self._pipeline is not None:
             self._pipeline.reset()
-        self._desk.fail("the pipeline failed and starts over")
+        self._model_changes.fail("the pipeline failed and starts over")
         self.estimate = None
 
     def _reset(self) -> None:
@@ -319,7 +342,7 @@ class DriveRuntime:
         self._keeper.forget()
         if self._pipeline is not None:
             self._pipeline.reset(self.config)
-        self._desk.fail("the estimates were reset")
+        self._model_changes.fail("the estimates were reset")
         self._activate(self.config)
         self.estimate = None
         self.log.add("reset", "estimates reset by request")

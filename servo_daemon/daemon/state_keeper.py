@@ -12,7 +12,7 @@ from servo_daemon.pipeline.publish import Adopted, SavedState
 
 
 class StateKeeper:
-    """One drive's. `write` belongs to the saver, everything else to the worker.
+    """Keeps one drive's state file. `write` belongs to the saver, everything else to the worker.
 
     Args:
         directory: where state files are; None: nothing is kept.
@@ -34,6 +34,16 @@ class StateKeeper:
     def knows(self, active: DriveConfig) -> None:
         """The file has this model already."""
         self._kept = active
+
+    def follow(self, config: DriveConfig, before: DriveConfig, active: DriveConfig) -> None:
+        """The drive's configuration is another, not its model.
+
+        Args:
+            before, active: with the model as it is now, until now and from now on.
+        """
+        self._config = config
+        if self._kept is before:
+            self._kept = active
 
     def offer(self, identity: str, saved: SavedState | None, active: DriveConfig) -> None:
         """Lay out what is worth keeping.

@@ -2,7 +2,7 @@
 
 The thread that all share is woken by the readers' blocks, which come some 25 times a second, and takes what has queued
 up for each drive in one go: eight drives cost 20 % less so than with a thread each. A drive whose turn takes long (a
-plant that is compiled, a start or a jump gone over again, a slow engine) keeps the thread that it is in, and another
+plant that is compiled, a start or a jump filtered again, a slow engine) keeps the thread that it is in, and another
 goes on with the rest. Compiled code and CasADi release the interpreter, and plain Python gives it up every few
 milliseconds, so that the others do turn meanwhile.
 """
@@ -29,7 +29,7 @@ _QUICK_S = 1.0
 STUCK_S = 5.0
 
 
-class Seat:
+class DriveSlot:
     """One drive among the threads.
 
     Args:
@@ -40,6 +40,7 @@ class Seat:
         owner: the thread that works for this drive alone; None: the shared one does.
         turned: when it last did, host monotonic, s.
         has_worked: samples have been worked off.
+        left: the drive has gone, and what it knew is laid out to be saved.
     """
 
     def __init__(
@@ -53,7 +54,8 @@ class Seat:
         self._save_interval_s, self._save = save_interval_s, save
         self.owner: threading.Thread | None = None
         self.turned = self._next_save = time.monotonic()
-        self.has_worked = False
+        self.has_worked = self._leaving = False
+        self.left = threading.Event()
         self.runtime = make(self.call)
 
     def call(self) -> None:
@@ -61,12 +63,24 @@ class Seat:
         self.wake.set()
         self._wake_all()
 
+    def leave(self) -> None:
+        """The drive is to go: its reader has ended. Any thread; `left` tells when what had come is worked off."""
+        self._leaving = True
+        self.call()
+
     def turn(self) -> None:
         """A round of the drive's work, and time and again what it knows laid out to be saved."""
+        if self.left.is_set():
+            return
+        leaving = self._leaving  # looked at before: then everything that will come is in the queue
         self.has_worked |= self.runtime.work()
         self.turned = time.monotonic()
         if self.runtime.reader.queue.samples:
             self.call()
+        elif leaving:
+            self.offer()
+            self.left.set()
+            return
         if self.turned >= self._next_save:
             self._next_save = self.turned + self._save_interval_s
             self.offer()
@@ -97,26 +111,29 @@ class Seat:
 class _Turn:
     """Of the shared thread, under way."""
 
-    seat: Seat
+    slot: DriveSlot
     began_s: float
 
 
 class Workers:
-    """See the module. `start` once.
+    """The threads that turn all drives. `start` once.
 
     Args:
         stop: set when they are to end.
+
+    Attributes:
+        slots: may be exchanged while they work.
     """
 
     def __init__(self, stop: threading.Event) -> None:
-        self.seats: Sequence[Seat] = ()
+        self.slots: Sequence[DriveSlot] = ()
         self._stop, self._wake, self._lock = stop, threading.Event(), threading.Lock()
         self._turn: _Turn | None = None
         self._shared: threading.Thread | None = None
         self._threads: list[threading.Thread] = []
 
-    def start(self, seats: Sequence[Seat]) -> None:
-        self.seats = seats
+    def start(self, slots: Sequence[DriveSlot]) -> None:
+        self.slots = slots
         self._replace_shared()
 
     @property
@@ -141,12 +158,12 @@ class Workers:
     def look(self) -> None:
         """Where a turn takes long, let another thread go on with the other drives. Any thread."""
         turn = self._turn
-        if turn is None or time.monotonic() - turn.began_s < LONG_TURN_S or len(self.seats) == 1:
+        if turn is None or time.monotonic() - turn.began_s < LONG_TURN_S or len(self.slots) == 1:
             return
         with self._lock:
             if self._turn is not turn or self._stop.is_set():
                 return
-            turn.seat.owner, self._turn = self._shared, None
+            turn.slot.owner, self._turn = self._shared, None
             self._replace_shared()
 
     def _replace_shared(self) -> None:
@@ -158,38 +175,39 @@ class Workers:
     def _work_for_all(self) -> None:
         while not self._stop.is_set():
             self._wake.wait(_IDLE_TURN_S)
-            if len(self.seats) > 1 and all(seat.owner is None for seat in self.seats):
+            if len(self.slots) > 1 and all(slot.owner is None for slot in self.slots):
                 self._stop.wait(_GATHER_S)
             self._wake.clear()
-            for seat in self.seats:
-                if seat.owner is None and not self._is_back_after(seat):
-                    self._work_for(seat)
+            for slot in self.slots:
+                if slot.owner is None and not self._is_back_after(slot):
+                    self._work_for(slot)
                     return
-        for seat in self.seats:
-            if seat.owner is None:
-                seat.offer()
+        for slot in self.slots:
+            if slot.owner is None:
+                slot.offer()
 
-    def _is_back_after(self, seat: Seat) -> bool:
+    def _is_back_after(self, slot: DriveSlot) -> bool:
         """Turn a drive. Returns whether this is the shared thread still."""
-        self._turn = _Turn(seat, time.monotonic())
-        seat.turn()
+        self._turn = _Turn(slot, time.monotonic())
+        slot.turn()
         with self._lock:
-            self._turn = None if seat.owner is None else self._turn
-            return seat.owner is None
+            self._turn = None if slot.owner is None else self._turn
+            return slot.owner is None
 
-    def _work_for(self, seat: Seat) -> None:
+    def _work_for(self, slot: DriveSlot) -> None:
         """Alone, until its turns are no longer long."""
-        threading.current_thread().name = f"pipeline-{seat.runtime.name}"
+        threading.current_thread().name = f"pipeline-{slot.runtime.name}"
         last_long = time.monotonic()
-        while not self._stop.is_set():
-            seat.wake.wait(_IDLE_TURN_S)
-            seat.wake.clear()
+        while not self._stop.is_set() and not slot.left.is_set():
+            slot.wake.wait(_IDLE_TURN_S)
+            slot.wake.clear()
             began = time.monotonic()
-            seat.turn()
-            if seat.turned - began >= LONG_TURN_S:
-                last_long = seat.turned
-            elif seat.turned - last_long >= _QUICK_S:
-                seat.owner = None
+            slot.turn()
+            if slot.turned - began >= LONG_TURN_S:
+                last_long = slot.turned
+            elif slot.turned - last_long >= _QUICK_S:
+                slot.owner = None
                 self._wake.set()
                 return
-        seat.offer()
+        if not slot.left.is_set():
+            slot.offer()

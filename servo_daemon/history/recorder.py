@@ -81,6 +81,7 @@ class Recorder:
     `marks` follow: who holds it sees each row either in the database or after its mark.
 
     Attributes:
+        wanted: the drives from the next turn on that leaves nothing to be written; any thread may exchange them.
         problem: why nothing is written now, in words; None: it is.
     """
 
@@ -101,6 +102,7 @@ class Recorder:
     def __post_init__(self) -> None:
         self._blocks = BlockWriter(self.levels)
         self.marks = {source.name: Mark() for source in self.sources}
+        self.wanted = self.sources
 
     def turn(self, wall_s: float, monotonic_s: float) -> bool:
         """Write what is new; whether there is more to be written at once. Never raises: a fault is told in `problem`.
@@ -112,6 +114,8 @@ class Recorder:
             return False
         try:
             more = self._write(wall_s)
+            if not more and self.wanted is not self.sources:
+                self._change_sources(self.wanted)
             self._look_after(wall_s, monotonic_s)
         except (SQLAlchemyError, OSError, ServoDaemonError) as error:
             self._fail(error, monotonic_s)
@@ -145,6 +149,14 @@ class Recorder:
                 transaction.commit()
                 self.marks, self.counts = marks, counts
         return more
+
+    def _change_sources(self, wanted: Sequence[Source]) -> None:
+        before = {source.name: source for source in self.sources}
+        with self._opened().begin() as connection:
+            ids = {s.name: drive_id(connection, s.name, make=True) or 0 for s in wanted}
+        with self.lock:
+            self._ids, self.sources = ids, wanted
+            self.marks = {s.name: self.marks[s.name] if before.get(s.name) is s else Mark() for s in wanted}
 
     def _write_drive(
         self, connection: sa.Connection, source: Source, counts: Counts, wall_s: float

@@ -13,7 +13,7 @@ from servo_daemon.tracking.plan.settings import Message
 
 
 class DriveWarnings:
-    """One drive's. Pure: fed estimates, answers with what is to be told.
+    """Makes warnings of one drive's estimates. Pure.
 
     Args:
         config: the drive's.
@@ -44,6 +44,15 @@ class DriveWarnings:
         """The drive has another model."""
         before, self._alarms = self._alarms, Alarms(config)
         return self._alarms.follow(before)
+
+    def reconfigure(self, config: DriveConfig) -> list[Message]:
+        """The drive has other limits or gains: what rings goes on ringing, the margins are looked at anew."""
+        why = "the configuration has changed"
+        ended = self._margins.forget(why)
+        alarms, started = self._alarms, DriveWarnings(config)
+        self._alarms, self._margins = started._alarms, started._margins
+        told = self._alarms.follow(alarms, why)
+        return [*ended, *told, *(m for m in started.at_start if m[0] == "margin_impossible")]
 
     def forget(self, why: str) -> list[Message]:
         """What they were about is no longer known.

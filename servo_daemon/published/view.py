@@ -128,7 +128,7 @@ class DaemonView(Protocol):
 
     @property
     def drives(self) -> Mapping[str, DriveView]:
-        """Drives by name, in the order of the configuration; fixed while the daemon runs."""
+        """Drives by name, in the order of the configuration; a reload of that exchanges the whole mapping."""
 
     @property
     def archive(self) -> Archive | None:

@@ -45,7 +45,12 @@ K_min = {0.98 * TRUE["K"]:.5f}
 warn_before = "1000 d"
 """
 #: The first trends a second after the start and not a minute; all else as the program is.
-_QUICK = "from servo_daemon.daemon.trends import desk; desk.FIRST_S = 1.0; from servo_daemon.cli import main; main()"
+_QUICK = """
+from servo_daemon.daemon.trends import coordinator
+coordinator.FIRST_S = 1.0
+from servo_daemon.cli import main
+main()
+"""
 
 
 class _Lapse(BlockWriter):

@@ -16,7 +16,7 @@ from servo_daemon.kalman.gaussian import Gaussian
 from servo_daemon.kalman.model import GATE
 from servo_daemon.kalman.records import Innovations
 from servo_daemon.samples import F64, SampleBlock
-from servo_daemon.tracking.samples.signal_scales import Levels
+from servo_daemon.tracking.samples.signal_scales import SignalScales
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,26 +44,26 @@ class Forget:
 
 
 class Filtering:
-    """One drive's.
+    """Lays out samples for one filter and runs it over them; keeps them while they may be needed again.
 
     Attributes:
         layout: how samples are laid out.
         own: how badly the samples fitted as they came, while they are kept and since this was last set.
     """
 
-    def __init__(self, ekf: Ekf, levels: Levels) -> None:
-        self._ekf, self._levels = ekf, levels
+    def __init__(self, ekf: Ekf, signal_scales: SignalScales) -> None:
+        self._ekf, self._signal_scales = ekf, signal_scales
         self.layout = Layout(ekf.plant.drive, ekf.channels)
         self._before: SampleBlock | None = None  # the last samples
         self._kept: list[tuple[SampleBlock, float | None, float | None]] | None = None
         self._kept_from: tuple[SampleBlock, Marked] | None = None
-        self._laid_out: tuple[float, list[Forget | F64]] | None = None  # the kept ones, since they were gone over
+        self._laid_out: tuple[float, list[Forget | F64]] | None = None  # the kept ones, since they were filtered
         self.own = Fit()
         self._passed: list[Forget | F64] = []  # what the filter took since it was last asked for
         self._gated: list[F64] = []  # of each run of samples since they were last asked for; (n, channels)
 
     def take(self, block: SampleBlock, last_s: float | None, period_s: float | None) -> None:
-        """Samples in order.
+        """Filter samples, in order.
 
         Args:
             last_s: time of the sample before them.
@@ -122,11 +122,11 @@ class Filtering:
                 yield self._rows(part)
 
     def _rows(self, part: SampleBlock, new: Mask | None = None) -> F64:
-        """Args: new: samples of the part that were put in."""
-        levels = self._levels
-        line_var = LINE_VAR * levels.input_step_square
-        leaps = levels.largest_leap, levels.largest_current_leap
-        return self.layout.rows(part, levels.input_square, new, line_var, *leaps)
+        """The part as the filter's rows. `new`: which samples were filled in, shape (n,)."""
+        scales = self._signal_scales
+        line_var = LINE_VAR * scales.input_step_square
+        spikes = scales.spike_limit, scales.current_spike_limit
+        return self.layout.rows(part, scales.input_square, new, line_var, *spikes)
 
     def _forget(self, at: Forget) -> None:
         forget = self._ekf.forget_state if at.everything else self._ekf.forget_motion
@@ -138,7 +138,7 @@ class Filtering:
         return 0 if self._kept is None else sum(len(block) for block, _, _ in self._kept)
 
     def keep(self, last: SampleBlock | None) -> None:
-        """A filter starts: from now on samples are kept, so that they can be gone over `again`.
+        """A filter starts: from now on samples are kept, so that they can be filtered `again`.
 
         Args:
             last: the last sample before them; None: no samples are kept, nor those that were.
@@ -215,5 +215,5 @@ class Filtering:
         return np.asarray(np.logical_or.reduce(np.concatenate(taken), axis=1))
 
     def forget_outliers(self) -> None:
-        """A filter begins: what was gated before is no longer asked for."""
+        """Forget which samples were gated: a filter begins."""
         self._gated = []

@@ -13,9 +13,9 @@ import pytest
 from drivers.base import DriveInfo
 from servo_daemon.captures import read_capture
 from servo_daemon.config import DriveConfig, parse_config
-from servo_daemon.daemon.captures import desk as desk_module
-from servo_daemon.daemon.captures.desk import CaptureDesk
-from servo_daemon.daemon.captures.shelf import Shelf
+from servo_daemon.daemon.captures import coordinator as coordinator_module
+from servo_daemon.daemon.captures.coordinator import CaptureCoordinator
+from servo_daemon.daemon.captures.folder import CaptureFolder
 from servo_daemon.daemon.daemon import Daemon
 from servo_daemon.errors import BusyError, RefusedError, ServoDaemonError
 from servo_daemon.pipeline.event_log import EventLog
@@ -31,7 +31,7 @@ START = time.time()
 
 @dataclass
 class Drive:
-    """A `desk.Source` whose samples are its device time."""
+    """A `coordinator.Source` whose samples are its device time."""
 
     name: str = "axis1"
     active: DriveConfig = field(default_factory=DriveConfig)
@@ -61,24 +61,24 @@ def drive() -> Drive:
     return made
 
 
-def desk_of(drive: Drive, folder: Path, quota: float = 1e9) -> CaptureDesk:
-    return CaptureDesk(Shelf(folder, quota), [drive])
+def coordinator_of(drive: Drive, folder: Path, quota: float = 1e9) -> CaptureCoordinator:
+    return CaptureCoordinator(CaptureFolder(folder, quota), [drive])
 
 
 @pytest.mark.parametrize("ending", ["parquet", "csv.gz"])
 def test_the_minute_around_an_event(drive: Drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: str) -> None:
     if ending == "csv.gz":
         monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    desk = desk_of(drive, tmp_path)
+    coordinator = coordinator_of(drive, tmp_path)
     drive.log.add("alarm", "R is above its limit")
-    desk.turn(0.0)
-    assert desk.of("axis1") == ()  # what comes after it is not there yet
+    coordinator.turn(0.0)
+    assert coordinator.of("axis1") == ()  # what comes after it is not there yet
     drive.run(29)
     drive.log.add("model_mismatch", "is in the same capture")
-    desk.turn(29.0)
+    coordinator.turn(29.0)
     drive.run(1)
-    desk.turn(30.0)
-    (kept,) = desk.of("axis1")
+    coordinator.turn(30.0)
+    (kept,) = coordinator.of("axis1")
     assert kept.path.name.endswith(f"-alarm.{ending}") and kept.size == kept.path.stat().st_size
     capture = read_capture(kept.path)
     assert (capture.time_s[0], capture.time_s[-1]) == pytest.approx((40.01, 100.0))
@@ -89,90 +89,90 @@ def test_the_minute_around_an_event(drive: Drive, tmp_path: Path, monkeypatch: p
 
 
 def test_what_a_diagnosis_begins_with_is_kept_at_once(drive: Drive, tmp_path: Path) -> None:
-    desk = desk_of(drive, tmp_path)
+    coordinator = coordinator_of(drive, tmp_path)
     drive.log.add("refreshed", "says nothing of the samples")
     drive.log.add("diagnosis_started", "…")
-    desk.turn(0.0)
-    (kept,) = desk.of("axis1")
+    coordinator.turn(0.0)
+    (kept,) = coordinator.of("axis1")
     assert kept.kind == "diagnosis_started" and read_capture(kept.path).time_s[[0, -1]] == pytest.approx([10.01, 70])
 
 
 def test_a_drive_that_goes_away_leaves_the_minute_before(drive: Drive, tmp_path: Path) -> None:
-    desk = desk_of(drive, tmp_path)
+    coordinator = coordinator_of(drive, tmp_path)
     drive.log.add("alarm", "…")
-    desk.turn(0.0)
+    coordinator.turn(0.0)
     drive.connection = "down"
     drive.ring.clear()
     drive.now = 0.0  # the device has restarted
     drive.run(2)
-    desk.turn(2.0)
-    assert read_capture(desk.of("axis1")[0].path).time_s[[0, -1]] == pytest.approx([10.01, 70])
+    coordinator.turn(2.0)
+    assert read_capture(coordinator.of("axis1")[0].path).time_s[[0, -1]] == pytest.approx([10.01, 70])
 
 
 def test_an_alarm_that_comes_and_goes_is_not_kept_each_time(drive: Drive, tmp_path: Path) -> None:
-    desk = desk_of(drive, tmp_path)
+    coordinator = coordinator_of(drive, tmp_path)
     for minute in range(12):
         drive.log.add("alarm", "…")
-        desk.turn(60.0 * minute)
+        coordinator.turn(60.0 * minute)
         drive.run(60)
-        desk.turn(60.0 * minute + 59)
-    assert len(desk.of("axis1")) == 2  # in the first minute, and after ten
+        coordinator.turn(60.0 * minute + 59)
+    assert len(coordinator.of("axis1")) == 2  # in the first minute, and after ten
 
 
 def test_the_oldest_go_beyond_the_quota_and_the_rest_outlives_a_restart(drive: Drive, tmp_path: Path) -> None:
-    one = Shelf(tmp_path / "one", 1e9).store("axis1", "request", START, START + 60, drive.ring.blocks(), {})
-    desk = desk_of(drive, tmp_path / "many", 3.5 * one.size)
+    one = CaptureFolder(tmp_path / "one", 1e9).store("axis1", "request", START, START + 60, drive.ring.blocks(), {})
+    coordinator = coordinator_of(drive, tmp_path / "many", 3.5 * one.size)
     for k in range(6):
         drive.run(1)
-        future = desk.request("axis1", 60.0)
-        desk.turn(float(k))
+        future = coordinator.request("axis1", 60.0)
+        coordinator.turn(float(k))
         newest = future.result(0)
-    kept = desk.of("axis1")
+    kept = coordinator.of("axis1")
     assert len(kept) == 3 and kept[-1] == newest
     assert sorted(p.name for p in (tmp_path / "many" / "axis1").iterdir()) == [k.path.name for k in kept]
     (tmp_path / "many" / "axis1" / ".20261127T023001123Z-1ms-alarm.parquet.0a.part").touch()
     (tmp_path / "many" / "axis1" / "notes.txt").touch()
-    again = Shelf(tmp_path / "many", 1e9)
+    again = CaptureFolder(tmp_path / "many", 1e9)
     assert again.of("axis1") == kept
     assert not list((tmp_path / "many" / "axis1").glob(".*"))
 
 
 def test_requests_are_cut_to_what_is_asked_for_and_refused_in_words(drive: Drive, tmp_path: Path) -> None:
-    desk = desk_of(drive, tmp_path)
-    future = desk.request("axis1", 5.0)
-    desk.turn(0.0)
+    coordinator = coordinator_of(drive, tmp_path)
+    future = coordinator.request("axis1", 5.0)
+    coordinator.turn(0.0)
     assert read_capture(future.result(0).path).time_s[[0, -1]] == pytest.approx([65.01, 70], abs=0.1)
     for _ in range(8):
-        desk.request("axis1", 5.0)
+        coordinator.request("axis1", 5.0)
     with pytest.raises(BusyError, match="wait to be written"):
-        desk.request("axis1", 5.0)
+        coordinator.request("axis1", 5.0)
     drive.ring = SampleRing(0.0)
     with pytest.raises(RefusedError, match="ring_s = 0"):
-        desk.request("axis1", 5.0)
+        coordinator.request("axis1", 5.0)
 
 
 def test_a_disk_that_refuses_is_told_and_nothing_else_suffers(drive: Drive, tmp_path: Path) -> None:
     (tmp_path / "captures").touch()  # where the folder should be
-    desk = desk_of(drive, tmp_path / "captures")
+    coordinator = coordinator_of(drive, tmp_path / "captures")
     drive.log.add("diagnosis_started", "…")
-    future = desk.request("axis1", 5.0)
-    desk.turn(0.0)
+    future = coordinator.request("axis1", 5.0)
+    coordinator.turn(0.0)
     with pytest.raises(ServoDaemonError):
         future.result(0)
-    assert desk.problem is not None and "captures cannot be kept" in desk.problem
+    assert coordinator.problem is not None and "captures cannot be kept" in coordinator.problem
     (tmp_path / "captures").unlink()
-    desk.request("axis1", 5.0)
-    desk.turn(1.0)
-    assert desk.problem is None and len(desk.of("axis1")) == 1
+    coordinator.request("axis1", 5.0)
+    coordinator.turn(1.0)
+    assert coordinator.problem is None and len(coordinator.of("axis1")) == 1
 
 
 def test_the_thread_writes_what_is_asked_for(drive: Drive, tmp_path: Path) -> None:
-    desk = desk_of(drive, tmp_path)
-    desk.start()
-    assert desk.request("axis1", 5.0).result(30.0).kind == "request"
+    coordinator = coordinator_of(drive, tmp_path)
+    coordinator.start()
+    assert coordinator.request("axis1", 5.0).result(30.0).kind == "request"
     drive.log.add("alarm", "at the end with what there is of it")
-    desk.stop(30.0)
-    assert [k.kind for k in desk.of("axis1")] == ["request", "alarm"]
+    coordinator.stop(30.0)
+    assert [k.kind for k in coordinator.of("axis1")] == ["request", "alarm"]
 
 
 @pytest.mark.parametrize(
@@ -186,5 +186,5 @@ def test_where_they_are_kept(history: dict[str, Any], with_state: bool, are_kept
 
 def test_the_kinds_are_events_that_there_are(repo_root: Path) -> None:
     sources = "".join(p.read_text(encoding="utf-8") for p in (repo_root / "servo_daemon").rglob("*.py"))
-    told = sources.replace(Path(desk_module.__file__).read_text(encoding="utf-8"), "")
-    assert [kind for kind in desk_module.KINDS if f'"{kind}"' not in told] == []
+    told = sources.replace(Path(coordinator_module.__file__).read_text(encoding="utf-8"), "")
+    assert [kind for kind in coordinator_module.KINDS if f'"{kind}"' not in told] == []
