@@ -17,6 +17,7 @@ from typing import NoReturn, Protocol, cast
 
 from servo_daemon import __version__
 from servo_daemon.errors import ServoDaemonError
+from servo_daemon.journal import SOCKET, JournalHandler, is_journal, priority
 
 log = logging.getLogger("servo_daemon")
 
@@ -104,17 +105,16 @@ def _fail(program: str, text: str, code: int, as_json: bool) -> int:
 class _PriorityFormatter(logging.Formatter):
     """Lines for systemd's journal: `<priority>` in front, no time stamp (the journal has its own); see sd-daemon(3)."""
 
-    _PRIORITY = ((logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
-
     def format(self, record: logging.LogRecord) -> str:
-        priority = next((p for level, p in self._PRIORITY if record.levelno >= level), 7)
-        return "\n".join(f"<{priority}>{line}" for line in super().format(record).splitlines())
+        return "\n".join(f"<{priority(record.levelno)}>{line}" for line in super().format(record).splitlines())
 
 
 def _set_up_logging(level: str) -> None:
-    handler = logging.StreamHandler(sys.stderr)
+    handler: logging.Handler = logging.StreamHandler(sys.stderr)
     if os.environ.get("JOURNAL_STREAM"):
         handler.setFormatter(_PriorityFormatter("%(name)s: %(message)s"))
+        if SOCKET.exists() and is_journal(2):  # stderr is its stream: then with fields of its own
+            handler = JournalHandler(handler)
     else:
         handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     logging.basicConfig(level=level.upper(), handlers=[handler], force=True)

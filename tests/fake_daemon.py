@@ -17,6 +17,7 @@ from servo_daemon.published.diagnosis_state import Adoption, Diagnosis, Diagnosi
 from servo_daemon.published.history import HistoryRing
 from servo_daemon.published.knowledge import LoopFacts
 from servo_daemon.published.recorded import Captures, KeptCapture
+from servo_daemon.published.sinks import SinkState
 from servo_daemon.published.snapshot import (
     AlarmLimit,
     Connection,
@@ -197,6 +198,7 @@ class FakeDaemon:
     stop: bool = False
     archive: Archive | None = None
     captures: Captures | None = None
+    sinks: Sequence[SinkState] = ()
 
     def problems(self) -> Sequence[str]:
         return self.wrong

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from servo_daemon.config_hints import did_you_mean
+from servo_daemon.config_sinks import MqttConfig, WebhookConfig
 from servo_daemon.config_texts import is_limit, parse_days, parse_drift
 from servo_daemon.errors import ConfigError
 from servo_daemon.plant.effects import check_effects, parameter_table
@@ -282,6 +283,8 @@ class Config(_Section):
     diagnosis: DiagnosisConfig = DiagnosisConfig()
     learning: LearningConfig = LearningConfig()
     history: HistoryConfig = HistoryConfig()
+    mqtt: MqttConfig | None = None
+    webhook: tuple[WebhookConfig, ...] = ()
     drive: tuple[DriveConfig, ...] = (DriveConfig(),)
 
     @field_validator("drive")
@@ -294,6 +297,13 @@ class Config(_Section):
             if names.count(name) > 1:
                 raise ValueError(f"two drives are named '{name}'")
         return drives
+
+    @model_validator(mode="after")
+    def _webhooks_name_drives(self) -> Config:
+        names = [d.name for d in self.drive]
+        for name in (n for hook in self.webhook for n in hook.drives if n not in names):
+            raise ValueError(f"a webhook is for the drive '{name}'{did_you_mean(name, names)}, which is not configured")
+        return self
 
     def drive_named(self, name: str | None) -> DriveConfig:
         """The drive of that name, or the first.

@@ -20,9 +20,11 @@ from servo_daemon.daemon.diagnosis.runner import DiagnosisRunner
 from servo_daemon.daemon.drive import DriveRuntime
 from servo_daemon.daemon.learning_coordinator import LearningCoordinator
 from servo_daemon.daemon.notify import Notifier
+from servo_daemon.daemon.sinks import sinks_of
 from servo_daemon.daemon.state_lock import StateLocks
 from servo_daemon.daemon.trends.coordinator import TrendCoordinator
 from servo_daemon.daemon.worker import DriveSlot, Workers
+from servo_daemon.published.sinks import SinkState
 
 if TYPE_CHECKING:
     from servo_daemon.daemon.recording import Recording
@@ -75,6 +77,7 @@ class Daemon:
         self._workers = Workers(self._stop)
         self._slots = {d.name: self._slot_for(d, _driver_for(d)) for d in config.drive}
         self._recording = self._recorded(state_dir)
+        self._sinks = sinks_of(config, tuple(slot.runtime for slot in self._slots.values()), state_dir)
         self._trends = TrendCoordinator(self.archive, [slot.runtime for slot in self._slots.values()])
         self.captures = self._kept_captures(state_dir)
         self._watcher = threading.Thread(target=self._watch, name="watch", daemon=True)
@@ -115,6 +118,11 @@ class Daemon:
         """What was published, for years; None: only the last minutes are kept."""
         return None if self._recording is None else self._recording.archive
 
+    @property
+    def sinks(self) -> Sequence[SinkState]:
+        """The broker and the webhooks, in the order of the configuration."""
+        return [sink.state for sink in self._sinks]
+
     def stopping(self) -> bool:
         """The daemon has been told to stop."""
         return self._stop.is_set()
@@ -125,6 +133,7 @@ class Daemon:
         found += [slot.problem for slot in self._slots.values() if self._workers.started]
         found += [None if self._recording is None else self._recording.problem]
         found += [None if self.captures is None else self.captures.problem]
+        found += [sink.problem for sink in self.sinks]
         return [p for p in found if p is not None]
 
     def start(self) -> None:
@@ -137,6 +146,8 @@ class Daemon:
         self._trends.start()
         if self.captures is not None:
             self.captures.start()
+        for sink in self._sinks:
+            sink.start()
         for runtime in self.drives.values():
             runtime.reader.start()
 
@@ -150,6 +161,8 @@ class Daemon:
             self._trends.begin_stop()
             if self.captures is not None:
                 self.captures.begin_stop()
+            for sink in self._sinks:
+                sink.begin_stop()
             for slot in self._slots.values():
                 slot.runtime.reader.request_stop()
                 slot.call()
@@ -168,6 +181,8 @@ class Daemon:
             self.captures.stop(max(0.05, deadline - time.monotonic()))
         if self._recording is not None:  # after the workers: with their last rows
             self._recording.stop(max(0.05, deadline - time.monotonic()))
+        for sink in self._sinks:
+            sink.stop(max(0.05, deadline - time.monotonic()))
         self._diagnoses.stop(max(0.05, deadline - time.monotonic()))
         self._learning.stop(max(0.05, deadline - time.monotonic()))
 

@@ -25,7 +25,7 @@ from servo_daemon.published.archive import Counts
 from servo_daemon.published.diagnosis_state import DiagnosisView
 from servo_daemon.published.history import HistoryRing
 from servo_daemon.published.memory import of_ring
-from servo_daemon.published.snapshot import Event
+from servo_daemon.published.view import EventSource
 
 log = logging.getLogger(__name__)
 
@@ -41,13 +41,6 @@ _CLOCK_PROVEN_S: Final = 3600.0
 _CLOCK_AGREES_S: Final = 60.0
 #: Over the quota so much of the largest level goes at a time, as a share.
 _SHORTEN_BY: Final = 0.05
-
-
-class EventSource(Protocol):
-    """A drive's events, numbered as they come."""
-
-    def since(self, number: int) -> tuple[int, Sequence[Event]]:
-        """How many there have been ever, and those from that number on that are still kept."""
 
 
 class Source(Protocol):

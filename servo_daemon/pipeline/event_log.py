@@ -47,7 +47,8 @@ class EventLog:
         """
         if logged:
             level = logging.WARNING if kind in _WARNINGS else logging.INFO
-            log.log(level, "drive %s: %s", self._drive, message)
+            fields = {**(data or {}), "drive": self._drive, "event": kind}  # for the journal
+            log.log(level, "drive %s: %s", self._drive, message, extra={"fields": fields})
         with self._lock:
             self._events.append(Event(time.time(), kind, message, data or {}))
             self._number += 1

@@ -17,6 +17,7 @@ from servo_daemon.published.diagnosis_state import DiagnosisView
 from servo_daemon.published.history import HistoryRing
 from servo_daemon.published.knowledge import LoopFacts
 from servo_daemon.published.recorded import Captures
+from servo_daemon.published.sinks import SinkState
 from servo_daemon.published.snapshot import AlarmLimit, Event, ParameterEstimate, Snapshot
 from servo_daemon.published.trends import DriveTrends
 from servo_daemon.samples import SampleBlock
@@ -36,6 +37,13 @@ class ModelChange:
 
     model: tuple[str, ...]
     time: float | None
+
+
+class EventSource(Protocol):
+    """A drive's events, numbered as they come."""
+
+    def since(self, number: int) -> tuple[int, Sequence[Event]]:
+        """How many there have been ever, and those from that number on that are still kept."""
 
 
 class DriveView(Protocol):
@@ -137,6 +145,10 @@ class DaemonView(Protocol):
     @property
     def captures(self) -> Captures | None:
         """Kept recordings; None: none are kept."""
+
+    @property
+    def sinks(self) -> Sequence[SinkState]:
+        """The broker and the webhooks that are sent to, in the order of the configuration."""
 
     def problems(self) -> Sequence[str]:
         """What is wrong with the daemon itself, in words (a pipeline that does not turn, a state directory that

@@ -102,6 +102,8 @@ def test_it_runs_with_the_first_samples_and_keeps_what_it_learns(unit: Machine) 
     assert document["samples"] > 0
     owner = unit.run("stat", "--format=%U", STATE).strip()
     assert owner == UNIT
+    found = ("SERVO_EVENT=connected", "SERVO_DRIVE=axis1", "PRIORITY=6", f"_SYSTEMD_UNIT={UNIT}.service")
+    assert "drive axis1: device opened" in unit.run("journalctl", "--no-pager", "--output=cat", *found)
 
 
 def test_the_sandbox_lets_it_compile_and_load_the_plant(unit: Machine) -> None:

@@ -192,6 +192,16 @@ class ResetDocument(Closed):
     accepted: bool
 
 
+class SinkDocument(Closed):
+    """A broker or webhook that is sent to. One that is away is not the daemon's fault."""
+
+    connected: bool | None = Field(description="Null before the first attempt.")
+    waiting: int = Field(description="Events and states that are kept for it.")
+    sent: int = Field(description="Messages that have arrived.")
+    dropped: int = Field(description="Events and states that were given up.")
+    reason: str | None = Field(description="Why it cannot be reached.")
+
+
 class HealthDocument(Closed):
     """Whether the daemon itself works. A drive that is switched off is not its fault."""
 
@@ -202,6 +212,7 @@ class HealthDocument(Closed):
         started=TIME_EXAMPLE,
         uptime_s=3600.5,
         drives={"axis1": "connected"},
+        sinks={"mqtt": {"connected": True, "waiting": 0, "sent": 3600, "dropped": 0, "reason": None}},
     )
 
     status: Literal["ok", "failing"]
@@ -210,6 +221,7 @@ class HealthDocument(Closed):
     started: str
     uptime_s: float = Field(description="Seconds.")
     drives: dict[str, Connection]
+    sinks: dict[str, SinkDocument] = Field(description="`mqtt`, `webhook_1`, …: what is sent elsewhere.")
 
 
 class ReadyDriveDocument(Closed):

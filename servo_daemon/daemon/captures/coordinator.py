@@ -17,7 +17,7 @@ from servo_daemon import __version__
 from servo_daemon.config import DriveConfig
 from servo_daemon.daemon.captures.folder import CaptureFolder
 from servo_daemon.daemon.diagnosis.files import capture_metadata
-from servo_daemon.errors import BusyError, RefusedError, ServoDaemonError
+from servo_daemon.errors import BusyError, CaptureError, RefusedError, ServoDaemonError
 from servo_daemon.pipeline.event_log import EventLog
 from servo_daemon.pipeline.ring import SampleRing
 from servo_daemon.published.recorded import KeptCapture
@@ -187,19 +187,24 @@ class CaptureCoordinator:
         """
         while not self._asked.empty():
             source, recording, future = self._asked.get_nowait()
+            if not future.set_running_or_notify_cancel():
+                continue  # whoever asked waits no longer
             try:
                 future.set_result(self._store(source, "request", recording, {}))
-            except ServoDaemonError as error:
+            except Exception as error:
                 future.set_exception(error)
-        sources = self._sources
-        for source in sources.values():
+        self._write_due(now_s, end=False)  # of a drive that has another in its place since
+        for source in self._sources.values():
             self._note(source, now_s)
+        self._write_due(now_s, end=end)
+
+    def _write_due(self, now_s: float, *, end: bool) -> None:
         for name, pending in list(self._pending.items()):
             source = pending.source
-            has_gone = sources.get(name) is not source or source.snapshot().connection != "connected"
+            has_gone = self._sources.get(name) is not source or source.snapshot().connection != "connected"
             if end or has_gone or now_s >= pending.due_s:
                 del self._pending[name]
-                self._write(source, pending)
+                self._write(source, pending.event, pending.before.then(_recorded(source)))
 
     def _note(self, source: Source, now_s: float) -> None:
         """Set aside what came before the first event that is worth it; its capture holds those that follow soon."""
@@ -207,19 +212,21 @@ class CaptureCoordinator:
         number, events = source.log.since(number if watched is source else 0)
         self._seen[source.name] = source, number
         for event in events:
-            key = source.name, event.kind
-            if event.kind not in KINDS or source.name in self._pending or now_s < self._quiet_until.get(key, 0.0):
+            key, begins = (source.name, event.kind), event.kind == "diagnosis_started"
+            if event.kind not in KINDS or now_s < self._quiet_until.get(key, 0.0):
+                continue
+            if source.name in self._pending and not begins:
                 continue
             before = _recorded(source)
             if before.span_s < _LEAST_S:
                 continue
             self._quiet_until[key] = now_s + _AGAIN_S
-            wait_s = 0.0 if event.kind == "diagnosis_started" else HALF_S
-            self._pending[source.name] = _Pending(source, event, before, now_s + wait_s)
+            if begins:
+                self._write(source, event, before)
+            else:
+                self._pending[source.name] = _Pending(source, event, before, now_s + HALF_S)
 
-    def _write(self, source: Source, pending: _Pending) -> None:
-        event = pending.event
-        recording = pending.before.then(_recorded(source)) if event.kind != "diagnosis_started" else pending.before
+    def _write(self, source: Source, event: Event, recording: _Recording) -> None:
         told = {"event": event.kind, "event_message": event.message}
         try:
             self._store(source, event.kind, recording, told, event.time)
@@ -233,6 +240,8 @@ class CaptureCoordinator:
         start, end = recording.end - recording.span_s, max(recording.end, event_time)
         try:
             kept = self._folder.store(source.name, kind, start, end, recording.blocks, metadata)
+        except (BusyError, CaptureError):  # the samples are no capture: nothing is wrong with the place for it
+            raise
         except ServoDaemonError as error:
             self.problem = f"captures cannot be kept: {error}"
             raise

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from servo_daemon.captures import CaptureWriter
-from servo_daemon.errors import ServoDaemonError
+from servo_daemon.errors import BusyError, ServoDaemonError
 from servo_daemon.published.recorded import KeptCapture
 from servo_daemon.samples import SampleBlock
 
@@ -68,7 +68,9 @@ class CaptureFolder:
             start, end: UTC, seconds since the epoch.
 
         Raises:
-            ServoDaemonError: the disk refuses, no sample is a measurement, or it alone is more than the quota.
+            BusyError: no sample is a measurement.
+            CaptureError: a drive's channels are no capture.
+            ServoDaemonError: the disk refuses, or it alone is more than the quota.
         """
         ending = "parquet" if importlib.util.find_spec("pyarrow") else "csv.gz"
         path = self._folder / drive / f"{_name(start, end, kind)}.{ending}"
@@ -81,7 +83,7 @@ class CaptureFolder:
                 writer.write(block)
         kept = _of_file(path) if writer.samples else None
         if kept is None:
-            raise ServoDaemonError(f"{path}: no sample of the recording is a measurement")
+            raise BusyError("no sample of the recording is a measurement")
         self._kept[drive] = (*(k for k in self.of(drive) if k.id != kept.id), kept)
         self._make_room()
         if not path.exists():

@@ -109,6 +109,22 @@ def test_a_drive_that_goes_away_leaves_the_minute_before(drive: Drive, tmp_path:
     assert read_capture(coordinator.of("axis1")[0].path).time_s[[0, -1]] == pytest.approx([10.01, 70])
 
 
+def test_a_drive_that_leaves_the_configuration_leaves_its_samples(drive: Drive, tmp_path: Path) -> None:
+    coordinator = coordinator_of(drive, tmp_path)
+    drive.log.add("alarm", "…")
+    coordinator.turn(0.0)
+    other = Drive()  # of the same name: with options of its own
+    coordinator.follow([other])
+    other.run(5)
+    other.log.add("diagnosis_started", "…")
+    coordinator.turn(1.0)
+    assert [k.kind for k in coordinator.of("axis1")] == ["alarm", "diagnosis_started"]
+    assert read_capture(coordinator.of("axis1")[1].path).time_s[[0, -1]] == pytest.approx([0.01, 5])
+    coordinator.follow([])
+    with pytest.raises(BusyError, match="has gone"):
+        coordinator.request("axis1", 5.0)
+
+
 def test_an_alarm_that_comes_and_goes_is_not_kept_each_time(drive: Drive, tmp_path: Path) -> None:
     coordinator = coordinator_of(drive, tmp_path)
     for minute in range(12):
@@ -164,6 +180,20 @@ def test_a_disk_that_refuses_is_told_and_nothing_else_suffers(drive: Drive, tmp_
     coordinator.request("axis1", 5.0)
     coordinator.turn(1.0)
     assert coordinator.problem is None and len(coordinator.of("axis1")) == 1
+
+
+def test_samples_that_are_no_measurements_are_no_problem_of_the_daemon(tmp_path: Path) -> None:
+    drive = Drive()
+    nothing = np.full(20, np.nan)
+    drive.ring.append(make_block(np.arange(20) / 10, voltage_V=nothing, current_A=nothing, position_rad=nothing))
+    coordinator = coordinator_of(drive, tmp_path)
+    cancelled, asked = coordinator.request("axis1", 5.0), coordinator.request("axis1", 5.0)
+    assert cancelled.cancel()
+    drive.log.add("diagnosis_started", "…")
+    coordinator.turn(0.0)
+    with pytest.raises(BusyError, match="no sample of the recording"):
+        asked.result(0)
+    assert coordinator.problem is None and coordinator.of("axis1") == ()
 
 
 def test_the_thread_writes_what_is_asked_for(drive: Drive, tmp_path: Path) -> None:
