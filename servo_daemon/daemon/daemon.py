@@ -14,6 +14,8 @@ from drivers.registry import make_driver
 from servo_daemon import __version__
 from servo_daemon.config import Config, DriveConfig
 from servo_daemon.config.changes import Change, How, at_work, drives_of
+from servo_daemon.daemon.captures.coordinator import CaptureCoordinator
+from servo_daemon.daemon.captures.folder import CaptureFolder
 from servo_daemon.daemon.diagnosis.runner import DiagnosisRunner
 from servo_daemon.daemon.drive import DriveRuntime
 from servo_daemon.daemon.learning_coordinator import LearningCoordinator
@@ -77,6 +79,7 @@ class Daemon:
         self._recording = self._recorded(state_dir)
         self._sinks = sinks_of(config, tuple(slot.runtime for slot in self._slots.values()), state_dir)
         self._trends = TrendCoordinator(self.archive, [slot.runtime for slot in self._slots.values()])
+        self.captures = self._kept_captures(state_dir)
         self._watcher = threading.Thread(target=self._watch, name="watch", daemon=True)
         self._saver = threading.Thread(target=self._save, name="saver", daemon=True)
 
@@ -88,6 +91,14 @@ class Daemon:
         from servo_daemon.daemon.recording import Recording  # SQLAlchemy takes its time to load
 
         return Recording(h, state_dir, [slot.runtime for slot in self._slots.values()])
+
+    def _kept_captures(self, state_dir: Path | None) -> CaptureCoordinator | None:
+        """What keeps samples around events, if they are to be kept."""
+        quota = self.config.history.captures_quota_MB
+        if state_dir is None or not self.config.history.enabled or quota <= 0:
+            return None
+        folder = CaptureFolder(state_dir / "captures", quota * 1e6)
+        return CaptureCoordinator(folder, [slot.runtime for slot in self._slots.values()])
 
     def _slot_for(self, config: DriveConfig, driver: Driver) -> DriveSlot:
         model = self._learning.subscribe(config.name) if config.estimation.refresh else None
@@ -121,6 +132,7 @@ class Daemon:
         found = [slot.runtime.problem for slot in self._slots.values()]
         found += [slot.problem for slot in self._slots.values() if self._workers.started]
         found += [None if self._recording is None else self._recording.problem]
+        found += [None if self.captures is None else self.captures.problem]
         found += [sink.problem for sink in self.sinks]
         return [p for p in found if p is not None]
 
@@ -132,6 +144,8 @@ class Daemon:
         if self._recording is not None:
             self._recording.start()
         self._trends.start()
+        if self.captures is not None:
+            self.captures.start()
         for sink in self._sinks:
             sink.start()
         for runtime in self.drives.values():
@@ -145,6 +159,8 @@ class Daemon:
             self._diagnoses.kill()
             self._learning.begin_stop()
             self._trends.begin_stop()
+            if self.captures is not None:
+                self.captures.begin_stop()
             for sink in self._sinks:
                 sink.begin_stop()
             for slot in self._slots.values():
@@ -161,6 +177,8 @@ class Daemon:
             if thread.is_alive():
                 thread.join(max(0.05, deadline - time.monotonic()))
         self._trends.stop(max(0.05, deadline - time.monotonic()))
+        if self.captures is not None:
+            self.captures.stop(max(0.05, deadline - time.monotonic()))
         if self._recording is not None:  # after the workers: with their last rows
             self._recording.stop(max(0.05, deadline - time.monotonic()))
         for sink in self._sinks:
@@ -210,6 +228,8 @@ class Daemon:
         self._trends.follow(runtimes)
         for sink in self._sinks:
             sink.follow(runtimes)
+        if self.captures is not None:
+            self.captures.follow(runtimes)
         self._learning.start()
 
     def _dismiss(self, slots: Sequence[DriveSlot]) -> None:

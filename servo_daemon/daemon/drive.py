@@ -138,6 +138,10 @@ class DriveRuntime:
         """The last events, oldest first."""
         return self.log.all()
 
+    def samples(self) -> Sequence[SampleBlock]:
+        """The last samples, tick by tick; see `DriveView`."""
+        return self.ring.blocks()
+
     def request_reset(self) -> None:
         """Forget what was learned; carried out by the worker before the next samples."""
         self._reset_wanted = True

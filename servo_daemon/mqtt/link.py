@@ -88,9 +88,10 @@ class Link:
             client.username_pw_set(c.username, None if c.password_file is None else _password(c.password_file))
         if c.tls:
             keys = {key: getattr(c, key) for key in ("ca_file", "certificate", "private_key")}
-            ca, own, key = files = [None if t is None else str(file_of(t, f"[mqtt] {name}")) for name, t in keys.items()]
+            files = [None if text is None else str(file_of(text, f"[mqtt] {key}")) for key, text in keys.items()]
+            authority, certificate, private_key = files
             try:
-                client.tls_set(ca, own, key)
+                client.tls_set(authority, certificate, private_key)
             except (OSError, ValueError) as error:  # ssl.SSLError is an OSError
                 raise ConfigError(f"[mqtt] {', '.join(filter(None, files))}: not usable for TLS: {error}") from error
         client.on_connect = self._answered
