@@ -309,7 +309,7 @@ class PlantTracker(Tracker):
         """Whether the first samples have just been gone over again, and the filter goes on from what that came to."""
         if self._second_look.look(self._ticks, self.watch.white, self.sample_period_s or 0.0):
             return True
-        if not self._likelihood_look.look(self._ticks, self.excitation.scales, self._doubts):
+        if self._second_look.is_under_way or not self._likelihood_look.look(self._ticks, self.excitation.scales, self._doubts):
             return False
         self._judge.begin_anew(follows=True)
         self._judge.vouch()

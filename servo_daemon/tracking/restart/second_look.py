@@ -17,17 +17,18 @@ the start are gone over once more.
 
 from __future__ import annotations
 
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize
 
 from servo_daemon.kalman.ekf import Ekf
 from servo_daemon.kalman.gaussian import Gaussian
 from servo_daemon.samples import F64
 from servo_daemon.tracking.noise.setting import NoiseSetting
-from servo_daemon.tracking.noise.watch import WHITE_IN
+from servo_daemon.tracking.noise.watch import WHITE_IN, WatchMark
 from servo_daemon.tracking.plan.roster import Mask, Roster
+from servo_daemon.tracking.restart.simplex import SimplexSearch
 from servo_daemon.tracking.samples.filtering import Filtering, Fit
 from servo_daemon.tracking.start.starter import Start
 from servo_daemon.tracking.validity.parameter_judge import ParameterJudge
@@ -41,8 +42,11 @@ _TICKS, _LEAP, _PASSES = (10, 40), 0.1, 8
 _MOST_LEAPS = 4
 #: So often noise and values are found in turn, where values have leapt meanwhile.
 _TURNS = 2
-#: More samples than these are not gone over: others wait for their turn meanwhile.
+#: More samples than these are not gone over.
 _MOST_SAMPLES = 20_000
+#: In a tick at most so many steps of the filter go over samples again, which takes 40 ms of its 100; the rest of it in
+#: the next ones.
+STEPS_A_TICK = 50_000
 #: A pass begins with no larger 1 σ: further off a logarithm's derivatives say nothing of where it would have to go.
 _WIDEST_STD = 0.2
 #: A pass along the instrument fits as well as one without it, if its cost is no larger than by this; by the second
@@ -82,8 +86,40 @@ class _Look:
     period_s: float
 
 
+@dataclass(frozen=True, slots=True)
+class _Filter:
+    """Where filter and noise are."""
+
+    state: F64
+    constants: F64
+    noise: WatchMark
+
+
+@dataclass(slots=True)
+class _UnderWay:
+    """A look under way.
+
+    Attributes:
+        look: what its passes share.
+        first, last: of the start's looks.
+        white: the innovations were when it began.
+        passes: a tick's.
+        work: what is left of it, a pass at a time.
+        at: where it has left filter and noise.
+    """
+
+    look: _Look
+    first: bool
+    last: bool
+    white: bool
+    passes: int
+    work: Generator[None, None, bool | None]
+    at: _Filter
+
+
 class SecondLook:
-    """One drive's.
+    """One drive's. What it takes is spread over as many ticks as it needs (`STEPS_A_TICK`), in which the filter goes on
+    as it was; what is found is taken over with the samples that have come meanwhile.
 
     Attributes:
         pending: the filter started from no saved state, and its first samples have not been gone over yet.
@@ -102,7 +138,14 @@ class SecondLook:
         self._start: Start | None = None
         self._left_at: F64 = np.zeros(0)  # coordinates, by the last time
         self._leaps = 0
+        self._under_way: _UnderWay | None = None
+        self._due = False
         self.pending = False
+
+    @property
+    def is_under_way(self) -> bool:
+        """The samples that are kept are being gone over."""
+        return self._under_way is not None
 
     def begin(self, start: Start, trusted: bool) -> None:
         """A filter starts.
@@ -111,12 +154,12 @@ class SecondLook:
             trusted: from a saved state, or from another model's filter.
         """
         self._start, self.pending = None if trusted else start, not trusted
-        self._leaps = 0
+        self._leaps, self._under_way, self._due = 0, None, False
         self._filtering.keep(None if trusted else start.last)
 
     def look(self, tick: int, white: bool, period_s: float) -> bool:
-        """Go over the first samples, if it is time to. Returns whether it was: all that was said of the filter's values
-        was of others.
+        """Go over the first samples, if it is time to. Returns whether it is done: all that was said of the filter's
+        values was of others.
 
         Args:
             tick: number of the running filter's.
@@ -124,30 +167,81 @@ class SecondLook:
                 what no values explain: then nothing is done.
             period_s: usual distance of two samples.
         """
-        if self._start is None or not (tick in _TICKS or self._has_leapt(tick)):
+        if self._start is None:
             return False
-        self._leaps += tick not in _TICKS
-        first, usable = self.pending, self._filtering.kept <= _MOST_SAMPLES
-        self.pending = False
-        start = self._start.parameters
+        self._due |= tick in _TICKS
+        if self._under_way is None:
+            if not self._due and not self._has_leapt(tick):
+                return False
+            self._leaps += not self._due
+            self._due = False
+            self._under_way = self._begun(self._start.parameters, tick, white, period_s)
+        return self._go_on(self._under_way)
+
+    def end(self) -> None:
+        """The motor is another one than in its first samples."""
+        self._start, self.pending = None, False
+        self._under_way, self._due = None, False
+
+    def _begun(self, start: Gaussian, tick: int, white: bool, period_s: float) -> _UnderWay:
         walk = self._judge.walk(self._roster.free)
         look = _Look(start, self._index(start), self._vague(start), walk, period_s)
-        follows = self._go_over(look, white) if usable else None
-        if follows is None and not first:
-            self._doubt_leaps(look)
+        samples = self._filtering.kept
+        usable = samples <= _MOST_SAMPLES
+        if usable:
+            self._filtering.begin_look()
+        work = self._go_over(look, white) if usable else _nothing()
+        passes = max(1, STEPS_A_TICK // max(samples, 1))
+        return _UnderWay(look, self.pending, tick >= _TICKS[-1], white and usable, passes, work, self._here())
+
+    def _go_on(self, now: _UnderWay) -> bool:
+        """A tick's share of the passes. Returns whether they are done, and the filter goes on from what they came to."""
+        filter_ = self._here()
+        self._put(now.at)
+        try:
+            for _ in range(now.passes):
+                next(now.work)
+        except StopIteration as done:
+            return self._done(now, filter_, done.value)
+        now.at = self._here()
+        self._put(filter_)
+        return False
+
+    def _done(self, now: _UnderWay, filter_: _Filter, follows: bool | None) -> bool:
+        """
+        Args:
+            filter_: as it was meanwhile.
+            follows: as `_go_over` returns it.
+        """
+        self.pending, self._under_way = False, None
+        noise = self._noise.of_current
+        if follows is None:
+            self._put(filter_)
+        else:
+            self._filtering.catch_up()
+            self._noise.watch_back_to(filter_.noise)
+        if noise is not None and (follows is not None or now.white):
+            self._noise.put_of_current(*noise)
+        if follows is not None:
+            self._widen(now.look)
+        elif not now.first:
+            self._doubt_leaps(now.look)
         self._left_at = self._ekf.coordinates.copy()
-        if tick >= _TICKS[-1]:
+        if now.last:
             self._start = None
         if follows is None:
-            self._judge.resume()
             return False
         self._ekf.take_statistics()
         self._judge.begin_anew(follows)
         return True
 
-    def end(self) -> None:
-        """The motor is another one than in its first samples."""
-        self._start, self.pending = None, False
+    def _here(self) -> _Filter:
+        return _Filter(self._ekf.snapshot(), self._ekf.constants, self._noise.mark())
+
+    def _put(self, there: _Filter) -> None:
+        self._ekf.restore(there.state)
+        self._ekf.put_constants(there.constants)
+        self._noise.watch_back_to(there.noise)
 
     def _has_leapt(self, tick: int) -> bool:
         """Whether a guessed parameter that the filter has seen is elsewhere than the derivatives were taken at."""
@@ -158,37 +252,31 @@ class SecondLook:
         leapt = (np.abs(self._ekf.coordinates - self._left_at) > _LEAP) & (self._ekf.coordinate_std < _VAGUE_STD)
         return bool(leapt[index].any())
 
-    def _go_over(self, look: _Look, white: bool) -> bool | None:
-        """Pass over the samples since the start. Returns whether the last pass used the instrument; None: with the best
-        values there are still samples that do not fit, so that these are no samples to begin from, and nothing is done.
+    def _go_over(self, look: _Look, white: bool) -> Generator[None, None, bool | None]:
+        """Pass over the samples since the start, and stop after every pass. Returns whether the last pass used the
+        instrument; None: with the best values there are still samples that do not fit, so that these are no samples to
+        begin from, and nothing is done.
 
         Args:
             white: as for `look`.
         """
-        before, noise = self._ekf.snapshot(), self._noise.of_current
         if not white:  # noise as found at values that explain nothing would be large enough to explain anything
-            self._iterate(look, guessed=True)
+            yield from self._iterate(look, guessed=True)
         outliers, follows = 0, False
         for turn in range(_TURNS):
             at = self._ekf.coordinates
-            self._learn_noise(look)
-            outliers, follows = self._iterate(look, guessed=white and turn == 0)
+            yield from self._learn_noise(look)
+            outliers, follows = yield from self._iterate(look, guessed=white and turn == 0)
             if (np.abs(self._ekf.coordinates - at)[self._roster.published] < _LEAP).all():
                 break
-        if outliers > 0 or not (white or self._is_white()):
-            self._ekf.restore(before)
-            if noise is not None and not white:
-                self._noise.put_of_current(*noise)
-            return None
-        self._widen(look)
-        return follows
+        return None if outliers > 0 or not (white or self._is_white()) else follows
 
     def _is_white(self) -> bool:
         """Whether the last pass left white innovations."""
         channels = self._ekf.take_statistics().values()
         return all(abs(c.correlation) < WHITE_IN and c.nis < _AS_EXPECTED for c in channels)
 
-    def _iterate(self, look: _Look, *, guessed: bool) -> tuple[int, bool]:
+    def _iterate(self, look: _Look, *, guessed: bool) -> Generator[None, None, tuple[int, bool]]:
         """Passes until none moves the values any more. Returns how many outliers the best has left, and whether it was
         along the instrument.
 
@@ -200,6 +288,7 @@ class SecondLook:
         for first in (guessed, *[False] * _PASSES):
             found = self._ekf.coordinates
             fit = self._pass_over(look, follows, first)
+            yield
             moved = np.abs(self._ekf.coordinates - found)[published]
             better = self._ekf.is_plausible() and fit.cost < best_fit.cost
             if better:
@@ -212,16 +301,17 @@ class SecondLook:
         self._ekf.restore(best)
         if not best_follows and best_fit.outliers == 0:
             # Along its own states a filter learns from the colour of its noise, and fits a little better by it.
-            best_follows = self._follow(look, best_fit.cost + (_TRIED if follows else _AS_GOOD))
+            best_follows = yield from self._follow(look, best_fit.cost + (_TRIED if follows else _AS_GOOD))
         return best_fit.outliers, best_follows
 
-    def _follow(self, look: _Look, limit: float) -> bool:
+    def _follow(self, look: _Look, limit: float) -> Generator[None, None, bool]:
         """Passes along the instrument until none moves the values any more. Returns whether they fit, to this cost; the
         values are those of the last that does."""
         best, fits = self._ekf.snapshot(), False
         for _ in range(_PASSES):
             found = self._ekf.coordinates
             fit = self._pass_over(look, follows=True, guessed=False)
+            yield
             if not self._ekf.is_plausible() or fit.outliers > 0 or fit.cost > limit:
                 break
             best, fits = self._ekf.snapshot(), True
@@ -234,7 +324,7 @@ class SecondLook:
         """By how much the last pass may move each coordinate, shape (n,)."""
         return _SETTLED_STDS * self._ekf.coordinate_std + _SETTLED_SHARE
 
-    def _learn_noise(self, look: _Look) -> None:
+    def _learn_noise(self, look: _Look) -> Iterator[None]:
         """Noise of the current's sensor and of the voltage as the samples are likeliest with, at the values that were
         found. Where the winding is faster than the sampling both are white in the current, and only the one moves the
         shaft: likelihood knows (by 280 of −2 log p within 1.5 s of an RE 40), correlations of innovations learn it
@@ -251,9 +341,11 @@ class SecondLook:
 
         at = np.log(np.maximum(guess, _LEAST_VAR))
         simplex = at + np.array([[0.0, 0.0], [_NOISE_STEP, 0.0], [0.0, -_NOISE_STEP]])
-        options = {"initial_simplex": simplex, "xatol": _NOISE_EXACT, "fatol": _NOISE_COST, "maxfev": _NOISE_PASSES}
-        likeliest = minimize(cost, at, method="Nelder-Mead", options=options)
-        self._noise.put_of_current(*np.exp(likeliest.x).tolist())
+        likeliest = SimplexSearch(
+            cost, simplex, exact=_NOISE_EXACT, cost_exact=_NOISE_COST, most=_NOISE_PASSES
+        )
+        yield from likeliest.steps()
+        self._noise.put_of_current(*np.exp(likeliest.best).tolist())
         self._ekf.restore(found)
 
     def _pass_over(self, look: _Look, follows: bool, guessed: bool) -> Fit:
@@ -293,3 +385,8 @@ class SecondLook:
         """Of the start's parameters: logarithms that were guessed, shape (parameters of the start,)."""
         logarithmic = self._roster.published & self._roster.logarithmic
         return np.asarray(logarithmic[self._index(start)] & (start.std > _VAGUE_STD))
+
+
+def _nothing() -> Generator[None, None, None]:
+    """Too many samples to go over."""
+    yield from ()
