@@ -309,7 +309,9 @@ class PlantTracker(Tracker):
         """Whether the first samples have just been gone over again, and the filter goes on from what that came to."""
         if self._second_look.look(self._ticks, self.watch.white, self.sample_period_s or 0.0):
             return True
-        if self._second_look.is_under_way or not self._likelihood_look.look(self._ticks, self.excitation.scales, self._doubts):
+        if self._second_look.is_open or not self._likelihood_look.look(
+            self._ticks, self.excitation.scales, self._doubts
+        ):
             return False
         self._judge.begin_anew(follows=True)
         self._judge.vouch()
@@ -320,7 +322,7 @@ class PlantTracker(Tracker):
         explain that best."""
         if self._stretches.alike("current_A"):
             return None
-        settled = self._ticks >= _TICKS_TO_JUDGE and not self._second_look.pending
+        settled = self._ticks >= _TICKS_TO_JUDGE and not self._second_look.is_open
         return settled and stretch.complete and bool((self.qualification.qualified & self._roster.published).any())
 
     def _believed(self, stretch: Stretch, action: jumps.Action) -> Stretch:
@@ -335,7 +337,7 @@ class PlantTracker(Tracker):
 
     def _tick(self, sampling: Sampling, fresh: bool) -> Tick:
         return Tick(
-            settled=self._ticks >= _TICKS_TO_WATCH and not self._second_look.pending,
+            settled=self._ticks >= _TICKS_TO_WATCH and not self._second_look.is_open,
             open=self._jumps.is_open,
             explained=self._jumps.watch.calm,
             white=self.watch.white,

@@ -201,7 +201,9 @@ class LikelihoodLook:
         self._ekf.set_noise(NoiseLevels(var[0], var[1], tuple(var[2:])))
         zeros = np.zeros(len(at.coordinates))
         self._ekf.set_active(zeros, zeros)
-        return self._filtering.predictions(Gaussian(self._roster.names, at.coordinates, np.diag(zeros)), up_to_now=up_to_now)
+        return self._filtering.predictions(
+            Gaussian(self._roster.names, at.coordinates, np.diag(zeros)), up_to_now=up_to_now
+        )
 
     def _step(self, iteration: _Iteration, base: Innovations) -> tuple[F64, F64]:
         """Of the free coordinates and the log-variances, shape (n + m,); and the covariance of the former, (n, n)."""

@@ -44,9 +44,9 @@ _MOST_LEAPS = 4
 _TURNS = 2
 #: More samples than these are not gone over.
 _MOST_SAMPLES = 20_000
-#: In a tick at most so many steps of the filter go over samples again, which takes 40 ms of its 100; the rest of it in
-#: the next ones.
-STEPS_A_TICK = 50_000
+#: In a tick at most so many steps of the filter go over samples again, which takes 50 ms of its 100; the rest of it in
+#: the next ones. At 1 kHz the first time takes one tick, the second three.
+STEPS_A_TICK = 60_000
 #: A pass begins with no larger 1 σ: further off a logarithm's derivatives say nothing of where it would have to go.
 _WIDEST_STD = 0.2
 #: A pass along the instrument fits as well as one without it, if its cost is no larger than by this; by the second
@@ -101,7 +101,8 @@ class _UnderWay:
 
     Attributes:
         look: what its passes share.
-        first, last: of the start's looks.
+        last: of the start's looks.
+        doubt: 1 σ that the balances left open before, (n,).
         white: the innovations were when it began.
         passes: a tick's.
         work: what is left of it, a pass at a time.
@@ -109,12 +110,12 @@ class _UnderWay:
     """
 
     look: _Look
-    first: bool
     last: bool
     white: bool
     passes: int
     work: Generator[None, None, bool | None]
     at: _Filter
+    doubt: F64
 
 
 class SecondLook:
@@ -143,9 +144,9 @@ class SecondLook:
         self.pending = False
 
     @property
-    def is_under_way(self) -> bool:
-        """The samples that are kept are being gone over."""
-        return self._under_way is not None
+    def is_open(self) -> bool:
+        """The first samples are yet to be gone over, or are so now."""
+        return self.pending or self._under_way is not None
 
     def begin(self, start: Start, trusted: bool) -> None:
         """A filter starts.
@@ -192,7 +193,11 @@ class SecondLook:
             self._filtering.begin_look()
         work = self._go_over(look, white) if usable else _nothing()
         passes = max(1, STEPS_A_TICK // max(samples, 1))
-        return _UnderWay(look, self.pending, tick >= _TICKS[-1], white and usable, passes, work, self._here())
+        doubt = self._judge.mismatch.std
+        now = _UnderWay(look, tick >= _TICKS[-1], white and usable, passes, work, self._here(), doubt)
+        if not self.pending:
+            self._doubt_leaps(look)
+        return now
 
     def _go_on(self, now: _UnderWay) -> bool:
         """A tick's share of the passes. Returns whether they are done, and the filter goes on from what they came to."""
@@ -213,19 +218,23 @@ class SecondLook:
             filter_: as it was meanwhile.
             follows: as `_go_over` returns it.
         """
-        self.pending, self._under_way = False, None
+        first, self.pending, self._under_way = self.pending, False, None
         noise = self._noise.of_current
         if follows is None:
             self._put(filter_)
         else:
+            self._allow(now.look, follows)
             self._filtering.catch_up()
             self._noise.watch_back_to(filter_.noise)
         if noise is not None and (follows is not None or now.white):
             self._noise.put_of_current(*noise)
         if follows is not None:
             self._widen(now.look)
-        elif not now.first:
-            self._doubt_leaps(now.look)
+            if not first:
+                moved = np.abs(self._ekf.coordinates - self._ekf.parameters_of(filter_.state)[0])
+                self._judge.doubt(np.maximum(now.doubt, moved))
+        elif not first:
+            self._judge.doubt(now.doubt)
         self._left_at = self._ekf.coordinates.copy()
         if now.last:
             self._start = None
@@ -341,9 +350,7 @@ class SecondLook:
 
         at = np.log(np.maximum(guess, _LEAST_VAR))
         simplex = at + np.array([[0.0, 0.0], [_NOISE_STEP, 0.0], [0.0, -_NOISE_STEP]])
-        likeliest = SimplexSearch(
-            cost, simplex, exact=_NOISE_EXACT, cost_exact=_NOISE_COST, most=_NOISE_PASSES
-        )
+        likeliest = SimplexSearch(cost, simplex, exact=_NOISE_EXACT, cost_exact=_NOISE_COST, most=_NOISE_PASSES)
         yield from likeliest.steps()
         self._noise.put_of_current(*np.exp(likeliest.best).tolist())
         self._ekf.restore(found)
@@ -355,21 +362,30 @@ class SecondLook:
             follows: along the instrument.
             guessed: from where the filter started, and not from what it has found.
         """
-        roster, found, start = self._roster, self._ekf.coordinates, look.start
-        free = roster.free if follows else roster.free_without_instrument(found, look.period_s)
+        found, start = self._ekf.coordinates, look.start
+        free = self._allow(look, follows)
         begins = np.where(look.vague & ~(free[look.index] & guessed), found[look.index], start.mean)
-        self._ekf.use_instrument(follows)
-        self._ekf.set_active(free, look.walk_var_per_s)
         spread = np.diag(np.minimum(start.std, _WIDEST_STD) ** 2)
         return self._filtering.again(Gaussian(start.names, begins, spread))
 
+    def _allow(self, look: _Look, follows: bool) -> Mask:
+        """Tell the filter what it may estimate, with the instrument or without; shape (n,)."""
+        roster = self._roster
+        free = roster.free if follows else roster.free_without_instrument(self._ekf.coordinates, look.period_s)
+        self._ekf.use_instrument(follows)
+        self._ekf.set_active(free, look.walk_var_per_s)
+        return free
+
     def _doubt_leaps(self, look: _Look) -> None:
-        """The samples could not be gone over. What has leapt has leapt along derivatives that were taken elsewhere, and
-        is known no better than by as much."""
+        """Until the samples have been gone over, and if they cannot be: what has leapt has leapt along derivatives that
+        were taken elsewhere, and is known no better than by as much. Until then everything else pays for it."""
         leap = np.minimum(np.abs(self._ekf.coordinates - self._left_at), _WIDEST_STD)
         vague = np.zeros(len(leap), dtype=bool)
         vague[look.index] = look.vague
-        self._ekf.widen_parameters(np.where(vague & (leap > _LEAP), np.square(leap), 0.0))
+        leap = np.where(vague & (leap > _LEAP), leap, 0.0)
+        self._ekf.widen_parameters(np.square(leap))
+        if leap.any():
+            self._judge.doubt(np.maximum(self._judge.mismatch.std, leap.max()))
 
     def _widen(self, look: _Look) -> None:
         """What the samples have not shown is known no better than at the start."""

@@ -82,6 +82,12 @@ class ParameterJudge:
         self.excitation.forget()
         self._ekf.use_instrument(follows)
 
+    def doubt(self, std: F64) -> None:
+        """What is positive and published is known no better than this, 1 σ of the coordinates (n,), until the balances
+        judge it."""
+        at = self._roster.published & self._roster.logarithmic
+        self.mismatch.std = np.where(at, std, self.mismatch.std)
+
     def vouch(self) -> None:
         """The filter's values are those of the greatest likelihood: no regression need speak for them."""
         self.confirmation.vouching.done = True
