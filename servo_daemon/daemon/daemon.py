@@ -15,6 +15,7 @@ from servo_daemon.daemon.diagnosis.runner import DiagnosisRunner
 from servo_daemon.daemon.drive import DriveRuntime
 from servo_daemon.daemon.learned_desk import LearnedDesk
 from servo_daemon.daemon.notify import Notifier
+from servo_daemon.daemon.ports import Ports
 from servo_daemon.daemon.trends.desk import TrendDesk
 from servo_daemon.daemon.worker import Seat, Workers
 
@@ -54,7 +55,8 @@ class Daemon:
         home = None if state_dir is None else state_dir / "diagnosis"
         self._diagnoses = DiagnosisRunner(d.command, d.budget_s, d.time_limit_s, d.nice, home)
         self._learned = LearnedDesk(config.learning)
-        self._workers = Workers(self._stop)
+        self._ports = Ports()
+        self._workers = Workers(self._stop, self._ports)
         self._seats = {d.name: self._seat_for(d, state_dir) for d in config.drive}
         self._recording = self._recorded(state_dir)
         self._trends = TrendDesk(self.archive, [seat.runtime for seat in self._seats.values()])
@@ -75,7 +77,7 @@ class Daemon:
         model = self._learned.seat(config.name) if config.estimation.refresh else None
 
         def make(wake: Callable[[], None]) -> DriveRuntime:
-            return DriveRuntime(config, driver, state_dir, wake, self._diagnoses, model)
+            return DriveRuntime(config, driver, state_dir, wake, self._diagnoses, model, self._ports)
 
         return Seat(make, self._workers.call, self.config.storage.save_interval_s, self._save_now.set)
 

@@ -17,6 +17,7 @@ from servo_daemon.daemon.drive_parts import line_counters, same_channels, stale
 from servo_daemon.daemon.learned_desk import Seat
 from servo_daemon.daemon.load import LoadWatch
 from servo_daemon.daemon.model_desk import ModelDesk
+from servo_daemon.daemon.ports import Ports
 from servo_daemon.daemon.reader import Link, Reader
 from servo_daemon.daemon.state_keeper import StateKeeper
 from servo_daemon.errors import NumericalError, RefusedError
@@ -57,6 +58,7 @@ class DriveRuntime:
         wake: called when there is work, from the reader's thread.
         runner: of diagnoses, one for all drives.
         seat: where learned models come from; None: nowhere.
+        ports: that read the drive's line beside others'; None: it has a thread of its own for that.
     """
 
     def __init__(
@@ -67,6 +69,7 @@ class DriveRuntime:
         wake: Callable[[], None],
         runner: DiagnosisRunner | None = None,
         seat: Seat | None = None,
+        ports: Ports | None = None,
     ) -> None:
         self.config = config
         self._seat = seat
@@ -74,7 +77,7 @@ class DriveRuntime:
         self._keeper = StateKeeper(state_dir, config)
         self.ring = SampleRing(config.estimation.ring_s)
         self.log = EventLog(config.name)
-        self.reader = Reader(driver, wake, self.log.add)
+        self.reader = Reader(driver, wake, self.log.add, ports)
         self._desk = ModelDesk(config.name, wake)
         self.active = config  # with the model as it is now
         self._pipeline: Pipeline | None = None

@@ -1,7 +1,8 @@
 """The threads that turn the drives' pipelines: one for all of them, and one more for each drive that takes long.
 
-The thread that all share is woken by the readers' blocks, which come some 25 times a second, and takes what has queued
-up for each drive in one go: eight drives cost 20 % less so than with a thread each. A drive whose turn takes long (a
+The thread that all share reads the lines that need no thread of their own (`daemon/ports.py`), is woken by the blocks of
+the others', which come some 25 times a second, and takes what has queued up for each drive in one go: eight drives cost
+20 % less so than with a thread each. A drive whose turn takes long (a
 plant that is compiled, a start or a jump gone over again, a slow engine) keeps the thread that it is in, and another
 goes on with the rest. Compiled code and CasADi release the interpreter, and plain Python gives it up every few
 milliseconds, so that the others do turn meanwhile.
@@ -15,14 +16,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from servo_daemon.daemon.drive import DriveRuntime
+from servo_daemon.daemon.ports import Ports
 
 #: With several drives the shared thread waits so long for the others' blocks once one has come, s: fewer turns. Not
 #: beside a drive that takes long: then it waits for the interpreter often enough.
 _GATHER_S = 0.015
 #: Without any block drives are turned all the same, to see that one has fallen silent and to carry out requests, s.
 _IDLE_TURN_S = 0.1
-#: A turn beyond this is long, s: with `daemon._WATCH_S` others wait for 35 ms at most.
-LONG_TURN_S = 0.015
+#: A turn beyond this is long, s of CPU time: with `daemon._WATCH_S` others wait for 35 ms at most. (By the wall clock
+#: every turn is long where other programs, or threads of this one, have the processor; then all drives had a thread
+#: each, which waited for each other.) One that waits for something (a compiler, a lock) is long after so long, s.
+LONG_TURN_S, LONG_WAIT_S = 0.015, 0.25
 #: A drive without a long turn for so long goes back to the others, s.
 _QUICK_S = 1.0
 #: A drive that has not turned for this long is a problem the API reports, s.
@@ -95,10 +99,32 @@ class Seat:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Turn:
-    """Of the shared thread, under way."""
+    """Under way.
+
+    Attributes:
+        clock: the CPU time of its thread.
+        began_s, cpu_began_s: host monotonic, and CPU time.
+    """
 
     seat: Seat
+    clock: int
     began_s: float
+    cpu_began_s: float
+
+    @classmethod
+    def begun(cls, seat: Seat) -> _Turn:
+        """In this thread, now."""
+        clock = time.pthread_getcpuclockid(threading.get_ident())
+        return cls(seat, clock, time.monotonic(), time.clock_gettime(clock))
+
+    @property
+    def is_long(self) -> bool:
+        """Any thread, while that of the turn lives."""
+        waited = time.monotonic() - self.began_s
+        if waited < LONG_TURN_S:
+            return False
+        preparing = self.seat.runtime.preparing
+        return preparing or waited >= LONG_WAIT_S or time.clock_gettime(self.clock) - self.cpu_began_s >= LONG_TURN_S
 
 
 class Workers:
@@ -106,11 +132,13 @@ class Workers:
 
     Args:
         stop: set when they are to end.
+        ports: that the shared thread reads; None: there are none.
     """
 
-    def __init__(self, stop: threading.Event) -> None:
+    def __init__(self, stop: threading.Event, ports: Ports | None = None) -> None:
         self.seats: Sequence[Seat] = ()
         self._stop, self._wake, self._lock = stop, threading.Event(), threading.Lock()
+        self._ports = Ports() if ports is None else ports
         self._turn: _Turn | None = None
         self._shared: threading.Thread | None = None
         self._threads: list[threading.Thread] = []
@@ -141,7 +169,9 @@ class Workers:
     def look(self) -> None:
         """Where a turn takes long, let another thread go on with the other drives. Any thread."""
         turn = self._turn
-        if turn is None or time.monotonic() - turn.began_s < LONG_TURN_S or len(self.seats) == 1:
+        if turn is None or not turn.is_long:
+            return
+        if len(self.seats) == 1 and not len(self._ports):  # nobody waits
             return
         with self._lock:
             if self._turn is not turn or self._stop.is_set():
@@ -157,9 +187,10 @@ class Workers:
 
     def _work_for_all(self) -> None:
         while not self._stop.is_set():
-            self._wake.wait(_IDLE_TURN_S)
-            if len(self.seats) > 1 and all(seat.owner is None for seat in self.seats):
+            called = self._wake.wait(self._ports.wait_s(_IDLE_TURN_S))
+            if called and len(self.seats) > len(self._ports) + 1 and all(seat.owner is None for seat in self.seats):
                 self._stop.wait(_GATHER_S)
+            self._ports.read()
             self._wake.clear()
             for seat in self.seats:
                 if seat.owner is None and not self._is_back_after(seat):
@@ -171,7 +202,7 @@ class Workers:
 
     def _is_back_after(self, seat: Seat) -> bool:
         """Turn a drive. Returns whether this is the shared thread still."""
-        self._turn = _Turn(seat, time.monotonic())
+        self._turn = _Turn.begun(seat)
         seat.turn()
         with self._lock:
             self._turn = None if seat.owner is None else self._turn
@@ -184,9 +215,9 @@ class Workers:
         while not self._stop.is_set():
             seat.wake.wait(_IDLE_TURN_S)
             seat.wake.clear()
-            began = time.monotonic()
+            turn = _Turn.begun(seat)
             seat.turn()
-            if seat.turned - began >= LONG_TURN_S:
+            if turn.is_long:
                 last_long = seat.turned
             elif seat.turned - last_long >= _QUICK_S:
                 seat.owner = None
