@@ -170,9 +170,9 @@ def frames_to_rest(api: Api, drives: tuple[int, ...], seconds: float, begin: flo
     answers: dict[int, list[tuple[float, float]]] = {k: [] for k in drives}
     end = time.monotonic() + seconds
     while time.monotonic() < end:
-        for k in answers:
+        for k, of_drive in answers.items():
             samples = api.get(f"/drives/axis{k}/estimates")["samples"]
-            answers[k].append((samples, time.monotonic()))
+            of_drive.append((samples, time.monotonic()))
             time.sleep(1.0 / REQUESTS_PER_S)
     out = []
     for k, found in answers.items():

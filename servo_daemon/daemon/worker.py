@@ -102,20 +102,20 @@ class _Turn:
     """Under way.
 
     Attributes:
-        clock: the CPU time of its thread.
+        clock: the CPU time of its thread; None: this system has none that others can read (macOS, Windows).
         began_s, cpu_began_s: host monotonic, and CPU time.
     """
 
     seat: Seat
-    clock: int
+    clock: int | None
     began_s: float
     cpu_began_s: float
 
     @classmethod
     def begun(cls, seat: Seat) -> _Turn:
         """In this thread, now."""
-        clock = time.pthread_getcpuclockid(threading.get_ident())
-        return cls(seat, clock, time.monotonic(), time.clock_gettime(clock))
+        clock = time.pthread_getcpuclockid(threading.get_ident()) if hasattr(time, "pthread_getcpuclockid") else None
+        return cls(seat, clock, time.monotonic(), 0.0 if clock is None else time.clock_gettime(clock))
 
     @property
     def is_long(self) -> bool:
@@ -123,8 +123,9 @@ class _Turn:
         waited = time.monotonic() - self.began_s
         if waited < LONG_TURN_S:
             return False
-        preparing = self.seat.runtime.preparing
-        return preparing or waited >= LONG_WAIT_S or time.clock_gettime(self.clock) - self.cpu_began_s >= LONG_TURN_S
+        if self.clock is None or self.seat.runtime.preparing or waited >= LONG_WAIT_S:
+            return True
+        return time.clock_gettime(self.clock) - self.cpu_began_s >= LONG_TURN_S
 
 
 class Workers:

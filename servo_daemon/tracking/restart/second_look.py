@@ -200,7 +200,7 @@ class SecondLook:
         return now
 
     def _go_on(self, now: _UnderWay) -> bool:
-        """A tick's share of the passes. Returns whether they are done, and the filter goes on from what they came to."""
+        """A tick's share of the passes. Returns whether they are done, and the filter goes on from their result."""
         filter_ = self._here()
         self._put(now.at)
         try:
