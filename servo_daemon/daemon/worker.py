@@ -1,8 +1,8 @@
 """The threads that turn the drives' pipelines: one for all of them, and one more for each drive that takes long.
 
-The thread that all share reads the lines that need no thread of their own (`daemon/ports.py`), is woken by the blocks of
-the others', which come some 25 times a second, and takes what has queued up for each drive in one go: eight drives cost
-20 % less so than with a thread each. A drive whose turn takes long (a
+The thread that all share reads the lines that need no thread of their own (`daemon/ports.py`), is woken by the blocks
+of the others, which come some 25 times a second, and takes what has queued up for each drive in one go: eight drives
+cost 20 % less so than with a thread each. A drive whose turn takes long (a
 plant that is compiled, a start or a jump gone over again, a slow engine) keeps the thread that it is in, and another
 goes on with the rest. Compiled code and CasADi release the interpreter, and plain Python gives it up every few
 milliseconds, so that the others do turn meanwhile.
