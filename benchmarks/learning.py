@@ -49,7 +49,7 @@ def main() -> None:
     arguments = _arguments()
     spec = TrainingSpec(dict(PAPER_MOTOR))
     began, cpu = time.perf_counter(), _cpu_s()
-    train = simulate_training(spec, arguments.motors, strange=True, jobs=arguments.jobs)
+    train = simulate_training(spec, arguments.motors, novel=True, jobs=arguments.jobs)
     simulated = time.perf_counter() - began
     model = train_model(spec, train, jobs=arguments.jobs)
     whole = time.perf_counter() - began

@@ -17,4 +17,4 @@ SPEC = TrainingSpec(dict(PAPER_MOTOR), window_s=2.0, rate_hz=500.0)
 @cache
 def small_model(motors: int = 300) -> LearnedModel:
     """Good to some percent."""
-    return train_model(SPEC, simulate_motors(SPEC, range(motors), draw_parameters(SPEC, motors), strange=True), jobs=1)
+    return train_model(SPEC, simulate_motors(SPEC, range(motors), draw_parameters(SPEC, motors), novel=True), jobs=1)

@@ -50,7 +50,7 @@ def load_assets() -> dict[str, Asset]:
     found: dict[str, Asset] = {}
     _collect(files("servo_daemon.api") / "dashboard", "", found)
     if "index.html" not in found:
-        raise FileNotFoundError("servo_daemon/api/dashboard/index.html is missing from the installation")
+        raise FileNotFoundError("the dashboard's page index.html is missing: install servo-daemon again")
     return found
 
 

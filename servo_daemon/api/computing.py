@@ -67,7 +67,8 @@ def busy(detail: str) -> ProblemError:
 
 
 class ProcessComputer:
-    """See the module. Functions and arguments are pickled: module-level functions, frozen records.
+    """Runs one function at a time in another process. Functions and arguments are pickled: module-level functions,
+    frozen records.
 
     Used by one event loop; `close` by any thread, for good.
     """

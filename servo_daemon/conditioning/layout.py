@@ -118,7 +118,7 @@ class Layout:
         self._state, self._constants = np.zeros(self._lay.n_state), np.zeros(self._lay.n_constants)
         self._constants[3::4] = [_IMPOSSIBLE[name] for name in self._names]
         self._constants[6::4] = math.inf
-        # Where the largest leap of a measured current is.
+        # Where the limit of a measured current's spikes is.
         self._current = 6 + 4 * self._names.index("current_A") if "current_A" in measured else None
         self.last_s: float | None = None
         self.origin_s = 0.0
@@ -143,7 +143,7 @@ class Layout:
         self._doubt((NEVER, *least), position_lsb, input_lsb**2 / 12.0)
 
     def resume(self, time_s: float) -> None:
-        """The next sample is the first one after a gap: nothing before it says whether it leaps."""
+        """The next sample is the first one after a gap: nothing before it says whether it is a spike."""
         self.last_s = time_s
         self._state[4::3] = NO_VALUE
 
@@ -168,8 +168,8 @@ class Layout:
         unknown_input_var: float,
         new: Mask | None = None,
         new_var: float = 0.0,
-        largest_leap: float = math.inf,
-        largest_current_leap: float = math.inf,
+        spike_limit: float = math.inf,
+        current_spike_limit: float = math.inf,
     ) -> F64:
         """shape (n, 5 + 3 channels): t, h, input, extra variance, (y, valid, doubt)…, correction of the input before
 
@@ -177,8 +177,8 @@ class Layout:
             unknown_input_var: added variance where the input is not known and the last one is held.
             new: samples that were put in (`filled`), of which nothing was measured; shape (n,); None: none were.
             new_var: added variance of their input.
-            largest_leap: by which the input leaps and leaps back in a sample; beyond, it was misread.
-            largest_current_leap: the same of a measured current.
+            spike_limit: the largest change by which the input goes and comes back in a sample; beyond, it was misread.
+            current_spike_limit: the same of a measured current.
         """
         samples = np.ones((len(block), self._lay.n_sample))
         samples[:, 0] = block.time_s
@@ -191,9 +191,9 @@ class Layout:
             samples[new, 4::2] = 0.0
         self._state[0] = block.time_s[0] if self.last_s is None else self.last_s
         self._constants[0], self._constants[2] = self.origin_s, unknown_input_var
-        self._constants[6] = largest_leap
+        self._constants[6] = spike_limit
         if self._current is not None:
-            self._constants[self._current] = largest_current_leap
+            self._constants[self._current] = current_spike_limit
         out = self._loop.run(self._state, self._constants, samples)
         if new is not None:
             out[new, 3] += new_var

@@ -9,10 +9,11 @@ shaft moves. It is taken for q/(2 m) beyond the edge, (q/2)(1 − 1/m) behind th
 have no such error: one is as far ahead as another is behind. It is the weights that bring it.) A step of the input's
 converter that is held for long is one error as well, and its effect adds up.
 
-An input that leaps and leaps back within one sample, far beyond what it usually does, is rather misread than applied.
+A spike of the input, which goes and comes back within one sample far beyond what it usually does, is rather misread
+than applied.
 With the next sample, which tells, comes the correction that puts it between its neighbours; the filter takes it for as
-uncertain as it leapt far. A reading that leaps like that where the input does not is not believed at once: if it was no
-leap, the next says so.
+uncertain as it went far. A reading that does so where the input does not is not believed at once: if it was no spike,
+the next says so.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ from functools import cache
 
 import casadi as ca
 
-from servo_daemon.kalman.layout import LEAPT
+from servo_daemon.kalman.layout import SPIKE
 
 #: So many samples on one step of the input's converter are counted as one error.
 _MOST_ALIKE = 100.0
 #: Most by which a standing encoder's variance is raised: 5000 samples on one count.
 _MOST_DOUBT = 5e7
-#: A leap is so many times the change before it.
+#: A spike is so many times the change before it.
 _APART = 4.0
 #: A channel whose repetitions nobody doubts, and a value that none is alike.
 NEVER, NO_VALUE = 1e300, 1e300
@@ -40,9 +41,10 @@ class LayoutStep:
 
     state:     time of the last sample | input held | (last value, how many alike, value before) per channel
     constants: start of time | variance of the input's step | variance where the input is unknown | (largest possible
-               value, half its step, from how many alike on it is doubted, the largest leap that is none) per channel
+               value, half its step, from how many alike on it is doubted, the largest change that is no spike) per
+               channel
     sample:    time | (value, whether the drive calls it valid) per channel
-    output:    a sample as `ekf_layout.EkfLayout` has it
+    output:    a sample as `kalman.layout.EkfLayout` has it
     """
 
     channels: int
@@ -70,7 +72,7 @@ def build_layout_step(channels: int) -> ca.Function:
     lay = LayoutStep(channels)
     state, const = ca.SX.sym("state", lay.n_state), ca.SX.sym("const", lay.n_constants)
     sample = ca.SX.sym("sample", lay.n_sample)
-    # The input has not leapt: not before this sample, nor with it, as its current may be sensed late.
+    # The input has no spike: not before this sample, nor with it, as its current may be sensed late.
     calm = ca.fmax(ca.fabs(state[2] - state[4]), ca.fabs(sample[1] - state[2])) <= const[6]
     kept, shown = [], []
     for k in range(1 + channels):
@@ -83,15 +85,15 @@ def build_layout_step(channels: int) -> ca.Function:
         kept += [ca.if_else(valid, new, old) for new, old in ((value, last), (alike, before), (last, earlier))]
         doubt = ca.if_else(alike >= least, ca.fmin(2.0 * alike * (alike - 1.0), _MOST_DOUBT), 1.0)
         value -= _ahead(value - last, before, half_step) * (alike <= 1.0)
-        leapt = ca.logic_and(ca.logic_and(_leaps(earlier, last, value, most), calm), valid)
-        shown.append((value, valid, doubt, alike, leapt))
+        spike = ca.logic_and(ca.logic_and(_is_spike(earlier, last, value, most), calm), valid)
+        shown.append((value, valid, doubt, alike, spike))
     value, valid, _, alike, _ = shown[0]
     held = ca.if_else(valid, value, state[1])
     extra = ca.if_else(valid, const[1] * ca.fmin(alike - 1.0, _MOST_ALIKE), const[2])
     measured = [
         x
-        for value, valid, doubt, _, leapt in shown[1:]
-        for x in (value, ca.logic_and(valid, ca.logic_not(leapt)), ca.if_else(leapt, LEAPT, doubt))
+        for value, valid, doubt, _, spike in shown[1:]
+        for x in (value, ca.logic_and(valid, ca.logic_not(spike)), ca.if_else(spike, SPIKE, doubt))
     ]
     row = ca.vertcat(
         sample[0] - const[0], sample[0] - state[0], held, extra, *measured, _misread(state[2], state[4], held, const[6])
@@ -100,14 +102,14 @@ def build_layout_step(channels: int) -> ca.Function:
 
 
 def _misread(last: ca.SX, before: ca.SX, after: ca.SX, most: ca.SX) -> ca.SX:
-    """What is to be added to the input that was held until now; 0 where it was no lone leap."""
+    """What is to be added to the input that was held until now; 0 where it was no spike."""
     there, back = last - before, last - after
-    leapt = ca.fmin(ca.fabs(there), ca.fabs(back)) > most
-    lone = ca.logic_and(ca.logic_and(leapt, there * back > 0), before < NO_VALUE)
+    far = ca.fmin(ca.fabs(there), ca.fabs(back)) > most
+    lone = ca.logic_and(ca.logic_and(far, there * back > 0), before < NO_VALUE)
     return ca.if_else(lone, (before + after) / 2.0 - last, 0.0)
 
 
-def _leaps(before: ca.SX, last: ca.SX, value: ca.SX, most: ca.SX) -> ca.SX:
+def _is_spike(before: ca.SX, last: ca.SX, value: ca.SX, most: ca.SX) -> ca.SX:
     """Whether a reading is far from both before it, which are close together: the one after a step is like one of them,
     so is the one that comes back, and where a signal runs they are as far apart."""
     near = ca.fmin(ca.fabs(value - last), ca.fabs(value - before))

@@ -13,11 +13,11 @@ from servo_daemon import __version__
 from servo_daemon.config import Config, DriveConfig
 from servo_daemon.daemon.diagnosis.runner import DiagnosisRunner
 from servo_daemon.daemon.drive import DriveRuntime
-from servo_daemon.daemon.learned_desk import LearnedDesk
+from servo_daemon.daemon.learning_coordinator import LearningCoordinator
 from servo_daemon.daemon.notify import Notifier
 from servo_daemon.daemon.ports import Ports
-from servo_daemon.daemon.trends.desk import TrendDesk
-from servo_daemon.daemon.worker import Seat, Workers
+from servo_daemon.daemon.trends.coordinator import TrendCoordinator
+from servo_daemon.daemon.worker import DriveSlot, Workers
 
 if TYPE_CHECKING:
     from servo_daemon.daemon.recording import Recording
@@ -54,12 +54,12 @@ class Daemon:
         d = config.diagnosis
         home = None if state_dir is None else state_dir / "diagnosis"
         self._diagnoses = DiagnosisRunner(d.command, d.budget_s, d.time_limit_s, d.nice, home)
-        self._learned = LearnedDesk(config.learning)
+        self._learning = LearningCoordinator(config.learning)
         self._ports = Ports()
         self._workers = Workers(self._stop, self._ports)
-        self._seats = {d.name: self._seat_for(d, state_dir) for d in config.drive}
+        self._slots = {d.name: self._slot_for(d, state_dir) for d in config.drive}
         self._recording = self._recorded(state_dir)
-        self._trends = TrendDesk(self.archive, [seat.runtime for seat in self._seats.values()])
+        self._trends = TrendCoordinator(self.archive, [slot.runtime for slot in self._slots.values()])
         self._watcher = threading.Thread(target=self._watch, name="watch", daemon=True)
         self._saver = threading.Thread(target=self._save, name="saver", daemon=True)
 
@@ -70,21 +70,21 @@ class Daemon:
             return None
         from servo_daemon.daemon.recording import Recording  # SQLAlchemy takes its time to load
 
-        return Recording(h, state_dir, [seat.runtime for seat in self._seats.values()])
+        return Recording(h, state_dir, [slot.runtime for slot in self._slots.values()])
 
-    def _seat_for(self, config: DriveConfig, state_dir: Path | None) -> Seat:
+    def _slot_for(self, config: DriveConfig, state_dir: Path | None) -> DriveSlot:
         driver = make_driver(config.driver, config.name, config.options)
-        model = self._learned.seat(config.name) if config.estimation.refresh else None
+        model = self._learning.subscribe(config.name) if config.estimation.refresh else None
 
         def make(wake: Callable[[], None]) -> DriveRuntime:
             return DriveRuntime(config, driver, state_dir, wake, self._diagnoses, model, self._ports)
 
-        return Seat(make, self._workers.call, self.config.storage.save_interval_s, self._save_now.set)
+        return DriveSlot(make, self._workers.call, self.config.storage.save_interval_s, self._save_now.set)
 
     @property
     def drives(self) -> Mapping[str, DriveRuntime]:
         """Drives by name, in the order of the configuration."""
-        return {name: seat.runtime for name, seat in self._seats.items()}
+        return {name: slot.runtime for name, slot in self._slots.items()}
 
     @property
     def archive(self) -> StoreArchive | None:
@@ -97,16 +97,16 @@ class Daemon:
 
     def problems(self) -> Sequence[str]:
         """What is wrong with the daemon itself, in words; empty when healthy."""
-        found = [seat.runtime.problem for seat in self._seats.values()]
-        found += [seat.problem for seat in self._seats.values() if self._workers.started]
+        found = [slot.runtime.problem for slot in self._slots.values()]
+        found += [slot.problem for slot in self._slots.values() if self._workers.started]
         found += [None if self._recording is None else self._recording.problem]
         return [p for p in found if p is not None]
 
     def start(self) -> None:
-        self._workers.start(tuple(self._seats.values()))
+        self._workers.start(tuple(self._slots.values()))
         self._watcher.start()
         self._saver.start()
-        self._learned.start()
+        self._learning.start()
         if self._recording is not None:
             self._recording.start()
         self._trends.start()
@@ -119,11 +119,11 @@ class Daemon:
             self._notifier.stopping()
             self._stop.set()
             self._diagnoses.kill()
-            self._learned.begin_stop()
+            self._learning.begin_stop()
             self._trends.begin_stop()
-            for seat in self._seats.values():
-                seat.runtime.reader.request_stop()
-                seat.call()
+            for slot in self._slots.values():
+                slot.runtime.reader.request_stop()
+                slot.call()
 
     def stop(self, timeout_s: float = _STOP_S) -> None:
         """End readers, workers and saver; what was learned is saved once more. Idempotent."""
@@ -138,7 +138,7 @@ class Daemon:
         if self._recording is not None:  # after the workers: with their last rows
             self._recording.stop(max(0.05, deadline - time.monotonic()))
         self._diagnoses.stop(max(0.05, deadline - time.monotonic()))
-        self._learned.stop(max(0.05, deadline - time.monotonic()))
+        self._learning.stop(max(0.05, deadline - time.monotonic()))
 
     # -- threads ---------------------------------------------------------------------------------------------
 
@@ -155,7 +155,7 @@ class Daemon:
         began = time.monotonic()
         while not self._stop.wait(_WATCH_S):
             self._workers.look()
-            now, fresh = time.monotonic(), any(seat.has_worked for seat in self._seats.values())
+            now, fresh = time.monotonic(), any(slot.has_worked for slot in self._slots.values())
             if not self._ready and (fresh or now - began > START_TIMEOUT_S):
                 self._ready = True
                 self._notifier.ready(self._summary())
@@ -164,7 +164,7 @@ class Daemon:
 
     def _tell_systemd(self, now: float) -> None:
         """That all drives turn, and how the drives are. (One that is overloaded turns; a restart would not help.)"""
-        if all(seat.has_turned_since(self._told) for seat in self._seats.values()):
+        if all(slot.has_turned_since(self._told) for slot in self._slots.values()):
             self._told = now
             self._notifier.watchdog()
         if (summary := self._summary()) != self._said:

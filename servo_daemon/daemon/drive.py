@@ -11,12 +11,12 @@ from pathlib import Path
 
 from drivers.base import DriveInfo, Driver
 from servo_daemon.config import DriveConfig
-from servo_daemon.daemon.diagnosis.desk import DiagnosisDesk
+from servo_daemon.daemon.diagnosis.coordinator import DiagnosisCoordinator
 from servo_daemon.daemon.diagnosis.runner import DiagnosisRunner
 from servo_daemon.daemon.drive_parts import line_counters, same_channels, stale
-from servo_daemon.daemon.learned_desk import Seat
+from servo_daemon.daemon.learning_coordinator import Subscription
 from servo_daemon.daemon.load import LoadWatch
-from servo_daemon.daemon.model_desk import ModelDesk
+from servo_daemon.daemon.model_coordinator import ModelCoordinator
 from servo_daemon.daemon.ports import Ports
 from servo_daemon.daemon.reader import Link, Reader
 from servo_daemon.daemon.state_keeper import StateKeeper
@@ -57,7 +57,7 @@ class DriveRuntime:
         state_dir: where its knowledge is kept over a restart; None: nowhere.
         wake: called when there is work, from the reader's thread.
         runner: of diagnoses, one for all drives.
-        seat: where learned models come from; None: nowhere.
+        subscription: where learned models come from; None: nowhere.
         ports: that read the drive's line beside others'; None: it has a thread of its own for that.
     """
 
@@ -68,23 +68,23 @@ class DriveRuntime:
         state_dir: Path | None,
         wake: Callable[[], None],
         runner: DiagnosisRunner | None = None,
-        seat: Seat | None = None,
+        subscription: Subscription | None = None,
         ports: Ports | None = None,
     ) -> None:
         self.config = config
-        self._seat = seat
+        self._subscription = subscription
         self.history = HistoryRing()
         self._keeper = StateKeeper(state_dir, config)
         self.ring = SampleRing(config.estimation.ring_s)
         self.log = EventLog(config.name)
         self.reader = Reader(driver, wake, self.log.add, ports)
-        self._desk = ModelDesk(config.name, wake)
+        self._model_changes = ModelCoordinator(config.name, wake)
         self.active = config  # with the model as it is now
         self._pipeline: Pipeline | None = None
         self._identity: str | None = None
         self.info: DriveInfo = driver.info
         self.estimate: Estimate | None = None
-        self.trends = DriveTrends()  # written by the desk of trends
+        self.trends = DriveTrends()  # written by the coordinator of trends
         self._sample_time: float | None = None
         self._failures = self._repeated = 0
         self._quiet_until = 0.0
@@ -93,7 +93,7 @@ class DriveRuntime:
         self._link: Link = self.reader.link
         self._warnings = DriveWarnings(config)
         self._load = LoadWatch()
-        self._diagnoses = DiagnosisDesk(self, self.ring, self.log, runner or DiagnosisRunner())
+        self._diagnoses = DiagnosisCoordinator(self, self.ring, self.log, runner or DiagnosisRunner())
         self.log.tell(self._warnings.at_start)
         self._snapshot = self._make_snapshot()
 
@@ -164,7 +164,7 @@ class DriveRuntime:
         Raises:
             BusyError: the last one is not done yet.
         """
-        return self._desk.ask(request, request.configure(self.config), self._pipeline)
+        return self._model_changes.ask(request, request.configure(self.config), self._pipeline)
 
     # -- worker thread ---------------------------------------------------------------------------------------
 
@@ -191,7 +191,7 @@ class DriveRuntime:
         self._follow_link(bool(blocks or told) or was_reset)
         if self._changed:  # now that the first estimate of the new model is published
             self._changed = False
-            self._desk.done(self._sample_time)
+            self._model_changes.done(self._sample_time)
         return bool(blocks)
 
     def _relieve(self) -> list[Message]:
@@ -227,25 +227,25 @@ class DriveRuntime:
         if pipeline.config is not self.active:
             self._activate(pipeline.config)
             self._changed = True
-        if self._seat is not None:
-            estimate = self._learn(self._seat, pipeline, estimate)
+        if self._subscription is not None:
+            estimate = self._learn(self._subscription, pipeline, estimate)
         if estimate is not None:
             estimate, told = self._warnings.update(estimate)
             self.log.tell(told)
             self._diagnoses.watch(estimate)
         self.estimate = estimate
 
-    def _learn(self, seat: Seat, pipeline: Pipeline, estimate: Estimate | None) -> Estimate | None:
-        """Tell the desk what is needed, take what has come; the estimate with what is published until then."""
-        seat.follow(self.active, pipeline.channels, pipeline.sample_period_s)
-        model = seat.take()
+    def _learn(self, subscription: Subscription, pipeline: Pipeline, estimate: Estimate | None) -> Estimate | None:
+        """Tell the coordinator what is needed, take what has come; the estimate with what is published until then."""
+        subscription.follow(self.active, pipeline.channels, pipeline.sample_period_s)
+        model = subscription.take()
         if model is not None:
             pipeline.use_learned(model)
             text = f"RF+GRNN model of {model.facts.get('motors')} simulated motors at work, in the shadow first"
             self.log.add("model_learned", text)
         if estimate is None or "grnn" in estimate.estimators:
             return estimate
-        return replace(estimate, estimators={**estimate.estimators, "grnn": seat.view})
+        return replace(estimate, estimators={**estimate.estimators, "grnn": subscription.view})
 
     def _pipeline_for_device(self) -> Pipeline:
         """The pipeline of the device that is attached now; a new device starts from what is known of it."""
@@ -256,15 +256,15 @@ class DriveRuntime:
             if self._pipeline is not None:
                 self.log.add("device_changed", f"another device is attached: {info.identity}")
                 self.log.tell(self._warnings.forget("another device is attached"))
-                self._desk.fail("another device was attached")
+                self._model_changes.fail("another device was attached")
                 self.ring.clear()
                 self._activate(self.config)
             saved = self._keeper.load(info.identity)
             if saved is not None:
                 self._restored(saved)
             self._pipeline = Pipeline(self.active, info, saved, self.ring, self.meaning)
-            if self._seat is not None:
-                self._seat.begin_again()
+            if self._subscription is not None:
+                self._subscription.begin_again()
             self._identity, self.info = info.identity, info
         elif info != self.info:
             self._pipeline.learn_info(info)
@@ -282,13 +282,13 @@ class DriveRuntime:
             self.log.add("state_restored", "estimates of the last run restored")
 
     def _begin_model_change(self) -> None:
-        pending = self._desk.take()
+        pending = self._model_changes.take()
         if pending is None:
             return
         if self._pipeline is None:
             self.log.tell([change_message(self.model, pending.config.model)])
             self._activate(pending.config)
-            self._desk.done(None)
+            self._model_changes.done(None)
         else:
             self._pipeline.change_model(pending.request, pending.config, pending.tracker)
 
@@ -310,7 +310,7 @@ class DriveRuntime:
             self.log.add("pipeline_failed", text, {"failures": self._failures})
         if self._pipeline is not None:
             self._pipeline.reset()
-        self._desk.fail("the pipeline failed and starts over")
+        self._model_changes.fail("the pipeline failed and starts over")
         self.estimate = None
 
     def _reset(self) -> None:
@@ -318,7 +318,7 @@ class DriveRuntime:
         self._keeper.forget()
         if self._pipeline is not None:
             self._pipeline.reset(self.config)
-        self._desk.fail("the estimates were reset")
+        self._model_changes.fail("the estimates were reset")
         self._activate(self.config)
         self.estimate = None
         self.log.add("reset", "estimates reset by request")

@@ -26,7 +26,7 @@ CALM_WAIT_S, CALM_S = 0.5, 30.0
 
 
 class LoadWatch:
-    """One drive's.
+    """Watches the queue of one drive's samples, and tells when its worker falls behind and when it has caught up.
 
     Attributes:
         overloaded: the drive loses samples because its worker does not keep up.

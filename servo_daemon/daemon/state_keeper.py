@@ -12,7 +12,7 @@ from servo_daemon.pipeline.publish import Adopted, SavedState
 
 
 class StateKeeper:
-    """One drive's. `write` belongs to the saver, everything else to the worker.
+    """Keeps one drive's state file. `write` belongs to the saver, everything else to the worker.
 
     Args:
         directory: where state files are; None: nothing is kept.

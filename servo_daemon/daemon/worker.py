@@ -2,10 +2,10 @@
 
 The thread that all share reads the lines that need no thread of their own (`daemon/ports.py`), is woken by the blocks
 of the others, which come some 25 times a second, and takes what has queued up for each drive in one go: eight drives
-cost 20 % less so than with a thread each. A drive whose turn takes long (a
-plant that is compiled, a start or a jump gone over again, a slow engine) keeps the thread that it is in, and another
-goes on with the rest. Compiled code and CasADi release the interpreter, and plain Python gives it up every few
-milliseconds, so that the others do turn meanwhile.
+cost 20 % less so than with a thread each. A drive whose turn takes long (a plant that is compiled, a start or a jump
+filtered again, a slow engine) keeps the thread that it is in, and another goes on with the rest. Compiled code and
+CasADi release the interpreter, and plain Python gives it up every few milliseconds, so that the others do turn
+meanwhile.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _QUICK_S = 1.0
 STUCK_S = 5.0
 
 
-class Seat:
+class DriveSlot:
     """One drive among the threads.
 
     Args:
@@ -106,16 +106,16 @@ class _Turn:
         began_s, cpu_began_s: host monotonic, and CPU time.
     """
 
-    seat: Seat
+    slot: DriveSlot
     clock: int | None
     began_s: float
     cpu_began_s: float
 
     @classmethod
-    def begun(cls, seat: Seat) -> _Turn:
+    def begun(cls, slot: DriveSlot) -> _Turn:
         """In this thread, now."""
         clock = time.pthread_getcpuclockid(threading.get_ident()) if hasattr(time, "pthread_getcpuclockid") else None
-        return cls(seat, clock, time.monotonic(), 0.0 if clock is None else time.clock_gettime(clock))
+        return cls(slot, clock, time.monotonic(), 0.0 if clock is None else time.clock_gettime(clock))
 
     @property
     def is_long(self) -> bool:
@@ -123,13 +123,13 @@ class _Turn:
         waited = time.monotonic() - self.began_s
         if waited < LONG_TURN_S:
             return False
-        if self.clock is None or self.seat.runtime.preparing or waited >= LONG_WAIT_S:
+        if self.clock is None or self.slot.runtime.preparing or waited >= LONG_WAIT_S:
             return True
         return time.clock_gettime(self.clock) - self.cpu_began_s >= LONG_TURN_S
 
 
 class Workers:
-    """See the module. `start` once.
+    """The threads that turn all drives. `start` once.
 
     Args:
         stop: set when they are to end.
@@ -137,15 +137,15 @@ class Workers:
     """
 
     def __init__(self, stop: threading.Event, ports: Ports | None = None) -> None:
-        self.seats: Sequence[Seat] = ()
+        self.slots: Sequence[DriveSlot] = ()
         self._stop, self._wake, self._lock = stop, threading.Event(), threading.Lock()
         self._ports = Ports() if ports is None else ports
         self._turn: _Turn | None = None
         self._shared: threading.Thread | None = None
         self._threads: list[threading.Thread] = []
 
-    def start(self, seats: Sequence[Seat]) -> None:
-        self.seats = seats
+    def start(self, slots: Sequence[DriveSlot]) -> None:
+        self.slots = slots
         self._replace_shared()
 
     @property
@@ -172,12 +172,12 @@ class Workers:
         turn = self._turn
         if turn is None or not turn.is_long:
             return
-        if len(self.seats) == 1 and not len(self._ports):  # nobody waits
+        if len(self.slots) == 1 and not len(self._ports):  # nobody waits
             return
         with self._lock:
             if self._turn is not turn or self._stop.is_set():
                 return
-            turn.seat.owner, self._turn = self._shared, None
+            turn.slot.owner, self._turn = self._shared, None
             self._replace_shared()
 
     def _replace_shared(self) -> None:
@@ -189,39 +189,39 @@ class Workers:
     def _work_for_all(self) -> None:
         while not self._stop.is_set():
             called = self._wake.wait(self._ports.wait_s(_IDLE_TURN_S))
-            if called and len(self.seats) > len(self._ports) + 1 and all(seat.owner is None for seat in self.seats):
+            if called and len(self.slots) > len(self._ports) + 1 and all(slot.owner is None for slot in self.slots):
                 self._stop.wait(_GATHER_S)
             self._ports.read()
             self._wake.clear()
-            for seat in self.seats:
-                if seat.owner is None and not self._is_back_after(seat):
-                    self._work_for(seat)
+            for slot in self.slots:
+                if slot.owner is None and not self._is_back_after(slot):
+                    self._work_for(slot)
                     return
-        for seat in self.seats:
-            if seat.owner is None:
-                seat.offer()
+        for slot in self.slots:
+            if slot.owner is None:
+                slot.offer()
 
-    def _is_back_after(self, seat: Seat) -> bool:
+    def _is_back_after(self, slot: DriveSlot) -> bool:
         """Turn a drive. Returns whether this is the shared thread still."""
-        self._turn = _Turn.begun(seat)
-        seat.turn()
+        self._turn = _Turn.begun(slot)
+        slot.turn()
         with self._lock:
-            self._turn = None if seat.owner is None else self._turn
-            return seat.owner is None
+            self._turn = None if slot.owner is None else self._turn
+            return slot.owner is None
 
-    def _work_for(self, seat: Seat) -> None:
+    def _work_for(self, slot: DriveSlot) -> None:
         """Alone, until its turns are no longer long."""
-        threading.current_thread().name = f"pipeline-{seat.runtime.name}"
+        threading.current_thread().name = f"pipeline-{slot.runtime.name}"
         last_long = time.monotonic()
         while not self._stop.is_set():
-            seat.wake.wait(_IDLE_TURN_S)
-            seat.wake.clear()
-            turn = _Turn.begun(seat)
-            seat.turn()
+            slot.wake.wait(_IDLE_TURN_S)
+            slot.wake.clear()
+            turn = _Turn.begun(slot)
+            slot.turn()
             if turn.is_long:
-                last_long = seat.turned
-            elif seat.turned - last_long >= _QUICK_S:
-                seat.owner = None
+                last_long = slot.turned
+            elif slot.turned - last_long >= _QUICK_S:
+                slot.owner = None
                 self._wake.set()
                 return
-        seat.offer()
+        slot.offer()

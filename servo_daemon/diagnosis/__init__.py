@@ -1,1 +1,2 @@
-"""What the simulation gets wrong: the missing torque and voltage, what they follow, and which effects could be it."""
+"""What the simulation gets wrong: the unmodelled torque and voltage, what they follow, and which effects could be
+it."""

@@ -20,8 +20,8 @@ from servo_daemon.diagnosis.search.effort import Effort, Journal
 from servo_daemon.diagnosis.search.evidence import OVERWHELMING_BIC
 from servo_daemon.diagnosis.search.select import Selection, select
 from servo_daemon.diagnosis.trial.data import Data
-from servo_daemon.diagnosis.trial.everything import WholeFits, fit_everything
-from servo_daemon.diagnosis.trial.lacking import longest_missing
+from servo_daemon.diagnosis.trial.full_data_fit import FullDataFits, fit_full_data
+from servo_daemon.diagnosis.trial.model_discrepancy import longest_missing
 from servo_daemon.diagnosis.trial.noise_floor import measured_levels, noise_floor
 from servo_daemon.diagnosis.trial.split import CHOICE, segment_length_s
 from servo_daemon.diagnosis.trial.trial import first_trial
@@ -44,7 +44,7 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True, slots=True)
 class DiagnoseOptions:
-    """What is asked for.
+    """Settings of a diagnosis.
 
     Attributes:
         baseline: effects of the model that is doubted.
@@ -93,16 +93,16 @@ def _diagnose(
     progress(0.0, "fitting the baseline")
     data = Data.of(recordings, options.fixed, options.baseline, segment_length_s(recordings))
     base = first_trial(data, options.baseline, options.nominal)
-    whole_fits = WholeFits(data)
-    selection = select(data, base, _within(progress, 0.1, 0.8), whole_fits.of, effort)
+    full_fits = FullDataFits(data)
+    selection = select(data, base, _within(progress, 0.1, 0.8), full_fits.of, effort)
     progress(0.8, "whether the names can be believed")
-    belief = believed(selection, whole_fits)
-    every = data.everything
-    baseline = fit_everything(every, base, WholeFits(every) if belief.extended is None else None)
+    belief = believed(selection, full_fits)
+    every = data.full
+    baseline = fit_full_data(every, base, FullDataFits(every) if belief.extended is None else None)
     diagnosis = _by_free_runs(captures, every, belief, baseline, _within(progress, 0.88, 1.0))
     if not diagnosis.effects and effort.allows("predictions of each sample and the balance"):
         with suppress(ServoDaemonError):  # then the free runs have the last word
-            diagnosis = _otherwise(diagnosis, data, belief.selection, options.nominal, whole_fits)
+            diagnosis = _otherwise(diagnosis, data, belief.selection, options.nominal, full_fits)
     scores = tuple(validated(c, baseline, diagnosis.extended, recordings, options.adapt) for c in validation)
     held = FitOptions(fixed=options.fixed, segment_s=data.split.segment_s)
     shown = published(diagnosis.baseline, every.recordings, held)
@@ -167,10 +167,10 @@ def _by_free_runs(
 
 
 def _otherwise(
-    d: Diagnosis, data: Data, selection: Selection, nominal: Mapping[str, float], whole_fits: WholeFits
+    d: Diagnosis, data: Data, selection: Selection, nominal: Mapping[str, float], full_fits: FullDataFits
 ) -> Diagnosis:
     """Where free runs name nothing: what predictions show, else what the balance does."""
-    found = found_by_predictions(data, selection, d.candidates, whole_fits) or found_by_balance(
+    found = found_by_predictions(data, selection, d.candidates, full_fits) or found_by_balance(
         data, d.baseline, selection.base, nominal
     )
     return d if found is None else _named(d, found)

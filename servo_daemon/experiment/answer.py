@@ -44,7 +44,7 @@ class ExpectedError:
 
 
 def expected_stds(plan: MotionPlan) -> list[ExpectedStd]:
-    """Of every free parameter; empty where models are to be told apart."""
+    """Of every free parameter; empty where models are to be distinguished."""
     out = []
     for question, sums, default in zip(plan.questions, plan.sums, plan.default_sums, strict=True):
         if not isinstance(question, Precision):

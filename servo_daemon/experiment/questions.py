@@ -26,7 +26,7 @@ Cuts = Sequence[tuple[int, int]]
 
 
 class Question(Protocol):
-    """See the module."""
+    """What a plan can be asked: sums of a block that add up, and the score that they make."""
 
     @property
     def truth(self) -> Model:

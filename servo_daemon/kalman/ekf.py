@@ -1,4 +1,4 @@
-"""The extended Kalman filter as an object: state, constants and the compiled loop over `ekf_model`'s step."""
+"""The extended Kalman filter as an object: state, constants and the compiled loop over `model`'s step."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Ekf:
 
     Args:
         plant: the model.
-        channels: measured channels, some of `ekf_model.MEASURABLE`.
+        channels: measured channels, some of `layout.MEASURABLE`.
         loop: engine of the running recursion; the compiled one if None.
         mean_input: see `build_ekf_step`.
     """
@@ -50,7 +50,7 @@ class Ekf:
         self._running: Loop = self._compiled if loop is None else loop
         self._state = np.zeros(layout.n_state)
         self._constants = np.zeros(layout.n_constants)
-        self.use_instrument(True)
+        self.use_instrumental_trajectory(True)
         rows, columns = np.tril_indices(layout.n_z)
         order = np.lexsort((rows, columns))  # by columns, as the step packs it
         self._rows, self._columns = rows[order], columns[order]
@@ -106,7 +106,7 @@ class Ekf:
             state = self.plant.states[k]
             P[k, k] = _UNKNOWN_STATE_STD.get(state.name, 3 * state.scale) ** 2
         self._put(z, P)
-        self._state[self._lay.instrument] = z[self._lay.x]
+        self._state[self._lay.trajectory] = z[self._lay.x]
         self._state[-1] = 0.0
 
     def know_state(self, name: str, mean: float, var: float) -> None:
@@ -117,7 +117,7 @@ class Ekf:
         P[:, k] = 0.0
         P[k, k] = var
         self._put(z, P)
-        self._state[self._lay.instrument] = z[self._lay.x]
+        self._state[self._lay.trajectory] = z[self._lay.x]
 
     def set_noise(self, noise: NoiseLevels) -> None:
         self._constants[0], self._constants[1] = noise.input_var, noise.torque_psd
@@ -131,7 +131,8 @@ class Ekf:
 
     @property
     def constants(self) -> F64:
-        """A copy of what the filter is told: noise, walks, which parameters may move, whether it has an instrument."""
+        """A copy of what the filter is told: noise, walks, which parameters may move, whether it has an instrumental
+        trajectory."""
         return self._constants.copy()
 
     def put_constants(self, constants: F64) -> None:
@@ -152,8 +153,9 @@ class Ekf:
         """No parameter moves."""
         self._constants[self._lay.active] = 0.0
 
-    def use_instrument(self, use: bool) -> None:
-        """Whether derivatives are taken along the instrument (`ekf_model`); for parameters that are nearly right."""
+    def use_instrumental_trajectory(self, use: bool) -> None:
+        """Whether derivatives are taken along the instrumental trajectory (`model`); for parameters that are nearly
+        right."""
         self._constants[-1] = INSTRUMENT_S if use else NO_INSTRUMENT_S
 
     def update(self, samples: F64, *, again: bool = False) -> Innovations:

@@ -1,6 +1,6 @@
 """The same filter on filterpy's ExtendedKalmanFilter: readable, slow, and the check on the compiled one.
 
-It runs sample by sample in Python over the same plant, keeps the same flat vectors as `ekf_model` and so can take the
+It runs sample by sample in Python over the same plant, keeps the same flat vectors as `model` and so can take the
 place of the compiled loop (`engine = "filterpy"`). The two agree to rounding; a test holds them to 1e-6.
 """
 
@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from servo_daemon.kalman.layout import CLIP, LEAPT, MEASURABLE, STATISTICS, EkfLayout
+from servo_daemon.kalman.layout import CLIP, MEASURABLE, SPIKE, STATISTICS, EkfLayout
 from servo_daemon.kalman.model import (
     _SHORTEST_STEP_S,
     DOUBTFUL_INPUT,
@@ -21,10 +21,10 @@ from servo_daemon.kalman.model import (
     SAMPLES_TO_FIND_SPEED,
     UNUSUAL_INPUT,
     found_speed,
-    instrument_after,
     natural,
     predict,
     slowness,
+    trajectory_after,
 )
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.samples import F64
@@ -69,7 +69,7 @@ class FilterpyLoop:
             ekf.P[self._columns, self._rows] = ekf.P[self._rows, self._columns]
             trusted = min(DOUBTFUL_INPUT * constants[0] / max(state[lay.held_variance], 1e-300), 1.0)
             slowly = trusted * float(slowness(max(sample[1], _SHORTEST_STEP_S), state[-1], constants[-1]))
-            state[lay.instrument] = self._follow(state[lay.instrument], ekf.x[lay.x], slowly)
+            state[lay.trajectory] = self._follow(state[lay.trajectory], ekf.x[lay.x], slowly)
             age = state[-1] + sample[1]
             state[-1] = SAMPLES_TO_FIND_SPEED * sample[1] if outputs[row, 2::3].any() else age
             state[lay.held_input], state[lay.held_variance] = sample[2], constants[0] + sample[3]
@@ -89,9 +89,9 @@ class FilterpyLoop:
             u, var_u = (u + sample[2]) / 2, (var_u + constants[0] + sample[3]) / 4
         at = lay.plant.state_names.index("velocity_rad_s")
         x_next, modelled, by_z, noise = self._predict(
-            ekf.x[lay.x], state[lay.instrument], ekf.x[lay.q], u, sample[0] - h, h, var_u, constants[1], ekf.P[at, at]
+            ekf.x[lay.x], state[lay.trajectory], ekf.x[lay.q], u, sample[0] - h, h, var_u, constants[1], ekf.P[at, at]
         )
-        state[lay.instrument] = modelled
+        state[lay.trajectory] = modelled
         F, Q = np.eye(lay.n_z), np.zeros((lay.n_z, lay.n_z))
         by_z[:, lay.n_x :] *= float(found_speed(state[-1], h))
         F[lay.x, :] = by_z
@@ -110,7 +110,7 @@ class FilterpyLoop:
         s0 = float((H @ ekf.P @ H.T)[0, 0]) + r
         innovation = float(y - predicted)
         extra = valid * max(innovation**2 / GATE**2 - s0, 0.0)
-        gated = extra > 0 or bool(doubt >= LEAPT) or bool(k == 0 and valid * sample[-1] != 0)
+        gated = extra > 0 or bool(doubt >= SPIKE) or bool(k == 0 and valid * sample[-1] != 0)
         usual = state[lay.held_variance] <= UNUSUAL_INPUT * constants[0]
         self._count(state, k, innovation, s0, bool(valid > 0 and doubt <= 1.0 and usual), gated)
         if valid > 0:
@@ -149,13 +149,13 @@ class FilterpyLoop:
 
 
 def _prediction(plant: PlantModel) -> Callable[..., tuple[F64, ...]]:
-    x, instrument = ca.SX.sym("x", len(plant.states)), ca.SX.sym("instrument", len(plant.states))
+    x, trajectory = ca.SX.sym("x", len(plant.states)), ca.SX.sym("trajectory", len(plant.states))
     q = ca.SX.sym("q", len(plant.parameters))
     u, t, h, var_u, psd, speed_var = (ca.SX.sym(n) for n in ("u", "t", "h", "var_u", "psd", "speed_var"))
-    step = predict(plant, x, instrument, q, u, t, h, var_u, psd, speed_var)
+    step = predict(plant, x, trajectory, q, u, t, h, var_u, psd, speed_var)
     by_z = ca.horzcat(step.by_state, step.by_parameter)
-    results = [step.x, step.instrument, ca.densify(by_z), ca.densify(step.noise)]
-    function = ca.Function("predict", [x, instrument, q, u, t, h, var_u, psd, speed_var], results)
+    results = [step.x, step.trajectory, ca.densify(by_z), ca.densify(step.noise)]
+    function = ca.Function("predict", [x, trajectory, q, u, t, h, var_u, psd, speed_var], results)
 
     def call(*arguments: Any) -> tuple[F64, ...]:
         x_next, modelled, F, Q = (np.asarray(r) for r in function(*arguments))
@@ -167,7 +167,7 @@ def _prediction(plant: PlantModel) -> Callable[..., tuple[F64, ...]]:
 def _following(plant: PlantModel) -> Callable[..., F64]:
     modelled, x = ca.SX.sym("m", len(plant.states)), ca.SX.sym("x", len(plant.states))
     slowly = ca.SX.sym("slowly")
-    function = ca.Function("follow", [modelled, x, slowly], [instrument_after(plant, modelled, x, slowly)])
+    function = ca.Function("follow", [modelled, x, slowly], [trajectory_after(plant, modelled, x, slowly)])
     return lambda *arguments: np.asarray(function(*arguments)).reshape(-1)
 
 

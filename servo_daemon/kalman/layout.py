@@ -15,8 +15,8 @@ STATISTICS = ("count", "nis", "excess", "lagged", "last", "gated", "crossed")
 #: Innovations beyond this many standard deviations do not teach the noise level.
 CLIP = 4.0
 
-#: Marks a reading that leaps and leaps back within a sample: it is none, and is counted as an outlier.
-LEAPT = 1e9
+#: Marks a reading that is a spike of one sample: it is no measurement, and is counted as an outlier.
+SPIKE = 1e9
 
 #: Channels the filter can take, in the order in which it takes them.
 MEASURABLE = ("current_A", "velocity_rad_s", "position_rad")
@@ -27,11 +27,11 @@ class EkfLayout:
     """Where everything is in the flat vectors that the compiled loop carries.
 
     state:     x | q | lower triangle of P by columns | held input | its variance | information gained per parameter |
-               `STATISTICS` per channel | instrument | its age (s)
+               `STATISTICS` per channel | instrumental trajectory | its age (s)
     constants: var_input | torque_psd | walk per parameter (1/s) | active per parameter | r per channel | time constant
-               of the instrument
+               of the instrumental trajectory
     sample:    t | h | input | extra variance of the input | (y, valid, doubt) per channel; doubt multiplies r, and is
-               `LEAPT` where that made a reading not valid | correction of the input before, which is then as uncertain
+               `SPIKE` where that made a reading not valid | correction of the input before, which is then as uncertain
                as that is large
     output:    (innovation, its variance, gated) per channel
     """
@@ -105,7 +105,7 @@ class EkfLayout:
         return slice(self.information.stop, self.n_state - self.n_x - 1)
 
     @cached_property
-    def instrument(self) -> slice:
+    def trajectory(self) -> slice:
         """The plant's states as the model alone has them; see the module."""
         return slice(self.n_state - self.n_x - 1, self.n_state - 1)
 

@@ -17,11 +17,11 @@ variance that this takes is given half to the sensor and half to the state it sh
 may also have been pushed by what is in no signal (a wrong voltage sample), and a state that then stays behind would
 make every sample after it an outlier.
 
-The derivatives by the parameters are taken along an instrument: the states as the model has them when it follows the
-filter only slowly. Along the filter's own states, which hold the last samples' noise, an EKF takes that noise for
-excitation: it gains information about L or J from nothing but the colour of the noise, and since regressor and
-innovation then share their noise, what it gains is wrong (Ljung, *IEEE Trans. Autom. Control* 24, 1979, on the bias;
-Söderström & Stoica, *Instrumental Variable Methods for System Identification*, 1983, on the cure).
+The derivatives by the parameters are taken along an instrumental trajectory: the states as the model has them when it
+follows the filter only slowly. Along the filter's own states, which hold the last samples' noise, an EKF takes that
+noise for excitation: it gains information about L or J from nothing but the colour of the noise, and since regressor
+and innovation then share their noise, what it gains is wrong (Ljung, *IEEE Trans. Autom. Control* 24, 1979, on the
+bias; Söderström & Stoica, *Instrumental Variable Methods for System Identification*, 1983, on the cure).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from functools import cache
 import casadi as ca
 
 from servo_daemon.kalman.gaussian import to_coordinate
-from servo_daemon.kalman.layout import CLIP, LEAPT, MEASURABLE, STATISTICS, EkfLayout
+from servo_daemon.kalman.layout import CLIP, MEASURABLE, SPIKE, STATISTICS, EkfLayout
 from servo_daemon.plant.build import PlantModel
 
 #: Standard deviations at which an innovation is weighted down: 1 in 1.7 million for a Gaussian.
@@ -41,8 +41,9 @@ GATE = 5.0
 #: Shortest step, s: two samples with one time stamp must not divide by zero.
 _SHORTEST_STEP_S = 1e-9
 
-#: Time constants with which the instrument follows the filter, s. Long against a sample, short against what a wrong
-#: model needs to run away; and at once, where the parameters are not known yet and the model would lead it astray.
+#: Time constants with which the instrumental trajectory follows the filter, s. Long against a sample, short against
+#: what a wrong model needs to run away; and at once, where the parameters are not known yet and the model would lead it
+#: astray.
 INSTRUMENT_S, NO_INSTRUMENT_S = 0.1, 1e-9
 #: Where the input is known this many times worse than usual (in variance), as after a missing sample, the innovations
 #: are no sample of the usual noise.
@@ -84,10 +85,10 @@ def unpack(tri: ca.SX, n: int) -> ca.SX:
 
 @dataclass(frozen=True)
 class Prediction:
-    """States and instrument after the step, derivatives, and the process noise of the plant's states."""
+    """States and instrumental trajectory after the step, derivatives, and the process noise of the plant's states."""
 
     x: ca.SX
-    instrument: ca.SX
+    trajectory: ca.SX
     by_state: ca.SX
     by_parameter: ca.SX
     noise: ca.SX
@@ -127,7 +128,7 @@ def _by_state(
 def predict(
     plant: PlantModel,
     x: ca.SX,
-    instrument: ca.SX,
+    trajectory: ca.SX,
     q: ca.SX,
     u: ca.SX,
     t: ca.SX,
@@ -136,7 +137,7 @@ def predict(
     torque_psd: ca.SX,
     speed_var: ca.SX,
 ) -> Prediction:
-    """The plant's step and its linearisation, by the states at (x, q), by the parameters at (instrument, q).
+    """The plant's step and its linearisation, by the states at (x, q), by the parameters at (trajectory, q).
 
     Args:
         var_u: variance of the held input.
@@ -144,7 +145,7 @@ def predict(
         speed_var: of the speed in x, rad²/s².
     """
     p = natural(plant, q)
-    x_next, modelled = plant.step(x, u, p, t, h), plant.step(instrument, u, p, t, h)
+    x_next, modelled = plant.step(x, u, p, t, h), plant.step(trajectory, u, p, t, h)
     by_state = _by_state(plant, x, u, p, t, h, x_next, speed_var)
     gain = plant.noise_gain(x, u, p, t, h)
     noise = gain[:, 0] @ gain[:, 0].T * var_u + gain[:, 1] @ gain[:, 1].T * (torque_psd / h)
@@ -179,10 +180,10 @@ def build_ekf_step(
     # Where the input was not known the model knows nothing; after an outlier, which may have been the input's, neither.
     trusted = ca.fmin(DOUBTFUL_INPUT * const[0] / ca.fmax(state[lay.held_variance], 1e-300), 1.0)
     slowly = trusted * slowness(ca.fmax(sample[1], _SHORTEST_STEP_S), state[-1], const[-1])
-    instrument = instrument_after(plant, modelled, z[lay.x], slowly)
+    trajectory = trajectory_after(plant, modelled, z[lay.x], slowly)
     outlier = sum((output[3 * k + 2] for k in range(len(channels))), start=ca.SX(0)) > 0
     age = ca.if_else(outlier, SAMPLES_TO_FIND_SPEED * sample[1], state[-1] + sample[1])
-    next_state = ca.vertcat(z, pack(P), held, sums, instrument, age)
+    next_state = ca.vertcat(z, pack(P), held, sums, trajectory, age)
     return lay, ca.Function("step", [given, const, sample], ca.cse([next_state, output]))
 
 
@@ -198,8 +199,8 @@ def _corrected(lay: EkfLayout, state: ca.SX, sample: ca.SX) -> ca.SX:
 
 
 def slowness(h: ca.SX, age_s: ca.SX, time_constant_s: ca.SX) -> ca.SX:
-    """What is left of the instrument's distance from the filter after h. A young one follows quickly: after a gap or at
-    the start the filter finds its own states first."""
+    """What is left of the instrumental trajectory's distance from the filter after h. A young one follows quickly:
+    after a gap or at the start the filter finds its own states first."""
     return ca.exp(-h / ca.fmin(time_constant_s, _YOUTH * (age_s + h)))
 
 
@@ -208,8 +209,8 @@ def found_speed(age_s: ca.SX, h: ca.SX) -> ca.SX:
     return ca.if_else(age_s >= (SAMPLES_TO_FIND_SPEED - 0.5) * h, 1.0, 0.0)
 
 
-def instrument_after(plant: PlantModel, modelled: ca.SX, x: ca.SX, slowly: ca.SX) -> ca.SX:
-    """The instrument follows the filter slowly in what noise drives (current, speed), at once in the rest.
+def trajectory_after(plant: PlantModel, modelled: ca.SX, x: ca.SX, slowly: ca.SX) -> ca.SX:
+    """The instrumental trajectory follows the filter slowly in what noise drives (current, speed), at once in the rest.
 
     Args:
         slowly: 1 .. 0: from not at all to at once.
@@ -230,14 +231,14 @@ def _time_update(
     elif lay.plant.drive != "voltage":  # a measured current or torque is a sample of a continuous signal: trapezoid
         u, var_u = (u + sample[2]) / 2, (var_u + const[0] + sample[3]) / 4
     at = lay.plant.state_names.index("velocity_rad_s")
-    step = predict(lay.plant, x, state[lay.instrument], q, u, sample[0] - h, h, var_u, const[1], P[at, at])
+    step = predict(lay.plant, x, state[lay.trajectory], q, u, sample[0] - h, h, var_u, const[1], P[at, at])
     M = ca.horzcat(step.by_state, step.by_parameter * found_speed(state[-1], h))
     T = M @ P
     P_xx = T @ M.T + step.noise
     P_xq = T[:, n_x:]
     P_qq = P[n_x:, n_x:] + ca.diag(const[lay.walk] * h)
     P_next = ca.vertcat(ca.horzcat(P_xx, P_xq), ca.horzcat(P_xq.T, P_qq))
-    return ca.vertcat(step.x, q), P_next, step.instrument
+    return ca.vertcat(step.x, q), P_next, step.trajectory
 
 
 def _measurement_update(
@@ -264,7 +265,7 @@ def _measurement_update(
         information = information + valid * reduction / (p_qq * (p_qq - reduction))
         z = z + gain * innovation
         P = P - gain @ PHt.T - PHt @ gain.T + s * (gain @ gain.T)
-        gated = ca.logic_or(extra > 0, doubt >= LEAPT)
+        gated = ca.logic_or(extra > 0, doubt >= SPIKE)
         if k == 0:  # a misread input is one, too
             gated = ca.logic_or(gated, valid * sample[-1] != 0)
         outputs += [valid * innovation, ca.if_else(valid > 0, s0, 1.0), gated]

@@ -63,7 +63,7 @@ class ChannelStatistics:
 
     @classmethod
     def of(cls, sums: Sequence[float]) -> ChannelStatistics:
-        """From `ekf_model.STATISTICS`."""
+        """From `layout.STATISTICS`."""
         count, nis, excess, lagged, _, gated, crossed = sums
         n = max(count, 1.0)
         return cls(count, nis / n, excess / n, lagged / max(nis, 1e-12), gated, crossed / n)

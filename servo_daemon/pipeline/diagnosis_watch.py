@@ -17,7 +17,7 @@ _FIRST_PAUSE_S, _LONGEST_PAUSE_S, _PAUSE_GROWS = 900.0, 86_400.0, 4.0
 
 
 class MismatchWatch:
-    """One drive's. Pure: fed estimates, tells when it is due.
+    """Decides from one drive's estimates when a diagnosis is due. Pure.
 
     Args:
         ring_s: length of the ring, s.

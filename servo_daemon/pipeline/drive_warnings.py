@@ -13,7 +13,7 @@ from servo_daemon.tracking.plan.settings import Message
 
 
 class DriveWarnings:
-    """One drive's. Pure: fed estimates, answers with what is to be told.
+    """Makes warnings of one drive's estimates. Pure.
 
     Args:
         config: the drive's.

@@ -25,7 +25,7 @@ _WARNINGS: Final = (
 
 
 class EventLog:
-    """One drive's. May be used from any thread."""
+    """Keeps the last events of one drive. May be used from any thread."""
 
     def __init__(self, drive: str) -> None:
         self._drive = drive

@@ -10,7 +10,7 @@ from servo_daemon.pipeline.model_change import ModelRequest
 from servo_daemon.samples import SampleBlock
 from servo_daemon.tracking.plan.settings import Message
 from servo_daemon.tracking.plant_tracker import PlantTracker
-from servo_daemon.tracking.succession import inherited
+from servo_daemon.tracking.succession import transferred
 from servo_daemon.tracking.tracker import Tracker
 
 #: A filter with another model that has not settled by then speaks for the drive all the same, ticks.
@@ -33,7 +33,7 @@ class Successor:
 
 
 class Handover:
-    """One drive's.
+    """The change of one drive from its tracker to the one of another model.
 
     Args:
         make: a tracker for a configuration.
@@ -80,15 +80,15 @@ class Handover:
 
     def begin(self, present: Tracker) -> Successor | None:
         """What was asked for begins, at the end of a tick, so that the estimates do not depend on how the samples came
-        in blocks. Returned is what can take over at once, having nothing to inherit."""
+        in blocks. Returned is what can take over at once, having nothing to take over."""
         if self._wanted is None:
             return None
         (request, config, prepared), self._wanted = self._wanted, None
         fits = prepared is not None and prepared.channels == present.channels
         tracker = prepared if prepared is not None and fits else self._make(config)
-        heritage = inherited(present, tracker, request.start, request.origin_s)
-        if heritage is None or not isinstance(tracker, PlantTracker):
+        transfer = transferred(present, tracker, request.start, request.origin_s)
+        if transfer is None or not isinstance(tracker, PlantTracker):
             return Successor(config, tracker)
-        tracker.inherit(heritage)
+        tracker.begin_with(transfer)
         self._successor = Successor(config, tracker)
         return None

@@ -28,7 +28,7 @@ Health = Mapping[str, float | int | bool | str | None]
 
 
 class MarginWatch:
-    """One drive's. Pure: fed estimates, answers with what is to be told. Without gains in use it does nothing."""
+    """Makes warnings of one drive's estimates and the gains in use; without these it does nothing. Pure."""
 
     def __init__(self, facts: LoopFacts) -> None:
         self._facts = facts

@@ -14,9 +14,9 @@ from servo_daemon.config import DriveConfig
 from servo_daemon.errors import ConfigError, ModelError
 from servo_daemon.parameters import LINEAR, MOTOR_NAMES, Parameter
 from servo_daemon.plant.effects import check_effects, effects_by_name
-from servo_daemon.tracking.heritage import StartValue
 from servo_daemon.tracking.plan.settings import Message
 from servo_daemon.tracking.plan.signals import is_held
+from servo_daemon.tracking.prior_transfer import StartValue
 
 #: Events are over when a filter that runs along could adopt them: what stays of them, if anything, is another effect.
 _AFTER_EVENT: Mapping[str, str | None] = {

@@ -241,7 +241,7 @@ class Publisher:
         winding = tracker.winding
         if winding is None:
             return Fused(nominal, None, "estimating", "collecting the first samples")
-        known = {n: v for n, v in self._views.possible(winding, tracker.plan.nuisance).items() if n in ("R", "L")}
+        known = {n: v for n, v in self._views.possible(winding, tracker.plan.biases).items() if n in ("R", "L")}
         value, std = known.get(p.name, (None, None))
         if value is None or std is None:
             return Fused(nominal, None, "estimating", "the motion does not show it (is the shaft held?)")

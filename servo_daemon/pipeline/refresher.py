@@ -32,7 +32,7 @@ _WHY_TRACKING = "RF+GRNN estimate of the last windows: the filter does not know 
 
 
 class Refresher:
-    """See the module.
+    """Feeds one drive's ticks to the learned model, and its estimates to the filter.
 
     Args:
         model: trained for this drive.
@@ -99,7 +99,8 @@ class Refresher:
         if told is None or filtered.status == "fixed":
             return filtered
         value, std = told
-        # The narrower limit of a filter keeps a start that still converges from being believed: here that is the proof.
+        # The narrower limit of a filter keeps a start that still converges from being believed: here that is the
+        # champion–challenger test.
         if not math.isfinite(value) or not std < LOST * abs(value):
             return filtered
         # While a jump is examined the filter says how far what it followed may have gone, and the windows do not.

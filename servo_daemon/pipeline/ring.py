@@ -18,7 +18,7 @@ MOST_SAMPLES: Final = 600_000
 
 
 class SampleRing:
-    """One drive's. One thread appends and clears; `blocks` may be called from any.
+    """Keeps the last samples of one drive. One thread appends and clears; `blocks` may be called from any.
 
     Args:
         seconds: of device time that are kept; 0: nothing is.

@@ -29,7 +29,7 @@ class Views:
     def of(self, tracker: Tracker) -> dict[str, EstimatorView]:
         """What each estimator says by itself."""
         views = {}
-        hidden = tracker.plan.nuisance
+        hidden = tracker.plan.biases
         if tracker.ekf is not None and tracker.ekf.started:
             views["ekf"] = EstimatorView(self._natural(tracker.ekf.estimate(), hidden), {"restarts": tracker.restarts})
         rls = tracker.rls.estimate() if tracker.rls is not None else None

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from servo_daemon.regression import closure
+from servo_daemon.regression import residual_analysis
 from servo_daemon.regression.balances import (
     NOISE_KNOWN,
     GramWindow,
@@ -21,14 +21,14 @@ from servo_daemon.regression.balances import (
     noise_squares,
     shaft_slopes,
 )
-from servo_daemon.regression.closure import Confronted, Verdict
 from servo_daemon.regression.columns.terms import armature_coefficient, coefficient, is_share
+from servo_daemon.regression.residual_analysis import MeanError, Residuals
 from servo_daemon.regression.rls_fit import OVERLAP
 from servo_daemon.regression.sampling import WINDOW_S, Sampling, between_samples, blind_std, of_standing_counts
 from servo_daemon.samples import F64
 
-#: Share of the window's rows that must have been held against the filter.
-_CONFRONTED = 0.8
+#: Share of the window's rows whose residuals with the filter's values must be known.
+_COVERED = 0.8
 #: The first rows, s, are less exact: what the current does between two samples was not known yet.
 _RECENT_S = 1.5
 #: Rows for each column from which on what a fit leaves says how large the noise is.
@@ -72,7 +72,7 @@ class BalanceWindow:
         self.judges_mismatch = judges_mismatch
         self._grams = {which: GramWindow(WINDOW_S) for which in self._columns}
         self._new: list[tuple[str, float, Sums]] = []
-        self._confronted: dict[str, deque[tuple[float, Confronted]]] = {which: deque() for which in self._columns}
+        self._residuals: dict[str, deque[tuple[float, Residuals]]] = {which: deque() for which in self._columns}
         self._last: dict[str, _Linear] = {}
         self._end_s = 0.0
 
@@ -80,13 +80,13 @@ class BalanceWindow:
         """What is in here is of another motor: a parameter has jumped, or all begins anew."""
         for which, window in self._grams.items():
             window.clear()
-            self._confronted[which].clear()
+            self._residuals[which].clear()
         self._new = []
 
     def advance(self, time_s: float) -> None:
         """The present, s: rows older than `WINDOW_S` drop out, also where no new ones come."""
         self._end_s = time_s
-        for parts in self._confronted.values():
+        for parts in self._residuals.values():
             while parts and time_s - parts[0][0] > WINDOW_S:
                 parts.popleft()
 
@@ -137,15 +137,16 @@ class BalanceWindow:
             size = self._size(which, value)
             slopes = {name: slope / size for name, slope in self._linear(which, value).slopes.items()}
             noise = self._noise(which, total, value, sampling) * self._by_chance(which, total)
-            found = closure.mismatch_std(total.gram, noise, slopes, self._followed(which, total))
+            found = residual_analysis.mismatch_std(total.gram, noise, slopes, self._followed(which, total))
             out |= {name: std for name, std in found.items() if name not in out}
         return out
 
     def _followed(self, which: str, total: Sums) -> float:
-        """What the filter's values of the time leave of the window's rows; infinite where too few were confronted."""
-        parts = [part for _, part in self._confronted[which]]
+        """What the filter's values of the time leave of the window's rows; infinite where they are known of too few
+        rows."""
+        parts = [part for _, part in self._residuals[which]]
         rows = sum(part.sums.rows for part in parts)
-        if rows < _CONFRONTED * total.rows:
+        if rows < _COVERED * total.rows:
             return np.inf
         return sum(part.square for part in parts) * total.rows / rows
 
@@ -163,7 +164,7 @@ class BalanceWindow:
         noise *= self._by_chance("shaft", total)
         ones, usual_current = _constant(columns), torque_Nm / self._size("shaft", value)
         usual = float(ones @ total.gram @ ones) * usual_current**2
-        left = closure.structure(total.gram, noise, usual)
+        left = residual_analysis.structure(total.gram, noise, usual)
         # White noise of intensity S adds S ∫φ² to the square of ∫φ τ; Σ (φ h)² = h ∫φ².
         of_one = float(total.weight_squares[0]) / sampling.period_s
         return left * self._size("shaft", value) ** 2 / max(of_one, 1e-300)
@@ -175,7 +176,7 @@ class BalanceWindow:
         if total is None:
             return None
         noise = self._noise("armature", total, value, sampling) / NOISE_KNOWN
-        left = closure.residual_square(total.gram) - noise
+        left = residual_analysis.residual_square(total.gram) - noise
         return max(left, 0.0) / max(float(total.weight_squares[0]), 1e-300)
 
     def current_noise(self, sampling: Sampling) -> float | None:
@@ -188,31 +189,30 @@ class BalanceWindow:
         if total is None or not self._per_current or total.rows < _ROWS_PER_COLUMN * len(columns):
             return None
         free = 1.0 - (len(columns) - 1) / total.rows
-        found = closure.residual_square(total.gram) / free / max(float(total.weight_squares[0]), 1e-300)
+        found = residual_analysis.residual_square(total.gram) / free / max(float(total.weight_squares[0]), 1e-300)
         between = between_samples(sampling, "shaft")
         return None if between > _HIDES * found else found
 
-    def confront(self, value: Mapping[str, float], noise_var: Mapping[str, float]) -> None:
-        """Rows that came since the last call, beside the filter's values."""
+    def take_residuals(self, value: Mapping[str, float], noise_var: Mapping[str, float]) -> None:
+        """Residuals of the rows that came since the last call, with the filter's values."""
         for which, time_s, part in self._new:
             columns = self._columns[which]
             noise = noise_squares(columns[:-1], part.weight_squares, noise_var)
             theta = self._linear(which, value).theta
-            self._confronted[which].append((time_s, Confronted.of(part, theta, noise)))
+            self._residuals[which].append((time_s, Residuals.of(part, theta, noise)))
         self._new = []
 
     def pass_over(self) -> None:
-        """Rows that came since are not held against the filter: something is being looked into."""
+        """No residuals are taken of rows that came since: a change is being examined."""
         self._new = []
 
     def forget_values(self) -> None:
-        """What the rows were held against is no longer what the filter thinks of that time."""
-        for parts in self._confronted.values():
+        """The residuals so far are of values that the filter no longer has of that time."""
+        for parts in self._residuals.values():
             parts.clear()
 
-    def verdicts(self, value: Mapping[str, float], period_s: float) -> dict[str, tuple[float, float]]:
-        """(error, variance) of the logarithms that the filter has, by the word of the balances over the last
-        `WINDOW_S`.
+    def mean_errors(self, value: Mapping[str, float], period_s: float) -> dict[str, tuple[float, float]]:
+        """(error, variance) of the logarithms that the filter has, by the balances over the last `WINDOW_S`.
 
         Args:
             value: of all parameters, natural units.
@@ -223,7 +223,7 @@ class BalanceWindow:
             return out
         K = (0.0, 0.0)
         for which, columns in self._columns.items():
-            found: Verdict | None = closure.verdict([part for _, part in self._confronted[which]])
+            found: MeanError | None = residual_analysis.mean_error([part for _, part in self._residuals[which]])
             if found is None:
                 if which == "armature" and self._per_current:
                     return {}  # without K the shaft's coefficients are quotients only

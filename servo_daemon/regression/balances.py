@@ -45,7 +45,7 @@ def added(arrays: Sequence[F64]) -> F64:
 
 @dataclass(frozen=True, slots=True)
 class Sums:
-    """Over rows of regressors [Φ | y].
+    """Sums over rows of regressors [Φ | y].
 
     Attributes:
         gram: their Gram matrix, shape (n + 1, n + 1).
@@ -67,7 +67,7 @@ class Sums:
 
     @classmethod
     def total(cls, parts: Sequence[Sums]) -> Sums | None:
-        """None if there are none."""
+        """Sum of several; None if there are none."""
         if not parts:
             return None
         return cls(added([p.gram for p in parts]), added([p.weight_squares for p in parts]), sum(p.rows for p in parts))
@@ -95,11 +95,11 @@ class GramWindow:
         self._total = None
 
     def since(self, time_s: float) -> Sums | None:
-        """Over the rows that ended after that; None if there are none."""
+        """Sums over the rows that ended after that; None if there are none."""
         return Sums.total([part for end_s, part in self._parts if end_s > time_s])
 
     def total(self, time_s: float) -> Sums | None:
-        """Over what is younger than `span_s` at `time_s`; None if nothing is."""
+        """Sums over what is younger than `span_s` at `time_s`; None if nothing is."""
         while self._parts and time_s - self._parts[0][0] > self.span_s:
             self._parts.popleft()
             self._total = None
@@ -203,7 +203,7 @@ def column_noise(
 def noise_squares(
     columns: Sequence[str], weight_squares: F64, noise_var: Mapping[str, float], y_channel: str | None = None
 ) -> F64:
-    """Its diagonal, shape (n,)."""
+    """Diagonal of what the sensors' noise adds to ΦᵀΦ, shape (n,)."""
     sums = weight_squares.tolist()
     where = [(y_channel or "", 0) if name == "y" else _NOISE_IN.get(name, ("", 0)) for name in columns]
     return np.array([noise_var.get(channel, 0.0) * sums[derivative] for channel, derivative in where])

@@ -24,7 +24,7 @@ _STILL = 1e-9
 
 
 class HeldShaft:
-    """From the first sample until the shaft moves.
+    """Regression of R and L from the first sample until the shaft moves.
 
     Args:
         columns: of the armature's regression.

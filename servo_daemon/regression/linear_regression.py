@@ -52,7 +52,7 @@ class LinearFit:
     null_directions: tuple[Mapping[str, float], ...]
 
     def is_unclear(self, name: str) -> bool:
-        """Not determined, see `is_determined`; of either sign."""
+        """Not determined (`is_determined`), of either sign."""
         if name not in self.names:
             return True
         k = self.names.index(name)

@@ -76,7 +76,7 @@ class Windows:
         return self.integrals(signal, derivative)[0]
 
     def integrals(self, signal: F64, *derivatives: int) -> list[F64]:
-        """The same for several derivatives, with one look at the signal."""
+        """`integral` for several derivatives in one pass over the signal."""
         samples = self._samples(signal)
         return [np.asarray(np.einsum("wm,wm->w", self.weights[k], samples)) for k in derivatives]
 
@@ -91,7 +91,7 @@ class Windows:
 
     @property
     def of_one(self) -> F64:
-        """∫φ, shape (w,)."""
+        """∫φ of a constant one, shape (w,)."""
         return np.asarray(self.weights[0].sum(axis=1))
 
 

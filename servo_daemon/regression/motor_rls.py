@@ -48,7 +48,7 @@ class MotorRls:
     Args:
         plant: the model; effects it cannot express linearly keep their nominal values.
         known: parameters that are given, in natural units (needed where a signal is missing).
-        nuisance: parameters of the plant that nobody asks for: no offset of the armature is named that is one of them.
+        biases: parameters of the plant that nobody asks for: no offset of the armature is named that is one of them.
         nominal: what orders, frequencies and the like are held at, and what is not linear is taken at.
         sees_angle: the angle is measured, not only the speed.
         spans_s: lengths of the regressions' windows, increasing (`rls`).
@@ -58,7 +58,7 @@ class MotorRls:
         self,
         plant: PlantModel,
         known: Mapping[str, float],
-        nuisance: Sequence[str] = (),
+        biases: Sequence[str] = (),
         nominal: Mapping[str, float] | None = None,
         *,
         sees_angle: bool = True,
@@ -69,7 +69,7 @@ class MotorRls:
         self._current_gain = self._taken_at.get("g_i", 1.0)
         self._lag = Lag(self._taken_at["t_lag"]) if "t_lag" in plant.parameter_names else None
         given_torque = plant.drive == "voltage" and bool(known)
-        columns = ModelColumns.of(plant, nuisance, sees_current=not given_torque, sees_angle=sees_angle)
+        columns = ModelColumns.of(plant, biases, sees_current=not given_torque, sees_angle=sees_angle)
         self._columns, self._rows = columns, RowMaker(plant, columns, self._known, self._taken_at)
         self.window = BalanceWindow(columns.armature, columns.shaft, judges_mismatch=not given_torque)
         self._rls: dict[str, SlidingRls] = {}
@@ -132,7 +132,7 @@ class MotorRls:
         self._plausible = {which: Plausible() for which in SPAN_S}
 
     def follow_lag(self, lag_s: float) -> None:
-        """What the filter has found of the drive's lag, which no regression finds."""
+        """Take over the drive's lag as the filter has found it, which no regression finds."""
         if self._lag is not None:
             self._lag.lag_s = lag_s
 

@@ -23,7 +23,7 @@ _MOST_SPOILT = 0.1
 
 @dataclass(slots=True)
 class Plausible:
-    """One regression's."""
+    """Remembers the residuals of one regression's last rows, and finds new rows that are far off."""
 
     _residuals: F64 = field(default_factory=lambda: np.empty(0))
     _squares: F64 = field(default_factory=lambda: np.empty(0))

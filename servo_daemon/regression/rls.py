@@ -57,7 +57,7 @@ class LinearEstimate:
 
 
 class SlidingRls:
-    """Fed blocks of rows.
+    """Recursive least squares over sliding windows, fed blocks of rows.
 
     Args:
         n: number of coefficients.

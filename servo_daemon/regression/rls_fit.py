@@ -58,7 +58,7 @@ class Block:
 
     @property
     def n(self) -> int:
-        """Coefficients."""
+        """Number of coefficients."""
         return len(self.noise)
 
     @property
@@ -68,14 +68,14 @@ class Block:
 
     @classmethod
     def unpacked(cls, time_s: float, sums: F64, n: int) -> Block:
-        """Of n coefficients."""
+        """Block of n coefficients from its packed form."""
         end = (n + 1) ** 2
         return cls(time_s, sums[:end].reshape(n + 1, n + 1), sums[end : end + n], *sums[end + n :].tolist())
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """Over one window: value shape (n,), inverse and information shape (n, n).
+    """Fit over one window: value shape (n,), inverse and information shape (n, n).
 
     Attributes:
         left, energy: Σ of squares that the fit leaves of y, and of y.
@@ -94,7 +94,7 @@ class Fit:
 
     @property
     def residual_var(self) -> float:
-        """Of one row."""
+        """Variance of the residual of one row."""
         return self.left / (self.rows - len(self.value))
 
     @property

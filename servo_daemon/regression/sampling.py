@@ -1,4 +1,4 @@
-"""What sampling does to integrals over samples."""
+"""Errors that sampling makes in integrals over samples."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BLIND_STD = {"R": 0.2, "L": 0.5, "K": 0.1, "J": 0.2, "B": 0.5}
 
 @dataclass(frozen=True, slots=True)
 class Sampling:
-    """What the sampling does to integrals.
+    """Period and noise of the samples that integrals are taken over.
 
     Attributes:
         noise_var: of the measured channels.

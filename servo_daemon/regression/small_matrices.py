@@ -22,7 +22,7 @@ def eigen(symmetric: F64) -> tuple[F64, F64]:
 
 
 def eigenvalues(symmetric: F64) -> F64:
-    """The smallest first, shape (n,)."""
+    """Eigenvalues of a symmetric matrix, the smallest first, shape (n,)."""
     values, _, failed = dsyevd(symmetric, compute_v=0, lower=1)
     _check(failed)
     return np.asarray(values)

@@ -57,7 +57,7 @@ class _Pacing:
 
 
 class SimulatedDriver(Driver):
-    """See the module's text for the options.
+    """Samples of a simulated motor; the module's text lists the options.
 
     Raises:
         DriverConfigError: an option is unknown (named), of the wrong type or impossible.

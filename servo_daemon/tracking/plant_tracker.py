@@ -24,24 +24,24 @@ from servo_daemon.samples import F64, SampleBlock
 from servo_daemon.tracking.changes import jumps
 from servo_daemon.tracking.changes.actions import JumpActions
 from servo_daemon.tracking.changes.search import JumpSearch
-from servo_daemon.tracking.heritage import Heritage, trusted_mask
 from servo_daemon.tracking.noise.setting import NoiseSetting
-from servo_daemon.tracking.plan.roster import make_roster
+from servo_daemon.tracking.notifications import Notifications
+from servo_daemon.tracking.plan.parameter_masks import make_masks
 from servo_daemon.tracking.plan.settings import Message, Resolutions, TrackerSettings
 from servo_daemon.tracking.plan.signals import SignalPlan, plan_signals
-from servo_daemon.tracking.restart.doubts import Doubts
-from servo_daemon.tracking.restart.likelihood_look import LikelihoodLook
-from servo_daemon.tracking.restart.second_look import SecondLook
+from servo_daemon.tracking.prior_transfer import PriorTransfer, trusted_mask
+from servo_daemon.tracking.restart.divergence import DivergenceMonitor
+from servo_daemon.tracking.restart.maximum_likelihood import MaximumLikelihoodRestart
+from servo_daemon.tracking.restart.relinearisation import BatchRelinearisation
 from servo_daemon.tracking.samples.filtering import Filtering
-from servo_daemon.tracking.samples.signal_scales import Levels
+from servo_daemon.tracking.samples.signal_scales import SignalScales
 from servo_daemon.tracking.start.starter import Start, Starter
-from servo_daemon.tracking.telling import Telling
 from servo_daemon.tracking.tracker import Tracker
 from servo_daemon.tracking.validity.excitation import Excitation
 from servo_daemon.tracking.validity.fusion import Trusted
 from servo_daemon.tracking.validity.gates import Qualification
-from servo_daemon.tracking.validity.parameter_judge import ParameterJudge
 from servo_daemon.tracking.validity.tick import Tick
+from servo_daemon.tracking.validity.validity_gate import ValidityGate
 
 #: A saved state may be of yesterday's temperature and load: added 1 σ.
 _SAVED_STD = 0.03
@@ -55,12 +55,12 @@ _TICKS_TO_JUDGE = 40
 #: A step is one of a motor that the model has explained for so long before, s (a filter that has just started on data
 #: with 30 % of dry friction that its model lacks looked white for 2 s, and then "K stepped").
 _CALM_S = 2.5
-#: When the filter begins to use its instrument, the covariance is widened once, 1 σ over the scales.
+#: When the filter begins to use its instrumental trajectory, the covariance is widened once, 1 σ over the scales.
 _SECOND_START_STD = 0.1
 
 
 class PlantTracker(Tracker):
-    """See the module.
+    """The estimators of one drive whose signals drive a plant.
 
     Args:
         plant: the plan's.
@@ -80,7 +80,7 @@ class PlantTracker(Tracker):
         self._plant = plant
         usable = prior is not None and set(plan.held) <= set(prior.names) <= {*plan.free, *plan.held}
         self._prior = prior if usable else None
-        self._heritage: Heritage | None = None
+        self._transfer: PriorTransfer | None = None
         loop = None
         if settings.engine == "filterpy":
             from servo_daemon.kalman.filterpy_ekf import FilterpyLoop
@@ -88,20 +88,22 @@ class PlantTracker(Tracker):
             loop = FilterpyLoop(plant, plan.measured, settings.mean_current)
         self._ekf = Ekf(plant, plan.measured, loop, mean_input=settings.mean_current)
         sees_angle = "position_rad" in plan.measured
-        self._rls = MotorRls(plant, plan.known, plan.nuisance, self.nominal, sees_angle=sees_angle)
-        self._roster = make_roster(plan, settings, self._rls.in_regression)
-        self._judge = ParameterJudge(self._roster, self._ekf, self._rls)
-        self._telling = Telling(self._roster, self._ekf, self.watch, lambda: self.excitation.scales)
+        self._rls = MotorRls(plant, plan.known, plan.biases, self.nominal, sees_angle=sees_angle)
+        self._masks = make_masks(plan, settings, self._rls.in_regression)
+        self._validity = ValidityGate(self._masks, self._ekf, self._rls)
+        self._notifications = Notifications(self._masks, self._ekf, self.watch, lambda: self.excitation.scales)
         self._stretches = Stretches()
         self._starter = Starter(plan, self.nominal, self._rls.names)
-        self._levels = Levels(plant)
-        self._noise = NoiseSetting(self._roster, self._ekf, self._rls, self.watch, self._levels)
-        self._filtering = Filtering(self._ekf, self._levels)
-        search = JumpSearch(self._roster, self._ekf, self._filtering, self._judge, self.watch)
-        self._jumps = JumpActions(self._roster, self._ekf, self._rls, self._judge, search)
-        self._second_look = SecondLook(self._roster, self._ekf, self._filtering, self._judge, self._noise)
-        self._likelihood_look = LikelihoodLook(self._roster, self._ekf, self._filtering, self._noise)
-        self._doubts = Doubts(self._roster, self._ekf, self._rls, self._judge, self.watch)
+        self._signal_scales = SignalScales(plant)
+        self._noise = NoiseSetting(self._masks, self._ekf, self._rls, self.watch, self._signal_scales)
+        self._filtering = Filtering(self._ekf, self._signal_scales)
+        search = JumpSearch(self._masks, self._ekf, self._filtering, self._validity, self.watch)
+        self._jumps = JumpActions(self._masks, self._ekf, self._rls, self._validity, search)
+        self._relinearisation = BatchRelinearisation(
+            self._masks, self._ekf, self._filtering, self._validity, self._noise
+        )
+        self._likelihood_restart = MaximumLikelihoodRestart(self._masks, self._ekf, self._filtering, self._noise)
+        self._divergence = DivergenceMonitor(self._masks, self._ekf, self._rls, self._validity, self.watch)
         self._ticks = 0
 
     @property
@@ -112,10 +114,10 @@ class PlantTracker(Tracker):
     def rls(self) -> MotorRls:
         return self._rls
 
-    def inherit(self, heritage: Heritage) -> None:
+    def begin_with(self, transfer: PriorTransfer) -> None:
         """Begin with what another model's tracker knew; before the first samples."""
-        self._prior, self._heritage = heritage.known if heritage.known.names else None, heritage
-        self.first_s = heritage.origin_s
+        self._prior, self._transfer = transfer.known if transfer.known.names else None, transfer
+        self.first_s = transfer.origin_s
 
     @property
     def settled(self) -> bool:
@@ -124,16 +126,16 @@ class PlantTracker(Tracker):
     @property
     def excitation(self) -> Excitation:
         """What the motion says about each parameter."""
-        return self._judge.excitation
+        return self._validity.excitation
 
     @property
     def qualification(self) -> Qualification:
         """Which parameters are known."""
-        return self._judge.qualification
+        return self._validity.qualification
 
     @property
     def explained(self) -> bool:
-        return self._telling.explained
+        return self._notifications.explained
 
     @property
     def examines_jump(self) -> bool:
@@ -151,10 +153,10 @@ class PlantTracker(Tracker):
             known: of coordinates by name.
             widen_std: added to the filter's own 1 σ of these before; zeros: nothing.
         """
-        at = np.array([self._roster.names.index(name) for name in known.names])
+        at = np.array([self._masks.names.index(name) for name in known.names])
         order = np.argsort(at)
         if widen_std.any():
-            var = np.zeros(len(self._roster.names))
+            var = np.zeros(len(self._masks.names))
             var[at] = np.square(widen_std)
             self._ekf.widen_parameters(var)
         self._ekf.take_in(at[order], known.mean[order], known.covariance[np.ix_(order, order)])
@@ -179,11 +181,11 @@ class PlantTracker(Tracker):
         return self._rls.winding
 
     def last_known(self, name: str) -> Trusted | None:
-        return None if self.last_s is None else self._judge.last_known.of(self._roster.names.index(name), self.last_s)
+        return None if self.last_s is None else self._validity.last_known.of(self._masks.names.index(name), self.last_s)
 
     @property
     def ages_s(self) -> list[float | None]:
-        return [] if self.last_s is None else self._judge.last_known.ages_s(self.last_s)
+        return [] if self.last_s is None else self._validity.last_known.ages_s(self.last_s)
 
     @property
     def free(self) -> tuple[Parameter, ...]:
@@ -205,9 +207,9 @@ class PlantTracker(Tracker):
         # (In the first tick, of which nothing was known before it, gaps are told by its own period.)
         stretch = self._stretches.of(tick, self.first_s, before_s, period_s or self.sample_period_s)
         noise_var = self._noise_var()
-        self._levels.take(stretch, self._filtering.layout.position_lsb, noise_var)
+        self._signal_scales.take(stretch, self._filtering.layout.position_lsb, noise_var)
         if not self._ekf.started:
-            self._rls.update(self._levels.without_leaps(stretch), noise_var)
+            self._rls.update(self._signal_scales.without_spikes(stretch), noise_var)
             return self._try_start(tick)
         self._noise.take(stretch, self.sample_period_s or 0.0)
         return self._watch(stretch, duration, noise_var)
@@ -225,13 +227,13 @@ class PlantTracker(Tracker):
         if self._rls.winding is not None:
             return []  # nothing of the motion to start from: the regression speaks for the winding
         found = self._rls.estimate()
-        scales = dict(zip(self._plant.parameter_names, self._levels.scales(self.nominal), strict=True))
+        scales = dict(zip(self._plant.parameter_names, self._signal_scales.scales(self.nominal), strict=True))
         start = self._starter.take(tick, elapsed, self._prior, found, self.resolutions, scales)
         if start is None:
             return []
         self._begin(start)
         source = "the saved state" if self._prior is not None else "regression and nominal values"
-        if self._heritage is not None:
+        if self._transfer is not None:
             source = "what the filter with another model knew"
         return [("filter_started", f"filter started from {source}", {})]
 
@@ -240,21 +242,21 @@ class PlantTracker(Tracker):
         self._filtering.layout.expect_steps(start.position_lsb, start.input_lsb)
         self._ekf.start(start.parameters, held_input=self._filtering.layout.last_input)
         self._jumps.reset()
-        saved = () if self._prior is None else (*self._prior.names, *self.plan.nuisance)
-        trusted = trusted_mask(self._roster.names, self._heritage, saved)
-        self._judge.begin(trusted, self._tick_end_s or 0.0)
+        saved = () if self._prior is None else (*self._prior.names, *self.plan.biases)
+        trusted = trusted_mask(self._masks.names, self._transfer, saved)
+        self._validity.begin(trusted, self._tick_end_s or 0.0)
         self._ticks = 0
         self._filtering.forget_outliers()
         self.excitation.scales = self._noise.begin(start.input_lsb, self._sampling())
-        free = self._roster.free
-        self._ekf.set_active(free, self._judge.walk(free))
+        free = self._masks.free
+        self._ekf.set_active(free, self._validity.walk(free))
         self._ekf.forget_state(self._filtering.first_state(start.last))
-        if self._heritage is not None:
+        if self._transfer is not None:
             self.qualification.qualified |= trusted
-            self._heritage.hand_states_to(self._ekf)
-        sure = self._prior_is_whole or self._heritage is not None
-        self._second_look.begin(start, trusted=sure)
-        self._likelihood_look.begin(asked=not sure)
+            self._transfer.hand_states_to(self._ekf)
+        sure = self._prior_is_whole or self._transfer is not None
+        self._relinearisation.begin(start, trusted=sure)
+        self._likelihood_restart.begin(asked=not sure)
 
     def _watch(self, stretch: Stretch, duration_s: float, noise_var: Mapping[str, float]) -> list[Message]:
         """Noise, whiteness, jumps, excitation, soundness: after each tick of the running filter.
@@ -267,28 +269,28 @@ class PlantTracker(Tracker):
         if not sound():
             return self._restart("its covariance or state is no longer sound")
         statistics = self._ekf.take_statistics()
-        verdict = self.watch.judge(statistics)
+        test = self.watch.judge(statistics)
         end_s, judged = self._tick_end_s or 0.0, self._ticks > _TICKS_TO_WATCH and stretch.complete
         searched = self._may_search(stretch)
-        explained = self._telling.explained and self._judge.calm_s > _CALM_S
-        action, messages = self._jumps.take(verdict, end_s, explained=explained, judged=judged, searched=searched)
+        explained = self._notifications.explained and self._validity.calm_s > _CALM_S
+        action, messages = self._jumps.take(test, end_s, explained=explained, judged=judged, searched=searched)
         if messages:  # a step was named
-            self._second_look.end()
-            self._likelihood_look.end()
+            self._relinearisation.end()
+            self._likelihood_restart.end()
         fresh = self._rls.update(self._believed(stretch, action), noise_var, self._sampling())
         if action == "learn" and stretch.complete:
-            self.watch.learn(statistics, duration_s, rests=self._levels.rests)
+            self.watch.learn(statistics, duration_s, rests=self._signal_scales.rests)
         sampling = self._sampling()
         if fresh:
             self.excitation.scales = self._noise.rescale(sampling)
             self._noise.learned(self.excitation.rate, sampling.period_s)
         self._noise.set()
-        self._judge.update(duration_s, fresh, self._tick(sampling, fresh))
-        if self._judge.begins_to_follow and not self._prior_is_whole:
-            # What was learned without the instrument (from a start that was guessed, partly from the colour of the
-            # noise) is taken for less.
+        self._validity.update(duration_s, fresh, self._tick(sampling, fresh))
+        if self._validity.begins_to_follow and not self._prior_is_whole:
+            # What was learned without the instrumental trajectory (from a start that was guessed, partly from the
+            # colour of the noise) is taken for less.
             self._ekf.widen_parameters(
-                np.where(self._roster.published, np.square(_SECOND_START_STD * self.excitation.scales), 0)
+                np.where(self._masks.published, np.square(_SECOND_START_STD * self.excitation.scales), 0)
             )
         self._jumps.remember(end_s)
         alike_s = self._stretches.alike("current_A") * (self.sample_period_s or 0.0)
@@ -296,25 +298,25 @@ class PlantTracker(Tracker):
             self._jumps.reset()
             self.watch.learn_anew()
         self._jumps.search.mark()
-        known = (self.qualification.qualified | self.excitation.excited)[self._roster.published]
+        known = (self.qualification.qualified | self.excitation.excited)[self._masks.published]
         seen = self._ticks >= _TICKS_TO_JUDGE and bool(known.any())
-        messages += self._telling.whether_white(seen=seen) + self._telling.whether_frozen(stretch, alike_s)
-        if self._doubts.has_diverged(verdict.nis, self._jumps.watch.is_open):
+        messages += self._notifications.whether_white(seen=seen) + self._notifications.whether_frozen(stretch, alike_s)
+        if self._divergence.has_diverged(test.nis, self._jumps.watch.is_open):
             messages += self._restart("its innovations do not fit while the regression does")
-        elif fresh and self._doubts.could_begin_better(self._ticks):
+        elif fresh and self._divergence.could_begin_better(self._ticks):
             self._begin_again()
         return messages
 
     def _has_looked_again(self) -> bool:
-        """Whether the first samples have just been gone over again, and the filter goes on from what that came to."""
-        if self._second_look.look(self._ticks, self.watch.white, self.sample_period_s or 0.0):
+        """Whether the first samples have just been re-linearised, and the filter goes on from what that came to."""
+        if self._relinearisation.update(self._ticks, self.watch.white, self.sample_period_s or 0.0):
             return True
-        if self._second_look.is_open or not self._likelihood_look.look(
-            self._ticks, self.excitation.scales, self._doubts
-        ):
+        if self._relinearisation.is_open:
             return False
-        self._judge.begin_anew(follows=True)
-        self._judge.vouch()
+        if not self._likelihood_restart.update(self._ticks, self.excitation.scales, self._divergence):
+            return False
+        self._validity.begin_anew(follows=True)
+        self._validity.waive_cross_check()
         return True
 
     def _may_search(self, stretch: Stretch) -> bool | None:
@@ -322,8 +324,8 @@ class PlantTracker(Tracker):
         explain that best."""
         if self._stretches.alike("current_A"):
             return None
-        settled = self._ticks >= _TICKS_TO_JUDGE and not self._second_look.is_open
-        return settled and stretch.complete and bool((self.qualification.qualified & self._roster.published).any())
+        settled = self._ticks >= _TICKS_TO_JUDGE and not self._relinearisation.is_open
+        return settled and stretch.complete and bool((self.qualification.qualified & self._masks.published).any())
 
     def _believed(self, stretch: Stretch, action: jumps.Action) -> Stretch:
         """What the filter does not believe, the regressions are not told either. Where that is the rule it is the model
@@ -337,7 +339,7 @@ class PlantTracker(Tracker):
 
     def _tick(self, sampling: Sampling, fresh: bool) -> Tick:
         return Tick(
-            settled=self._ticks >= _TICKS_TO_WATCH and not self._second_look.is_open,
+            settled=self._ticks >= _TICKS_TO_WATCH and not self._relinearisation.is_open,
             open=self._jumps.is_open,
             explained=self._jumps.watch.calm,
             white=self.watch.white,
@@ -347,9 +349,9 @@ class PlantTracker(Tracker):
         )
 
     def _sampling(self) -> Sampling:
-        levels = self._levels
+        signals = self._signal_scales
         return Sampling(
-            self._noise_var(), levels.current_step_square, self.sample_period_s or 0.0, levels.samples_per_count
+            self._noise_var(), signals.current_step_square, self.sample_period_s or 0.0, signals.samples_per_count
         )
 
     def _restart(self, why: str) -> list[Message]:
@@ -362,17 +364,17 @@ class PlantTracker(Tracker):
         """Back to the start: the next tick begins again from the regression."""
         self._ekf.reset()
         self._starter.reset()
-        self._prior = self._heritage = None
-        self._doubts.reset()
-        self._judge.reset()
+        self._prior = self._transfer = None
+        self._divergence.reset()
+        self._validity.reset()
 
     def worth_keeping(self) -> Gaussian | None:
-        if not self._ekf.started or not self._ekf.is_sound() or self._doubts.suspicious_ticks:
+        if not self._ekf.started or not self._ekf.is_sound() or self._divergence.suspicious_ticks:
             return None
-        known = self._roster.published & self.qualification.qualified
+        known = self._masks.published & self.qualification.qualified
         if not self._jumps.quiet or not known.any():
             return None
-        g, kept = self._ekf.estimate(), np.flatnonzero(known | ~self._roster.free)
+        g, kept = self._ekf.estimate(), np.flatnonzero(known | ~self._masks.free)
         covariance = g.covariance + np.diag(np.square(_SAVED_STD * self.excitation.scales))
         return Gaussian(tuple(g.names[k] for k in kept), g.mean[kept], covariance[np.ix_(kept, kept)])
 
@@ -380,7 +382,7 @@ class PlantTracker(Tracker):
 def make_tracker(
     channels: tuple[str, ...], settings: TrackerSettings, resolutions: Resolutions, prior: Gaussian | None = None
 ) -> Tracker:
-    """Of a drive with these channels; a `PlantTracker` where a model can be run.
+    """The tracker of a drive with these channels; a `PlantTracker` where a model can be run.
 
     Args:
         prior: what a saved state knows; left out where it is of other parameters.

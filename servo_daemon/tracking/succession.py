@@ -10,24 +10,24 @@ from scipy.linalg import block_diag
 
 from servo_daemon.kalman.gaussian import Gaussian, to_coordinate
 from servo_daemon.parameters import Parameter
-from servo_daemon.tracking.heritage import Heritage, StartValue
 from servo_daemon.tracking.plant_tracker import PlantTracker
+from servo_daemon.tracking.prior_transfer import PriorTransfer, StartValue
 from servo_daemon.tracking.tracker import Tracker
 
-#: By how much (1 σ of the logarithm) an effect that the model lacks may bend a parameter that the filter still takes
+#: By how much (1 σ of the logarithm) an effect that the model lacks may bias a parameter that the filter still takes
 #: for known. With each of 21 effects at 5 and 20 % of the working torque or voltage on three motors four of five were
-#: bent by less than half of this, J by less than this; what no filter could notice (a second inertia adds 40 % to J, a
-#: lag factors to L) the new one has to find. Below what costs the qualification, so that a motor that stands still is
+#: biased by less than half of this, J by less than this; what no filter could notice (a second inertia adds 40 % to J,
+#: a lag factors to L) the new one has to find. Below what costs the qualification, so that a motor that stands still is
 #: not forgotten. Of an effect's parameter, over its scale.
-_BENT_STD: Mapping[str, float] = {"R": 0.10, "L": 0.14, "K": 0.05, "J": 0.14, "B": 0.14}
-_BENT_OTHER_STD = 0.14
+_BIAS_STD: Mapping[str, float] = {"R": 0.10, "L": 0.14, "K": 0.05, "J": 0.14, "B": 0.14}
+_BIAS_OTHER_STD = 0.14
 #: A fitted value may be a minute old and its model not quite right: at least so much, 1 σ; without a std so much.
 _LEAST_STD, _UNTOLD_STD = 0.01, 0.30
 
 
-def inherited(
+def transferred(
     old: Tracker, new: Tracker, start: Mapping[str, StartValue], origin_s: float | None = None
-) -> Heritage | None:
+) -> PriorTransfer | None:
     """What `new`, which has seen no sample yet, is to begin with.
 
     Args:
@@ -36,7 +36,7 @@ def inherited(
         origin_s: the device time from which times among them count; None: as the old one counts.
 
     Returns:
-        None where there is nothing to inherit: one of the two does not run.
+        None where there is nothing to take over: one of the two does not run.
     """
     g = old.published()
     if not isinstance(old, PlantTracker) or not isinstance(new, PlantTracker) or g is None or old.first_s is None:
@@ -47,15 +47,15 @@ def inherited(
     kept = [n for n in table if n in sure and n not in start]
     given = [n for n in table if n in start]
     index = [at[n] for n in kept]
-    bent = np.array([_BENT_STD.get(n, _BENT_OTHER_STD) for n in kept]) * old.excitation.scales[index]
+    bias = np.array([_BIAS_STD.get(n, _BIAS_OTHER_STD) for n in kept]) * old.excitation.scales[index]
     pairs = [_given(table[n], *start[n]) for n in given]
     known = Gaussian(
         (*kept, *given),
         np.concatenate([g.mean[index], [mean for mean, _ in pairs]]),
-        block_diag(g.covariance[np.ix_(index, index)] + np.diag(bent**2), np.diag([var for _, var in pairs])),
+        block_diag(g.covariance[np.ix_(index, index)] + np.diag(bias**2), np.diag([var for _, var in pairs])),
     )
     origin = old.first_s if origin_s is None else origin_s
-    return Heritage(known, sure, _slow_states(old, new), origin)
+    return PriorTransfer(known, sure, _slow_states(old, new), origin)
 
 
 def _given(p: Parameter, value: float, std: float | None) -> tuple[float, float]:

@@ -22,7 +22,7 @@ _SLOW_S = 0.1
 
 
 class Tracker:
-    """Of a drive from whose channels no model can be run.
+    """The estimator of a drive from whose channels no model can be run.
 
     Attributes:
         plan: what these channels determine.
@@ -61,7 +61,7 @@ class Tracker:
 
     @property
     def explained(self) -> bool:
-        """Whether the model explains the data; see `Telling`."""
+        """Whether the model explains the data; see `Notifications`."""
         return True
 
     @property
@@ -119,7 +119,7 @@ class Tracker:
             self.measured_state[name] = None if values is None else float(values[-1])
 
     def close_tick(self, tick: SampleBlock) -> list[Message]:
-        """Everything slower than a sample, over exactly the samples of this tick."""
+        """Do what is slower than a sample, over exactly the samples of this tick."""
         self._see_period(tick)
         return []
 

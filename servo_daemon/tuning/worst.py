@@ -1,10 +1,10 @@
 """The worst margins of one controller over a region of motors, by a deterministic search.
 
 Regions lie in the logarithms of the parameters around the estimate: an ellipsoid from the estimate's covariance (its
-correlations with it: R and K are told apart badly, and move together), or a box of tolerances. The search evaluates
-the centre, the ends of the region's axes and quasi-random points (Sobol, unscrambled), then goes from the worst of
-them by Frank–Wolfe steps: the gradient's worst point of the region, and points on the way to it (Frank & Wolfe, *An
-algorithm for quadratic programming*, 1956), for each measure apart.
+correlations with it: R and K are hardly identifiable separately, and move together), or a box of tolerances. The search
+evaluates the centre, the ends of the region's axes and quasi-random points (Sobol, unscrambled), then goes from the
+worst of them by Frank–Wolfe steps: the gradient's worst point of the region, and points on the way to it (Frank &
+Wolfe, *An algorithm for quadratic programming*, 1956), for each measure apart.
 """
 
 from __future__ import annotations

@@ -52,14 +52,14 @@ GROUPS: Mapping[str, Group] = {
             "servo_daemon/tracking/validity/confirmation.py",
             "servo_daemon/tracking/validity/fusion.py",
             "servo_daemon/tracking/validity/last_known.py",
-            "servo_daemon/regression/closure.py",
+            "servo_daemon/regression/residual_analysis.py",
             "servo_daemon/tracking/validity/excitation.py",
         ),
         (
             "tests/unit/tracking/test_excitation_fusion.py",
             "tests/unit/tracking/test_gates.py",
             "tests/unit/pipeline/test_two_witnesses.py",
-            "tests/unit/regression/test_closure.py",
+            "tests/unit/regression/test_residual_analysis.py",
             "tests/unit/regression/test_balances.py",
             "tests/recovery/test_tracking.py",
             "tests/recovery/test_tracking_honesty.py",
@@ -80,7 +80,7 @@ GROUPS: Mapping[str, Group] = {
     "refresh": Group(
         (
             "servo_daemon/learning/refresh/refresh.py",
-            "servo_daemon/learning/refresh/proof.py",
+            "servo_daemon/learning/refresh/champion_challenger.py",
             "servo_daemon/learning/refresh/recent.py",
             "servo_daemon/pipeline/refresher.py",
         ),

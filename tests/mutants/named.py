@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 CONFIGURED = ("tests/unit/pipeline/test_configured_estimation.py",)
 FAMILIARITY = ("tests/unit/learning/test_learning_familiarity.py",)
-STRANGENESS = ("tests/unit/learning/test_learning_strangeness.py", "tests/unit/learning/test_learning_model.py")
+NOVELTY = ("tests/unit/learning/test_learning_novelty.py", "tests/unit/learning/test_learning_model.py")
 REFRESH = ("tests/unit/learning/test_refresh.py",)
 REGRESSION = ("tests/unit/regression/test_rls*.py", "tests/recovery/test_tracking.py")
 HELD = ("tests/unit/tracking/test_excitation_fusion.py",)
@@ -102,18 +102,18 @@ NAMED: Sequence[Named] = (
         FAMILIARITY,
     ),
     Named(
-        "no window is strange",
-        "servo_daemon/learning/model/strangeness.py",
+        "no window is novel",
+        "servo_daemon/learning/model/novelty.py",
         "return np.asarray(above / (len(self.known_) + 1.0))",
-        "return np.ones(len(strange))",
-        STRANGENESS,
+        "return np.ones(len(novel))",
+        NOVELTY,
     ),
     Named(
-        "strangeness declines nothing",
+        "novelty declines nothing",
         "servo_daemon/learning/model/model.py",
-        "np.where(usual < MOST_STRANGE,",
+        "np.where(usual < MOST_NOVEL,",
         "np.where(usual < -1.0,",
-        STRANGENESS,
+        NOVELTY,
     ),
     Named(
         "the refresh's gate is left open",
@@ -125,7 +125,7 @@ NAMED: Sequence[Named] = (
     Named(
         "a refresh that is not proven enters",
         "servo_daemon/learning/refresh/refresh.py",
-        "if not self._proof.trusted:",
+        "if not self._challenge.trusted:",
         "if False:",
         REFRESH,
     ),

@@ -9,7 +9,7 @@ import pytest
 
 from servo_daemon.diagnosis.trial.cuts import mean_over_cuts
 from servo_daemon.diagnosis.trial.data import Data
-from servo_daemon.diagnosis.trial.everything import fit_everything, fit_runs
+from servo_daemon.diagnosis.trial.full_data_fit import fit_full_data, fit_runs
 from servo_daemon.diagnosis.trial.split import segment_length_s
 from servo_daemon.diagnosis.trial.trial import Trial, first_trial
 from servo_daemon.identification.output_error import OutputErrorFit, Recording
@@ -35,7 +35,7 @@ def fitted(block: SampleBlock) -> tuple[Data, Trial, OutputErrorFit]:
     recordings = (Recording("a", block),)
     data = Data.of(recordings, {}, MODEL, segment_length_s(recordings))
     trial = first_trial(data, MODEL, {"J": PAPER.J, "B": PAPER.B, "Tc": 0.1 * PAPER.working_torque_Nm})
-    return data, trial, fit_everything(data, trial, None)
+    return data, trial, fit_full_data(data, trial, None)
 
 
 @pytest.mark.slow

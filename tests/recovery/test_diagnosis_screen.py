@@ -1,4 +1,5 @@
-"""Missing torque, screening and dependence on captures of the independent generator, which knows no plant of ours."""
+"""Unmodelled torque, screening and dependence on captures of the independent generator, which knows no plant of
+ours."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ from servo_daemon.diagnosis.missing.missing import Missing, missing_inputs
 from servo_daemon.diagnosis.screening.dependence import dependences
 from servo_daemon.diagnosis.screening.screen import screen
 from servo_daemon.diagnosis.trial.data import Data
-from servo_daemon.diagnosis.trial.lacking import seen_missing
+from servo_daemon.diagnosis.trial.model_discrepancy import seen_missing
 from servo_daemon.diagnosis.trial.split import segment_length_s
 from servo_daemon.diagnosis.trial.trial import first_trial, fit_trial
 from servo_daemon.identification.output_error import FitOptions, OutputErrorFit, fit_output_error

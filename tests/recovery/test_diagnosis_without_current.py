@@ -68,7 +68,7 @@ def test_nothing_is_late_where_nothing_is(
 @pytest.mark.slow
 @pytest.mark.parametrize("motor", [GEAR_MOTOR, RE40], ids=lambda m: m.name)
 def test_dry_friction_in_a_position_servo_is_no_spring(motor: Motor, tmp_path: Path) -> None:
-    """The linear motor bends R and K around it until what is left looks like a spring in the shaft."""
+    """The linear motor biases R and K around it until what is left looks like a spring in the shaft."""
     dry = {"coulomb_friction": {"Tc": 0.1 * motor.K * motor.rated_current_A}}
     made = generate(motor, Scenario("pick_and_place", seconds=20.0, effects=dry, seed=902))
     found = diagnose([written(made, tmp_path)])

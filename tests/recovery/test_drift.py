@@ -32,7 +32,7 @@ def test_a_load_that_the_model_lacks_bends_a_long_free_run() -> None:
     assert drift is not None
     assert drift.channel == "position_rad"
     assert drift.share > 0.9
-    _, seen = drift.bent["J"]
+    _, seen = drift.biased["J"]
     assert abs(seen / RE40.J - 1.0) < 0.4
 
 

@@ -141,11 +141,11 @@ def test_a_fit_that_cannot_come_below_a_deviance_is_given_up() -> None:
     made = capture(PAPER, Scenario("multisine", 4.0, seed=7300))
     options = FitOptions(nominal={name: float(getattr(PAPER, name)) for name in NAMES}, thorough=False)
     whole = fit_output_error([made], (), options)
-    assert whole.polished is not None
-    for below, reached in ((whole.polished.deviance + 1.0, True), (whole.polished.deviance - 30.0, False)):
+    assert whole.refined is not None
+    for below, reached in ((whole.refined.deviance + 1.0, True), (whole.refined.deviance - 30.0, False)):
         again = fit_output_error([made], (), replace(options, deviance_below=below))
-        assert (again.polished is not None) == reached
-        assert again.polished is None or again.values == whole.values
+        assert (again.refined is not None) == reached
+        assert again.refined is None or again.values == whole.values
 
 
 def test_an_inductance_that_a_free_run_drives_to_nothing_comes_back() -> None:

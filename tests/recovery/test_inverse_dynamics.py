@@ -140,7 +140,7 @@ def test_gaps_cut_the_capture_and_cost_nothing_else() -> None:
 
 
 def test_what_the_motion_does_not_show_is_not_claimed() -> None:
-    """Slow triangles without friction: i and ω in proportion, R and K are told apart by nothing."""
+    """Slow triangles without friction: i and ω in proportion, R and K are not identifiable."""
     found = identify_inverse_dynamics([block(generate(PAPER, Scenario("reversals", seed=1)))])
     assert not {"R", "K", "L"} & set(found.parameters)
     assert {"R", "L"} <= set(found.undetermined)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from servo_daemon.diagnosis.trial.everything import honest
+from servo_daemon.diagnosis.trial.full_data_fit import honest
 from servo_daemon.identification.output_error import FitOptions, OutputErrorFit, fit_output_error
 from servo_daemon.identification.output_error.problem.setup import Recording
 from servo_daemon.identification.prediction_error import predicted_fit
@@ -45,9 +45,9 @@ def test_friction_near_standstill_is_not_bent_by_the_voltages_noise() -> None:
     stribeck = {"Tc": 0.91884, "Ts": 1.470144, "ws": 0.42454}
     effects = {"stribeck_friction": stribeck}
     truth = truth_of(PAPER, effects)
-    recording, bent = free_runs(PAPER, "reversals", effects, 618921)
-    assert max(abs(d) for d in deviations(bent, truth).values()) > 4.0  # that this test can fail
-    fit = predicted_fit(bent, [recording])
+    recording, biased = free_runs(PAPER, "reversals", effects, 618921)
+    assert max(abs(d) for d in deviations(biased, truth).values()) > 4.0  # that this test can fail
+    fit = predicted_fit(biased, [recording])
     assert fit is not None
     assert fit.white
     fit = honest(fit)

@@ -43,7 +43,7 @@ def test_xl330_lifts_a_pendulum(servo_data: Path) -> None:
 
 @pytest.mark.timeout(900)
 def test_xl330_gear_rubs_more_under_load(servo_data: Path) -> None:
-    """Six captures of 6 s together: the gear's friction has a name, and R and K are no longer bent (published with a
+    """Six captures of 6 s together: the gear's friction has a name, and R and K are no longer biased (published with a
     friction that depends on load: R 2.4 to 2.8 Ω, K 0.304 to 0.366; with Coulomb friction R 4.0 to 4.8)."""
     # In an order in which the verdict was once another one than in alphabetical order.
     order = ("sin_sin_kp400", "up_and_down_kp100", "sin_time_square_kp400", "sin_sin_kp100", "up_and_down_kp400")

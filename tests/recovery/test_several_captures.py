@@ -18,7 +18,7 @@ from servo_daemon.diagnosis.trial.data import Data
 from servo_daemon.diagnosis.trial.split import segment_length_s
 from servo_daemon.diagnosis.trial.trial import Trial, first_trial, fit_trial
 from servo_daemon.diagnosis.verdict.determined import is_determined
-from servo_daemon.diagnosis.verdict.elsewhere import helps_no_other
+from servo_daemon.diagnosis.verdict.other_captures import helps_no_other
 from servo_daemon.identification.output_error import FitOptions, Recording, fit_output_error
 from servo_daemon.identification.output_error.problem.setup import make_problem
 from servo_daemon.identification.output_error.solver.solver import within

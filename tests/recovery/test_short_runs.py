@@ -10,7 +10,7 @@ import pytest
 
 from servo_daemon.diagnosis.missing.missing import missing_inputs
 from servo_daemon.identification.output_error import FitOptions
-from servo_daemon.identification.output_error.lost_runs import settled
+from servo_daemon.identification.output_error.diverged_segments import settled
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.problem.setup import Recording, make_problem
 from servo_daemon.identification.procedure.play import fit_with_play
@@ -18,9 +18,9 @@ from servo_daemon.identification.short_runs import (
     RunSource,
     begun_short_runs,
     fit_short_runs,
-    is_placed,
-    placed,
+    has_found_states,
     with_all_inertia,
+    with_found_states,
 )
 from servo_daemon.identification.short_runs.fit import coordinates_of
 from servo_daemon.identification.short_runs.gap import NEAREST, with_other_gap
@@ -59,8 +59,8 @@ def test_a_load_is_found_where_it_is() -> None:
     cut = problem_of(capture(LARGE_SERVO, made), 0.1)
     given = {p.name: to_coordinate(p, values[p.name]) for p in cut.plant.parameters}
     known = replace(cut, free=(), local=(), given=given, exact=False, own_states=cut.plant.state_names)
-    found = placed(known, {})
-    assert is_placed(found)
+    found = with_found_states(known, {})
+    assert has_found_states(found)
     beside, there = settled(known), settled(found)
     assert beside is not None
     assert there is not None
@@ -113,12 +113,12 @@ def test_with_the_load_in_its_place_nothing_is_missing_but_what_is() -> None:
     made = scenario(PAPER, "multisine", 6.0)
     pulled = 0.1 * PAPER.K * PAPER.rated_current_A
     both = replace(made, effects={**made.effects, "constant_load_torque": {"TL": pulled}})
-    nothing, torque = (_missing_torque(hidden, truth(PAPER, made)) for hidden in (made, both))
+    nothing, torque = (_unmodelled_torque(hidden, truth(PAPER, made)) for hidden in (made, both))
     assert np.median(np.abs(nothing)) < 0.1 * pulled
     assert np.median(torque) == pytest.approx(pulled, abs=0.2 * pulled)
 
 
-def _missing_torque(hidden: Scenario, values: Mapping[str, float]) -> F64:
+def _unmodelled_torque(hidden: Scenario, values: Mapping[str, float]) -> F64:
     recording = capture(PAPER, hidden)
     missing = missing_inputs(Known(problem_of(recording), values), recording.block)
     assert len(missing.stretches) > 20
@@ -171,7 +171,7 @@ def test_without_a_gap_to_be_found_there_is_nothing_to_search() -> None:
     for problem in (spring, held, twice):
         assert begun_short_runs(problem, values, with_all_inertia(values)) is None
         assert fit_short_runs(RunSource(problem, with_all_inertia(values)), values) is None
-    assert placed(spring, values) is spring
+    assert with_found_states(spring, values) is spring
     assert fit_with_play([recording, recording], ("backlash",), FitOptions()) is None
 
 

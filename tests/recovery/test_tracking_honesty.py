@@ -197,7 +197,7 @@ def test_five_percent_of_current_offset_bends_nothing(motor: str, motion: str) -
 )
 def test_a_start_is_honest(motor: str, motion: str, seed: int) -> None:
     """Dwells and slow triangles: what is known of the motor in the first seconds is little. (Of the paper's on slow
-    reversals nothing that is tracking: R, K and B are told apart there only by what is below a thousandth of the
+    reversals nothing that is tracking: R, K and B are identifiable there only by what is below a thousandth of the
     balance.)"""
     recording = generate(MOTORS[motor], Scenario(motion, seconds=20.0, seed=seed))
     track = run(recording, motor)
@@ -247,7 +247,7 @@ def test_the_likeliest_constants_of_a_motor_that_ages_are_not_taken() -> None:
     assert track.tracking[after(track, 10.0)].all()
 
 
-def test_what_has_leapt_and_cannot_be_gone_over_again_is_doubted() -> None:
+def test_what_has_jumped_and_cannot_be_relinearised_is_widened() -> None:
     """Slow reversals under friction: J went from −55 to −15 % with a σ of 3 %, along derivatives taken far off."""
     case = reversals(MOTORS["paper"], 60.0, 123)
     track = tracked(case.recording, nominal_of(MOTORS["paper"], NOMINAL), case.model)
@@ -368,7 +368,7 @@ def test_nor_do_spikes_that_follow_each_other_just_after_the_start(motor: str) -
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, 7, 123])
 def test_spikes_of_the_current_bend_no_inductance(seed: int) -> None:
-    """A minute of pick and place. Half believed, as before a reading that leaps was doubted, they put L of the large
+    """A minute of pick and place. Half believed, as before a spike was doubted, they put L of the large
     motor beyond 4 σ for an eighth of the time; told to the regressions before the start, as with the last of these
     seeds, J off by 8.5 σ for half a minute."""
     clean = generate(MOTORS["large"], Scenario("pick_and_place", seconds=60.0, seed=seed))
@@ -439,7 +439,8 @@ def test_what_was_known_is_held_and_not_the_datasheet(motor: str) -> None:
 @pytest.mark.first_is_fast
 @pytest.mark.parametrize("motion", ["multisine", "pick_and_place"])
 def test_a_brush_drop_that_the_model_lacks_is_not_passed_on_to_the_shaft(motion: str) -> None:
-    """It bends R, L and K, which the armature's balance tells; J and B are seen beside K i only, and bend along."""
+    """It biases R, L and K, which the armature's balance tells; J and B are seen beside K i only, and are biased
+    along."""
     motor = MOTORS["paper"]
     drop = {"brush_voltage_drop": {"Vb": 0.02 * motor.supply_V}}
     recording = generate(motor, Scenario(motion, seconds=40.0, seed=3, effects=drop))

@@ -28,7 +28,7 @@ def scope_of(method: str, path: str) -> tokens.Scope:
 
 
 class Permission:
-    """See the module.
+    """Lets a request through if its token permits it, and logs changes.
 
     Args:
         known: None: whoever reaches the daemon may do everything.

@@ -43,7 +43,7 @@ def capture_lines(document: Mapping[str, Any]) -> list[str]:
             lines.append(f"  {m['title']}: {m['reason']}")
         lines += [f"  {m['title']}: {note}" for note in m["notes"]]
     lines.append(
-        f"  50° test: loop of plant/servo_loop.py without tacho, k_io·k_s = {test['k_io_k_s_V_rad']:.4g} V/rad "
+        f"  50° test: position loop without tacho, k_io·k_s = {test['k_io_k_s_V_rad']:.4g} V/rad "
         f"({test['gain_chosen_by']}); distances to: {test['reference']}"
     )
     return lines

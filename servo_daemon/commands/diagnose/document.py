@@ -162,7 +162,7 @@ def _dependence_row(x: Dependence, *, linear: bool) -> dict[str, Any]:
 
 
 def _missing_rows(d: Diagnosis, left: Missing | None, *, linear: bool) -> dict[str, Any]:
-    """RMS of the missing torque and voltage over the longest capture, of both models smoothed alike, and what either
+    """RMS of the unmodelled torque and voltage over the longest capture, of both models smoothed alike, and what either
     model's motor works with."""
     rows = {}
     for series, before in d.before.series.items():

@@ -1,5 +1,5 @@
 """What document and report of `diagnose` show beside the diagnosis itself: free runs over whole captures, and the
-missing torque and voltage that the named effects answer for."""
+unmodelled torque and voltage that the named effects answer for."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ class Evidence:
     Attributes:
         free_runs: of each capture: one run over all of it and runs of 1 s, of the baseline and of the extended model
             (None: there is none). The models were fitted to these captures.
-        longest: number of the capture that the missing torque and voltage are of.
+        longest: number of the capture that the unmodelled torque and voltage are of.
         asked: what is missing when the baseline has the motor of the extended model: what the named effects have to
-            answer for. The baseline's own fit hides a part of it in bent parameters. None: nothing was named, or it
+            answer for. The baseline's own fit hides a part of it in biased parameters. None: nothing was named, or it
             cannot be simulated.
         left: what is missing beside the named effects, smoothed like `asked`. With intensities of its own a model that
             errs everywhere a little calls that noise, and what is missing comes out as nothing.

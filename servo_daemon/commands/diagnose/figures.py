@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from servo_daemon.captures import Capture
+from servo_daemon.commands.diagnose.criterion import WHY
 from servo_daemon.commands.diagnose.evidence import Evidence
-from servo_daemon.commands.diagnose.judge import WHY
 from servo_daemon.commands.fit.report import LABELS, capture_series
 from servo_daemon.commands.shared.units import shown_column
 from servo_daemon.diagnosis.missing.missing import Missing

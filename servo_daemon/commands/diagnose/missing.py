@@ -1,4 +1,4 @@
-"""Figures of the missing torque and voltage: over time, speed, angle and current, and as a spectrum."""
+"""Figures of the unmodelled torque and voltage: over time, speed, angle and current, and as a spectrum."""
 
 from __future__ import annotations
 
@@ -74,7 +74,9 @@ def missing_figures(d: Diagnosis, evidence: Evidence, marks: Sequence[Mark]) -> 
     extended = {} if evidence.left is None else {"extended": evidence.left}
     left_out = {"baseline": d.before} if evidence.asked is None else {"effects left out": evidence.asked}
     beside = left_out if has_other_torques(d, evidence) else {"baseline": d.before}
-    motor = evidence.asked or d.before  # without a measured current the baseline's torque and current are a bent one's
+    motor = (
+        evidence.asked or d.before
+    )  # without a measured current the baseline's torque and current are a biased one's
     gap, group = 5.0 * capture.sample_period_s, str(capture.path)
     figures = list[Block]()
     for key in d.before.series:

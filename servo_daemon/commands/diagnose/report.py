@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from servo_daemon.commands.diagnose.criterion import by_balance
 from servo_daemon.commands.diagnose.evidence import Evidence, has_other_torques
 from servo_daemon.commands.diagnose.figures import MOST_DRAWN, free_run_figures, needed_figures, signal_figures
-from servo_daemon.commands.diagnose.judge import by_balance
 from servo_daemon.commands.diagnose.missing import missing_figures
 from servo_daemon.commands.diagnose.tables import (
     candidate_blocks,
@@ -23,7 +23,7 @@ from servo_daemon.commands.diagnose.tables import (
 )
 from servo_daemon.commands.fit.report import validation_sections
 from servo_daemon.diagnosis.verdict.result import Diagnosis
-from servo_daemon.plant.effects import instants
+from servo_daemon.plant.effects import event_times
 from servo_daemon.report import Mark, Provenance, Report, Section, Text
 from servo_daemon.report.document import Block
 
@@ -70,7 +70,7 @@ def _events(document: Mapping[str, Any]) -> list[Mark]:
     rows = {name: p for e in document["effects"] for name, p in e["parameters"].items()}
     return [
         Mark(rows[n]["value"], n)
-        for n in dict.fromkeys(instants().values())
+        for n in dict.fromkeys(event_times().values())
         if n in rows and rows[n]["value"] is not None
     ]
 
@@ -105,7 +105,7 @@ def _missing(d: Diagnosis, evidence: Evidence) -> Block:
     if evidence.asked is not None:
         where = "All figures here" if has_other_torques(d, evidence) else "Over speed, angle and current the figures"
         visible += (
-            "\n\nA fit that lacks a cause bends its other parameters to make up for it, and what the baseline then "
+            "\n\nA fit that lacks a cause biases its other parameters to make up for it, and what the baseline then "
             f"lacks has another shape than the cause. {where} therefore show the "
             "extended model with its effects left out: what the effects answer for. “Extended” is what they leave."
         )

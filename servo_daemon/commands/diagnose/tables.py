@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from servo_daemon.commands.diagnose.criterion import by_balance, by_predictions, error_heading, measured_data
 from servo_daemon.commands.diagnose.hints import experiment
-from servo_daemon.commands.diagnose.judge import by_balance, by_predictions, error_heading, measured_data
 from servo_daemon.commands.diagnose.words import change_text, headline, model_name, remaining_lines, verdict_lines
 from servo_daemon.commands.fit.report import open_blocks, parameter_remark, score_table
 from servo_daemon.commands.shared.symbols import symbol_text

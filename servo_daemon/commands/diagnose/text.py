@@ -7,8 +7,8 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any
 
+from servo_daemon.commands.diagnose.criterion import by_balance, error_heading
 from servo_daemon.commands.diagnose.hints import experiment
-from servo_daemon.commands.diagnose.judge import by_balance, error_heading
 from servo_daemon.commands.diagnose.words import change_text, headline, model_name, percent, verdict_lines
 from servo_daemon.commands.fit.text import open_lines, parameter_line, validation_lines
 from servo_daemon.parameters import spaced

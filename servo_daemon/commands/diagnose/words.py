@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from servo_daemon.commands.diagnose.judge import why
+from servo_daemon.commands.diagnose.criterion import why
 
-#: What a missing torque or voltage follows, as a reader says it.
+#: What an unmodelled torque or voltage follows, as a reader says it.
 _FOLLOWS = {
     "speed": "the speed",
     "direction": "the direction of motion",

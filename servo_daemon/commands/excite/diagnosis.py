@@ -11,7 +11,7 @@ from typing import Any
 from servo_daemon.commands.diagnose.document import SCHEMA
 from servo_daemon.errors import BadInputError
 
-#: At most so many causes are told apart at once: each is fitted to each other.
+#: At most so many causes are distinguished at once: each is fitted to each other.
 _MOST = 4
 
 

@@ -96,17 +96,17 @@ def _counts_hint(found: Mapping[str, float | None], nominal: Mapping[str, float]
 
 
 def drift_note(drift: Drift, fit: OutputErrorFit, *, linear: bool) -> str:
-    """What short free runs say where a long one was bent."""
+    """What short free runs say where a long one was biased."""
 
     def told(name: str) -> str:
-        before, after = drift.bent[name]
+        before, after = drift.biased[name]
         unit = shown_unit(fit.parameters[name].unit, linear=linear)
         return f"{name} = {after:.4g} {unit} ({'not seen' if before is None else f'{before:.4g}'} here)"
 
     return (
         f"{100 * drift.share:.0f} % of what the free run leaves of {shown_column(drift.channel, linear=linear)} is "
-        f"drift: something small that the model lacks adds up, and the parameters were bent to hold it. Free runs of "
-        f"{SEGMENT_S:g} s give {', '.join(told(name) for name in drift.bent)}: use `--segment {SEGMENT_S:g}`, or add "
+        f"drift: something small that the model lacks adds up, and the parameters were biased by it. Free runs of "
+        f"{SEGMENT_S:g} s give {', '.join(told(name) for name in drift.biased)}: use `--segment {SEGMENT_S:g}`, or add "
         "the `--effect` that is missing"
     )
 

@@ -72,7 +72,7 @@ class Explained:
 
     @cached_property
     def residual(self) -> F64:
-        """Shape (w,), N·m."""
+        """Residual of the fit, N·m, shape (w,)."""
         return np.asarray(self.rows.torque - self.table @ self.coefficients)
 
     def scored(self, part: int) -> Scored:
@@ -85,7 +85,7 @@ class Explained:
         return Scored(squares[:, None], counts[:, None], np.array([max(float(np.std(effort)), 1e-300)]))
 
     def parameters_of(self, torque: Torque) -> Mapping[str, float] | None:
-        """What its coefficients say; None: nothing physical."""
+        """Parameters of the torque from its coefficients; None: they are not physical."""
         return torque.start(self.coefficients[self.columns_of(torque)])
 
     def columns_of(self, torque: Torque) -> slice:
@@ -102,7 +102,7 @@ class Explained:
 
 
 def own_columns(rows: BalanceRows) -> F64:
-    """Shape (w, 3), per unit of J, B and an offset."""
+    """Regressors of J, B and an offset, shape (w, 3)."""
     return np.column_stack([rows.filtered(c) for c in own_torques(rows)])
 
 

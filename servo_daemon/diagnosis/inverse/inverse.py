@@ -40,7 +40,7 @@ class _Values:
 
 
 def found_by_balance(data: Data, baseline: OutputErrorFit, base: Trial, nominal: Mapping[str, float]) -> Finding | None:
-    """Look at the shaft's balance where free runs have named nothing.
+    """Search the shaft's balance for a cause where free runs have named none.
 
     Args:
         data: recordings and their split.
@@ -59,7 +59,7 @@ def found_by_balance(data: Data, baseline: OutputErrorFit, base: Trial, nominal:
     found = None if rows is None else search_balance(rows)
     if rows is None or found is None:
         return None
-    values, every = _everything(found.explained), data.everything
+    values, every = _full_data_values(found.explained), data.full
     extended = _model(every, baseline, found.explained, values, K_known="K" in data.fixed or plant.drive == "torque")
     measuring, number = data.split.measuring, data.longest
     before, after, floor = found.base.scored(measuring), found.explained.scored(measuring), _floor(found, measuring)
@@ -91,7 +91,7 @@ def _known(names: Sequence[str], data: Data, nominal: Mapping[str, float]) -> di
     return {"K": data.fixed.get("K", nominal.get("K", parameter_table()["K"].nominal))}
 
 
-def _everything(explained: Explained) -> _Values:
+def _full_data_values(explained: Explained) -> _Values:
     """The regression over all rows, with standard deviations for a residual that is correlated."""
     rows = explained.rows
     beta = non_negative(explained.table, rows.torque)

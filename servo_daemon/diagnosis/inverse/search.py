@@ -51,7 +51,7 @@ class Tried:
 
 @dataclass(frozen=True)
 class Found:
-    """What the balance names.
+    """The torques that the search in the balance has named.
 
     Attributes:
         base, explained: without and with the torques.

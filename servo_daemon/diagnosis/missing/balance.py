@@ -1,4 +1,4 @@
-"""Parameters under which little is missing, where a fit that lacks an effect has bent them.
+"""Parameters under which little is missing, where a fit that lacks an effect has biased them.
 
 A simulation that sticks where the motor moves, or moves where it sticks, can be fitted best by absurd parameters, and
 then nearly all of torque and voltage is "missing". The balances are linear in R, L, K, J and B: the change of the free
@@ -107,7 +107,7 @@ def _share(missing: Missing) -> float:
 
 def _regressed(fit: Fitted, where: _Where) -> F64 | None:
     """The daemon's regression of both balances in the place of the fitted R, L, K, J and B: the winding's, which no
-    load torque bends, tells K from a fit that followed a torque by another inertia."""
+    load torque biases, tells K from a fit that followed a torque by another inertia."""
     found = regression_values(Recording("capture", where.block, where.seen).seen_block, fit.problem.plant)
     _, q = coordinates_with_load(fit)
     for k, p in enumerate(fit.problem.plant.parameters):  # with them what the regression says of offsets and loads
@@ -118,7 +118,7 @@ def _regressed(fit: Fitted, where: _Where) -> F64 | None:
 
 def _changes(fit: Fitted, missing: Missing) -> dict[str, float]:
     """Relative change of each free parameter of the linear motor: R, L and K from the winding's balance, which no load
-    bends, then J and B from the shaft's."""
+    biases, then J and B from the shaft's."""
     m = motion_of(missing)
     free = {name for name in fit.problem.free if name in MOTOR_NAMES}
     out: dict[str, float] = {}

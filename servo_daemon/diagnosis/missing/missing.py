@@ -1,4 +1,4 @@
-"""Missing torque and missing voltage: what would have to be added to the balances for the simulation to be right.
+"""Unmodelled torque and unmodelled voltage: what would have to be added to the balances for the simulation to be right.
 
     L di/dt = v − R i − K ω − d_V            J dω/dt = K i − B ω − τ_load − d_T
 
@@ -23,7 +23,7 @@ from servo_daemon.identification.output_error import Recording
 from servo_daemon.identification.output_error.problem.problem import Problem, Segment
 from servo_daemon.identification.output_error.problem.rollout import INPUT, STEP, TIME
 from servo_daemon.identification.output_error.problem.setup import make_problem
-from servo_daemon.identification.short_runs import is_placed, placed_in_short_runs, placed_within
+from servo_daemon.identification.short_runs import found_states_std, has_found_states, short_runs_with_found_states
 from servo_daemon.kalman.gaussian import natural_values
 from servo_daemon.numerics import white_noise_var
 from servo_daemon.plant.build import PlantModel, build_plant
@@ -69,7 +69,7 @@ class SmoothedStretch:
 
 @dataclass(frozen=True)
 class Missing:
-    """What is missing, n samples in all.
+    """Unmodelled torque and voltage with their standard deviations, n samples in all.
 
     Attributes:
         visible: what the signals tell apart; "torque" where current, torque or force is the input.
@@ -102,7 +102,7 @@ class Missing:
 
     @property
     def mean_square(self) -> Mapping[str, float]:
-        """Of each series over what the motor works with, where it may be seen."""
+        """Mean square of each series over that of the working torque or voltage, where it may be seen."""
         return {n: float(np.mean(np.square(v[self.seen]))) / self.size[n] ** 2 for n, v in self.series.items()}
 
 
@@ -116,7 +116,7 @@ def missing_inputs(
     least_walk: Mapping[str, float] | None = None,
     seen: NDArray[np.bool_] | None = None,
 ) -> Missing:
-    """Missing torque and voltage over a capture.
+    """Unmodelled torque and voltage over a capture.
 
     Args:
         fit: the plant and its parameters.
@@ -139,7 +139,7 @@ def missing_inputs(
     disturbances, visible = _unknown(plant, problem.channels)
     a = Augmented(plant, problem.channels, disturbances)
     size = _sizes(plant, q, problem)
-    near = placed_within(problem, q) if is_placed(problem) else None
+    near = found_states_std(problem, q) if has_found_states(problem) else None
     stretches = [_stretch(a, s, size, near, where) for s, where in zip(problem.segments, shown, strict=True)]
     steps = {
         c: resolution(np.concatenate([s.measured[s.valid[:, k], k] for s in problem.segments]))
@@ -174,11 +174,11 @@ def _in_runs(recording: Recording, plant: PlantModel, q: F64) -> Problem:
     """The whole capture at once; where there is a load behind a gap, in short runs that begin where the load is: a
     filter that comes to an impact early or late has lost it for good."""
     values = natural_values(plant.parameters, q[: len(plant.parameters)])
-    return placed_in_short_runs(make_problem([recording], plant.effects, {}), [recording], values)
+    return short_runs_with_found_states(make_problem([recording], plant.effects, {}), [recording], values)
 
 
 def coordinates_with_load(fit: Fitted, recording: int = 0) -> tuple[tuple[str, ...], F64]:
-    """Names and coordinates of the plant in which the missing torque has a place, as fitted."""
+    """Names and coordinates of the plant in which the unmodelled torque has a place, as fitted."""
     plant = _with_load(fit.problem.plant)
     q = np.zeros(len(plant.parameters))
     q[: len(fit.problem.plant.parameters)] = fit.coordinates(recording)
@@ -186,7 +186,7 @@ def coordinates_with_load(fit: Fitted, recording: int = 0) -> tuple[tuple[str, .
 
 
 def _with_load(plant: PlantModel) -> PlantModel:
-    """The plant with the parameter TL, through which the missing torque acts."""
+    """The plant with the parameter TL, through which the unmodelled torque acts."""
     if "TL" in plant.parameter_names:
         return plant
     return build_plant((*plant.effects, "constant_load_torque"), plant.drive)

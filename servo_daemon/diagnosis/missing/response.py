@@ -1,4 +1,4 @@
-"""What the smoother makes of a supposed cause: the missing torque and voltage that it would show.
+"""What the smoother makes of a supposed cause: the unmodelled torque and voltage that it would show.
 
 The smoother is linear in the measurements, with gains that do not depend on them. A supposed torque, voltage or sensor
 error is therefore carried through the same passes and compares with the series on equal terms: smoothed as they are,

@@ -1,6 +1,6 @@
 """The plant with unknown inputs as compiled passes: filter forwards, smoother backwards, and their linear response.
 
-The state is z = (x, d): the plant's states and the missing torque and voltage, which walk at random. One torque or
+The state is z = (x, d): the plant's states and the unmodelled torque and voltage, which walk at random. One torque or
 voltage holds from a sample to the next, as the input does. It acts inside the plant's own step (the torque as its
 parameter TL, the voltage as a change of the input), so that a sticking shaft shows what it does to it: nothing.
 
@@ -96,7 +96,7 @@ def _dense(arguments: list[ca.SX], state: ca.SX, output: ca.SX) -> ca.Function:
 
 
 def _moved(a: Augmented, x: ca.SX, torque: ca.SX, voltage: ca.SX, q: ca.SX, row: ca.SX) -> ca.SX:
-    """x after the step that begins with this sample, under missing torque and voltage."""
+    """x after the step that begins with this sample, under unmodelled torque and voltage."""
     p = natural(a.plant, q)
     p[a.plant.parameter_names.index("TL")] += torque
     return a.plant.step(x, row[2] - voltage, p, row[0], row[1])
@@ -166,7 +166,8 @@ class _Pass:
         x_new, F_x, B = ca.substitute([x_next, ca.jacobian(x_next, x), ca.jacobian(x_next, d)], [x, d], at)
         F = ca.vertcat(ca.horzcat(F_x, B[:, chosen]), ca.horzcat(ca.SX.zeros(len(chosen), n_x), ca.SX.eye(len(chosen))))
         noise = ca.SX.zeros(a.n_z, a.n_z)
-        # A change of the input does what a missing voltage does, but for the sign; without a voltage the input itself.
+        # A change of the input does what an unmodelled voltage does, but for the sign; without a voltage the input
+        # itself.
         noise[:n_x, :n_x] = B[:, 1] @ B[:, 1].T * self.const[len(a.plant.parameters) + len(chosen)]
         for k, state in enumerate(a.plant.states):  # effects' own equations are approximations
             if state.name not in MEASURABLE:
@@ -185,7 +186,7 @@ def forward(a: Augmented) -> SampleLoop:
 
 @cache
 def likelihood(a: Augmented) -> SampleLoop:
-    """The same with innovations and precisions only."""
+    """The forward pass with innovations and their precisions only."""
     return SampleLoop(_Pass.of(a).function(lambda found: ca.vertcat(found["innovation"], found["precision"])))
 
 

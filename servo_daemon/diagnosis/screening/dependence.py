@@ -1,4 +1,4 @@
-"""What a missing torque or voltage follows, where no effect has a name for it.
+"""What an unmodelled torque or voltage follows, where no effect has a name for it.
 
 Each quantity is a set of columns without a physical formula: hats over speed, travel, current or time, harmonics of the
 turn, a step, a spectral line, the heat of the winding. A quantity counts by the share of the series that it explains on
@@ -17,7 +17,7 @@ from servo_daemon.diagnosis.missing.missing import Fitted, Missing
 from servo_daemon.diagnosis.missing.signals import motion_of
 from servo_daemon.diagnosis.screening.regression import Regression, of_parameters
 from servo_daemon.diagnosis.screening.screen import context_of
-from servo_daemon.plant.columns.scans import best_harmonics, spectral_lines, step_instants
+from servo_daemon.plant.columns.scans import best_harmonics, spectral_lines, step_times
 from servo_daemon.plant.columns.screening import Context, Trace
 from servo_daemon.samples import F64
 
@@ -157,7 +157,7 @@ def _quantities(c: Context, series: str) -> Iterator[_Quantity]:
     yield _Quantity("travel", (*_hats(m.theta), *(hat * c.rest_friction for hat in _hats(m.theta))), {})
     carrier = np.ones(len(m.t)) if torque else m.i
     yield _Quantity("time", _hats(m.t) if torque else (*_hats(m.t), *(hat * m.i for hat in _hats(m.t))), {})
-    for k in step_instants(c.residual[series], np.where(m.rest, 0.0, carrier)):
+    for k in step_times(c.residual[series], np.where(m.rest, 0.0, carrier)):
         yield _Quantity("step", (np.where(m.t >= m.t[k], carrier, 0.0),), {"time_s": float(m.t[k])})
     for share in _THERMAL if np.any(m.i) and not torque else ():
         yield _Quantity("temperature", (_heat(m.i, m.h, share * float(m.t[-1] - m.t[0])) * m.i,), {})

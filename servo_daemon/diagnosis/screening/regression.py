@@ -30,7 +30,7 @@ class Regression:
         unknown: the series' variances summed, in the same units.
         stiffness: shape (m,), 1/(largest relative change)² of the inertia's column, 0 of the others.
 
-    The stiffness matters: the missing torque is K i − J dω/dt − B ω, so a current together with parameters near zero
+    The stiffness matters: the unmodelled torque is K i − J dω/dt − B ω, so a current together with parameters near zero
     "explains" any of it. A change of J by `MOST_CHANGE` therefore costs as much as the whole series.
     """
 
@@ -105,7 +105,8 @@ def bent_names(fit: Fitted, missing: Missing) -> list[str]:
 
 def of_parameters(motion: Motion, fit: Fitted, missing: Missing) -> tuple[list[Trace], list[float]]:
     """What a change of each free parameter of the plant would leave missing (R, L, K, J, B: per relative change), and
-    how stiff each is: J, without which none of the trivial explanations works; R, K and B may be bent by any amount."""
+    how stiff each is: J, without which none of the trivial explanations works; R, K and B may be biased by any
+        amount."""
     m, one = motion, np.ones(len(motion.t))
     voltage = missing.augmented.plant.drive == "voltage"
     K = m.p.get("K", 1.0)

@@ -1,8 +1,8 @@
-"""Cheap screening: how much of the missing torque and voltage each effect of the contract could explain.
+"""Cheap screening: how much of the unmodelled torque and voltage each effect of the contract could explain.
 
 Every effect is a few columns (its formula over the smoothed signals, carried through the smoother), linear in their
 coefficients; what is not linear is scanned. They are fitted to both series at once, in units of their standard
-deviations, beside what the plant's free parameters would explain: a bent R, K or B is no effect. The score is the
+deviations, beside what the plant's free parameters would explain: a biased R, K or B is no effect. The score is the
 share explained of time blocks that the coefficients have not seen. It ranks candidates and gives their start values; a
 verdict it is not.
 """
@@ -27,17 +27,17 @@ from servo_daemon.plant.effects import effects_by_name
 
 #: A parameter more must lower what is left by this share to come before.
 _WORTH = 0.05
-#: The motor's own parameters, and by what factors a missing effect may have bent them.
+#: The motor's own parameters, and by what factors a missing effect may have biased them.
 _MOTOR, _BENT = MOTOR_NAMES, (0.2, 5.0)
 
 
 @dataclass(frozen=True, slots=True)
 class ScreenedCandidate:
-    """One effect.
+    """An effect with what screening has found of it.
 
     Attributes:
         effect: name of the contract.
-        share: of the missing torque and voltage that it explains beyond the plant's free parameters, 0 .. 1.
+        share: of the unmodelled torque and voltage that it explains beyond the plant's free parameters, 0 .. 1.
         start: start values of its parameters, SI units ("channel" of a delay: the channel's name).
         heldout_share: the same on blocks the coefficients have not seen; negative: worse than nothing.
         motor: R, L, K, J and B, as far as they are free, with this effect beside them.

@@ -65,12 +65,12 @@ def proposals(
     given: Collection[str] = (),
 ) -> tuple[Proposal, ...]:
     """The models of one round, the most promising first. Where no current is measured dry friction is one of them: the
-    linear motor bends R and K around it until it looks like a spring in the shaft.
+    linear motor biases R and K around it until it looks like a spring in the shaft.
 
     Args:
         worth: share of what the best explains that a cause must explain, beside something; −∞: all are fitted.
         given: parameters that the user holds. Who gives the weight of an arm has one: that cause is fitted, whatever
-            screening sees of it beside a bent motor.
+            screening sees of it beside a biased motor.
     """
     known, hidden = effects_by_name(), has_no_current(current)
     values = natural_values(missing.augmented.plant.parameters, missing.coordinates)

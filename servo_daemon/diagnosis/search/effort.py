@@ -56,7 +56,7 @@ class Journal:
 
 @dataclass(frozen=True, slots=True)
 class Unfinished:
-    """There was no time for everything.
+    """What was left untried when the budget was used up.
 
     Attributes:
         budget_s, cpu_s: processor time allowed and taken.
@@ -108,5 +108,5 @@ class Effort:
 
 
 def model_key(present: Sequence[str], effects: Sequence[str], segment_s: float) -> str:
-    """Of a model beside the present one, over free runs of one length."""
+    """Key of a fit of a model beside the present one, over free runs of one length."""
     return f"{'+'.join(present)} > {'+'.join(effects)} @ {segment_s:g} s"

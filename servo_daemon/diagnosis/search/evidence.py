@@ -46,7 +46,7 @@ _SERIES = {"N·m": "torque", "V": "voltage"}
 
 
 def convinces(a: Advantage) -> bool:
-    """Whether an effect's advantage is one."""
+    """Whether an effect's advantage is more than chance."""
     return overwhelming(a) or (a.gain > LEAST_GAIN and a.low > -_NOTHING * a.gain and a.delta_bic < LEAST_BIC)
 
 
@@ -74,7 +74,7 @@ def no_worse(trial: Trial, best: Trial) -> bool:
 
 
 def ties_with(scored: Scored, best: Scored) -> bool:
-    """The same of errors alone."""
+    """Whether two models tie by their errors alone."""
     gain, low, _ = bootstrapped(scored, best)
     return gain < _TIE and low < 0.0
 

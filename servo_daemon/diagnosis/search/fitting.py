@@ -13,11 +13,11 @@ from servo_daemon.diagnosis.search.effort import Effort, model_key
 from servo_daemon.diagnosis.search.evidence import LEAST_BIC, NESTED_GAIN, convinces, no_worse, overwhelming
 from servo_daemon.diagnosis.trial.compare import Advantage, advantage
 from servo_daemon.diagnosis.trial.data import Data
+from servo_daemon.diagnosis.trial.equivalent_models import equivalent_lags
 from servo_daemon.diagnosis.trial.split import shorter_s
 from servo_daemon.diagnosis.trial.trial import Trial, fit_trial
-from servo_daemon.diagnosis.trial.twins import lag_twin
 from servo_daemon.identification.output_error.starts import by_sizes
-from servo_daemon.identification.short_runs import begun_short_runs, is_placed, with_all_inertia
+from servo_daemon.identification.short_runs import begun_short_runs, has_found_states, with_all_inertia
 from servo_daemon.plant.effects import effects_by_name
 
 #: Iterations that every candidate gets, and the share of the best one's gain that earns it the rest.
@@ -34,7 +34,7 @@ _MUCH = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One effect that was fitted.
+    """An effect fitted together with the motor.
 
     Attributes:
         name: of the effect.
@@ -74,7 +74,7 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], effort: Eff
             # Worse than the model that it contains: it began in the wrong place.
             if best is not None and gained(best) > 0.0 and not p.far:
                 break
-        for start in _by_sizes(data, p) if bent else ():
+        for start in _by_sizes(data, p) if biased else ():
             best = _better(best, fit_trial(data, p.effects, start, max_iterations=_FIRST_ITERATIONS))
         return best
 
@@ -92,22 +92,22 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], effort: Eff
         over = _over_the_gap(data, current, p, trial) if loads >= little else None
         if over is not None:
             trial = over
-        elif (bent and gained(trial) < 0.0) or gained(trial) >= max(_KEPT * most, little):
+        elif (biased and gained(trial) < 0.0) or gained(trial) >= max(_KEPT * most, little):
             trial = fit_trial(data, p.effects, trial.values, like=trial) or trial
             if not trial.solution.converged and gained(trial) >= _KEPT * most:
                 trial = fit_trial(data, p.effects, trial.values, like=trial, careful=True) or trial
             if trial.independent < COLOURED and gained(trial) >= _KEPT * most:
                 trial = _better(trial, fit_trial(data, p.effects, trial.values)) or trial
-            twin = lag_twin(trial.values)
-            if twin is not None:
-                trial = _better(trial, fit_trial(data, p.effects, twin)) or trial
+            equivalent = equivalent_lags(trial.values)
+            if equivalent is not None:
+                trial = _better(trial, fit_trial(data, p.effects, equivalent)) or trial
         return trial
 
     def gained(trial: Trial) -> float:
         return current.solution.point.value - trial.solution.point.value
 
     # Without a current R and K may have any values, and a motor that lacks much ends far from the real one.
-    bent = has_no_current(current) and current.independent < COLOURED and current.choice.nrmse > _MUCH
+    biased = has_no_current(current) and current.independent < COLOURED and current.choice.nrmse > _MUCH
     with ThreadPoolExecutor(effort.workers) as pool:
         begun = [(p, t) for p, t in zip(proposed, pool.map(begin, proposed), strict=True) if t is not None]
         most = max((gained(t) for _, t in begun), default=0.0)
@@ -147,7 +147,7 @@ def closer(data: Data, trial: Trial) -> Trial:
     `_over_the_gap`.)
     """
     shorter = shorter_s(data.recordings, data.split.segment_s)
-    if shorter is None or trial.independent >= COLOURED or is_placed(trial.fitted):
+    if shorter is None or trial.independent >= COLOURED or has_found_states(trial.fitted):
         return trial
     short = fit_trial(data.cut(trial.effects, shorter), trial.effects, trial.values)
     again = None if short is None else fit_trial(data, trial.effects, short.values)

@@ -35,12 +35,12 @@ from servo_daemon.diagnosis.search.fitting import COLOURED, Candidate, best_of, 
 from servo_daemon.diagnosis.search.pruning import pruned
 from servo_daemon.diagnosis.trial.compare import advantage
 from servo_daemon.diagnosis.trial.data import Data
-from servo_daemon.diagnosis.trial.lacking import leaves, leaves_less, seen_missing
 from servo_daemon.diagnosis.trial.likelihood import Whole, needs_no_effect
+from servo_daemon.diagnosis.trial.model_discrepancy import leaves, leaves_less, seen_missing
 from servo_daemon.diagnosis.trial.split import shorter_s
 from servo_daemon.diagnosis.trial.trial import Trial, fit_trial
 from servo_daemon.errors import NumericalError
-from servo_daemon.identification.short_runs import is_placed
+from servo_daemon.identification.short_runs import has_found_states
 
 #: At most so many effects are taken.
 _MOST_EFFECTS = 4
@@ -78,7 +78,7 @@ class Selection:
 
 
 def select(data: Data, base: Trial, progress: Progress, whole: Whole, effort: Effort) -> Selection:
-    """Search from a fitted baseline.
+    """Forward selection of effects from a fitted baseline, then backward pruning.
 
     Args:
         progress: told what is being done.
@@ -86,7 +86,7 @@ def select(data: Data, base: Trial, progress: Progress, whole: Whole, effort: Ef
         effort: what it may cost. Where that is not enough the result is the best so far.
 
     Raises:
-        NumericalError: the baseline's missing torque cannot be computed.
+        NumericalError: the baseline's unmodelled torque cannot be computed.
     """
     search = _Search(data, base)
     while len(search.added) < _MOST_EFFECTS:
@@ -140,7 +140,7 @@ def _round(search: _Search, missing: Missing, progress: Progress, effort: Effort
     proposed = proposals(current, screened, missing, given=search.data.fixed)
     progress(0.1, "fitting " + ", ".join(p.name for p in proposed))
     found = _against_the_best_chance(search, _worthy(search, missing, proposed, effort))
-    if is_placed(current.fitted):  # what is left is how the load went on within the runs
+    if has_found_states(current.fitted):  # what is left is how the load went on within the runs
         return found
     if found[2] is None and (rest := _thought_little_of(current, screened, missing, proposed)):
         more = tuple(c for c in _worthy(search, missing, rest, effort) if speaks_against_screening(c.against))
@@ -257,7 +257,7 @@ def _own_values(current: Trial, other: Trial) -> dict[str, float]:
 
 
 def _kept_promise(found: _Found, before: Missing, promised: float) -> bool:
-    """Whether the best model takes of the missing torque and voltage about what screening said could be taken. Where
+    """Whether the best model takes of the unmodelled torque and voltage about what screening said could be taken. Where
     free runs diverge (a rotor between two detents) a fit to them follows the divergence and not the motor: the
     balances, which run nowhere, tell.
 

@@ -20,7 +20,7 @@ _SEED = 7
 
 @dataclass(frozen=True, slots=True)
 class Advantage:
-    """Of the richer model over the other, on the part that decides.
+    """Advantage of the richer model over the other, on the part that decides.
 
     Attributes:
         gain: mean over channels of log(rms error of the other / rms error of the richer).

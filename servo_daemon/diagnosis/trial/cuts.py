@@ -1,7 +1,7 @@
 """A model fitted to free runs of several lengths, where what it leaves is no noise.
 
 Where the torque itself is given there is no noise of a supply that adds up along a run: what free runs leave are the
-model's own errors, and how much they bend a parameter depends on where the runs happen to begin. On the EMPS axis cuts
+model's own errors, and how much they bias a parameter depends on where the runs happen to begin. On the EMPS axis cuts
 of 0.5 and 0.52 s put the moving mass at 94.3 and 95.1 kg, each with 0.2 kg of standard deviation. The mean over several
 lengths has less of that, and how far they lie apart is what a single one leaves unsaid.
 """
@@ -13,7 +13,7 @@ from contextlib import suppress
 import numpy as np
 
 from servo_daemon.diagnosis.trial.data import Data
-from servo_daemon.diagnosis.trial.everything import fit_runs, honest
+from servo_daemon.diagnosis.trial.full_data_fit import fit_runs, honest
 from servo_daemon.diagnosis.trial.trial import Trial
 from servo_daemon.errors import NumericalError
 from servo_daemon.identification.output_error import OutputErrorFit
@@ -33,7 +33,7 @@ def mean_over_cuts(data: Data, trial: Trial, fit: OutputErrorFit) -> OutputError
     of such fits over several lengths of the free runs, in the parameters' coordinates.
 
     Args:
-        fit: of the trial's model to everything.
+        fit: of the trial's model to the full data.
     """
     problem = fit.problem
     if fit.white or problem.plant.drive == "voltage" or problem.local or "gap" in problem.free:

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from servo_daemon.diagnosis.trial.split import HELD_OUT, Split, divide, divide_seen
 from servo_daemon.identification.output_error import Recording
 from servo_daemon.identification.output_error.problem.problem import Problem, Segment
-from servo_daemon.identification.output_error.problem.setup import make_problem, state_scale, telling
+from servo_daemon.identification.output_error.problem.setup import make_problem, state_scale, without_dead_current
 
 
 @dataclass(frozen=True, slots=True)
 class Data:
-    """What all trials share.
+    """Recordings and their split, shared by all trials.
 
     Attributes:
         recordings: the captures, marked where fit and choice may look: nowhere in the part that is held out.
@@ -43,7 +43,7 @@ class Data:
         Raises:
             BadInputError: see `make_problem`, or too few runs.
         """
-        recordings = telling(recordings)
+        recordings = without_dead_current(recordings)
         segments = make_problem(_unmarked(recordings), effects, dict(fixed), segment_s=segment_s).segments
         marks = [r.seen for r in recordings if r.seen is not None]
         if len(marks) == len(recordings):
@@ -60,8 +60,8 @@ class Data:
         return Data.of(self.recordings, self.fixed, effects, segment_s)
 
     @property
-    def everything(self) -> Data:
-        """With nothing held out: for what is published when all is decided."""
+    def full(self) -> Data:
+        """The data with nothing held out, for what is published when all is decided."""
         return replace(self, recordings=_unmarked(self.recordings))
 
     def problem(self, effects: tuple[str, ...], held: Mapping[str, float]) -> Problem:

@@ -1,7 +1,7 @@
 """Whether data that a model explains to their noise need an effect at all.
 
 Free runs add up what the recorded voltage does not show: over half a second a light motor drifts off by a dozen encoder
-steps, and an effect with a memory of its own (a winding that warms up within a second) can be bent to follow the very
+steps, and an effect with a memory of its own (a winding that warms up within a second) can be fitted to follow the very
 drift that came up, on runs that were held out too where these lie between the others. A fit that takes this noise for
 what it is needs no such help. Where both models, with noise that enters the motor, are white over the whole recording,
 their likelihoods can be compared (Schwarz 1978): twice the logarithm of their ratio was −2 to 4 for a winding's heat on
@@ -22,7 +22,7 @@ _LIKELIER = 30.0
 _PLAINLY = 2.0
 
 
-#: Fits a trial's model to everything from these values, with noise that enters the motor; None where that fails.
+#: Fits a trial's model to the full data from these values, with noise that enters the motor; None where that fails.
 Whole = Callable[[Trial, Mapping[str, float]], OutputErrorFit | None]
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from servo_daemon.diagnosis.missing.missing import Missing
 from servo_daemon.diagnosis.missing.noise_levels import NoiseLevels
-from servo_daemon.diagnosis.trial.lacking import most_input_var
+from servo_daemon.diagnosis.trial.model_discrepancy import most_input_var
 from servo_daemon.diagnosis.trial.scored import Scored, scored_states
 from servo_daemon.diagnosis.trial.trial import Trial
 from servo_daemon.identification.output_error.problem.rollout import INPUT, free_run

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from servo_daemon.identification.output_error.lost_runs import error_of, grown, lost, settled
+from servo_daemon.identification.output_error.diverged_segments import diverged, error_of, grown, settled
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.problem.rollout import TIME
 from servo_daemon.identification.output_error.problem.score import slope
@@ -46,7 +46,7 @@ class Scored:
 
     @property
     def mse(self) -> F64:
-        """Shape (c,)."""
+        """Mean square error of each channel, shape (c,)."""
         return np.asarray(self.squares.sum(axis=0) / np.maximum(self.counts.sum(axis=0), 1.0))
 
 
@@ -59,7 +59,7 @@ def scored_states(problem: Problem) -> Scored:
         return Scored(np.full_like(counts, np.inf), counts, spread)
     residuals = list(found.point.linearisation.residuals)
     squares = np.array([(r * r).sum(axis=0) for r in residuals]).reshape(-1, c)
-    for k in lost(squares, spread):
+    for k in diverged(squares, spread):
         again = grown(problem, k)
         if again is not None and error_of(again[1], spread) < error_of(residuals[k], spread):
             residuals[k] = again[1]

@@ -13,12 +13,12 @@ from servo_daemon.diagnosis.trial.data import Data
 from servo_daemon.diagnosis.trial.scored import Scored, scored_states
 from servo_daemon.diagnosis.trial.split import CHOICE, TRAIN, Split
 from servo_daemon.errors import ConfigError, NumericalError
-from servo_daemon.identification.output_error.lost_runs import ENOUGH, begun_again
+from servo_daemon.identification.output_error.diverged_segments import ENOUGH, begun_again
 from servo_daemon.identification.output_error.problem.problem import Problem, Segment
 from servo_daemon.identification.output_error.problem.setup import carrying
 from servo_daemon.identification.output_error.solver.solver import Solution, solve
 from servo_daemon.identification.output_error.starts import starting_points
-from servo_daemon.identification.short_runs.placed import is_placed, placed
+from servo_daemon.identification.short_runs.initial_states import has_found_states, with_found_states
 from servo_daemon.kalman.gaussian import natural_values, to_coordinate
 from servo_daemon.parameters import Parameter
 from servo_daemon.plant.build import build_plant
@@ -61,7 +61,7 @@ class Trial:
     @property
     def free(self) -> int:
         """How many parameters were fitted; a load's place in every run is two."""
-        own = len(TWIST) * len(self.fitted.segments) if is_placed(self.fitted) else 0
+        own = len(TWIST) * len(self.fitted.segments) if has_found_states(self.fitted) else 0
         return len(self.problem.parameter_of_column) + own
 
     def coordinates(self, recording: int = 0) -> F64:
@@ -94,14 +94,14 @@ class Trial:
         return scored_states(self.states(part))
 
     def states(self, part: int) -> Problem:
-        """A part with these parameters; only initial states are free."""
+        """Problem of a part with these parameters, of which only initial states are free."""
         chosen = self.split.of(part)
         given = dict(self.problem.given) | dict(
             zip(self.problem.plant.parameter_names, self.mean_coordinates, strict=True)
         )
         segments = tuple(self.problem.segments[int(k)] for k in chosen)
         problem = replace(self.problem, segments=segments, free=(), local=(), given=given)
-        return placed(problem, {}) if is_placed(self.fitted) else problem
+        return with_found_states(problem, {}) if has_found_states(self.fitted) else problem
 
     @cached_property
     def mean_coordinates(self) -> F64:
@@ -142,7 +142,7 @@ def fit_trial(
     problem = _begun_like(problem, like, chosen)
     fitted = replace(problem, segments=tuple(problem.segments[int(k)] for k in chosen))
     if max_iterations >= _MOST_ITERATIONS:  # else it is only looked at
-        fitted = placed(fitted, values)
+        fitted = with_found_states(fitted, values)
     start_at = fitted.start({p.name: to_coordinate(p, values[p.name]) for p in problem.plant.parameters})
     found = _solved(fitted, start_at, max_iterations, careful)
     if found is None:

@@ -30,22 +30,22 @@ from servo_daemon.diagnosis.search.pruning import pruned, without_effect
 from servo_daemon.diagnosis.search.select import Selection
 from servo_daemon.diagnosis.trial.cuts import mean_over_cuts
 from servo_daemon.diagnosis.trial.data import Data
-from servo_daemon.diagnosis.trial.everything import (
-    WholeFits,
+from servo_daemon.diagnosis.trial.equivalent_models import told_from_equivalent
+from servo_daemon.diagnosis.trial.full_data_fit import (
+    FullDataFits,
     by_predictions,
     exactness,
-    fit_everything,
+    fit_full_data,
     fit_runs,
     over_a_gap,
 )
-from servo_daemon.diagnosis.trial.lacking import longest_missing
 from servo_daemon.diagnosis.trial.likelihood import as_likely, plainly_worse
+from servo_daemon.diagnosis.trial.model_discrepancy import longest_missing
 from servo_daemon.diagnosis.trial.noise_floor import measured_levels, noise_floor
 from servo_daemon.diagnosis.trial.split import CHOICE, shorter_s
 from servo_daemon.diagnosis.trial.trial import Trial, fit_trial
-from servo_daemon.diagnosis.trial.twins import told_from_twin
 from servo_daemon.diagnosis.verdict.determined import is_determined
-from servo_daemon.diagnosis.verdict.elsewhere import helps_no_other
+from servo_daemon.diagnosis.verdict.other_captures import helps_no_other
 from servo_daemon.errors import NumericalError
 from servo_daemon.identification.output_error import OutputErrorFit
 from servo_daemon.identification.output_error.precision.parameters import FittedParameter
@@ -60,11 +60,11 @@ _DIFFERENT = 3.0
 
 @dataclass(frozen=True)
 class Believed:
-    """What remains of a search.
+    """Effects of a search that can be believed, with the fit that holds them.
 
     Attributes:
         selection: with the effects that are believed; none: the model it began with.
-        extended: fitted to everything; None: no effect is believed.
+        extended: fitted to the full data; None: no effect is believed.
         missing: what it lacks, of the longest capture.
         depends_on: what that follows.
         levels: of the noise, as the samples show it that decided; None: no effect is believed.
@@ -77,17 +77,17 @@ class Believed:
     levels: NoiseLevels | None
 
 
-def believed(selection: Selection, whole_fits: WholeFits) -> Believed:
+def believed(selection: Selection, full_fits: FullDataFits) -> Believed:
     """Drop the names that cannot be believed, the weakest first."""
     data = selection.data
     before = longest_missing(data, selection.base) if selection.added else None
     while selection.added:
         assert before is not None
-        extended = fit_everything(data, selection.chosen, whole_fits, _screened_start(selection))
+        extended = fit_full_data(data, selection.chosen, full_fits, _screened_start(selection))
         missing = longest_missing(data, extended)
         levels = measured_levels(missing)
         floor = noise_floor(levels, selection.chosen, CHOICE).nrmse
-        fewer = _weakest(selection, floor) or _without_the_unneeded(selection, extended, whole_fits)
+        fewer = _weakest(selection, floor) or _without_the_unneeded(selection, extended, full_fits)
         if fewer is not None:
             selection = fewer
             continue
@@ -102,10 +102,10 @@ def believed(selection: Selection, whole_fits: WholeFits) -> Believed:
             extended, missing = straight, longest_missing(data, straight)
         if not extended.white and _left(missing) > max(_LEFT * _explained(selection, before, missing), LEAST_SIZE):
             break
-        if elsewhere := helps_no_other(selection):
-            if set(elsewhere) == set(selection.added):
+        if unhelpful := helps_no_other(selection):
+            if set(unhelpful) == set(selection.added):
                 break
-            selection = _without(selection, elsewhere[0])
+            selection = _without(selection, unhelpful[0])
             continue
         found = _published(selection, levels)
         assert found.extended is not None
@@ -134,8 +134,8 @@ def _without(selection: Selection, name: str) -> Selection:
 
 def _published(selection: Selection, levels: NoiseLevels) -> Believed:
     """What was decided on the parts for fitting and choosing, fitted to all the data."""
-    data, trial = selection.data.everything, selection.chosen
-    extended = _straight(data, trial, fit_everything(data, trial, WholeFits(data), _screened_start(selection)))
+    data, trial = selection.data.full, selection.chosen
+    extended = _straight(data, trial, fit_full_data(data, trial, FullDataFits(data), _screened_start(selection)))
     missing = longest_missing(data, extended)
     depends = () if extended.white else dependences(extended, missing)
     better = by_predictions(data, extended)
@@ -153,17 +153,17 @@ def _screened_start(selection: Selection) -> Mapping[str, float] | None:
 
 def _straight(data: Data, trial: Trial, fit: OutputErrorFit) -> OutputErrorFit:
     """The fit, less what free runs of one length do to it."""
-    straight = _unbent(data, trial, fit)
-    straight = _told_from_twin(data, trial, straight, short=straight is not fit)
+    straight = _unbiased(data, trial, fit)
+    straight = _told_from_equivalent(data, trial, straight, short=straight is not fit)
     return mean_over_cuts(data, trial, straight)
 
 
-def _unbent(data: Data, trial: Trial, fit: OutputErrorFit) -> OutputErrorFit:
+def _unbiased(data: Data, trial: Trial, fit: OutputErrorFit) -> OutputErrorFit:
     """The fit, or one over shorter free runs if that contradicts it.
 
     If the model and noise of the sensors were all there is, both would be right, and the longer runs tell more. Noise
     that enters the motor adds up along a run, at a reversal with dry friction or beside a detent without bound, and
-    bends what is fitted to it: where the two differ the shorter runs are to be believed. Of a given torque or current
+    biases what is fitted to it: where the two differ the shorter runs are to be believed. Of a given torque or current
     nothing adds up: see `cuts`.
     """
     shorter = shorter_s(data.recordings, data.split.segment_s)
@@ -177,11 +177,11 @@ def _unbent(data: Data, trial: Trial, fit: OutputErrorFit) -> OutputErrorFit:
     return fit
 
 
-def _told_from_twin(data: Data, trial: Trial, fit: OutputErrorFit, *, short: bool) -> OutputErrorFit:
-    """See `twins`; over the same runs.
+def _told_from_equivalent(data: Data, trial: Trial, fit: OutputErrorFit, *, short: bool) -> OutputErrorFit:
+    """The fit or its equivalent over the same runs, whichever is better (`told_from_equivalent`).
 
     Args:
-        short: the fit is that of `_unbent` over shorter ones.
+        short: the fit is that of `_unbiased` over shorter ones.
     """
     runs_s = shorter_s(data.recordings, data.split.segment_s) if short else data.split.segment_s
 
@@ -190,7 +190,7 @@ def _told_from_twin(data: Data, trial: Trial, fit: OutputErrorFit, *, short: boo
             return fit_runs(data, trial, values, None if fit.white else runs_s)
         return None
 
-    return told_from_twin(fit, again)
+    return told_from_equivalent(fit, again)
 
 
 def contradicts(fit: Mapping[str, FittedParameter], other: Mapping[str, FittedParameter]) -> bool:
@@ -213,7 +213,8 @@ def removed_share(before: float, after: float, floor: float) -> float:
 
 
 def _removed_of_missing(before: Missing, after: Missing) -> float:
-    """The same share of missing torque and voltage, in mean squares beyond what their standard deviations explain."""
+    """The same share of unmodelled torque and voltage, in mean squares beyond what their standard deviations
+    explain."""
     room, taken = 0.0, 0.0
     for n, was in before.mean_square.items():
         left = after.mean_square.get(n, 0.0)
@@ -239,12 +240,12 @@ def _weakest(selection: Selection, floor: float) -> Selection | None:
     return replace(selection, chosen=without, added=tuple(a for a in selection.added if a != name))
 
 
-def _without_the_unneeded(selection: Selection, extended: OutputErrorFit, whole_fits: WholeFits) -> Selection | None:
+def _without_the_unneeded(selection: Selection, extended: OutputErrorFit, full_fits: FullDataFits) -> Selection | None:
     """The search's result less an effect without which the data are as likely; None: all are needed, or it cannot be
     told.
 
     Args:
-        extended: fitted to everything, with noise that enters the motor.
+        extended: fitted to the full data, with noise that enters the motor.
     """
     if not extended.white:
         return None
@@ -253,7 +254,7 @@ def _without_the_unneeded(selection: Selection, extended: OutputErrorFit, whole_
         without = without_effect(selection.data, selection.chosen, name) if others else selection.base
         if without is None or plainly_worse(without, selection.chosen):
             continue
-        if as_likely(without, extended, whole_fits.of):
+        if as_likely(without, extended, full_fits.of):
             return replace(selection, chosen=without, added=others)
     return None
 

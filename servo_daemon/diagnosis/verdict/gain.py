@@ -23,7 +23,7 @@ from servo_daemon.diagnosis.verdict.result import HeldOut, MeasuredOn, NamedEffe
 
 @dataclass(frozen=True, slots=True)
 class Gain:
-    """See `Diagnosis`."""
+    """Scores of baseline and extended model on the part that measures; fields as in `Diagnosis`."""
 
     effects: tuple[NamedEffect, ...]
     baseline_score: HeldOut

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from servo_daemon.diagnosis.missing.noise_levels import NoiseLevels
 from servo_daemon.diagnosis.trial.compare import surely_positive
 from servo_daemon.diagnosis.trial.data import Data
-from servo_daemon.diagnosis.trial.everything import fit_whole
-from servo_daemon.diagnosis.trial.lacking import longest_missing
+from servo_daemon.diagnosis.trial.full_data_fit import fit_whole
+from servo_daemon.diagnosis.trial.model_discrepancy import longest_missing
 from servo_daemon.diagnosis.trial.noise_floor import measured_levels
 from servo_daemon.diagnosis.trial.scored import Scored
 from servo_daemon.diagnosis.trial.split import CHOICE
@@ -41,7 +41,7 @@ def times_of(data: Data, effects: tuple[str, ...], part: int) -> Times:
 
 @dataclass(frozen=True, slots=True)
 class Predicted:
-    """Of the times of a part, by free run, h of them, c channels.
+    """Prediction errors over the times of a part, by free run, h of them, c channels.
 
     Attributes:
         deviance: shape (h,), −2 log p given all that came before each sample.

@@ -22,18 +22,18 @@ from servo_daemon.diagnosis.search.fitting import Candidate
 from servo_daemon.diagnosis.search.select import Selection
 from servo_daemon.diagnosis.trial.compare import advantage, error_removed
 from servo_daemon.diagnosis.trial.data import Data
-from servo_daemon.diagnosis.trial.everything import WholeFits
-from servo_daemon.diagnosis.trial.lacking import longest_missing
+from servo_daemon.diagnosis.trial.equivalent_models import told_from_equivalent
+from servo_daemon.diagnosis.trial.full_data_fit import FullDataFits
 from servo_daemon.diagnosis.trial.likelihood import far_below, far_likelier
+from servo_daemon.diagnosis.trial.model_discrepancy import longest_missing
 from servo_daemon.diagnosis.trial.scored import Scored
 from servo_daemon.diagnosis.trial.trial import Trial, fit_trial, model_exists
-from servo_daemon.diagnosis.trial.twins import told_from_twin
 from servo_daemon.diagnosis.verdict.predicted import predictions_of_both
 from servo_daemon.diagnosis.verdict.result import CandidateScore, Finding, HeldOut, NamedEffect
 from servo_daemon.identification.output_error import OutputErrorFit, Recording
 from servo_daemon.plant.effects import effects_by_name
 
-#: So many of the candidates of the first round, those that fit best, are fitted to everything.
+#: So many of the candidates of the first round, those that fit best, are fitted to the full data.
 _TRIED = 5
 #: Where the baseline is not white these are tried, too, whatever screening thinks of them.
 _OVERLOOKED = ("drive_lag", "winding_heating")
@@ -42,14 +42,14 @@ _MOST_SAMPLES = 60_000
 
 
 def found_by_predictions(
-    data: Data, selection: Selection, candidates: Sequence[CandidateScore], whole_fits: WholeFits
+    data: Data, selection: Selection, candidates: Sequence[CandidateScore], full_fits: FullDataFits
 ) -> Finding | None:
     """The effect of the search's first round that the data need; None: there is none, or it cannot be told.
 
     Args:
         data: uncut.
         candidates: as they were scored.
-        whole_fits: over `data`.
+        full_fits: over `data`.
 
     Raises:
         NumericalError: predictions left the range of numbers.
@@ -58,7 +58,7 @@ def found_by_predictions(
     if base.problem.plant.drive != "voltage":
         return None
     few = _begun(data, base.effects)
-    fits = whole_fits if few is data else WholeFits(few)
+    fits = full_fits if few is data else FullDataFits(few)
     whole = fits.of(base)
     if whole is None or whole.deviance_at_best is None:  # nothing can be told to be far likelier
         return None
@@ -66,13 +66,13 @@ def found_by_predictions(
     if not likely:
         return None
     best, extended = _simplest(likely)
-    full = extended if few is data else _fitted(whole_fits, best)
+    full = extended if few is data else _fitted(full_fits, best)
     if full is None or not full.white:
         return None
     both = predictions_of_both(few, (base, whole), (best.trial, extended))
     if both is None:
         return None
-    published = _fitted(WholeFits(data.everything), best) or full
+    published = _fitted(FullDataFits(data.full), best) or full
     before, after = both
     removed, ci95 = error_removed(before.errors, after.errors, after.expected)
     richer = (best.name, *CONTAINED.get(best.name, ()))
@@ -87,7 +87,7 @@ def found_by_predictions(
         error_removed=removed,
         ci95=ci95,
         candidates=_marked(candidates, best, base),
-        after=longest_missing(data.everything, published),
+        after=longest_missing(data.full, published),
         deviance_gain=(whole.deviance_at_best or 0.0) - (extended.deviance or 0.0),
     )
 
@@ -115,14 +115,14 @@ def _begin(recording: Recording, samples: int) -> Recording:
 
 
 def _likely(
-    whole_fits: WholeFits, selection: Selection, base: OutputErrorFit
+    full_fits: FullDataFits, selection: Selection, base: OutputErrorFit
 ) -> list[tuple[Candidate, OutputErrorFit]]:
     """Candidates with which the data are white and far likelier than without, the likeliest first."""
     single = [c for c in selection.rounds[0] if len(c.trial.effects) == len(selection.base.effects) + 1]
     tried = sorted({c.name: c for c in reversed(single)}.values(), key=lambda c: c.against.delta_bic)[:_TRIED]
     if not base.white:
         tried += _unscreened(selection, {c.name for c in tried})
-    fits = [(c, _fitted(whole_fits, c, far_below(base, len(c.trial.problem.free)))) for c in tried]
+    fits = [(c, _fitted(full_fits, c, far_below(base, len(c.trial.problem.free)))) for c in tried]
     likely = [(c, fit) for c, fit in fits if fit is not None and fit.white and far_likelier(fit, base)]
     return sorted(likely, key=lambda f: f[1].deviance or math.inf)
 
@@ -141,11 +141,11 @@ def _unscreened(selection: Selection, tried: Collection[str]) -> list[Candidate]
     return out
 
 
-def _fitted(whole_fits: WholeFits, c: Candidate, below: float = math.inf) -> OutputErrorFit | None:
+def _fitted(full_fits: FullDataFits, c: Candidate, below: float = math.inf) -> OutputErrorFit | None:
     """To everything, as far as the deviance may come below this; of two lags in a row in the order that the data
     prefer."""
-    fit = whole_fits.from_either(c.trial, c.start, below)
-    return None if fit is None else told_from_twin(fit, partial(whole_fits.of, c.trial, below=below))
+    fit = full_fits.from_either(c.trial, c.start, below)
+    return None if fit is None else told_from_equivalent(fit, partial(full_fits.of, c.trial, below=below))
 
 
 def _simplest(likely: Sequence[tuple[Candidate, OutputErrorFit]]) -> tuple[Candidate, OutputErrorFit]:

@@ -1,4 +1,4 @@
-"""What a diagnosis says."""
+"""Records of a diagnosis' result."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class OwnModel:
 
 @dataclass(frozen=True)
 class Finding:
-    """What another judge than free runs has named; see `Diagnosis`.
+    """What the balance or predictions have named; fields as in `Diagnosis`.
 
     Attributes:
         before: None: as the free runs have it.
@@ -110,13 +110,13 @@ class Finding:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The result.
+    """The result of a diagnosis.
 
     Attributes:
         captures: what was diagnosed.
         verdict: see `Verdict`.
         effects: what was added to the baseline, in the order of the search; empty unless found.
-        baseline: the configured model (else the linear motor), fitted to everything.
+        baseline: the configured model (else the linear motor), fitted to the full data.
         extended: with the effects; None unless found.
         baseline_score, extended_score: held-out errors; the second is None unless found.
         noise_floor: normalised error that noise alone would leave; None unless found.
@@ -124,10 +124,10 @@ class Diagnosis:
             of which an end may be infinite; None unless found, and where noise leaves as much as the baseline does.
         measured_on: see `MeasuredOn`.
         candidates: all models that were fitted, by round.
-        before, after: missing torque and voltage under both models, of the longest capture; the second None unless
+        before, after: unmodelled torque and voltage under both models, of the longest capture; the second None unless
             found.
         white: whether the final model and the noise explain the data.
-        depends_on: what the remaining missing torque and voltage follow.
+        depends_on: what the remaining unmodelled torque and voltage follow.
         differences: parameters that differ between the captures beyond chance.
         own_models: what that means for each capture; empty where there is one capture.
         validation: scores on captures that were not diagnosed.

@@ -1,7 +1,7 @@
 """Inverse-dynamic identification (`fit --method idim`): the balances as regressions, solved once, without a simulation.
 
 The method of Gautier & Khalil (*Modeling, Identification and Control of Robots*, 2002, ch. 12) with the filtering of
-`idim_filter.py`: no start values and no iteration, but the whole motion must be measured well enough to be
+`filter.py`: no start values and no iteration, but the whole motion must be measured well enough to be
 differentiated twice. With a torque (force) the shaft alone is identified; with voltage and current both balances; with
 the current alone K must be fixed, or another torque (`Tg` of a known load), or only ratios to K are determined; with
 the voltage alone R and K must be fixed, and the current is what they make of it.

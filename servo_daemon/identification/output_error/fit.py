@@ -10,10 +10,10 @@ from dataclasses import replace
 import numpy as np
 
 from servo_daemon.errors import BadInputError, NumericalError
-from servo_daemon.identification.output_error.elsewhere import from_elsewhere, from_nearby, is_to_be_searched
+from servo_daemon.identification.output_error.diverged_segments import begun_again
 from servo_daemon.identification.output_error.fitted import FitOptions, OutputErrorFit
-from servo_daemon.identification.output_error.lost_runs import begun_again
 from servo_daemon.identification.output_error.misfit import with_misfit
+from servo_daemon.identification.output_error.multi_start import from_nearby, from_other_starts, is_to_be_searched
 from servo_daemon.identification.output_error.noise.residual import residual_tests
 from servo_daemon.identification.output_error.outcome import conclude
 from servo_daemon.identification.output_error.precision.combinations import (
@@ -37,7 +37,7 @@ from servo_daemon.identification.output_error.problem.setup import (
     common_channels,
     current_size,
     make_problem,
-    telling,
+    without_dead_current,
 )
 from servo_daemon.identification.output_error.problem.still import STILL
 from servo_daemon.identification.output_error.solver.solver import Point, Solution, solve
@@ -79,7 +79,7 @@ def fit_output_error(
     """
     options = options or FitOptions()
     began = time.perf_counter()
-    recordings = telling(recordings)
+    recordings = without_dead_current(recordings)
     choices = _choices(effects, {**options.nominal, **options.fixed}, choose_signals(common_channels(recordings))[1])
     options = replace(options, fixed={**choices, **options.fixed})
     problem = make_problem(recordings, effects, options.fixed, segment_s=options.segment_s)
@@ -89,7 +89,7 @@ def fit_output_error(
     starts = list(points) if options.thorough else [next(points)]
     scale = _coordinate_scale(problem, recordings, starts[0])
     solution, start = _search(problem, starts, options)
-    solution = _from_elsewhere_on(problem, solution, recordings, options)
+    solution = _from_other_starts_on(problem, solution, recordings, options)
     first = solve(problem, problem.start(coordinates(start, problem)), robust=False, max_iterations=0)
     assert first is not None  # it was searched from
     size = _torque_size(problem, recordings, solution)
@@ -119,7 +119,7 @@ def fit_output_error(
         residual=outcome.residual,
         innovation=outcome.innovation,
         noise=outcome.noise,
-        polished=outcome.polished,
+        refined=outcome.refined,
         unsettled=outcome.unsettled,
         plain=plain,
         start=start.source,
@@ -210,10 +210,10 @@ def _search(problem: Problem, starts: Sequence[Start], options: FitOptions) -> t
         and (further := solve(problem, best[0].point.unknowns, robust=options.robust)) is not None
     ):
         best = _in_a_row(best[0], further), best[1]
-    return _with_lost_runs(problem, best[0], options, enough), best[1]
+    return _with_diverged_segments(problem, best[0], options, enough), best[1]
 
 
-def _from_elsewhere_on(
+def _from_other_starts_on(
     problem: Problem, found: Solution, recordings: Sequence[Recording], options: FitOptions
 ) -> Solution:
     """The end of a search, gone on with from the best instant or frequency of all that were tried."""
@@ -224,12 +224,12 @@ def _from_elsewhere_on(
         return _gone_on(found, nearby)
     seconds = max(float(r.block.time_s[-1] - r.block.time_s[0]) for r in recordings)
     torque_Nm = _torque_size(problem, recordings, found)
-    begun = from_elsewhere(problem, found, seconds, torque_Nm, robust=options.robust)
+    begun = from_other_starts(problem, found, seconds, torque_Nm, robust=options.robust)
     further = None if begun is None else solve(problem, begun.point.unknowns, robust=options.robust)
     return _gone_on(found, further)
 
 
-def _with_lost_runs(problem: Problem, found: Solution, options: FitOptions, enough: float) -> Solution:
+def _with_diverged_segments(problem: Problem, found: Solution, options: FitOptions, enough: float) -> Solution:
     """The end of a search over pieces of a recording, gone on with where some of these had begun in the wrong place."""
     again = begun_again(problem, found) if options.segment_s is not None else None
     if again is None:

@@ -10,7 +10,6 @@ import numpy as np
 from servo_daemon.identification.output_error.noise.noise import NoiseModel
 from servo_daemon.identification.output_error.noise.residual import ResidualTest
 from servo_daemon.identification.output_error.outcome import NoiseOption
-from servo_daemon.identification.output_error.polish import Polished
 from servo_daemon.identification.output_error.precision.combinations import (
     Combination,
     VoltageAnswer,
@@ -20,6 +19,7 @@ from servo_daemon.identification.output_error.precision.parameters import (
     FittedParameter,
 )
 from servo_daemon.identification.output_error.problem.problem import Problem
+from servo_daemon.identification.output_error.refine import Refined
 from servo_daemon.identification.output_error.solver.solver import Iteration, Solution
 from servo_daemon.samples import F64
 
@@ -69,7 +69,7 @@ class OutputErrorFit:
         innovation: of the noise model's filter, by channel, where that model is used.
         noise: noise that enters the motor, where it explains what the free run leaves: `solution` is then the estimate
             of largest likelihood under it. None: plain output error.
-        polished: the estimate of largest likelihood under noise of the voltage, whether it is the published one or not;
+        refined: the estimate of largest likelihood under noise of the voltage, whether it is the published one or not;
             None: it was not asked for, none was seen, or it did not settle.
         unsettled: where a search for it ended that did not.
         plain: the plain output-error solution, whatever was published; `iterations` are its own.
@@ -89,8 +89,8 @@ class OutputErrorFit:
     residual: Mapping[str, ResidualTest]
     innovation: Mapping[str, ResidualTest] | None
     noise: NoiseModel | None
-    polished: Polished | None
-    unsettled: Polished | None
+    refined: Refined | None
+    unsettled: Refined | None
     plain: Solution
     start: str
     seconds: float
@@ -114,14 +114,14 @@ class OutputErrorFit:
         """−2 log p of the data under this model with noise of voltage and sensors: what two fits of the same data are
         compared by (`solution.point.value` is that of a free run whose sensors alone are noisy, however it was
         fitted). None: that is not known."""
-        if self.polished is not None:
-            return self.polished.deviance
+        if self.refined is not None:
+            return self.refined.deviance
         return self.solution.point.value + float(self.problem.counts.sum()) if self.white else None
 
     @property
-    def likeliest(self) -> Polished | None:
+    def likeliest(self) -> Refined | None:
         """Where the search for the largest likelihood ended, settled or not."""
-        return self.polished or self.unsettled
+        return self.refined or self.unsettled
 
     @property
     def deviance_at_best(self) -> float | None:

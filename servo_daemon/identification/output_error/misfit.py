@@ -65,7 +65,7 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
     problem, square = fit.problem, _square(fit)
     likelier = None if square else _likelier(fit)
     names = problem.parameter_of_column
-    inside, lag = _lacking(fit, scale, again, square, likelier), by_other_lags(fit, again)
+    inside, lag = _discrepancy(fit, scale, again, square, likelier), by_other_lags(fit, again)
     added = inside if lag is None else np.column_stack([inside, lag])
     if not names or not (added.size or likelier is not None):
         return fit
@@ -93,7 +93,7 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
     )
 
 
-def _lacking(fit: OutputErrorFit, scale: F64, again: Refit, square: float, likelier: F64 | None) -> F64:
+def _discrepancy(fit: OutputErrorFit, scale: F64, again: Refit, square: float, likelier: F64 | None) -> F64:
     """Root of what comes on top of the coordinates' covariance, but for other lags, shape (k, ·)."""
     k = len(fit.problem.parameter_of_column)
     parts = [np.zeros((k, 0))]
@@ -112,7 +112,7 @@ def _likelier(fit: OutputErrorFit) -> F64 | None:
 
     Plain output error is the safer one of the two, and where that noise adds up over a long run it may be far off.
     """
-    tried = fit.polished
+    tried = fit.refined
     return None if fit.noise is not None or fit.white or tried is None else tried.point.unknowns
 
 
@@ -131,7 +131,7 @@ def _wider(p: FittedParameter, coordinate_std: float, *, logarithm: bool) -> Fit
 def _square(fit: OutputErrorFit) -> float:
     """S; 0 where noise explains what is left, of the voltage's too. Of a current's or torque's noise, which adds up in
     a free run, the residuals look the same, and it moves the parameters as much."""
-    problem, tried = fit.problem, fit.polished
+    problem, tried = fit.problem, fit.refined
     if fit.noise is not None or fit.white:
         return 0.0
     if tried is not None:

@@ -23,7 +23,6 @@ from typing import Literal
 from servo_daemon.identification.output_error.noise.noise import WORTH, NoiseModel, resolution
 from servo_daemon.identification.output_error.noise.residual import ResidualTest, innovation_tests, residual_tests
 from servo_daemon.identification.output_error.noise.whitening import moving
-from servo_daemon.identification.output_error.polish import Polished, polish, whiten_point
 from servo_daemon.identification.output_error.precision.information import (
     Information,
     information,
@@ -32,6 +31,7 @@ from servo_daemon.identification.output_error.precision.information import (
     wider,
 )
 from servo_daemon.identification.output_error.problem.problem import Problem
+from servo_daemon.identification.output_error.refine import Refined, refine, whiten_point
 from servo_daemon.identification.output_error.solver.solver import Solution
 from servo_daemon.samples import F64
 
@@ -48,7 +48,7 @@ class Outcome:
         residual: of the free run there, by channel.
         innovation: of the filter, by channel; None without a noise model.
         noise: the noise model the estimate is for; None: plain output error.
-        polished, unsettled: see `OutputErrorFit`.
+        refined, unsettled: see `OutputErrorFit`.
     """
 
     solution: Solution
@@ -56,8 +56,8 @@ class Outcome:
     residual: Mapping[str, ResidualTest]
     innovation: Mapping[str, ResidualTest] | None
     noise: NoiseModel | None
-    polished: Polished | None
-    unsettled: Polished | None = None
+    refined: Refined | None
+    unsettled: Refined | None = None
 
 
 def conclude(
@@ -70,24 +70,24 @@ def conclude(
         torque_size: N·m, what the motor typically exerts.
         below: see `FitOptions.deviance_below`.
     """
-    polished = None
+    refined = None
     if option == "auto" and problem.plant.drive == "voltage":
-        polished = polish(problem, plain.point, torque_size, below)
-    if polished is None:
+        refined = refine(problem, plain.point, torque_size, below)
+    if refined is None:
         return _plain(problem, plain, scale, None)
-    if not polished.at_rest:
-        return replace(_plain(problem, plain, scale, None), unsettled=polished)
-    innovations, rms = polished.whitened.linearisation.residuals, polished.innovation_rms
+    if not refined.at_rest:
+        return replace(_plain(problem, plain, scale, None), unsettled=refined)
+    innovations, rms = refined.whitened.linearisation.residuals, refined.innovation_rms
     tests = innovation_tests(problem, innovations, rms, moving(problem), resolution(problem))
-    explained = polished.torque_gain < WORTH and "current_A" in problem.channels
+    explained = refined.torque_gain < WORTH and "current_A" in problem.channels
     if not explained or not all(test.white for test in tests.values()):
-        return _plain(problem, plain, scale, polished)
-    solution = replace(plain, point=polished.point, at_bound=polished.at_bound)
-    known = wider(information(problem, polished.whitened, scale), polished.instant_std)
-    return Outcome(solution, known, residual_tests(problem, polished.point), tests, polished.noise, polished)
+        return _plain(problem, plain, scale, refined)
+    solution = replace(plain, point=refined.point, at_bound=refined.at_bound)
+    known = wider(information(problem, refined.whitened, scale), refined.event_time_std)
+    return Outcome(solution, known, residual_tests(problem, refined.point), tests, refined.noise, refined)
 
 
-def _plain(problem: Problem, plain: Solution, scale: F64, rejected: Polished | None) -> Outcome:
+def _plain(problem: Problem, plain: Solution, scale: F64, rejected: Refined | None) -> Outcome:
     """The standard deviations are the largest of those that can be defended: of white residuals, of coloured ones by
     their spectrum, and of the noise model, whose innovations count as many times as they correlate. All at the same
     point, where they share what is not seen at all."""
@@ -101,12 +101,12 @@ def _plain(problem: Problem, plain: Solution, scale: F64, rejected: Polished | N
             others += [filtered.root, sandwich(problem, whitened, filtered)]
         known = replace(known, root=reduce(largest, others, known.root))
     if rejected is not None:
-        known = wider(known, _instant_std(plain, rejected))
+        known = wider(known, _event_time_std(plain, rejected))
     return Outcome(plain, known, residual, None, None, rejected)
 
 
-def _instant_std(plain: Solution, rejected: Polished) -> dict[int, float]:
-    """Of the instants in a free run, whose derivative knows no more of them: as far as the likelihood puts them
-    elsewhere, and its own."""
+def _event_time_std(plain: Solution, rejected: Refined) -> dict[int, float]:
+    """Of the event times in a free run, whose derivative knows no more of them: as far as the likelihood puts them
+    at other values, and its own."""
     here, there = plain.point.unknowns, rejected.point.unknowns
-    return {k: math.hypot(std, float(here[k] - there[k])) for k, std in rejected.instant_std.items()}
+    return {k: math.hypot(std, float(here[k] - there[k])) for k, std in rejected.event_time_std.items()}

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from servo_daemon.identification.output_error.diverged_segments import settled
 from servo_daemon.identification.output_error.fitted import OutputErrorFit
-from servo_daemon.identification.output_error.lost_runs import settled
 from servo_daemon.identification.output_error.noise.residual import residual_tests
 from servo_daemon.identification.output_error.precision.information import Information
 from servo_daemon.identification.output_error.precision.parameters import correlation_of, fitted_parameters

@@ -1,4 +1,4 @@
-"""A fit whose free runs noise bends, made again by what each sample is predicted to be.
+"""A fit whose free runs noise biases, made again by what each sample is predicted to be.
 
 Where dry friction may hold the shaft, a voltage noise that no recording shows does not average out: it decides when the
 shaft lets go, and free runs through such moments are no smooth function of anything. Fitted to them the parameters of
@@ -68,7 +68,7 @@ def predicted_fit(fit: OutputErrorFit, recordings: Sequence[Recording]) -> Outpu
         return None
     known = _information(fit.after, found, columns)
     for away in (-_AWAY, _AWAY):
-        other = _most_likely(fit, at, axes, _elsewhere(fit, moved, away), columns)
+        other = _most_likely(fit, at, axes, _other_start(fit, moved, away), columns)
         if other is None or not _agree(known, moved[columns], other.at[columns], columns):
             return None
     known = wider(known, _hidden_by_sampling(fit, moved))
@@ -88,7 +88,7 @@ def _hidden_by_sampling(fit: OutputErrorFit, unknowns: F64) -> dict[int, float]:
     return {column: abs(float(unknowns[column] - fit.solution.point.unknowns[column]))}
 
 
-def _elsewhere(fit: OutputErrorFit, unknowns: F64, away: float) -> F64:
+def _other_start(fit: OutputErrorFit, unknowns: F64, away: float) -> F64:
     """Along what the free runs know least, as far as they leave it open: each time that the shaft lets go a sample
     earlier or later the likelihood has a step, and where the data say little such steps are all that it shows."""
     root = fit.after.root
@@ -182,8 +182,8 @@ def _most_likely(fit: OutputErrorFit, at: Predictor, axes: Axes, unknowns: F64, 
 
 def _first_noise(fit: OutputErrorFit, low: F64, high: F64) -> F64:
     """As the fit has found it, or a share of the signals."""
-    if fit.polished is not None:
-        a = fit.polished.log_variance
+    if fit.refined is not None:
+        a = fit.refined.log_variance
         return np.asarray(np.clip(np.concatenate([a[[INPUT_NOISE]], a[SOURCES:]]), low, high))
     shares = np.concatenate([[_INPUT_SHARE], np.full(len(low) - 1, _SENSOR_SHARE)])
     return np.asarray(np.clip(high + 2 * np.log(shares), low, high))

@@ -1,4 +1,4 @@
-"""Whether a free run was bent by what adds up over time.
+"""Whether a free run was biased by what adds up over time.
 
 An angle integrates a speed, and a speed a torque: what the model lacks, a constant load of a percent or a friction that
 differs by direction, makes a long free run drift away by more than anything that happens within a second. The fit then
@@ -26,7 +26,8 @@ SEGMENT_S, _FEWEST = 1.0, 5
 _LONGEST_S = 30.0
 #: Drift is most of what a free run leaves where a straight line over each second takes all but this share of its RMS.
 _WITHIN = 0.5
-#: A parameter is bent where the two differ by this share, and by more standard deviations of the short runs than that.
+#: A parameter is biased where the two differ by this share, and by more standard deviations of the short runs than
+#: that.
 _BENT, _SIGMA = 0.1, 4.0
 
 
@@ -37,12 +38,12 @@ class Drift:
     Attributes:
         share: of the long run's residual (RMS) that is drift, of the channel that drifts most.
         channel: that channel.
-        bent: by name, natural units: values over the long run (None: not determined) and over short ones.
+        biased: by name, natural units: values over the long run (None: not determined) and over short ones.
     """
 
     share: float
     channel: str
-    bent: Mapping[str, tuple[float | None, float]]
+    biased: Mapping[str, tuple[float | None, float]]
 
 
 def drift_of(fit: OutputErrorFit, recordings: Sequence[Recording], options: FitOptions) -> Drift | None:
@@ -63,8 +64,8 @@ def drift_of(fit: OutputErrorFit, recordings: Sequence[Recording], options: FitO
         )
     except ServoDaemonError:  # too little in a second
         return None
-    bent = _bent(fit, short)
-    return Drift(share, channel, bent) if bent else None
+    biased = _biased(fit, short)
+    return Drift(share, channel, biased) if biased else None
 
 
 def _first(recording: Recording, seconds: float) -> SampleBlock:
@@ -72,7 +73,7 @@ def _first(recording: Recording, seconds: float) -> SampleBlock:
     return recording.block.slice(0, int(np.searchsorted(time, time[0] + seconds, side="right")))
 
 
-def _bent(long: OutputErrorFit, short: OutputErrorFit) -> dict[str, tuple[float | None, float]]:
+def _biased(long: OutputErrorFit, short: OutputErrorFit) -> dict[str, tuple[float | None, float]]:
     out = {}
     for name, there in short.parameters.items():
         here = long.parameters[name]

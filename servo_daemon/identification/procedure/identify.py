@@ -38,7 +38,7 @@ class Identification:
         fit: the model asked for.
         baseline: the model without the added effects; None where none were added or nothing is validated.
         validation: one for each validation capture.
-        drift: where the fit's free run was bent by what adds up over time; None where it was not.
+        drift: where the fit's free run was biased by what adds up over time; None where it was not.
     """
 
     captures: tuple[Capture, ...]

@@ -8,7 +8,7 @@ from dataclasses import replace
 from servo_daemon.identification.output_error import FitOptions, OutputErrorFit, Recording, fit_output_error
 from servo_daemon.identification.output_error.problem.setup import acceleration_size, make_problem
 from servo_daemon.identification.output_error.solver.solver import solve
-from servo_daemon.identification.short_runs import begun_short_runs, by_short_runs, can_be_fitted, placed
+from servo_daemon.identification.short_runs import begun_short_runs, by_short_runs, can_be_fitted, with_found_states
 from servo_daemon.kalman.gaussian import natural_values, to_coordinate
 
 #: Length of the free runs, s, where none is asked for.
@@ -52,7 +52,7 @@ def fit_with_play(
     begin = begun_short_runs(problem, start, rigid)
     if begin is None:
         return None
-    runs = placed(make_problem(recordings, effects, options.fixed, segment_s=runs_s), begin)
+    runs = with_found_states(make_problem(recordings, effects, options.fixed, segment_s=runs_s), begin)
     unknowns = runs.start({p.name: to_coordinate(p, begin[p.name]) for p in runs.plant.parameters})
     found = solve(runs, unknowns, robust=options.robust, max_iterations=_ITERATIONS, curved=False)
     values = (

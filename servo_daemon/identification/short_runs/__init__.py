@@ -8,11 +8,16 @@ projection: Golub & Pereyra, *SIAM J. Numer. Anal.* 10, 1973; Kaufman, *BIT* 15,
 """
 
 from servo_daemon.identification.short_runs.fit import begun_short_runs, fit_short_runs
-from servo_daemon.identification.short_runs.placed import is_placed, placed, placed_in_short_runs, placed_within
+from servo_daemon.identification.short_runs.informative import RunSource, with_all_inertia
+from servo_daemon.identification.short_runs.initial_states import (
+    found_states_std,
+    has_found_states,
+    short_runs_with_found_states,
+    with_found_states,
+)
 from servo_daemon.identification.short_runs.published import by_short_runs
 from servo_daemon.identification.short_runs.runs import can_be_fitted
 from servo_daemon.identification.short_runs.search import ShortRunFit
-from servo_daemon.identification.short_runs.telling import RunSource, with_all_inertia
 
 __all__ = [
     "RunSource",
@@ -21,9 +26,9 @@ __all__ = [
     "by_short_runs",
     "can_be_fitted",
     "fit_short_runs",
-    "is_placed",
-    "placed",
-    "placed_in_short_runs",
-    "placed_within",
+    "found_states_std",
+    "has_found_states",
+    "short_runs_with_found_states",
     "with_all_inertia",
+    "with_found_states",
 ]

@@ -8,9 +8,9 @@ import numpy as np
 
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.short_runs.gap import FAR, NEAR, NEAREST, with_other_gap
+from servo_daemon.identification.short_runs.informative import RunSource
 from servo_daemon.identification.short_runs.runs import FEW_SAMPLES, MOST_SAMPLES, SHORT, can_be_fitted
 from servo_daemon.identification.short_runs.search import ShortRunFit, search, within
-from servo_daemon.identification.short_runs.telling import RunSource
 from servo_daemon.kalman.gaussian import to_coordinate
 from servo_daemon.samples import F64
 

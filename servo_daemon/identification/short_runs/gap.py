@@ -8,10 +8,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from servo_daemon.identification.short_runs.informative import RunSource
 from servo_daemon.identification.short_runs.runs import FEW_SAMPLES, LONG, MOST_SAMPLES, Runs
 from servo_daemon.identification.short_runs.search import cost, costs, settled_runs, within
 from servo_daemon.identification.short_runs.states import Settled, descended, searched
-from servo_daemon.identification.short_runs.telling import RunSource
 from servo_daemon.samples import F64
 
 #: Groups of runs, each left out once.

@@ -13,8 +13,8 @@ from servo_daemon.identification.output_error.problem.setup import Recording
 from servo_daemon.identification.output_error.republished import republished, uncut, with_settled_states
 from servo_daemon.identification.short_runs.fit import coordinates_of, fit_short_runs
 from servo_daemon.identification.short_runs.gap import likelier
+from servo_daemon.identification.short_runs.informative import RunSource, with_all_inertia
 from servo_daemon.identification.short_runs.search import ShortRunFit
-from servo_daemon.identification.short_runs.telling import RunSource, with_all_inertia
 
 
 def by_short_runs(

@@ -26,7 +26,7 @@ from servo_daemon.simulate.visible import VISIBLE
 
 CORE = MOTOR_NAMES
 #: Effects that any drive may have, whatever its model says; of dry friction only if the model has none.
-_NUISANCE = ("constant_load_torque", "current_sensor_offset", "brush_voltage_drop")
+_BIASES = ("constant_load_torque", "current_sensor_offset", "brush_voltage_drop")
 _DRY = ("coulomb_friction", "asymmetric_friction", "stribeck_friction")
 #: The motor has run for this long when its window begins, s.
 LEAD_S = 0.3
@@ -82,7 +82,7 @@ class TrainingSpec:
     def plant_effects(self) -> tuple[str, ...]:
         """The model's and what any drive may have."""
         dry = () if set(_DRY) & set(self.effects) else ("coulomb_friction",)
-        added = (*_NUISANCE, *dry)
+        added = (*_BIASES, *dry)
         # Levels of dry friction by direction are a load torque beside equal ones: never both.
         if "asymmetric_friction" in self.effects:
             added = tuple(e for e in added if e != "constant_load_torque")
@@ -132,7 +132,7 @@ def draw_motor(spec: TrainingSpec, number: int, core: F64) -> DrawnMotor:
     stall_A = supply / p["R"]
     table = {name: dict[str, float]() for name in spec.plant_effects}
     known = effects_by_name()
-    drawn = _nuisances(rng, p, supply)
+    drawn = _biases(rng, p, supply)
     for name, values in table.items():
         for q in known[name].parameters:
             if name in spec.effects:
@@ -162,7 +162,7 @@ def _between(rng: np.random.Generator, low: float, high: float) -> float:
     return float(low * (high / low) ** rng.random())
 
 
-def _nuisances(rng: np.random.Generator, p: Mapping[str, float], supply_V: float) -> dict[str, float]:
+def _biases(rng: np.random.Generator, p: Mapping[str, float], supply_V: float) -> dict[str, float]:
     """Effects that any drive may have: nothing in a third of them, else up to more than is usual."""
     current = 0.3 * supply_V / p["R"]
     torque = p["K"] * current

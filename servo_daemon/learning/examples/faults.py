@@ -2,7 +2,7 @@
 
 Nothing here is tuned to a certain fault: any channel may be lost, freeze, spike, come late, be shifted from some moment
 on (an encoder that slips) or have the wrong sign, for any part of the window and by any amount that would harm. Whether
-a window shows it is for the model to find out (`strangeness`).
+a window shows it is for the model to find out (`novelty`).
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ _PER_TASK = 25
 _MOST_LOST = 0.5
 
 #: What a window is: of a motor within the range and well measured; of such a motor with a fault of the measuring; of a
-#: motor outside the range. The last two are what a model must decline (`strangeness`).
+#: motor outside the range. The last two are what a model must decline (`novelty`).
 HEALTHY, FAULTY, FOREIGN = 0, 1, 2
 #: Faulty windows beside each healthy one: they come in many kinds, and cost no simulation.
 _FAULTS_EACH = 2
@@ -77,7 +77,7 @@ def simulate_training(
     spec: TrainingSpec,
     motors: int,
     *,
-    strange: bool = False,
+    novel: bool = False,
     jobs: int = -1,
     dask: str | None = None,
     progress: Progress | None = None,
@@ -85,7 +85,7 @@ def simulate_training(
     """Windows of so many simulated motors.
 
     Args:
-        strange: beside each healthy window two with a fault, and one of a motor outside the range.
+        novel: beside each healthy window two with a fault, and one of a motor outside the range.
         jobs: processes on this machine; −1: one per core.
         dask: address of a Dask scheduler, such as "tcp://host:8786"; the tasks then run on its workers.
 
@@ -101,7 +101,7 @@ def simulate_training(
     with _engine(dask, jobs):
         from joblib import Parallel, delayed
 
-        work = (delayed(simulate_motors)(spec, t, core[t.start : t.stop], strange=strange) for t in tasks)
+        work = (delayed(simulate_motors)(spec, t, core[t.start : t.stop], novel=novel) for t in tasks)
         for part in Parallel(return_as="generator", batch_size=1, pre_dispatch="all" if dask else "2*n_jobs")(work):
             parts.append(part)
             if progress is not None:
@@ -141,19 +141,19 @@ def _engine(dask: str | None, jobs: int) -> Iterator[None]:
         yield
 
 
-def simulate_motors(spec: TrainingSpec, numbers: Sequence[int], core: F64, *, strange: bool = False) -> TrainingSet:
+def simulate_motors(spec: TrainingSpec, numbers: Sequence[int], core: F64, *, novel: bool = False) -> TrainingSet:
     """A task: the windows of these motors.
 
     Args:
         core: their R, L, K, J, B, shape (len(numbers), 5).
-        strange: see `simulate_training`.
+        novel: see `simulate_training`.
     """
     loop = servo_loop(spec)
     parts = []
     for number, row in zip(numbers, core, strict=True):
         window, truth = simulate_window(spec, number, row, loop)
         parts.append(labelled(window, truth, number))
-        if strange:
+        if novel:
             rng = np.random.default_rng([spec.seed, 4, number])
             faulty = [with_fault(window, rng)[0] for _ in range(_FAULTS_EACH)]
             parts += [labelled(f, truth, number, FAULTY) for f in faulty]

@@ -198,10 +198,10 @@ def _shaft_columns(w: Windows, s: Stretch) -> list[F64]:
     return [acceleration, speed_, w.of_one]
 
 
-def closure(w: Window, value: Mapping[str, float]) -> tuple[float, float] | None:
+def residual_shares(w: Window, value: Mapping[str, float]) -> tuple[float, float] | None:
     """How far the two balances of this window are from closing with these parameters: RMS of what is left over the RMS
     of voltage and of current. What any drive may have beside them (an offset, a brush drop; a load, dry friction) is
-    fitted to what is left: values that a model without these has bent to the data must not win by it. None without a
+    fitted to what is left: values that a model without these has fitted to the data must not win by it. None without a
     signal.
 
     Args:

@@ -31,7 +31,7 @@ class Fit:
 
 
 class Fits:
-    """See the module.
+    """Products of a balance's columns, and the fits of models made of some of them.
 
     Args:
         columns: c of them, shapes (rows,): regressors, and what is to be explained by them.

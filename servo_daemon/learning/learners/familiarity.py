@@ -4,7 +4,7 @@ Two tests, on all features, not only the screened ones, as in the monitoring of 
 *Technometrics* 21, 1979): the kernel's mass among the training windows in the principal components, and the part of the
 window that lies outside these (its squared prediction error: a combination of features that no motor of the training
 showed). What is published is the smaller share of calibration motors that look less familiar by one of them. Faults
-that look like another motor of the training are for `strangeness`.
+that look like another motor of the training are for `novelty`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _CENTRES = 600
 
 
 class Familiarity(BaseEstimator):  # type: ignore[misc]  # scikit-learn is untyped
-    """See the module.
+    """Scores how far windows lie from those of the training.
 
     Attributes:
         mass_, outside_: of the calibration windows, sorted, shape (n,).

@@ -28,7 +28,7 @@ _ROWS = 512
 
 
 class GRNN(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-learn is untyped
-    """See the module.
+    """Kernel regression over prototypes, one width a feature.
 
     Args:
         bandwidth: h in standard deviations of each feature, one number or shape (d,); None: fitted.

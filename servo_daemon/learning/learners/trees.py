@@ -21,7 +21,7 @@ _ROWS = 64
 
 
 class BoostedTrees(BaseEstimator):  # type: ignore[misc]  # scikit-learn is untyped
-    """See the module; made by `boosted_trees`.
+    """Boosted trees in arrays; made by `boosted_trees`.
 
     Attributes:
         feature_, threshold_, below_, above_, value_: of all nodes of all trees, shape (nodes,): which feature is

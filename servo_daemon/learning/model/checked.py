@@ -24,7 +24,7 @@ from servo_daemon.learning.features.preparation import Preparation
 from servo_daemon.learning.learners.familiarity import Familiarity
 from servo_daemon.learning.learners.grnn import GRNN
 from servo_daemon.learning.learners.trees import BoostedTrees
-from servo_daemon.learning.model.strangeness import Strangeness
+from servo_daemon.learning.model.novelty import Novelty
 
 #: Levels of a boosted tree: scikit-learn's have at most 31 leaves.
 _DEEPEST = 64
@@ -41,7 +41,7 @@ def check_parts(parts: Mapping[str, Any], learner: str) -> None:
         kept = _indices("kept", parts["kept"], (None,), d)
         _estimator(parts["estimator"], learner, len(kept))
         _familiarity(parts["familiarity"], d)
-        _strangeness(parts["strangeness"], d)
+        _novelty(parts["strangeness"], d)
         _intervals(parts["intervals"])
     except (KeyError, AttributeError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise BadInputError(f"a part of the model is missing: {error}") from error
@@ -179,20 +179,20 @@ def _familiarity(f: Any, d: int) -> None:
     _array("familiarity", f.outside_, known.shape)
 
 
-def _strangeness(s: Any, d: int) -> None:
+def _novelty(s: Any, d: int) -> None:
     core = len(CORE)
-    _typed("strangeness", s, Strangeness)
-    _array("strangeness", np.asarray(s._nominal), (core,))
+    _typed("novelty", s, Novelty)
+    _array("novelty", np.asarray(s._nominal), (core,))
     if not np.isfinite(s._range):
-        raise _wrong("strangeness", "has a range that is not finite")
-    _array("strangeness", s.slope_, (d, core))
-    _array("strangeness", s.start_, (core,))
-    _array("strangeness", s.known_, (None,))
-    kinds = _array("strangeness", s.kinds_, (None,), "iu")
+        raise _wrong("novelty", "has a range that is not finite")
+    _array("novelty", s.slope_, (d, core))
+    _array("novelty", s.start_, (core,))
+    _array("novelty", s.known_, (None,))
+    kinds = _array("novelty", s.kinds_, (None,), "iu")
     if np.count_nonzero(kinds == HEALTHY) != 1:
-        raise _wrong("strangeness", "does not know what is healthy")
-    # How its inputs are put together: `Strangeness._inputs`.
-    _boosted("strangeness", s._trees, d + 3 * core + 2, len(kinds))
+        raise _wrong("novelty", "does not know what is healthy")
+    # How its inputs are put together: `Novelty._inputs`.
+    _boosted("novelty", s._trees, d + 3 * core + 2, len(kinds))
 
 
 def _intervals(found: Mapping[str, Any]) -> None:

@@ -17,7 +17,7 @@ from servo_daemon.learning.features.preparation import Preparation
 from servo_daemon.learning.learners.conformal import Intervals
 from servo_daemon.learning.learners.familiarity import LEAST_FAMILIARITY, Familiarity
 from servo_daemon.learning.learners.learners import Learner, predict
-from servo_daemon.learning.model.strangeness import MOST_STRANGE, Looks, Strangeness
+from servo_daemon.learning.model.novelty import MOST_NOVEL, Looks, Novelty
 from servo_daemon.samples import F64
 
 #: An estimate beyond the trained range by more than this factor is declined, however familiar the window looks.
@@ -56,7 +56,7 @@ class Predictions:
 
 @dataclass(frozen=True)
 class LearnedModel:
-    """See the module; made by `fitting.train_model`.
+    """Everything that a prediction needs; made by `fitting.train_model`.
 
     Attributes:
         spec: what it was trained on.
@@ -73,7 +73,7 @@ class LearnedModel:
     estimator: Any
     intervals: Intervals
     familiarity: Familiarity
-    strangeness: Strangeness
+    novelty: Novelty
     facts: Mapping[str, Any]
 
     @property
@@ -96,8 +96,8 @@ class LearnedModel:
         value = natural(coordinates, base.torque)
         sigma = np.column_stack([value[:, :-1] * one[:, :-1], one[:, -1] * base.torque])
         familiarity = self.familiarity.score(prepared.extended)
-        strange, kind = self.strangeness.judge(Looks(prepared.extended, base))
-        usual = self.strangeness.share(strange)
+        novel, kind = self.novelty.judge(Looks(prepared.extended, base))
+        usual = self.novelty.share(novel)
         looks = np.where(kind == FAULTY, _LOOKS_FAULTY, _LOOKS_FOREIGN)
         unlike = np.where(familiarity < LEAST_FAMILIARITY, "the window is unlike those of the training", "")
         return Predictions(
@@ -106,7 +106,7 @@ class LearnedModel:
             natural(coordinates - half, base.torque),
             natural(coordinates + half, base.torque),
             np.minimum(familiarity, usual),
-            self._declined(prepared.missing, value, base.known, np.where(usual < MOST_STRANGE, looks, unlike)),
+            self._declined(prepared.missing, value, base.known, np.where(usual < MOST_NOVEL, looks, unlike)),
             self.intervals.correlation,
         )
 

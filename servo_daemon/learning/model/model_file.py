@@ -50,7 +50,8 @@ _TYPES = frozenset(
         "servo_daemon.learning.learners.grnn.GRNN",
         "servo_daemon.learning.features.preparation.Preparation",
         "servo_daemon.learning.learners.familiarity.Familiarity",
-        "servo_daemon.learning.model.strangeness.Strangeness",
+        "servo_daemon.learning.model.novelty.Novelty",
+        "servo_daemon.learning.model.strangeness.Strangeness",  # its name in older files
         "servo_daemon.learning.learners.trees.BoostedTrees",
         "sklearn.tree._tree.Tree",
     }
@@ -85,7 +86,7 @@ def save_model(model: LearnedModel, path: Path) -> None:
         "kept": model.kept,
         "estimator": model.estimator,
         "familiarity": model.familiarity,
-        "strangeness": model.strangeness,
+        "strangeness": model.novelty,  # the key of all files of this schema
         "intervals": {k: np.asarray(v) for k, v in asdict(model.intervals).items()},
     }
     numbers = skops.io.dumps(parts)

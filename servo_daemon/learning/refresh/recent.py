@@ -34,7 +34,7 @@ class _Said:
 
 
 class Recent:
-    """See the module.
+    """The weighted mean of the last windows' estimates.
 
     Args:
         counts_for_s: device time after which a window counts no more: what it said is of the motor of then.

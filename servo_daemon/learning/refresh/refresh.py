@@ -26,7 +26,7 @@ from servo_daemon.learning.examples.training import TARGETS
 from servo_daemon.learning.features.features import features_of
 from servo_daemon.learning.features.window import prepare
 from servo_daemon.learning.model.model import LearnedModel
-from servo_daemon.learning.refresh.proof import Proof
+from servo_daemon.learning.refresh.champion_challenger import ChampionChallengerTest
 from servo_daemon.samples import F64, Quality, SampleBlock, concatenate
 
 #: The calibrated std is taken for so many times as much: filter and model share the samples.
@@ -68,8 +68,8 @@ class RefreshEstimate:
         pseudo: what is to be done with it; None: nothing.
         reason: why nothing is to be done, or why the filter is to be widened; "" else.
         distance: RMS distance from the filter's values in standard deviations; None without a filter.
-        closure, filter_closure: what the model's estimate of the window before, and the filter's values of that time,
-            leave of this window's balances (armature, shaft); None where there was none to judge.
+        residuals, filter_residuals: what the model's estimate of the window before, and the filter's values of that
+            time, leave of this window's balances (armature, shaft); None where there was none to judge.
     """
 
     time_s: float
@@ -81,12 +81,12 @@ class RefreshEstimate:
     pseudo: PseudoMeasurement | None = None
     reason: str = ""
     distance: float | None = None
-    closure: tuple[float, float] | None = None
-    filter_closure: tuple[float, float] | None = None
+    residuals: tuple[float, float] | None = None
+    filter_residuals: tuple[float, float] | None = None
 
 
 class Refresh:
-    """See the module.
+    """Estimates a window every few seconds, and decides whether it may correct the filter.
 
     Args:
         model: for this drive.
@@ -103,17 +103,17 @@ class Refresh:
         self._blocks: deque[SampleBlock] = deque()
         self._due_s: float | None = None
         self._channels: tuple[str, ...] = ()
-        self._proof = Proof()
+        self._challenge = ChampionChallengerTest()
 
     @property
     def refuted(self) -> frozenset[str]:
         """Parameters of which the last window's balances say that the filter is wrong, and the model not."""
-        return self._proof.refuted if self._proof.trusted else frozenset()
+        return self._challenge.refuted if self._challenge.trusted else frozenset()
 
     @property
     def mode(self) -> str:
         """ "shadow" or "trusted"."""
-        return "trusted" if self._proof.trusted else "shadow"
+        return "trusted" if self._challenge.trusted else "shadow"
 
     def update(self, block: SampleBlock, estimate: Callable[[], Gaussian | None]) -> RefreshEstimate | None:
         """Take samples; an estimate when a window has become due.
@@ -139,7 +139,7 @@ class Refresh:
         if restarted or backwards or block.channels != self._channels:
             self._blocks.clear()
             self._due_s, self._channels = None, block.channels
-            self._proof.forget()
+            self._challenge.forget()
         self._blocks.append(block)
         oldest_s = float(block.time_s[-1]) - self.model.spec.window_s
         while len(self._blocks) > 1 and float(self._blocks[0].time_s[-1]) < oldest_s:
@@ -165,10 +165,10 @@ class Refresh:
         if declined:
             return RefreshEstimate(time_s, {}, {}, familiarity, declined, self.mode)
         filtered = _natural(estimate)
-        left = self._proof.judge(window, filtered)
+        left = self._challenge.judge(window, filtered)
         value = dict(zip(TARGETS, p.value[0].tolist(), strict=True))
         std = dict(zip(TARGETS, p.std[0].tolist(), strict=True))
-        self._proof.believe(value, filtered)
+        self._challenge.believe(value, filtered)
         decided = self._compare(value, std, p.correlation, estimate)
         return RefreshEstimate(time_s, value, std, familiarity, "", self.mode, *decided, left.model, left.filter)
 
@@ -201,7 +201,7 @@ class Refresh:
 
     def _wanted(self, distance: float, knows_better: bool) -> tuple[bool, str]:
         """Whether an estimate is to enter, and why not, or why the filter is to be widened first."""
-        if not self._proof.trusted:
+        if not self._challenge.trusted:
             return False, "shadow: not proven yet"
         if self.refuted:
             return True, "the filter's values leave more of the balances: its covariance is widened"

@@ -20,7 +20,7 @@ from servo_daemon.learning.learners.familiarity import Familiarity
 from servo_daemon.learning.learners.learners import Learner, fit_learner, make_learner, predict
 from servo_daemon.learning.learners.screening import Screening, screen
 from servo_daemon.learning.model.model import LearnedModel
-from servo_daemon.learning.model.strangeness import Looks, Strangeness
+from servo_daemon.learning.model.novelty import Looks, Novelty
 from servo_daemon.samples import F64
 
 #: Shares of the motors: to calibrate with, and of the others to screen with.
@@ -70,12 +70,12 @@ def train_model(
     """Screen, fit, calibrate.
 
     Args:
-        windows: simulated ones of this spec, strange ones among them, and measured ones.
+        windows: simulated ones of this spec, novel ones among them, and measured ones.
         jobs: cores.
         say: told what is being done.
 
     Raises:
-        BadInputError: too few motors with a usable window, or no strange ones.
+        BadInputError: too few motors with a usable window, or no novel ones.
     """
     tell = say or (lambda _: None)
     began = time.perf_counter()
@@ -123,18 +123,18 @@ def _usable(spec: TrainingSpec, windows: TrainingSet, target: Target) -> _Usable
     if motors < FEWEST_MOTORS:
         raise BadInputError(f"{motors} motors gave a usable window: {FEWEST_MOTORS} at least are needed")
     if not {FAULTY, FOREIGN} <= set(found.windows.kind.tolist()):
-        raise BadInputError("no windows with a fault or of motors outside the range: simulate them with strange=True")
+        raise BadInputError("no windows with a fault or of motors outside the range: simulate them with novel=True")
     return found
 
 
-def _declines(spec: TrainingSpec, preparation: Preparation, of: _Usable) -> tuple[Familiarity, Strangeness]:
+def _declines(spec: TrainingSpec, preparation: Preparation, of: _Usable) -> tuple[Familiarity, Novelty]:
     """What the model declines by."""
     looks = Looks(preparation.prepare(of.windows.features).extended, of.base)
     kind, held = of.windows.kind, of.role == "calibrate"
     fit, calibration = ~held & (kind == HEALTHY), looks.only(held & (kind == HEALTHY))
     return (
         Familiarity().fit(looks.extended[fit], calibration.extended, spec.seed),
-        Strangeness().fit(spec, looks.only(~held), of.windows.truth[~held], kind[~held], calibration),
+        Novelty().fit(spec, looks.only(~held), of.windows.truth[~held], kind[~held], calibration),
     )
 
 
@@ -159,7 +159,7 @@ def _facts(screening: Screening, of: _Usable, error: F64, features: int) -> dict
 
 
 def _abstains(model: LearnedModel, of: _Usable) -> dict[str, float]:
-    """Which share the model accepts of the windows of calibration motors, healthy and strange."""
+    """Which share the model accepts of the windows of calibration motors, healthy and novel."""
     held = of.windows.only(of.role == "calibrate")
     accepted, kind = model.predict(held.features).accepted, held.kind
     shares = {"accepted": HEALTHY, "accepted_faulty": FAULTY, "accepted_foreign": FOREIGN}

@@ -52,7 +52,7 @@ def train(
         BadInputError: see `simulate_training` and `train_model`.
     """
     began = time.perf_counter()
-    windows = simulate_training(spec, job.motors, strange=True, jobs=job.jobs, dask=job.dask, progress=progress)
+    windows = simulate_training(spec, job.motors, novel=True, jobs=job.jobs, dask=job.dask, progress=progress)
     simulated_s = time.perf_counter() - began
     if job.measured is not None:
         windows = windows.joined(job.measured)

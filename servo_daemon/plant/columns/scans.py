@@ -1,4 +1,4 @@
-"""Where to look for what repeats or happens once: frequencies, harmonics of the turn, instants."""
+"""Where to look for what repeats or happens once: frequencies, harmonics of the turn, event times."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def best_harmonics(c: Context, weight: F64, series: str = "torque") -> list[int]
     return [int(n) for n in ranked if power[n] > 0]
 
 
-def step_instants(r: F64, weight: F64) -> list[int]:
+def step_times(r: F64, weight: F64) -> list[int]:
     """Where a step of the coefficient of `weight`, shape (n,), explains most of r: from sample k on."""
     after, room = np.cumsum((r * weight)[::-1])[::-1], np.cumsum((weight**2)[::-1])[::-1]
     n, total = len(r), max(float(room[0]), 1e-300)

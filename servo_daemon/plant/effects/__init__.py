@@ -21,8 +21,8 @@ __all__ = [
     "check_effects",
     "dry_frictions",
     "effects_by_name",
+    "event_times",
     "further_harmonics",
-    "instants",
     "parameter_table",
 ]
 
@@ -79,7 +79,7 @@ def dry_frictions() -> tuple[str, ...]:
 
 
 @cache
-def instants() -> Mapping[str, str]:
+def event_times() -> Mapping[str, str]:
     """What steps, and the parameter that says when: a time that no filter finds along the way."""
     out: dict[str, str] = {}
     for effect in effects_by_name().values():

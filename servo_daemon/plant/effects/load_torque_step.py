@@ -8,7 +8,7 @@ import numpy as np
 
 from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.columns.regressors import NO_COLUMNS
-from servo_daemon.plant.columns.scans import step_instants
+from servo_daemon.plant.columns.scans import step_times
 from servo_daemon.plant.columns.screening import Basis, Context
 from servo_daemon.plant.effects.base import Effect, Signals, Terms, share_after
 from servo_daemon.samples import F64
@@ -47,7 +47,7 @@ def _screening(c: Context) -> Iterator[Basis]:
     if "torque" not in c.residual:
         return
     t = c.motion.t
-    for k in step_instants(c.residual["torque"], np.where(c.motion.rest, 0.0, 1.0)):
+    for k in step_times(c.residual["torque"], np.where(c.motion.rest, 0.0, 1.0)):
 
         def start(b: F64, at: float = float(t[k])) -> dict[str, float]:
             return {"dTL": b[0], "t_TL": at}

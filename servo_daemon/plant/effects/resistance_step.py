@@ -9,7 +9,7 @@ import numpy as np
 
 from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.columns.regressors import NO_COLUMNS
-from servo_daemon.plant.columns.scans import step_instants
+from servo_daemon.plant.columns.scans import step_times
 from servo_daemon.plant.columns.screening import Basis, Context
 from servo_daemon.plant.effects.base import Effect, Signals, Terms, share_after
 from servo_daemon.samples import F64
@@ -53,7 +53,7 @@ def _screening(c: Context) -> Iterator[Basis]:
     m = c.motion
     if "voltage" not in c.residual:
         return
-    for k in step_instants(c.residual["voltage"], m.i):
+    for k in step_times(c.residual["voltage"], m.i):
 
         def start(b: F64, at: float = float(m.t[k])) -> dict[str, float]:
             return {"dR": b[0], "t_R": at}

@@ -24,7 +24,7 @@ ADDED_TO = {"armature": "voltage", "shaft": "torque"}
 
 @dataclass(frozen=True, slots=True)
 class DerivedTerms:
-    """One effect's.
+    """The columns of one effect in both balances.
 
     Attributes:
         columns: parameters that are the coefficients of columns, by balance.
@@ -64,7 +64,7 @@ class DerivedTerms:
 
 @cache
 def derived_terms(effect: str) -> DerivedTerms:
-    """Of an effect of the library, from its terms."""
+    """Columns of an effect of the library, derived from its terms."""
     c = contribution(effect)
     s, own = c.signals, {p.name for p in c.effect.parameters}
     looked_for = ca.vertcat(s.torque, *(s.p[name] for name in {*MOTOR_NAMES, "Tc"} - own))

@@ -21,7 +21,7 @@ from servo_daemon.regression.columns.terms import (
 
 @dataclass(frozen=True)
 class ModelColumns:
-    """One model's.
+    """The columns of one model in both balances.
 
     Attributes:
         armature, shaft: names of the columns.
@@ -41,17 +41,17 @@ class ModelColumns:
     named: dict[str, str]
 
     @classmethod
-    def of(cls, plant: PlantModel, nuisance: Sequence[str], *, sees_current: bool, sees_angle: bool) -> ModelColumns:
-        """Of a plant.
+    def of(cls, plant: PlantModel, biases: Sequence[str], *, sees_current: bool, sees_angle: bool) -> ModelColumns:
+        """Columns of a plant's balances.
 
         Args:
-            nuisance: parameters that nobody asks for: no offset of the armature is named that is one of them.
+            biases: parameters that nobody asks for: no offset of the armature is named that is one of them.
         """
         unseen = unseen_in(plant.effects, sees_current=sees_current, sees_angle=sees_angle)
         effects = tuple(e for e in plant.effects if e not in unseen)
         every, seen, offsets = derived_of(plant.effects), derived_of(effects), armature_offsets(plant.effects)
         armature = (*WINDING_NAMES, *armature_columns(effects))
-        asked = len(offsets) == 1 and offsets[0] not in nuisance
+        asked = len(offsets) == 1 and offsets[0] not in biases
         of_terms = [c for d in seen for c in d.columns["armature"]]
         named = {c: c for c in (*WINDING_NAMES, "Vb", *of_terms)} | ({"one": offsets[0]} if asked else {})
         return cls(

@@ -69,7 +69,7 @@ class RowMaker:
         return make_windows(s.time_s, first, length) if len(first) else None
 
     def armature(self, s: Stretch, period_s: float, current_var: float, sag: float) -> ModelRows | None:
-        """Of the armature's balance, V; None where there are none.
+        """Rows of the armature's balance, V; None where there are none.
 
         Args:
             current_var: noise of the current, A².
@@ -96,7 +96,7 @@ class RowMaker:
         return ModelRows(in_columns(columns), w.held(s.voltage), w, s)
 
     def shaft(self, s: Stretch, period_s: float, sag: float) -> ModelRows | None:
-        """Of the shaft's balance, N·m or that over K; None where there are none."""
+        """Rows of the shaft's balance, N·m or that over K; None where there are none."""
         if self._plant.may_stick:
             s = replace(s, usable=s.usable & (s.sliding != 0.0))
         w = self._windows(s, period_s, "shaft")

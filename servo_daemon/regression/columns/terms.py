@@ -19,7 +19,7 @@ from servo_daemon.samples import F64
 
 
 def derived_of(effects: Sequence[str]) -> tuple[DerivedTerms, ...]:
-    """Of those effects that have their columns from their terms."""
+    """Derived columns of those effects that bring none of their own."""
     return tuple(derived_terms(e) for e in effects if effects_by_name()[e].regressors is None)
 
 
@@ -44,7 +44,7 @@ def columns_of(effect: str, effects: Sequence[str]) -> tuple[str, ...]:
 
 
 def shaft_columns(effects: Sequence[str]) -> tuple[str, ...]:
-    """Beside J and B, in the order of the effects."""
+    """Columns of the shaft beside J and B, in the order of the effects."""
     return tuple(column for effect in effects for column in columns_of(effect, effects))
 
 
@@ -76,7 +76,7 @@ def given_by(column: str) -> str:
 
 
 def is_share(column: str) -> bool:
-    """Whether its coefficient is a share of the motor torque."""
+    """Whether the coefficient of a column is a share of the motor torque."""
     return column in _named("shaft") and _named("shaft")[column][0].share
 
 

@@ -27,7 +27,7 @@ _FINER = 1.0 / 12.0
 #: A parameter is determined below this share of itself, 1 σ: as in `regression.estimate.KNOWS`.
 _KNOWN = 0.2
 #: What else may be in the balance: a drive's dead time is a voltage against the current's direction, a sensor's zero a
-#: constant. Either bends R and K where the model has none; it is seen beyond so many standard deviations.
+#: constant. Either biases R and K where the model has none; it is seen beyond so many standard deviations.
 _EXTRAS = {"Vb": "a voltage against the current's direction", "v0": "a constant voltage"}
 _SEEN = 3.0
 #: Samples within L/R that follow the current.
@@ -38,7 +38,7 @@ _SKEW_S = 5e-5 / np.sqrt(3.0)
 
 @dataclass(frozen=True, slots=True)
 class WindingEstimate:
-    """What the voltage's balance says.
+    """R, L and K by the voltage's balance.
 
     Attributes:
         names: of R, L and K (and what was added) those that are determined.

@@ -140,7 +140,7 @@ class _Rates:
         self._weights = np.linalg.solve(V, unit)[:, :, 0]
 
     def of(self, x: F64) -> F64:
-        """Shape (n,)."""
+        """Values of a column, shape (n,)."""
         inner = np.einsum("nw,nw->n", self._weights, sliding_window_view(x, self._width)) / self._usual
         return np.concatenate([np.full(self._reach, inner[0]), inner, np.full(self._reach, inner[-1])])
 

@@ -1,1 +1,1 @@
-"""Parameters that jump: when, which, and what then."""
+"""Detection of steps of parameters: when, which, and what is done then."""

@@ -1,4 +1,4 @@
-"""Does with the filter what the watch for jumps decides, and knows what to publish meanwhile."""
+"""Carries out on the filter what the watch for jumps decides, and knows what to publish meanwhile."""
 
 from __future__ import annotations
 
@@ -12,17 +12,20 @@ from servo_daemon.tracking.changes import jumps
 from servo_daemon.tracking.changes.jumps import JumpWatch, Known
 from servo_daemon.tracking.changes.search import Found, JumpSearch
 from servo_daemon.tracking.changes.wander import Wander
-from servo_daemon.tracking.noise.watch import TickVerdict
-from servo_daemon.tracking.plan.roster import Roster
+from servo_daemon.tracking.noise.watch import InnovationTest
+from servo_daemon.tracking.plan.parameter_masks import ParameterMasks
 from servo_daemon.tracking.plan.settings import Message
-from servo_daemon.tracking.validity.parameter_judge import ParameterJudge
+from servo_daemon.tracking.validity.validity_gate import ValidityGate
 
 
 class JumpActions:
-    """One drive's. `watch` decides, `remember` is called after every tick that is quiet."""
+    """Carries out on one filter what the watch for jumps decides. `watch` decides, `remember` is called after every
+    tick that is quiet."""
 
-    def __init__(self, roster: Roster, ekf: Ekf, rls: MotorRls, judge: ParameterJudge, search: JumpSearch) -> None:
-        self._roster, self._ekf, self._rls, self._judge = roster, ekf, rls, judge
+    def __init__(
+        self, masks: ParameterMasks, ekf: Ekf, rls: MotorRls, validity: ValidityGate, search: JumpSearch
+    ) -> None:
+        self._masks, self._ekf, self._rls, self._validity = masks, ekf, rls, validity
         self.watch = JumpWatch()
         self.search = search
         self._before: tuple[F64, float] | None = None
@@ -36,43 +39,43 @@ class JumpActions:
 
     @property
     def quiet(self) -> bool:
-        """Nothing is being looked into."""
+        """Whether no change is being examined."""
         return self.watch.quiet and not self.search.running
 
     @property
     def is_open(self) -> bool:
-        """Something has changed, and it is not certain yet what."""
+        """Whether a change is being examined."""
         return self.watch.is_open or self.search.promising
 
     def remember(self, time_s: float) -> None:
-        """What is known now, unless something is being looked into."""
+        """Keep what is known now, unless a change is being examined."""
         if self.quiet:
             self._before = self._ekf.snapshot(), time_s
             self._wander.add(self._ekf.coordinates.copy())
 
     def take(
-        self, verdict: TickVerdict, end_s: float, *, explained: bool, judged: bool, searched: bool | None
+        self, test: InnovationTest, end_s: float, *, explained: bool, judged: bool, searched: bool | None
     ) -> tuple[jumps.Action, list[Message]]:
         """The tick that has just passed: what is done with it, and what is to be told.
 
         Args:
-            verdict: of its innovations.
+            test: of its innovations.
             end_s: of device time.
             explained: the model has explained the samples before it.
             judged: it is complete, and the filter has run for long enough.
             searched: which parameter has stepped may be looked for; None: nothing that is seen now says anything of it.
         """
-        self.watch.observe(verdict.unexplained, explained)
+        self.watch.observe(test.unexplained, explained)
         action: jumps.Action = "learn"
         if judged:
-            action = self.watch.judge(verdict.unexplained, verdict.settled, self.search.running)
+            action = self.watch.judge(test.unexplained, test.settled, self.search.running)
         messages = self._act(action, end_s)
         if searched is None:
             self.search.clear()
             return action, messages
         self.search.take(end_s)
         may_begin = searched and self.watch.sudden and not self.watch.is_open
-        found = self.search.look(verdict.unexplained, may_begin)
+        found = self.search.look(test.unexplained, may_begin)
         if found is None:
             return action, messages
         return "accept", messages + self._take_over(found, end_s)
@@ -106,12 +109,12 @@ class JumpActions:
         self._ekf.take_information()
         self.watch.explain()
         self._rls.expect_change()
-        self._judge.stepped(found.k)
-        before = Known(self._roster.names, found.mean, found.covariance, found.before_s)
-        candidates = (self._roster.published & self._judge.qualification.qualified) | self._roster.nuisance
+        self._validity.stepped(found.k)
+        before = Known(self._masks.names, found.mean, found.covariance, found.before_s)
+        candidates = (self._masks.published & self._validity.qualification.qualified) | self._masks.biases
         alone = np.zeros_like(candidates)
         alone[found.k] = candidates[found.k]
-        scales = self._judge.excitation.scales
+        scales = self._validity.excitation.scales
         moved = jumps.jumped(before, self._ekf.coordinates, self._ekf.coordinate_std, scales, alone)
         return self._named(before, moved, time_s)
 
@@ -120,19 +123,21 @@ class JumpActions:
         assert self._before is not None
         state, time_s = self._before
         mean, covariance = self._ekf.parameters_of(state)
-        return Known(self._roster.names, mean, covariance, time_s)
+        return Known(self._masks.names, mean, covariance, time_s)
 
     def _opening(self) -> F64:
         """Added to the coordinates' variances while a jump is looked for, shape (n,)."""
-        std = np.where(self._roster.logarithmic, jumps.OPEN_STD, jumps.OPEN_SIGNED_STD) * self._judge.excitation.scales
-        return np.asarray(np.where(self._roster.free, std**2, 0.0))
+        std = (
+            np.where(self._masks.logarithmic, jumps.OPEN_STD, jumps.OPEN_SIGNED_STD) * self._validity.excitation.scales
+        )
+        return np.asarray(np.where(self._masks.free, std**2, 0.0))
 
     def _report(self, before: Known, time_s: float) -> list[Message]:
-        excitation, qualified = self._judge.excitation, self._judge.qualification.qualified
-        candidates = (self._roster.published & qualified & excitation.excited) | self._roster.nuisance
+        excitation, qualified = self._validity.excitation, self._validity.qualification.qualified
+        candidates = (self._masks.published & qualified & excitation.excited) | self._masks.biases
         moved = jumps.jumped(before, self._ekf.coordinates, self._ekf.coordinate_std, excitation.scales, candidates)
         self._rls.expect_change()
-        stayed = self._roster.free.copy()
+        stayed = self._masks.free.copy()
         stayed[moved] = False
         at = np.flatnonzero(stayed)
         self._ekf.take_in(at, before.mean[at], before.covariance[np.ix_(at, at)])
@@ -140,12 +145,12 @@ class JumpActions:
 
     def _named(self, before: Known, moved: list[int], time_s: float) -> list[Message]:
         """What is told of parameters that have moved: those published that have not wandered as far before, either."""
-        after, published = self._ekf.coordinates, self._roster.published
+        after, published = self._ekf.coordinates, self._masks.published
         steps = np.abs(after - before.mean) > jumps.SIGNIFICANT * self._wander.spread(len(after))
         if any(published[k] and steps[k] for k in moved):
             self._wander.clear()  # what follows is about another value
         return [
-            jumps.message(self._roster.parameters[k], before, float(after[k]), time_s)
+            jumps.message(self._masks.parameters[k], before, float(after[k]), time_s)
             for k in moved
             if published[k] and steps[k]
         ]
@@ -156,7 +161,7 @@ class JumpActions:
         spread that it has by now."""
         if not self._ekf.started:
             return None
-        balance = np.square(self._judge.mismatch.std)
+        balance = np.square(self._validity.mismatch.std)
         if self._before is None or not self.is_open:
             g = self._ekf.estimate()
             return Gaussian(g.names, g.mean, _widened(g.covariance, balance))

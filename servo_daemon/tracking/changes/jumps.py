@@ -1,4 +1,4 @@
-"""Sudden changes: told apart from noise, from slow drift and from what no parameter explains.
+"""Sudden changes, distinguished from noise, from slow drift and from what no parameter explains.
 
 A tick whose innovations the noise does not explain is not learned from: the parameters go back to what they were before
 it. A wrong sample or two, a lost encoder count, a voltage that read zero for a moment end there. If such ticks go on,
@@ -66,7 +66,7 @@ class JumpWatch:
         self.is_open = False
 
     def explain(self) -> None:
-        """It is known what the unexplained ticks were."""
+        """The unexplained ticks have been explained: count anew."""
         self._usual = self._usual_before
         self.reset()
 
@@ -77,11 +77,11 @@ class JumpWatch:
 
     @property
     def calm(self) -> bool:
-        """Unexplained ticks are the exception."""
+        """Whether unexplained ticks are the exception."""
         return self._usual < _RULE
 
     def observe(self, unexplained: bool, explained: bool) -> None:
-        """Every tick, also those that are not judged.
+        """Count a tick, also one that no decision is made on.
 
         Args:
             unexplained: as for `judge`.
@@ -92,7 +92,7 @@ class JumpWatch:
         self._usual += (float(unexplained) - self._usual) / _USUAL_TICKS
 
     def judge(self, unexplained: bool, settled: bool, searched: bool = False) -> Action:
-        """Take a tick.
+        """Decide after a tick.
 
         Args:
             unexplained: its innovations are beyond what the noise explains.

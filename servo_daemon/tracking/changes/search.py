@@ -19,9 +19,9 @@ from servo_daemon.kalman.ekf import Ekf
 from servo_daemon.samples import F64
 from servo_daemon.tracking.changes.trials import ALL, MOMENT, Section, Trial, Trials, sections_of
 from servo_daemon.tracking.noise.watch import InnovationWatch, WatchMark
-from servo_daemon.tracking.plan.roster import Roster
+from servo_daemon.tracking.plan.parameter_masks import ParameterMasks
 from servo_daemon.tracking.samples.filtering import Filtering, Forget
-from servo_daemon.tracking.validity.parameter_judge import ParameterJudge
+from servo_daemon.tracking.validity.validity_gate import ValidityGate
 
 #: So many ticks are kept, and no more samples than these.
 _TICKS, _SAMPLES = 31, 20_000
@@ -83,7 +83,7 @@ class Found:
 
 
 class JumpSearch:
-    """One drive's.
+    """Searches the last ticks of one filter for a step of a parameter, a part of the search a tick.
 
     Attributes:
         promising: a change has been found that explains the samples, and is not certain yet; or nothing is known yet of
@@ -91,19 +91,19 @@ class JumpSearch:
     """
 
     def __init__(
-        self, roster: Roster, ekf: Ekf, filtering: Filtering, judge: ParameterJudge, watch: InnovationWatch
+        self, masks: ParameterMasks, ekf: Ekf, filtering: Filtering, validity: ValidityGate, watch: InnovationWatch
     ) -> None:
-        self._roster, self._ekf, self._filtering = roster, ekf, filtering
-        self._judge, self._watch = judge, watch
+        self._masks, self._ekf, self._filtering = masks, ekf, filtering
+        self._validity, self._watch = validity, watch
         self.clear()
 
     @property
     def running(self) -> bool:
-        """A change is being looked for."""
+        """Whether a change is being searched for."""
         return self._trials is not None
 
     def clear(self) -> None:
-        """What was kept is of another filter."""
+        """Forget what was kept: it is of another filter."""
         self._filtering.take_passed()
         self._count = 0
         self._ticks: list[_Tick] = []
@@ -115,15 +115,15 @@ class JumpSearch:
         self.promising = False
         self._age = 0
         self._trials: Trials | None = None
-        self._new: list[Section] = []  # not gone over yet
+        self._new: list[Section] = []  # not filtered yet
         self._best: dict[int, Trial] = {}
 
     def mark(self) -> None:
-        """A tick begins, and the filter is as it is."""
+        """Keep the filter's state at the beginning of a tick."""
         self._begins = self._ekf.snapshot(), self._ekf.constants, self._watch.mark()
 
     def take(self, end_s: float) -> None:
-        """A tick has ended.
+        """Take the samples of a tick that has ended.
 
         Args:
             end_s: of device time.
@@ -139,7 +139,7 @@ class JumpSearch:
                 del self._ticks[0]
 
     def look(self, unexplained: bool, may_begin: bool) -> Found | None:
-        """After each tick.
+        """Go on with the search after a tick.
 
         Args:
             unexplained: its innovations are beyond what the noise explains.
@@ -166,8 +166,8 @@ class JumpSearch:
             self._new += sections_of(tick.pieces, number, fine, coarse=fine > 1 or (last - number) in _COARSE)
         self.promising, self._age = not slow, _CONFIRM - 1 if slow else 0
         begin = self._ticks[0]
-        scales, whiteness = self._judge.excitation.scales, begin.noise.whiteness
-        return Trials(self._roster, self._ekf, self._filtering, scales, begin.state, dict(whiteness), slow=slow)
+        scales, whiteness = self._validity.excitation.scales, begin.noise.whiteness
+        return Trials(self._masks, self._ekf, self._filtering, scales, begin.state, dict(whiteness), slow=slow)
 
     def _look(self, trials: Trials) -> Found | None:
         """Over the samples, and back to where the filter was."""
@@ -192,10 +192,10 @@ class JumpSearch:
     def _has_moved(self) -> bool:
         """Whether the filter has gone further than what it has learned allows: an estimate's change has the variance by
         which it has become better known, and what the process noise adds."""
-        now, scales = self._ekf.coordinates, self._judge.excitation.scales
+        now, scales = self._ekf.coordinates, self._validity.excitation.scales
         var = np.square(self._ekf.coordinate_std)
-        known = self._roster.published & self._judge.qualification.qualified
-        walk = self._judge.walk(self._roster.free)
+        known = self._masks.published & self._validity.qualification.qualified
+        walk = self._validity.walk(self._masks.free)
         for back in (_BACK_SUDDEN, _BACK_SLOW):
             if len(self._ticks) <= back:
                 break
@@ -210,11 +210,11 @@ class JumpSearch:
 
     def _examine(self, trials: Trials) -> tuple[Found | None, bool]:
         """What has stepped, if it is certain; and whether something has only passed by."""
-        for k in (MOMENT, *map(int, np.flatnonzero(self._roster.free))):
+        for k in (MOMENT, *map(int, np.flatnonzero(self._masks.free))):
             self._best[k] = trials.likeliest(k, self._best.get(k))
         ranked = self._ranked()
         for trial in (self._best[MOMENT], *ranked[:2]):
-            self._best[trial.k] = trials.elsewhere(trial)
+            self._best[trial.k] = trials.at_another_time(trial)
         ranked, moment = self._ranked(), self._best[MOMENT]
         best = ranked[0]
         if moment.explained and moment.cost - best.cost < _CHANGED:

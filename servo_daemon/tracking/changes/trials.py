@@ -21,7 +21,7 @@ from servo_daemon.kalman.records import ChannelStatistics
 from servo_daemon.samples import F64
 from servo_daemon.tracking.noise.levels import Whiteness
 from servo_daemon.tracking.noise.watch import WHITE_OUT, judged
-from servo_daemon.tracking.plan.roster import Roster
+from servo_daemon.tracking.plan.parameter_masks import ParameterMasks
 from servo_daemon.tracking.samples.filtering import Filtering, Forget
 
 #: In place of a parameter's number: none has stepped, something has passed by; all are others.
@@ -85,7 +85,7 @@ class Unchanged:
 
 
 class Trials:
-    """Over one stretch of samples, which may grow.
+    """Trials of changes over one stretch of samples, which may grow.
 
     Args:
         scales: one unit of each coordinate, shape (n,).
@@ -97,13 +97,13 @@ class Trials:
             change.
 
     Attributes:
-        sections: what has been gone over.
+        sections: what has been filtered.
         cost: −2 log p of all samples without a change.
     """
 
     def __init__(
         self,
-        roster: Roster,
+        masks: ParameterMasks,
         ekf: Ekf,
         filtering: Filtering,
         scales: F64,
@@ -113,9 +113,9 @@ class Trials:
         slow: bool,
     ) -> None:
         self._ekf, self._filtering, self._whiteness, self._slow = ekf, filtering, whiteness, slow
-        self._scales, self._logarithmic = scales, roster.logarithmic
+        self._scales, self._logarithmic = scales, masks.logarithmic
         self._step_std: F64 = np.where(self._logarithmic, _STEP_STD, _SIGNED_STEP_STD) * scales
-        self._all_var: F64 = np.where(roster.free, np.square(_OF_ALL * self._step_std), 0.0)
+        self._all_var: F64 = np.where(masks.free, np.square(_OF_ALL * self._step_std), 0.0)
         self.sections: list[Section] = []
         self._unchanged = [Unchanged(state, 0.0)]
         self._var: list[list[F64]] = []
@@ -125,7 +125,7 @@ class Trials:
         return self._unchanged[-1].cost
 
     def extend(self, sections: Sequence[Section]) -> None:
-        """Go over more samples without a change."""
+        """Filter more samples without a change."""
         self._ekf.restore(self._unchanged[-1].state)
         for section in sections:
             self.sections.append(section)
@@ -157,7 +157,7 @@ class Trials:
             best = min(best, again, key=lambda t: t.cost)
         return best
 
-    def elsewhere(self, trial: Trial) -> Trial:
+    def at_another_time(self, trial: Trial) -> Trial:
         """The same change at another moment, if it is likelier then: by smaller and smaller steps."""
         best = trial
         for step in _STEPS:

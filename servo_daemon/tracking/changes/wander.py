@@ -23,11 +23,11 @@ class Wander:
         self._passed: deque[F64] = deque(maxlen=_TICKS)
 
     def clear(self) -> None:
-        """What was before says nothing of what comes."""
+        """Forget the estimates so far."""
         self._passed.clear()
 
     def add(self, coordinates: F64) -> None:
-        """Of a tick, shape (n,)."""
+        """Take the estimates of a tick, shape (n,)."""
         self._passed.append(coordinates)
 
     def spread(self, size: int) -> F64:

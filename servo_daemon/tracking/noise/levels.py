@@ -73,7 +73,7 @@ def adapted(
     Mehra, *IEEE Trans. Autom. Control* 15, 1970).
 
     Args:
-        excess: mean of ν² − s over the tick, outliers clipped (`ekf_model.CLIP`).
+        excess: mean of ν² − s over the tick, outliers clipped (`kalman.layout.CLIP`).
         update: how many there have been, this one included: the first ones count as much as all before them.
         nis: mean of ν²/s of a slow drive. Far below one, in a filter that has settled, the level is still that of the
             first samples, where its motion passes for noise.
@@ -112,7 +112,7 @@ class ProcessNoise:
     def after(
         self, correlation: float, nis: float, follow: float | None = None, too_much: bool = False
     ) -> ProcessNoise:
-        """With a tick's lag-1 correlation and normalised innovation squared.
+        """The level after a tick with this lag-1 correlation and normalised innovation squared.
 
         Args:
             follow: a correlation to be steered to zero at any size of the innovations. The channel's own noise is
@@ -134,7 +134,7 @@ class ProcessNoise:
         return self
 
     def risen(self, correlation: float, nis: float) -> ProcessNoise:
-        """The same, but only upwards."""
+        """As `after`, but only upwards."""
         if nis > _NIS_HIGH and correlation > _CORRELATED:
             return ProcessNoise(min(self.factor * _RISE, FACTOR_MOST))
         return self
@@ -148,7 +148,7 @@ class Whiteness:
     nis: float = 1.0
 
     def after(self, correlation: float, nis: float, duration_s: float, memory_s: float = 10.0) -> Whiteness:
-        """With another tick's lag-1 correlation and mean normalised square."""
+        """The whiteness after another tick with this lag-1 correlation and mean normalised square."""
         share = 1.0 - math.exp(-duration_s / memory_s)
         return Whiteness(
             self.correlation + share * (correlation - self.correlation), self.nis + share * (nis - self.nis)

@@ -1,4 +1,4 @@
-"""Tells the filter how large its noise is: the watch's factors, the signals' levels, and what the balances leave."""
+"""Tells the filter how large its noise is: the watch's factors, the signals' scales, and what the balances leave."""
 
 from __future__ import annotations
 
@@ -12,19 +12,22 @@ from servo_daemon.regression.motor_rls import MotorRls
 from servo_daemon.regression.sampling import Sampling, coarse
 from servo_daemon.regression.stretch import Stretch
 from servo_daemon.samples import F64
-from servo_daemon.tracking.noise.coarse_input import CoarseInput
+from servo_daemon.tracking.noise.quantised_input import QuantisedInput
 from servo_daemon.tracking.noise.watch import InnovationWatch, WatchMark
-from servo_daemon.tracking.plan.roster import Roster
-from servo_daemon.tracking.samples.signal_scales import Levels
+from servo_daemon.tracking.plan.parameter_masks import ParameterMasks
+from servo_daemon.tracking.samples.signal_scales import SignalScales
 
 
 class NoiseSetting:
-    """One drive's. A filter whose noise is set too low learns the wrong thing for certain, and what it learned stays:
-    torque and voltage noise begin with what the regressions' balances leave unexplained before it starts."""
+    """Sets the noise of one filter. A filter whose noise is set too low learns the wrong thing for certain, and what it
+    learned stays: torque and voltage noise begin with what the regressions' balances leave unexplained before it
+        starts."""
 
-    def __init__(self, roster: Roster, ekf: Ekf, rls: MotorRls, watch: InnovationWatch, levels: Levels) -> None:
-        self._roster, self._ekf, self._rls, self._watch, self._levels = roster, ekf, rls, watch, levels
-        self._coarse = CoarseInput()
+    def __init__(
+        self, masks: ParameterMasks, ekf: Ekf, rls: MotorRls, watch: InnovationWatch, signal_scales: SignalScales
+    ) -> None:
+        self._masks, self._ekf, self._rls, self._watch, self._signal_scales = masks, ekf, rls, watch, signal_scales
+        self._quantised = QuantisedInput()
         self._input_lsb = self._torque_Nm = 0.0
         self._value: dict[str, float] = {}
 
@@ -35,7 +38,7 @@ class NoiseSetting:
             input_lsb: step of the held input, in its unit; 0 where there is none.
         """
         self._input_lsb = input_lsb
-        self._coarse.lsb_V = input_lsb if self._ekf.plant.drive == "voltage" else 0.0
+        self._quantised.lsb_V = input_lsb if self._ekf.plant.drive == "voltage" else 0.0
         scales = self.rescale(sampling)
         found = self._rls.window.current_noise(sampling)
         hidden = self._hidden_in_current(sampling, found)
@@ -43,7 +46,7 @@ class NoiseSetting:
             self._watch.expect_sensor("current_A", found)
             sampling = replace(sampling, noise_var=self._watch.least_noise_var)
         var = max(self._rls.window.input_noise(self._value, sampling) or 0.0, hidden)
-        self._watch.expect_input(var, self._levels.input_square**0.5, self._input_lsb)
+        self._watch.expect_input(var, self._signal_scales.input_square**0.5, self._input_lsb)
         self.set()
         return scales
 
@@ -61,24 +64,24 @@ class NoiseSetting:
         return flows * (R * self._watch.settled) ** 2 * (1.0 - slow)
 
     def take(self, tick: Stretch, period_s: float) -> None:
-        """A tick's samples while the filter runs."""
-        if tick.voltage is not None and len(tick.voltage) and "L" in self._roster.names:
-            self._coarse.take(tick.voltage, period_s, self._value)
+        """Take a tick's samples while the filter runs."""
+        if tick.voltage is not None and len(tick.voltage) and "L" in self._masks.names:
+            self._quantised.take(tick.voltage, period_s, self._value)
 
     def rescale(self, sampling: Sampling) -> F64:
-        """The levels of the signals, and the torque that the shaft's balance leaves, have changed. Returns one unit of
+        """The scales of the signals, and the torque that the shaft's balance leaves, have changed. Returns one unit of
         each coordinate, shape (n,)."""
-        self._value = self._roster.values(self._ekf.coordinates)
-        self._torque_Nm = self._levels.torque_Nm(self._value)
+        self._value = self._masks.values(self._ekf.coordinates)
+        self._torque_Nm = self._signal_scales.torque_Nm(self._value)
         if {"R", "L"} <= self._value.keys():
             self._watch.settled = 1.0 - math.exp(-sampling.period_s * self._value["R"] / self._value["L"])
         unexplained = self._rls.window.unexplained_torque(self._value, sampling, self._torque_Nm)
         self._watch.expect_torque(unexplained, self._torque_Nm)
-        return np.array(self._levels.scales(self._value))
+        return np.array(self._signal_scales.scales(self._value))
 
     def set(self) -> None:
-        """Noise as it is known by now."""
-        input_rms = self._levels.input_square**0.5
+        """Set the filter's noise as it is known by now."""
+        input_rms = self._signal_scales.input_square**0.5
         self._ekf.set_noise(self._watch.levels(input_rms, self._input_lsb, self._torque_Nm))
 
     @property
@@ -89,9 +92,9 @@ class NoiseSetting:
         return self._watch.noise_var["current_A"], self._ekf.noise.input_var
 
     def put_of_current(self, sensor_A2: float, voltage_V2: float) -> None:
-        """See `of_current`; as far as resolutions and what a voltage has at least allow."""
+        """Set the variances of `of_current`, no lower than resolutions and the voltage's least noise allow."""
         self._watch.put_sensor("current_A", sensor_A2)
-        self._watch.put_input(voltage_V2, self._levels.input_square**0.5, self._input_lsb)
+        self._watch.put_input(voltage_V2, self._signal_scales.input_square**0.5, self._input_lsb)
         self.set()
 
     def mark(self) -> WatchMark:
@@ -104,9 +107,9 @@ class NoiseSetting:
 
     def learned(self, information: F64, period_s: float) -> None:
         """What the filter gained of each coordinate in a second of the last window, shape (n,)."""
-        if "L" in self._roster.names:
-            self._coarse.learned(float(information[self._roster.names.index("L")]) * period_s)
+        if "L" in self._masks.names:
+            self._quantised.learned(float(information[self._masks.names.index("L")]) * period_s)
 
     def inductance_std(self, period_s: float) -> float:
         """1 σ of ln L that the steps of the recorded voltage leave open."""
-        return self._coarse.inductance_std(period_s, self._value, self.of_current) if "L" in self._value else 0.0
+        return self._quantised.inductance_std(period_s, self._value, self.of_current) if "L" in self._value else 0.0

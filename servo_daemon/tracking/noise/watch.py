@@ -31,8 +31,8 @@ _NONE = ProcessNoise()
 
 
 @dataclass(frozen=True, slots=True)
-class TickVerdict:
-    """What a tick's innovations look like.
+class InnovationTest:
+    """Test of a tick's innovations for size and whiteness.
 
     Attributes:
         nis: largest mean of ν²/s of a channel.
@@ -46,8 +46,8 @@ class TickVerdict:
     settled: bool
 
 
-def judged(statistics: Mapping[str, ChannelStatistics]) -> TickVerdict:
-    """What a tick's innovations look like."""
+def judged(statistics: Mapping[str, ChannelStatistics]) -> InnovationTest:
+    """Test of a tick's innovations for size and whiteness."""
     worst, unexplained, settled = 0.0, False, True
     for s in statistics.values():
         if s.count < 1:
@@ -59,7 +59,7 @@ def judged(statistics: Mapping[str, ChannelStatistics]) -> TickVerdict:
         drifts = nis > 1.0 + _UNEXPLAINED_NIS * spread and correlation > max(0.2, 3.0 / math.sqrt(s.count))
         unexplained |= drifts or s.gated >= max(_FEWEST_GATED, _GATED_SHARE * s.count)
         settled &= nis < 1.0 + _SETTLED_NIS * spread and s.gated < _FEWEST_GATED
-    return TickVerdict(worst, unexplained, settled)
+    return InnovationTest(worst, unexplained, settled)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ class WatchMark:
 
 
 class InnovationWatch:
-    """Fed the innovations of each tick.
+    """Noise levels and whiteness from the innovations of each tick.
 
     Args:
         measured: the filter's channels; the last one shows the motion.
@@ -125,7 +125,7 @@ class InnovationWatch:
         )
 
     def back_to(self, mark: WatchMark) -> None:
-        """What has been learned since is forgotten."""
+        """Forget what has been learned since."""
         self._channel, self._process = dict(mark.channel), dict(mark.process)
         self._pool, self.whiteness, self._updates = dict(mark.pool), dict(mark.whiteness), dict(mark.updates)
         self._crossed, self._too_much, self.white = mark.crossed, mark.too_much, mark.white
@@ -147,7 +147,7 @@ class InnovationWatch:
 
     @property
     def noise_var(self) -> dict[str, float]:
-        """Of the measured channels, in their units squared."""
+        """Noise variance of the measured channels, in their units squared."""
         return {name: c.var for name, c in self._channel.items()}
 
     @property
@@ -157,7 +157,7 @@ class InnovationWatch:
         return {name: min(c.var, self._first_var[name]) for name, c in self._channel.items()}
 
     def levels(self, input_rms: float, input_lsb: float | None, torque_Nm: float) -> NoiseLevels:
-        """What the filter is to work with.
+        """Noise levels that the filter is to work with.
 
         Args:
             input_rms, input_lsb: of the held input, in its unit.
@@ -197,7 +197,7 @@ class InnovationWatch:
         self._channel[name] = ChannelNoise(max(var, floor), floor)
 
     def put_input(self, var: float, input_rms: float, input_lsb: float | None) -> None:
-        """The held input's is this, or the least that it has.
+        """Set the held input's noise to this, or to the least that it has.
 
         Args:
             input_rms, input_lsb: as for `expect_input`.
@@ -205,8 +205,8 @@ class InnovationWatch:
         factor = var / noise.input_variance(input_rms, input_lsb)
         self._process["current_A"] = ProcessNoise(min(max(factor, 1.0), noise.FACTOR_MOST))
 
-    def judge(self, statistics: Mapping[str, ChannelStatistics]) -> TickVerdict:
-        """Look at the innovations of a tick; nothing is learned yet."""
+    def judge(self, statistics: Mapping[str, ChannelStatistics]) -> InnovationTest:
+        """Test the innovations of a tick; nothing is learned yet."""
         self.gated += sum(int(s.gated) for s in statistics.values())
         return judged(statistics)
 

@@ -1,4 +1,4 @@
-"""What the estimators are told: resolutions of the drive, and what the user fixed."""
+"""Settings of the estimators: resolutions of the drive, and the configuration's values."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Resolutions:
 
 @dataclass(frozen=True, slots=True)
 class TrackerSettings:
-    """What the user fixed.
+    """Settings of the live estimator from the configuration.
 
     Attributes:
         effects: names of the effects in the model.
@@ -51,7 +51,7 @@ class TrackerSettings:
         """1 σ of this parameter's random walk over its scale, 1/√s.
 
         Args:
-            offset: a nuisance parameter.
+            offset: a bias state.
         """
         given = (self.drift_per_sqrt_s or {}).get(name)
         if given is not None and not offset:

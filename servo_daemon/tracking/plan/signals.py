@@ -14,7 +14,7 @@ from servo_daemon.parameters import LINEAR, MOTOR_NAMES, WINDING_NAMES, Paramete
 from servo_daemon.plant.build import PlantModel, build_plant
 from servo_daemon.plant.contribution import contribution
 from servo_daemon.plant.core import Drive
-from servo_daemon.plant.effects import effects_by_name, instants
+from servo_daemon.plant.effects import effects_by_name, event_times
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,8 +27,8 @@ class SignalPlan:
         held: parameters kept at a given value.
         free: parameters that are estimated.
         unclaimed: why a free parameter is estimated and yet not to be believed.
-        nuisance: parameters estimated beside them and not published: small offsets that every drive has and that would
-            bend the others at full confidence. Those of the user's model are among the free ones instead.
+        biases: parameters estimated beside them and not published: small offsets that every drive has and that would
+            bias the others at full confidence. Those of the user's model are among the free ones instead.
         reasons: why a parameter is not free, in words.
     """
 
@@ -37,7 +37,7 @@ class SignalPlan:
     held: Mapping[str, float]
     free: tuple[str, ...]
     reasons: Mapping[str, str]
-    nuisance: tuple[str, ...] = ()
+    biases: tuple[str, ...] = ()
     unclaimed: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -48,13 +48,13 @@ class SignalPlan:
 
 
 #: Offsets that are always in the filter's model: of the torque (a hanging cable, a tilted axis) and, where a voltage
-#: lets it be told apart, of the current sensor (one of the voltage leaves the same trace).
+#: makes it identifiable, of the current sensor (one of the voltage leaves the same trace).
 _LOAD, _SENSOR = "constant_load_torque", "current_sensor_offset"
-_NUISANCE: Mapping[str, str] = {_LOAD: "TL", _SENSOR: "i0"}
+_BIASES: Mapping[str, str] = {_LOAD: "TL", _SENSOR: "i0"}
 #: A constant in a balance leaves the same trace as this offset: only one of them is estimated.
 _SAME_AS: Mapping[str, str] = {"torque": _LOAD, "voltage": _SENSOR}
-#: Which effect a nuisance parameter stands for.
-EFFECT_OF: Mapping[str, str] = {parameter: effect for effect, parameter in _NUISANCE.items()}
+#: Which effect a bias state stands for.
+EFFECT_OF: Mapping[str, str] = {parameter: effect for effect, parameter in _BIASES.items()}
 _HIDDEN_BY: dict[Drive, tuple[str, ...]] = {"voltage": (), "current": ("R", "L"), "torque": WINDING_NAMES}
 _NOT_SEARCHED = "held {}: a filter that runs along cannot search for it"
 _AS_GIVEN, _AT_START = "as given", "at its start value, for none is given"
@@ -81,7 +81,7 @@ def plan_signals(channels: tuple[str, ...], effects: tuple[str, ...], nominal: M
         return plan
     held = [p.name for p in plan.plant.parameters if is_held(p)]
     why = {name: _NOT_SEARCHED.format(_AS_GIVEN if name in nominal else _AT_START) for name in held}
-    for size, instant in instants().items():  # from a wrong one on it could not be told from what it changes
+    for size, instant in event_times().items():  # from a wrong one on it could not be told from what it changes
         if instant not in nominal:
             why[size] = f"held as given: give {instant} as nominal value, before which there is nothing of it"
     given = {p.name: nominal.get(p.name, p.nominal) for p in plan.plant.parameters if p.name in why}
@@ -130,18 +130,18 @@ def _with_voltage(
         why = "no position or speed is measured: the motion is not visible"
         return SignalPlan(None, (), {}, (), {p.name: why for p in LINEAR})
     if "current_A" in channels:
-        plant, nuisance = _with_offsets(effects, "voltage", tuple(_NUISANCE))
-        return SignalPlan(plant, ("current_A", *motion), {}, _own(plant, nuisance), {}, nuisance)
+        plant, biases = _with_offsets(effects, "voltage", tuple(_BIASES))
+        return SignalPlan(plant, ("current_A", *motion), {}, _own(plant, biases), {}, biases)
     why = "no current is measured: of R, L, K, J, B only combinations are visible"
     missing = [name for name in _NEEDED_WITHOUT_CURRENT if name not in nominal]
     if missing:
         why += f"; give {', '.join(missing)} as nominal values to determine the others"
         return SignalPlan(None, (), {}, (), {p.name: why for p in LINEAR})
     held = {name: nominal[name] for name in _NEEDED_WITHOUT_CURRENT}
-    plant, nuisance = _with_offsets(effects, "voltage", (_LOAD,))
-    free = tuple(n for n in _own(plant, nuisance) if n not in held)
+    plant, biases = _with_offsets(effects, "voltage", (_LOAD,))
+    free = tuple(n for n in _own(plant, biases) if n not in held)
     reasons = dict.fromkeys(held, f"held at the nominal value: {why}")
-    return SignalPlan(plant, motion, held, free, reasons, nuisance)
+    return SignalPlan(plant, motion, held, free, reasons, biases)
 
 
 def _with_offsets(
@@ -153,25 +153,25 @@ def _with_offsets(
     there = {*effects, *(e for instead in together for e in instead)}
     there |= {same for balance, same in _SAME_AS.items() if any(contribution(e).is_offset(balance) for e in effects)}
     added = tuple(e for e in offsets if e not in there)
-    return build_plant((*effects, *added), drive), tuple(_NUISANCE[e] for e in added)
+    return build_plant((*effects, *added), drive), tuple(_BIASES[e] for e in added)
 
 
-def _own(plant: PlantModel, nuisance: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(n for n in plant.parameter_names if n not in nuisance)
+def _own(plant: PlantModel, biases: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(n for n in plant.parameter_names if n not in biases)
 
 
 def _without_voltage(
     drive: Drive, motion: tuple[str, ...], effects: tuple[str, ...], nominal: Mapping[str, float]
 ) -> SignalPlan:
     shown = tuple(e for e in effects if contribution(e).shows(drive))
-    plant, nuisance = _with_offsets(shown, drive, (_LOAD,))
+    plant, biases = _with_offsets(shown, drive, (_LOAD,))
     missing_signal = "voltage" if drive == "current" else "voltage and current"
     reasons = {name: f"no {missing_signal} measured: {name} not visible" for name in _HIDDEN_BY[drive]}
     if drive == "torque":
-        return SignalPlan(plant, motion, {}, _own(plant, nuisance), reasons, nuisance)
+        return SignalPlan(plant, motion, {}, _own(plant, biases), reasons, biases)
     if "K" not in nominal:
         why = "no voltage is measured: only J/K and B/K are visible; give K as nominal value to determine J and B"
         return SignalPlan(None, (), {}, (), {p.name: why for p in LINEAR})
     reasons["K"] = "held at the nominal value: no voltage is measured, only J/K and B/K are visible"
-    free = tuple(n for n in _own(plant, nuisance) if n != "K")
-    return SignalPlan(plant, motion, {"K": nominal["K"]}, free, reasons, nuisance)
+    free = tuple(n for n in _own(plant, biases) if n != "K")
+    return SignalPlan(plant, motion, {"K": nominal["K"]}, free, reasons, biases)

@@ -16,7 +16,7 @@ from servo_daemon.kalman.gaussian import Gaussian
 from servo_daemon.kalman.model import GATE
 from servo_daemon.kalman.records import Innovations
 from servo_daemon.samples import F64, SampleBlock
-from servo_daemon.tracking.samples.signal_scales import Levels
+from servo_daemon.tracking.samples.signal_scales import SignalScales
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,27 +44,27 @@ class Forget:
 
 
 class Filtering:
-    """One drive's.
+    """Lays out samples for one filter and runs it over them; keeps them while they may be needed again.
 
     Attributes:
         layout: how samples are laid out.
         own: how badly the samples fitted as they came, while they are kept and since this was last set.
     """
 
-    def __init__(self, ekf: Ekf, levels: Levels) -> None:
-        self._ekf, self._levels = ekf, levels
+    def __init__(self, ekf: Ekf, signal_scales: SignalScales) -> None:
+        self._ekf, self._signal_scales = ekf, signal_scales
         self.layout = Layout(ekf.plant.drive, ekf.channels)
         self._before: SampleBlock | None = None  # the last samples
         self._kept: list[tuple[SampleBlock, float | None, float | None]] | None = None
         self._kept_from: tuple[SampleBlock, Marked] | None = None
-        self._laid_out: tuple[float, list[Forget | F64]] | None = None  # the kept ones, when a look at them began
+        self._laid_out: tuple[float, list[Forget | F64]] | None = None  # the kept ones, as a batch
         self._since: list[Forget | F64] = []  # what the filter took since then
         self.own = Fit()
         self._passed: list[Forget | F64] = []  # what the filter took since it was last asked for
         self._gated: list[F64] = []  # of each run of samples since they were last asked for; (n, channels)
 
     def take(self, block: SampleBlock, last_s: float | None, period_s: float | None) -> None:
-        """Samples in order.
+        """Filter samples, in order.
 
         Args:
             last_s: time of the sample before them.
@@ -124,11 +124,11 @@ class Filtering:
                 yield self._rows(part)
 
     def _rows(self, part: SampleBlock, new: Mask | None = None) -> F64:
-        """Args: new: samples of the part that were put in."""
-        levels = self._levels
-        line_var = LINE_VAR * levels.input_step_square
-        leaps = levels.largest_leap, levels.largest_current_leap
-        return self.layout.rows(part, levels.input_square, new, line_var, *leaps)
+        """The part as the filter's rows. `new`: which samples were filled in, shape (n,)."""
+        scales = self._signal_scales
+        line_var = LINE_VAR * scales.input_step_square
+        spikes = scales.spike_limit, scales.current_spike_limit
+        return self.layout.rows(part, scales.input_square, new, line_var, *spikes)
 
     def _forget(self, at: Forget) -> None:
         forget = self._ekf.forget_state if at.everything else self._ekf.forget_motion
@@ -140,7 +140,7 @@ class Filtering:
         return 0 if self._kept is None else sum(len(block) for block, _, _ in self._kept)
 
     def keep(self, last: SampleBlock | None) -> None:
-        """A filter starts: from now on samples are kept, so that they can be gone over `again`.
+        """A filter starts: from now on samples are kept, so that they can be filtered `again`.
 
         Args:
             last: the last sample before them; None: no samples are kept, nor those that were.
@@ -149,21 +149,21 @@ class Filtering:
         self._kept_from = None if last is None else (last, self.layout.mark())
         self._laid_out, self._since = None, []
 
-    def begin_look(self) -> None:
-        """What is kept by now is gone `again` over from here on, however much is added meanwhile."""
+    def begin_batch(self) -> None:
+        """What is kept by now is filtered `again` from here on, however much is added meanwhile."""
         self._laid_out, self._since = self._lay_out(), []
 
+    def catch_up(self) -> None:
+        """Give the filter, which is through the batch, the samples that have come since."""
+        for piece in self._since:
+            self.run(piece)
+
     def again(self, parameters: Gaussian) -> Fit:
-        """Start the filter from these parameters and give it the samples of the look."""
+        """Start the filter from these parameters and give it the samples of the batch."""
         fit = Fit()
         for innovations in self._over_kept(parameters):
             fit = fit.with_more(innovations)
         return fit
-
-    def catch_up(self) -> None:
-        """Give the filter, which is through the samples of the look, those that have come since."""
-        for piece in self._since:
-            self.run(piece)
 
     def predictions(self, parameters: Gaussian, *, up_to_now: bool = False) -> Innovations:
         """As `again`; what the filter says of all of them, in one piece.
@@ -181,7 +181,7 @@ class Filtering:
         )
 
     def _over_kept(self, parameters: Gaussian) -> Iterator[Innovations]:
-        """The filter, started from these parameters, over the samples of the look."""
+        """The filter, started from these parameters, over the samples of the batch."""
         assert self._kept_from is not None and self._laid_out is not None
         last, _ = self._kept_from
         held_input, pieces = self._laid_out
@@ -229,5 +229,5 @@ class Filtering:
         return np.asarray(np.logical_or.reduce(np.concatenate(taken), axis=1))
 
     def forget_outliers(self) -> None:
-        """A filter begins: what was gated before is no longer asked for."""
+        """Forget which samples were gated: a filter begins."""
         self._gated = []

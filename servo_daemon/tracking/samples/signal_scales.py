@@ -12,7 +12,7 @@ from servo_daemon.plant.build import PlantModel
 from servo_daemon.regression.sampling import WINDOW_S
 from servo_daemon.regression.stretch import Stretch
 from servo_daemon.samples import F64
-from servo_daemon.tracking.samples.leaps import without_leaps
+from servo_daemon.tracking.samples.spikes import without_spikes
 
 #: A level falls by this factor a tick when the signal does, but not at rest: that is no smaller motor.
 _FALL = 0.99
@@ -22,9 +22,9 @@ _REST_VARIANCES, _REST_SHARE = 4.0, 1e-2
 #: An encoder at rest flickers between two counts; one that creeps shows a new one in every so many samples at most, and
 #: its steps are no white noise.
 _REST_COUNTS, _CREEP_SAMPLES = 1.5, 20.0
-#: Fewer of a tick's changes of the input are wrong ones (two for a sample); a leap is so many times the largest of the
+#: Fewer of a tick's changes of the input are wrong ones (two for a sample); a spike is so many times the largest of the
 #: others.
-_WRONG_STEPS, _LEAP = 5, 4.0
+_WRONG_STEPS, _SPIKE = 5, 4.0
 #: Used where neither data nor nominal values say anything yet.
 _R, _K = 1.0, 0.1
 
@@ -44,7 +44,7 @@ class Recent:
         self.number, self.total = 0, 0.0
 
     def add(self, end_s: float, number: int, total: float) -> None:
-        """A tick's, and when it ended."""
+        """Take a tick's sum, and when it ended."""
         self._ends_s.append(end_s)
         self._numbers.append(number)
         self._totals.append(total)
@@ -55,7 +55,7 @@ class Recent:
         self.number, self.total = sum(self._numbers), sum(self._totals)
 
 
-class Levels:
+class SignalScales:
     """Mean squares of input and current over the last ticks, the larger ones remembered.
 
     Args:
@@ -79,7 +79,7 @@ class Levels:
         self._current_square: float | None = None
 
     def take(self, tick: Stretch, position_lsb: float, noise_var: Mapping[str, float]) -> None:
-        """A tick's samples.
+        """Take a tick's samples.
 
         Args:
             position_lsb: the encoder's step; 0: none, or not known yet.
@@ -108,18 +108,18 @@ class Levels:
             self.samples_per_count = self._counts.number / max(self._counts.total, 1.0)
 
     @property
-    def largest_leap(self) -> float:
-        """By how much the input leaps and leaps back within a sample; infinite where that is not known."""
-        return math.inf if self._usual_step is None else _LEAP * self._usual_step
+    def spike_limit(self) -> float:
+        """The largest change of the input that is no spike; infinite where that is not known."""
+        return math.inf if self._usual_step is None else _SPIKE * self._usual_step
 
     @property
-    def largest_current_leap(self) -> float:
-        """The same of a measured current."""
-        return math.inf if self._usual_current_step is None else _LEAP * self._usual_current_step
+    def current_spike_limit(self) -> float:
+        """The largest change of a measured current that is no spike; infinite where that is not known."""
+        return math.inf if self._usual_current_step is None else _SPIKE * self._usual_current_step
 
-    def without_leaps(self, tick: Stretch) -> Stretch:
-        """The tick without what was rather misread than measured; see `leaps`."""
-        return without_leaps(tick, self._held(tick), self.largest_leap, self.largest_current_leap)
+    def without_spikes(self, tick: Stretch) -> Stretch:
+        """The tick without what was rather misread than measured; see `spikes`."""
+        return without_spikes(tick, self._held(tick), self.spike_limit, self.current_spike_limit)
 
     def _held(self, tick: Stretch) -> F64 | None:
         """The input."""

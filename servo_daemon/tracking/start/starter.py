@@ -27,7 +27,7 @@ _EARLIEST_SAVED_S = 0.2
 #: Ticks kept while there is nothing to start from.
 _TICKS_KEPT = 20
 #: An offset that nobody has asked for is small: 1 σ as a share of its scale.
-NUISANCE_SHARE = 0.03
+BIAS_SHARE = 0.03
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class Start:
 
 
 class Starter:
-    """See the module.
+    """Collects one drive's first samples and makes a filter's start of them.
 
     Args:
         plan: what is to be estimated.
@@ -78,7 +78,7 @@ class Starter:
         Args:
             prior: a saved state, or what another model's filter knew: possibly not of all parameters.
             found: the regression's estimate.
-            scales: typical sizes of the nuisance parameters.
+            scales: typical sizes of the bias states.
         """
         self._early.append(tick)
         enough = sum(len(b) for b in self._early) >= _FEWEST
@@ -129,9 +129,9 @@ class Starter:
         return Gaussian((*given, *names), np.concatenate(mean), block_diag(*covariance))
 
     def _with_offsets(self, known: Gaussian, scales: Mapping[str, float]) -> Gaussian:
-        """With the nuisance parameters, small and centred on zero."""
-        names = self._plan.nuisance
-        var = np.square([NUISANCE_SHARE * scales[name] for name in names])
+        """With the bias states, small and centred on zero."""
+        names = self._plan.biases
+        var = np.square([BIAS_SHARE * scales[name] for name in names])
         mean = np.concatenate([known.mean, np.zeros(len(names))])
         return Gaussian((*known.names, *names), mean, block_diag(known.covariance, np.diag(var)))
 

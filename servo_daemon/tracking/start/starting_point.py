@@ -76,7 +76,8 @@ def _put_regression(
     sample_period_s: float,
 ) -> None:
     """The regression's values with their correlations, in estimated coordinates. What is straight in natural units (all
-    values on one line fit equally well) is bent in logarithms: σ off along it the logarithm is σ²/2 beside it, which is
+    values on one line fit equally well) is curved in logarithms: σ off along it the logarithm is σ²/2 beside it, which
+        is
     added to its spread."""
     source = [found.names.index(p.name) for p in taken]
     target = [list(free).index(p) for p in taken]
@@ -86,8 +87,8 @@ def _put_regression(
     part = found.covariance[np.ix_(source, source)] * np.outer(slope, slope) * _INFLATION**2
     blind = _between_samples(found, sample_period_s)
     floor = [(_FLOOR_STD + BLIND_STD.get(p.name, 0.0) * blind) ** 2 if p.transform == "log" else 0.0 for p in taken]
-    bent = [part[k, k] ** 2 / 4.0 if p.transform == "log" else 0.0 for k, p in enumerate(taken)]
-    cov[np.ix_(target, target)] = (part + part.T) / 2 + np.diag(floor) + np.diag(bent)
+    bias = [part[k, k] ** 2 / 4.0 if p.transform == "log" else 0.0 for k, p in enumerate(taken)]
+    cov[np.ix_(target, target)] = (part + part.T) / 2 + np.diag(floor) + np.diag(bias)
 
 
 def _between_samples(found: RegressionEstimate, sample_period_s: float) -> float:

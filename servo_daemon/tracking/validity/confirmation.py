@@ -1,4 +1,4 @@
-"""For which of the filter's values the regressions speak, which have no start that could have led them astray."""
+"""Which of the filter's values the regressions confirm, which have no start that could have misled them."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from servo_daemon.regression import balances
 from servo_daemon.regression.estimate import RegressionEstimate
 from servo_daemon.regression.motor_rls import MotorRls
 from servo_daemon.regression.sampling import blind_std
-from servo_daemon.tracking.plan.roster import Mask, Roster
+from servo_daemon.tracking.plan.parameter_masks import Mask, ParameterMasks
+from servo_daemon.tracking.validity.cross_check import RegressionCrossCheck
 from servo_daemon.tracking.validity.fusion import confirms
 from servo_daemon.tracking.validity.tick import Tick
-from servo_daemon.tracking.validity.vouching import Vouching
 
 #: A regression that may be off by as much (1 σ, relative) because of the sampling alone is no judge.
 _BLIND = 0.1
 
 
 class Confirmation:
-    """One filter's, from its start on.
+    """Compares one filter's values with the regressions', from its start on.
 
     Args:
         trusted: parameters for which nothing else need speak, shape (n,).
@@ -29,41 +29,41 @@ class Confirmation:
         parameters: those for which a regression speaks, or which it cannot judge because they are in none, shape (n,).
     """
 
-    def __init__(self, roster: Roster, ekf: Ekf, rls: MotorRls, trusted: Mask) -> None:
-        self._roster, self._ekf, self._rls, self._trusted = roster, ekf, rls, trusted
-        self.vouching = Vouching()
-        self.parameters: Mask = trusted | ~roster.covered
+    def __init__(self, masks: ParameterMasks, ekf: Ekf, rls: MotorRls, trusted: Mask) -> None:
+        self._masks, self._ekf, self._rls, self._trusted = masks, ekf, rls, trusted
+        self.cross_check = RegressionCrossCheck()
+        self.parameters: Mask = trusted | ~masks.covered
 
     def update(self, values: Mapping[str, float], tick: Tick, calm_s: float) -> None:
-        """With what the regressions say by now.
+        """Compare with what the regressions say by now.
 
         Args:
             calm_s: for how long the filter's innovations have been as they should be.
         """
-        out: Mask = self._trusted | ~self._roster.covered
+        out: Mask = self._trusted | ~self._masks.covered
         found = self._rls.estimate()
         if found is None:
             self.parameters = out
             return
         for name, value, std in zip(found.names, found.value.tolist(), found.std.tolist(), strict=True):
-            k = self._roster.names.index(name)
-            if self._trusted[k] or not self._roster.covered[k]:
+            k = self._masks.names.index(name)
+            if self._trusted[k] or not self._masks.covered[k]:
                 continue
             blind = blind_std(name, values, tick.sampling.period_s)
-            if self._roster.logarithmic[k] and not tick.is_blind(name, values) and blind < _BLIND:
+            if self._masks.logarithmic[k] and not tick.is_blind(name, values) and blind < _BLIND:
                 spread = math.hypot(std * balances.ALIGNED.get(name, 1.0), blind * value)
                 out[k] = confirms(value, spread, values[name]) or calm_s > found.span_s
             else:
                 out[k] = name != "L" or tick.white
-        for name in self._doubtful(found, values, tick):
-            k = self._roster.names.index(name)
+        for name in self._unconfirmed(found, values, tick):
+            k = self._masks.names.index(name)
             out[k] = bool(self._trusted[k])
         self.parameters = out
 
-    def _doubtful(self, found: RegressionEstimate, values: Mapping[str, float], tick: Tick) -> Collection[str]:
-        """Parameters that the regressions must vouch for first; see `Vouching`."""
-        if not tick.settled or self.vouching.done:
+    def _unconfirmed(self, found: RegressionEstimate, values: Mapping[str, float], tick: Tick) -> Collection[str]:
+        """Parameters that have yet to pass the `RegressionCrossCheck`."""
+        if not tick.settled or self.cross_check.done:
             return ()
-        std = dict(zip(self._roster.names, self._ekf.coordinate_std.tolist(), strict=True))
+        std = dict(zip(self._masks.names, self._ekf.coordinate_std.tolist(), strict=True))
         blind = {name: blind_std(name, values, tick.sampling.period_s) for name in found.names}
-        return self.vouching.doubtful(found, values, std, blind)
+        return self.cross_check.unconfirmed(found, values, std, blind)

@@ -80,7 +80,7 @@ class Excitation:
         self._mark(np.zeros(n, dtype=bool))
 
     def forget(self) -> None:
-        """What was gained so far is counted anew, all at once, with the next tick."""
+        """Forget the information so far; with the next tick it is counted anew, all at once."""
         self._window.clear()
         self._sum, self._sum_s = np.zeros(len(self.scales)), 0.0
 

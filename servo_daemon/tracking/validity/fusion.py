@@ -66,7 +66,7 @@ def fuse(
     floor_std: float = 0.0,
     why_not: str | None = None,
 ) -> Fused:
-    """One free parameter.
+    """The published value of one free parameter, from both estimators.
 
     Args:
         coordinate, coordinate_std: the estimate, in the estimated coordinate.

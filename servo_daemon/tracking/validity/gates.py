@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from servo_daemon.samples import F64
-from servo_daemon.tracking.plan.roster import Mask, Roster
+from servo_daemon.tracking.plan.parameter_masks import Mask, ParameterMasks
 
 #: A parameter qualifies below this (1 σ, relative) and loses its qualification above the second: hysteresis.
 QUALIFIED, LOST = 0.05, 0.15
@@ -22,7 +22,7 @@ _ONE_LINE = 0.8
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What is known after a tick.
+    """What the gates decide on after a tick.
 
     Attributes:
         relative_std: 1 σ over the scales, what the balances leave open included, shape (n,).
@@ -33,11 +33,11 @@ class Evidence:
         white, explained: the innovations are, and ticks that the noise does not explain are the exception.
         settles: the winding does between two samples.
         few_samples: a winding's time constant has so few that its current shows L/R alone.
-        lags_alike: those of drive and winding cannot be told apart.
+        lags_alike: those of drive and winding are not identifiable apart from each other.
         correlation: of the filter's errors of two parameters, by index.
     """
 
-    roster: Roster
+    masks: ParameterMasks
     relative_std: F64
     excited: Mask
     confirmed: Mask
@@ -53,7 +53,7 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """One.
+    """A named condition on which a parameter is not published.
 
     Attributes:
         reason: in words.
@@ -65,7 +65,7 @@ class Gate:
 
 
 def _only(e: Evidence, name: str, stopped: bool) -> Mask:
-    return np.array([stopped and name == n for n in e.roster.names])
+    return np.array([stopped and name == n for n in e.masks.names])
 
 
 def blind_to_inductance(e: Evidence, _: Mask) -> Mask:
@@ -95,21 +95,21 @@ def lost(e: Evidence, _: Mask) -> Mask:
 
 
 def unclaimable(e: Evidence, _: Mask) -> Mask:
-    return ~e.roster.claimable
+    return ~e.masks.claimable
 
 
 def without_second_opinion(e: Evidence, _: Mask) -> Mask:
     """Where the model lacks something none is to be had of what no regression judges."""
-    return e.roster.published & ~e.roster.covered & (not e.white)
+    return e.masks.published & ~e.masks.covered & (not e.white)
 
 
 def between_two_lags(e: Evidence, _: Mask) -> Mask:
-    return e.roster.published & e.lags_alike
+    return e.masks.published & e.lags_alike
 
 
 def resistance_without_torque_constant(e: Evidence, qualified: Mask) -> Mask:
     """Where R and K lie on one line the one is as wrong as the other."""
-    names = e.roster.names
+    names = e.masks.names
     if "R" not in names or "K" not in names:
         return np.zeros_like(qualified)
     R, K = names.index("R"), names.index("K")
@@ -118,7 +118,7 @@ def resistance_without_torque_constant(e: Evidence, qualified: Mask) -> Mask:
 
 def inductance_without_resistance(e: Evidence, qualified: Mask) -> Mask:
     """Over few samples a current shows L/R: with a wrong R the filter is sure of a wrong L."""
-    names = e.roster.names
+    names = e.masks.names
     return _only(e, "L", e.few_samples and "R" in names and not qualified[names.index("R")])
 
 
@@ -138,10 +138,10 @@ ENTRY = (
 #: What ends a qualification, and allows none.
 STAYS = (
     Gate(UNCONFIRMED, lost),
-    Gate("nothing shows it while something that it trades places with is not given", unclaimable),
-    Gate("the model lacks something, and no regression judges this", without_second_opinion),
-    Gate("the lags of winding and drive cannot be told apart", between_two_lags),
-    Gate("it trades places with K, which is not known", resistance_without_torque_constant),
+    Gate("it is identifiable only beside a value that [drive.nominal] does not give", unclaimable),
+    Gate("the model lacks something, and no regression shows it by itself", without_second_opinion),
+    Gate("the lags of winding and drive are not identifiable separately", between_two_lags),
+    Gate("it is not identifiable without K, which is not known", resistance_without_torque_constant),
     Gate("only L/R shows, and R is not known", inductance_without_resistance),
 )
 
@@ -158,7 +158,7 @@ class Qualification:
         self._evidence: Evidence | None = None
 
     def update(self, e: Evidence) -> None:
-        """After a tick."""
+        """Decide after a tick."""
         self.qualified, self._evidence = self.qualified.copy(), e
         _close(LAPSES, e, self.qualified)
         gained = np.ones_like(self.qualified)
@@ -169,7 +169,7 @@ class Qualification:
     def why_not(self, name: str) -> str | None:
         """What keeps a parameter from being known, in words: what lasts first. None: it is known, or nobody has asked
         yet."""
-        k = self._evidence.roster.names.index(name) if self._evidence is not None else 0
+        k = self._evidence.masks.names.index(name) if self._evidence is not None else 0
         if self._evidence is None or self.qualified[k]:
             return None
         closed = (gate for gate in (*STAYS, *LAPSES, *ENTRY) if gate.stops(self._evidence, self.qualified)[k])

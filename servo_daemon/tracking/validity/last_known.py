@@ -7,12 +7,12 @@ import math
 import numpy as np
 
 from servo_daemon.samples import F64
-from servo_daemon.tracking.plan.roster import Mask
+from servo_daemon.tracking.plan.parameter_masks import Mask
 from servo_daemon.tracking.validity.fusion import Trusted
 
 
 class LastKnown:
-    """Of n parameters. Coordinates and variances as the filter has them."""
+    """The last known values of n parameters, coordinates and variances as the filter has them."""
 
     def __init__(self, n: int) -> None:
         self._coordinate, self._var = np.zeros(n), np.full(n, np.nan)
@@ -49,7 +49,7 @@ class LastKnown:
         return math.isnan(self._var[k])
 
     def of(self, k: int, now_s: float) -> Trusted | None:
-        """Parameter k; None: it never was known.
+        """The last known value of parameter k; None: it never was known.
 
         Args:
             now_s: device time.

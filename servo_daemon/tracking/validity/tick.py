@@ -10,11 +10,11 @@ from servo_daemon.regression.sampling import Sampling, settles_between
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """What else there is to know after a tick.
+    """Facts of a tick beside the estimates.
 
     Attributes:
         settled: the filter has run for long enough for its noise levels to be no guesses, and its first samples have
-            been gone over where it started from little.
+            been re-linearised where it started from little.
         open: a jump is being looked for.
         explained: ticks that the noise does not explain are the exception.
         white: innovations are.

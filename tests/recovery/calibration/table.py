@@ -50,7 +50,7 @@ SPEAKS: Mapping[str, str] = {
     f"{_WATCH}._GATED_SHARE": "above",
     f"{_NOISE}._NIS_HIGH": "above",
     f"{_NOISE}._CORRELATED": "above",
-    "tracking.restart.doubts._DIVERGED_NIS": "above",
+    "tracking.restart.divergence._DIVERGED_NIS": "above",
     "tracking.validity.gates.QUALIFIED": "above",
     "tracking.validity.gates.LOST": "above",
     "regression.estimate.KNOWS": "above",
@@ -66,10 +66,10 @@ SPEAKS: Mapping[str, str] = {
     "tracking.changes.jumps._NOTICEABLE": "above",
     "regression.balance_window._CHANCE_STDS": "above",
     "tracking.validity.excitation.SYSTEMATIC_LEAVE": "above",
-    "tracking.restart.likelihood_look._WHITE": "above",
-    "tracking.restart.likelihood_look._AS_EXPECTED": "above",
-    "tracking.restart.second_look._AS_EXPECTED": "above",
-    "tracking.telling._OFFSET_OUT": "above",
+    "tracking.restart.maximum_likelihood._WHITE": "above",
+    "tracking.restart.maximum_likelihood._AS_EXPECTED": "above",
+    "tracking.restart.batch_passes._AS_EXPECTED": "above",
+    "tracking.notifications._OFFSET_OUT": "above",
 }
 _NOTHING = "nothing"
 

@@ -5,7 +5,7 @@ loop at 20 kHz whose voltage is limited and held for a period; a speed loop at 2
 
     L di_d/dt = v_d − R i_d + p ω L i_q
     L di_q/dt = v_q − R i_q − p ω (L i_d + λ)
-    J dω/dt   = 1.5 p λ i_q − B ω − Tc tanh(ω/ω0)
+    J dω/dt   = 1.5 p λ i_q − B ω − Tc tanh(ω/ω0) − load(θ, ω)
 """
 
 from __future__ import annotations
@@ -80,9 +80,19 @@ def pick_and_place(size: float) -> Callable[[float], float]:
 
 
 def run(
-    motor: FocMotor, speed: Callable[[float], float], seconds: float, *, noise_A: float = 0.0, seed: int = 0
+    motor: FocMotor,
+    speed: Callable[[float], float],
+    seconds: float,
+    *,
+    noise_A: float = 0.0,
+    seed: int = 0,
+    load: Callable[[float, float], float] = lambda _th, _w: 0.0,
 ) -> Trace:
-    """The motor following speeds; `noise_A` is that of the current's sensor, which the current loop acts on."""
+    """The motor following speeds.
+
+    `noise_A` is that of the current's sensor, which the current loop acts on; `load` the torque (N·m) against positive
+    motion at an angle (rad) and a speed (rad/s), held for a control period.
+    """
     n = round(seconds * CONTROL_HZ)
     dt = 1.0 / CONTROL_HZ
     h = dt / _SUBSTEPS
@@ -117,16 +127,17 @@ def run(
             zd += ki * ed * dt
             zq += ki * eq * dt
         out[0, k], out[1, k], out[2, k], out[3, k] = measured, vq, w, th
+        held = load(th, w)
         for _ in range(_SUBSTEPS):
             pw = p * w
             ad = (vd - R * idd + pw * L * iq) / L
             aq = (vq - R * iq - pw * (L * idd + lam)) / L
-            aw = (kt * iq - B * w - Tc * tanh(w / _TC_WIDTH)) / J
+            aw = (kt * iq - B * w - Tc * tanh(w / _TC_WIDTH) - held) / J
             d2, q2, w2 = idd + h * ad, iq + h * aq, w + h * aw
             pw = p * w2
             bd = (vd - R * d2 + pw * L * q2) / L
             bq = (vq - R * q2 - pw * (L * d2 + lam)) / L
-            bw = (kt * q2 - B * w2 - Tc * tanh(w2 / _TC_WIDTH)) / J
+            bw = (kt * q2 - B * w2 - Tc * tanh(w2 / _TC_WIDTH) - held) / J
             th += h * (w + 0.5 * h * aw)
             idd += 0.5 * h * (ad + bd)
             iq += 0.5 * h * (aq + bq)

@@ -22,7 +22,7 @@ from servo_daemon.kalman.records import NoiseLevels
 from servo_daemon.parameters import LINEAR
 from servo_daemon.plant.build import build_plant
 from servo_daemon.samples import F64
-from servo_daemon.tracking.plan.roster import Roster
+from servo_daemon.tracking.plan.parameter_masks import ParameterMasks
 from servo_daemon.tracking.validity.excitation import Excitation
 from servo_daemon.tracking.validity.gates import Evidence, Qualification
 from tests.recovery.generator import MOTORS, Motor, Recording, Scenario, Sensors, generate, stream
@@ -90,13 +90,13 @@ def filtered(ekf: Ekf, samples: F64) -> tuple[F64, F64, Flags]:
     mean_, std, tracking = np.empty((m, 5)), np.empty((m, 5)), np.zeros((m, 5), dtype=bool)
     excitation, qualification = Excitation(5), Qualification(5)
     all_ = np.ones(5, dtype=bool)
-    roster = Roster(LINEAR, all_, ~all_, all_, all_, all_, np.zeros(5))
+    masks = ParameterMasks(LINEAR, all_, ~all_, all_, all_, all_, np.zeros(5))
     for k in range(m):
         ekf.update(samples[k * STRIDE : (k + 1) * STRIDE])
         found = ekf.estimate()
         mean_[k], std[k] = found.mean, found.std
         excitation.update(ekf.take_information(), STRIDE / RATE_HZ)
-        qualification.update(Evidence(roster, found.std, excitation.excited, all_))
+        qualification.update(Evidence(masks, found.std, excitation.excited, all_))
         tracking[k] = qualification.qualified & excitation.excited
     return mean_, std, tracking
 

@@ -74,7 +74,7 @@ def test_levels_by_direction_and_a_constant_load_are_the_same_thing(servo_data: 
 
 @pytest.mark.parametrize("capture", ["xl330_sin_time_square_kp100", "xl330_sin_time_square_kp400"])
 def test_xl330_with_its_known_load(servo_data: Path, capture: str) -> None:
-    """Published fits of the Coulomb model: K 0.323–0.387, R 4.0–4.8 (the wrong model bends both)."""
+    """Published fits of the Coulomb model: K 0.323–0.387, R 4.0–4.8 (the wrong model biases both)."""
     effects = ("--effect", "coulomb_friction", "--effect", "gravity_load:phi_g=0")
     path = servo_data / f"{capture}.csv.gz"
     document = fitted(path, *effects, "--fix", "B=1e-6,L=1e-3")
@@ -85,7 +85,7 @@ def test_xl330_with_its_known_load(servo_data: Path, capture: str) -> None:
     assert 2.8 < p["R"]["value"] < 4.9
     assert abs(p["phi_g"]["value"]) < 0.05
     without = fitted(path, *effects)
-    assert without["null_directions"]  # with free viscous friction K²/R and B cannot be told apart
+    assert without["null_directions"]  # with free viscous friction K²/R and B are not identifiable separately
 
 
 def test_unal_has_the_published_gain_and_dead_zone(servo_data: Path) -> None:

@@ -161,10 +161,10 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_windows_and_the_same_model
             workers[0].send_signal(signal.SIGKILL)
             killed_at.append(done)
 
-    from_cluster = simulate_training(spec, 200, strange=True, dask=address, progress=kill_one)
+    from_cluster = simulate_training(spec, 200, novel=True, dask=address, progress=kill_one)
     assert workers[0].wait(timeout=10) == -signal.SIGKILL
     assert killed_at[0] < 200
-    alone = simulate_training(spec, 200, strange=True, jobs=1)
+    alone = simulate_training(spec, 200, novel=True, jobs=1)
     for name in ("motor", "kind", "features", "truth"):
         assert np.array_equal(getattr(from_cluster, name), getattr(alone, name), equal_nan=True), name
     ours, theirs = (train_model(spec, w, jobs=1).predict(alone.features) for w in (alone, from_cluster))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from servo_daemon.conditioning.layout import Layout
-from servo_daemon.kalman.layout import LEAPT
+from servo_daemon.kalman.layout import SPIKE
 from servo_daemon.samples import Quality, make_block
 
 LSB = 1e-3
@@ -66,7 +66,7 @@ def test_a_slow_shaft_is_shown_hardly_ahead(samples_per_count: float) -> None:
         assert abs(shown) < 0.5 * unshifted
 
 
-def test_a_shaft_that_leaps_or_just_moves_is_where_the_encoder_says() -> None:
+def test_a_shaft_that_jumps_or_just_moves_is_where_the_encoder_says() -> None:
     counts = [0, 1, 2, 3, 2, 2, 2, 2, 9, 9, 4]
     np.testing.assert_allclose(rows_of(counts)[:, 7], LSB * np.array(counts), rtol=0, atol=1e-18)
 
@@ -91,7 +91,7 @@ def test_an_input_that_is_no_measurement_is_held_and_uncertain() -> None:
     assert layout.last_input == 6.0
 
 
-def test_an_input_that_leaps_and_leaps_back_is_put_right_by_the_next_sample() -> None:
+def test_a_spike_of_the_input_is_put_right_by_the_next_sample() -> None:
     """Wherever blocks end; a step is none, nor is what the input does all the time."""
     u = np.array([1.0, 1.0, 9.0, 2.0, 2.0, 12.0, 12.0, 12.0, 11.0, 12.0, -8.0, -8.0, 0.0, -9.0])
     zero = np.zeros(len(u))
@@ -101,54 +101,54 @@ def test_an_input_that_leaps_and_leaps_back_is_put_right_by_the_next_sample() ->
     for cut in range(1, len(u)):
         layout = Layout("voltage", ("current_A", "position_rad"))
         parts = (block.slice(0, cut), block.slice(cut, len(u)))
-        rows = np.concatenate([layout.rows(part, 0.0, largest_leap=2.0) for part in parts])
+        rows = np.concatenate([layout.rows(part, 0.0, spike_limit=2.0) for part in parts])
         np.testing.assert_array_equal(rows[:, -1], expected)
         np.testing.assert_array_equal(rows[:, 2], u)
     layout = Layout("voltage", ("current_A", "position_rad"))
     assert not layout.rows(block, 0.0)[:, -1].any()
 
 
-def test_a_current_that_leaps_is_not_believed_at_once() -> None:
+def test_a_spike_of_the_current_is_not_believed_at_once() -> None:
     """Wherever blocks end, and with samples in between that are no measurement. A step is doubted for one sample, what
-    comes back from a leap is not, nor is a current that just runs, nor a reading of another channel."""
+    comes back from a spike is not, nor is a current that just runs, nor a reading of another channel."""
     i = np.array([1.0, 1.1, 9.0, 1.0, 1.1, 6.0, 6.0, 6.1, -9.0, np.nan, 6.0, 9.0, 12.0, 15.0, 18.0, 18.1, 2.0])
-    leaps = np.array([0, 0, 1, 0, 0, 1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1], dtype=bool)
+    spikes = np.array([0, 0, 1, 0, 0, 1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1], dtype=bool)
     n = len(i)
     columns = {"voltage_V": np.zeros(n), "current_A": i, "position_rad": np.nan_to_num(i)}
     block = make_block(np.arange(n) * 1e-3, **columns)
     for cut in range(1, n):
         layout = Layout("voltage", ("current_A", "position_rad"))
         parts = (block.slice(0, cut), block.slice(cut, n))
-        rows = np.concatenate([layout.rows(part, 0.0, largest_current_leap=2.0) for part in parts])
-        np.testing.assert_array_equal(rows[:, 6] >= LEAPT, leaps)
-        np.testing.assert_array_equal(rows[:, 5] > 0, ~leaps & np.isfinite(i))
-        np.testing.assert_array_equal(rows[~leaps, 6], 1.0)
+        rows = np.concatenate([layout.rows(part, 0.0, current_spike_limit=2.0) for part in parts])
+        np.testing.assert_array_equal(rows[:, 6] >= SPIKE, spikes)
+        np.testing.assert_array_equal(rows[:, 5] > 0, ~spikes & np.isfinite(i))
+        np.testing.assert_array_equal(rows[~spikes, 6], 1.0)
         np.testing.assert_array_equal(rows[:, 9], 1.0)
     assert not (Layout("voltage", ("current_A", "position_rad")).rows(block, 0.0)[:, 6] > 1.0).any()
 
 
-def test_after_a_gap_nothing_leaps() -> None:
+def test_after_a_gap_nothing_is_a_spike() -> None:
     i = np.array([1.0, 1.1, 9.0, 9.1, 9.0, 1.0])
     columns = {"voltage_V": i * 3.0, "current_A": i, "position_rad": i}
     block = make_block(np.arange(6) * 1e-3, **columns)
     layout = Layout("voltage", ("current_A", "position_rad"))
-    layout.rows(block.slice(0, 2), 0.0, largest_leap=2.0, largest_current_leap=2.0)
+    layout.rows(block.slice(0, 2), 0.0, spike_limit=2.0, current_spike_limit=2.0)
     layout.resume(2e-3)
-    rows = layout.rows(block.slice(2, 6), 0.0, largest_leap=30.0, largest_current_leap=2.0)
-    assert (rows[:, 6] >= LEAPT).tolist() == [False, False, False, True]
+    rows = layout.rows(block.slice(2, 6), 0.0, spike_limit=30.0, current_spike_limit=2.0)
+    assert (rows[:, 6] >= SPIKE).tolist() == [False, False, False, True]
     assert rows[0, 1] == 0.0
 
 
 @pytest.mark.parametrize("late", [0, 1], ids=["after it", "with it"])
-def test_a_current_that_leaps_with_the_voltage_is_believed(late: int) -> None:
+def test_a_current_that_jumps_with_the_voltage_is_believed(late: int) -> None:
     """Few steps in a tick are no usual change, neither of the voltage nor of the current of a winding that settles
     within a sample."""
     u = np.array([0.0, 0.1, 0.0, 24.0, 24.1, 24.0, 24.0, 24.1, 24.0])
     i = np.array([0.0, 0.0, 0.1, 0.0, 8.0, 8.1, 8.0, 0.5, 8.0])
     block = make_block(np.arange(len(u)) * 1e-3, voltage_V=np.roll(u, late), current_A=i, position_rad=np.zeros(len(u)))
     layout = Layout("voltage", ("current_A", "position_rad"))
-    rows = layout.rows(block, 0.0, largest_leap=1.0, largest_current_leap=1.0)
-    assert np.flatnonzero(rows[:, 6] >= LEAPT).tolist() == [7]
+    rows = layout.rows(block, 0.0, spike_limit=1.0, current_spike_limit=1.0)
+    assert np.flatnonzero(rows[:, 6] >= SPIKE).tolist() == [7]
 
 
 def test_a_measurement_that_is_none_is_marked() -> None:

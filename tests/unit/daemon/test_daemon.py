@@ -365,22 +365,22 @@ def test_no_drive_is_turned_by_two_threads_at_once_and_a_quick_one_shares_again(
     """Every turn is taken for a long one for a while, then none is: drives go to threads of their own and come back."""
     monkeypatch.setattr(worker_module, "_QUICK_S", 0.0)
     rig = start(configuration("one", "two", "three"))
-    seats = rig.daemon._seats
-    inside, threads, crossed = dict.fromkeys(seats, 0), set(), []
-    for name in seats:
+    slots = rig.daemon._slots
+    inside, threads, crossed = dict.fromkeys(slots, 0), set(), []
+    for name in slots:
         monkeypatch.setattr(rig.runtime(name), "work", counted(rig.runtime(name).work, name, inside, threads, crossed))
     for k in range(1, 4):
         monkeypatch.setattr(worker_module, "LONG_TURN_S", 0.0)
         for _ in range(20):
-            for name in seats:
+            for name in slots:
                 rig.driver(name).feed(50)
-        rig.until(lambda: any(seat.owner is not None for seat in seats.values()), "one has a thread of its own")
-        for name in seats:
+        rig.until(lambda: any(slot.owner is not None for slot in slots.values()), "one has a thread of its own")
+        for name in slots:
             rig.until_samples(k * 1000, name)
         monkeypatch.setattr(worker_module, "LONG_TURN_S", 60.0)
-        rig.until(lambda: all(seat.owner is None for seat in seats.values()), "all share a thread again")
+        rig.until(lambda: all(slot.owner is None for slot in slots.values()), "all share a thread again")
     assert crossed == [] and len(threads) > 3
-    assert all(rig.snapshot(name).counters["samples_lost"] == 0 for name in seats)
+    assert all(rig.snapshot(name).counters["samples_lost"] == 0 for name in slots)
 
 
 def counted(work: Any, name: str, inside: dict[str, int], threads: set[Any], crossed: list[str]) -> Any:
@@ -415,7 +415,7 @@ def test_an_estimator_in_the_making_is_no_problem_and_a_pipeline_that_hangs_is(
     monkeypatch.setattr(worker_module, "STUCK_S", 0.2)
     supervisor = Supervisor(watchdog_s=0.02)
     rig = start(configuration("one", "two"), notifier=supervisor)
-    seat = rig.daemon._seats["one"]
+    slot = rig.daemon._slots["one"]
 
     def problems() -> list[str]:  # (the machine may be too slow for the other one, at this limit)
         return [p for p in rig.daemon.problems() if p.startswith("drive one: the pipeline has not turned")]
@@ -425,7 +425,7 @@ def test_an_estimator_in_the_making_is_no_problem_and_a_pipeline_that_hangs_is(
         rig.driver("one").feed(100)
         assert making.entered.wait(PATIENCE_S)
         fed = supervisor.fed
-        rig.until(lambda: time.monotonic() - seat.turned > 1.0 and supervisor.fed > fed + 3, "it takes long")
+        rig.until(lambda: time.monotonic() - slot.turned > 1.0 and supervisor.fed > fed + 3, "it takes long")
         assert problems() == []
     finally:
         making.opened.set()
@@ -436,7 +436,7 @@ def test_an_estimator_in_the_making_is_no_problem_and_a_pipeline_that_hangs_is(
         assert hangs.entered.wait(PATIENCE_S)
         rig.until(problems, "noticed")
         fed = supervisor.fed
-        rig.until(lambda: time.monotonic() - seat.turned > 1.0, "it hangs")
+        rig.until(lambda: time.monotonic() - slot.turned > 1.0, "it hangs")
         assert supervisor.fed <= fed + 1, "systemd is not told that all is well"
     finally:
         hangs.opened.set()

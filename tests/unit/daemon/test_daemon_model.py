@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from servo_daemon.daemon import model_desk
+from servo_daemon.daemon import model_coordinator
 from servo_daemon.errors import BusyError, ModelError, RefusedError, ServoDaemonError
 from servo_daemon.published.view import ModelChange
 from tests.daemon_rig import PATIENCE_S, Rig, configuration, starter
@@ -102,7 +102,7 @@ def test_without_samples_it_is_done_at_once_and_has_no_first_estimate(start: Sta
     assert rig.runtime().model == FRICTION
 
 
-def test_a_plant_that_cannot_be_made_is_told_and_the_desk_open_again(
+def test_a_plant_that_cannot_be_made_is_told_and_the_coordinator_open_again(
     start: Start,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -112,7 +112,7 @@ def test_a_plant_that_cannot_be_made_is_told_and_the_desk_open_again(
         raise RuntimeError("made up")
 
     with monkeypatch.context() as patched:
-        patched.setattr(model_desk.Pipeline, "prepare", fail)
+        patched.setattr(model_coordinator.Pipeline, "prepare", fail)
         with pytest.raises(ServoDaemonError, match="made up"):
             rig.runtime().request_model(FRICTION, {}).result(PATIENCE_S)
     assert adopt(rig).model == FRICTION
@@ -133,7 +133,7 @@ def test_a_reset_goes_back_to_the_configured_model(start: Start, tmp_path: Path)
 def test_a_reset_ends_a_change_that_waits(start: Start) -> None:
     rig = tracking(start())
     future = rig.runtime().request_model(FRICTION, {})
-    rig.until(lambda: (p := rig.runtime()._desk._pending) is not None and p.begun, "begun; no samples come")
+    rig.until(lambda: (p := rig.runtime()._model_changes._pending) is not None and p.begun, "begun; no samples come")
     rig.runtime().request_reset()
     with pytest.raises(ServoDaemonError, match="reset"):
         future.result(PATIENCE_S)

@@ -122,7 +122,7 @@ def test_two_estimates_that_cannot_both_be_right() -> None:
 
 
 def test_a_cause_whose_size_the_user_gives_is_fitted_whatever_screening_sees() -> None:
-    """The weight of a pendulum is known; beside a motor that the linear fit has bent nothing of it shows."""
+    """The weight of a pendulum is known; beside a motor that the linear fit has biased nothing of it shows."""
     plant = build_plant(())
     motor = {p.name: p.nominal for p in plant.parameters}
     problem = SimpleNamespace(plant=plant, channels=("current_A", "position_rad"))

@@ -14,7 +14,7 @@ from servo_daemon.diagnosis.screening.dependence import dependences
 from servo_daemon.diagnosis.search.select import Selection
 from servo_daemon.diagnosis.trial.compare import error_removed
 from servo_daemon.diagnosis.trial.data import Data
-from servo_daemon.diagnosis.trial.lacking import longest_missing
+from servo_daemon.diagnosis.trial.model_discrepancy import longest_missing
 from servo_daemon.diagnosis.trial.noise_floor import measured_levels, noise_floor, third_differences
 from servo_daemon.diagnosis.trial.scored import Scored
 from servo_daemon.diagnosis.trial.split import CHOICE, HELD_OUT, TRAIN, divide

@@ -1,4 +1,4 @@
-"""Missing torque and voltage: against a dense Gaussian smoother, over gaps and jitter, for every signal set."""
+"""Unmodelled torque and voltage: against a dense Gaussian smoother, over gaps and jitter, for every signal set."""
 
 from __future__ import annotations
 

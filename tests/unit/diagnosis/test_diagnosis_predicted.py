@@ -10,7 +10,7 @@ import pytest
 
 from servo_daemon.diagnosis.missing.noise_levels import NoiseLevels
 from servo_daemon.diagnosis.trial.data import Data
-from servo_daemon.diagnosis.trial.everything import fit_whole
+from servo_daemon.diagnosis.trial.full_data_fit import fit_whole
 from servo_daemon.diagnosis.trial.scored import Scored
 from servo_daemon.diagnosis.trial.split import CHOICE, HELD_OUT, TRAIN
 from servo_daemon.diagnosis.trial.trial import Trial, fit_trial

@@ -10,7 +10,7 @@ import pytest
 from servo_daemon.kalman.ekf import Ekf
 from servo_daemon.kalman.filterpy_ekf import FilterpyLoop
 from servo_daemon.kalman.gaussian import Gaussian
-from servo_daemon.kalman.layout import LEAPT
+from servo_daemon.kalman.layout import SPIKE
 from servo_daemon.kalman.records import NoiseLevels
 from servo_daemon.plant.build import PlantModel, build_plant
 from servo_daemon.samples import SampleBlock
@@ -47,7 +47,7 @@ def started(
     ekf.start(Gaussian(plant.parameter_names, mean + wrong, np.diag(np.full(n, 0.3**2))))
     ekf.set_noise(NoiseLevels(2e-4, 1e-9, (1.6e-2, 2e-8)))
     ekf.set_active(np.ones(n), np.full(n, drift))
-    ekf.use_instrument(wrong < 0.05)
+    ekf.use_instrumental_trajectory(wrong < 0.05)
     return ekf
 
 
@@ -64,10 +64,10 @@ def test_finds_the_motor_and_its_intervals_hold() -> None:
 def test_a_misread_input_that_is_put_right_costs_no_more_than_one_that_is_not_known() -> None:
     clean = rows(record(4.0))
     wrong, unknown = clean.copy(), clean.copy()
-    leap = np.where(np.arange(len(clean)) % 300 == 299, 40.0, 0.0)
-    wrong[:, 2] += leap
-    wrong[1:, 10] -= leap[:-1]
-    unknown[:, 3] = np.square(leap)
+    spike = np.where(np.arange(len(clean)) % 300 == 299, 40.0, 0.0)
+    wrong[:, 2] += spike
+    wrong[1:, 10] -= spike[:-1]
+    unknown[:, 3] = np.square(spike)
     found = []
     for samples in (wrong, unknown):
         ekf = started(wrong=0.1)
@@ -78,14 +78,14 @@ def test_a_misread_input_that_is_put_right_costs_no_more_than_one_that_is_not_kn
     np.testing.assert_allclose(found[0].covariance, found[1].covariance, rtol=1e-9)
 
 
-def test_a_current_that_leapt_says_nothing_and_is_an_outlier() -> None:
+def test_a_spike_of_the_current_says_nothing_and_is_an_outlier() -> None:
     clean = rows(record(4.0))
-    leapt, missing = clean.copy(), clean.copy()
+    spiked, missing = clean.copy(), clean.copy()
     where = np.arange(len(clean)) % 300 == 299
-    leapt[where, 4:7] = np.column_stack([clean[where, 4] + 40.0, np.zeros(where.sum()), np.full(where.sum(), LEAPT)])
+    spiked[where, 4:7] = np.column_stack([clean[where, 4] + 40.0, np.zeros(where.sum()), np.full(where.sum(), SPIKE)])
     missing[where, 4:6] = 0.0
     found = []
-    for samples in (leapt, missing):
+    for samples in (spiked, missing):
         ekf = started(wrong=0.1)
         gated = ekf.update(samples).gated[3:]
         assert gated.any(axis=1).tolist() == (samples[3:, 6] > 1.0).tolist()
@@ -116,7 +116,7 @@ def test_compiled_and_filterpy_agree(effects: tuple[str, ...]) -> None:
     samples[300, 1] = 0.0  # the same time stamp twice
     samples[400, 3] = 4.0  # voltage hardly known
     samples[450, 2], samples[451, 10] = samples[450, 2] + 20.0, -20.0  # one that was misread, and put right
-    samples[500, 4:7] = samples[500, 4] + 30.0, 0.0, LEAPT  # a current that leapt
+    samples[500, 4:7] = samples[500, 4] + 30.0, 0.0, SPIKE  # a current that spiked
     plant = build_plant(effects)
     results = []
     for engine in ("compiled", "filterpy"):
@@ -125,7 +125,7 @@ def test_compiled_and_filterpy_agree(effects: tuple[str, ...]) -> None:
         active = np.ones(len(plant.parameters))
         active[1] = 0.0
         ekf.set_active(active, 1e-8 * active)
-        ekf.use_instrument(True)
+        ekf.use_instrumental_trajectory(True)
         innovations.append(ekf.update(samples[250:]))
         flat = np.concatenate(
             [np.ravel(getattr(i, f)) for i in innovations for f in ("innovation", "variance", "gated")]
@@ -256,9 +256,10 @@ def test_what_was_known_before_can_be_recalled() -> None:
     assert ekf.is_sound()
 
 
-def test_the_instrument_takes_no_noise_for_excitation() -> None:
+def test_the_instrumental_trajectory_takes_no_noise_for_excitation() -> None:
     """Hardly any voltage but its own noise, in a winding far faster than the sampling: what the current says of L is
-    the colour of the noise. Along the filter's own states L is soon "known", along the instrument it is not."""
+    the colour of the noise. Along the filter's own states L is soon "known", along the instrumental trajectory it is
+    not."""
     rng = np.random.default_rng(4)
     plant = build_plant()
     n, h, noise_V = 20_000, 1e-3, 0.05
@@ -278,7 +279,7 @@ def test_the_instrument_takes_no_noise_for_excitation() -> None:
         ekf.start(Gaussian(plant.parameter_names, np.log(p), np.eye(5) * 0.3**2))
         ekf.set_noise(NoiseLevels(noise_V**2, 0.0, (9e-3**2, 4e-4**2)))
         ekf.set_active(np.ones(5), np.zeros(5))
-        ekf.use_instrument(use)
+        ekf.use_instrumental_trajectory(use)
         ekf.update(samples)
         std.append(ekf.coordinate_std[1])
     assert std[1] < 0.1

@@ -48,21 +48,21 @@ def test_a_combination_that_no_motor_showed_is_declined(familiarity: Familiarity
     assert (familiarity.score(mixed) < LEAST_FAMILIARITY).mean() > 0.95
 
 
-class _NeverStrange:
-    """Stands for `Strangeness`: what is declined is then declined by familiarity alone."""
+class _NeverNovel:
+    """Stands for `Novelty`: what is declined is then declined by familiarity alone."""
 
     def judge(self, looks: object) -> tuple[F64, F64]:
         n = len(looks.extended)  # type: ignore[attr-defined]
         return np.zeros(n), np.zeros(n)
 
-    def share(self, strange: F64) -> F64:
-        return np.ones(len(strange))
+    def share(self, novel: F64) -> F64:
+        return np.ones(len(novel))
 
 
 @pytest.mark.slow
 def test_a_model_declines_what_is_unfamiliar() -> None:
     """The features of healthy windows, and the same with most of them another motor's and three times as large."""
-    model: LearnedModel = dataclasses.replace(small_model(), strangeness=_NeverStrange())  # type: ignore[arg-type]
+    model: LearnedModel = dataclasses.replace(small_model(), novelty=_NeverNovel())  # type: ignore[arg-type]
     features = own_windows()
     healthy = model.predict(features)
     assert np.mean([d == "" for d in healthy.declined]) > 0.8

@@ -52,9 +52,9 @@ def test_motors_outside_lie_outside() -> None:
     assert set((away > 1.0).sum(axis=1)) == {1, 2}
 
 
-def test_strange_windows_stand_beside_the_healthy_ones_which_stay_the_same() -> None:
+def test_novel_windows_stand_beside_the_healthy_ones_which_stay_the_same() -> None:
     core = draw_parameters(SPEC, 12)
-    alone, beside = (simulate_motors(SPEC, range(12), core, strange=s) for s in (False, True))
+    alone, beside = (simulate_motors(SPEC, range(12), core, novel=s) for s in (False, True))
     healthy = beside.only(beside.kind == HEALTHY)
     assert np.array_equal(healthy.features, alone.features, equal_nan=True)
     assert np.array_equal(healthy.truth, alone.truth)

@@ -9,7 +9,7 @@ import pytest
 
 from servo_daemon.learning.examples.drawing import CORE
 from servo_daemon.learning.features.window import Window, prepare
-from servo_daemon.learning.refresh.proof import Proof
+from servo_daemon.learning.refresh.champion_challenger import ChampionChallengerTest
 from servo_daemon.learning.refresh.recent import Recent
 from servo_daemon.simulate import PAPER_MOTOR, SimulatedDrive, make_settings
 
@@ -110,30 +110,30 @@ def believed(**factors: float) -> dict[str, float]:
 def test_each_balance_refutes_what_is_in_it(
     window: Window, then: dict[str, float], now: dict[str, float], refuted: set[str]
 ) -> None:
-    proof = Proof()
-    proof.believe(believed(), believed(**then))
-    verdict = proof.judge(window, believed(**now))
-    assert proof.refuted == refuted
-    assert verdict.model is not None
-    assert verdict.filter is not None
+    challenge = ChampionChallengerTest()
+    challenge.believe(believed(), believed(**then))
+    comparison = challenge.judge(window, believed(**now))
+    assert challenge.refuted == refuted
+    assert comparison.model is not None
+    assert comparison.filter is not None
 
 
 def test_trusted_after_two_windows_won_and_no_more_after_two_lost(window: Window) -> None:
-    proof, right, wrong = Proof(), believed(), believed(R=1.5)
+    challenge, right, wrong = ChampionChallengerTest(), believed(), believed(R=1.5)
     for model, filtered, trusted in (
         (right, wrong, False),
         (right, wrong, True),
         (wrong, right, True),
         (wrong, right, False),
     ):
-        proof.believe(model, filtered)
-        proof.judge(window, filtered)
-        assert proof.trusted == trusted
+        challenge.believe(model, filtered)
+        challenge.judge(window, filtered)
+        assert challenge.trusted == trusted
 
 
 def test_nothing_is_refuted_by_a_window_of_another_device(window: Window) -> None:
-    proof = Proof()
-    proof.believe(believed(), believed(R=1.5))
-    proof.forget()
-    assert proof.judge(window, believed(R=1.5)).model is None
-    assert proof.refuted == set()
+    challenge = ChampionChallengerTest()
+    challenge.believe(believed(), believed(R=1.5))
+    challenge.forget()
+    assert challenge.judge(window, believed(R=1.5)).model is None
+    assert challenge.refuted == set()

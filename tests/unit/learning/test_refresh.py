@@ -11,7 +11,7 @@ from servo_daemon.kalman.gaussian import Gaussian
 from servo_daemon.learning.examples.drawing import CORE
 from servo_daemon.learning.model.model import LearnedModel
 from servo_daemon.learning.refresh import refresh as refresh_module
-from servo_daemon.learning.refresh.proof import Verdict
+from servo_daemon.learning.refresh.champion_challenger import Comparison
 from servo_daemon.learning.refresh.refresh import GATE, PseudoMeasurement, Refresh, RefreshEstimate
 from servo_daemon.samples import Quality, SampleBlock
 from servo_daemon.simulate import PAPER_MOTOR, SimulatedDrive, make_settings
@@ -141,12 +141,12 @@ def test_only_what_the_filter_estimates_is_measured(model: LearnedModel, recordi
 
 
 class _Proven:
-    """Stands for `Proof`: the model is trusted, and nothing of the filter's is refuted."""
+    """Stands for `ChampionChallengerTest`: the model is trusted, and nothing of the filter's is refuted."""
 
     trusted, refuted = True, frozenset[str]()
 
-    def judge(self, *_: object) -> Verdict:
-        return Verdict()
+    def judge(self, *_: object) -> Comparison:
+        return Comparison()
 
     def believe(self, *_: object) -> None: ...
 
@@ -157,7 +157,7 @@ def test_what_is_too_far_off_does_not_enter_unless_the_filter_is_refuted(
     model: LearnedModel, recording: SampleBlock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Between two that contradict each other the balances decide, not the one that is learned."""
-    monkeypatch.setattr(refresh_module, "Proof", _Proven)
+    monkeypatch.setattr(refresh_module, "ChampionChallengerTest", _Proven)
     near, far = (run(model, recording, believed(factor, 0.1)) for factor in (1.0, 3.0))
     assert any(e.pseudo is not None for e in near)
     outcomes = [e for e in far if not e.declined]
@@ -172,7 +172,7 @@ def test_what_is_too_far_off_does_not_enter_unless_the_filter_is_refuted(
 def test_a_filter_that_knows_all_of_it_better_is_left_alone(
     model: LearnedModel, recording: SampleBlock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(refresh_module, "Proof", _Proven)
+    monkeypatch.setattr(refresh_module, "ChampionChallengerTest", _Proven)
     found = [e for e in run(model, recording, believed(1.0, 1e-3)) if not e.declined]
     assert found
     assert all(e.pseudo is None and "knows all of it better" in e.reason for e in found)
@@ -188,7 +188,7 @@ def test_what_has_not_proven_itself_does_not_enter(
     model: LearnedModel, recording: SampleBlock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """However near to the filter's values it is."""
-    monkeypatch.setattr(refresh_module, "Proof", _Unproven)
+    monkeypatch.setattr(refresh_module, "ChampionChallengerTest", _Unproven)
     found = [e for e in run(model, recording, believed(1.0, 0.1)) if not e.declined]
     assert found
     assert all(e.pseudo is None and e.reason.startswith("shadow") for e in found)

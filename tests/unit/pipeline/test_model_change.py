@@ -202,7 +202,7 @@ def test_a_motor_that_stands_still_is_not_forgotten() -> None:
     for name in ("R", "K", "J", "B"):
         p, was = by_name(after)[name], by_name(still)[name]
         assert p.status == "unexcited" and p.value == pytest.approx(was.value, rel=0.1)
-        assert p.std is not None and was.std is not None and p.std >= was.std, "the new effect may have bent it"
+        assert p.std is not None and was.std is not None and p.std >= was.std, "the new effect may have biased it"
     assert by_name(after)["Tc"].status == "estimating"
 
 
@@ -237,7 +237,7 @@ def test_before_the_filter_runs_there_is_nothing_to_keep() -> None:
     pipeline, drive, before = running(seconds=0.5)
     assert {p.status for p in before.parameters} == {"estimating"}
     exchange(pipeline, checked_request(FRICTION, {}))
-    after = rows(pipeline, drive, 8.0)  # it starts from a guess: nothing qualifies before its second look
+    after = rows(pipeline, drive, 8.0)  # it starts from a guess: nothing qualifies before its re-linearisation
     assert after[-1].model == FRICTION and by_name(after[-1])["R"].status == "tracking"
 
 

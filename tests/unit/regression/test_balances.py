@@ -20,8 +20,8 @@ from servo_daemon.regression.balances import (
     noise_gram,
     shaft_slopes,
 )
-from servo_daemon.regression.closure import mismatch_std
 from servo_daemon.regression.modulating import Windows, make_windows
+from servo_daemon.regression.residual_analysis import mismatch_std
 from servo_daemon.regression.rls_fit import SYSTEMATIC
 from servo_daemon.samples import F64
 from servo_daemon.tracking.validity.excitation import SYSTEMATIC_ENTER, SYSTEMATIC_LEAVE

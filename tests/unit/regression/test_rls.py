@@ -151,7 +151,7 @@ def test_no_direction_is_remembered_for_longer_than_the_window() -> None:
 
 
 def test_what_the_rows_leave_beyond_their_noise_is_no_noise() -> None:
-    """A term that the model lacks bends the coefficients it goes along with, however many rows there are. Where the
+    """A term that the model lacks biases the coefficients it goes along with, however many rows there are. Where the
     sensors' noise is known the std says so."""
     rng, told, untold = np.random.default_rng(7), SlidingRls(1), SlidingRls(1)
     for second in range(40):
@@ -159,11 +159,11 @@ def test_what_the_rows_leave_beyond_their_noise_is_no_noise() -> None:
         y = 2.0 * Phi[:, 0] + 0.5 * np.sign(Phi[:, 0]) + 0.01 * rng.normal(size=len(Phi))
         take(told, Phi, y, second, expected=len(y) * 0.01**2)
         take(untold, Phi, y, second)
-    bent, doubted = untold.estimate(), told.estimate()
-    assert bent is not None and doubted is not None
-    assert abs(bent.value[0] - 2.0) > 4.0 * std_of(bent)[0]
+    biased, doubted = untold.estimate(), told.estimate()
+    assert biased is not None and doubted is not None
+    assert abs(biased.value[0] - 2.0) > 4.0 * std_of(biased)[0]
     assert abs(doubted.value[0] - 2.0) < 4.0 * std_of(doubted)[0]
-    assert bent.closes and not doubted.closes
+    assert biased.closes and not doubted.closes
 
 
 def test_alike_columns_leave_only_their_own_coefficients_unknown() -> None:

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from servo_daemon.parameters import LINEAR
-from servo_daemon.tracking.plan.roster import Mask, Roster
+from servo_daemon.tracking.plan.parameter_masks import Mask, ParameterMasks
 from servo_daemon.tracking.validity.gates import LOST, QUALIFIED, UNCONFIRMED, Evidence, Qualification
 
 NAMES = tuple(p.name for p in LINEAR)
 ALL = np.ones(5, dtype=bool)
-ROSTER = Roster(LINEAR, ALL, ~ALL, ALL, ALL, ALL, np.zeros(5))
+MASKS = ParameterMasks(LINEAR, ALL, ~ALL, ALL, ALL, ALL, np.zeros(5))
 
 
 def all_but(name: str) -> Mask:
@@ -23,7 +23,7 @@ def all_but(name: str) -> Mask:
 
 def evidence(**changes: Any) -> Evidence:
     """All five parameters of the motor, known and confirmed."""
-    return replace(Evidence(ROSTER, np.full(5, 0.01), ALL, ALL), **changes)
+    return replace(Evidence(MASKS, np.full(5, 0.01), ALL, ALL), **changes)
 
 
 def qualified(*ticks: Evidence) -> set[str]:
@@ -45,8 +45,8 @@ WIDE = np.full(5, (QUALIFIED + LOST) / 2)
         ({"settled": False}, set()),
         ({"relative_std": np.where(all_but("J"), 0.01, 0.1)}, set(NAMES) - {"J"}),
         ({"relative_std": np.where(all_but("J"), 0.01, np.nan)}, set(NAMES) - {"J"}),
-        ({"roster": replace(ROSTER, claimable=all_but("L"))}, set(NAMES) - {"L"}),
-        ({"roster": replace(ROSTER, covered=all_but("B")), "white": False}, set(NAMES) - {"B"}),
+        ({"masks": replace(MASKS, claimable=all_but("L"))}, set(NAMES) - {"L"}),
+        ({"masks": replace(MASKS, covered=all_but("B")), "white": False}, set(NAMES) - {"B"}),
         ({"lags_alike": True}, set()),
         # R goes with K where they lie on one line, L with R where a current shows their quotient alone.
         ({"confirmed": all_but("K"), "correlation": lambda k, j: -0.9}, set(NAMES) - {"K", "R"}),
@@ -81,7 +81,7 @@ def test_the_reasons() -> None:
     q.update(evidence(confirmed=all_but("J")))
     assert q.why_not("J") == UNCONFIRMED and q.why_not("R") is None
     q.update(evidence(confirmed=all_but("J"), lags_alike=True))
-    assert q.why_not("J") == q.why_not("R") == "the lags of winding and drive cannot be told apart"
+    assert q.why_not("J") == q.why_not("R") == "the lags of winding and drive are not identifiable separately"
     q.update(evidence(confirmed=all_but("K"), excited=all_but("B"), correlation=lambda k, j: 1.0))
-    assert q.why_not("R") == "it trades places with K, which is not known"
+    assert q.why_not("R") == "it is not identifiable without K, which is not known"
     assert q.why_not("B") == "the motion does not show it"

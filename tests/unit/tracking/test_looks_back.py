@@ -11,7 +11,7 @@ from servo_daemon.kalman.records import Innovations
 from servo_daemon.pipeline.pipeline import Pipeline
 from servo_daemon.samples import F64, SampleBlock
 from servo_daemon.simulate import DEFAULT_NOMINAL, SimulatedDrive, make_settings
-from servo_daemon.tracking.restart import likelihood_look, second_look
+from servo_daemon.tracking.restart import maximum_likelihood, relinearisation
 from servo_daemon.tracking.restart.simplex import SimplexSearch
 
 #: In a tick, of 200 Hz here: as many for each sample as at 1 kHz.
@@ -41,7 +41,7 @@ def test_no_tick_takes_more_steps_than_its_share_and_blocks_do_not_matter(
         return update(self, samples, again=again)
 
     monkeypatch.setattr(Ekf, "update", counted)
-    for module in (likelihood_look, second_look):
+    for module in (maximum_likelihood, relinearisation):
         monkeypatch.setattr(module, "STEPS_A_TICK", STEPS)
     one, other, found, same = pipeline(), pipeline(), [], []
     for k in range(0, len(recording), TICK):

@@ -1,4 +1,4 @@
-"""Noise levels told apart from signals, and followed."""
+"""Noise levels separated from signals, and followed."""
 
 from __future__ import annotations
 

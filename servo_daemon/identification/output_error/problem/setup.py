@@ -71,7 +71,7 @@ def choose_signals(channels: Sequence[str]) -> tuple[Drive, tuple[str, ...]]:
     raise BadInputError(f"no pair of an input and a response among: {', '.join(channels) or 'nothing'}")
 
 
-def telling(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
+def without_dead_current(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
     """Without a current that never changes in any of them, where the shaft moves under a known voltage: a sensor that
     is not there."""
     blocks = [r.block for r in recordings]

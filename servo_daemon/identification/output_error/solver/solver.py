@@ -38,7 +38,7 @@ _FINEST = 1e-6
 #: A step that promises this share of the whole way, and keeps this share of its promise, needs no other beside it.
 _AS_PROMISED = 0.7
 #: The acceleration may be this share of the step (Transtrum & Sethna ask for 2 |a|/|v| ≤ 0.75).
-_MOST_BENT = 0.375
+_MOST_CURVED = 0.375
 #: A step that promises less (in V) is short enough to be straight.
 _STRAIGHT = 1.0
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-13, 1e12
@@ -234,7 +234,7 @@ def _moved(problem: Problem, unknowns: F64, step: F64) -> F64:
 def _acceleration(
     problem: Problem, point: Point, equations: tuple[F64, NDArray[np.bool_]], step: F64, damping: float
 ) -> F64:
-    """What curves the way: geodesic acceleration (Transtrum & Sethna, arXiv:1201.5885), which follows the narrow bent
+    """What curves the way: geodesic acceleration (Transtrum & Sethna, arXiv:1201.5885), which follows the narrow curved
     valleys of a model with more parameters than the data show. Zero where it would be most of the step.
 
     The second directional derivative of what is shown is taken by one more simulation a tenth of the way along.
@@ -255,7 +255,7 @@ def _acceleration(
     bend = 0.5 * _solved(problem, H, g, free, damping)
     metric = np.sqrt(np.diag(H))
     length = float(np.linalg.norm(metric * step))
-    return bend if float(np.linalg.norm(metric * bend)) <= _MOST_BENT * length else np.zeros_like(step)
+    return bend if float(np.linalg.norm(metric * bend)) <= _MOST_CURVED * length else np.zeros_like(step)
 
 
 def _solved(problem: Problem, H: F64, g: F64, free: NDArray[np.bool_], damping: float) -> F64:

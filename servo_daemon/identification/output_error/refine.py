@@ -1,0 +1,295 @@
+"""The maximum-likelihood estimate under noise that enters the motor: Gauss–Newton on whitened residuals.
+
+Output error weighs every sample alike. Where noise enters the motor, its residuals are coloured, its weights wrong and
+its standard deviations too small; in closed loop, where the recorded input answers to that noise, it is biased. Here
+residuals and sensitivities go through the same Kalman filter (`whitening`), and
+
+    Σ J̃ᵀ ε̃ = 0
+
+is solved, relinearised until nothing moves. The filter is causal and the sensitivities are those of the free run, which
+knows the input only: with the right noise model an innovation is independent of all that came before it, the input's
+answers included, so that the equation holds on average at the true parameters, in closed loop as well (Ljung, *System
+Identification*, 2nd ed. 1999, sec. 8.4; Jategaonkar, *Flight Vehicle System Identification*, 2nd ed. 2015, ch. 5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_daemon.identification.output_error.noise.noise import (
+    INPUT_NOISE,
+    TORQUE_NOISE,
+    WORTH,
+    NoiseLikelihood,
+    NoiseModel,
+    bounds,
+    likelihood_of,
+    noise_model,
+)
+from servo_daemon.identification.output_error.noise.whitening import channel_weights, moving, tangents, whiten
+from servo_daemon.identification.output_error.problem.event_times import event_times_of, profile
+from servo_daemon.identification.output_error.problem.lazy import linearise
+from servo_daemon.identification.output_error.problem.problem import Linearisation, Problem
+from servo_daemon.identification.output_error.solver.solver import Point, normal_equations, point_of, within
+from servo_daemon.samples import F64
+
+#: Most steps, and most halvings of one.
+_STEPS, _HALVINGS = 30, 6
+#: A step left over that is not smaller than this share of the last one has gone too far: the next are halved, and at
+#: the least share of a step nothing will move any more.
+_PROGRESS, _LEAST_SHARE = 0.8, 1 / 256
+#: Keeps a direction that the data do not show where it is, in units of what each unknown is known by.
+_RIDGE = 1e-10
+#: Directions of which the data know less than this (1/σ², σ of three e-folds) stay: a friction near zero.
+_FAINT = 0.1
+#: No logarithm moves by more in one step, unless it grows from next to nothing: there the model is linear in the
+#: parameter itself, and the step is taken in that (an L that a free run has left at a thousandth of itself).
+_LONGEST = 0.5
+#: Settled when the step left over is this many standard deviations, squared, and no variance changes by a larger share;
+#: close enough where it comes no nearer.
+_DECREMENT, _SAME, _CLOSE = 1e-4, 0.01, 0.01
+#: A step promises what −2 log p falls by; over the steps that follow it fell by 0.4 to 1.2 times the promise, on hidden
+#: effects and clean captures alike. What would take more than this many times the promise is out of reach.
+_REACH = 3.0
+#: How often the likeliest instant and the rest are looked for in turn.
+_EVENT_TIME_ROUNDS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Refined:
+    """Where the likelihood is largest.
+
+    Attributes:
+        point: of the free run there.
+        whitened: the same with innovations for residuals, in units of their σ.
+        noise: the noise model.
+        log_variance: of the noises, as the filter takes them.
+        deviance: −2 log p with them, Σ log s + Σ ε².
+        torque_gain: by how much a white load torque beside it would lower −2 log p.
+        innovation_rms: shape (c,), in the channels' units.
+        at_bound: columns of parameters that ended at a bound.
+        event_time_std: of the columns of event times, s: what no derivative tells.
+        remaining: what a further step promises −2 log p to fall by.
+    """
+
+    point: Point
+    whitened: Point
+    noise: NoiseModel
+    log_variance: F64
+    deviance: float
+    torque_gain: float
+    innovation_rms: F64
+    at_bound: frozenset[int]
+    event_time_std: Mapping[int, float]
+    remaining: float
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the search came to its end. Under a model that is far off its valley is curved so much that no step
+        along its slope is better."""
+        return self.remaining < _CLOSE
+
+    @property
+    def at_best(self) -> float:
+        """What −2 log p is, or may come to at the best."""
+        return self.deviance if self.at_rest else self.deviance - _REACH * self.remaining
+
+
+def refine(problem: Problem, point: Point, torque_size: float, below: float = np.inf) -> Refined | None:
+    """From the plain output-error estimate, to where its search ends; None where no noise but the sensors' is seen, or
+    it was given up.
+
+    Args:
+        torque_size: N·m, what the motor typically exerts.
+        below: given up where −2 log p will not come below this.
+    """
+    limits = bounds(problem, torque_size)
+    at = _likelihood(problem, point, limits)
+    alone = at.sensors_alone()
+    plain = at.value(alone)
+    a, value = at.with_source(alone, INPUT_NOISE)
+    end = _settle(problem, point, a, limits, below) if value < plain - WORTH else None
+    event_time_std: dict[int, float] = {}
+    if end is not None and end.at_rest and event_times_of(problem):
+        end, event_time_std = _settle_event_times(problem, end, limits, below)
+    if end is None:
+        return None
+    point, a = end.point, end.log_variance
+    deviance = _likelihood(problem, point, limits).value(a)
+    whitened, rms = whiten_point(problem, point, a)
+    torque = _torque_gain(problem, point, a, limits) if end.at_rest else np.inf
+    noise = noise_model(problem, a, plain - deviance)
+    at_bound = _at_bound(problem, whitened)
+    return Refined(point, whitened, noise, a, deviance, torque, rms, at_bound, event_time_std, end.remaining)
+
+
+@dataclass(frozen=True, slots=True)
+class _End:
+    """Free run, the same whitened, log variances; see `Refined`."""
+
+    point: Point
+    whitened: Point
+    log_variance: F64
+    remaining: float
+
+    @property
+    def at_rest(self) -> bool:
+        return self.remaining < _CLOSE
+
+
+def _settle_event_times(
+    problem: Problem, end: _End, limits: tuple[F64, F64], below: float
+) -> tuple[_End, dict[int, float]]:
+    """From the likeliest times of the steps that the model holds, and how well these are known."""
+    std: dict[int, float] = {}
+    for column in event_times_of(problem):
+        for _ in range(_EVENT_TIME_ROUNDS):
+            here = float(end.point.unknowns[column])
+            there, std[column] = profile(problem, column, here, partial(_deviance_at, problem, end, column))
+            if there == here:
+                break
+            moved = _moved(problem, end.point, column, there)
+            again = _settle(problem, moved, end.log_variance, limits, below)
+            if again is None or not again.at_rest or again.whitened.value > end.whitened.value:
+                break
+            end = again
+    return end, std
+
+
+def _moved(problem: Problem, point: Point, column: int, at_s: float) -> Point:
+    unknowns = point.unknowns.copy()
+    unknowns[column] = at_s
+    with np.errstate(over="ignore", invalid="ignore"):
+        return point_of(problem, unknowns, linearise(problem, unknowns), point.weights)
+
+
+def _deviance_at(problem: Problem, end: _End, column: int, at_s: float) -> float:
+    """−2 log p with one event at another time and all else as it is."""
+    moved = _moved(problem, end.point, column, at_s)
+    return whiten_point(problem, moved, end.log_variance)[0].value if moved.linearisation.finite else np.inf
+
+
+def _torque_gain(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64]) -> float:
+    """By how much a white load torque would lower −2 log p. Samples of an encoder at rest are left out: one rounding
+    error, repeated, can be mistaken for a torque that holds the shaft."""
+    weights = [w * m for w, m in zip(channel_weights(problem, point.weights), moving(problem), strict=True)]
+    at = likelihood_of(tangents(problem, point.unknowns), weights, point.linearisation.residuals, limits)
+    a, value = at.refine(a)
+    return value - at.with_source(a, TORQUE_NOISE)[1]
+
+
+def _settle(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64], below: float) -> _End | None:
+    """Steps of the parameters and of the noise in turn, until neither moves or none is better; None if they do not come
+    below the value.
+
+    In turn, because the noise as seen from a poor estimate leads astray where the data say little.
+    """
+    settled, share, last = False, 1.0, np.inf
+    whitened, _ = whiten_point(problem, point, a)
+    for steps in range(_STEPS):
+        step, decrement = _step(problem, whitened)
+        if steps > 0 and whitened.value - _REACH * decrement > below:
+            return None
+        share, last = (share / 2 if decrement > _PROGRESS * last else share), decrement  # to and fro in a curved valley
+        if share < _LEAST_SHARE:
+            break
+        if decrement < _DECREMENT and settled:
+            break
+        better = _along(problem, (point, whitened), share * step, a, decrement) if decrement >= _DECREMENT else None
+        if better is not None:
+            point, whitened = better
+        elif settled:
+            break
+        if decrement > _DECREMENT or not settled:
+            before, (a, _) = a, _likelihood(problem, point, limits).refine(a)
+            settled = bool(np.allclose(np.exp(a), np.exp(before), rtol=_SAME, atol=0.0))
+            whitened, _ = whiten_point(problem, point, a)
+    return _End(point, whitened, a, _step(problem, whitened)[1])
+
+
+def _step(problem: Problem, whitened: Point) -> tuple[F64, float]:
+    """The Gauss–Newton step and what it promises, in units of −2 log p."""
+    H, g = normal_equations(problem, whitened)
+    H = H + np.diag(np.where(problem.logarithmic, _FAINT, 0.0))
+    free = ~_held(problem, whitened.unknowns, g) & (np.diag(H) > 0)
+    size = np.sqrt(np.diag(H)[free])
+    A = H[np.ix_(free, free)] / np.outer(size, size) + _RIDGE * np.eye(len(size))
+    step = np.zeros(len(g))
+    step[free] = np.linalg.solve(A, g[free] / size) / size
+    return step, float(g @ step)
+
+
+def _held(problem: Problem, unknowns: F64, g: F64) -> NDArray[np.bool_]:
+    """Unknowns at a bound that would go beyond it."""
+    low, high = problem.bounds_at(unknowns)
+    return np.asarray((unknowns <= low) & (g < 0) | (unknowns >= high) & (g > 0))
+
+
+def _at_bound(problem: Problem, whitened: Point) -> frozenset[int]:
+    _, g = normal_equations(problem, whitened)
+    held = np.flatnonzero(_held(problem, whitened.unknowns, g))
+    return frozenset(int(k) for k in held if k < len(problem.parameter_of_column))
+
+
+def _likelihood(problem: Problem, point: Point, limits: tuple[F64, F64]) -> NoiseLikelihood:
+    return likelihood_of(
+        tangents(problem, point.unknowns),
+        channel_weights(problem, point.weights),
+        point.linearisation.residuals,
+        limits,
+    )
+
+
+def whiten_point(problem: Problem, point: Point, log_variance: F64) -> tuple[Point, F64]:
+    """Residuals and sensitivities through the filter, in units of the innovations' σ; its value is −2 log p.
+
+    Returns:
+        that point, and the RMS of the innovations in the channels' units, shape (c,).
+    """
+    residuals, jacobians, logs, squares = [], [], 0.0, np.zeros(len(problem.channels))
+    for model, w, r, J in zip(
+        tangents(problem, point.unknowns),
+        channel_weights(problem, point.weights),
+        point.linearisation.residuals,
+        point.linearisation.jacobian,
+        strict=True,
+    ):
+        out = whiten(model, w, np.concatenate([r[:, :, None], J], axis=2), np.exp(log_variance))
+        residuals.append(out.values[:, :, 0])
+        jacobians.append(out.values[:, :, 1:])
+        logs += float(out.log_variance.sum())
+        squares += (residuals[-1] ** 2 * np.exp(out.log_variance)).sum(axis=0)
+    ones = tuple(np.ones_like(r) for r in residuals)
+    sse = np.sum([(r * r).sum(axis=0) for r in residuals], axis=0)
+    linear = Linearisation(tuple(residuals), tuple(jacobians), True)
+    mean, prior = problem.state_prior
+    value = logs + float(sse.sum() + prior @ (point.unknowns - mean) ** 2)
+    whitened = Point(point.unknowns, linear, ones, sse, np.ones(len(problem.channels)), value)
+    return whitened, np.sqrt(squares / problem.counts)
+
+
+def _along(
+    problem: Problem, here: tuple[Point, Point], step: F64, a: F64, decrement: float
+) -> tuple[Point, Point] | None:
+    """The first point along the step, halved at most `_HALVINGS` times, that is as good as this one. A step of less
+    than a standard deviation is not asked: what the filter's own change with the parameters does to the likelihood is
+    left out of the equations and may be as large."""
+    point, whitened = here
+    grown = np.log1p(np.maximum(step, 0.0))
+    step = np.where(problem.logarithmic, np.clip(step, -_LONGEST, np.maximum(grown, _LONGEST)), step)
+    for halved in range(_HALVINGS):
+        unknowns = within(problem, point.unknowns + step / 2**halved)
+        with np.errstate(over="ignore", invalid="ignore"):
+            linear = linearise(problem, unknowns)
+        if not linear.finite:
+            continue
+        trial = point_of(problem, unknowns, linear, point.weights)
+        trial_whitened, _ = whiten_point(problem, trial, a)
+        if decrement < 1.0 or trial_whitened.value < whitened.value:
+            return trial, trial_whitened
+    return None
