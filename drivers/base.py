@@ -97,6 +97,12 @@ class Driver(ABC):
         return False
 
     @property
+    def is_buffered(self) -> bool:
+        """Whether what arrives waits for some seconds without being lost, and `read(0)` takes all of it without
+        waiting: then many of these can be read in turn by one thread."""
+        return False
+
+    @property
     def remark(self) -> str | None:
         """In words, what it hears and cannot read; None: nothing to say."""
         return None
