@@ -1,4 +1,4 @@
-"""What `DriveRuntime` computes without being asked about itself: counters, runs of blocks, a stale estimate, the drive's own."""
+"""Small parts of `DriveRuntime`: counters, runs of blocks, a stale estimate, the drive's own estimates."""
 
 from __future__ import annotations
 
