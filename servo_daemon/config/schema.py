@@ -24,7 +24,7 @@ def json_schema(drivers: tuple[str, ...] = ()) -> dict[str, Any]:
     """
     schema = {"$schema": DIALECT, **Config.model_json_schema(), "title": "servo-daemon configuration"}
     sections = schema["$defs"]
-    for section in sections.values():
+    for section in (schema, *sections.values()):
         _tidy(section)
     drive = sections["DriveConfig"]["properties"]
     table = parameter_table()

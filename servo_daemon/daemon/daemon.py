@@ -183,6 +183,7 @@ class Daemon:
         again, new, gone = (drives_of(changed, how) for how in _BY_DRIVE)
         begin = again | new
         drivers = {d.name: _driver_for(d) for d in config.drive if d.name in begin}
+        sinks_of(config, (), None)  # whether they can be: an extra or a file may be missing
         self._locks.take(new)
         self._dismiss([self._slots[name] for name in again | gone])
         self._locks.release(gone)
@@ -195,8 +196,11 @@ class Daemon:
             else:
                 slots[drive.name] = self._slots[drive.name]
                 slots[drive.name].runtime.reconfigure(drive)
+        sends_elsewhere = (config.mqtt, config.webhook) != (self.config.mqtt, self.config.webhook)
         self._slots, self.config = slots, at_work(self.config, config)
         self._drives_changed()
+        if begin or gone or sends_elsewhere:
+            self._sinks_changed(begin)
         for name in begin:
             slots[name].runtime.reader.start()
         self._tell(changed)
@@ -209,6 +213,24 @@ class Daemon:
             self._recording.follow(runtimes)
         self._trends.follow(runtimes)
         self._learning.start()
+
+    def _sinks_changed(self, begun: frozenset[str]) -> None:
+        """Begin them again, with the drives that there are now.
+
+        Args:
+            begun: drives that have begun, whose events are sent from the first one on; of the others those that have
+                not been taken up yet.
+        """
+        before = self._sinks
+        for sink in before:
+            sink.begin_stop()
+        for sink in before:
+            sink.stop(_STOP_S)
+        drives = self.drives
+        seen = {name: drive.log.since(0)[0] for name, drive in drives.items() if name not in begun}
+        self._sinks = sinks_of(self.config, tuple(drives.values()), self._state_dir, seen, before)
+        for sink in self._sinks:
+            sink.start()
 
     def _dismiss(self, slots: Sequence[DriveSlot]) -> None:
         """End these drives: what has come is worked off, what was learned is saved."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -32,12 +32,22 @@ class MqttSink:
 
     Args:
         state_dir: where is kept what cannot be sent; None: in memory.
+        seen: of a drive's events, the number of the first to be sent; none: the first.
+
+    Attributes:
+        seen: the same for whoever goes on after `stop`.
 
     Raises:
         ConfigError: an extra is not installed, or a file cannot be read.
     """
 
-    def __init__(self, config: MqttConfig, sources: Sequence[Source], state_dir: Path | None) -> None:
+    def __init__(
+        self,
+        config: MqttConfig,
+        sources: Sequence[Source],
+        state_dir: Path | None,
+        seen: Mapping[str, int] | None = None,
+    ) -> None:
         queue = DiskQueue(None if state_dir is None else state_dir / FILE, config.buffer_MB * 1e6)
         self._outbox = Outbox(queue)
         self._link = Link(
@@ -45,7 +55,7 @@ class MqttSink:
         )
         self._sources, self._interval_s = sources, config.interval_s
         self._told: dict[str, Snapshot] = {}
-        self._events = {source.name: 0 for source in sources}
+        self.seen = {source.name: (seen or {}).get(source.name, 0) for source in sources}
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="mqtt-collect", daemon=True)
 
@@ -94,9 +104,9 @@ class MqttSink:
         """
         reports = []
         for source in self._sources:
-            number, events = source.log.since(self._events[source.name])
+            number, events = source.log.since(self.seen[source.name])
             self._outbox.keep_events(source.name, [event_body(source.name, e) for e in events])
-            self._events[source.name] = number
+            self.seen[source.name] = number
             snapshot = source.snapshot()
             if self._told.get(source.name) is not snapshot:
                 self._told[source.name] = snapshot

@@ -8,7 +8,7 @@ import random
 import threading
 import time
 import uuid
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final, Protocol
 from urllib.parse import urlsplit
@@ -45,19 +45,30 @@ class WebhookSink:
     Args:
         name: among the sinks.
         state_dir: where is kept what cannot be sent; None: in memory.
+        seen: of a drive's events, the number of the first to be sent; none: the first.
+
+    Attributes:
+        seen: the same for whoever goes on after `stop`.
 
     Raises:
         ConfigError: the secret cannot be read.
     """
 
-    def __init__(self, config: WebhookConfig, name: str, sources: Sequence[Source], state_dir: Path | None) -> None:
+    def __init__(
+        self,
+        config: WebhookConfig,
+        name: str,
+        sources: Sequence[Source],
+        state_dir: Path | None,
+        seen: Mapping[str, int] | None = None,
+    ) -> None:
         if config.secret_file is not None:
             read_secret(config.secret_file)
         self._config, self._name = config, name
         self._sources = [s for s in sources if not config.drives or s.name in config.drives]
         file = f"webhook-{hashlib.sha256(config.url.encode()).hexdigest()[:12]}.sqlite"
         self._queue = DiskQueue(None if state_dir is None else state_dir / file, _MOST_BYTES)
-        self._seen = {source.name: 0 for source in self._sources}
+        self.seen = {source.name: (seen or {}).get(source.name, 0) for source in self._sources}
         self._connected: bool | None = None
         self._reason: str | None = None
         self._sent = self._refused = self._reconnects = 0
@@ -99,10 +110,10 @@ class WebhookSink:
 
     def _collect(self) -> None:
         for source in self._sources:
-            number, events = source.log.since(self._seen[source.name])
+            number, events = source.log.since(self.seen[source.name])
             wanted = [e for e in events if not self._config.kinds or e.kind in self._config.kinds]
             self._queue.put([(f"msg_{uuid.uuid4().hex}", source.name, event_body(source.name, e)) for e in wanted])
-            self._seen[source.name] = number
+            self.seen[source.name] = number
 
     def _send_one(self) -> bool:
         """The oldest event; whether the next one may follow at once."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import socket
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,6 +17,8 @@ from servo_daemon.daemon.notify import Notifier
 from servo_daemon.daemon.state_lock import StateLocks
 from servo_daemon.errors import DriverConfigError, ServoDaemonError
 from servo_daemon.simulate import DEFAULT_NOMINAL
+from servo_daemon.webhooks import sink as webhook_module
+from servo_daemon.webhooks.request import AwayError
 from tests.daemon_rig import Fed, Rig, starter
 
 
@@ -181,3 +184,39 @@ def test_the_daemons_own_keys() -> None:
     assert changes(new, new) == ()
     other = config({"name": "a"}, api={"certificate": "d", "private_key": "k"})
     assert [c.how for c in changes(new, other) if c.what.startswith("api.cert")] == ["now"]
+
+
+class Sent:
+    """A webhook's events as the daemon would send them: kept in its queue, because nobody takes them."""
+
+    def __init__(self, rig: Rig) -> None:
+        (self.sink,) = rig.daemon._sinks
+
+    def kinds(self, drive: str) -> list[str]:
+        self.sink._collect()  # type: ignore[attr-defined]
+        items = self.sink._queue.head(100)  # type: ignore[attr-defined]
+        return [json.loads(item.body)["kind"] for item in items if item.drive == drive]
+
+
+def test_broker_and_webhooks_follow_and_send_no_event_twice(
+    start: Callable[..., Rig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(webhook_module, "post", lambda *_: (_ for _ in ()).throw(AwayError("away")))
+    hook = {"url": "http://127.0.0.1:9/secret-path"}
+    rig = start(config({"name": "a"}, {"name": "b"}, webhook=[hook]), tmp_path)
+    rig.until(lambda: "connected" in rig.kinds("a") and "connected" in rig.kinds("b"), "both are there")
+    lines = follow(
+        rig, config({"name": "a"}, {"name": "b", "options": {"seed": 1}}, {"name": "c"}, webhook=[hook | {"kinds": []}])
+    )
+    assert not any("secret-path" in line for line in lines)
+    rig.until(lambda: all("connected" in rig.kinds(n) for n in "abc"), "all are there")
+    sent = Sent(rig)
+    assert sent.kinds("a") == ["connected"] and sent.kinds("b") == ["connected", *rig.kinds("b")]
+    assert sent.kinds("c") == rig.kinds("c")
+    missing = hook | {"secret_file": str(tmp_path / "none")}
+    with pytest.raises(ServoDaemonError):
+        follow(rig, config({"name": "a"}, webhook=[missing]))
+    assert list(rig.daemon.drives) == ["a", "b", "c"], "nothing has changed"
+    lines = follow(rig, config({"name": "a"}, webhook=[hook | {"kinds": ["alarm"]}]))
+    assert any(line.startswith("webhook: ") and "restart" not in line for line in lines)
+    assert Sent(rig).kinds("a") == ["connected"], "what was there before is not sent again"
