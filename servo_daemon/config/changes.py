@@ -16,8 +16,6 @@ How = Literal["now", "again", "new", "gone", "restart"]
 _NOW: Final = frozenset(
     ("log.level", *(f"api.{k}" for k in ("tokens_file", "metrics", "allowed_hosts", "behind_proxy")))
 )
-#: Sections that are begun again as a whole.
-_BEGUN_AGAIN: Final = ("mqtt", "webhook")
 _TLS: Final = frozenset(("api.certificate", "api.private_key"))
 #: Of a drive: what is looked up when it is needed. Everything else is in its estimators from the start.
 _SECTIONS_NOW: Final = ("limits", "controller")
@@ -50,11 +48,7 @@ def changes(old: Config, new: Config) -> tuple[Change, ...]:
     """From one configuration to another."""
     found = []
     for key, what in _different(_without_drives(old), _without_drives(new)):
-        at_once = (
-            key in _NOW
-            or key.partition(".")[0] in _BEGUN_AGAIN
-            or (key in _TLS and _has_tls(old.api) == _has_tls(new.api))
-        )
+        at_once = key in _NOW or (key in _TLS and _has_tls(old.api) == _has_tls(new.api))
         found.append(Change(None, what, "now" if at_once else "restart"))
     before, after = ({d.name: d for d in config.drive} for config in (old, new))
     for name in before.keys() | after.keys():
@@ -85,11 +79,7 @@ def at_work(old: Config, new: Config) -> Config:
     api: dict[str, Any] = {"host": old.api.host, "port": old.api.port}
     if _has_tls(old.api) != _has_tls(new.api):
         api |= {"certificate": old.api.certificate, "private_key": old.api.private_key}
-    kept = {
-        name: getattr(old, name)
-        for name in type(old).model_fields
-        if name not in ("api", "log", "drive", *_BEGUN_AGAIN)
-    }
+    kept = {name: getattr(old, name) for name in type(old).model_fields if name not in ("api", "log", "drive")}
     return new.model_copy(update={**kept, "api": new.api.model_copy(update=api)})
 
 

@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from servo_daemon.config.sinks import MqttConfig, WebhookConfig
 from servo_daemon.config_hints import did_you_mean
-from servo_daemon.config_sinks import MqttConfig, WebhookConfig
 from servo_daemon.config_texts import is_limit, parse_days, parse_drift
 from servo_daemon.errors import ConfigError
 from servo_daemon.plant.effects import check_effects, parameter_table
@@ -90,6 +90,7 @@ class HistoryConfig(_Section):
     minutes_days: float = Field(90.0, ge=1, le=1e5)
     hours_years: float = Field(20.0, ge=0.1, le=1000)
     quota_MB: float = Field(2000.0, ge=10, allow_inf_nan=False)  # beyond it the oldest of the finer levels go
+    captures_quota_MB: float = Field(500.0, ge=0, allow_inf_nan=False)  # of samples around events; 0: none are kept
 
     @model_validator(mode="after")
     def _one_place(self) -> HistoryConfig:

@@ -69,7 +69,8 @@ def _key(key: str) -> str:
 def as_toml(value: Any) -> str:
     """A value on one line."""
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f" {_key(k)} = {as_toml(v)}" for k, v in value.items()) + " }" if value else "{}"
+        inner = ", ".join(f"{_key(k)} = {as_toml(v)}" for k, v in value.items() if v is not None)
+        return f"{{ {inner} }}" if inner else "{}"
     if isinstance(value, list):
         return "[" + ", ".join(as_toml(v) for v in value) + "]"
     if isinstance(value, float):  # TOML has inf and nan, too

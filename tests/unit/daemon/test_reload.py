@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import socket
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,8 +16,6 @@ from servo_daemon.daemon.notify import Notifier
 from servo_daemon.daemon.state_lock import StateLocks
 from servo_daemon.errors import DriverConfigError, ServoDaemonError
 from servo_daemon.simulate import DEFAULT_NOMINAL
-from servo_daemon.webhooks import sink as webhook_module
-from servo_daemon.webhooks.request import AwayError
 from tests.daemon_rig import Fed, Rig, starter
 
 
@@ -105,10 +102,12 @@ def test_drives_come_go_and_begin_again(start: Callable[..., Rig], tmp_path: Pat
 
 
 def test_the_history_holds_both_lives_of_a_drive(start: Callable[..., Rig], tmp_path: Path) -> None:
-    rig = start(config({"name": "a"}), tmp_path)
+    nobody = [{"url": "http://127.0.0.1:1/", "kinds": ["connected"]}]
+    rig = start(config({"name": "a"}, webhook=nobody), tmp_path)
     rig.driver("a").feed(2000)
     rig.until_samples(2000, "a")
-    follow(rig, config({"name": "a", "options": {"seed": 1}}, {"name": "b"}))
+    follow(rig, config({"name": "a", "options": {"seed": 1}}, {"name": "b"}, webhook=nobody))
+    rig.until(lambda: rig.daemon.sinks[0].waiting == 3, "a webhook has the events of a's both lives and of b")
     archive = rig.daemon.archive
     assert archive is not None
     recorder = rig.daemon._recording.recorder  # type: ignore[union-attr]
@@ -163,8 +162,10 @@ def test_systemd_is_told(start: Callable[..., Rig], tmp_path: Path) -> None:
 def test_the_daemons_own_keys() -> None:
     old = config({"name": "a"})
     secret = "postgresql://me:hunter2@db/x"
+    hook = {"url": "https://hooks.example/secret-path"}
     new = config(
         {"name": "a"},
+        webhook=[hook],
         api={"port": 1, "metrics": "open", "certificate": "c", "private_key": "k"},
         history={"url": secret},
         log={"level": "debug"},
@@ -177,46 +178,11 @@ def test_the_daemons_own_keys() -> None:
         ('api.private_key: absent → "k": needs a restart', "restart"),
         ('log.level: "info" → "debug"', "now"),
         ('history.url: absent → "postgresql://me:***@db/x": needs a restart', "restart"),
+        ('webhook: [] → [{ url = "https://hooks.example/***", kinds = [], drives = [] }]: needs a restart', "restart"),
     ]
     at = at_work(old, new)
     assert (at.api.port, at.api.metrics, at.log.level, at.history.url) == (8077, "open", "debug", None)
-    assert [c.how for c in changes(at, new)] == ["restart"] * 4, "what needs a restart is told each time"
+    assert [c.how for c in changes(at, new)] == ["restart"] * 5, "what needs a restart is told each time"
     assert changes(new, new) == ()
     other = config({"name": "a"}, api={"certificate": "d", "private_key": "k"})
     assert [c.how for c in changes(new, other) if c.what.startswith("api.cert")] == ["now"]
-
-
-class Sent:
-    """A webhook's events as the daemon would send them: kept in its queue, because nobody takes them."""
-
-    def __init__(self, rig: Rig) -> None:
-        (self.sink,) = rig.daemon._sinks
-
-    def kinds(self, drive: str) -> list[str]:
-        self.sink._collect()  # type: ignore[attr-defined]
-        items = self.sink._queue.head(100)  # type: ignore[attr-defined]
-        return [json.loads(item.body)["kind"] for item in items if item.drive == drive]
-
-
-def test_broker_and_webhooks_follow_and_send_no_event_twice(
-    start: Callable[..., Rig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(webhook_module, "post", lambda *_: (_ for _ in ()).throw(AwayError("away")))
-    hook = {"url": "http://127.0.0.1:9/secret-path"}
-    rig = start(config({"name": "a"}, {"name": "b"}, webhook=[hook]), tmp_path)
-    rig.until(lambda: "connected" in rig.kinds("a") and "connected" in rig.kinds("b"), "both are there")
-    lines = follow(
-        rig, config({"name": "a"}, {"name": "b", "options": {"seed": 1}}, {"name": "c"}, webhook=[hook | {"kinds": []}])
-    )
-    assert not any("secret-path" in line for line in lines)
-    rig.until(lambda: all("connected" in rig.kinds(n) for n in "abc"), "all are there")
-    sent = Sent(rig)
-    assert sent.kinds("a") == ["connected"] and sent.kinds("b") == ["connected", *rig.kinds("b")]
-    assert sent.kinds("c") == rig.kinds("c")
-    missing = hook | {"secret_file": str(tmp_path / "none")}
-    with pytest.raises(ServoDaemonError):
-        follow(rig, config({"name": "a"}, webhook=[missing]))
-    assert list(rig.daemon.drives) == ["a", "b", "c"], "nothing has changed"
-    lines = follow(rig, config({"name": "a"}, webhook=[hook | {"kinds": ["alarm"]}]))
-    assert any(line.startswith("webhook: ") and "restart" not in line for line in lines)
-    assert Sent(rig).kinds("a") == ["connected"], "what was there before is not sent again"
