@@ -90,6 +90,7 @@ class HistoryConfig(_Section):
     minutes_days: float = Field(90.0, ge=1, le=1e5)
     hours_years: float = Field(20.0, ge=0.1, le=1000)
     quota_MB: float = Field(2000.0, ge=10, allow_inf_nan=False)  # beyond it the oldest of the finer levels go
+    captures_quota_MB: float = Field(500.0, ge=0, allow_inf_nan=False)  # of samples around events; 0: none are kept
 
     @model_validator(mode="after")
     def _one_place(self) -> HistoryConfig:

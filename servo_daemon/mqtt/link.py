@@ -89,8 +89,9 @@ class Link:
         if c.tls:
             keys = {key: getattr(c, key) for key in ("ca_file", "certificate", "private_key")}
             files = [None if text is None else str(file_of(text, f"[mqtt] {key}")) for key, text in keys.items()]
+            authority, certificate, private_key = files
             try:
-                client.tls_set(*files)
+                client.tls_set(authority, certificate, private_key)
             except (OSError, ValueError) as error:  # ssl.SSLError is an OSError
                 raise ConfigError(f"[mqtt] {', '.join(filter(None, files))}: not usable for TLS: {error}") from error
         client.on_connect = self._answered
