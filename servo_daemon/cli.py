@@ -12,7 +12,7 @@ import json
 import logging
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import NoReturn, Protocol, cast
 
 from servo_daemon import __version__
@@ -21,8 +21,8 @@ from servo_daemon.journal import SOCKET, JournalHandler, is_journal, priority
 
 log = logging.getLogger("servo_daemon")
 
-#: command -> module with `add_arguments(parser)`, `run(arguments) -> exit code`, `HELP` and `EXAMPLE`. A command's own
-#: imports (CasADi, uvicorn, …) are paid only when it is the one that runs.
+#: command -> module with `add_arguments(parser)`, `run(arguments) -> exit code`, `HELP` and `EXAMPLE`. It is imported
+#: only where it is the one that is called, or where the help tells of all.
 COMMANDS = {
     "run": "servo_daemon.commands.run.command",
     "simulate": "servo_daemon.commands.simulate",
@@ -40,6 +40,7 @@ COMMANDS = {
     "config": "servo_daemon.commands.config",
     "scan": "servo_daemon.commands.scan.command",
     "status": "servo_daemon.commands.status",
+    "export": "servo_daemon.commands.export.command",
     "export-history": "servo_daemon.commands.export_history",
     "token": "servo_daemon.commands.token",
     "completion": "servo_daemon.commands.completion",
@@ -68,14 +69,15 @@ class _Parser(argparse.ArgumentParser):
         raise _UsageError(self.prog, self.format_usage(), message)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(names: Collection[str] = COMMANDS) -> argparse.ArgumentParser:
+    """For these commands."""
     parser = _Parser(
         prog="servo-daemon", description="Online, self-explaining parameter estimation for a live DC servo drive."
     )
     parser.add_argument("--version", action="version", version=f"servo-daemon {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for name, module_name in COMMANDS.items():
-        module = cast(_Command, importlib.import_module(module_name))
+    for name in names:
+        module = cast(_Command, importlib.import_module(COMMANDS[name]))
         sub = commands.add_parser(
             name,
             help=module.HELP,
@@ -90,8 +92,16 @@ def _parser() -> argparse.ArgumentParser:
             default=os.environ.get("SERVO_DAEMON_LOG_LEVEL"),
             help="what goes to stderr (default: info)",
         )
-        sub.set_defaults(run=module.run, parser=parser)
+        sub.set_defaults(run=module.run, parser=_parser)
     return parser
+
+
+def _called(words: Sequence[str]) -> Collection[str]:
+    """The command that these words call; all where they may ask for the list of them."""
+    first = words[0] if words else ""
+    if first == "--version":
+        return ()
+    return (first,) if first in COMMANDS else COMMANDS
 
 
 def _fail(program: str, text: str, code: int, as_json: bool) -> int:
@@ -126,7 +136,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit code."""
     words = sys.argv[1:] if argv is None else list(argv)
     try:
-        arguments = _parser().parse_args(words)
+        arguments = _parser(_called(words)).parse_args(words)
     except _UsageError as error:
         print(error.usage, end="", file=sys.stderr)
         return _fail(error.program, str(error), 2, as_json="--json" in words)

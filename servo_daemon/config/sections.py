@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from servo_daemon.config.sinks import MqttConfig, WebhookConfig
 from servo_daemon.config_hints import did_you_mean
-from servo_daemon.config_sinks import MqttConfig, WebhookConfig
 from servo_daemon.config_texts import is_limit, parse_days, parse_drift
 from servo_daemon.errors import ConfigError
 from servo_daemon.plant.effects import check_effects, parameter_table

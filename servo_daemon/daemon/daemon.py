@@ -20,6 +20,7 @@ from servo_daemon.daemon.diagnosis.runner import DiagnosisRunner
 from servo_daemon.daemon.drive import DriveRuntime
 from servo_daemon.daemon.learning_coordinator import LearningCoordinator
 from servo_daemon.daemon.notify import Notifier
+from servo_daemon.daemon.ports import Ports
 from servo_daemon.daemon.sinks import sinks_of
 from servo_daemon.daemon.state_lock import StateLocks
 from servo_daemon.daemon.trends.coordinator import TrendCoordinator
@@ -74,7 +75,8 @@ class Daemon:
         home = None if state_dir is None else state_dir / "diagnosis"
         self._diagnoses = DiagnosisRunner(d.command, d.budget_s, d.time_limit_s, d.nice, home)
         self._learning = LearningCoordinator(config.learning)
-        self._workers = Workers(self._stop)
+        self._ports = Ports()
+        self._workers = Workers(self._stop, self._ports)
         self._slots = {d.name: self._slot_for(d, _driver_for(d)) for d in config.drive}
         self._recording = self._recorded(state_dir)
         self._sinks = sinks_of(config, tuple(slot.runtime for slot in self._slots.values()), state_dir)
@@ -104,7 +106,7 @@ class Daemon:
         model = self._learning.subscribe(config.name) if config.estimation.refresh else None
 
         def make(wake: Callable[[], None]) -> DriveRuntime:
-            return DriveRuntime(config, driver, self._state_dir, wake, self._diagnoses, model)
+            return DriveRuntime(config, driver, self._state_dir, wake, self._diagnoses, model, self._ports)
 
         return DriveSlot(make, self._workers.call, self.config.storage.save_interval_s, self._save_now.set)
 
@@ -226,6 +228,8 @@ class Daemon:
         if self._recording is not None:
             self._recording.follow(runtimes)
         self._trends.follow(runtimes)
+        for sink in self._sinks:
+            sink.follow(runtimes)
         if self.captures is not None:
             self.captures.follow(runtimes)
         self._learning.start()

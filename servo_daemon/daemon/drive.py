@@ -18,6 +18,8 @@ from servo_daemon.daemon.drive_parts import line_counters, same_channels, stale
 from servo_daemon.daemon.learning_coordinator import Subscription
 from servo_daemon.daemon.load import LoadWatch
 from servo_daemon.daemon.model_coordinator import ModelCoordinator
+from servo_daemon.daemon.onboard import with_onboard
+from servo_daemon.daemon.ports import Ports
 from servo_daemon.daemon.reader import Link, Reader
 from servo_daemon.daemon.state_keeper import StateKeeper
 from servo_daemon.errors import NumericalError, RefusedError
@@ -58,6 +60,7 @@ class DriveRuntime:
         wake: called when there is work, from the reader's thread.
         runner: of diagnoses, one for all drives.
         subscription: where learned models come from; None: nowhere.
+        ports: that read the drive's line beside others'; None: it has a thread of its own for that.
     """
 
     def __init__(
@@ -68,6 +71,7 @@ class DriveRuntime:
         wake: Callable[[], None],
         runner: DiagnosisRunner | None = None,
         subscription: Subscription | None = None,
+        ports: Ports | None = None,
     ) -> None:
         self.config = config
         self.subscription = subscription
@@ -75,7 +79,7 @@ class DriveRuntime:
         self._keeper = StateKeeper(state_dir, config)
         self.ring = SampleRing(config.estimation.ring_s)
         self.log = EventLog(config.name)
-        self.reader = Reader(driver, wake, self.log.add)
+        self.reader = Reader(driver, wake, self.log.add, ports)
         self._model_changes = ModelCoordinator(config.name, wake)
         self.active = config  # with the model as it is now
         self._pipeline: Pipeline | None = None
@@ -242,7 +246,7 @@ class DriveRuntime:
             estimate, told = self._warnings.update(estimate)
             self.log.tell(told)
             self._diagnoses.watch(estimate)
-        self.estimate = estimate
+        self.estimate = with_onboard(estimate, self.reader.driver.onboard, time.monotonic())
 
     def _learn(self, subscription: Subscription, pipeline: Pipeline, estimate: Estimate | None) -> Estimate | None:
         """Tell the coordinator what is needed, take what has come; the estimate with what is published until then."""

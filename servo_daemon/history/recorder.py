@@ -25,7 +25,7 @@ from servo_daemon.published.archive import Counts
 from servo_daemon.published.diagnosis_state import DiagnosisView
 from servo_daemon.published.history import HistoryRing
 from servo_daemon.published.memory import of_ring
-from servo_daemon.published.view import EventSource
+from servo_daemon.published.sinks import EventSource
 
 log = logging.getLogger(__name__)
 

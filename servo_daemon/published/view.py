@@ -39,13 +39,6 @@ class ModelChange:
     time: float | None
 
 
-class EventSource(Protocol):
-    """A drive's events, numbered as they come."""
-
-    def since(self, number: int) -> tuple[int, Sequence[Event]]:
-        """How many there have been ever, and those from that number on that are still kept."""
-
-
 class DriveView(Protocol):
     """One drive as the API sees it."""
 

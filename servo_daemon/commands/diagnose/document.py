@@ -12,7 +12,14 @@ import numpy as np
 from servo_daemon.commands.diagnose.evidence import Evidence
 from servo_daemon.commands.diagnose.missing import means_over_speed
 from servo_daemon.commands.diagnose.toml import toml_lines
-from servo_daemon.commands.fit.document import combination_row, null_row, parameter_row, score_row, validation_row
+from servo_daemon.commands.fit.document import (
+    combination_row,
+    null_row,
+    parameter_row,
+    score_row,
+    signals_row,
+    validation_row,
+)
 from servo_daemon.commands.fit.inputs import Inputs
 from servo_daemon.commands.fit.notes import result_notes
 from servo_daemon.commands.shared.units import shown_column, shown_unit
@@ -60,6 +67,7 @@ def diagnosis_document(d: Diagnosis, inputs: Inputs, evidence: Evidence) -> dict
         "drive": inputs.drive.name,
         "input": final.problem.plant.drive,
         "measured": [shown_column(c, linear=linear) for c in final.problem.channels],
+        "signals": signals_row(inputs.meaning),
         "missing": _missing_rows(d, evidence, linear=linear),
         "differences": [_difference_row(s, linear=linear) for s in d.differences],
         "own_models": [_own_row(m, linear=linear) for m in d.own_models],

@@ -13,13 +13,13 @@ from threading import Event
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
-from tqdm import tqdm
-
 from servo_daemon.config import DriveConfig, load_config
 from servo_daemon.errors import BadInputError
 from servo_daemon.published.snapshot import ParameterEstimate
 
 if TYPE_CHECKING:
+    from tqdm import tqdm
+
     from drivers.base import DriveInfo
     from servo_daemon.captures import Capture
     from servo_daemon.captures.capture.read_options import ReadOptions
@@ -207,6 +207,8 @@ def note(text: str) -> None:
 
 def progress(total: float, unit: str, description: str) -> tqdm[Any]:
     """A progress bar on stderr, only where somebody watches."""
+    from tqdm import tqdm
+
     return tqdm(total=total, unit=unit, desc=description, disable=None, file=sys.stderr, leave=False, unit_scale=True)
 
 

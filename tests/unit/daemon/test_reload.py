@@ -102,10 +102,12 @@ def test_drives_come_go_and_begin_again(start: Callable[..., Rig], tmp_path: Pat
 
 
 def test_the_history_holds_both_lives_of_a_drive(start: Callable[..., Rig], tmp_path: Path) -> None:
-    rig = start(config({"name": "a"}), tmp_path)
+    nobody = [{"url": "http://127.0.0.1:1/", "kinds": ["connected"]}]
+    rig = start(config({"name": "a"}, webhook=nobody), tmp_path)
     rig.driver("a").feed(2000)
     rig.until_samples(2000, "a")
-    follow(rig, config({"name": "a", "options": {"seed": 1}}, {"name": "b"}))
+    follow(rig, config({"name": "a", "options": {"seed": 1}}, {"name": "b"}, webhook=nobody))
+    rig.until(lambda: rig.daemon.sinks[0].waiting == 3, "a webhook has the events of a's both lives and of b")
     archive = rig.daemon.archive
     assert archive is not None
     recorder = rig.daemon._recording.recorder  # type: ignore[union-attr]
