@@ -26,7 +26,7 @@ _IDLE_TURN_S = 0.1
 #: A turn beyond this is long, s of CPU time: with `daemon._WATCH_S` others wait for 35 ms at most. (By the wall clock
 #: every turn is long where other programs, or threads of this one, have the processor; then all drives had a thread
 #: each, which waited for each other.) One that waits for something (a compiler, a lock) is long after so long, s.
-LONG_TURN_S, LONG_WAIT_S = 0.015, 0.25
+LONG_TURN_S, LONG_WAIT_S = 0.015, 1.0
 #: A drive without a long turn for so long goes back to the others, s.
 _QUICK_S = 1.0
 #: A drive that has not turned for this long is a problem the API reports, s.
