@@ -7,6 +7,7 @@ turns the drives reads them all, decodes, and goes on to the turns; each port's 
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from typing import Protocol
@@ -24,11 +25,12 @@ class Line(Protocol):
 
 
 class Ports:
-    """See the module. Lines are added and removed by any thread and read by one at a time."""
+    """The lines that are read in turn: added and removed by any thread, read by one at a time."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._lines: tuple[Line, ...] = ()  # replaced as a whole
+        self._lines: tuple[Line, ...] = ()  # replaced as a whole, under the lock
+        self._lock = threading.Lock()
         self._due_s = 0.0
 
     def __len__(self) -> int:
@@ -36,11 +38,13 @@ class Ports:
 
     def add(self, line: Line) -> None:
         """From now on it is read."""
-        self._lines = (*self._lines, line)
+        with self._lock:
+            self._lines = (*self._lines, line)
 
     def remove(self, line: Line) -> None:
         """It is read no more, but for a reading that is under way; does nothing where it was not read."""
-        self._lines = tuple(other for other in self._lines if other is not line)
+        with self._lock:
+            self._lines = tuple(other for other in self._lines if other is not line)
 
     def wait_s(self, longest_s: float) -> float:
         """How long until they are to be read, at most so long."""

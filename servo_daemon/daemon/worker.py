@@ -44,6 +44,7 @@ class DriveSlot:
         owner: the thread that works for this drive alone; None: the shared one does.
         turned: when it last did, host monotonic, s.
         has_worked: samples have been worked off.
+        left: the drive has gone, and what it knew is laid out to be saved.
     """
 
     def __init__(
@@ -57,7 +58,8 @@ class DriveSlot:
         self._save_interval_s, self._save = save_interval_s, save
         self.owner: threading.Thread | None = None
         self.turned = self._next_save = time.monotonic()
-        self.has_worked = False
+        self.has_worked = self._leaving = False
+        self.left = threading.Event()
         self.runtime = make(self.call)
 
     def call(self) -> None:
@@ -65,12 +67,24 @@ class DriveSlot:
         self.wake.set()
         self._wake_all()
 
+    def leave(self) -> None:
+        """The drive is to go: its reader has ended. Any thread; `left` tells when what had come is worked off."""
+        self._leaving = True
+        self.call()
+
     def turn(self) -> None:
         """A round of the drive's work, and time and again what it knows laid out to be saved."""
+        if self.left.is_set():
+            return
+        leaving = self._leaving  # looked at before: then everything that will come is in the queue
         self.has_worked |= self.runtime.work()
         self.turned = time.monotonic()
         if self.runtime.reader.queue.samples:
             self.call()
+        elif leaving:
+            self.offer()
+            self.left.set()
+            return
         if self.turned >= self._next_save:
             self._next_save = self.turned + self._save_interval_s
             self.offer()
@@ -134,6 +148,9 @@ class Workers:
     Args:
         stop: set when they are to end.
         ports: that the shared thread reads; None: there are none.
+
+    Attributes:
+        slots: may be exchanged while they work.
     """
 
     def __init__(self, stop: threading.Event, ports: Ports | None = None) -> None:
@@ -213,7 +230,7 @@ class Workers:
         """Alone, until its turns are no longer long."""
         threading.current_thread().name = f"pipeline-{slot.runtime.name}"
         last_long = time.monotonic()
-        while not self._stop.is_set():
+        while not self._stop.is_set() and not slot.left.is_set():
             slot.wake.wait(_IDLE_TURN_S)
             slot.wake.clear()
             turn = _Turn.begun(slot)
@@ -224,4 +241,5 @@ class Workers:
                 slot.owner = None
                 self._wake.set()
                 return
-        slot.offer()
+        if not slot.left.is_set():
+            slot.offer()
