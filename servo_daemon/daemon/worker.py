@@ -1,9 +1,9 @@
 """The threads that turn the drives' pipelines: one for all of them, and one more for each drive that takes long.
 
-The thread that all share reads the lines that need no thread of their own (`daemon/ports.py`), is woken by the blocks
-of the others, which come some 25 times a second, and takes what has queued up for each drive in one go: eight drives
-cost 20 % less so than with a thread each. A drive whose turn takes long (a plant that is compiled, a start or a jump
-filtered again, a slow engine) keeps the thread that it is in, and another goes on with the rest. Compiled code and
+The thread that all share reads the lines that need no thread of their own (`daemon/lines/ports.py`), is woken by the
+blocks of the others, which come some 25 times a second, and takes what has queued up for each drive in one go: eight
+drives cost 20 % less so than with a thread each. A drive whose turn takes long (a plant that is compiled, a start or a
+jump filtered again, a slow engine) keeps the thread that it is in, and another goes on with the rest. Compiled code and
 CasADi release the interpreter, and plain Python gives it up every few milliseconds, so that the others do turn
 meanwhile.
 """
@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from servo_daemon.daemon.drive import DriveRuntime
-from servo_daemon.daemon.ports import Ports
+from servo_daemon.daemon.lines.ports import Ports
 
 #: With several drives the shared thread waits so long for the others' blocks once one has come, s: fewer turns. Not
 #: beside a drive that takes long: then it waits for the interpreter often enough.
