@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from drivers.base import OnboardEstimates
-from servo_daemon.daemon.reader import Link, Reader
+from servo_daemon.daemon.lines.reader import Link, Reader
 from servo_daemon.published.snapshot import Estimate, EstimatorView
 from servo_daemon.samples import SampleBlock
 
