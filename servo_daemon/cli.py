@@ -40,6 +40,7 @@ COMMANDS = {
     "config": "servo_daemon.commands.config",
     "scan": "servo_daemon.commands.scan.command",
     "status": "servo_daemon.commands.status",
+    "export": "servo_daemon.commands.export.command",
     "export-history": "servo_daemon.commands.export_history",
     "token": "servo_daemon.commands.token",
     "completion": "servo_daemon.commands.completion",

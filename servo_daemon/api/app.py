@@ -18,7 +18,9 @@ from servo_daemon.api.reference import reference_page
 from servo_daemon.api.routes import api_router, metrics_router
 from servo_daemon.api.schemas import diagnosis as diagnosis_schemas
 from servo_daemon.api.schemas import estimates as schemas
+from servo_daemon.api.schemas import kept as kept_schemas
 from servo_daemon.api.schemas import past as past_schemas
+from servo_daemon.api.schemas import recorded as recorded_schemas
 from servo_daemon.api.schemas import trend as trend_schemas
 from servo_daemon.published.view import DaemonView
 
@@ -97,6 +99,8 @@ _MODELS: Final[dict[str, Any]] = {
     **vars(schemas),
     **vars(diagnosis_schemas),
     **vars(past_schemas),
+    **vars(kept_schemas),
+    **vars(recorded_schemas),
     **vars(trend_schemas),
 }
 

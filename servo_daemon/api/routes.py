@@ -22,9 +22,11 @@ from servo_daemon.api.answers import (
 )
 from servo_daemon.api.computing import Computer, while_connected
 from servo_daemon.api.fleet import fleet_document
+from servo_daemon.api.past import kept
 from servo_daemon.api.past import routes as past
 from servo_daemon.api.per_drive import PerDrive
 from servo_daemon.api.problems import ProblemError, parameter_problem
+from servo_daemon.api.recorded import routes as recorded
 from servo_daemon.api.schemas import estimates as schemas
 from servo_daemon.api.schemas import past as past_schemas
 from servo_daemon.api.schemas import trend as trend_schemas
@@ -198,6 +200,8 @@ def api_router(daemon: DaemonView, prefix: str, computer: Computer) -> APIRouter
             responses={**UNKNOWN_DRIVE, **responses},
         )
     past.add_routes(router, past.PastRoutes(daemon, routes.find))
+    kept.add_routes(router, kept.KeptRoutes(daemon.archive, routes.find, prefix))
+    recorded.add_routes(router, recorded.RecordedRoutes(daemon, routes.find, prefix))
     diagnosis.add_routes(router, diagnosis.DiagnosisRoutes(routes.find, prefix, daemon.stopping))
     _add_stream_and_reset(router, routes)
     return router

@@ -11,7 +11,7 @@ from servo_daemon.config.shown import shown, toml
 
 HELP = "show a configuration merged with its conf.d, secrets hidden; print the JSON schema of its files"
 EXAMPLE = """  servo-daemon config show --config /etc/servo-daemon/servo-daemon.toml
-  servo-daemon config schema > servo-daemon.schema.json"""
+  servo-daemon config schema  # > servo-daemon.schema.json"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

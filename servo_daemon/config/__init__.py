@@ -20,6 +20,7 @@ from servo_daemon.config.sections import (
     SignalsConfig,
     StorageConfig,
 )
+from servo_daemon.config.sinks import MqttConfig, WebhookConfig
 
 __all__ = [
     "ApiConfig",
@@ -33,8 +34,10 @@ __all__ = [
     "LimitsConfig",
     "LoadConfig",
     "LogConfig",
+    "MqttConfig",
     "SignalsConfig",
     "StorageConfig",
+    "WebhookConfig",
     "load_config",
     "parse_config",
 ]

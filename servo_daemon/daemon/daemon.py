@@ -14,15 +14,18 @@ from drivers.registry import make_driver
 from servo_daemon import __version__
 from servo_daemon.config import Config, DriveConfig
 from servo_daemon.config.changes import Change, How, at_work, drives_of
+from servo_daemon.daemon.captures.coordinator import CaptureCoordinator
+from servo_daemon.daemon.captures.folder import CaptureFolder
 from servo_daemon.daemon.diagnosis.runner import DiagnosisRunner
 from servo_daemon.daemon.drive import DriveRuntime
 from servo_daemon.daemon.learning_coordinator import LearningCoordinator
+from servo_daemon.daemon.lines.ports import Ports
 from servo_daemon.daemon.notify import Notifier
-from servo_daemon.daemon.sinks import sinks_of
 from servo_daemon.daemon.state_lock import StateLocks
 from servo_daemon.daemon.trends.coordinator import TrendCoordinator
 from servo_daemon.daemon.worker import DriveSlot, Workers
 from servo_daemon.published.sinks import SinkState
+from servo_daemon.sinks import sinks_of
 
 if TYPE_CHECKING:
     from servo_daemon.daemon.recording import Recording
@@ -72,11 +75,13 @@ class Daemon:
         home = None if state_dir is None else state_dir / "diagnosis"
         self._diagnoses = DiagnosisRunner(d.command, d.budget_s, d.time_limit_s, d.nice, home)
         self._learning = LearningCoordinator(config.learning)
-        self._workers = Workers(self._stop)
+        self._ports = Ports()
+        self._workers = Workers(self._stop, self._ports)
         self._slots = {d.name: self._slot_for(d, _driver_for(d)) for d in config.drive}
         self._recording = self._recorded(state_dir)
         self._sinks = sinks_of(config, tuple(slot.runtime for slot in self._slots.values()), state_dir)
         self._trends = TrendCoordinator(self.archive, [slot.runtime for slot in self._slots.values()])
+        self.captures = self._kept_captures(state_dir)
         self._watcher = threading.Thread(target=self._watch, name="watch", daemon=True)
         self._saver = threading.Thread(target=self._save, name="saver", daemon=True)
 
@@ -89,11 +94,19 @@ class Daemon:
 
         return Recording(h, state_dir, [slot.runtime for slot in self._slots.values()])
 
+    def _kept_captures(self, state_dir: Path | None) -> CaptureCoordinator | None:
+        """What keeps samples around events, if they are to be kept."""
+        quota = self.config.history.captures_quota_MB
+        if state_dir is None or not self.config.history.enabled or quota <= 0:
+            return None
+        folder = CaptureFolder(state_dir / "captures", quota * 1e6)
+        return CaptureCoordinator(folder, [slot.runtime for slot in self._slots.values()])
+
     def _slot_for(self, config: DriveConfig, driver: Driver) -> DriveSlot:
         model = self._learning.subscribe(config.name) if config.estimation.refresh else None
 
         def make(wake: Callable[[], None]) -> DriveRuntime:
-            return DriveRuntime(config, driver, self._state_dir, wake, self._diagnoses, model)
+            return DriveRuntime(config, driver, self._state_dir, wake, self._diagnoses, model, self._ports)
 
         return DriveSlot(make, self._workers.call, self.config.storage.save_interval_s, self._save_now.set)
 
@@ -121,6 +134,7 @@ class Daemon:
         found = [slot.runtime.problem for slot in self._slots.values()]
         found += [slot.problem for slot in self._slots.values() if self._workers.started]
         found += [None if self._recording is None else self._recording.problem]
+        found += [None if self.captures is None else self.captures.problem]
         found += [sink.problem for sink in self.sinks]
         return [p for p in found if p is not None]
 
@@ -132,6 +146,8 @@ class Daemon:
         if self._recording is not None:
             self._recording.start()
         self._trends.start()
+        if self.captures is not None:
+            self.captures.start()
         for sink in self._sinks:
             sink.start()
         for runtime in self.drives.values():
@@ -145,6 +161,8 @@ class Daemon:
             self._diagnoses.kill()
             self._learning.begin_stop()
             self._trends.begin_stop()
+            if self.captures is not None:
+                self.captures.begin_stop()
             for sink in self._sinks:
                 sink.begin_stop()
             for slot in self._slots.values():
@@ -161,6 +179,8 @@ class Daemon:
             if thread.is_alive():
                 thread.join(max(0.05, deadline - time.monotonic()))
         self._trends.stop(max(0.05, deadline - time.monotonic()))
+        if self.captures is not None:
+            self.captures.stop(max(0.05, deadline - time.monotonic()))
         if self._recording is not None:  # after the workers: with their last rows
             self._recording.stop(max(0.05, deadline - time.monotonic()))
         for sink in self._sinks:
@@ -208,6 +228,10 @@ class Daemon:
         if self._recording is not None:
             self._recording.follow(runtimes)
         self._trends.follow(runtimes)
+        for sink in self._sinks:
+            sink.follow(runtimes)
+        if self.captures is not None:
+            self.captures.follow(runtimes)
         self._learning.start()
 
     def _dismiss(self, slots: Sequence[DriveSlot]) -> None:

@@ -14,11 +14,12 @@ from servo_daemon.config import DriveConfig
 from servo_daemon.config.changes import looked_up
 from servo_daemon.daemon.diagnosis.coordinator import DiagnosisCoordinator
 from servo_daemon.daemon.diagnosis.runner import DiagnosisRunner
-from servo_daemon.daemon.drive_parts import line_counters, same_channels, stale
+from servo_daemon.daemon.drive_parts import line_counters, same_channels, stale, with_onboard
 from servo_daemon.daemon.learning_coordinator import Subscription
+from servo_daemon.daemon.lines.ports import Ports
+from servo_daemon.daemon.lines.reader import Link, Reader
 from servo_daemon.daemon.load import LoadWatch
 from servo_daemon.daemon.model_coordinator import ModelCoordinator
-from servo_daemon.daemon.reader import Link, Reader
 from servo_daemon.daemon.state_keeper import StateKeeper
 from servo_daemon.errors import NumericalError, RefusedError
 from servo_daemon.pipeline.controller import loop_facts
@@ -58,6 +59,7 @@ class DriveRuntime:
         wake: called when there is work, from the reader's thread.
         runner: of diagnoses, one for all drives.
         subscription: where learned models come from; None: nowhere.
+        ports: that read the drive's line beside others'; None: it has a thread of its own for that.
     """
 
     def __init__(
@@ -68,6 +70,7 @@ class DriveRuntime:
         wake: Callable[[], None],
         runner: DiagnosisRunner | None = None,
         subscription: Subscription | None = None,
+        ports: Ports | None = None,
     ) -> None:
         self.config = config
         self.subscription = subscription
@@ -75,7 +78,7 @@ class DriveRuntime:
         self._keeper = StateKeeper(state_dir, config)
         self.ring = SampleRing(config.estimation.ring_s)
         self.log = EventLog(config.name)
-        self.reader = Reader(driver, wake, self.log.add)
+        self.reader = Reader(driver, wake, self.log.add, ports)
         self._model_changes = ModelCoordinator(config.name, wake)
         self.active = config  # with the model as it is now
         self._pipeline: Pipeline | None = None
@@ -136,6 +139,10 @@ class DriveRuntime:
     def events(self) -> Sequence[Event]:
         """The last events, oldest first."""
         return self.log.all()
+
+    def samples(self) -> Sequence[SampleBlock]:
+        """The last samples, tick by tick; see `DriveView`."""
+        return self.ring.blocks()
 
     def request_reset(self) -> None:
         """Forget what was learned; carried out by the worker before the next samples."""
@@ -238,7 +245,7 @@ class DriveRuntime:
             estimate, told = self._warnings.update(estimate)
             self.log.tell(told)
             self._diagnoses.watch(estimate)
-        self.estimate = estimate
+        self.estimate = with_onboard(estimate, self.reader.driver.onboard, time.monotonic())
 
     def _learn(self, subscription: Subscription, pipeline: Pipeline, estimate: Estimate | None) -> Estimate | None:
         """Tell the coordinator what is needed, take what has come; the estimate with what is published until then."""

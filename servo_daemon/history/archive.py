@@ -13,7 +13,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from servo_daemon.history.blocks import drive_id, read_blocks
 from servo_daemon.history.database import describe
-from servo_daemon.history.events import read_documents, read_events
+from servo_daemon.history.events import read_document, read_documents, read_events
 from servo_daemon.history.levels import Level, choose
 from servo_daemon.history.recorder import Recorder
 from servo_daemon.history.tables import BLOCK
@@ -109,6 +109,10 @@ class StoreArchive:
     def documents(self, drive: str, kind: str, limit: int) -> Sequence[Document]:
         """See `Archive`."""
         return self._ask(drive, lambda c, number, _: () if number is None else read_documents(c, number, kind, limit))
+
+    def document(self, drive: str, kind: str, number: int) -> Document | None:
+        """See `Archive`."""
+        return self._ask(drive, lambda c, n, _: None if n is None else read_document(c, n, kind, number))
 
     def _ask(self, drive: str, question: Callable[[sa.Connection, int | None, Buckets], Found]) -> Found:
         """Asked of one drive, with the rows that are not in the database yet."""

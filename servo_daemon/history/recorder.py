@@ -19,13 +19,13 @@ from sqlalchemy.exc import SQLAlchemyError
 from servo_daemon.errors import ServoDaemonError
 from servo_daemon.history.blocks import BlockWriter, drive_id
 from servo_daemon.history.database import Database, describe, is_broken
-from servo_daemon.history.events import add_document, add_events
+from servo_daemon.history.events import add_document, add_events, read_documents
 from servo_daemon.history.levels import Level
 from servo_daemon.published.archive import Counts
 from servo_daemon.published.diagnosis_state import DiagnosisView
 from servo_daemon.published.history import HistoryRing
 from servo_daemon.published.memory import of_ring
-from servo_daemon.published.view import EventSource
+from servo_daemon.published.sinks import EventSource
 
 log = logging.getLogger(__name__)
 
@@ -209,14 +209,18 @@ class Recorder:
 
 
 def _write_documents(connection: sa.Connection, drive: int, source: Source, mark: Mark, wall_s: float) -> Mark:
-    """A diagnosis that is done now, a model that is another now."""
+    """A diagnosis that is done now, a model that is another now; after a start than those that were written last."""
     diagnosis = source.diagnosis.diagnosis
+    if diagnosis.status == "done" and mark.diagnosed is None:
+        mark = replace(mark, diagnosed=next((d.time for d in read_documents(connection, drive, "diagnosis", 1)), None))
     if diagnosis.status == "done" and diagnosis.finished not in {None, mark.diagnosed}:
         body: dict[str, Any] = {"trigger": diagnosis.trigger, "model": diagnosis.model, "result": diagnosis.result}
         add_document(connection, drive, diagnosis.finished or wall_s, "diagnosis", body)
         mark = replace(mark, diagnosed=diagnosis.finished)
-    if source.model != mark.model:
-        if mark.model is not None:
-            add_document(connection, drive, wall_s, "model", {"effects": source.model, "before": mark.model})
+    if mark.model is None and source.history.rows:  # before its first row a drive may not have its last model back
+        last = read_documents(connection, drive, "model", 1)
+        mark = replace(mark, model=tuple(last[0].body["effects"]) if last else source.model)
+    if mark.model is not None and source.model != mark.model:
+        add_document(connection, drive, wall_s, "model", {"effects": source.model, "before": mark.model})
         mark = replace(mark, model=source.model)
     return mark

@@ -45,5 +45,8 @@ class Encoding(Protocol):
     def heard(self, topic: str, payload: bytes) -> list[Message]:
         """The answer to what came on one of the topics."""
 
+    def gone(self, drive: str) -> list[Message]:
+        """There is no such drive any more."""
+
     def death(self) -> list[Message]:
         """Before the connection is closed."""

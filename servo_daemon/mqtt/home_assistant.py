@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
 from typing import Any, Final, get_args
 
 from servo_daemon import __version__
@@ -32,20 +31,18 @@ class Discovery:
         discovery_prefix: as Home Assistant is configured.
         topic_prefix: of the states (see `Plain`).
         node: the daemon's name among others.
-        drives: their names.
     """
 
-    def __init__(self, discovery_prefix: str, topic_prefix: str, node: str, drives: Sequence[str]) -> None:
-        self._topic_prefix = topic_prefix
-        self._identities = {drive: f"servo-daemon_{_clean(node)}_{_clean(drive)}" for drive in drives}
-        self._topics = {drive: f"{discovery_prefix}/device/{i}/config" for drive, i in self._identities.items()}
+    def __init__(self, discovery_prefix: str, topic_prefix: str, node: str) -> None:
+        self._base, self._topic_prefix = f"{discovery_prefix}/device", topic_prefix
+        self._node = f"servo-daemon_{_clean(node)}_"
         self._told: dict[str, dict[str, Any]] = {}  # topic -> the message
         self._known: dict[str, dict[str, str]] = {}  # topic -> platforms by component that the broker may know
 
     @property
-    def topics(self) -> Sequence[str]:
-        """Where the messages are that an earlier run left at the broker."""
-        return tuple(self._topics.values())
+    def topics(self) -> str:
+        """Where the messages are that an earlier run left at the broker, among those of others."""
+        return f"{self._base}/+/config"
 
     def of(self, report: Report, again: bool) -> list[Message]:
         """What has to be told before this report.
@@ -53,8 +50,8 @@ class Discovery:
         Args:
             again: also what was told before: the broker may have lost it.
         """
-        topic = self._topics[report.drive]
-        document = self._document(self._identities[report.drive], report)
+        identity, topic = self._node + _clean(report.drive), self._topic(report.drive)
+        document = self._document(identity, report)
         if document == self._told.get(topic) and not again:
             return []
         self._told[topic] = document
@@ -62,6 +59,8 @@ class Discovery:
 
     def heard(self, topic: str, payload: bytes) -> list[Message]:
         """The answer to a discovery message at the broker: what a drive of ours no longer has is taken away."""
+        if not topic.startswith(f"{self._base}/{self._node}"):
+            return []
         try:
             components = json.loads(payload)["components"]
             there = {str(key): str(c["platform"]) for key, c in components.items() if "unique_id" in c}
@@ -71,6 +70,16 @@ class Discovery:
         known.update(there)
         told = self._told.get(topic)  # None: the drive's first report will answer
         return [] if told is None or known.keys() <= told["components"].keys() else self._messages(topic)
+
+    def gone(self, drive: str) -> list[Message]:
+        """Take the drive's device away."""
+        topic = self._topic(drive)
+        self._told.pop(topic, None)
+        self._known.pop(topic, None)
+        return [Message(topic, b"", retain=True)]
+
+    def _topic(self, drive: str) -> str:
+        return f"{self._base}/{self._node}{_clean(drive)}/config"
 
     def _messages(self, topic: str) -> list[Message]:
         """The message; before it one that takes away what is no longer there, as Home Assistant wants it."""

@@ -7,10 +7,10 @@ import random
 import threading
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from servo_daemon.config_sinks import MqttConfig
+from servo_daemon.config.credentials import file_of
+from servo_daemon.config.sinks import MqttConfig
 from servo_daemon.errors import ConfigError, ServoDaemonError
 from servo_daemon.mqtt.encoding import Encoding, Message
 from servo_daemon.mqtt.outbox import Outbox
@@ -80,18 +80,20 @@ class Link:
             from paho.mqtt.client import Client, MQTTv311
             from paho.mqtt.enums import CallbackAPIVersion
         except ImportError as error:
-            raise ConfigError("mqtt: needs paho-mqtt: pip install 'servo-daemon[mqtt]'") from error
+            raise ConfigError("[mqtt] needs paho-mqtt: pip install 'servo-daemon[mqtt]'") from error
         c = self._config
         client = Client(CallbackAPIVersion.VERSION2, self._client_id, protocol=MQTTv311)
         client.will_set(will.topic, will.payload, will.qos, will.retain)
         if c.username is not None:
-            client.username_pw_set(c.username, None if c.password_file is None else _secret(c.password_file))
+            client.username_pw_set(c.username, None if c.password_file is None else _password(c.password_file))
         if c.tls:
+            keys = {key: getattr(c, key) for key in ("ca_file", "certificate", "private_key")}
+            files = [None if text is None else str(file_of(text, f"[mqtt] {key}")) for key, text in keys.items()]
+            authority, certificate, private_key = files
             try:
-                client.tls_set(c.ca_file, c.certificate, c.private_key)
+                client.tls_set(authority, certificate, private_key)
             except (OSError, ValueError) as error:  # ssl.SSLError is an OSError
-                files = ", ".join(f for f in (c.ca_file, c.certificate, c.private_key) if f)
-                raise ConfigError(f"mqtt: {files}: not usable for TLS: {error}") from error
+                raise ConfigError(f"[mqtt] {', '.join(filter(None, files))}: not usable for TLS: {error}") from error
         client.on_connect = self._answered
         client.on_message = self._heard
         return client
@@ -166,6 +168,9 @@ class Link:
         arrived = [entry for entry in self._under_way if _arrived(entry[0])]
         self.sent += len(arrived)
         self._under_way = [entry for entry in self._under_way if entry not in arrived]
+        for drive in self._outbox.take_gone():
+            for message in self._encoding.gone(drive):
+                self._publish(client, message)
         for report in self._outbox.take():
             for message in self._encoding.state(report):
                 self._publish(client, message, [report])
@@ -234,13 +239,14 @@ def _disconnect(client: Client) -> None:
     client.loop(0.0)
 
 
-def _secret(path: str) -> str:
-    """The first line of a file.
+def _password(text: str) -> str:
+    """The first line of `password_file`.
 
     Raises:
         ConfigError: it cannot be read.
     """
+    path = file_of(text, "[mqtt] password_file")
     try:
-        return next(iter(Path(path).read_text(encoding="utf-8").splitlines()), "")
+        return next(iter(path.read_text(encoding="utf-8").splitlines()), "")
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"mqtt: password_file {path}: cannot be read: {error}") from error
+        raise ConfigError(f"[mqtt] password_file {path}: cannot be read: {error}") from error

@@ -25,6 +25,7 @@ class Outbox:
         self._online = False
         self._waiting: dict[str, Report] = {}
         self._latest: dict[str, Report] = {}
+        self._gone: set[str] = set()
 
     def offer(self, reports: Sequence[Report]) -> None:
         """New states of drives, one each."""
@@ -32,12 +33,20 @@ class Outbox:
             if not self._online:
                 self._keep([self._waiting[r.drive] for r in reports if r.drive in self._waiting])
             new = {r.drive: r for r in reports}
+            self._gone -= new.keys()
             self._latest.update(new)
             self._waiting.update(new)
 
-    def keep_events(self, drive: str, bodies: Sequence[bytes]) -> None:
-        """Events, as `event_body` makes them."""
-        self.queue.put([(EVENT, drive, body) for body in bodies])
+    def keep_event(self, drive: str, body: bytes) -> None:
+        """An event, as `event_body` makes it."""
+        self.queue.put([(EVENT, drive, body)])
+
+    def dismiss(self, drive: str) -> None:
+        """There is no such drive any more."""
+        with self._lock:
+            self._latest.pop(drive, None)
+            self._waiting.pop(drive, None)
+            self._gone.add(drive)
 
     def open(self) -> list[Report]:
         """There is a connection now: the last state of each drive, to be sent on it."""
@@ -50,6 +59,12 @@ class Outbox:
         with self._lock:
             taken, self._waiting = list(self._waiting.values()), {}
             return taken
+
+    def take_gone(self) -> set[str]:
+        """Drives of which it has to be told that they are gone."""
+        with self._lock:
+            gone, self._gone = self._gone, set()
+            return gone
 
     def close(self, unsent: Sequence[Report]) -> None:
         """There is no connection any more.

@@ -34,7 +34,7 @@ class Plain:
 
     @property
     def topics(self) -> Sequence[str]:
-        return () if self._discovery is None else self._discovery.topics
+        return () if self._discovery is None else (self._discovery.topics,)
 
     def will(self) -> Message:
         return self._status(OFFLINE)
@@ -51,6 +51,10 @@ class Plain:
 
     def heard(self, topic: str, payload: bytes) -> list[Message]:
         return [] if self._discovery is None else self._discovery.heard(topic, payload)
+
+    def gone(self, drive: str) -> list[Message]:
+        forgotten = [] if self._discovery is None else self._discovery.gone(drive)
+        return [*forgotten, Message(f"{self._prefix}/{drive}/state", b"", retain=True)]
 
     def death(self) -> list[Message]:
         return [self._status(OFFLINE)]

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any, Final, Protocol
 
-from servo_daemon.published.sinks import encode
+from servo_daemon.published.sinks import EventSource, encode
 from servo_daemon.published.snapshot import AlarmLimit, ParameterEstimate, Snapshot
-from servo_daemon.published.times import iso_utc
-from servo_daemon.published.view import EventSource
+from servo_daemon.published.units import iso_utc
 
 #: The state channels that change slowly enough for one value a second.
 _SLOW: Final = ("temperature_C",)
@@ -80,6 +79,15 @@ class Report:
             "alarms": dict(self.alarms),
             "state": dict(self.state),
         }
+
+    def unknown(self) -> Report:
+        """The same drive without a value."""
+        return replace(
+            self,
+            parameters=tuple(replace(p, value=None, std=None) for p in self.parameters),
+            alarms=dict.fromkeys(self.alarms),
+            state=dict.fromkeys(self.state),
+        )
 
     def body(self) -> bytes:
         """The document as compact UTF-8."""

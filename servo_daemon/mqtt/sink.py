@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from servo_daemon.config_sinks import MqttConfig
+from servo_daemon.config.sinks import MqttConfig
 from servo_daemon.disk_queue import DiskQueue
 from servo_daemon.mqtt.encoding import Encoding
 from servo_daemon.mqtt.home_assistant import Discovery
@@ -18,7 +18,7 @@ from servo_daemon.mqtt.outbox import Outbox
 from servo_daemon.mqtt.plain import Plain
 from servo_daemon.mqtt.report import Source, report_of
 from servo_daemon.mqtt.sparkplug import Sparkplug
-from servo_daemon.published.sinks import SinkState, event_body
+from servo_daemon.published.sinks import Followed, SinkState, event_body
 from servo_daemon.published.snapshot import Snapshot
 
 log = logging.getLogger(__name__)
@@ -40,12 +40,9 @@ class MqttSink:
     def __init__(self, config: MqttConfig, sources: Sequence[Source], state_dir: Path | None) -> None:
         queue = DiskQueue(None if state_dir is None else state_dir / FILE, config.buffer_MB * 1e6)
         self._outbox = Outbox(queue)
-        self._link = Link(
-            config, f"servo-daemon-{config.node_name}", encoding_of(config, [s.name for s in sources]), self._outbox
-        )
-        self._sources, self._interval_s = sources, config.interval_s
+        self._link = Link(config, f"servo-daemon-{config.node_name}", encoding_of(config), self._outbox)
+        self._drives, self._interval_s = Followed(sources), config.interval_s
         self._told: dict[str, Snapshot] = {}
-        self._events = {source.name: 0 for source in sources}
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="mqtt-collect", daemon=True)
 
@@ -60,6 +57,10 @@ class MqttSink:
     def start(self) -> None:
         self._thread.start()
         self._link.start()
+
+    def follow(self, sources: Sequence[Source]) -> None:
+        """These are the drives from now on."""
+        self._drives.wanted = sources
 
     def begin_stop(self) -> None:
         """Ask both threads to end without waiting."""
@@ -92,11 +93,14 @@ class MqttSink:
         Args:
             now: UTC seconds since the epoch.
         """
+        for name, event in self._drives.take():
+            self._outbox.keep_event(name, event_body(name, event))
+        names = {source.name for source in self._drives.sources}
+        for name in [name for name in self._told if name not in names]:
+            del self._told[name]
+            self._outbox.dismiss(name)
         reports = []
-        for source in self._sources:
-            number, events = source.log.since(self._events[source.name])
-            self._outbox.keep_events(source.name, [event_body(source.name, e) for e in events])
-            self._events[source.name] = number
+        for source in self._drives.sources:
             snapshot = source.snapshot()
             if self._told.get(source.name) is not snapshot:
                 self._told[source.name] = snapshot
@@ -104,7 +108,7 @@ class MqttSink:
         self._outbox.offer(reports)
 
 
-def encoding_of(config: MqttConfig, drives: Sequence[str]) -> Encoding:
+def encoding_of(config: MqttConfig) -> Encoding:
     """As configured.
 
     Raises:
@@ -113,5 +117,5 @@ def encoding_of(config: MqttConfig, drives: Sequence[str]) -> Encoding:
     prefix, node = config.topic_prefix, config.node_name
     if config.encoding == "sparkplug":
         return Sparkplug(config.group, node)
-    discovery = Discovery(config.discovery_prefix, prefix, node, drives) if config.home_assistant else None
+    discovery = Discovery(config.discovery_prefix, prefix, node) if config.home_assistant else None
     return Plain(prefix, discovery)

@@ -76,7 +76,7 @@ class Sparkplug:
         if report.connection != "connected":
             return []
         alive = item.drive in self._told
-        born = [] if alive else [self._device_birth(self._latest.get(item.drive, report))]
+        born = [] if alive else [self._device_birth(self._latest.get(item.drive, report.unknown()))]
         metrics = [m for m in metrics_of(report) if m.name in self._told[item.drive] and m.value is not None]
         past = [self._data(item.drive, metrics, historical=True)] if metrics else []
         return [*born, *past, *([] if alive else self._device_death(item.drive))]
@@ -85,6 +85,10 @@ class Sparkplug:
         """A host application that has lost the thread asks for everything again."""
         asked = topic == self._topic("NCMD") and payload.is_true(body, _REBIRTH)
         return self.birth(list(self._latest.values())) if asked else []
+
+    def gone(self, drive: str) -> list[Message]:
+        self._latest.pop(drive, None)
+        return self._device_death(drive)
 
     def death(self) -> list[Message]:
         return [*(m for device in list(self._told) for m in self._device_death(device)), self._node_death()]

@@ -114,7 +114,7 @@ def messages() -> Mapping[str, Any]:
     try:
         from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
     except ImportError as error:
-        raise ConfigError("mqtt.encoding: Sparkplug needs protobuf: pip install 'servo-daemon[mqtt]'") from error
+        raise ConfigError("[mqtt] encoding: Sparkplug needs protobuf: pip install 'servo-daemon[mqtt]'") from error
     file = descriptor_pb2.FileDescriptorProto(name="sparkplug_b.proto", package=PACKAGE, syntax="proto2")
     kinds = descriptor_pb2.FieldDescriptorProto
     for name, text in _MESSAGES.items():

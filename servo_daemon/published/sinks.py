@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Generic, Protocol, TypeVar
 
 from servo_daemon.published.snapshot import Event, finite_or_none
-from servo_daemon.published.times import iso_utc
+from servo_daemon.published.units import iso_utc
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,3 +49,51 @@ def event_body(drive: str, event: Event) -> bytes:
     data = {k: finite_or_none(v) if isinstance(v, float) else v for k, v in event.data.items()}
     time = iso_utc(event.time)
     return encode({"drive": drive, "time": time, "kind": event.kind, "message": event.message, "data": data})
+
+
+class EventSource(Protocol):
+    """A drive's events, numbered as they come."""
+
+    def since(self, number: int) -> tuple[int, Sequence[Event]]:
+        """How many there have been ever, and those from that number on that are still kept."""
+
+
+class HasEvents(Protocol):
+    """A drive, as far as its events go."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def log(self) -> EventSource: ...
+
+
+Source = TypeVar("Source", bound=HasEvents)
+
+
+class Followed(Generic[Source]):
+    """Drives, and which of their events have been taken. `take` belongs to one thread; any may set `wanted`.
+
+    Attributes:
+        sources: the drives now.
+        wanted: those from the next `take` on.
+    """
+
+    def __init__(self, sources: Sequence[Source]) -> None:
+        self.sources = self.wanted = sources
+        self._marks = {source.name: 0 for source in sources}
+
+    def take(self) -> list[tuple[str, Event]]:
+        """New events, each with its drive; the last ones of drives that go, too."""
+        wanted, found = self.wanted, self._take()
+        if wanted is not self.sources:
+            before = {source.name: source for source in self.sources}
+            self._marks = {s.name: self._marks[s.name] if before.get(s.name) is s else 0 for s in wanted}
+            self.sources = wanted
+        return found
+
+    def _take(self) -> list[tuple[str, Event]]:
+        found: list[tuple[str, Event]] = []
+        for source in self.sources:
+            self._marks[source.name], events = source.log.since(self._marks[source.name])
+            found += [(source.name, event) for event in events]
+        return found

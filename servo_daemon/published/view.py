@@ -12,13 +12,14 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from servo_daemon.parameters import Parameter
-from servo_daemon.published.archive import Archive
+from servo_daemon.published.archive import Archive, Captures
 from servo_daemon.published.diagnosis_state import DiagnosisView
 from servo_daemon.published.history import HistoryRing
 from servo_daemon.published.knowledge import LoopFacts
 from servo_daemon.published.sinks import SinkState
 from servo_daemon.published.snapshot import AlarmLimit, Event, ParameterEstimate, Snapshot
 from servo_daemon.published.trends import DriveTrends
+from servo_daemon.samples import SampleBlock
 
 #: Value (a choice by its name) and 1 σ (None: not known) of parameters, in their units.
 StartValues = Mapping[str, tuple[float | str, float | None]]
@@ -35,13 +36,6 @@ class ModelChange:
 
     model: tuple[str, ...]
     time: float | None
-
-
-class EventSource(Protocol):
-    """A drive's events, numbered as they come."""
-
-    def since(self, number: int) -> tuple[int, Sequence[Event]]:
-        """How many there have been ever, and those from that number on that are still kept."""
 
 
 class DriveView(Protocol):
@@ -85,6 +79,9 @@ class DriveView(Protocol):
 
     def events(self) -> Sequence[Event]:
         """The last events, oldest first, a bounded number; a copy or immutable."""
+
+    def samples(self) -> Sequence[SampleBlock]:
+        """The last samples as the estimators saw them (`[drive.estimation] ring_s`), tick by tick, oldest first."""
 
     def request_reset(self) -> None:
         """Ask the pipeline to forget what it learned and start from nominal; returns before it is done."""
@@ -136,6 +133,10 @@ class DaemonView(Protocol):
     @property
     def archive(self) -> Archive | None:
         """What was published, for years; None: only the last minutes are kept."""
+
+    @property
+    def captures(self) -> Captures | None:
+        """Kept recordings; None: none are kept."""
 
     @property
     def sinks(self) -> Sequence[SinkState]:

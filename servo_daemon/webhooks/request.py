@@ -14,10 +14,10 @@ import hmac
 import urllib.error
 import urllib.request
 from http.client import HTTPException
-from pathlib import Path
 from typing import Any, Final
 
 from servo_daemon import __version__
+from servo_daemon.config.credentials import file_of
 from servo_daemon.errors import ConfigError
 
 #: A receiver that does not answer is given up after this long, s (Standard Webhooks: 15 to 30 s at most).
@@ -35,23 +35,24 @@ class AwayError(Exception):
 
 
 def read_secret(path: str) -> bytes:
-    """The key in a file: `whsec_` and base64, or any text.
+    """The key in `secret_file`: `whsec_` and base64, or any text.
 
     Raises:
         ConfigError: unreadable or empty.
     """
+    file = file_of(path, "[[webhook]] secret_file")
     try:
-        text = Path(path).read_text(encoding="utf-8").strip()
+        text = file.read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"webhook: secret_file {path}: cannot be read: {error}") from error
+        raise ConfigError(f"[[webhook]] secret_file {path}: cannot be read: {error}") from error
     if not text:
-        raise ConfigError(f"webhook: secret_file {path}: is empty")
+        raise ConfigError(f"[[webhook]] secret_file {path}: is empty")
     if not text.startswith("whsec_"):
         return text.encode()
     try:
         return base64.b64decode(text.removeprefix("whsec_"), validate=True)
     except binascii.Error as error:
-        raise ConfigError(f"webhook: secret_file {path}: after whsec_ comes no base64: {error}") from error
+        raise ConfigError(f"[[webhook]] secret_file {path}: after whsec_ comes no base64: {error}") from error
 
 
 def signature(secret: bytes, identity: str, timestamp: int, body: bytes) -> str:

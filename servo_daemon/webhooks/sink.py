@@ -10,14 +10,13 @@ import time
 import uuid
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 from urllib.parse import urlsplit
 
-from servo_daemon.config_sinks import WebhookConfig
+from servo_daemon.config.sinks import WebhookConfig
 from servo_daemon.disk_queue import DiskQueue
 from servo_daemon.errors import ConfigError
-from servo_daemon.published.sinks import SinkState, event_body
-from servo_daemon.published.view import EventSource
+from servo_daemon.published.sinks import Followed, HasEvents, SinkState, event_body
 from servo_daemon.webhooks.request import AwayError, RefusedError, post, read_secret
 
 log = logging.getLogger(__name__)
@@ -28,15 +27,6 @@ _EVERY_S: Final = 0.2
 _RETRY_S: Final = (1.0, 300.0)
 #: What waits for a receiver that is away: some ten thousand events.
 _MOST_BYTES: Final = 5e6
-
-
-class Source(Protocol):
-    """A drive, as far as its events go."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def log(self) -> EventSource: ...
 
 
 class WebhookSink:
@@ -50,14 +40,13 @@ class WebhookSink:
         ConfigError: the secret cannot be read.
     """
 
-    def __init__(self, config: WebhookConfig, name: str, sources: Sequence[Source], state_dir: Path | None) -> None:
+    def __init__(self, config: WebhookConfig, name: str, sources: Sequence[HasEvents], state_dir: Path | None) -> None:
         if config.secret_file is not None:
             read_secret(config.secret_file)
         self._config, self._name = config, name
-        self._sources = [s for s in sources if not config.drives or s.name in config.drives]
+        self._drives = Followed(sources)
         file = f"webhook-{hashlib.sha256(config.url.encode()).hexdigest()[:12]}.sqlite"
         self._queue = DiskQueue(None if state_dir is None else state_dir / file, _MOST_BYTES)
-        self._seen = {source.name: 0 for source in self._sources}
         self._connected: bool | None = None
         self._reason: str | None = None
         self._sent = self._refused = self._reconnects = 0
@@ -75,6 +64,10 @@ class WebhookSink:
 
     def start(self) -> None:
         self._thread.start()
+
+    def follow(self, sources: Sequence[HasEvents]) -> None:
+        """These are the drives from now on."""
+        self._drives.wanted = sources
 
     def begin_stop(self) -> None:
         """Ask it to end without waiting."""
@@ -98,11 +91,12 @@ class WebhookSink:
         self._collect()
 
     def _collect(self) -> None:
-        for source in self._sources:
-            number, events = source.log.since(self._seen[source.name])
-            wanted = [e for e in events if not self._config.kinds or e.kind in self._config.kinds]
-            self._queue.put([(f"msg_{uuid.uuid4().hex}", source.name, event_body(source.name, e)) for e in wanted])
-            self._seen[source.name] = number
+        wanted = [(name, event) for name, event in self._drives.take() if self._wants(name, event.kind)]
+        self._queue.put([(f"msg_{uuid.uuid4().hex}", name, event_body(name, event)) for name, event in wanted])
+
+    def _wants(self, drive: str, kind: str) -> bool:
+        c = self._config
+        return (not c.drives or drive in c.drives) and (not c.kinds or kind in c.kinds)
 
     def _send_one(self) -> bool:
         """The oldest event; whether the next one may follow at once."""

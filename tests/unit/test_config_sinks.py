@@ -69,6 +69,14 @@ def test_an_extra_that_is_missing_is_told_at_the_start(
         MqttSink(config, (), None)
 
 
+def test_a_credential_that_there_is_not_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("CREDENTIALS_DIRECTORY", raising=False)
+    config = parse_config({"mqtt": {"host": "b", "username": "u", "password_file": "credential:mqtt"}}).mqtt
+    assert config is not None
+    with pytest.raises(ConfigError, match=r'\[mqtt\] password_file = "credential:mqtt": there is no \$CRED'):
+        MqttSink(config, (), None)
+
+
 def test_a_password_file_that_cannot_be_read_is_told_at_the_start(tmp_path: Path) -> None:
     """`check` tells it, too, before it opens a device."""
     file = tmp_path / "c.toml"

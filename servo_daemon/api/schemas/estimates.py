@@ -103,7 +103,8 @@ class EstimatesDocument(Closed):
         description="Current (A), speed (rad/s), position (rad), and voltage (V) where it is known."
     )
     estimators: dict[str, EstimatorDocument] = Field(
-        description="The estimators behind the estimate, by name: `ekf`, `rls`, with a learned model `grnn`."
+        description="The estimators behind the estimate, by name: `ekf`, `rls`, with a learned model `grnn`, from a "
+        "drive that estimates itself `onboard`."
     )
     health: dict[str, Scalar] = Field(
         description="How well it goes: `connection` and its reason, `innovation_white`, `samples_lost` and the other "

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from servo_daemon.config_sinks import MqttConfig
+from servo_daemon.config.sinks import MqttConfig
 from servo_daemon.mqtt.sink import MqttSink
 from servo_daemon.pipeline.event_log import EventLog
 from tests.fake_daemon import FakeDrive, make_snapshot

@@ -175,6 +175,25 @@ def test_what_waits_survives_a_restart_of_the_daemon(broker: Broker, tmp_path: P
         assert value(ear.wait(HISTORY)[0], "R") == drive.snapshot().estimate.parameters[0].value  # type: ignore[union-attr]
 
 
+def test_drives_come_and_go_with_the_configuration(broker: Broker) -> None:
+    one, two, again = Drive(), Drive("axis2"), Drive()
+    with Listener(broker.port) as ear, publishing(broker, [one], home_assistant=True) as sink:
+        ear.wait(STATE)
+        one.log.add("alarm", "the last of the first")
+        again.publish(make_snapshot(t=9.0))
+        again.log.add("reloaded", "in the place of the first")
+        sink.follow([again, two])
+        ear.wait("servo-daemon/n1/axis2/state")
+        assert [json.loads(e)["message"] for e in ear.wait(EVENT, 2)] == [
+            "the last of the first", "in the place of the first",
+        ]  # fmt: skip
+        wait_for(lambda: value(ear.of(STATE)[-1], "R") == parameters_at(9.0)[0].value, "the new one's state")
+        sink.follow([again])
+        gone = [DISCOVERY.replace("axis1", "axis2"), "servo-daemon/n1/axis2/state"]
+        wait_for(lambda: all(ear.of(topic)[-1] == b"" for topic in gone), "what is retained of it is deleted")
+    assert sink.state.dropped == 0
+
+
 def test_beyond_the_buffer_the_oldest_go_and_are_counted(broker: Broker, gate: Gate) -> None:
     drive = Drive()
     broker.kill()

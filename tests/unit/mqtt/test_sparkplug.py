@@ -131,6 +131,19 @@ def test_history_of_a_drive_that_is_away_now_has_its_birth_and_death() -> None:
     assert (of_R["value"], of_R["is_historical"]) == (past.parameters[0].value, 1)
 
 
+def test_a_drive_that_is_not_known_yet_is_born_without_values() -> None:
+    drive = Drive()
+    past = report_of(drive, drive.snapshot(), T0)
+    encoding = Sparkplug("g", "n", lambda: T0)
+    encoding.will()
+    encoding.birth([])
+    born, told, _ = encoding.kept(Item(1, "state", "axis1", past.body()))
+    assert "is_null" in by_name(read(born.payload))["parameters/R/value"]
+    assert past.parameters[0].value in [m["value"] for m in read(told.payload)["metrics"]]
+    encoding.state(past)
+    assert [m.topic.split("/")[2] for m in encoding.gone("axis1")] == ["DDEATH"]
+
+
 def test_numbers_begin_anew_after_255() -> None:
     drive = Drive()
     encoding = Sparkplug("g", "n", lambda: T0)

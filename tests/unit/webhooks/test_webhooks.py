@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from servo_daemon.config_sinks import WebhookConfig
+from servo_daemon.config.sinks import WebhookConfig
 from servo_daemon.errors import ConfigError
 from servo_daemon.published.sinks import SinkState
 from servo_daemon.webhooks import sink as module

@@ -10,20 +10,21 @@ from servo_daemon.config import Config
 from servo_daemon.published.sinks import SinkState
 
 if TYPE_CHECKING:
-    from servo_daemon.daemon.drive import DriveRuntime
+    from servo_daemon.mqtt.report import Source
 
 
 class Sink(Protocol):
-    """`start` and `stop` once each; `begin_stop` asks without waiting."""
+    """`start` and `stop` once each; `follow` takes other drives; `begin_stop` asks without waiting."""
 
     @property
     def state(self) -> SinkState: ...
     def start(self) -> None: ...
+    def follow(self, sources: Sequence[Source]) -> None: ...
     def begin_stop(self) -> None: ...
     def stop(self, timeout_s: float) -> None: ...
 
 
-def sinks_of(config: Config, drives: Sequence[DriveRuntime], state_dir: Path | None) -> tuple[Sink, ...]:
+def sinks_of(config: Config, drives: Sequence[Source], state_dir: Path | None) -> tuple[Sink, ...]:
     """None of them is started.
 
     Raises:
