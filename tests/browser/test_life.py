@@ -165,5 +165,6 @@ def test_a_life_over_a_kill(
         page.until((CHART % "R") + ".then(([from, to]) => to - from > 360 * 86400)")
         page.until("document.querySelectorAll('#trends li.near').length > 0")
         assert "K -6." in page.text("#trends") and "K_min in" in page.text("#trends")
-        page.until("document.querySelectorAll('#events a').length > 0")  # the alarm's samples
+        page.evaluate("document.getElementById('record').click()")
+        page.until("document.querySelectorAll('#events a').length > 0")  # the samples around the alarm
         assert page.errors() == []
