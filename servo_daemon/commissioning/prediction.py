@@ -1,0 +1,107 @@
+"""A prediction of the motor from the last fit, and whether the samples follow it.
+
+Linear motor, sample by sample; position and current pull it towards what is measured, slowly enough that a shaft that
+stops at once, or an encoder that does, shows within some ten milliseconds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from servo_daemon.commissioning.stop import Stop, StoppedError
+from servo_daemon.commissioning.supervisor import Reading
+from servo_daemon.plant.linear import linear_step
+
+#: Time within which the prediction forgets what was wrong, s: a few periods of any encoder that dies.
+_MEMORY_S = 0.02
+#: Share of the greatest speed (of the greatest current) by which motion (current) may differ from the prediction: a dry
+#: friction that the model lacks changes less than that within `_MEMORY_S`.
+_SPEED, _CURRENT = 0.5, 0.5
+#: Counts, and standard deviations of the current, that are no difference.
+_COUNTS, _SIGMA = 10.0, 10.0
+#: Share of the current's difference that is taken up with every sample.
+_CURRENT_GAIN = 0.2
+#: Back-EMF of a shaft that stands: below this share of what the prediction has.
+_STANDS = 0.5
+
+
+class Prediction:
+    """Of one motor from where it is now.
+
+    Args:
+        motor: R, L, K, J, B.
+        start: where the samples are; the motor is at rest there.
+        offset_A: of the current sensor.
+    """
+
+    def __init__(
+        self, motor: Mapping[str, float], period_s: float, count_rad: float, noise_A: float, offset_A: float,
+        start: Reading,
+    ) -> None:  # fmt: skip
+        Ad, Bd = linear_step(motor, period_s)
+        self._A: list[list[float]] = np.asarray(Ad, dtype=float).tolist()
+        self._b: list[float] = np.asarray(Bd, dtype=float)[:, 0].tolist()
+        self._motor, self._period_s, self._count, self._noise_A = motor, period_s, count_rad, noise_A
+        rate = 1.0 / _MEMORY_S
+        self._gain_x, self._gain_w = 1.4 * rate * period_s, rate * rate * period_s
+        self._offset_A = offset_A
+        self._i, self._w, self._x = 0.0, 0.0, start.position_rad
+        self._last = start
+        self._peak_w = self._peak_i = 0.0
+        self._e = 0.0  # measured back-EMF, V, smoothed over the memory
+
+    @property
+    def speed_rad_s(self) -> float:
+        """As predicted."""
+        return self._w
+
+    def check(self, r: Reading, speed_rad_s: float) -> None:
+        """Takes the next sample.
+
+        Args:
+            speed_rad_s: as measured.
+
+        Raises:
+            StoppedError: the motor does not do what it did.
+        """
+        last, dt = self._last, r.time_s - self._last.time_s
+        for _ in range(max(1, round(dt / self._period_s))):
+            self._step(last.voltage_V)
+        current = r.current_A - self._offset_A
+        self._measure_emf(last, current, dt)
+        off_x, off_i = r.position_rad - self._x, current - self._i
+        self._peak_w, self._peak_i = max(self._peak_w, abs(self._w)), max(self._peak_i, abs(self._i))
+        if abs(off_x) > _SPEED * self._peak_w * _MEMORY_S + _COUNTS * self._count:
+            raise StoppedError(self._named(r, speed_rad_s))
+        if abs(off_i) > _CURRENT * self._peak_i + _SIGMA * self._noise_A:
+            raise StoppedError(Stop("innovations", "the current is not what the voltage makes it", r.time_s))
+        self._x += self._gain_x * off_x
+        self._w += self._gain_w * off_x
+        self._i += _CURRENT_GAIN * off_i
+        self._last = r
+
+    def _step(self, v: float) -> None:
+        i, w, x = self._i, self._w, self._x
+        a, b = self._A, self._b
+        self._i = a[0][0] * i + a[0][1] * w + a[0][2] * x + b[0] * v
+        self._w = a[1][0] * i + a[1][1] * w + a[1][2] * x + b[1] * v
+        self._x = a[2][0] * i + a[2][1] * w + a[2][2] * x + b[2] * v
+
+    def _measure_emf(self, last: Reading, current: float, dt: float) -> None:
+        before = last.current_A - self._offset_A
+        m = self._motor
+        e = last.voltage_V - m["R"] * 0.5 * (before + current) - m["L"] * (current - before) / dt
+        self._e += (1.0 - math.exp(-dt / (0.25 * _MEMORY_S))) * (e - self._e)
+
+    def _named(self, r: Reading, speed_rad_s: float) -> Stop:
+        """A motor that turns on while its angle does not has a dead encoder; one without back-EMF has run against
+        something."""
+        gone, shown = self._e / self._motor["K"], speed_rad_s
+        if abs(shown) < _STANDS * abs(gone) and abs(gone) > _STANDS * abs(self._w):
+            return Stop("encoder_lost", "the motor turns (back-EMF), and the encoder does not show it", r.time_s)
+        if abs(self._w) > 0 and abs(gone) < _STANDS * self._peak_w and abs(shown) < _STANDS * abs(self._w):
+            return Stop("hard_stop", "the shaft was stopped at once: it has run against something", r.time_s)
+        return Stop("innovations", "the shaft does not move as it did: its motion departs from the model", r.time_s)
