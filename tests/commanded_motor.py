@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from scipy.linalg import expm
 
 from drivers.base import DriveInfo
+from servo_daemon.commissioning import MotionLimits
 from servo_daemon.samples import SampleBlock, make_block
 
-F64 = np.ndarray
 
 
 @dataclass(frozen=True)
@@ -142,3 +143,50 @@ class CommandedMotor:
         self._w_load += h * torque / self._J
         self._x_load += h * self._w_load
         return torque
+
+    def share_of(self, limits: MotionLimits) -> float:
+        """Of the limit that was nearest, by the true motion: 1 touches it."""
+        p = self.peaks
+        return max(
+            p["voltage_V"] / limits.voltage_V,
+            p["current_A"] / limits.current_A,
+            p["speed"] / limits.speed_rad_s,
+            p["travel"] / limits.travel_rad,
+        )
+
+
+FAULTS = (
+    "encoder_sign", "current_sign", "locked", "friction", "backlash", "hard_stop", "dropped", "encoder_dies",
+)  # fmt: skip
+
+
+def drawn(seed: int) -> tuple[Setup, MotionLimits, str]:
+    """A motor of any size between 10 W and 1 kW with limits that its drive could break, and one fault."""
+    rng = np.random.default_rng([seed, 32])
+    R, K = float(np.exp(rng.uniform(np.log(0.3), np.log(5.0)))), float(np.exp(rng.uniform(np.log(0.03), np.log(0.3))))
+    mechanical_s = float(np.exp(rng.uniform(np.log(0.008), np.log(0.1))))
+    L = R * float(np.exp(rng.uniform(np.log(5e-4), np.log(0.2 * mechanical_s))))
+    J = mechanical_s * K * K / R
+    voltage = float(rng.uniform(12.0, 48.0))
+    limits = MotionLimits(
+        voltage_V=voltage,
+        current_A=float(rng.uniform(0.1, 0.6)) * voltage / R,
+        speed_rad_s=float(rng.uniform(0.1, 0.6)) * voltage / K,
+        travel_rad=float(np.exp(rng.uniform(np.log(2.0), np.log(60.0)))),
+        seconds=20.0,
+    )
+    fault = FAULTS[seed % len(FAULTS)]
+    late = float(rng.uniform(0.5, 8.0))
+    wrong: dict[str, Any] = {
+        "encoder_sign": {"encoder_sign": -1.0},
+        "current_sign": {"current_sign": -1.0},
+        "locked": {"locked": True},
+        "friction": {"Tc": float(rng.uniform(0.02, 0.3)) * K * limits.current_A},
+        "backlash": {"gap_rad": float(rng.uniform(0.005, 0.1))},
+        "hard_stop": {"stop_rad": float(rng.uniform(0.05, 0.6)) * limits.travel_rad},
+        "dropped": {"drop_share": float(rng.uniform(0.002, 0.05))},
+        "encoder_dies": {"encoder_dies_s": late},
+    }[fault]
+    noise = 0.002 * limits.current_A
+    B = 0.03 * K * K / R
+    return Setup(R=R, L=L, K=K, J=J, B=B, noise_A=noise, seed=seed, **wrong), limits, fault

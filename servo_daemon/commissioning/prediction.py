@@ -6,7 +6,6 @@ stops at once, or an encoder that does, shows within some ten milliseconds.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -19,13 +18,14 @@ from servo_daemon.plant.linear import linear_step
 _MEMORY_S = 0.02
 #: Share of the greatest speed (of the greatest current) by which motion (current) may differ from the prediction: a dry
 #: friction that the model lacks changes less than that within `_MEMORY_S`.
-_SPEED, _CURRENT = 0.5, 0.5
+_SPEED, _CURRENT = 0.25, 0.5
 #: Counts, and standard deviations of the current, that are no difference.
 _COUNTS, _SIGMA = 10.0, 10.0
 #: Share of the current's difference that is taken up with every sample.
 _CURRENT_GAIN = 0.2
-#: Back-EMF of a shaft that stands: below this share of what the prediction has.
-_STANDS = 0.5
+#: A speed has left the prediction where it differs by this share of it; below this share of the greatest speed none is
+#: named.
+_LEFT, _FAST = 0.5, 0.1
 
 
 class Prediction:
@@ -34,12 +34,13 @@ class Prediction:
     Args:
         motor: R, L, K, J, B.
         start: where the samples are; the motor is at rest there.
+        peaks: rad/s and A that were seen before: differences are small against these.
         offset_A: of the current sensor.
     """
 
     def __init__(
         self, motor: Mapping[str, float], period_s: float, count_rad: float, noise_A: float, offset_A: float,
-        start: Reading,
+        start: Reading, peaks: tuple[float, float],
     ) -> None:  # fmt: skip
         Ad, Bd = linear_step(motor, period_s)
         self._A: list[list[float]] = np.asarray(Ad, dtype=float).tolist()
@@ -50,19 +51,11 @@ class Prediction:
         self._offset_A = offset_A
         self._i, self._w, self._x = 0.0, 0.0, start.position_rad
         self._last = start
-        self._peak_w = self._peak_i = 0.0
-        self._e = 0.0  # measured back-EMF, V, smoothed over the memory
+        self._peak_w, self._peak_i = peaks
+        self._emf_V = 0.0  # as voltage and current of the last sample have it
 
-    @property
-    def speed_rad_s(self) -> float:
-        """As predicted."""
-        return self._w
-
-    def check(self, r: Reading, speed_rad_s: float) -> None:
+    def check(self, r: Reading) -> None:
         """Takes the next sample.
-
-        Args:
-            speed_rad_s: as measured.
 
         Raises:
             StoppedError: the motor does not do what it did.
@@ -71,13 +64,13 @@ class Prediction:
         for _ in range(max(1, round(dt / self._period_s))):
             self._step(last.voltage_V)
         current = r.current_A - self._offset_A
-        self._measure_emf(last, current, dt)
+        self._emf_V = self._measured_emf(last, current, dt)
         off_x, off_i = r.position_rad - self._x, current - self._i
         self._peak_w, self._peak_i = max(self._peak_w, abs(self._w)), max(self._peak_i, abs(self._i))
         if abs(off_x) > _SPEED * self._peak_w * _MEMORY_S + _COUNTS * self._count:
-            raise StoppedError(self._named(r, speed_rad_s))
+            raise StoppedError(self._named(r, "the shaft does not move as it did: its motion departs from the model"))
         if abs(off_i) > _CURRENT * self._peak_i + _SIGMA * self._noise_A:
-            raise StoppedError(Stop("innovations", "the current is not what the voltage makes it", r.time_s))
+            raise StoppedError(self._named(r, "the current is not what voltage and speed make it"))
         self._x += self._gain_x * off_x
         self._w += self._gain_w * off_x
         self._i += _CURRENT_GAIN * off_i
@@ -90,18 +83,22 @@ class Prediction:
         self._w = a[1][0] * i + a[1][1] * w + a[1][2] * x + b[1] * v
         self._x = a[2][0] * i + a[2][1] * w + a[2][2] * x + b[2] * v
 
-    def _measure_emf(self, last: Reading, current: float, dt: float) -> None:
+    def _measured_emf(self, last: Reading, current: float, dt: float) -> float:
         before = last.current_A - self._offset_A
         m = self._motor
-        e = last.voltage_V - m["R"] * 0.5 * (before + current) - m["L"] * (current - before) / dt
-        self._e += (1.0 - math.exp(-dt / (0.25 * _MEMORY_S))) * (e - self._e)
+        return last.voltage_V - m["R"] * 0.5 * (before + current) - m["L"] * (current - before) / dt
 
-    def _named(self, r: Reading, speed_rad_s: float) -> Stop:
-        """A motor that turns on while its angle does not has a dead encoder; one without back-EMF has run against
-        something."""
-        gone, shown = self._e / self._motor["K"], speed_rad_s
-        if abs(shown) < _STANDS * abs(gone) and abs(gone) > _STANDS * abs(self._w):
+    def _named(self, r: Reading, otherwise: str) -> Stop:
+        """Speed by three witnesses: the prediction, the back-EMF, the encoder. The encoder alone has stopped: it is
+        dead; both have left the prediction: the shaft has run against something."""
+        last, w = self._last, self._w
+        by_emf = self._emf_V / self._motor["K"]
+        by_encoder = (r.position_rad - last.position_rad) / (r.time_s - last.time_s)
+        if abs(w) < _FAST * self._peak_w:
+            return Stop("innovations", otherwise, r.time_s)
+        emf_left, encoder_left = abs(by_emf - w) > _LEFT * abs(w), abs(by_encoder - w) > _LEFT * abs(w)
+        if encoder_left and not emf_left:
             return Stop("encoder_lost", "the motor turns (back-EMF), and the encoder does not show it", r.time_s)
-        if abs(self._w) > 0 and abs(gone) < _STANDS * self._peak_w and abs(shown) < _STANDS * abs(self._w):
+        if encoder_left and emf_left and abs(by_emf - by_encoder) < _LEFT * abs(w):
             return Stop("hard_stop", "the shaft was stopped at once: it has run against something", r.time_s)
-        return Stop("innovations", "the shaft does not move as it did: its motion departs from the model", r.time_s)
+        return Stop("innovations", otherwise, r.time_s)

@@ -34,9 +34,12 @@ _FRICTION, _INDUCTANCE = 0.02, 0.5
 _CENTRING_RAD_S, _CENTRING_SHARE = 1.0, 0.15
 #: A shaft at 0 V stops within this many mechanical time constants, as its speed times it.
 _STOPPING = 1.5
+#: After so many rounds that the model does not explain, more motion does not help.
+_ROUNDS = 2
 #: Shortest stretch of samples without a gap that is fitted, s; shortest round, s.
 _STRETCH_S, _SHORTEST_S = 0.5, 2.0
 
+Outcome = Literal["known", "stopped", "unexplained", "not_known"]
 Progress = Callable[[float, str], None]
 
 
@@ -60,7 +63,8 @@ class Commissioning:
     """What a run came to.
 
     Attributes:
-        outcome: "known": all to the accuracy asked for; "stopped"; "not_known": the time was used up.
+        outcome: "known": all to the accuracy asked for; "stopped"; "unexplained": the model lacks something, a
+            diagnosis of the samples may name it; "not_known": the time was used up.
         stop: why it was stopped.
         fit: of all samples; None: there was too little.
         unknown: parameters that are not known well enough.
@@ -69,7 +73,7 @@ class Commissioning:
         peaks: by channel the greatest modulus that was measured.
     """
 
-    outcome: Literal["known", "stopped", "not_known"]
+    outcome: Outcome
     stop: Stop | None
     fit: OutputErrorFit | None
     unknown: tuple[str, ...]
@@ -83,6 +87,7 @@ class _Run:
         self.session = Session(drive, limits, interrupted)
         self._limits, self._ask = limits, ask
         self.fit: OutputErrorFit | None = None
+        self.unexplained = False
 
     def all(self, progress: Progress) -> None:
         """Everything.
@@ -102,6 +107,9 @@ class _Run:
             self._round(unknown, SHARES[min(k, len(SHARES) - 1)], k)
             self._learn()
             k += 1
+            if k >= _ROUNDS and self.fit is not None and not self.fit.white:
+                self.unexplained = True
+                return
 
     def unknown(self) -> tuple[str, ...]:
         """Parameters that are not known to the accuracy asked for."""
@@ -134,14 +142,15 @@ class _Run:
         session, s = self.session, self.session.supervisor
         braking = motor["R"] * motor["B"] + motor["K"] ** 2
         time_constant_s = motor["J"] * motor["R"] / braking
-        session.envelope = Envelope.of(motor, self._limits.voltage_V, self._limits.current_A)
+        session.envelope = Envelope.of(self._cautious(motor), self._limits.voltage_V, self._limits.current_A)
         s.bounded_current = True
         s.stopping_s = _STOPPING * time_constant_s
         session.centring_V_rad = motor["K"] * min(_CENTRING_RAD_S, _CENTRING_SHARE / time_constant_s)
         wave = planned(session, self._limits, motor, self._ask.effects, unknown, share, self._ask.seed + k)
         assert s.last is not None
         session.prediction = Prediction(
-            motor, session.period_s, session.count_rad, s.current_noise_A, s.offset_A, s.last
+            motor, session.period_s, session.count_rad, s.current_noise_A, s.offset_A, s.last,
+            (s.peak_speed_rad_s, s.peak_current_A),
         )
         session.play(wave)
         session.rest(_PAUSE_S)
@@ -158,6 +167,16 @@ class _Run:
         out.setdefault("L", _INDUCTANCE * self.session.period_s * out["R"])
         out.setdefault("B", _FRICTION * out["K"] ** 2 / out["R"])
         return {name: out[name] for name in MOTOR_NAMES}
+
+    def _cautious(self, motor: Mapping[str, float]) -> dict[str, float]:
+        """The resistance as low and K as high as they may be: two standard deviations, and half and twice at most."""
+        assert self.fit is not None
+        R, K = (self.fit.parameters[name].std or 0.0 for name in ("R", "K"))
+        return {
+            **motor,
+            "R": max(motor["R"] - 2 * R, 0.5 * motor["R"]),
+            "K": min(motor["K"] + 2 * K, 2.0 * motor["K"]),
+        }
 
     def _learn(self) -> None:
         """A fit of all samples so far; none where they tell too little."""
@@ -199,11 +218,9 @@ def commission(
         run.all(progress)
     except StoppedError as error:
         stop = error.stop
-        progress(run.session.motion_s, "stopped: what was recorded is fitted")
-        run._learn()
     unknown, s = run.unknown(), run.session.supervisor
     return Commissioning(
-        outcome="stopped" if stop is not None else "not_known" if unknown else "known",
+        outcome=_outcome(run, stop, unknown),
         stop=stop,
         fit=run.fit,
         unknown=unknown,
@@ -216,3 +233,11 @@ def commission(
             "travel_rad": s.peak_travel_rad,
         },
     )
+
+
+def _outcome(run: _Run, stop: Stop | None, unknown: tuple[str, ...]) -> Outcome:
+    if stop is not None:
+        return "stopped"
+    if not unknown:
+        return "known"
+    return "unexplained" if run.unexplained else "not_known"

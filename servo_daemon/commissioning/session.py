@@ -132,7 +132,7 @@ class Session:
         for r, good in self._readings(block):
             self.supervisor.check(r if good else _bad(r), self._commanded)
             if self.prediction is not None:
-                self.prediction.check(r, self.supervisor.speed_rad_s)
+                self.prediction.check(r)
         return float(block.time_s[-1])
 
     def _readings(self, block: SampleBlock) -> list[tuple[Reading, bool]]:

@@ -26,6 +26,8 @@ _SIGMA = 8.0
 _COUNTS = 6
 #: A locked shaft takes this share of the greatest current; without any current this share of the voltage.
 _LOCKED, _OPEN = 0.6, 0.1
+#: A shaft that was seen to move and does not for so long, s, with so many times the current that moved it first.
+_STUCK_S, _STUCK = 0.15, 3.0
 #: At rest the current is no more than this share of its limit.
 _REST = 0.05
 #: The drive reports this share of its limit more or less than it was told, so many samples on end.
@@ -68,6 +70,8 @@ class Supervisor:
         self._electrical = self._electrical_var = 0.0
         self._mechanical = self._mechanical_di = self._mechanical_dx = 0.0
         self._differs = 0
+        self._moving_A: float | None = None  # what moved the shaft first
+        self._stuck_at, self._stuck_since, self._stuck_A = 0.0, 0.0, 0.0
 
     @property
     def has_moved(self) -> bool:
@@ -184,6 +188,19 @@ class Supervisor:
             self._stop("no_current", "no current flows although there is a voltage: wire or current sensor open", r)
         if abs(r.current_A) > _LOCKED * lim.current_A and not self.has_moved:
             self._stop("no_motion", "the shaft does not move: locked, or the encoder does not count", r)
+
+        self._check_stuck(r)
+
+    def _check_stuck(self, r: Reading) -> None:
+        """An encoder that dies, or a shaft that gets stuck, after it has moved."""
+        if self._moving_A is None and self.has_moved:
+            self._moving_A = self.peak_current_A
+        if abs(r.position_rad - self._stuck_at) > 1.5 * self._count:
+            self._stuck_at, self._stuck_since, self._stuck_A = r.position_rad, r.time_s, 0.0
+        self._stuck_A = max(self._stuck_A, abs(r.current_A - self.offset_A))
+        long = r.time_s - self._stuck_since > _STUCK_S
+        if self._moving_A is not None and long and self._stuck_A > _STUCK * self._moving_A:
+            self._stop("encoder_lost", "the shaft moved and now does not: the encoder has died, or it is stuck", r)
 
     def _stop(self, reason: Reason, text: str, r: Reading) -> None:
         raise StoppedError(Stop(reason, text, r.time_s))
