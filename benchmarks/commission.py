@@ -15,9 +15,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from commanded_motor import FAULTS, CommandedMotor, drawn  # noqa: E402
+from commanded_motor import FAULTS, CommandedMotor, drawn
 
-from servo_daemon.commissioning import commission  # noqa: E402
+from servo_daemon.commissioning import commission
 
 
 def main(count: int, first: int) -> None:

@@ -32,6 +32,7 @@ COMMANDS = {
     "compare": "servo_daemon.commands.compare.command",
     "diagnose": "servo_daemon.commands.diagnose.command",
     "excite": "servo_daemon.commands.excite.command",
+    "commission": "servo_daemon.commands.commission.command",
     "tune": "servo_daemon.commands.tune.command",
     "train": "servo_daemon.commands.train",
     "check": "servo_daemon.commands.check",

@@ -18,7 +18,6 @@ from servo_daemon.commissioning import MotionLimits
 from servo_daemon.samples import SampleBlock, make_block
 
 
-
 @dataclass(frozen=True)
 class Setup:
     """What motor it is, and what is wrong with it; SI units."""
@@ -47,7 +46,9 @@ class CommandedMotor:
     """The drive: `read` gives one sample and lets one period pass."""
 
     setup: Setup
-    peaks: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("voltage_V", "current_A", "speed", "travel"), 0.0))
+    peaks: dict[str, float] = field(
+        default_factory=lambda: dict.fromkeys(("voltage_V", "current_A", "speed", "travel"), 0.0)
+    )
     silent_after_s: float = math.inf
 
     def __post_init__(self) -> None:

@@ -149,7 +149,12 @@ class _Run:
         wave = planned(session, self._limits, motor, self._ask.effects, unknown, share, self._ask.seed + k)
         assert s.last is not None
         session.prediction = Prediction(
-            motor, session.period_s, session.count_rad, s.current_noise_A, s.offset_A, s.last,
+            motor,
+            session.period_s,
+            session.count_rad,
+            s.current_noise_A,
+            s.offset_A,
+            s.last,
             (s.peak_speed_rad_s, s.peak_current_A),
         )
         session.play(wave)

@@ -40,6 +40,7 @@ class Session:
 
     def __init__(self, drive: Commanding, limits: MotionLimits, interrupted: Callable[[], bool]) -> None:
         self._drive, self._limits, self._interrupted = drive, limits, interrupted
+        drive.command(0.0, LONGEST_COMMAND_S)  # whatever it does now, it ends
         first = self._first()
         period = drive.info.sample_period_s
         if period is None:

@@ -25,6 +25,8 @@ def growing(rate_hz: float, voltage_V: float, seed: int = 0) -> F64:
     lines = np.geomspace(_LOWEST_HZ, max(2 * _LOWEST_HZ, _HIGHEST_SHARE * rate_hz), _LINES)
     phases = np.random.default_rng(seed).uniform(0.0, 2 * math.pi, _LINES)
     # Slow lines move the shaft, fast ones show the winding: amplitude falls with the root of the frequency.
-    wave = sum((np.sin(2 * math.pi * f * t + p) / math.sqrt(f) for f, p in zip(lines, phases, strict=True)), np.zeros(1))
+    wave = sum(
+        (np.sin(2 * math.pi * f * t + p) / math.sqrt(f) for f, p in zip(lines, phases, strict=True)), np.zeros(1)
+    )
     unit = wave / np.abs(wave).max()
     return np.asarray(voltage_V * _FIRST * np.exp(t / _GROWTH_S) * unit)
