@@ -32,7 +32,16 @@ def main(count: int, first: int) -> None:
         names[f"{fault}: {reason}"] += 1
         if share > 1.01:
             over.append((seed, fault, round(share, 3), reason))
-        print(seed, fault, reason, round(share, 3), {k: round(v, 2) for k, v in motor.peaks.items()}, file=sys.stderr)
+        text = "" if result.stop is None else result.stop.text
+        print(
+            seed,
+            fault,
+            reason,
+            text,
+            round(share, 3),
+            {k: round(v, 2) for k, v in motor.peaks.items()},
+            file=sys.stderr,
+        )
     print(
         json.dumps(
             {

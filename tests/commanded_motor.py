@@ -41,14 +41,15 @@ class Setup:
     encoder_dies_s: float = math.inf
 
 
+_PEAKS = ("voltage_V", "current_A", "speed", "travel")
+
+
 @dataclass
 class CommandedMotor:
     """The drive: `read` gives one sample and lets one period pass."""
 
     setup: Setup
-    peaks: dict[str, float] = field(
-        default_factory=lambda: dict.fromkeys(("voltage_V", "current_A", "speed", "travel"), 0.0)
-    )
+    peaks: dict[str, float] = field(default_factory=lambda: dict.fromkeys(_PEAKS, 0.0))
     silent_after_s: float = math.inf
 
     def __post_init__(self) -> None:

@@ -19,6 +19,8 @@ _MEMORY_S = 0.02
 #: Share of the greatest speed (of the greatest current) by which motion (current) may differ from the prediction: a dry
 #: friction that the model lacks changes less than that within `_MEMORY_S`.
 _SPEED, _CURRENT = 0.25, 0.5
+#: Share of the greatest torque by which it may differ.
+_TORQUE = 0.4
 #: Counts, and standard deviations of the current, that are no difference.
 _COUNTS, _SIGMA = 10.0, 10.0
 #: Share of the current's difference that is taken up with every sample.
@@ -67,7 +69,8 @@ class Prediction:
         self._emf_V = self._measured_emf(last, current, dt)
         off_x, off_i = r.position_rad - self._x, current - self._i
         self._peak_w, self._peak_i = max(self._peak_w, abs(self._w)), max(self._peak_i, abs(self._i))
-        if abs(off_x) > _SPEED * self._peak_w * _MEMORY_S + _COUNTS * self._count:
+        torque_rad = _TORQUE * self._motor["K"] / self._motor["J"] * self._peak_i * _MEMORY_S**2
+        if abs(off_x) > _SPEED * self._peak_w * _MEMORY_S + torque_rad + _COUNTS * self._count:
             raise StoppedError(self._named(r, "the shaft does not move as it did: its motion departs from the model"))
         if abs(off_i) > _CURRENT * self._peak_i + _SIGMA * self._noise_A:
             raise StoppedError(self._named(r, "the current is not what voltage and speed make it"))

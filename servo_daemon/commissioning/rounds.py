@@ -16,8 +16,8 @@ from servo_daemon.samples import F64
 SHARES = (0.35, 0.5, 0.7)
 #: Length of a round, s: three blocks of the planner.
 ROUND_S = 6.0
-#: Samples from a speed that is too high until 0 V acts; at the greatest acceleration they take at most this share of the
-#: limit.
+#: Samples from a speed that is too high until 0 V acts; at the greatest acceleration they take at most this share of
+#: the limit.
 _AHEAD, _AHEAD_SHARE = 4, 0.2
 #: RMS of the current as a share of its limit: what heats no more than a motor stands.
 _RMS_SHARE = 0.5

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -17,7 +18,7 @@ from servo_daemon.commissioning.session import Session
 from servo_daemon.commissioning.stop import Stop, StoppedError
 from servo_daemon.commissioning.waves import growing
 from servo_daemon.errors import BadInputError, NumericalError
-from servo_daemon.identification.output_error import FitOptions, OutputErrorFit, Recording, fit_output_error
+from servo_daemon.identification.output_error import OutputErrorFit, Recording, fit_output_error
 from servo_daemon.parameters import MOTOR_NAMES
 from servo_daemon.samples import SampleBlock
 
@@ -27,6 +28,9 @@ _REST_S, _PAUSE_S = 0.3, 0.2
 _CURRENT, _SPEED, _TRAVEL = 0.3, 0.3, 0.12
 #: And when the shaft has gone this many counts.
 _COUNTS = 40
+#: A plan needs these, and other models of dry friction than Coulomb's.
+_PLANNED_WITH = ("R", "K", "J")
+_DRY = ("stribeck_friction", "asymmetric_friction", "load_dependent_friction", "position_dependent_friction")
 #: What a first look may leave open: friction as a share of the braking by the back-EMF, inductance as a time constant
 #: in samples. Only until a round shows them.
 _FRICTION, _INDUCTANCE = 0.02, 0.5
@@ -88,6 +92,7 @@ class _Run:
         self._limits, self._ask = limits, ask
         self.fit: OutputErrorFit | None = None
         self.unexplained = False
+        self._working: Mapping[str, float] = {}  # values to plan with
 
     def all(self, progress: Progress) -> None:
         """Everything.
@@ -163,8 +168,8 @@ class _Run:
 
     def _motor(self) -> dict[str, float]:
         """All five as far as they are known."""
-        found = {} if self.fit is None else self.fit.values
-        if missing := [name for name in ("R", "K", "J") if name not in found]:
+        found = self._working
+        if missing := [name for name in _PLANNED_WITH if name not in found]:
             last = self.session.supervisor.last
             text = f"the first look does not show {', '.join(missing)}"
             raise StoppedError(Stop("innovations", text, 0.0 if last is None else last.time_s))
@@ -175,28 +180,40 @@ class _Run:
 
     def _cautious(self, motor: Mapping[str, float]) -> dict[str, float]:
         """The resistance as low and K as high as they may be: two standard deviations, and half and twice at most."""
-        assert self.fit is not None
-        R, K = (self.fit.parameters[name].std or 0.0 for name in ("R", "K"))
+        known = {} if self.fit is None else self.fit.parameters
+        R, K = (known[name].std if name in known else None for name in ("R", "K"))
         return {
             **motor,
-            "R": max(motor["R"] - 2 * R, 0.5 * motor["R"]),
-            "K": min(motor["K"] + 2 * K, 2.0 * motor["K"]),
+            "R": 0.5 * motor["R"] if R is None else max(motor["R"] - 2 * R, 0.5 * motor["R"]),
+            "K": 2.0 * motor["K"] if K is None else min(motor["K"] + 2 * K, 2.0 * motor["K"]),
         }
 
     def _learn(self) -> None:
-        """A fit of all samples so far; none where they tell too little."""
+        """A fit of all samples so far; none where they tell too little. Where the model asked for leaves the motor open,
+        dry friction, the commonest cause, gives values to plan with: for that they need not explain everything."""
         recordings = stretches(self.session.block(), self.session.period_s)
-        try:
-            self.fit = fit_output_error(recordings, self._ask.effects, FitOptions()) if recordings else None
-        except (BadInputError, NumericalError):
-            self.fit = None
+        self.fit = _fitted(recordings, self._ask.effects)
+        self._working = {} if self.fit is None else self.fit.values
+        if not self._enough_to_plan() and not {"coulomb_friction", *_DRY} & set(self._ask.effects):
+            rough = _fitted(recordings, (*self._ask.effects, "coulomb_friction"))
+            self._working = {} if rough is None else rough.values
+
+    def _enough_to_plan(self) -> bool:
+        return all(name in self._working for name in _PLANNED_WITH)
+
+
+def _fitted(recordings: list[Recording], effects: tuple[str, ...]) -> OutputErrorFit | None:
+    try:
+        return fit_output_error(recordings, effects) if recordings else None
+    except (BadInputError, NumericalError):
+        return None
 
 
 def stretches(block: SampleBlock, period_s: float) -> list[Recording]:
     """The samples without gaps and without flags, in pieces; short ones are left out."""
     breaks = np.flatnonzero(np.diff(block.time_s) > 1.5 * period_s) + 1
     edges = [0, *breaks.tolist(), len(block)]
-    pieces = [(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True) if (b - a) * period_s >= _STRETCH_S]
+    pieces = [(a, b) for a, b in pairwise(edges) if (b - a) * period_s >= _STRETCH_S]
     return [Recording(f"commission-{k + 1}", block.slice(a, b)) for k, (a, b) in enumerate(pieces)]
 
 

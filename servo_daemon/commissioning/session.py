@@ -98,7 +98,7 @@ class Session:
     def _play(self, wave: F64, enough: Callable[[], bool]) -> None:
         began = last = self._now()
         n, moving = len(wave), bool(np.any(wave))
-        values = wave.tolist()
+        values, self.supervisor.driven = wave.tolist(), moving
         while (k := round((last - began) / self.period_s) + 1) < n and not enough():
             if moving and self.time_left_s <= 0.0:
                 return

@@ -15,8 +15,8 @@ from servo_daemon.commissioning.stop import Reason, Stop, StoppedError
 
 #: A limit is called reached at this share of it; what is left is for noise and the sample until 0 V acts.
 _REACHED = 0.95
-#: Samples from one that shows too much until 0 V acts: the command acts from the next sample on, and one for the half of
-#: the window over which the speed is a mean.
+#: Samples from one that shows too much until 0 V acts: the command acts from the next sample on, and half of the window
+#: over which the speed is a mean.
 _AHEAD = 3
 #: Samples over which a speed is taken.
 _WINDOW = 4
@@ -59,7 +59,8 @@ class Supervisor:
     def __init__(self, limits: MotionLimits, period_s: float, count_rad: float, watchdog_s: float) -> None:
         self._limits, self._period_s, self._count, self._watchdog_s = limits, period_s, count_rad, watchdog_s
         self.stopping_s = 0.05
-        self.resting = True
+        self.resting = True  # nothing has been commanded yet
+        self.driven = False  # something is commanded now
         self.bounded_current = False  # the command is such that even a stalled motor stays within the limit
         self.peak_current_A = self.peak_speed_rad_s = self.peak_travel_rad = self.peak_voltage_V = 0.0
         self.speed_rad_s = 0.0
@@ -195,7 +196,7 @@ class Supervisor:
         """An encoder that dies, or a shaft that gets stuck, after it has moved."""
         if self._moving_A is None and self.has_moved:
             self._moving_A = self.peak_current_A
-        if abs(r.position_rad - self._stuck_at) > 1.5 * self._count:
+        if not self.driven or abs(r.position_rad - self._stuck_at) > 1.5 * self._count:
             self._stuck_at, self._stuck_since, self._stuck_A = r.position_rad, r.time_s, 0.0
         self._stuck_A = max(self._stuck_A, abs(r.current_A - self.offset_A))
         long = r.time_s - self._stuck_since > _STUCK_S

@@ -8,11 +8,11 @@ import numpy as np
 
 from servo_daemon.samples import F64
 
-#: Lines, Hz: from where an angle of a small motor turns some degrees, to a fifth of the sample rate; spaced evenly in the
-#: logarithm.
+#: Lines, Hz: from where the shaft of a small motor turns by degrees, to a fifth of the sample rate; spaced evenly in
+#: the logarithm.
 _LOWEST_HZ, _HIGHEST_SHARE, _LINES = 2.0, 0.2, 14
-#: The first voltage, as a share of the limit, and the time in which it grows e-fold, s: two periods of the slowest line,
-#: so that one swing shows what the next will reach.
+#: The first voltage, as a share of the limit, and the time in which it grows e-fold, s: two periods of the slowest
+#: line, so that one swing shows what the next will reach.
 _FIRST, _GROWTH_S = 0.002, 0.8
 #: No first voltage goes beyond this share of the limit.
 _MOST = 0.6

@@ -85,8 +85,8 @@ class SimulatedDrive:
         return concatenate(parts)
 
     def commanded_block(self, voltage_V: F64) -> SampleBlock:
-        """The next samples with these voltages, shape (n,), in place of its own servo's; what its servo had computed and
-        nobody has taken is gone."""
+        """The next samples with these voltages, shape (n,), V, in place of its own servo's; what its servo had computed
+        and nobody has taken is gone."""
         self._chunk, self._taken = None, 0
         constants = servo_constants(_OPEN_LOOP, self.settings.supply_V, self.settings.sensors.voltage_lsb_V)
         chunk = self._compute(len(voltage_V), voltage_V, constants)

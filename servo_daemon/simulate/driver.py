@@ -15,8 +15,8 @@ Options (`[drive.options]`, all optional):
     duration_s                    the stream ends after this much simulated time
     fail_after_s                  the device goes away once at this simulated time (to try out reconnecting)
 
-It takes commands (`drivers.commanding`): from the first one on its own servo rests, and the motor gets 0 V where none is
-valid. Then a read gives one sample, or those that are due.
+It takes commands (`drivers.commanding`): from the first one on its own servo rests, and the motor gets 0 V where none
+is valid. Then a read gives one sample, or those that are due.
 
 The motor stands still while the driver is closed and while the process is stopped (SIGSTOP, a sleeping host): it is
 simulated by this very process, so nothing is lost and there is nothing to catch up with.
@@ -127,11 +127,8 @@ class SimulatedDriver(Driver):
         assert drive is not None
         left = self._samples_left()
         if not pacing.realtime:
-            return (
-                None
-                if self._closing.is_set()
-                else self._deliver(drive, min(_FAST_BLOCK if self._command is None else 1, left))
-            )
+            most = _FAST_BLOCK if self._command is None else 1
+            return None if self._closing.is_set() else self._deliver(drive, min(most, left))
         per_second = self._settings.rate_hz * pacing.speed
         wanted = 1 if self._command else min(left, max(1, round(per_second * pacing.block_s)))
         due_s = self._anchor_s + (self._delivered + wanted - self._anchor_sample) / per_second
