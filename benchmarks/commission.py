@@ -11,9 +11,6 @@ import json
 import sys
 import time
 from collections import Counter
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from commanded_motor import FAULTS, CommandedMotor, drawn
 

@@ -80,6 +80,15 @@ class CommandedMotor:
         self._until_s = self._n / self.setup.rate_hz + min(valid_for_s, 0.05)
 
     @property
+    def commanded_V(self) -> float:
+        """The last command, valid or not."""
+        return self._voltage
+
+    def push(self, speed_rad_s: float) -> None:
+        """From now the shaft turns so fast."""
+        self._w = speed_rad_s
+
+    @property
     def state(self) -> tuple[float, float, float]:
         return self._i, self._w, self._x
 

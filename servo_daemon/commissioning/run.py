@@ -24,8 +24,10 @@ from servo_daemon.samples import SampleBlock
 
 #: Before the first voltage: noise and offset of the current are taken; after a motion: it runs down. s.
 _REST_S, _PAUSE_S = 0.3, 0.2
-#: The first look has seen enough when one of these shares of its limit was reached.
+#: The first look has seen enough when one of these shares of its limit was reached; of the current more while the
+#: motor is slow: friction takes it.
 _CURRENT, _SPEED, _TRAVEL = 0.3, 0.3, 0.12
+_CURRENT_IF_SLOW, _SLOW = 0.5, 0.1
 #: And when the shaft has gone this many counts.
 _COUNTS = 40
 #: A plan needs these, and other models of dry friction than Coulomb's.
@@ -131,8 +133,9 @@ class _Run:
         s, lim = self.session.supervisor, self._limits
 
         def enough() -> bool:
+            slow = s.peak_speed_rad_s < _SLOW * lim.speed_rad_s
             return s.peak_travel_rad > _COUNTS * self.session.count_rad and (
-                s.peak_current_A > _CURRENT * lim.current_A
+                s.peak_current_A > (_CURRENT_IF_SLOW if slow else _CURRENT) * lim.current_A
                 or s.peak_speed_rad_s > _SPEED * lim.speed_rad_s
                 or s.peak_travel_rad > _TRAVEL * lim.travel_rad
             )
@@ -189,8 +192,8 @@ class _Run:
         }
 
     def _learn(self) -> None:
-        """A fit of all samples so far; none where they tell too little. Where the model asked for leaves the motor open,
-        dry friction, the commonest cause, gives values to plan with: for that they need not explain everything."""
+        """A fit of all samples so far; none where they tell too little. Where the model asked for leaves the motor
+        open, dry friction, the commonest cause, gives values to plan with: they need not explain everything."""
         recordings = stretches(self.session.block(), self.session.period_s)
         self.fit = _fitted(recordings, self._ask.effects)
         self._working = {} if self.fit is None else self.fit.values

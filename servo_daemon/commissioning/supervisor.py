@@ -201,7 +201,8 @@ class Supervisor:
         self._stuck_A = max(self._stuck_A, abs(r.current_A - self.offset_A))
         long = r.time_s - self._stuck_since > _STUCK_S
         if self._moving_A is not None and long and self._stuck_A > _STUCK * self._moving_A:
-            self._stop("encoder_lost", "the shaft moved and now does not: the encoder has died, or it is stuck", r)
+            text = "the shaft moved and now does not: the encoder has died, or the shaft is stuck or at a stop"
+            self._stop("motion_ended", text, r)
 
     def _stop(self, reason: Reason, text: str, r: Reading) -> None:
         raise StoppedError(Stop(reason, text, r.time_s))
