@@ -20,7 +20,7 @@ _MEMORY_S = 0.02
 #: friction that the model lacks changes less than that within `_MEMORY_S`.
 _SPEED, _CURRENT = 0.25, 0.5
 #: Share of the greatest torque by which it may differ.
-_TORQUE = 0.4
+_TORQUE = 0.2
 #: Counts, and standard deviations of the current, that are no difference.
 _COUNTS, _SIGMA = 10.0, 10.0
 #: Share of the current's difference that is taken up with every sample.
@@ -28,6 +28,8 @@ _CURRENT_GAIN = 0.2
 #: A speed has left the prediction where it differs by this share of it; below this share of the greatest speed none is
 #: named.
 _LEFT, _FAST = 0.5, 0.1
+
+_DEAD = "the motor turns (back-EMF), and the encoder does not show it"
 
 
 class Prediction:
@@ -54,6 +56,7 @@ class Prediction:
         self._i, self._w, self._x = 0.0, 0.0, start.position_rad
         self._last = start
         self._peak_w, self._peak_i = peaks
+        self._turning = 0.0  # mean modulus of the speed by back-EMF over the memory, rad/s
         self._emf_V = 0.0  # as voltage and current of the last sample have it
 
     def check(self, r: Reading) -> None:
@@ -67,6 +70,7 @@ class Prediction:
             self._step(last.voltage_V)
         current = r.current_A - self._offset_A
         self._emf_V = self._measured_emf(last, current, dt)
+        self._turning += dt / _MEMORY_S * (abs(self._emf_V / self._motor["K"]) - self._turning)
         off_x, off_i = r.position_rad - self._x, current - self._i
         self._peak_w, self._peak_i = max(self._peak_w, abs(self._w)), max(self._peak_i, abs(self._i))
         torque_rad = _TORQUE * self._motor["K"] / self._motor["J"] * self._peak_i * _MEMORY_S**2
@@ -78,6 +82,14 @@ class Prediction:
         self._w += self._gain_w * off_x
         self._i += _CURRENT_GAIN * off_i
         self._last = r
+
+    def named_stuck(self, stop: Stop) -> Stop:
+        """A stop because the encoder stands, named by the back-EMF."""
+        if self._turning > _FAST * self._peak_w:
+            return Stop("encoder_lost", _DEAD, stop.time_s)
+        return Stop(
+            "hard_stop", "the shaft stands although there is torque (no back-EMF): stuck, or at a stop", stop.time_s
+        )
 
     def _step(self, v: float) -> None:
         i, w, x = self._i, self._w, self._x
@@ -101,7 +113,7 @@ class Prediction:
             return Stop("innovations", otherwise, r.time_s)
         emf_left, encoder_left = abs(by_emf - w) > _LEFT * abs(w), abs(by_encoder - w) > _LEFT * abs(w)
         if encoder_left and not emf_left:
-            return Stop("encoder_lost", "the motor turns (back-EMF), and the encoder does not show it", r.time_s)
+            return Stop("encoder_lost", _DEAD, r.time_s)
         if encoder_left and emf_left and abs(by_emf - by_encoder) < _LEFT * abs(w):
             return Stop("hard_stop", "the shaft was stopped at once: it has run against something", r.time_s)
         return Stop("innovations", otherwise, r.time_s)

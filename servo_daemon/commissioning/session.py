@@ -131,7 +131,12 @@ class Session:
             raise StoppedError(Stop("interrupted", "stopped by the user", self._now()))
         self._keep(block)
         for r, good in self._readings(block):
-            self.supervisor.check(r if good else _bad(r), self._commanded)
+            try:
+                self.supervisor.check(r if good else _bad(r), self._commanded)
+            except StoppedError as error:
+                if self.prediction is None or error.stop.reason != "motion_ended":
+                    raise
+                raise StoppedError(self.prediction.named_stuck(error.stop)) from None
             if self.prediction is not None:
                 self.prediction.check(r)
         return float(block.time_s[-1])
