@@ -81,6 +81,10 @@ bench-report: venv ## the tables of docs/benchmarks.md from what the benchmarks 
 install: ## as root: into PREFIX (/opt/servo-daemon) without development tools, with the systemd unit and the udev rules
 	./deploy/install $(PREFIX)
 
+.PHONY: deb
+deb: ## build/servo-daemon_VERSION_ARCHITECTURE.deb for the Debian that this is; needs debhelper
+	./deploy/package
+
 .PHONY: lock
 lock: $(VENV)/.lock-tools ## both locks to what pyproject.toml asks for, pins kept (ARGS=--upgrade: newest versions)
 	$(UV_COMPILE) $(ARGS) pyproject.toml --group build -o requirements.lock

@@ -1,11 +1,11 @@
 """The running daemon: CPU, losses, latency, memory and the time to the first estimate; drives on real serial code.
 
-Each drive is a `sim-drive` process on a pseudo-terminal, so the simulation's cost is not the daemon's. The API is asked
-200 times a second meanwhile. Latency is from a frame's last byte written to the first REST answer that contains it,
-asked for without pause.
+Many drives are fed by one process (`benchmarks/feeder.py`). CPU is the daemon's own, from its first samples on and once
+all have settled, without anybody who asks. Latency is from a frame's last byte written to the first REST answer that
+contains it, of two drives asked in turn 200 times a second; how late any drive is, from asking each of them in turn.
 
-    .venv/bin/python benchmarks/daemon.py                  one and eight drives, 10 minutes with eight
-    .venv/bin/python benchmarks/daemon.py --seconds 60     shorter
+    .venv/bin/python -m benchmarks.daemon                       1, 8, 32, 64 and 100 drives, 40 s each
+    .venv/bin/python -m benchmarks.daemon --drives 8 --seconds 600
 """
 
 from __future__ import annotations
@@ -26,12 +26,15 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.feeder import FRAME, RATE_HZ, fed_drives
 from drivers.base import DriveInfo
-from servo_daemon.samples import SampleBlock
+from servo_daemon.samples import F64, SampleBlock
 from servo_daemon.sim_drive.serial_device import run_serial_device
 from servo_daemon.simulate import SimulatedDrive, make_settings
 
-RATE_HZ, REQUESTS_PER_S = 1000, 200
+REQUESTS_PER_S = 200
+#: After the first samples, s.
+FIRST_S = 10.0
 
 
 def cpu_s(pid: int) -> float:
@@ -61,8 +64,11 @@ def table(number: int, link: Path, more: str = "") -> str:
     return f'[[drive]]\nname = "axis{number}"\ndriver = "serial"\n{more}[drive.options]\nport = "{link}"\n'
 
 
+PLAIN = "[drive.estimation]\nrefresh = false\n"
+
+
 def tables_of(links: list[Path]) -> list[str]:
-    return [table(k, link) for k, link in enumerate(links)]
+    return [table(k, link, PLAIN) for k, link in enumerate(links)]
 
 
 @contextlib.contextmanager
@@ -111,16 +117,6 @@ def wait_for_samples(api: Api, n: int) -> None:
     raise SystemExit("the drives did not come up")
 
 
-def ask(api: Api, n: int, seconds: float) -> int:
-    """`REQUESTS_PER_S` evenly for so long; returns how many it were."""
-    began, asked = time.monotonic(), 0
-    while time.monotonic() - began < seconds:
-        api.get(f"/drives/axis{asked % n}/estimates")
-        asked += 1
-        time.sleep(max(0.0, asked / REQUESTS_PER_S - (time.monotonic() - began)))
-    return asked
-
-
 def used_percent(pid: int, work: Callable[[], object]) -> float:
     """CPU of the daemon while `work` runs, % of a core."""
     cpu, began = cpu_s(pid), time.monotonic()
@@ -128,26 +124,78 @@ def used_percent(pid: int, work: Callable[[], object]) -> float:
     return 100 * (cpu_s(pid) - cpu) / (time.monotonic() - began)
 
 
+def settled_share(api: Api, n: int) -> float:
+    """Of the drives: R is tracked."""
+    known = [api.get(f"/drives/axis{k}/estimates")["parameters"]["R"]["status"] == "tracking" for k in range(n)]
+    return sum(known) / n
+
+
 def load(n: int, seconds: float, folder: Path) -> None:
-    """CPU with n drives, alone and while the API answers; memory and losses over all of it."""
-    with simulated_drives(n, folder) as links, daemon(tables_of(links), folder) as (pid, port):
+    """n drives: CPU at first and then, latency, lateness, losses, memory."""
+    spare_s = 20.0 + 0.3 * n  # start-up, questions
+    with fed_drives(n, folder, seconds + spare_s) as (links, begin), daemon(tables_of(links), folder) as (pid, port):
         api = Api(port)
         wait_for_samples(api, n)
+        first = used_percent(pid, lambda: time.sleep(FIRST_S))
+        api, (asking_s, steady_s) = Api(port), (seconds / 3, max(seconds - FIRST_S - seconds / 3, 5.0))
         before, memory = [api.get(f"/drives/axis{k}") for k in range(n)], rss_MB(pid)
-        alone = used_percent(pid, lambda: time.sleep(max(10.0, seconds / 10)))
-        asked = used_percent(pid, lambda: ask(Api(port), n, seconds))
+        steady = used_percent(pid, lambda: time.sleep(steady_s))
+        latency_ms = frames_to_rest(Api(port), (0, n // 2), asking_s, begin, n)
+        late_s = latest(Api(port), n, max(5.0, asking_s), begin)
         api = Api(port)  # an idle connection has been closed meanwhile
         grown, after = rss_MB(pid), [api.get(f"/drives/axis{k}") for k in range(n)]
+        tracked = settled_share(api, n)
     pairs = zip(after, before, strict=True)
     counted = [{k: a["counters"][k] - b["counters"][k] for k in b["counters"]} for a, b in pairs]
     samples, lost = sum(c["samples"] for c in counted), sum(c["samples_lost"] for c in counted)
     bad = sum(c["crc_errors"] + c["framing_errors"] for c in counted)
-    limit = 5 if n == 1 else 30
-    print(f"{n} drive{'s' * (n > 1)} at {RATE_HZ} Hz over serial lines")
-    print(f"  CPU {alone:6.2f} % of a core (limit {limit} %: {alone / limit:.2f} of it)")
-    print(f"  CPU {asked:6.2f} % with {REQUESTS_PER_S} requests a second, {seconds:.0f} s long")
+    p50, p99 = np.percentile(latency_ms, [50, 99])
+    print(f"{n} drive{'s' * (n > 1)} at {RATE_HZ} Hz over serial lines, R tracked by {100 * tracked:.0f} %")
+    print(f"  CPU {first:6.2f} % of a core in the first {FIRST_S:.0f} s, {steady:.2f} % then")
+    print(f"  sample to REST: median {p50:.0f} ms, p99 {p99:.0f} ms; the latest drive was {late_s:.2f} s behind")
     print(f"  samples {samples:,}, lost {lost}, bad frames {bad}")
-    print(f"  resident memory {memory:.0f} MB at the start, {grown:.0f} MB at the end (limit 300 MB)")
+    print(f"  resident memory {memory:.0f} MB, then {grown:.0f} MB", flush=True)
+
+
+def sent_by(time_s: F64, drive: int, n: int, begin: float) -> F64:
+    """How many samples have left for a drive (`feeder.play`)."""
+    return np.maximum(np.floor((time_s - begin) * RATE_HZ / FRAME - drive // 8 * 8 / n) + 1.0, 0.0) * FRAME
+
+
+def frames_to_rest(api: Api, drives: tuple[int, ...], seconds: float, begin: float, n: int) -> F64:
+    """From the last byte of each frame to the first answer with its samples, ms.
+
+    Samples sent before the daemon attached are not in its count: what is constant is told from the quickest answer.
+    """
+    answers: dict[int, list[tuple[float, float]]] = {k: [] for k in drives}
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        for k, of_drive in answers.items():
+            samples = api.get(f"/drives/axis{k}/estimates")["samples"]
+            of_drive.append((samples, time.monotonic()))
+            time.sleep(1.0 / REQUESTS_PER_S)
+    out = []
+    for k, found in answers.items():
+        got = np.array(found)
+        offset = FRAME * np.floor((sent_by(got[:, 1], k, n, begin) - got[:, 0]).min() / FRAME)
+        number = np.arange(got[0, 0] + offset + FRAME, got[-1, 0] + offset, FRAME)  # the last sample of each frame
+        left = begin + ((number / FRAME - 1.0) + k // 8 * 8 / n) * FRAME / RATE_HZ
+        at = np.searchsorted(got[:, 0] + offset, number)
+        out.append(1e3 * (got[at, 1] - left))
+    return np.concatenate(out)
+
+
+def latest(api: Api, n: int, seconds: float, begin: float) -> float:
+    """How far behind the published state of any drive was at the worst, s, beside its own best."""
+    behind: dict[int, list[float]] = {k: [] for k in range(n)}
+    end, k = time.monotonic() + seconds, 0
+    while time.monotonic() < end:
+        samples = api.get(f"/drives/axis{k % n}/estimates")["samples"]
+        now = np.array([time.monotonic()])
+        behind[k % n].append(float(sent_by(now, k % n, n, begin)[0] - samples) / RATE_HZ)
+        k += 1
+        time.sleep(1.0 / REQUESTS_PER_S)
+    return max(max(late) - min(late) for late in behind.values() if late)
 
 
 class Stamped:
@@ -224,17 +272,21 @@ def first_estimate(folder: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser()
-    parser.add_argument("--seconds", type=float, default=600.0, help="with eight drives; a tenth of it with one")
+    parser.add_argument("--seconds", type=float, default=40.0, help="with each number of drives")
+    parser.add_argument("--drives", type=int, nargs="+", default=[1, 8, 32, 64, 100], help="how many")
+    parser.add_argument("--only-load", action="store_true", help="nothing about starts and one drive's latency")
     arguments = parser.parse_args()
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        first_estimate(folder)
-        for state in folder.glob("*.json"):
-            state.unlink()
-        first_estimate(folder)
-        latency(min(30.0, arguments.seconds), folder)
-        load(1, max(20.0, arguments.seconds / 10), folder)
-        load(8, arguments.seconds, folder)
+    if not arguments.only_load:
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            first_estimate(folder)
+            for state in folder.glob("*.json"):
+                state.unlink()
+            first_estimate(folder)
+            latency(min(30.0, arguments.seconds), folder)
+    for n in arguments.drives:
+        with tempfile.TemporaryDirectory() as name:
+            load(n, arguments.seconds, Path(name))
 
 
 if __name__ == "__main__":

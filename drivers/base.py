@@ -8,6 +8,7 @@ reader thread a drive, calls `open`, then `read` in a loop, and on `DriverDiscon
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, ClassVar
@@ -31,6 +32,16 @@ class DriveInfo:
     current_lsb_A: float | None = None
     voltage_lsb_V: float | None = None
     channels: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class OnboardEstimates:
+    """What a drive says of its motor's parameters that it estimates itself: `values` (value, 1 σ or None) by name, in
+    SI units; `heard_s` on the host's monotonic clock."""
+
+    status: str
+    values: Mapping[str, tuple[float, float | None]]
+    heard_s: float
 
 
 @dataclass(slots=True)
@@ -86,8 +97,19 @@ class Driver(ABC):
         return False
 
     @property
+    def is_buffered(self) -> bool:
+        """Whether what arrives waits for some seconds without being lost, and `read(0)` takes all of it without
+        waiting: then many of these can be read in turn by one thread."""
+        return False
+
+    @property
     def remark(self) -> str | None:
         """In words, what it hears and cannot read; None: nothing to say."""
+        return None
+
+    @property
+    def onboard(self) -> OnboardEstimates | None:
+        """What the drive itself has estimated last; None: it does not, or has not yet."""
         return None
 
     @property

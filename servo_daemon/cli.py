@@ -12,18 +12,19 @@ import json
 import logging
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import NoReturn, Protocol, cast
 
 from servo_daemon import __version__
 from servo_daemon.errors import ServoDaemonError
+from servo_daemon.journal import SOCKET, JournalHandler, is_journal, priority
 
 log = logging.getLogger("servo_daemon")
 
-#: command -> module with `add_arguments(parser)`, `run(arguments) -> exit code`, `HELP` and `EXAMPLE`. A command's own
-#: imports (CasADi, uvicorn, …) are paid only when it is the one that runs.
+#: command -> module with `add_arguments(parser)`, `run(arguments) -> exit code`, `HELP` and `EXAMPLE`. It is imported
+#: only where it is the one that is called, or where the help tells of all.
 COMMANDS = {
-    "run": "servo_daemon.commands.run",
+    "run": "servo_daemon.commands.run.command",
     "simulate": "servo_daemon.commands.simulate",
     "sim-drive": "servo_daemon.commands.sim_drive",
     "record": "servo_daemon.commands.record",
@@ -35,9 +36,12 @@ COMMANDS = {
     "commission": "servo_daemon.commands.commission.command",
     "tune": "servo_daemon.commands.tune.command",
     "train": "servo_daemon.commands.train",
+    "fleet": "servo_daemon.commands.fleet.command",
     "check": "servo_daemon.commands.check",
+    "config": "servo_daemon.commands.config",
     "scan": "servo_daemon.commands.scan.command",
     "status": "servo_daemon.commands.status",
+    "export": "servo_daemon.commands.export.command",
     "export-history": "servo_daemon.commands.export_history",
     "token": "servo_daemon.commands.token",
     "completion": "servo_daemon.commands.completion",
@@ -66,14 +70,15 @@ class _Parser(argparse.ArgumentParser):
         raise _UsageError(self.prog, self.format_usage(), message)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(names: Collection[str] = COMMANDS) -> argparse.ArgumentParser:
+    """For these commands."""
     parser = _Parser(
         prog="servo-daemon", description="Online, self-explaining parameter estimation for a live DC servo drive."
     )
     parser.add_argument("--version", action="version", version=f"servo-daemon {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for name, module_name in COMMANDS.items():
-        module = cast(_Command, importlib.import_module(module_name))
+    for name in names:
+        module = cast(_Command, importlib.import_module(COMMANDS[name]))
         sub = commands.add_parser(
             name,
             help=module.HELP,
@@ -85,11 +90,19 @@ def _parser() -> argparse.ArgumentParser:
         sub.add_argument(
             "--log-level",
             choices=("debug", "info", "warning", "error"),
-            default=os.environ.get("SERVO_DAEMON_LOG_LEVEL", "info"),
+            default=os.environ.get("SERVO_DAEMON_LOG_LEVEL"),
             help="what goes to stderr (default: info)",
         )
-        sub.set_defaults(run=module.run, parser=parser)
+        sub.set_defaults(run=module.run, parser=_parser)
     return parser
+
+
+def _called(words: Sequence[str]) -> Collection[str]:
+    """The command that these words call; all where they may ask for the list of them."""
+    first = words[0] if words else ""
+    if first == "--version":
+        return ()
+    return (first,) if first in COMMANDS else COMMANDS
 
 
 def _fail(program: str, text: str, code: int, as_json: bool) -> int:
@@ -103,17 +116,16 @@ def _fail(program: str, text: str, code: int, as_json: bool) -> int:
 class _PriorityFormatter(logging.Formatter):
     """Lines for systemd's journal: `<priority>` in front, no time stamp (the journal has its own); see sd-daemon(3)."""
 
-    _PRIORITY = ((logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
-
     def format(self, record: logging.LogRecord) -> str:
-        priority = next((p for level, p in self._PRIORITY if record.levelno >= level), 7)
-        return "\n".join(f"<{priority}>{line}" for line in super().format(record).splitlines())
+        return "\n".join(f"<{priority(record.levelno)}>{line}" for line in super().format(record).splitlines())
 
 
 def _set_up_logging(level: str) -> None:
-    handler = logging.StreamHandler(sys.stderr)
+    handler: logging.Handler = logging.StreamHandler(sys.stderr)
     if os.environ.get("JOURNAL_STREAM"):
         handler.setFormatter(_PriorityFormatter("%(name)s: %(message)s"))
+        if SOCKET.exists() and is_journal(2):  # stderr is its stream: then with fields of its own
+            handler = JournalHandler(handler)
     else:
         handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     logging.basicConfig(level=level.upper(), handlers=[handler], force=True)
@@ -125,11 +137,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit code."""
     words = sys.argv[1:] if argv is None else list(argv)
     try:
-        arguments = _parser().parse_args(words)
+        arguments = _parser(_called(words)).parse_args(words)
     except _UsageError as error:
         print(error.usage, end="", file=sys.stderr)
         return _fail(error.program, str(error), 2, as_json="--json" in words)
-    _set_up_logging(arguments.log_level)
+    _set_up_logging(arguments.log_level or "info")
     as_json = getattr(arguments, "json", False)
     name = f"servo-daemon {arguments.command}"
     try:

@@ -8,9 +8,9 @@ import re
 
 _NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _UNIT = r"s|min|h|d"
-_DRIFT = re.compile(rf"\s*({_NUMBER})\s*%\s*/\s*(?:sqrt\s*)?(?:({_UNIT})|\(\s*({_UNIT})\s*\))\s*")
-_RELATIVE = re.compile(rf"\s*([+-]?{_NUMBER})\s*%\s*")
-_SPAN = re.compile(rf"\s*({_NUMBER})\s*([dwy])\s*")
+DRIFT = re.compile(rf"\s*({_NUMBER})\s*%\s*/\s*(?:sqrt\s*)?(?:({_UNIT})|\(\s*({_UNIT})\s*\))\s*")
+RELATIVE = re.compile(rf"\s*([+-]?{_NUMBER})\s*%\s*")
+SPAN = re.compile(rf"\s*({_NUMBER})\s*([dwy])\s*")
 _DAYS = {"d": 1.0, "w": 7.0, "y": 365.25}
 _SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 
@@ -21,7 +21,7 @@ def parse_drift(text: str) -> float:
     Raises:
         ValueError: not of the form '10 %/h' (s, min, h, d; '%/sqrt(min)' means the same).
     """
-    match = _DRIFT.fullmatch(text)
+    match = DRIFT.fullmatch(text)
     if match is None:
         raise ValueError(f"{text!r} is not a drift such as '10 %/h' (units s, min, h, d)")
     percent = float(match[1])
@@ -36,7 +36,7 @@ def parse_days(text: str) -> float:
     Raises:
         ValueError: not of this form, or not positive.
     """
-    match = _SPAN.fullmatch(text)
+    match = SPAN.fullmatch(text)
     days = 0.0 if match is None else float(match[1]) * _DAYS[match[2]]
     if not 0.0 < days < math.inf:
         raise ValueError(f"{text!r} is not a time such as '180 d' (units d, w, y)")
@@ -46,13 +46,13 @@ def parse_days(text: str) -> float:
 def is_limit(value: object) -> bool:
     """Whether an alarm can have this limit: a number in the parameter's unit, or "+30 %" of its nominal value."""
     if isinstance(value, str):
-        return _RELATIVE.fullmatch(value) is not None and math.isfinite(share(value))
+        return RELATIVE.fullmatch(value) is not None and math.isfinite(share(value))
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def share(text: str) -> float:
     """The share that "+30 %" is: 0.3."""
-    match = _RELATIVE.fullmatch(text)
+    match = RELATIVE.fullmatch(text)
     if match is None:
         raise ValueError(f"{text!r} is not a share such as '+30 %'")
     return float(match[1]) / 100.0

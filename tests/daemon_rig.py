@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import pytest
 
-from drivers.base import DriveInfo, Driver
+from drivers.base import DriveInfo, Driver, OnboardEstimates
 from servo_daemon.config import Config, parse_config
 from servo_daemon.daemon import daemon as daemon_module
 from servo_daemon.daemon import reader as reader_module
@@ -30,6 +30,7 @@ class Fed(Driver):
     """A drive into which the test puts blocks and errors."""
 
     kind: ClassVar[str] = "fed"
+    onboard: OnboardEstimates | None = None
 
     def __init__(self, name: str, options: dict[str, Any]) -> None:
         super().__init__(name, options)

@@ -11,10 +11,13 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 
 from servo_daemon.parameters import LINEAR
+from servo_daemon.pipeline.ring import SampleRing
 from servo_daemon.published.archive import Archive
 from servo_daemon.published.diagnosis_state import Adoption, Diagnosis, DiagnosisView
 from servo_daemon.published.history import HistoryRing
 from servo_daemon.published.knowledge import LoopFacts
+from servo_daemon.published.recorded import Captures, KeptCapture
+from servo_daemon.published.sinks import SinkState
 from servo_daemon.published.snapshot import (
     AlarmLimit,
     Connection,
@@ -28,6 +31,7 @@ from servo_daemon.published.snapshot import (
 )
 from servo_daemon.published.trends import DriveTrends
 from servo_daemon.published.view import ModelChange, StartValues, initial_parameters
+from servo_daemon.samples import SampleBlock
 
 #: A fixed moment, so that answers can be compared as text: 2026-11-21T12:00:00Z.
 T0 = 1_795_262_400.0
@@ -107,6 +111,7 @@ class FakeDrive:
     log: deque[Event] = field(default_factory=lambda: deque(maxlen=100))
     resets: int = 0
     limits: Sequence[AlarmLimit] = ()
+    ring: SampleRing = field(default_factory=lambda: SampleRing(60.0))
     trends: DriveTrends = field(default_factory=DriveTrends)
     loop: LoopFacts = field(default_factory=lambda: LoopFacts(nominal=NOMINAL))
     diagnosis: DiagnosisView = field(default_factory=lambda: DiagnosisView(Diagnosis(), Adoption(False), True, None))
@@ -139,6 +144,9 @@ class FakeDrive:
     def events(self) -> Sequence[Event]:
         return tuple(self.log)
 
+    def samples(self) -> Sequence[SampleBlock]:
+        return self.ring.blocks()
+
     def request_reset(self) -> None:
         self.resets += 1
 
@@ -160,6 +168,26 @@ class FakeDrive:
 
 
 @dataclass
+class FakeCaptures:
+    """`published.recorded.Captures` of what the test puts there."""
+
+    captures: list[KeptCapture] = field(default_factory=list)
+    refusal: Exception | None = None
+    asked: list[float] = field(default_factory=list)
+
+    def of(self, drive: str) -> Sequence[KeptCapture]:
+        return [k for k in self.captures if k.drive == drive]
+
+    def request(self, drive: str, seconds: float) -> Future[KeptCapture]:
+        if self.refusal is not None:
+            raise self.refusal
+        self.asked.append(seconds)
+        future: Future[KeptCapture] = Future()
+        future.set_result(self.captures[0])
+        return future
+
+
+@dataclass
 class FakeDaemon:
     """A `DaemonView` over fake drives."""
 
@@ -169,6 +197,8 @@ class FakeDaemon:
     wrong: tuple[str, ...] = ()
     stop: bool = False
     archive: Archive | None = None
+    captures: Captures | None = None
+    sinks: Sequence[SinkState] = ()
 
     def problems(self) -> Sequence[str]:
         return self.wrong

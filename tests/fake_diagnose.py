@@ -46,6 +46,19 @@ def document(what: str, tc: float) -> dict[str, Any]:
         "gain": {"error_removed": 0.93, "ci95": [0.91, 0.95], "measured_on": "unseen"} if is_found else None,
         "validation": [],
         "candidates": [{"name": "coulomb_friction", "heldout_nrmse": 0.06, "delta_bic": -900.0}],
+        "missing": {
+            "torque": {
+                "unit": "N·m",
+                "working_rms": 1.5,
+                "before_rms": 0.0124,
+                "after_rms": 0.002 if is_found else None,
+                "over_speed": {
+                    "unit": "rad/s",
+                    "before": {"speed": [-6.0, -0.1, 0.0, 0.1, 6.0], "value": [-tc, -tc, None, tc, tc]},
+                    "after": {"speed": [-6.0, 6.0], "value": [0.001, -0.001]} if is_found else None,
+                },
+            }
+        },
         "remaining": {"white": what != "unexplained", "depends_on": follows},
         "unfinished": None,
     }

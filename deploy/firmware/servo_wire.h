@@ -236,6 +236,30 @@ static inline size_t servo_wire_samples(servo_wire *w, uint8_t *out) {
     return size;
 }
 
+/* What the device itself estimates, frame type 3: n parameters (at most (SERVO_WIRE_MAX_PAYLOAD - 9) / 16) with their
+ * names, values and standard deviations (NAN: not known) in SI units, `status` as servo_status of the exported
+ * estimator. Returns its size. Once a second is enough. */
+static inline size_t servo_wire_estimates(const servo_wire *w, uint32_t t_us, uint8_t status, const char (*names)[8],
+                                          const float *values, const float *stds, uint8_t n, uint8_t *out) {
+    uint8_t payload[SERVO_WIRE_MAX_PAYLOAD];
+    uint8_t *at = payload + 9;
+    if (9u + 16u * n > SERVO_WIRE_MAX_PAYLOAD) {
+        return 0;
+    }
+    payload[0] = 3;
+    payload[1] = w->drive_id;
+    payload[2] = w->session;
+    payload[3] = n;
+    servo_wire_put32(payload + 4, t_us);
+    payload[8] = status;
+    for (uint8_t i = 0; i < n; i++, at += 16) {
+        memcpy(at, names[i], 8);
+        servo_wire_put_float(at + 8, values[i]);
+        servo_wire_put_float(at + 12, stds[i]);
+    }
+    return servo_wire_frame(payload, (size_t)(at - payload), out);
+}
+
 /* The device itself lost `n` samples: send what is collected first, then tell the numbering. */
 static inline void servo_wire_skip(servo_wire *w, uint32_t n) { w->sequence += n; }
 

@@ -14,9 +14,10 @@ import numpy as np
 from cobs import cobs
 from numpy.typing import NDArray
 
-from drivers.base import DriverCounters
+from drivers.base import DriverCounters, OnboardEstimates
 from drivers.serial.counts import CountUnwrapper
 from drivers.serial.frame import CRC_INIT, CRC_SIZE, DELIMITER, MAX_ENCODED
+from drivers.serial.onboard import decode_onboard
 from drivers.serial.timeline import Placement, Timeline
 from drivers.serial.wire import (
     CHANNEL_OF,
@@ -49,6 +50,7 @@ class BinaryDecoder:
 
     Attributes:
         description: the last description of this drive, None until one has come.
+        onboard: the last estimates that the drive has made itself.
         counters: what happened; `extra` holds `descriptions_refused` (well-formed, but not understood) and
             `frames_undescribed` (sample frames given up because no description came for them).
     """
@@ -69,6 +71,7 @@ class BinaryDecoder:
 
     def _forget_line(self) -> None:
         self._carry = b""
+        self.onboard: OnboardEstimates | None = None
         self._in_step = False  # whether a delimiter has been seen: what comes before the first is half a frame
         self._discarding = False  # inside an over-long run that has been counted already
         self.description = None
@@ -145,6 +148,8 @@ class BinaryDecoder:
             self._run.append(payload)
         elif kind == FrameType.DESCRIPTION:
             self._describe(payload)
+        elif kind == FrameType.ESTIMATES and self.description is not None and payload[1] == self._drive_id:
+            self._take_estimates(payload)
         elif kind != FrameType.SAMPLES or (self._drive_id not in (None, payload[1])):
             self.counters.unknown_frames += 1
         elif len(payload) <= SAMPLES_HEADER.size + CRC_SIZE:
@@ -153,6 +158,12 @@ class BinaryDecoder:
             self._wait_for_description(payload)
         else:
             self._begin_run(payload, self.description)
+
+    def _take_estimates(self, payload: bytes) -> None:
+        try:
+            self.onboard = decode_onboard(payload[:-CRC_SIZE], self._host_time_s)
+        except WireError:
+            self.counters.framing_errors += 1
 
     def _begin_run(self, payload: bytes, description: Description) -> None:
         """A described sample frame of another size than the one before."""

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, Field, model_validator
 
-from drivers.base import DriveInfo
+from drivers.base import DriveInfo, OnboardEstimates
 from drivers.options import STRICT, checked
 from drivers.serial.decoder import BinaryDecoder
 from drivers.serial.listener import SerialListener
@@ -108,6 +108,10 @@ class SerialDriver(SerialListener):
             voltage_lsb_V=settings.voltage_lsb_V or 1e-3,
             channels=tuple(dict.fromkeys(_COUNTED.get(c, c) for c in self._decoder.format.channels)),
         )
+
+    @property
+    def onboard(self) -> OnboardEstimates | None:
+        return self._decoder.onboard if isinstance(self._decoder, BinaryDecoder) else None
 
     @property
     def remark(self) -> str | None:

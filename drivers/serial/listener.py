@@ -59,6 +59,10 @@ class SerialListener(Driver):
         self._last_read_s = 0.0
 
     @property
+    def is_buffered(self) -> bool:
+        return True
+
+    @property
     def _stream(self) -> StreamDecoder:
         """The decoder of what arrives."""
         raise NotImplementedError

@@ -29,6 +29,7 @@ class FrameType(IntEnum):
 
     SAMPLES = 1
     DESCRIPTION = 2
+    ESTIMATES = 3
 
 
 class Quantity(IntEnum):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any, Final
 
 from fastapi import FastAPI
@@ -10,9 +9,8 @@ from starlette.responses import HTMLResponse, JSONResponse
 
 from servo_daemon.api import assets, problems
 from servo_daemon.api.access.guard import Guard
-from servo_daemon.api.access.permission import Permission
+from servo_daemon.api.access.permission import Access, Permission
 from servo_daemon.api.access.request_limits import RequestLimits
-from servo_daemon.api.access.tokens import TokenFile
 from servo_daemon.api.answers import NO_STORE
 from servo_daemon.api.computing import Computer, ProcessComputer
 from servo_daemon.api.head import Head
@@ -20,7 +18,9 @@ from servo_daemon.api.reference import reference_page
 from servo_daemon.api.routes import api_router, metrics_router
 from servo_daemon.api.schemas import diagnosis as diagnosis_schemas
 from servo_daemon.api.schemas import estimates as schemas
+from servo_daemon.api.schemas import kept as kept_schemas
 from servo_daemon.api.schemas import past as past_schemas
+from servo_daemon.api.schemas import recorded as recorded_schemas
 from servo_daemon.api.schemas import trend as trend_schemas
 from servo_daemon.published.view import DaemonView
 
@@ -38,10 +38,8 @@ and 431 (too slow, too large), 421 (a stranger's name for this machine).
 
 def create_app(
     daemon: DaemonView,
-    allowed_hosts: Iterable[str] = (),
+    access: Access | None = None,
     computer: Computer | None = None,
-    tokens: TokenFile | None = None,
-    open_metrics: bool = False,
 ) -> FastAPI:
     """The ASGI application. It only ever reads published records, and asks for a reset, a diagnosis or
     another model.
@@ -49,10 +47,7 @@ def create_app(
     Args:
         daemon: what it shows. `daemon.stopping()` must be true before the server is told to exit, so that the open
             streams end and the server need not wait for them.
-        allowed_hosts: DNS names by which browsers may reach the daemon, beyond IP addresses, local names and this
-            machine's own; see `guard.py`.
-        tokens: who may ask for what; None: whoever reaches the daemon may.
-        open_metrics: `/metrics` needs no token.
+        access: who may ask for what; None: whoever reaches the daemon may.
         computer: carries out what takes long; the caller closes it. None: a process of its own, which ends with this
             one.
     """
@@ -65,14 +60,15 @@ def create_app(
         redoc_url=None,
         redirect_slashes=False,
     )
+    access = access or Access()
     problems.install(app)
     app.include_router(api_router(daemon, PREFIX, computer or ProcessComputer()), prefix=PREFIX)
     app.include_router(metrics_router(daemon))
     app.include_router(assets.make_router())
     app.add_middleware(Head)
     app.add_middleware(RequestLimits)
-    app.add_middleware(Permission, known=tokens, open_metrics=open_metrics)
-    app.add_middleware(Guard, allowed_hosts=tuple(allowed_hosts))
+    app.add_middleware(Permission, access=access)
+    app.add_middleware(Guard, allowed_hosts=lambda: access.hosts)
     _describe(app)
     return app
 
@@ -103,6 +99,8 @@ _MODELS: Final[dict[str, Any]] = {
     **vars(schemas),
     **vars(diagnosis_schemas),
     **vars(past_schemas),
+    **vars(kept_schemas),
+    **vars(recorded_schemas),
     **vars(trend_schemas),
 }
 

@@ -20,10 +20,10 @@ from starlette.responses import Response
 
 from servo_daemon.api.answers import INVALID, NO_STORE, REFUSED, UNKNOWN_DRIVE, Responses, json_response, problem_answer
 from servo_daemon.api.documents import Document
-from servo_daemon.api.problems import ProblemError
+from servo_daemon.api.problems import ProblemError, sentence
 from servo_daemon.api.schemas import diagnosis as schemas
-from servo_daemon.api.times import iso_utc
 from servo_daemon.errors import BusyError, ModelError, RefusedError, ServoDaemonError
+from servo_daemon.published.times import iso_utc
 from servo_daemon.published.view import DriveView, ModelChange, StartValues
 
 #: How long an answer waits for the first estimate; a drive that does not speak is waited for no longer than that, s.
@@ -79,18 +79,11 @@ def _as_problems() -> Iterator[None]:
         detail = f"body parameter '{error.where}': {error}"
         raise ProblemError(422, "invalid_parameter", detail, **members) from error
     except BusyError as error:
-        raise ProblemError(
-            409, "not_now", f"{str(error)[:1].upper()}{str(error)[1:]}.", {"Retry-After": "5"}
-        ) from error
+        raise ProblemError(409, "not_now", sentence(error), {"Retry-After": "5"}) from error
     except RefusedError as error:
-        raise ProblemError(409, "not_allowed", _sentence(error)) from error
+        raise ProblemError(409, "not_allowed", sentence(error)) from error
     except ServoDaemonError as error:
-        raise ProblemError(409, "not_done", _sentence(error)) from error
-
-
-def _sentence(error: ServoDaemonError) -> str:
-    text = str(error)
-    return f"{text[:1].upper()}{text[1:]}."
+        raise ProblemError(409, "not_done", sentence(error)) from error
 
 
 def _start(parameters: dict[str, float | str | schemas.StartValueDocument]) -> StartValues:

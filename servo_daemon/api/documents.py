@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from servo_daemon.api.times import iso_utc
 from servo_daemon.published.snapshot import (
     Event,
     ParameterEstimate,
     Snapshot,
     finite_or_none,
 )
+from servo_daemon.published.times import iso_utc
 from servo_daemon.published.view import DaemonView, DriveView
 
 Document = dict[str, Any]
@@ -193,6 +193,16 @@ def health_document(daemon: DaemonView) -> Document:
         "started": iso_utc(daemon.started),
         "uptime_s": round(max(0.0, time.time() - daemon.started), 3),
         "drives": {name: drive.snapshot().connection for name, drive in daemon.drives.items()},
+        "sinks": {
+            sink.name: {
+                "connected": sink.connected,
+                "waiting": sink.waiting,
+                "sent": sink.sent,
+                "dropped": sink.dropped,
+                "reason": sink.reason,
+            }
+            for sink in daemon.sinks
+        },
     }
 
 

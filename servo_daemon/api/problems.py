@@ -51,6 +51,12 @@ class ProblemError(Exception):
         self.members = members
 
 
+def sentence(complaint: object) -> str:
+    """What the service says, as a `detail`."""
+    text = str(complaint)
+    return f"{text[:1].upper()}{text[1:]}."
+
+
 def refusal(
     path: str,
     status: int,

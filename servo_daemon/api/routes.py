@@ -22,8 +22,11 @@ from servo_daemon.api.answers import (
 )
 from servo_daemon.api.computing import Computer, while_connected
 from servo_daemon.api.fleet import fleet_document
+from servo_daemon.api.past import kept
 from servo_daemon.api.past import routes as past
+from servo_daemon.api.per_drive import PerDrive
 from servo_daemon.api.problems import ProblemError, parameter_problem
+from servo_daemon.api.recorded import routes as recorded
 from servo_daemon.api.schemas import estimates as schemas
 from servo_daemon.api.schemas import past as past_schemas
 from servo_daemon.api.schemas import trend as trend_schemas
@@ -62,9 +65,9 @@ class Routes:
 
     def __init__(self, daemon: DaemonView, computer: Computer) -> None:
         self._daemon = daemon
-        self._encoders = {n: documents.EstimatesEncoder(d) for n, d in daemon.drives.items()}
+        self._encoders = PerDrive(daemon, documents.EstimatesEncoder)
         self._slots = StreamSlots()
-        self._tuning = {n: TuningAnswers(d, computer) for n, d in daemon.drives.items()}
+        self._tuning = PerDrive(daemon, lambda drive: TuningAnswers(drive, computer))
 
     def find(self, name: str) -> DriveView:
         """The drive of that name.
@@ -107,8 +110,8 @@ class Routes:
 
     async def estimates(self, drive: DriveName) -> Response:
         """The estimates now. Before the first samples: nominal values or null, status `estimating`."""
-        snapshot = self.find(drive).snapshot()
-        return Response(self._encoders[drive](snapshot), headers=NO_STORE, media_type="application/json")
+        view = self.find(drive)
+        return Response(self._encoders.of(view)(view.snapshot()), headers=NO_STORE, media_type="application/json")
 
     async def tuning(
         self, request: Request, drive: DriveName, bandwidth_hz: BandwidthHz = None, settling_s: SettlingS = None
@@ -118,10 +121,10 @@ class Routes:
 
         Computed from the published estimate; an answer is up to ten seconds older than it.
         """
-        self.find(drive)
+        view = self.find(drive)
         if bandwidth_hz is not None and settling_s is not None:
             raise parameter_problem("settling_s", "give bandwidth_hz or settling_s, not both")
-        body = await while_connected(request, self._tuning[drive].get(Ask(bandwidth_hz, settling_s)))
+        body = await while_connected(request, self._tuning.of(view).get(Ask(bandwidth_hz, settling_s)))
         return Response(body, headers=NO_STORE, media_type="application/json")
 
     async def trend(self, request: Request, drive: DriveName) -> Response:
@@ -138,7 +141,11 @@ class Routes:
         if self._slots.full:
             detail = f"{self._slots.limit} streams are open already."
             raise ProblemError(503, "too_many_streams", detail, {"Retry-After": "5"})
-        events = estimates_stream(view.snapshot, self._encoders[drive], self._daemon.stopping, self._slots)
+
+        def over() -> bool:
+            return self._daemon.stopping() or self._daemon.drives.get(drive) is not view
+
+        events = estimates_stream(view.snapshot, self._encoders.of(view), over, self._slots)
         return StreamingResponse(events, headers=_STREAM_HEADERS, media_type="text/event-stream")
 
     async def reset(self, drive: DriveName) -> Response:
@@ -193,6 +200,8 @@ def api_router(daemon: DaemonView, prefix: str, computer: Computer) -> APIRouter
             responses={**UNKNOWN_DRIVE, **responses},
         )
     past.add_routes(router, past.PastRoutes(daemon, routes.find))
+    kept.add_routes(router, kept.KeptRoutes(daemon.archive, routes.find, prefix))
+    recorded.add_routes(router, recorded.RecordedRoutes(daemon, routes.find, prefix))
     diagnosis.add_routes(router, diagnosis.DiagnosisRoutes(routes.find, prefix, daemon.stopping))
     _add_stream_and_reset(router, routes)
     return router

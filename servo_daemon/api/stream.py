@@ -14,8 +14,8 @@ import time
 from collections.abc import AsyncIterator, Callable
 from typing import Final
 
-from servo_daemon.api.times import iso_utc
 from servo_daemon.published.snapshot import Snapshot
+from servo_daemon.published.times import iso_utc
 
 #: How often a stream looks for a new snapshot, and so the most it sends: 10 a second is more than an eye follows.
 PERIOD_S: Final = 0.1
@@ -48,17 +48,17 @@ def frame(snapshot: Snapshot, body: bytes) -> bytes:
 async def estimates_stream(
     snapshot: Callable[[], Snapshot],
     encode: Callable[[Snapshot], bytes],
-    stopping: Callable[[], bool],
+    over: Callable[[], bool],
     slots: StreamSlots,
 ) -> AsyncIterator[bytes]:
-    """The bytes of a stream: the document of now, then one for each new snapshot; ends when the daemon stops.
+    """The bytes of a stream: the document of now, then one for each new snapshot.
 
     When the client goes away the server cancels this generator at one of its awaits.
 
     Args:
         snapshot: the drive's last published snapshot.
         encode: the estimates document of a snapshot as JSON on one line.
-        stopping: whether the daemon has been told to stop.
+        over: whether the daemon has been told to stop, or the drive has gone: then the stream ends.
         slots: in which this stream is counted while it is open.
     """
     slots.open += 1
@@ -66,7 +66,7 @@ async def estimates_stream(
         yield b"retry: %d\n\n" % RETRY_MS
         sent: Snapshot | None = None
         sent_at = time.monotonic()
-        while not stopping():
+        while not over():
             current = snapshot()
             if current is not sent:
                 yield frame(current, encode(current))

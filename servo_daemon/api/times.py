@@ -23,11 +23,6 @@ ACCEPTED: Final = "an ISO 8601 time, seconds since 1970, 'now', or a time ago su
 DURATIONS: Final = "a number with its unit such as 30min or 1y (s, min, h, d, w, y)"
 
 
-def iso_utc(epoch_s: float) -> str:
-    """1763724000.5 is "2025-11-21T11:20:00.500Z"."""
-    return datetime.fromtimestamp(epoch_s, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-
-
 def iso_utc_list(epoch_s: F64) -> list[str]:
     """The same for an array of finite times, shape (n,)."""
     milliseconds = np.floor(epoch_s * 1e3 + 0.5).astype("datetime64[ms]")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from servo_daemon.api.documents import Document, scalar
-from servo_daemon.api.times import iso_utc
+from servo_daemon.published.times import iso_utc
 from servo_daemon.published.trends import DAY_S
 from servo_daemon.published.view import DriveView
 from servo_daemon.trend.records import HORIZON_Y, Change, Range, Trend

@@ -11,9 +11,11 @@ from typing import BinaryIO
 from servo_daemon.captures.capture.bounded import MAX_BYTES, MAX_LINE
 from servo_daemon.captures.capture.model import Capture, capture_error
 from servo_daemon.captures.capture.read_options import ReadOptions
+from servo_daemon.captures.columns.foreign import Recording
 from servo_daemon.captures.columns.recording import assemble
 from servo_daemon.captures.columns.signal_map import SignalMap, load_signal_map
 from servo_daemon.captures.detect import is_asc, is_mat
+from servo_daemon.captures.formats.mcap import MAGIC
 from servo_daemon.captures.text.encoding import open_text
 from servo_daemon.captures.text.preamble import read_preamble
 from servo_daemon.captures.text.table import TableRecording, with_columns
@@ -29,8 +31,8 @@ def read_capture(
     """A capture from a file; its content decides what kind of file it is, not its name.
 
     CSV, gzipped CSV and Parquet are the project's own (docs/captures.md). Text tables of any dialect, JSON lines, MAT
-    files, Excel workbooks, MDF and CAN logs (BLF, ASC) are read as well. Signals are understood by the names and units
-    people give them; the signal map says it where they cannot be. `notes` tell what was understood and done.
+    files, Excel workbooks, MDF, MCAP and CAN logs (BLF, ASC) are read as well. Signals are understood by the names
+    and units people give them; the signal map says it where they cannot be. `notes` tell what was understood and done.
 
     Channels may be missing: time_s with a
     motion (position or speed) and an effort (voltage, current, torque or force), or with voltage and current alone
@@ -69,10 +71,6 @@ def _read_kind(path: Path, raw: BinaryIO, head: bytes, signal_map: SignalMap | N
         from servo_daemon.captures.formats.parquet import read_parquet
 
         return read_parquet(path, raw, signal_map, options)
-    if head.startswith(b"PK\x03\x04"):
-        from servo_daemon.captures.formats.excel import read_excel
-
-        return assemble(read_excel(path, raw, signal_map), signal_map, options)
     if head.startswith(b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"):
         raise capture_error(path, "an Excel file of the old kind (.xls): save it as .xlsx")
     if head.startswith((b"MDF     ", b"UnFinMF ")):
@@ -84,11 +82,29 @@ def _read_kind(path: Path, raw: BinaryIO, head: bytes, signal_map: SignalMap | N
         from servo_daemon.captures.formats.can_samples import decode_log
 
         return decode_log(read_blf(path, raw), signal_map)
+    recording = _recording(path, raw, head, signal_map, options)
+    if recording is not None:
+        return assemble(recording, signal_map, options)
+    return _read_text(path, raw, signal_map, options, packed=head.startswith(b"\x1f\x8b"))
+
+
+def _recording(
+    path: Path, raw: BinaryIO, head: bytes, signal_map: SignalMap | None, options: ReadOptions
+) -> Recording | None:
+    """The signals of a file that stays open meanwhile; None: it is none of these kinds."""
+    if head.startswith(b"PK\x03\x04"):
+        from servo_daemon.captures.formats.excel import read_excel
+
+        return read_excel(path, raw, signal_map)
+    if head.startswith(MAGIC):
+        from servo_daemon.captures.formats.mcap.reading import read_mcap
+
+        return read_mcap(path, raw, options if signal_map is None else None)
     if is_mat(head):
         from servo_daemon.captures.formats.mat import read_mat
 
-        return assemble(read_mat(path, raw), signal_map, options)
-    return _read_text(path, raw, signal_map, options, packed=head.startswith(b"\x1f\x8b"))
+        return read_mat(path, raw)
+    return None
 
 
 def _open(path: Path) -> BinaryIO:

@@ -1,4 +1,4 @@
-"""Writing captures: a stream of blocks into CSV, gzipped CSV or Parquet, chosen by the name's ending."""
+"""Writing captures: a stream of blocks into CSV, gzipped CSV, Parquet or MCAP, chosen by the name's ending."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol
+from typing import Final, Literal, Protocol, get_args
 
 import numpy as np
 
@@ -21,6 +21,11 @@ from servo_daemon.samples import F64, Quality, SampleBlock
 
 #: Samples that say "this is no measurement": a capture has no empty cells, so the whole sample is left out.
 _INVALID = Quality.VOLTAGE_INVALID | Quality.CURRENT_INVALID | Quality.POSITION_INVALID
+
+#: Kinds of files, and the endings of their names.
+Kind = Literal["csv", "parquet", "mcap"]
+KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
+_ENDINGS: Final[Mapping[str, Kind]] = {".csv": "csv", ".csv.gz": "csv", ".parquet": "parquet", ".mcap": "mcap"}
 
 _LINEAR_NAMES = {field: name for name, field in LINEAR_COLUMNS.items()}
 _KEY = re.compile(r"[\w.-]+")
@@ -50,30 +55,35 @@ class CaptureWriter:
     sample no file appears.
 
     Args:
-        path: ends in `.csv`, `.csv.gz` or `.parquet`.
+        path: ends in `.csv`, `.csv.gz`, `.parquet` or `.mcap`.
         metadata: written as `# key: value`; a value of several lines repeats its key.
         axis: "linear" names the columns force_N, position_m, velocity_m_s.
+        kind: where the name has no such ending; None: it says it.
 
     Attributes:
         samples: samples written so far.
         samples_dropped: samples left out because they were not finite or flagged as no measurement.
 
     Raises:
-        BadInputError: the ending or the metadata are wrong, the file cannot be created, or pyarrow is missing.
+        BadInputError: the ending or the metadata are wrong, the file cannot be created, or a library is missing.
     """
 
-    def __init__(self, path: Path | str, *, metadata: Mapping[str, str] | None = None, axis: Axis = "rotary") -> None:
+    def __init__(
+        self,
+        path: Path | str,
+        *,
+        metadata: Mapping[str, str] | None = None,
+        axis: Axis = "rotary",
+        kind: Kind | None = None,
+    ) -> None:
         self.path = Path(path)
         self.axis = axis
         self.samples = 0
         self.samples_dropped = 0
         self._metadata = _clean_metadata(self.path, metadata or {}, axis)
-        self._parquet = _wants_parquet(self.path)
-        if self._parquet:
-            from servo_daemon.captures.formats.parquet import require_pyarrow
-
-            require_pyarrow(self.path)
-        self._keep_partial = not self._parquet  # which nobody can read without its footer
+        self._kind = kind_of(self.path, kind)
+        _require(self.path, self._kind)
+        self._keep_partial = self._kind == "csv"  # the others nobody can read without their footers
         self._output = AtomicFile(self.path)
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="capture-writer")
         self._sink: _Sink | None = None
@@ -158,7 +168,11 @@ class CaptureWriter:
 
     def _make_sink(self) -> _Sink:
         names = self._names(self._channels)
-        if self._parquet:
+        if self._kind == "mcap":
+            from servo_daemon.captures.formats.mcap.writing import McapSink
+
+            return McapSink(self._output.file, names, self._metadata)
+        if self._kind == "parquet":
             from servo_daemon.captures.formats.parquet import ParquetSink
 
             return ParquetSink(self._output.file, names, self._metadata)
@@ -247,15 +261,36 @@ def write_capture(
         raise
 
 
-def _wants_parquet(path: Path) -> bool:
-    if path.suffix == ".parquet":
-        return True
-    if path.name.endswith((".csv", ".csv.gz")):
-        return False
+def kind_of(path: Path, kind: Kind | None = None) -> Kind:
+    """What kind of file a capture of this name is.
+
+    Args:
+        kind: what is asked for; None: the name says it.
+
+    Raises:
+        CaptureError: it says none, or another one than is asked for.
+    """
+    named = next((k for ending, k in _ENDINGS.items() if path.name.endswith(ending)), None)
+    if kind is not None and named not in (None, kind):
+        raise CaptureError(f"{path}: this is the name of a {named} file, not of {kind}")
+    if (found := kind or named) is not None:
+        return found
     with contextlib.suppress(OSError):
         if path.exists() and not path.is_file():  # /dev/stdout, a pipe; a folder is refused when it is opened
-            return False
-    raise CaptureError(f"{path}: a capture's name ends in .csv, .csv.gz or .parquet")
+            return "csv"
+    raise CaptureError(f"{path}: a capture's name ends in .csv, .csv.gz, .parquet or .mcap")
+
+
+def _require(path: Path, kind: Kind) -> None:
+    """Raises: BadInputError: its library is not installed."""
+    if kind == "parquet":
+        from servo_daemon.captures.formats.parquet import require_pyarrow
+
+        require_pyarrow(path)
+    elif kind == "mcap":
+        from servo_daemon.captures.formats.mcap.library import require_mcap
+
+        require_mcap(path, "writer")
 
 
 def _clean_metadata(path: Path, metadata: Mapping[str, str], axis: Axis) -> dict[str, str]:

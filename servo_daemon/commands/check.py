@@ -19,7 +19,7 @@ from servo_daemon.signal_meaning import SignalMeaning, told
 from servo_daemon.tracking.plan.signals import SignalPlan, plan_signals
 
 HELP = "validate a config, open each driver and say what it sees"
-EXAMPLE = "  servo-daemon check --config /etc/servo-daemon.toml"
+EXAMPLE = "  servo-daemon check --config /etc/servo-daemon/servo-daemon.toml"
 
 #: How long a drive is listened to, s: description frames come once a second.
 _LISTEN_S = 3.0
@@ -44,11 +44,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Exit code 1 if a drive cannot be opened or says nothing; 2 if the configuration is wrong."""
     from drivers.registry import make_driver
+    from servo_daemon.daemon.sinks import sinks_of
 
     if not 0.0 < arguments.listen < math.inf:
         raise BadInputError(f"--listen must be greater than zero, not {arguments.listen:g}")
     config = load_config(arguments.config)
     drives = [(d, make_driver(d.driver, d.name, d.options)) for d in config.drive]  # all options, before any device
+    for sink in sinks_of(config, (), None):  # extras and files; nothing is sent
+        sink.stop(0.0)
     reports = [_look(drive, driver, arguments.listen) for drive, driver in drives]
     if arguments.json:
         common.print_json({"config": str(arguments.config), "drives": reports})

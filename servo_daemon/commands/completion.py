@@ -19,12 +19,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """The script on stdout, of the parser that has read the arguments: nothing parses with it afterwards."""
+    """The script on stdout, of a parser of all commands."""
     import shtab
 
     from servo_daemon.plant.effects import effects_by_name
 
-    parser: argparse.ArgumentParser = arguments.parser
+    parser: argparse.ArgumentParser = arguments.parser()
     for action in _actions(parser):
         if action.dest in _EFFECTS:
             action.choices = tuple(effects_by_name())

@@ -8,6 +8,7 @@ from threading import Event
 from typing import TYPE_CHECKING, Any
 
 from drivers.base import Driver
+from servo_daemon.captures.write import KINDS, kind_of
 from servo_daemon.commands.shared import common
 from servo_daemon.errors import BadInputError, DriverError, DriverUnavailableError, EndOfStreamError
 from servo_daemon.samples import SampleBlock
@@ -27,7 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seconds", type=float, required=True, metavar="N", help="of device time, or of the clock if that is slower"
     )
-    common.add_out(parser, ".csv, .csv.gz or .parquet", required=True)
+    common.add_out(parser, ".csv, .csv.gz, .parquet or .mcap", required=True)
+    parser.add_argument("--format", choices=KINDS, help="where the name has no such ending")
     common.add_json(parser)
 
 
@@ -41,6 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     drive = common.offline_drive(arguments)
     common.keep_inputs(arguments.out, arguments.config)
     common.may_overwrite(arguments.force, arguments.out)
+    kind_of(arguments.out, arguments.format)
     driver = make_driver(drive.driver, drive.name, drive.options)
     metadata = {"generator": f"servo-daemon {__version__} record", "drive": drive.name, "driver": drive.driver}
     metadata |= {k: f"{v:g}" for k, v in drive.load.model_dump().items() if v is not None}
@@ -56,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
         if driver.info.counts_per_rev:
             metadata.setdefault("counts_per_rev", f"{driver.info.counts_per_rev:g}")
         with (
-            CaptureWriter(arguments.out, metadata=metadata) as writer,
+            CaptureWriter(arguments.out, metadata=metadata, kind=arguments.format) as writer,
             common.progress(arguments.seconds, "s", "record") as bar,
         ):
             try:

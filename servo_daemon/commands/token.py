@@ -11,9 +11,9 @@ from servo_daemon.errors import BadInputError
 from servo_daemon.files import AtomicFile
 
 HELP = "tokens for the API: a new one, those there are, one taken back"
-EXAMPLE = """  servo-daemon token new grafana --scope read --file /etc/servo-daemon.tokens
-  servo-daemon token list --file /etc/servo-daemon.tokens
-  servo-daemon token revoke grafana --file /etc/servo-daemon.tokens"""
+EXAMPLE = """  servo-daemon token new grafana --scope read --file /etc/servo-daemon/tokens
+  servo-daemon token list --file /etc/servo-daemon/tokens
+  servo-daemon token revoke grafana --file /etc/servo-daemon/tokens"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
     job = Job(arguments.motors, learner=arguments.learner, jobs=arguments.jobs, dask=arguments.dask, measured=measured)
     model = train_with_bar(spec, job)
     save_model(model, path)
-    document = _document(model, path)
+    document = model_document(model, path)
     if arguments.json:
         common.print_json(document)
     else:
@@ -168,7 +168,8 @@ def _measured(paths: Sequence[Path], arguments: argparse.Namespace, window_s: fl
     return first
 
 
-def _document(model: LearnedModel, path: Path) -> dict[str, Any]:
+def model_document(model: LearnedModel, path: Path) -> dict[str, Any]:
+    """What a trained model is, for `--json` and for people."""
     spec = model.spec
     return {
         "model": str(path),

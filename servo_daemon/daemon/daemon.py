@@ -2,25 +2,36 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from drivers.base import Driver
 from drivers.registry import make_driver
 from servo_daemon import __version__
 from servo_daemon.config import Config, DriveConfig
+from servo_daemon.config.changes import Change, How, at_work, drives_of
+from servo_daemon.daemon.captures.coordinator import CaptureCoordinator
+from servo_daemon.daemon.captures.folder import CaptureFolder
 from servo_daemon.daemon.diagnosis.runner import DiagnosisRunner
 from servo_daemon.daemon.drive import DriveRuntime
 from servo_daemon.daemon.learning_coordinator import LearningCoordinator
 from servo_daemon.daemon.notify import Notifier
+from servo_daemon.daemon.ports import Ports
+from servo_daemon.daemon.sinks import sinks_of
+from servo_daemon.daemon.state_lock import StateLocks
 from servo_daemon.daemon.trends.coordinator import TrendCoordinator
 from servo_daemon.daemon.worker import DriveSlot, Workers
+from servo_daemon.published.sinks import SinkState
 
 if TYPE_CHECKING:
     from servo_daemon.daemon.recording import Recording
     from servo_daemon.history.archive import StoreArchive
+
+log = logging.getLogger(__name__)
 
 #: The workers are looked after this often, s.
 _WATCH_S = 0.02
@@ -29,6 +40,9 @@ START_TIMEOUT_S = 10.0
 #: A stop waits so long for threads that are busy (with the first model's equations, say), s: of the 2 s that a stop may
 #: take the end of the server and of the interpreter need 0.5 on a slow machine.
 _STOP_S = 1.2
+#: A drive that goes has so long to work off what came before, s: an estimator that is being made may take ten.
+_LEAVE_S = 15.0
+_BY_DRIVE: tuple[How, ...] = ("again", "new", "gone")
 
 
 class Daemon:
@@ -37,13 +51,20 @@ class Daemon:
     Args:
         config: checked configuration.
         state_dir: where knowledge is kept over a restart; None: nowhere.
+        locks: of that of its drives, which are held already; None: it needs none.
 
     Raises:
         ConfigError: a driver's options are wrong.
     """
 
-    def __init__(self, config: Config, state_dir: Path | None = None, notifier: Notifier | None = None) -> None:
-        self.config = config
+    def __init__(
+        self,
+        config: Config,
+        state_dir: Path | None = None,
+        notifier: Notifier | None = None,
+        locks: StateLocks | None = None,
+    ) -> None:
+        self.config, self._state_dir, self._locks = config, state_dir, locks or StateLocks(None)
         self.version = __version__
         self.started = time.time()
         self._stop = threading.Event()
@@ -54,10 +75,13 @@ class Daemon:
         home = None if state_dir is None else state_dir / "diagnosis"
         self._diagnoses = DiagnosisRunner(d.command, d.budget_s, d.time_limit_s, d.nice, home)
         self._learning = LearningCoordinator(config.learning)
-        self._workers = Workers(self._stop)
-        self._slots = {d.name: self._slot_for(d, state_dir) for d in config.drive}
+        self._ports = Ports()
+        self._workers = Workers(self._stop, self._ports)
+        self._slots = {d.name: self._slot_for(d, _driver_for(d)) for d in config.drive}
         self._recording = self._recorded(state_dir)
+        self._sinks = sinks_of(config, tuple(slot.runtime for slot in self._slots.values()), state_dir)
         self._trends = TrendCoordinator(self.archive, [slot.runtime for slot in self._slots.values()])
+        self.captures = self._kept_captures(state_dir)
         self._watcher = threading.Thread(target=self._watch, name="watch", daemon=True)
         self._saver = threading.Thread(target=self._save, name="saver", daemon=True)
 
@@ -70,12 +94,19 @@ class Daemon:
 
         return Recording(h, state_dir, [slot.runtime for slot in self._slots.values()])
 
-    def _slot_for(self, config: DriveConfig, state_dir: Path | None) -> DriveSlot:
-        driver = make_driver(config.driver, config.name, config.options)
+    def _kept_captures(self, state_dir: Path | None) -> CaptureCoordinator | None:
+        """What keeps samples around events, if they are to be kept."""
+        quota = self.config.history.captures_quota_MB
+        if state_dir is None or not self.config.history.enabled or quota <= 0:
+            return None
+        folder = CaptureFolder(state_dir / "captures", quota * 1e6)
+        return CaptureCoordinator(folder, [slot.runtime for slot in self._slots.values()])
+
+    def _slot_for(self, config: DriveConfig, driver: Driver) -> DriveSlot:
         model = self._learning.subscribe(config.name) if config.estimation.refresh else None
 
         def make(wake: Callable[[], None]) -> DriveRuntime:
-            return DriveRuntime(config, driver, state_dir, wake, self._diagnoses, model)
+            return DriveRuntime(config, driver, self._state_dir, wake, self._diagnoses, model, self._ports)
 
         return DriveSlot(make, self._workers.call, self.config.storage.save_interval_s, self._save_now.set)
 
@@ -89,6 +120,11 @@ class Daemon:
         """What was published, for years; None: only the last minutes are kept."""
         return None if self._recording is None else self._recording.archive
 
+    @property
+    def sinks(self) -> Sequence[SinkState]:
+        """The broker and the webhooks, in the order of the configuration."""
+        return [sink.state for sink in self._sinks]
+
     def stopping(self) -> bool:
         """The daemon has been told to stop."""
         return self._stop.is_set()
@@ -98,6 +134,8 @@ class Daemon:
         found = [slot.runtime.problem for slot in self._slots.values()]
         found += [slot.problem for slot in self._slots.values() if self._workers.started]
         found += [None if self._recording is None else self._recording.problem]
+        found += [None if self.captures is None else self.captures.problem]
+        found += [sink.problem for sink in self.sinks]
         return [p for p in found if p is not None]
 
     def start(self) -> None:
@@ -108,6 +146,10 @@ class Daemon:
         if self._recording is not None:
             self._recording.start()
         self._trends.start()
+        if self.captures is not None:
+            self.captures.start()
+        for sink in self._sinks:
+            sink.start()
         for runtime in self.drives.values():
             runtime.reader.start()
 
@@ -119,6 +161,10 @@ class Daemon:
             self._diagnoses.kill()
             self._learning.begin_stop()
             self._trends.begin_stop()
+            if self.captures is not None:
+                self.captures.begin_stop()
+            for sink in self._sinks:
+                sink.begin_stop()
             for slot in self._slots.values():
                 slot.runtime.reader.request_stop()
                 slot.call()
@@ -133,10 +179,94 @@ class Daemon:
             if thread.is_alive():
                 thread.join(max(0.05, deadline - time.monotonic()))
         self._trends.stop(max(0.05, deadline - time.monotonic()))
+        if self.captures is not None:
+            self.captures.stop(max(0.05, deadline - time.monotonic()))
         if self._recording is not None:  # after the workers: with their last rows
             self._recording.stop(max(0.05, deadline - time.monotonic()))
+        for sink in self._sinks:
+            sink.stop(max(0.05, deadline - time.monotonic()))
         self._diagnoses.stop(max(0.05, deadline - time.monotonic()))
         self._learning.stop(max(0.05, deadline - time.monotonic()))
+
+    # -- another configuration -------------------------------------------------------------------------------
+
+    def follow(self, config: Config, changed: Sequence[Change]) -> None:
+        """Go over to another configuration, as far as that is possible without a restart; all of it or nothing.
+
+        Args:
+            changed: what is different.
+
+        Raises:
+            ServoDaemonError: a driver's options are wrong, or another process has the state of a new drive. Nothing has
+                changed then.
+        """
+        again, new, gone = (drives_of(changed, how) for how in _BY_DRIVE)
+        begin = again | new
+        drivers = {d.name: _driver_for(d) for d in config.drive if d.name in begin}
+        self._locks.take(new)
+        self._dismiss([self._slots[name] for name in again | gone])
+        self._locks.release(gone)
+        if self._stop.is_set():
+            return
+        slots = {}
+        for drive in config.drive:
+            if drive.name in begin:
+                slots[drive.name] = self._slot_for(drive, drivers[drive.name])
+            else:
+                slots[drive.name] = self._slots[drive.name]
+                slots[drive.name].runtime.reconfigure(drive)
+        self._slots, self.config = slots, at_work(self.config, config)
+        self._drives_changed()
+        for name in begin:
+            slots[name].runtime.reader.start()
+        self._tell(changed)
+
+    def _drives_changed(self) -> None:
+        """Tell everybody who works for them all."""
+        runtimes = list(self.drives.values())
+        self._workers.slots = tuple(self._slots.values())
+        if self._recording is not None:
+            self._recording.follow(runtimes)
+        self._trends.follow(runtimes)
+        for sink in self._sinks:
+            sink.follow(runtimes)
+        if self.captures is not None:
+            self.captures.follow(runtimes)
+        self._learning.start()
+
+    def _dismiss(self, slots: Sequence[DriveSlot]) -> None:
+        """End these drives: what has come is worked off, what was learned is saved."""
+        for slot in slots:
+            slot.runtime.reader.request_stop()
+        deadline = time.monotonic() + _LEAVE_S
+        for slot in slots:
+            slot.runtime.reader.stop()
+            slot.leave()
+            while not (slot.left.wait(_WATCH_S) or self._stop.is_set()):
+                if time.monotonic() > deadline:
+                    log.warning("drive %s: its last samples are left out: they take too long", slot.runtime.name)
+                    break
+            slot.runtime.save_offered()
+            if slot.runtime.subscription is not None:
+                self._learning.unsubscribe(slot.runtime.subscription)
+
+    def _tell(self, changed: Sequence[Change]) -> None:
+        """Each drive of what concerns it; the log has it already."""
+        for name, runtime in self.drives.items():
+            own = [c.text.removeprefix(f"drive {name}: ") for c in changed if c.drive in (None, name)]
+            if own:
+                text = f"the configuration was read again: {'; '.join(own)}"
+                runtime.log.add("reloaded", text, {"changes": len(own)}, logged=False)
+
+    def begin_reload(self) -> None:
+        """Tell systemd that the configuration is being read again; `end_reload` must follow."""
+        if self._ready:
+            self._notifier.reloading()
+
+    def end_reload(self) -> None:
+        """That is over."""
+        if self._ready and not self._stop.is_set():
+            self._notifier.ready(self._summary())
 
     # -- threads ---------------------------------------------------------------------------------------------
 
@@ -178,3 +308,8 @@ class Daemon:
             tracking = sum(p.status == "tracking" for p in parameters)
             parts.append(f"{name} {snapshot.connection}, {tracking} of {len(parameters)} parameters tracking")
         return "; ".join(parts)
+
+
+def _driver_for(config: DriveConfig) -> Driver:
+    """Raises: ConfigError: its options are wrong."""
+    return make_driver(config.driver, config.name, config.options)

@@ -11,12 +11,15 @@ from pathlib import Path
 
 from drivers.base import DriveInfo, Driver
 from servo_daemon.config import DriveConfig
+from servo_daemon.config.changes import looked_up
 from servo_daemon.daemon.diagnosis.coordinator import DiagnosisCoordinator
 from servo_daemon.daemon.diagnosis.runner import DiagnosisRunner
 from servo_daemon.daemon.drive_parts import line_counters, same_channels, stale
 from servo_daemon.daemon.learning_coordinator import Subscription
 from servo_daemon.daemon.load import LoadWatch
 from servo_daemon.daemon.model_coordinator import ModelCoordinator
+from servo_daemon.daemon.onboard import with_onboard
+from servo_daemon.daemon.ports import Ports
 from servo_daemon.daemon.reader import Link, Reader
 from servo_daemon.daemon.state_keeper import StateKeeper
 from servo_daemon.errors import NumericalError, RefusedError
@@ -57,6 +60,7 @@ class DriveRuntime:
         wake: called when there is work, from the reader's thread.
         runner: of diagnoses, one for all drives.
         subscription: where learned models come from; None: nowhere.
+        ports: that read the drive's line beside others'; None: it has a thread of its own for that.
     """
 
     def __init__(
@@ -67,14 +71,15 @@ class DriveRuntime:
         wake: Callable[[], None],
         runner: DiagnosisRunner | None = None,
         subscription: Subscription | None = None,
+        ports: Ports | None = None,
     ) -> None:
         self.config = config
-        self._subscription = subscription
+        self.subscription = subscription
         self.history = HistoryRing()
         self._keeper = StateKeeper(state_dir, config)
         self.ring = SampleRing(config.estimation.ring_s)
         self.log = EventLog(config.name)
-        self.reader = Reader(driver, wake, self.log.add)
+        self.reader = Reader(driver, wake, self.log.add, ports)
         self._model_changes = ModelCoordinator(config.name, wake)
         self.active = config  # with the model as it is now
         self._pipeline: Pipeline | None = None
@@ -86,6 +91,7 @@ class DriveRuntime:
         self._failures = self._repeated = 0
         self._quiet_until = 0.0
         self._reset_wanted = self._changed = False
+        self._wanted_config: DriveConfig | None = None
         self._was_silent = False
         self._link: Link = self.reader.link
         self._warnings = DriveWarnings(config)
@@ -135,9 +141,18 @@ class DriveRuntime:
         """The last events, oldest first."""
         return self.log.all()
 
+    def samples(self) -> Sequence[SampleBlock]:
+        """The last samples, tick by tick; see `DriveView`."""
+        return self.ring.blocks()
+
     def request_reset(self) -> None:
         """Forget what was learned; carried out by the worker before the next samples."""
         self._reset_wanted = True
+
+    def reconfigure(self, config: DriveConfig) -> None:
+        """Another configuration, whose limits, gains and answers to a diagnosis are to count (`looked_up`); carried out
+        by the worker before the next samples."""
+        self._wanted_config = config
 
     def request_model(self, effects: Sequence[str], start: StartValues) -> Future[ModelChange]:
         """Go over to another model while the drive runs; see `DriveView`."""
@@ -172,6 +187,7 @@ class DriveRuntime:
 
     def work(self) -> bool:
         """Process what has arrived, so much in a round, and publish. Returns whether there were samples."""
+        self._reconfigure()
         was_reset = self._reset_wanted
         if was_reset:
             self._reset()
@@ -224,13 +240,13 @@ class DriveRuntime:
         if pipeline.config is not self.active:
             self._activate(pipeline.config)
             self._changed = True
-        if self._subscription is not None:
-            estimate = self._learn(self._subscription, pipeline, estimate)
+        if self.subscription is not None:
+            estimate = self._learn(self.subscription, pipeline, estimate)
         if estimate is not None:
             estimate, told = self._warnings.update(estimate)
             self.log.tell(told)
             self._diagnoses.watch(estimate)
-        self.estimate = estimate
+        self.estimate = with_onboard(estimate, self.reader.driver.onboard, time.monotonic())
 
     def _learn(self, subscription: Subscription, pipeline: Pipeline, estimate: Estimate | None) -> Estimate | None:
         """Tell the coordinator what is needed, take what has come; the estimate with what is published until then."""
@@ -260,8 +276,8 @@ class DriveRuntime:
             if saved is not None:
                 self._restored(saved)
             self._pipeline = Pipeline(self.active, info, saved, self.ring, self.meaning)
-            if self._subscription is not None:
-                self._subscription.begin_again()
+            if self.subscription is not None:
+                self.subscription.begin_again()
             self._identity, self.info = info.identity, info
         elif info != self.info:
             self._pipeline.learn_info(info)
@@ -291,11 +307,26 @@ class DriveRuntime:
 
     def _activate(self, config: DriveConfig) -> None:
         """From now on this is the drive's configuration: the user's, with another model."""
+        config = looked_up(config, self.config)  # it may have been made before the last `reconfigure`
+        if self._pipeline is not None:
+            self._pipeline.config = config
         if config is self.active:
             return
         self.active = config
         self._diagnoses.model_changed()
         self.log.tell(self._warnings.follow(config))
+
+    def _reconfigure(self) -> None:
+        config, self._wanted_config = self._wanted_config, None
+        if config is None:
+            return
+        before, own = self.active, self.active is self.config
+        self.config = config
+        self.active = config if own else looked_up(before, config)
+        self._keeper.follow(self.config, before, self.active)
+        if self._pipeline is not None:
+            self._pipeline.config = self.active
+        self.log.tell(self._warnings.reconfigure(self.active))
 
     def _fail(self) -> None:
         self._failures += 1

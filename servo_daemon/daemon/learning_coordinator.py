@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from servo_daemon.config import DriveConfig, LearningConfig
+from servo_daemon.config.changes import looked_up
 from servo_daemon.errors import ServoDaemonError
 from servo_daemon.learning.examples.drive import rounded_rate, same_rate
 from servo_daemon.pipeline.training_spec import training_spec
@@ -41,7 +42,8 @@ class _Wanted:
     since_s: float  # monotonic
 
     def serves(self, config: DriveConfig, channels: tuple[str, ...], rate_hz: float) -> bool:
-        return config is self.config and channels == self.channels and same_rate(rate_hz, self.rate_hz)
+        same = config is self.config or looked_up(self.config, config) == config  # but for limits and the like
+        return same and channels == self.channels and same_rate(rate_hz, self.rate_hz)
 
 
 class Subscription:
@@ -102,13 +104,18 @@ class LearningCoordinator:
         self._thread = threading.Thread(target=self._work, name="learning", daemon=True)
 
     def subscribe(self, drive: str) -> Subscription:
-        """The subscription of a drive; before `start`."""
+        """The subscription of a drive; any time."""
         subscription = Subscription(drive)
-        self._subscriptions.append(subscription)
+        self._subscriptions = [*self._subscriptions, subscription]
         return subscription
 
+    def unsubscribe(self, subscription: Subscription) -> None:
+        """The drive has gone."""
+        self._subscriptions = [s for s in self._subscriptions if s is not subscription]
+
     def start(self) -> None:
-        if self._subscriptions:
+        """Again where the first subscriptions have come since."""
+        if self._subscriptions and not self._thread.is_alive():
             self._thread.start()
 
     def begin_stop(self) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import os
 import socket
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -83,6 +84,10 @@ class Notifier:
     def status(self, text: str) -> None:
         """A new line for `systemctl status`."""
         self._send(f"STATUS={text}")
+
+    def reloading(self) -> None:
+        """The configuration is being read again; `ready` tells that it is done."""
+        self._send("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
 
     def watchdog(self) -> None:
         """The pipeline loop turns."""

@@ -1,7 +1,8 @@
 """One reader thread a drive: opens the driver, moves blocks into a bounded queue, reconnects with back-off.
 
-The thread does nothing else, so that a slow moment anywhere else never makes a serial buffer overflow. Every sample
-that is lost here is counted; nothing is dropped silently.
+A line whose bytes wait in the system's buffer is read by the thread that reads all such lines (`daemon/ports.py`), and
+its own sleeps meanwhile. Else the thread does nothing else, so that a slow moment anywhere else never makes a serial
+buffer overflow. Every sample that is lost here is counted; nothing is dropped silently.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from drivers.base import Driver
+from servo_daemon.daemon.ports import Ports
 from servo_daemon.errors import (
     DriverConfigError,
     DriverDisconnectedError,
@@ -115,14 +117,23 @@ class Reader:
         driver: closed; the thread opens and closes it.
         wake: called after each block and each change of the line, from the reader's thread.
         report: called with (kind, message) when the line goes down or comes up, from the reader's thread.
+        ports: that read lines in turn; None: its own thread reads.
     """
 
-    def __init__(self, driver: Driver, wake: Callable[[], None], report: Callable[[str, str], None]) -> None:
+    def __init__(
+        self,
+        driver: Driver,
+        wake: Callable[[], None],
+        report: Callable[[str, str], None],
+        ports: Ports | None = None,
+    ) -> None:
         self.driver = driver
         self.queue = BlockQueue()
         self.reconnects = 0
         self.last_sample: float | None = None  # host monotonic, s
-        self._wake, self._report = wake, report
+        self._wake, self._report, self._ports = wake, report, ports
+        self._released = threading.Event()  # the ports do not read this line any more
+        self._error: Exception | None = None  # why they do not
         self._stop = threading.Event()
         self._was_open = False  # ever
         self._brought = False  # samples came in this attempt
@@ -137,6 +148,7 @@ class Reader:
     def request_stop(self) -> None:
         """Ask the thread to end without waiting for it."""
         self._stop.set()
+        self._released.set()
 
     def stop(self, timeout_s: float = 1.0) -> None:
         """Ask the thread to end and wait for it at most this long; idempotent."""
@@ -186,6 +198,8 @@ class Reader:
         try:
             self.driver.open()
             self._opened()
+            if self._ports is not None and self.driver.is_buffered:
+                self._be_read(self._ports)
             while not self._stop.is_set():
                 if self.driver.can_wait and self.queue.samples > _AHEAD_SAMPLES:
                     self._stop.wait(_LOOK_AGAIN_S)
@@ -210,6 +224,35 @@ class Reader:
             self.driver.close()
             return error
         return None
+
+    def _be_read(self, ports: Ports) -> None:
+        """Sleep while the ports read this line, until something happens to it or the thread is to end.
+
+        Raises:
+            Exception: as `read` of the driver.
+        """
+        self._released.clear()
+        self._error = None
+        if self._stop.is_set():
+            return
+        ports.add(self)
+        self._released.wait()
+        ports.remove(self)
+        if self._error is not None:
+            raise self._error
+
+    def poll(self) -> bool:
+        """Take what has arrived, if something has, without waiting. One thread at a time. Returns whether it may be
+        called again; where not, the line's own thread sees to it."""
+        try:
+            block = self.driver.read(0.0)
+        except Exception as error:
+            self._error = error
+            self._released.set()
+            return False
+        if block is not None:
+            self._take(block)
+        return True
 
     def _opened(self) -> None:
         self._set("connected", None)

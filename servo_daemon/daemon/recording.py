@@ -38,7 +38,7 @@ class Recording:
         database = Database(None if config.url is not None or path is None else Path(path), config.url)
         self.recorder = Recorder(database, levels_of(config), sources, config.quota_MB * 1e6)
         self.archive = StoreArchive(self.recorder)
-        self._stop = threading.Event()
+        self._stop, self._wake = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="history", daemon=True)
 
     @property
@@ -49,9 +49,15 @@ class Recording:
     def start(self) -> None:
         self._thread.start()
 
+    def follow(self, sources: Sequence[Source]) -> None:
+        """These are the drives from now on; of those that have gone what is new is written first."""
+        self.recorder.wanted = sources
+        self._wake.set()
+
     def stop(self, timeout_s: float) -> None:
         """Write what is new once more, and end."""
         self._stop.set()
+        self._wake.set()
         if self._thread.is_alive():
             self._thread.join(timeout_s)
 
@@ -64,5 +70,7 @@ class Recording:
             except Exception:  # an error in the program must end neither the thread nor the daemon
                 log.exception("history: a turn failed")
                 more = False
-            self._stop.wait(0.0 if more else TURN_S)
+            if not (more or last):
+                self._wake.wait(TURN_S)
+                self._wake.clear()
         self.recorder.close()

@@ -35,6 +35,16 @@ class StateKeeper:
         """The file has this model already."""
         self._kept = active
 
+    def follow(self, config: DriveConfig, before: DriveConfig, active: DriveConfig) -> None:
+        """The drive's configuration is another, not its model.
+
+        Args:
+            before, active: with the model as it is now, until now and from now on.
+        """
+        self._config = config
+        if self._kept is before:
+            self._kept = active
+
     def offer(self, identity: str, saved: SavedState | None, active: DriveConfig) -> None:
         """Lay out what is worth keeping.
 

@@ -8,9 +8,9 @@ without locks) nothing is locked: that the state cannot be kept is told elsewher
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterable
 from pathlib import Path
+from types import TracebackType
 from typing import IO
 
 from servo_daemon.errors import ServoDaemonError
@@ -21,24 +21,47 @@ except ImportError:  # not on Windows
     fcntl = None  # type: ignore[assignment]
 
 
-@contextmanager
-def state_locked(directory: Path | None, drives: Iterable[str]) -> Iterator[None]:
-    """The state of these drives is this process's own while the context lasts.
+class StateLocks:
+    """The state of drives is this process's own while their locks are held; at the end of the context all are free.
 
     Args:
         directory: where state files are; None: nothing is kept.
-        drives: their names.
-
-    Raises:
-        ServoDaemonError: another process has that of one of them.
     """
-    with ExitStack() as held:
-        if directory is not None and fcntl is not None:
+
+    def __init__(self, directory: Path | None) -> None:
+        self._directory = directory
+        self._held: dict[str, IO[str] | None] = {}
+
+    def take(self, drives: Iterable[str]) -> None:
+        """All of these or none.
+
+        Raises:
+            ServoDaemonError: another process has that of one of them.
+        """
+        taken: list[str] = []
+        try:
             for drive in drives:
-                file = _locked(directory / f"{drive}.lock", drive)
-                if file is not None:
-                    held.enter_context(file)
-        yield
+                if self._directory is not None and fcntl is not None and drive not in self._held:
+                    self._held[drive] = _locked(self._directory / f"{drive}.lock", drive)
+                    taken.append(drive)
+        except ServoDaemonError:
+            self.release(taken)
+            raise
+
+    def release(self, drives: Iterable[str]) -> None:
+        """They may be another process's."""
+        for drive in drives:
+            file = self._held.pop(drive, None)
+            if file is not None:
+                file.close()
+
+    def __enter__(self) -> StateLocks:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.release(tuple(self._held))
 
 
 def _locked(path: Path, drive: str) -> IO[str] | None:

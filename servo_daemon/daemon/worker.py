@@ -1,10 +1,11 @@
 """The threads that turn the drives' pipelines: one for all of them, and one more for each drive that takes long.
 
-The thread that all share is woken by the readers' blocks, which come some 25 times a second, and takes what has queued
-up for each drive in one go: eight drives cost 20 % less so than with a thread each. A drive whose turn takes long (a
-plant that is compiled, a start or a jump filtered again, a slow engine) keeps the thread that it is in, and another
-goes on with the rest. Compiled code and CasADi release the interpreter, and plain Python gives it up every few
-milliseconds, so that the others do turn meanwhile.
+The thread that all share reads the lines that need no thread of their own (`daemon/ports.py`), is woken by the blocks
+of the others, which come some 25 times a second, and takes what has queued up for each drive in one go: eight drives
+cost 20 % less so than with a thread each. A drive whose turn takes long (a plant that is compiled, a start or a jump
+filtered again, a slow engine) keeps the thread that it is in, and another goes on with the rest. Compiled code and
+CasADi release the interpreter, and plain Python gives it up every few milliseconds, so that the others do turn
+meanwhile.
 """
 
 from __future__ import annotations
@@ -15,14 +16,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from servo_daemon.daemon.drive import DriveRuntime
+from servo_daemon.daemon.ports import Ports
 
 #: With several drives the shared thread waits so long for the others' blocks once one has come, s: fewer turns. Not
 #: beside a drive that takes long: then it waits for the interpreter often enough.
 _GATHER_S = 0.015
 #: Without any block drives are turned all the same, to see that one has fallen silent and to carry out requests, s.
 _IDLE_TURN_S = 0.1
-#: A turn beyond this is long, s: with `daemon._WATCH_S` others wait for 35 ms at most.
-LONG_TURN_S = 0.015
+#: A turn beyond this is long, s of CPU time: with `daemon._WATCH_S` others wait for 35 ms at most. (By the wall clock
+#: every turn is long where other programs, or threads of this one, have the processor; then all drives had a thread
+#: each, which waited for each other.) One that waits for something (a compiler, a lock) is long after so long, s.
+LONG_TURN_S, LONG_WAIT_S = 0.015, 0.25
 #: A drive without a long turn for so long goes back to the others, s.
 _QUICK_S = 1.0
 #: A drive that has not turned for this long is a problem the API reports, s.
@@ -40,6 +44,7 @@ class DriveSlot:
         owner: the thread that works for this drive alone; None: the shared one does.
         turned: when it last did, host monotonic, s.
         has_worked: samples have been worked off.
+        left: the drive has gone, and what it knew is laid out to be saved.
     """
 
     def __init__(
@@ -53,7 +58,8 @@ class DriveSlot:
         self._save_interval_s, self._save = save_interval_s, save
         self.owner: threading.Thread | None = None
         self.turned = self._next_save = time.monotonic()
-        self.has_worked = False
+        self.has_worked = self._leaving = False
+        self.left = threading.Event()
         self.runtime = make(self.call)
 
     def call(self) -> None:
@@ -61,12 +67,24 @@ class DriveSlot:
         self.wake.set()
         self._wake_all()
 
+    def leave(self) -> None:
+        """The drive is to go: its reader has ended. Any thread; `left` tells when what had come is worked off."""
+        self._leaving = True
+        self.call()
+
     def turn(self) -> None:
         """A round of the drive's work, and time and again what it knows laid out to be saved."""
+        if self.left.is_set():
+            return
+        leaving = self._leaving  # looked at before: then everything that will come is in the queue
         self.has_worked |= self.runtime.work()
         self.turned = time.monotonic()
         if self.runtime.reader.queue.samples:
             self.call()
+        elif leaving:
+            self.offer()
+            self.left.set()
+            return
         if self.turned >= self._next_save:
             self._next_save = self.turned + self._save_interval_s
             self.offer()
@@ -95,10 +113,33 @@ class DriveSlot:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Turn:
-    """Of the shared thread, under way."""
+    """Under way.
+
+    Attributes:
+        clock: the CPU time of its thread; None: this system has none that others can read (macOS, Windows).
+        began_s, cpu_began_s: host monotonic, and CPU time.
+    """
 
     slot: DriveSlot
+    clock: int | None
     began_s: float
+    cpu_began_s: float
+
+    @classmethod
+    def begun(cls, slot: DriveSlot) -> _Turn:
+        """In this thread, now."""
+        clock = time.pthread_getcpuclockid(threading.get_ident()) if hasattr(time, "pthread_getcpuclockid") else None
+        return cls(slot, clock, time.monotonic(), 0.0 if clock is None else time.clock_gettime(clock))
+
+    @property
+    def is_long(self) -> bool:
+        """Any thread, while that of the turn lives."""
+        waited = time.monotonic() - self.began_s
+        if waited < LONG_TURN_S:
+            return False
+        if self.clock is None or self.slot.runtime.preparing or waited >= LONG_WAIT_S:
+            return True
+        return time.clock_gettime(self.clock) - self.cpu_began_s >= LONG_TURN_S
 
 
 class Workers:
@@ -106,11 +147,16 @@ class Workers:
 
     Args:
         stop: set when they are to end.
+        ports: that the shared thread reads; None: there are none.
+
+    Attributes:
+        slots: may be exchanged while they work.
     """
 
-    def __init__(self, stop: threading.Event) -> None:
+    def __init__(self, stop: threading.Event, ports: Ports | None = None) -> None:
         self.slots: Sequence[DriveSlot] = ()
         self._stop, self._wake, self._lock = stop, threading.Event(), threading.Lock()
+        self._ports = Ports() if ports is None else ports
         self._turn: _Turn | None = None
         self._shared: threading.Thread | None = None
         self._threads: list[threading.Thread] = []
@@ -141,7 +187,9 @@ class Workers:
     def look(self) -> None:
         """Where a turn takes long, let another thread go on with the other drives. Any thread."""
         turn = self._turn
-        if turn is None or time.monotonic() - turn.began_s < LONG_TURN_S or len(self.slots) == 1:
+        if turn is None or not turn.is_long:
+            return
+        if len(self.slots) == 1 and not len(self._ports):  # nobody waits
             return
         with self._lock:
             if self._turn is not turn or self._stop.is_set():
@@ -157,9 +205,10 @@ class Workers:
 
     def _work_for_all(self) -> None:
         while not self._stop.is_set():
-            self._wake.wait(_IDLE_TURN_S)
-            if len(self.slots) > 1 and all(slot.owner is None for slot in self.slots):
+            called = self._wake.wait(self._ports.wait_s(_IDLE_TURN_S))
+            if called and len(self.slots) > len(self._ports) + 1 and all(slot.owner is None for slot in self.slots):
                 self._stop.wait(_GATHER_S)
+            self._ports.read()
             self._wake.clear()
             for slot in self.slots:
                 if slot.owner is None and not self._is_back_after(slot):
@@ -171,7 +220,7 @@ class Workers:
 
     def _is_back_after(self, slot: DriveSlot) -> bool:
         """Turn a drive. Returns whether this is the shared thread still."""
-        self._turn = _Turn(slot, time.monotonic())
+        self._turn = _Turn.begun(slot)
         slot.turn()
         with self._lock:
             self._turn = None if slot.owner is None else self._turn
@@ -181,15 +230,16 @@ class Workers:
         """Alone, until its turns are no longer long."""
         threading.current_thread().name = f"pipeline-{slot.runtime.name}"
         last_long = time.monotonic()
-        while not self._stop.is_set():
+        while not self._stop.is_set() and not slot.left.is_set():
             slot.wake.wait(_IDLE_TURN_S)
             slot.wake.clear()
-            began = time.monotonic()
+            turn = _Turn.begun(slot)
             slot.turn()
-            if slot.turned - began >= LONG_TURN_S:
+            if turn.is_long:
                 last_long = slot.turned
             elif slot.turned - last_long >= _QUICK_S:
                 slot.owner = None
                 self._wake.set()
                 return
-        slot.offer()
+        if not slot.left.is_set():
+            slot.offer()

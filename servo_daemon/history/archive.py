@@ -13,9 +13,9 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from servo_daemon.history.blocks import drive_id, read_blocks
 from servo_daemon.history.database import describe
-from servo_daemon.history.events import read_documents, read_events
+from servo_daemon.history.events import read_document, read_documents, read_events
 from servo_daemon.history.levels import Level, choose
-from servo_daemon.history.recorder import Recorder, Source
+from servo_daemon.history.recorder import Recorder
 from servo_daemon.history.tables import BLOCK
 from servo_daemon.published.archive import ArchiveUnavailableError, Counts, Document, EventPage, Span
 from servo_daemon.published.buckets import Buckets
@@ -94,7 +94,7 @@ class StoreArchive:
             )
 
         def ask(connection: sa.Connection, number: int | None, _fresh: Buckets) -> EventPage:
-            source = self._source(drive)
+            source = next(s for s in self.recorder.sources if s.name == drive)
             newest = () if before is not None else source.log.since(self.recorder.marks[drive].event)[1]
             late = tuple(e for e in newest if wanted(e))[-limit:]
             if number is None:
@@ -110,8 +110,9 @@ class StoreArchive:
         """See `Archive`."""
         return self._ask(drive, lambda c, number, _: () if number is None else read_documents(c, number, kind, limit))
 
-    def _source(self, drive: str) -> Source:
-        return next(s for s in self.recorder.sources if s.name == drive)
+    def document(self, drive: str, kind: str, number: int) -> Document | None:
+        """See `Archive`."""
+        return self._ask(drive, lambda c, n, _: None if n is None else read_document(c, n, kind, number))
 
     def _ask(self, drive: str, question: Callable[[sa.Connection, int | None, Buckets], Found]) -> Found:
         """Asked of one drive, with the rows that are not in the database yet."""
@@ -122,8 +123,10 @@ class StoreArchive:
             with engine.connect() as connection:
                 lock: AbstractContextManager[object] = self.recorder.lock
                 with lock:
-                    mark = self.recorder.marks[drive]
-                    fresh = of_ring(self._source(drive).history.since(mark.row))
+                    source = next((s for s in self.recorder.sources if s.name == drive), None)
+                    if source is None:
+                        raise ArchiveUnavailableError(f"the history of {drive} begins in a moment")
+                    fresh = of_ring(source.history.since(self.recorder.marks[drive].row))
                     return question(connection, drive_id(connection, drive), fresh)
         except SQLAlchemyError as error:
             raise ArchiveUnavailableError(f"the history cannot be read: {describe(error)}") from error

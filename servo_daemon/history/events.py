@@ -57,8 +57,17 @@ def add_document(connection: sa.Connection, drive: int, time_s: float, kind: str
 def read_documents(connection: sa.Connection, drive: int, kind: str, limit: int) -> tuple[Document, ...]:
     """The last of that kind, oldest first."""
     c = DOCUMENT.c
-    query = sa.select(c.time, c.kind, c.body).where(c.drive == drive, c.kind == kind).order_by(c.id.desc()).limit(limit)
-    return tuple(Document(r.time, r.kind, json.loads(r.body)) for r in reversed(connection.execute(query).all()))
+    query = sa.select(c.id, c.time, c.kind, c.body).where(c.drive == drive, c.kind == kind)
+    found = connection.execute(query.order_by(c.id.desc()).limit(limit)).all()
+    return tuple(Document(r.id, r.time, r.kind, json.loads(r.body)) for r in reversed(found))
+
+
+def read_document(connection: sa.Connection, drive: int, kind: str, number: int) -> Document | None:
+    """The one of that number."""
+    c = DOCUMENT.c
+    query = sa.select(c.id, c.time, c.kind, c.body).where(c.id == number, c.drive == drive, c.kind == kind)
+    r = connection.execute(query).first()
+    return None if r is None else Document(r.id, r.time, r.kind, json.loads(r.body))
 
 
 def _finite(data: Mapping[str, float | int | str | None]) -> dict[str, Any]:

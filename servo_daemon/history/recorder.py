@@ -19,13 +19,13 @@ from sqlalchemy.exc import SQLAlchemyError
 from servo_daemon.errors import ServoDaemonError
 from servo_daemon.history.blocks import BlockWriter, drive_id
 from servo_daemon.history.database import Database, describe, is_broken
-from servo_daemon.history.events import add_document, add_events
+from servo_daemon.history.events import add_document, add_events, read_documents
 from servo_daemon.history.levels import Level
 from servo_daemon.published.archive import Counts
 from servo_daemon.published.diagnosis_state import DiagnosisView
 from servo_daemon.published.history import HistoryRing
 from servo_daemon.published.memory import of_ring
-from servo_daemon.published.snapshot import Event
+from servo_daemon.published.sinks import EventSource
 
 log = logging.getLogger(__name__)
 
@@ -41,13 +41,6 @@ _CLOCK_PROVEN_S: Final = 3600.0
 _CLOCK_AGREES_S: Final = 60.0
 #: Over the quota so much of the largest level goes at a time, as a share.
 _SHORTEN_BY: Final = 0.05
-
-
-class EventSource(Protocol):
-    """A drive's events, numbered as they come."""
-
-    def since(self, number: int) -> tuple[int, Sequence[Event]]:
-        """How many there have been ever, and those from that number on that are still kept."""
 
 
 class Source(Protocol):
@@ -81,6 +74,7 @@ class Recorder:
     `marks` follow: who holds it sees each row either in the database or after its mark.
 
     Attributes:
+        wanted: the drives from the next turn on that leaves nothing to be written; any thread may exchange them.
         problem: why nothing is written now, in words; None: it is.
     """
 
@@ -101,6 +95,7 @@ class Recorder:
     def __post_init__(self) -> None:
         self._blocks = BlockWriter(self.levels)
         self.marks = {source.name: Mark() for source in self.sources}
+        self.wanted = self.sources
 
     def turn(self, wall_s: float, monotonic_s: float) -> bool:
         """Write what is new; whether there is more to be written at once. Never raises: a fault is told in `problem`.
@@ -112,6 +107,8 @@ class Recorder:
             return False
         try:
             more = self._write(wall_s)
+            if not more and self.wanted is not self.sources:
+                self._change_sources(self.wanted)
             self._look_after(wall_s, monotonic_s)
         except (SQLAlchemyError, OSError, ServoDaemonError) as error:
             self._fail(error, monotonic_s)
@@ -145,6 +142,14 @@ class Recorder:
                 transaction.commit()
                 self.marks, self.counts = marks, counts
         return more
+
+    def _change_sources(self, wanted: Sequence[Source]) -> None:
+        before = {source.name: source for source in self.sources}
+        with self._opened().begin() as connection:
+            ids = {s.name: drive_id(connection, s.name, make=True) or 0 for s in wanted}
+        with self.lock:
+            self._ids, self.sources = ids, wanted
+            self.marks = {s.name: self.marks[s.name] if before.get(s.name) is s else Mark() for s in wanted}
 
     def _write_drive(
         self, connection: sa.Connection, source: Source, counts: Counts, wall_s: float
@@ -204,14 +209,18 @@ class Recorder:
 
 
 def _write_documents(connection: sa.Connection, drive: int, source: Source, mark: Mark, wall_s: float) -> Mark:
-    """A diagnosis that is done now, a model that is another now."""
+    """A diagnosis that is done now, a model that is another now; after a start than those that were written last."""
     diagnosis = source.diagnosis.diagnosis
+    if diagnosis.status == "done" and mark.diagnosed is None:
+        mark = replace(mark, diagnosed=next((d.time for d in read_documents(connection, drive, "diagnosis", 1)), None))
     if diagnosis.status == "done" and diagnosis.finished not in {None, mark.diagnosed}:
         body: dict[str, Any] = {"trigger": diagnosis.trigger, "model": diagnosis.model, "result": diagnosis.result}
         add_document(connection, drive, diagnosis.finished or wall_s, "diagnosis", body)
         mark = replace(mark, diagnosed=diagnosis.finished)
-    if source.model != mark.model:
-        if mark.model is not None:
-            add_document(connection, drive, wall_s, "model", {"effects": source.model, "before": mark.model})
+    if mark.model is None and source.history.rows:  # before its first row a drive may not have its last model back
+        last = read_documents(connection, drive, "model", 1)
+        mark = replace(mark, model=tuple(last[0].body["effects"]) if last else source.model)
+    if mark.model is not None and source.model != mark.model:
+        add_document(connection, drive, wall_s, "model", {"effects": source.model, "before": mark.model})
         mark = replace(mark, model=source.model)
     return mark

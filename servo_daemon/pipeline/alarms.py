@@ -73,13 +73,18 @@ class Alarms:
                 messages.append(_message("alarm_cleared", limit, p, p.value, estimate.time_s))
         return messages
 
-    def follow(self, before: Alarms) -> list[Message]:
-        """Take the place of alarms of another model: what rings goes on ringing. Returns what there is to tell."""
+    def follow(self, before: Alarms, why: str = "the model has changed") -> list[Message]:
+        """Take the place of alarms of another model, or of other limits: what rings goes on ringing until the next
+        estimate. Returns what there is to tell.
+
+        Args:
+            why: those end that are no more, in words.
+        """
         names = {limit.name for limit in self._limits}
         self._active = before._active & names
         told = {data["alarm"] for _, _, data in before.impossible}
         before._active -= names
-        ended = before.forget("the model has changed")
+        ended = before.forget(why)
         return [*ended, *(m for m in self.impossible if m[2]["alarm"] not in told)]
 
     def forget(self, why: str) -> list[Message]:

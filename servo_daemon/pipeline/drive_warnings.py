@@ -45,6 +45,15 @@ class DriveWarnings:
         before, self._alarms = self._alarms, Alarms(config)
         return self._alarms.follow(before)
 
+    def reconfigure(self, config: DriveConfig) -> list[Message]:
+        """The drive has other limits or gains: what rings goes on ringing, the margins are looked at anew."""
+        why = "the configuration has changed"
+        ended = self._margins.forget(why)
+        alarms, started = self._alarms, DriveWarnings(config)
+        self._alarms, self._margins = started._alarms, started._margins
+        told = self._alarms.follow(alarms, why)
+        return [*ended, *told, *(m for m in started.at_start if m[0] == "margin_impossible")]
+
     def forget(self, why: str) -> list[Message]:
         """What they were about is no longer known.
 

@@ -33,9 +33,22 @@ class EventLog:
         self._number = 0  # of events there have ever been
         self._lock = threading.Lock()
 
-    def add(self, kind: str, message: str, data: Mapping[str, float | int | str | None] | None = None) -> None:
-        level = logging.WARNING if kind in _WARNINGS else logging.INFO
-        log.log(level, "drive %s: %s", self._drive, message)
+    def add(
+        self,
+        kind: str,
+        message: str,
+        data: Mapping[str, float | int | str | None] | None = None,
+        *,
+        logged: bool = True,
+    ) -> None:
+        """
+        Args:
+            logged: False: its words stand in the log already.
+        """
+        if logged:
+            level = logging.WARNING if kind in _WARNINGS else logging.INFO
+            fields = {**(data or {}), "drive": self._drive, "event": kind}  # for the journal
+            log.log(level, "drive %s: %s", self._drive, message, extra={"fields": fields})
         with self._lock:
             self._events.append(Event(time.time(), kind, message, data or {}))
             self._number += 1

@@ -80,6 +80,11 @@ class Pipeline:
         """The drive's configuration with the model as it is now."""
         return self._config
 
+    @config.setter
+    def config(self, config: DriveConfig) -> None:
+        """Another one that is the same to the estimators."""
+        self._config = config
+
     @property
     def channels(self) -> tuple[str, ...]:
         """Of the last samples; empty before the first."""

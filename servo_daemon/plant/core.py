@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,6 +14,9 @@ from servo_daemon.plant import equations, flow
 #: substeps (an RE 40, 0.2 to 1.2 rad of a ripple in a substep): as exact as undamped, and where the winding settles
 #: within a substep no worse than without the term.
 FADES = 40.0
+
+#: φ_0, φ_1, φ_2 of a 2 × 2 matrix.
+Phi = Callable[[ca.SX], tuple[flow.MatrixFunction, flow.MatrixFunction, flow.MatrixFunction]]
 
 #: What is held over a step and drives the model. Without a voltage signal the measured current is the input.
 Drive = Literal["voltage", "current", "torque"]
@@ -49,14 +52,17 @@ class Turning:
     moment: ca.SX
 
 
-def linear_core(drive: Drive, x: ca.SX, p: Mapping[str, ca.SX], h: ca.SX, turning: Turning | None = None) -> Core:
+def linear_core(
+    drive: Drive, x: ca.SX, p: Mapping[str, ca.SX], h: ca.SX, turning: Turning | None = None, phi: Phi = flow.phi_matrix
+) -> Core:
     """The core of the drive's states, (i, ω, θ) or (ω, θ).
 
     Args:
+        phi: of a 2 × 2 matrix; needed with a voltage.
         turning: of K about its mean, which is in p; without a voltage it only moves the angle, to third order in h.
     """
     if drive == "voltage":
-        return _voltage_core(x, p, h, turning)
+        return _voltage_core(x, p, h, turning, phi)
     return _mechanical_core(x, p, h, p["K"] if drive == "current" else ca.SX(1))
 
 
@@ -76,14 +82,14 @@ def _electromechanical(p: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
     return ca.jacobian(rates, ca.vertcat(i, omega)), ca.jacobian(rates, ca.vertcat(v, tau))
 
 
-def _voltage_core(x: ca.SX, p: Mapping[str, ca.SX], h: ca.SX, turning: Turning | None) -> Core:
+def _voltage_core(x: ca.SX, p: Mapping[str, ca.SX], h: ca.SX, turning: Turning | None, phi: Phi) -> Core:
     """(i, ω, θ) by the 2 × 2 exponential."""
     A, B = _electromechanical(p)
     to_angle = ca.SX([[0, 1]])
     if turning is not None:
         A, B, to_angle = _turned(A, B, _of_constant(p, turning), h)
     Z, b = A * h, B * h
-    exp, phi1, phi2 = flow.phi_matrix(Z)
+    exp, phi1, phi2 = phi(Z)
     electromechanical = x[:2]
     free = ca.vertcat(
         flow.apply(exp, Z, electromechanical), x[2] + h * to_angle @ flow.apply(phi1, Z, electromechanical)

@@ -24,8 +24,9 @@ class EventPage:
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """Something kept whole: `time` is UTC seconds since the epoch, `kind` "diagnosis" or "model"."""
+    """Something kept whole: `number` is its own, `time` UTC seconds since the epoch, `kind` "diagnosis" or "model"."""
 
+    number: int
     time: float
     kind: str
     body: Mapping[str, Any]
@@ -90,3 +91,6 @@ class Archive(Protocol):
 
     def documents(self, drive: str, kind: str, limit: int) -> Sequence[Document]:
         """The last diagnoses or models, oldest first."""
+
+    def document(self, drive: str, kind: str, number: int) -> Document | None:
+        """One of them; None: there is none of that number."""

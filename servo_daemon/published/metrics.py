@@ -8,6 +8,7 @@ from typing import Final, get_args
 
 from servo_daemon.published.diagnosis_state import DiagnosisStatus
 from servo_daemon.published.exposition import Exposition, unit_words
+from servo_daemon.published.sinks import SinkState
 from servo_daemon.published.snapshot import Connection, Estimate, ParameterEstimate, Snapshot, Status
 from servo_daemon.published.trends import DAY_S
 from servo_daemon.published.units import split_unit
@@ -69,6 +70,8 @@ def render_metrics(daemon: DaemonView) -> str:
     if daemon.archive is not None:
         for name, help_text in _HISTORY_HELP.items():
             out.add(f"{_PREFIX}history_{name}_total", "counter", help_text, getattr(daemon.archive.counts, name))
+    for sink in daemon.sinks:
+        _add_sink(out, sink)
     for drive in daemon.drives.values():
         snapshot = drive.snapshot()
         _add_drive(out, drive.name, drive.driver, snapshot)
@@ -77,6 +80,17 @@ def render_metrics(daemon: DaemonView) -> str:
         if snapshot.estimate is not None:
             _add_estimate(out, drive.name, snapshot.estimate, set(snapshot.counters))
     return out.render()
+
+
+def _add_sink(out: Exposition, sink: SinkState) -> None:
+    of = {"sink": sink.name}
+    text = "1 while the broker or webhook can be reached; absent before the first attempt."
+    out.add(_PREFIX + "sink_connected", "gauge", text, sink.connected, **of)
+    out.add(_PREFIX + "sink_waiting", "gauge", "Events and states that wait for it.", sink.waiting, **of)
+    out.add(_PREFIX + "sink_sent_total", "counter", "Messages that have arrived there.", sink.sent, **of)
+    text = "Events and states that were given up: the buffer was full, or they were refused."
+    out.add(_PREFIX + "sink_dropped_total", "counter", text, sink.dropped, **of)
+    out.add(_PREFIX + "sink_reconnects_total", "counter", "Times it could be reached again.", sink.reconnects, **of)
 
 
 def _add_drive(out: Exposition, drive: str, driver: str, snapshot: Snapshot) -> None:

@@ -16,8 +16,11 @@ from servo_daemon.published.archive import Archive
 from servo_daemon.published.diagnosis_state import DiagnosisView
 from servo_daemon.published.history import HistoryRing
 from servo_daemon.published.knowledge import LoopFacts
+from servo_daemon.published.recorded import Captures
+from servo_daemon.published.sinks import SinkState
 from servo_daemon.published.snapshot import AlarmLimit, Event, ParameterEstimate, Snapshot
 from servo_daemon.published.trends import DriveTrends
+from servo_daemon.samples import SampleBlock
 
 #: Value (a choice by its name) and 1 σ (None: not known) of parameters, in their units.
 StartValues = Mapping[str, tuple[float | str, float | None]]
@@ -78,6 +81,9 @@ class DriveView(Protocol):
     def events(self) -> Sequence[Event]:
         """The last events, oldest first, a bounded number; a copy or immutable."""
 
+    def samples(self) -> Sequence[SampleBlock]:
+        """The last samples as the estimators saw them (`[drive.estimation] ring_s`), tick by tick, oldest first."""
+
     def request_reset(self) -> None:
         """Ask the pipeline to forget what it learned and start from nominal; returns before it is done."""
 
@@ -123,11 +129,19 @@ class DaemonView(Protocol):
 
     @property
     def drives(self) -> Mapping[str, DriveView]:
-        """Drives by name, in the order of the configuration; fixed while the daemon runs."""
+        """Drives by name, in the order of the configuration; a reload of that exchanges the whole mapping."""
 
     @property
     def archive(self) -> Archive | None:
         """What was published, for years; None: only the last minutes are kept."""
+
+    @property
+    def captures(self) -> Captures | None:
+        """Kept recordings; None: none are kept."""
+
+    @property
+    def sinks(self) -> Sequence[SinkState]:
+        """The broker and the webhooks that are sent to, in the order of the configuration."""
 
     def problems(self) -> Sequence[str]:
         """What is wrong with the daemon itself, in words (a pipeline that does not turn, a state directory that

@@ -311,6 +311,8 @@ class PlantTracker(Tracker):
         """Whether the first samples have just been re-linearised, and the filter goes on from what that came to."""
         if self._relinearisation.update(self._ticks, self.watch.white, self.sample_period_s or 0.0):
             return True
+        if self._relinearisation.is_open:
+            return False
         if not self._likelihood_restart.update(self._ticks, self.excitation.scales, self._divergence):
             return False
         self._validity.begin_anew(follows=True)
@@ -322,7 +324,7 @@ class PlantTracker(Tracker):
         explain that best."""
         if self._stretches.alike("current_A"):
             return None
-        settled = self._ticks >= _TICKS_TO_JUDGE and not self._relinearisation.pending
+        settled = self._ticks >= _TICKS_TO_JUDGE and not self._relinearisation.is_open
         return settled and stretch.complete and bool((self.qualification.qualified & self._masks.published).any())
 
     def _believed(self, stretch: Stretch, action: jumps.Action) -> Stretch:
@@ -337,7 +339,7 @@ class PlantTracker(Tracker):
 
     def _tick(self, sampling: Sampling, fresh: bool) -> Tick:
         return Tick(
-            settled=self._ticks >= _TICKS_TO_WATCH and not self._relinearisation.pending,
+            settled=self._ticks >= _TICKS_TO_WATCH and not self._relinearisation.is_open,
             open=self._jumps.is_open,
             explained=self._jumps.watch.calm,
             white=self.watch.white,

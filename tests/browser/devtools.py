@@ -120,6 +120,11 @@ class Page:
             }
             self.command("Input.dispatchMouseEvent", {**event, "clickCount": 1})
 
+    def click(self, x: float, y: float) -> None:
+        for kind in ("mousePressed", "mouseReleased"):
+            event = {"type": kind, "x": x, "y": y, "button": "left", "clickCount": 1}
+            self.command("Input.dispatchMouseEvent", event)
+
     def picture(self, path: Path) -> None:
         """The whole page as a PNG."""
         size = self.command("Page.getLayoutMetrics")["cssContentSize"]

@@ -28,7 +28,7 @@ PATIENCE_S = 60.0
 STOP_S = 2.0
 
 LINEAR = tuple(PAPER_MOTOR)
-_ADDRESS = re.compile(r"API and dashboard on (http://\S+)/$")
+_ADDRESS = re.compile(r"API and dashboard on (https?://\S+)/$")
 
 
 def wait_for(probe: Callable[[], T | None], what: str, limit_s: float = PATIENCE_S, every_s: float = 0.02) -> T:
@@ -72,14 +72,14 @@ def run_once(
 class Program:
     """A running command; its stderr is collected line by line."""
 
-    def __init__(self, *words: str | Path, env: Mapping[str, str] | None = None) -> None:
+    def __init__(self, *words: str | Path, env: Mapping[str, str] | None = None, stdin: int | None = None) -> None:
         self._lines: list[str] = []
         self.process = subprocess.Popen(
             command(*words),
             cwd=ROOT,
             env=dict(env or environment()),
             text=True,
-            stdin=subprocess.DEVNULL,
+            stdin=subprocess.DEVNULL if stdin is None else stdin,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
         )
@@ -128,10 +128,11 @@ class Program:
 class DaemonProgram(Program):
     """`servo-daemon run`, up as soon as its API answers."""
 
-    def __init__(self, *words: str | Path, env: Mapping[str, str] | None = None) -> None:
-        super().__init__("run", "--port", "0", *words, env=env)
+    def __init__(self, *words: str | Path, env: Mapping[str, str] | None = None, stdin: int | None = None) -> None:
+        super().__init__("run", "--port", "0", *words, env=env, stdin=stdin)
         self.url = wait_for(self._address, "the daemon says where its API is")
-        self.client = httpx.Client(base_url=self.url, trust_env=False, timeout=PATIENCE_S)
+        # Certificates here are of the tests' own making, and none is looked at over plain HTTP.
+        self.client = httpx.Client(base_url=self.url, trust_env=False, timeout=PATIENCE_S, verify=False)
 
     def _address(self) -> str | None:
         for line in self.log:
@@ -193,11 +194,13 @@ class DaemonProgram(Program):
 
 
 @contextlib.contextmanager
-def daemon(*words: str | Path, env: Mapping[str, str] | None = None) -> Iterator[DaemonProgram]:
+def daemon(
+    *words: str | Path, env: Mapping[str, str] | None = None, stdin: int | None = None
+) -> Iterator[DaemonProgram]:
     """A running daemon; its log is shown when the test fails in it."""
     program: DaemonProgram | None = None
     try:
-        program = DaemonProgram(*words, env=env)
+        program = DaemonProgram(*words, env=env, stdin=stdin)
         yield program
     finally:
         if program is not None:

@@ -1,8 +1,9 @@
-"""A Debian with a real systemd as process 1, in a container, with servo-daemon installed as a user installs it.
+"""A Debian with a real systemd as process 1, in a container, with servo-daemon's package built and installed in it.
 
-Two layers. The installed system is kept in the user's cache between runs (debootstrap once, then `make install` from
-this source tree, which takes seconds when the lock is the same). What is booted is an overlay over it in memory, with
-nothing but a loopback network: no run sees anything of another. Needs root; registers nothing with the host's systemd.
+Two layers. The system is kept in the user's cache between runs (debootstrap once, then `make deb` from this source
+tree, which takes seconds when the lock is the same). What is booted is an overlay over it in memory, with nothing but
+a loopback network: no run sees anything of another. Only /opt is the cache's own, for it is large: each run installs it
+anew. Needs root; registers nothing with the host's systemd.
 """
 
 from __future__ import annotations
@@ -24,15 +25,54 @@ T = TypeVar("T")
 
 SUITE = "bookworm"
 #: Debian 12 has Python 3.11, the oldest that we support. The compiler: compiled plants are loaded inside the sandbox.
-PACKAGES = ("systemd", "systemd-sysv", "dbus", "udev", "make", "python3", "python3-venv", "gcc", "libc6-dev")
+#: debhelper builds the package.
+PACKAGES = "systemd,systemd-sysv,dbus,udev,make,python3,python3-venv,gcc,libc6-dev,debhelper"
 UNIT = "servo-daemon"
+SOURCE = "/usr/src/servo-daemon"
+#: In the container: what `make deb` has made, the same with a lower version, and the same without the packages of the
+#: lock, which are not ours to be found fault with.
+NEW, OLD, OWN = (f"{SOURCE}/build/{name}.deb" for name in ("new", "old", "own"))
+OLD_VERSION = "0.0.1"
+#: Nobody starts a service here, nothing runs: as whoever makes an image for many machines installs it.
+_PACKAGES_SCRIPT = f"""
+cd {SOURCE}
+rm -f build/*.deb
+make deb
+mv build/{UNIT}_*.deb {NEW}
+tree=build/deb/tree/debian/{UNIT}
+pack() {{ dpkg-deb --root-owner-group -Z$1 --build $tree $2; }}
+version() {{ sed -i "s/^Version: .*/Version: $1/" $tree/DEBIAN/control; }}
+version {OLD_VERSION}
+pack none {OLD}
+version "$(dpkg-deb --field {NEW} Version)"
+rm -rf $tree/opt/{UNIT}/.venv/lib
+sed -i '/\\.venv\\/lib/d' $tree/DEBIAN/md5sums
+pack gzip {OWN}
+dpkg --purge {UNIT}
+dpkg --install --force-unsafe-io {OLD}
+"""
+#: Prints what an address answers, a refusal too.
+_GET = """
+import sys, urllib.error, urllib.request
+request = urllib.request.Request(sys.argv[1], headers={"Authorization": f"Bearer {sys.argv[2]}"} if sys.argv[2] else {})
+try:
+    answer = urllib.request.urlopen(request, timeout=5)
+except urllib.error.HTTPError as error:
+    answer = error
+sys.stdout.write(answer.read().decode())
+"""
 _NSPAWN = ("systemd-nspawn", "--quiet", "--register=no", "--keep-unit", "--private-network", "--console=pipe")
 
 
 class Machine:
-    """A booted container. Commands run in it as root, through the namespaces of its process 1."""
+    """A booted container. Commands run in it as root, through the namespaces of its process 1.
+
+    Attributes:
+        at_boot: what the boot has made of the service, for whoever looks first to write down.
+    """
 
     def __init__(self, leader: int) -> None:
+        self.at_boot: dict[str, str] = {}
         self._enter = ["nsenter", "--target", str(leader), "--mount", "--uts", "--ipc", "--net", "--pid", "--root"]
 
     def run(self, *command: str, stdin: str = "", check: bool = True) -> str:
@@ -59,10 +99,9 @@ class Machine:
     def forget_journal(self) -> None:
         self.run("journalctl", "--rotate", "--vacuum-time=1us")
 
-    def get(self, path: str) -> Any:
+    def get(self, path: str, token: str = "") -> Any:
         """A JSON document of the daemon's API."""
-        code = "import sys, urllib.request as r; sys.stdout.write(r.urlopen(sys.argv[1], timeout=5).read().decode())"
-        return json.loads(self.run("python3", "-c", code, f"http://127.0.0.1:8077{path}"))
+        return json.loads(self.run("python3", "-c", _GET, f"http://127.0.0.1:8077{path}", token))
 
     def write(self, path: str, text: str) -> None:
         self.run("tee", path, stdin=text)
@@ -78,23 +117,27 @@ def wait_for(what: str, condition: Callable[[], T], timeout_s: float = 60.0) -> 
 
 
 @contextlib.contextmanager
-def installed_root(repo_root: Path) -> Iterator[Path]:
-    """The root file system with this source tree installed; locked while it is in use."""
+def packaged_root(repo_root: Path) -> Iterator[Path]:
+    """The root file system with the older package installed and the newer one beside it; locked while it is in use."""
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "servo-daemon-tests"
     cache.mkdir(parents=True, exist_ok=True)
-    root = cache / f"{SUITE}-{hashlib.sha256(' '.join(PACKAGES).encode()).hexdigest()[:12]}"
+    root = cache / f"{SUITE}-{hashlib.sha256(PACKAGES.encode()).hexdigest()[:12]}"
     with (cache / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not root.is_dir():
             _bootstrap(root)
-        _install(root, _wheels(repo_root, cache), repo_root)
+        _copy_source(root / SOURCE.lstrip("/"), repo_root)
+        _call(
+            *_NSPAWN, f"--directory={root}", f"--bind-ro={_wheels(repo_root, cache)}:/wheels",
+            "--setenv=PIP_NO_INDEX=1", "--setenv=PIP_FIND_LINKS=/wheels", "sh", "-euxc", _PACKAGES_SCRIPT,
+        )  # fmt: skip
         yield root
 
 
 def _bootstrap(root: Path) -> None:
     unfinished = root.with_suffix(".unfinished")
     shutil.rmtree(unfinished, ignore_errors=True)
-    _call("debootstrap", "--variant=minbase", f"--include={','.join(PACKAGES)}", SUITE, str(unfinished))
+    _call("debootstrap", "--variant=minbase", f"--include={PACKAGES}", SUITE, str(unfinished))
     unfinished.rename(root)
 
 
@@ -114,19 +157,18 @@ def _wheels(repo_root: Path, cache: Path) -> Path:
     return wheels
 
 
-def _install(root: Path, wheels: Path, repo_root: Path) -> None:
-    source = root / "usr" / "src" / "servo-daemon"
-    shutil.rmtree(source, ignore_errors=True)
-    names = subprocess.run(["git", "ls-files", "-z"], cwd=repo_root, check=True, capture_output=True, text=True).stdout
+def _copy_source(source: Path, repo_root: Path) -> None:
+    """The source tree as it is in git, with what has changed since; what an earlier run has built there stays."""
+    source.mkdir(parents=True, exist_ok=True)
+    for old in source.iterdir():
+        if old.is_dir() and old.name != "build":
+            shutil.rmtree(old)
+    command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    names = subprocess.run(command, cwd=repo_root, check=True, capture_output=True, text=True).stdout
     for name in filter(None, names.split("\0")):
         if (repo_root / name).exists():
             (source / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(repo_root / name, source / name, follow_symlinks=False)
-    (root / "etc" / "servo-daemon.toml").unlink(missing_ok=True)
-    _call(
-        *_NSPAWN, f"--directory={root}", f"--bind-ro={wheels}:/wheels", "--setenv=PIP_NO_INDEX=1",
-        "--setenv=PIP_FIND_LINKS=/wheels", "make", "-C", "/usr/src/servo-daemon", "install",
-    )  # fmt: skip
 
 
 def _call(*command: str) -> None:
@@ -137,7 +179,7 @@ def _call(*command: str) -> None:
 @contextlib.contextmanager
 def booted(root: Path) -> Iterator[Machine]:
     """Boot an overlay of `root` and wait until systemd says that the system runs."""
-    command = [*_NSPAWN, "--boot", "--volatile=overlay", f"--directory={root}"]
+    command = [*_NSPAWN, "--boot", "--volatile=overlay", f"--directory={root}", f"--bind={root}/opt:/opt"]
     with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as container:
         try:
             leader = wait_for("process 1 of the container", lambda: _leader(container))

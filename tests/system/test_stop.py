@@ -16,7 +16,7 @@ import pytest
 
 from tests.system.harness import STOP_S, Program, all_tracking, daemon, nominal_table, wait_for, write_config
 
-SIGNALS = [signal.SIGTERM, signal.SIGINT, signal.SIGHUP]
+SIGNALS = [signal.SIGTERM, signal.SIGINT]
 
 
 @pytest.mark.first_is_fast

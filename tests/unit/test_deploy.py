@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -116,7 +117,9 @@ def test_the_wheel_holds_every_file_of_the_packages(repo_root: Path, tmp_path: P
     command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
     subprocess.run([*command, "--wheel-dir", str(tmp_path), str(source)], check=True, capture_output=True)
     (wheel,) = tmp_path.glob("servo_daemon-*.whl")
-    assert packaged - set(zipfile.ZipFile(wheel).namelist()) == set()
+    names = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
+    assert names == packaged
+    assert {"servo_daemon/api/dashboard/index.html", "drivers/servo.dbc"} <= names
 
 
 @pytest.mark.system
@@ -133,3 +136,31 @@ def test_systemd_finds_nothing_wrong_with_the_unit(
         check=False, capture_output=True, text=True, timeout=60,
     )  # fmt: skip
     assert (done.returncode, done.stdout + done.stderr) == (0, "")
+
+
+@pytest.mark.system
+def test_the_unit_is_as_little_exposed_as_issue_30_asks(repo_root: Path, program: Callable[..., str]) -> None:
+    unit = repo_root / "deploy" / "servo-daemon.service"
+    command = [program("systemd-analyze"), "security", "--offline=yes", "--threshold=18", "--no-pager", str(unit)]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, [*done.stdout.splitlines()[-1:], done.stderr]
+
+
+def test_the_image_is_built_from_what_is_here_and_runs_without_rights(repo_root: Path) -> None:
+    """No builder of images is at hand in the tests: what can be read of the definition."""
+    text = (repo_root / "deploy" / "Containerfile").read_text(encoding="utf-8")
+    steps = [line.split(maxsplit=1) for line in re.sub(r"\\\n", " ", text).splitlines() if re.match("[A-Z]", line)]
+    bases = [what for step, what in steps if step == "FROM"]
+    assert bases == ["debian:bookworm-slim AS build", "debian:bookworm-slim"]
+    assert [what for step, what in steps if step == "USER"] == ["servo-daemon"]
+    copied = [what.split() for step, what in steps if step == "COPY" and not what.startswith("--from")]
+    assert len(copied) > 3
+    assert [name for *names, _ in copied for name in names if not (repo_root / name).exists()] == []
+    (build,) = [what for step, what in steps if step == "RUN" and "deploy/venv" in what]
+    assert build.endswith("deploy/venv /opt/servo-daemon/.venv")
+    last = dict(steps)
+    assert json.loads(last["ENTRYPOINT"]) == ["servo-daemon"]
+    assert json.loads(last["CMD"]) == ["run", "--config", copied[-1][-1]]
+    python, flag, code = json.loads(last["HEALTHCHECK"].partition("CMD ")[2])
+    assert (python, flag) == ("python", "-c")
+    compile(code, "HEALTHCHECK", "exec")

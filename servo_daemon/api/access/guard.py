@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import ipaddress
 import socket
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Final
 from urllib.parse import urlsplit
 
@@ -86,12 +86,15 @@ def origin_is_ours(origin: str, host: str) -> bool:
 
 
 class Guard:
-    """ASGI middleware: the two checks, and the security headers on every answer."""
+    """ASGI middleware: the two checks, and the security headers on every answer.
 
-    def __init__(self, app: ASGIApp, allowed_hosts: Iterable[str] = ()) -> None:
-        self.app = app
-        names = {socket.gethostname(), *allowed_hosts}
-        self.allowed = frozenset(name.lower().rstrip(".") for name in names)
+    Args:
+        allowed_hosts: names that were allowed explicitly, as they are now.
+    """
+
+    def __init__(self, app: ASGIApp, allowed_hosts: Callable[[], Iterable[str]]) -> None:
+        self.app, self._allowed_hosts = app, allowed_hosts
+        self._own = socket.gethostname()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -113,7 +116,8 @@ class Guard:
         """Status, code and detail where the request is refused."""
         headers = Headers(scope=scope)
         host = headers.get("host", "")
-        if host and not host_is_ours(host, self.allowed):
+        allowed = {name.lower().rstrip(".") for name in (self._own, *self._allowed_hosts())}
+        if host and not host_is_ours(host, allowed):
             detail = f"This daemon does not answer to the host name {host!r}; use its IP address or a local name."
             return 421, "foreign_host", detail
         path, safe = scope["path"], scope["method"] in _SAFE_METHODS

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
+from dataclasses import dataclass
 from typing import Final
 
 from starlette.datastructures import Headers
@@ -27,17 +28,27 @@ def scope_of(method: str, path: str) -> tokens.Scope:
     return "configure" if _MODEL.search(path) else "operate"
 
 
-class Permission:
-    """Lets a request through if its token permits it, and logs changes.
+@dataclass(slots=True)
+class Access:
+    """Who may ask for what. The program may exchange each while it runs.
 
-    Args:
-        known: None: whoever reaches the daemon may do everything.
+    Attributes:
+        tokens: None: whoever reaches the daemon may do everything.
         open_metrics: `/metrics` needs no token.
+        hosts: DNS names by which browsers may reach the daemon, beyond IP addresses, local names and this machine's
+            own; see `guard.py`.
     """
 
-    def __init__(self, app: ASGIApp, known: TokenFile | None = None, open_metrics: bool = False) -> None:
-        self.app = app
-        self._known, self._open_metrics = known, open_metrics
+    tokens: TokenFile | None = None
+    open_metrics: bool = False
+    hosts: tuple[str, ...] = ()
+
+
+class Permission:
+    """Lets a request through if its token permits it, and logs changes."""
+
+    def __init__(self, app: ASGIApp, access: Access) -> None:
+        self.app, self._access = app, access
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -45,8 +56,9 @@ class Permission:
             return
         method, path = scope["method"], scope["path"]
         who = "anybody"
-        if self._known is not None and not (self._open_metrics and path == "/metrics" and method in _SAFE):
-            token = self._known.find(Headers(scope=scope).get("authorization", ""))
+        known = self._access.tokens
+        if known is not None and not (self._access.open_metrics and path == "/metrics" and method in _SAFE):
+            token = known.find(Headers(scope=scope).get("authorization", ""))
             needed = scope_of(method, path)
             if token is None:
                 answer = refusal(path, 401, "no_token", "A token is needed: Authorization: Bearer …", _CHALLENGE)

@@ -95,6 +95,15 @@ class TokenFile:
         self._tokens = read_tokens(path)
         self._seen = self._state()
 
+    @property
+    def number(self) -> int:
+        """How many there are."""
+        return len(self._tokens)
+
+    def same_as(self, other: TokenFile | None) -> bool:
+        """Whether both hold the same."""
+        return other is not None and self._tokens == other._tokens
+
     def find(self, authorization: str) -> Token | None:
         """Whose an Authorization header is: `Bearer TOKEN`, or as a browser sends it, `Basic` with it as password."""
         secret = _secret(authorization)

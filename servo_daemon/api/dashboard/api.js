@@ -3,6 +3,7 @@
 const PREFIX = "api/v1";
 const AGAIN_MS = 2000;
 const TIMEOUT_MS = 5000;
+const DOWNLOAD_TIMEOUT_MS = 30_000; // of a year of curves from a slow disk
 
 /** A document; throws with the problem's own words where there is one. */
 export const get = (path) => ask(path, { method: "GET" }, TIMEOUT_MS);
@@ -13,11 +14,23 @@ export function post(path, body = undefined, timeoutMs = TIMEOUT_MS) {
   return ask(path, { method: "POST", ...content }, timeoutMs);
 }
 
-async function ask(path, options, timeoutMs) {
+/** Saves an answer as a file. */
+export async function download(path, accept, name) {
+  const response = await answer(path, { headers: { Accept: accept } }, DOWNLOAD_TIMEOUT_MS);
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(await response.blob());
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), TIMEOUT_MS);
+}
+
+const ask = async (path, options, timeoutMs) => (await answer(path, options, timeoutMs)).json();
+
+async function answer(path, options, timeoutMs) {
   const response = await fetch(`${PREFIX}${path}`, { ...options, cache: "no-store", signal: AbortSignal.timeout(timeoutMs) });
-  const document = await response.json();
-  if (!response.ok) throw new Error(document.detail ?? `HTTP ${response.status}`);
-  return document;
+  if (response.ok) return response;
+  const problem = await response.json().catch(() => ({}));
+  throw new Error(problem.detail ?? `HTTP ${response.status}`);
 }
 
 export const drivePath = (name) => `/drives/${encodeURIComponent(name)}`;

@@ -2,7 +2,9 @@
 
 import { Chart } from "./chart.js";
 import { decimalsFor, fixed, pair, percent, plain, scaleFor } from "./format.js";
+import { fullScreen } from "./fullscreen.js";
 import { Series, drawn } from "./series.js";
+import { signalUnit, signalWords } from "./signals.js";
 import { moment } from "./times.js";
 
 const PARAMETER_WORDS = {
@@ -10,14 +12,6 @@ const PARAMETER_WORDS = {
   Tc: "Coulomb friction", TL: "load torque", Tg: "gravity torque", Ts: "static friction", R_th: "thermal resistance",
   C_th: "heat capacity",
 };
-const STATE_WORDS = {
-  current_A: "Current", velocity_rad_s: "Speed", position_rad: "Position", voltage_V: "Voltage",
-  temperature_C: "Temperature", velocity_m_s: "Speed", position_m: "Position", torque_Nm: "Torque",
-};
-const STATE_UNITS = [
-  ["_rad_s", "rad/s"], ["_m_s", "m/s"], ["_rad", "rad"], ["_Nm", "N·m"], ["_A", "A"], ["_V", "V"], ["_C", "°C"],
-  ["_K", "K"], ["_N", "N"], ["_m", "m"], ["_s", "s"],
-];
 const BADGES = {
   tracking: "● tracking", estimating: "◔ estimating", unexcited: "◌ unexcited", at_bound: "▲ at bound",
   fixed: "■ fixed", invalid: "✕ invalid",
@@ -63,13 +57,15 @@ class Card {
     return this.zoomed ?? this.series;
   }
 
-  attach(grid, onZoom) {
+  attach(grid, onZoom, onEvent) {
     grid.append(this.element);
+    fullScreen(this.find(".full"), this.element, this.find("h3").textContent.trim());
     const onPoint = (time, row) => {
       this.pointed = time === null ? null : { time, row };
       this.render();
     };
-    this.chart = new Chart(this.find(".chart"), onPoint, onZoom);
+    this.find(".chart").setAttribute("aria-label", `${this.name} over time; nothing known yet`);
+    this.chart = new Chart(this.find(".chart"), onPoint, onZoom, onEvent);
   }
 
   destroy() {
@@ -163,12 +159,10 @@ export class ParameterCard extends Card {
 export class StateCard extends Card {
   constructor(name, windowS) {
     super("state-card", name, windowS);
-    const suffix = STATE_UNITS.find(([ending]) => name.endsWith(ending));
-    this.unit = suffix?.[1] ?? "";
+    this.unit = signalUnit(name);
     this.value = null;
     this.largest = 0;
-    const stem = suffix ? name.slice(0, -suffix[0].length) : name;
-    write(this.find(".words"), STATE_WORDS[name] ?? stem.replaceAll("_", " "));
+    write(this.find(".words"), signalWords(name));
   }
 
   receive(time, value) {

@@ -2,11 +2,12 @@
 /* global uPlot */
 
 import { decimalsFor, fixed } from "./format.js";
-import { colour, drawLines, drawMarks } from "./overlays.js";
+import { colour, drawEvents, drawLines, drawMarks } from "./overlays.js";
 import { extent } from "./series.js";
 import { STEPS_S, tickSpace, tickText } from "./times.js";
 
-const HEIGHT = 150;
+const LEAST_HEIGHT = 100;
+const NEAR = 8; // pixels from an event's mark at which a click means it
 const LEAST_DRAG = 8; // pixels that the pointer is pulled before it is meant as a span of time
 const FONT = "11px system-ui, sans-serif";
 export const charts = new Set();
@@ -34,7 +35,7 @@ function options(chart, width) {
   const line = (name, more) => ({ stroke: colour(name), width: 1.5, points: { show: false }, ...more });
   return {
     width,
-    height: HEIGHT,
+    height: chart.height,
     padding: [8, 10, 0, 0],
     legend: { show: false },
     cursor: {
@@ -58,7 +59,7 @@ function options(chart, width) {
     ],
     bands: [{ series: [3, 2], fill: colour("--band") }],
     hooks: {
-      draw: [(plot) => drawLines(plot, chart.lines), (plot) => drawMarks(plot, chart.marks)],
+      draw: [(plot) => drawLines(plot, chart.lines), (plot) => drawMarks(plot, chart.marks), (plot) => drawEvents(plot, chart.events)],
       setCursor: [(plot) => chart.pointed(plot)],
       setSelect: [(plot) => chart.selected(plot)],
     },
@@ -70,21 +71,38 @@ export class Chart {
    * @param {HTMLElement} element where it is put; its width is followed
    * @param {(time: number|null, row: (number|null)[]) => void} onPoint told what is under the pointer, null when it left
    * @param {(span: {from: number, to: number}|null) => void} onZoom told what span has been drawn up, null to go back
+   * @param {(event: object) => void} onEvent told which event's mark was clicked
    */
-  constructor(element, onPoint, onZoom) {
+  constructor(element, onPoint, onZoom, onEvent) {
     this.element = element;
     this.onPoint = onPoint;
     this.onZoom = onZoom;
     this.scale = { factor: 1, unit: "" };
     this.lines = [];
     this.marks = [];
+    this.events = []; // {time: s since 1970, event}
     this.plot = new uPlot(options(this, element.clientWidth || 300), [[], [], [], [], []], element);
     this.resizer = new ResizeObserver(([entry]) => {
       const width = Math.floor(entry.contentRect.width);
-      if (width > 0 && width !== this.plot.width) this.plot.setSize({ width, height: HEIGHT });
+      if (width > 0 && (width !== this.plot.width || this.height !== this.plot.height)) this.plot.setSize({ width, height: this.height });
     });
     this.resizer.observe(element);
+    let pressed = 0;
+    this.plot.over.addEventListener("mousedown", ({ clientX }) => (pressed = clientX));
+    this.plot.over.addEventListener("click", ({ clientX, offsetX }) => {
+      if (Math.abs(clientX - pressed) < LEAST_DRAG) this.#clicked(offsetX, onEvent);
+    });
     charts.add(this);
+  }
+
+  get height() {
+    return Math.max(LEAST_HEIGHT, this.element.clientHeight);
+  }
+
+  #clicked(x, onEvent) {
+    const distance = ({ time }) => Math.abs(this.plot.valToPos(time, "x") - x);
+    const near = this.events.filter((mark) => distance(mark) < NEAR).sort((a, b) => distance(a) - distance(b));
+    if (near.length) onEvent(near[0].event);
   }
 
   /**

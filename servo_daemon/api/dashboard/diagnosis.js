@@ -1,7 +1,9 @@
 // What the model lacks: the last diagnosis of the drive, its verdict, and the buttons to begin one and to adopt it.
 
 import { drivePath, get, post } from "./api.js";
+import { charts } from "./chart.js";
 import { pair, percent, scaleFor } from "./format.js";
+import { drawUnmodelled, unmodelledText } from "./unmodelled.js";
 
 const byId = (id) => document.getElementById(id);
 const ADOPT_TIMEOUT_MS = 40_000; // a model that this machine has not seen yet is compiled first
@@ -109,12 +111,15 @@ export class DiagnosisPanel {
     byId("diagnose").addEventListener("click", this.diagnose);
     byId("adopt").addEventListener("click", this.adopt);
     byId("diagnosis").hidden = true;
+    this.figure = null;
+    this.#renderUnmodelled(null);
   }
 
   close() {
     this.closed = true;
     byId("diagnose").removeEventListener("click", this.diagnose);
     byId("adopt").removeEventListener("click", this.adopt);
+    this.#renderUnmodelled(null);
   }
 
   /**
@@ -168,11 +173,29 @@ export class DiagnosisPanel {
     const running = d.status === "running";
     byId("diagnosis-progress").hidden = !running;
     if (running) byId("diagnosis-progress").value = d.progress ?? 0;
+    this.#renderUnmodelled(d.status === "done" && !adopted ? (d.result.missing ?? null) : null);
     this.#renderFound(d.status === "done" && !adopted ? d.result.effects : []);
     const report = byId("report-link");
     report.hidden = d.report === null;
     if (d.report !== null) report.href = `api/v1${drivePath(this.drive)}/diagnosis/report`;
     this.#renderButtons(d, adopted);
+  }
+
+  /** Its size in words, and its curve over the speed. */
+  #renderUnmodelled(missing) {
+    const key = JSON.stringify(missing);
+    const box = byId("unmodelled");
+    if (this.unmodelled === key) return;
+    this.unmodelled = key;
+    charts.delete(this.figure);
+    this.figure?.plot.destroy();
+    const text = unmodelledText(missing);
+    box.hidden = text === "";
+    const figure = element("div", "", "");
+    box.replaceChildren(element("p", "", text), figure);
+    const plot = text ? drawUnmodelled(figure, missing) : null;
+    this.figure = plot && { plot }; // drawn anew when the colours change
+    if (plot) charts.add(this.figure);
   }
 
   /** Only when it changes, so that a text that is being selected stays. */

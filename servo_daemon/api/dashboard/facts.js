@@ -1,9 +1,10 @@
 // The line of facts at the top, the banner, and the list of events.
 
+import { captureLink, captureOf } from "./captures.js";
 import { NOTHING, count, fixed } from "./format.js";
 
 const byId = (id) => document.getElementById(id);
-const EVENTS_SHOWN = 50;
+const EVENTS_SHOWN = 200;
 const STATES = {
   connected: "connected", connecting: "waiting for samples", silent: "silent", down: "drive down", ended: "ended",
   lost: "reconnecting…", loading: "loading…",
@@ -75,24 +76,41 @@ export function renderNote(note) {
 /** A number with the four digits that a message has, too. */
 const short = (value) => (typeof value === "number" ? Number(value.toPrecision(4)) : value);
 
-function eventItem(event) {
+function eventItem(event, capture) {
   const item = document.createElement("li");
+  item.id = eventId(event);
+  item.tabIndex = -1;
   const time = document.createElement("time");
   time.dateTime = event.time;
   // Sweden writes dates as 2026-11-21 12:45:21, which everybody reads the same way.
   time.textContent = new Date(event.time).toLocaleString("sv-SE");
   const kind = document.createElement("b");
   kind.textContent = event.kind.replaceAll("_", " ");
-  const data = Object.entries(event.data).map(([key, value]) => `${key.replaceAll("_", " ")} ${short(value)}`).join(", ");
+  const more = Object.entries(event.data).filter(([key, value]) => !TOLD.has(key) && !event.message.includes(short(value)));
+  const data = more.map(([key, value]) => `${key.replaceAll("_", " ")} ${short(value)}`).join(", ");
   const message = document.createElement("span");
   message.textContent = event.message + (data ? ` (${data})` : "");
   item.append(time, kind, message);
+  if (capture) item.append(captureLink(capture, "samples"));
   return item;
 }
 
-/** Newest first. */
-export function renderEvents(events) {
+/** What the message says in its own words, or nobody needs. */
+const TOLD = new Set(["alarm", "parameter", "unit", "age_s", "time_s"]);
+
+const eventId = (event) => `event-${event.kind}-${Date.parse(event.time)}`;
+
+/** Newest first; each with the recording that it is in. */
+export function renderEvents(events, captures) {
   const newest = events.slice(-EVENTS_SHOWN).reverse();
-  byId("events").replaceChildren(...newest.map(eventItem));
+  byId("events").replaceChildren(...newest.map((event) => eventItem(event, captureOf(event, captures))));
   byId("no-events").hidden = newest.length > 0;
+}
+
+/** Shows an event in the list. */
+export function openEvent(event) {
+  if (document.fullscreenElement) document.exitFullscreen();
+  const item = byId(eventId(event));
+  item?.scrollIntoView({ block: "center" });
+  item?.focus();
 }

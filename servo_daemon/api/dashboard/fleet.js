@@ -1,6 +1,7 @@
 // All drives at a glance: one row each, a click opens the drive.
 
 import { get } from "./api.js";
+import { sparkline } from "./sparkline.js";
 
 const byId = (id) => document.getElementById(id);
 const spaced = (name) => name.replaceAll("_", " ");
@@ -45,11 +46,18 @@ function fill(row, drive) {
   row.append(name);
   cell(row, "Status", "pill", drive.connection).dataset.state = drive.connection;
   cell(row, "Parameters", "", known(drive));
-  cell(row, "Look at", "", drive.worst ? `${drive.worst.parameter}: ${drive.worst.why}` : "–");
+  const { worst, reason } = drive; // of a drive that is away all parameters say what is to be done says, too
+  cell(row, "Look at", "", worst && worst.why !== reason ? `${worst.parameter}: ${worst.why}` : "–");
+  cell(row, "Last 30 days", "sparks", "").dataset.parameter = drive.worst?.parameter ?? Object.keys(drive.parameters)[0] ?? "";
   const alarms = drive.alarms.map((name) => (name === "controller_margin" ? spaced(name) : name)).join(", ");
   cell(row, "Alarms", alarms ? "badge ringing" : "quiet", alarms || "none");
   const todo = toDo(drive);
   cell(row, "To do", todo ? "todo" : "quiet", todo ?? "nothing");
+}
+
+function curve(row, drive) {
+  const element = row.querySelector(".sparks");
+  if (element.dataset.parameter) sparkline(element, drive.name, element.dataset.parameter);
 }
 
 /** Rows are written anew only when they change, so that focus and selection stay. */
@@ -60,7 +68,10 @@ function render(drives) {
     const { time: _time, parameters: _parameters, ...shown } = drive;
     const key = JSON.stringify(shown);
     const row = rows.rows[k] ?? rows.insertRow();
-    if (row.dataset.key === key) return;
+    if (row.dataset.key === key) {
+      curve(row, drive);
+      return;
+    }
     const focused = row.contains(document.activeElement);
     row.dataset.key = key;
     row.replaceChildren();
@@ -68,6 +79,7 @@ function render(drives) {
     row.classList.toggle("alarm", drive.alarms.length > 0);
     row.onclick = () => (location.hash = encodeURIComponent(drive.name));
     if (focused) row.querySelector("a").focus();
+    curve(row, drive);
   });
 }
 

@@ -1,4 +1,4 @@
-// What is drawn over a chart's curves: nominal value and limits as lines, RF+GRNN as diamonds.
+// What is drawn over a chart's curves: nominal value and limits as lines, RF+GRNN as diamonds, events as triangles below.
 /* global uPlot */
 
 const style = getComputedStyle(document.documentElement);
@@ -71,6 +71,26 @@ export function drawMarks(plot, marks) {
     ctx.closePath();
     if (mark.applied) ctx.fill();
     else ctx.stroke();
+  }
+  ctx.restore();
+}
+
+/** Events as triangles on the axis of time; those that warn are red. A click near one opens it. */
+export function drawEvents(plot, events) {
+  const { ctx, bbox, scales } = plot;
+  const size = 5 * uPlot.pxRatio;
+  const bottom = bbox.top + bbox.height;
+  ctx.save();
+  for (const { time, warns } of events) {
+    if (time < scales.x.min || time > scales.x.max) continue;
+    const x = plot.valToPos(time, "x", true);
+    ctx.fillStyle = colour(warns ? "--bad" : "--nominal")();
+    ctx.beginPath();
+    ctx.moveTo(x - size, bottom);
+    ctx.lineTo(x + size, bottom);
+    ctx.lineTo(x, bottom - 1.6 * size);
+    ctx.closePath();
+    ctx.fill();
   }
   ctx.restore();
 }

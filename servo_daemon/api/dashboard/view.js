@@ -4,12 +4,16 @@ import { Stream, drivePath, get } from "./api.js";
 import { renderAlarms, ringing } from "./alarms.js";
 import { ParameterCard, StateCard } from "./cards.js";
 import { DiagnosisPanel } from "./diagnosis.js";
-import { renderEvents, renderFacts, renderNote } from "./facts.js";
+import { Recordings } from "./captures.js";
+import { openEvent, renderEvents, renderFacts, renderNote } from "./facts.js";
+import { Scope } from "./scope.js";
 import { TrendCard } from "./trend.js";
 import { POINTS, Zoom } from "./zoom.js";
 
+const WARNING = new Set(["alarm", "margin_low", "limit_near"]); // whose marks are red
 const LEAST_S = 15; // charts show at least so much time, also of a drive that has just started
 const DRAW_MS = 200; // numbers that change faster cannot be read
+const CAPTURED_WITHIN = 40; // polls after an event within which its recording is written: half a minute and the writing
 
 export class DriveView {
   /** @param {(live: boolean) => void} onLink told when the stream runs and when it is lost */
@@ -18,9 +22,12 @@ export class DriveView {
     this.windowS = windowS;
     this.onLink = onLink;
     this.cards = new Map();
-    this.zoom = new Zoom(name, this.cards, () => (this.dirty = this.document !== null));
+    const changed = () => (this.dirty = this.document !== null);
+    this.zoom = new Zoom(name, this.cards, changed, () => this.#span());
     this.diagnosis = new DiagnosisPanel(name);
     this.trend = new TrendCard(name);
+    this.scope = new Scope(name);
+    this.recordings = new Recordings(name, () => this.#showEvents(), () => ({ ...this.#span(), names: [...this.cards.keys()] }));
     this.document = null;
     this.truth = {};
     this.limits = [];
@@ -31,6 +38,8 @@ export class DriveView {
     this.drawnAt = 0;
     this.dirty = false;
     this.closed = false; // answers may still arrive then
+    this.eventMarks = [];
+    this.captureSoon = CAPTURED_WITHIN; // polls that also ask for new recordings
     this.frame = requestAnimationFrame((time) => this.#draw(time));
     this.stream = new Stream(name, {
       opened: () => this.#opened(),
@@ -43,6 +52,8 @@ export class DriveView {
     this.closed = true;
     this.diagnosis.close();
     this.trend.close();
+    this.scope.close();
+    this.recordings.close();
     this.zoom.close();
     this.stream.close();
     cancelAnimationFrame(this.frame);
@@ -64,12 +75,21 @@ export class DriveView {
     if (drive.last_event !== this.lastEvent) {
       const { events } = await get(`${drivePath(this.name)}/events`);
       if (this.closed) return drive;
-      renderEvents(events);
       this.events = events;
-      this.dirty = this.document !== null;
       this.lastEvent = drive.last_event;
+      this.#showEvents();
+      this.captureSoon = CAPTURED_WITHIN;
     }
+    if (this.captureSoon-- > 0) await this.recordings.poll();
     return drive;
+  }
+
+  #showEvents() {
+    renderEvents(this.events, this.recordings.captures);
+    const marks = this.events.map((event) => ({ time: Date.parse(event.time) / 1000, warns: WARNING.has(event.kind), event }));
+    this.cards.forEach((card) => (card.chart.events = marks));
+    this.eventMarks = marks;
+    this.dirty = this.document !== null;
   }
 
   /** History first: of the whole window, or after a lost connection of what was missed. */
@@ -147,9 +167,17 @@ export class DriveView {
     for (const [name, Kind] of wanted) {
       if (this.cards.has(name)) continue;
       const card = new Kind(name, this.windowS);
-      card.attach(document.getElementById(Kind === StateCard ? "state" : "parameters"), (span) => this.zoom.show(span));
+      card.attach(document.getElementById(Kind === StateCard ? "state" : "parameters"), (span) => this.zoom.show(span), openEvent);
+      card.chart.events = this.eventMarks;
       this.cards.set(name, card);
     }
+  }
+
+  /** What the charts show: what was drawn up, else the window up to now, as far as anything is known. */
+  #span() {
+    const now = this.now ?? Date.now() / 1000;
+    const first = Math.min(...[...this.cards.values()].map((card) => card.series.columns[0][0] ?? now));
+    return this.zoom.span ?? { from: Math.max(now - this.windowS, Math.min(first, now - LEAST_S)), to: now };
   }
 
   #draw(time) {
@@ -160,9 +188,7 @@ export class DriveView {
     renderFacts(this.document);
     const alarms = ringing(this.document);
     renderAlarms(alarms, this.events, this.limits);
-    const now = this.now ?? Date.now() / 1000;
-    const first = Math.min(...[...this.cards.values()].map((card) => card.series.columns[0][0] ?? now));
-    const { from, to } = this.zoom.span ?? { from: Math.max(now - this.windowS, Math.min(first, now - LEAST_S)), to: now };
+    const { from, to } = this.#span();
     for (const card of this.cards.values()) {
       card.warn?.(this.limits, alarms);
       card.draw(from, to);

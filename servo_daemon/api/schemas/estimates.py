@@ -103,7 +103,8 @@ class EstimatesDocument(Closed):
         description="Current (A), speed (rad/s), position (rad), and voltage (V) where it is known."
     )
     estimators: dict[str, EstimatorDocument] = Field(
-        description="The estimators behind the estimate, by name: `ekf`, `rls`, with a learned model `grnn`."
+        description="The estimators behind the estimate, by name: `ekf`, `rls`, with a learned model `grnn`, from a "
+        "drive that estimates itself `onboard`."
     )
     health: dict[str, Scalar] = Field(
         description="How well it goes: `connection` and its reason, `innovation_white`, `samples_lost` and the other "
@@ -192,6 +193,16 @@ class ResetDocument(Closed):
     accepted: bool
 
 
+class SinkDocument(Closed):
+    """A broker or webhook that is sent to. One that is away is not the daemon's fault."""
+
+    connected: bool | None = Field(description="Null before the first attempt.")
+    waiting: int = Field(description="Events and states that are kept for it.")
+    sent: int = Field(description="Messages that have arrived.")
+    dropped: int = Field(description="Events and states that were given up.")
+    reason: str | None = Field(description="Why it cannot be reached.")
+
+
 class HealthDocument(Closed):
     """Whether the daemon itself works. A drive that is switched off is not its fault."""
 
@@ -202,6 +213,7 @@ class HealthDocument(Closed):
         started=TIME_EXAMPLE,
         uptime_s=3600.5,
         drives={"axis1": "connected"},
+        sinks={"mqtt": {"connected": True, "waiting": 0, "sent": 3600, "dropped": 0, "reason": None}},
     )
 
     status: Literal["ok", "failing"]
@@ -210,6 +222,7 @@ class HealthDocument(Closed):
     started: str
     uptime_s: float = Field(description="Seconds.")
     drives: dict[str, Connection]
+    sinks: dict[str, SinkDocument] = Field(description="`mqtt`, `webhook_1`, …: what is sent elsewhere.")
 
 
 class ReadyDriveDocument(Closed):

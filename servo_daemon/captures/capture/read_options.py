@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final, Literal, get_args
 
 from servo_daemon.errors import BadInputError
+
+Effort = Literal["current", "torque", "force"]
+EFFORTS: Final[tuple[Effort, ...]] = get_args(Effort)
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +22,8 @@ class ReadOptions:
         counts_per_rev: of an encoder whose counts are in the file; negative turns the direction round.
         supply_V: what a duty cycle of 1 is in volts (of `pwm` up to 255: a 255th of the supply).
         pole_pairs: between a drive's electrical speed or angle and the shaft's.
+        joint: which one of a robot's JointState, or which drive of a recording that has several.
+        effort: what a JointState's effort is: "current" (A) or "torque" (N·m; of a linear axis "force", N).
     """
 
     columns: tuple[str, ...] = ()
@@ -25,6 +31,8 @@ class ReadOptions:
     counts_per_rev: float | None = None
     supply_V: float | None = None
     pole_pairs: float | None = None
+    joint: str | None = None
+    effort: Effort | None = None
 
     def __post_init__(self) -> None:
         for flag, value in (("--rate", self.rate_hz), ("--supply", self.supply_V), ("--pole-pairs", self.pole_pairs)):

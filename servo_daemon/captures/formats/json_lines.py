@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, TextIO
 
@@ -19,28 +18,10 @@ from servo_daemon.captures.capture.model import MIN_SAMPLES, capture_error
 from servo_daemon.captures.columns.foreign import Series
 from servo_daemon.captures.columns.held import HeldSignal, describe
 from servo_daemon.captures.columns.signal_map import SignalRef
-from servo_daemon.captures.text.dialect import clock_seconds
+from servo_daemon.captures.formats.rows import Rows, numbers
 from servo_daemon.samples import F64
 
 _TIMES = ("timestamp", "time", "t")
-
-
-@dataclass(slots=True)
-class _Table:
-    """The lines of one channel: numbers by name, and the line of each row."""
-
-    columns: dict[str, list[float]] = field(default_factory=dict)
-    lines: list[int] = field(default_factory=list)
-
-    def add(self, number: int, values: Mapping[str, float]) -> None:
-        """A row; what a row lacks is NaN."""
-        n = len(self.lines)
-        for name, value in values.items():
-            self.columns.setdefault(name, [np.nan] * n).append(value)
-        self.lines.append(number)
-        for column in self.columns.values():
-            if len(column) <= n:
-                column.append(np.nan)
 
 
 class JsonRecording:
@@ -50,12 +31,12 @@ class JsonRecording:
     options: ClassVar[tuple[str, ...]] = ()
     header_line: ClassVar[int | None] = None
 
-    def __init__(self, path: Path, tables: Mapping[str, _Table]) -> None:
+    def __init__(self, path: Path, tables: Mapping[str, Rows]) -> None:
         self.path, self._tables = path, tables
         self.metadata: Mapping[str, str] = {}
         self.told = ["JSON lines"]
         self.timed = len(tables) > 1
-        self._sources: dict[str, tuple[_Table, str]] = {}
+        self._sources: dict[str, tuple[Rows, str]] = {}
         held = []
         for channel, table in tables.items():
             for name, column in table.columns.items():
@@ -81,7 +62,7 @@ class JsonRecording:
 
     def place(self, index: int) -> str:
         table = next(iter(self._tables.values()))
-        return f"line {table.lines[index]}" if not self.timed else f"sample {index + 1}"
+        return f"line {table.numbers[index]}" if not self.timed else f"sample {index + 1}"
 
 
 def read_json_lines(path: Path, text: TextIO) -> JsonRecording:
@@ -90,7 +71,7 @@ def read_json_lines(path: Path, text: TextIO) -> JsonRecording:
     Raises:
         CaptureError: a line is no JSON object, or there are fewer than two; the line is named.
     """
-    tables: dict[str, _Table] = {}
+    tables: dict[str, Rows] = {}
     controllers: set[str] = set()
     cells = 0
     for number, entry in _lines(path, text):
@@ -101,16 +82,16 @@ def read_json_lines(path: Path, text: TextIO) -> JsonRecording:
             channel = str(entry["channel"])
             controllers.add(str(entry.get("controller", "")))
             times = {key: entry[key] for key in _TIMES if key in entry}
-            values = dict(_numbers({**times, **entry["data"]}, ""))
+            values = dict(numbers({**times, **entry["data"]}, ""))
         else:
-            values = dict(_numbers(entry, ""))
+            values = dict(numbers(entry, ""))
         cells += len(values)
         check_cells(path, cells, 1, MAX_OBJECTS)
-        tables.setdefault(channel, _Table()).add(number, values)
+        tables.setdefault(channel, Rows()).add(number, values)
     if len(controllers) > 1:
         there = ", ".join(sorted(controllers))
         raise capture_error(path, f"holds the controllers {there}: leave the lines of one in a file of its own")
-    tables = {c: t for c, t in tables.items() if len(t.lines) >= MIN_SAMPLES}
+    tables = {c: t for c, t in tables.items() if len(t.numbers) >= MIN_SAMPLES}
     if not tables:
         raise capture_error(path, f"fewer than {MIN_SAMPLES} samples in JSON lines")
     if len(tables) > 1:
@@ -137,14 +118,3 @@ def _parsed(path: Path, text: str, number: int) -> Any:
         return json.loads(text)
     except (ValueError, RecursionError) as error:
         raise capture_error(path, f"not JSON: {error}", line=number) from error
-
-
-def _numbers(entry: Mapping[str, Any], path: str) -> Iterator[tuple[str, float]]:
-    """Every number of an object, and every date, in s, by its path; true and false are none."""
-    for key, value in entry.items():
-        if isinstance(value, Mapping):
-            yield from _numbers(value, f"{path}{key}.")
-        elif isinstance(value, int | float) and not isinstance(value, bool):
-            yield f"{path}{key}", float(value)
-        elif isinstance(value, str) and (seconds := clock_seconds(value)) is not None:
-            yield f"{path}{key}", seconds

@@ -6,15 +6,13 @@ import argparse
 import math
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from servo_daemon.commands.fit.command import add_model, add_validation
 from servo_daemon.commands.shared import common
 
 if TYPE_CHECKING:
-    from servo_daemon.commands.diagnose.evidence import Evidence
-    from servo_daemon.commands.fit.inputs import Inputs
-    from servo_daemon.diagnosis.verdict.result import Diagnosis
+    from servo_daemon.commands.diagnose.diagnosing import Diagnosed
 
 HELP = "find what the simulation of a motor lacks, name it, and measure on unseen data what it gains to add it"
 EXAMPLE = """  servo-daemon diagnose capture.csv --out report/
@@ -56,10 +54,8 @@ def _positive(text: str) -> float:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from servo_daemon.commands.diagnose.document import diagnosis_document
-    from servo_daemon.commands.diagnose.evidence import gather_evidence
+    from servo_daemon.commands.diagnose.diagnosing import diagnosed
     from servo_daemon.commands.diagnose.text import print_diagnosis
-    from servo_daemon.commands.fit.inputs import check_validation, gather
     from servo_daemon.commands.shared.output_folder import OutputFolder
 
     if arguments.out is not None:
@@ -68,49 +64,25 @@ def run(arguments: argparse.Namespace) -> int:
             arguments.force or goes_on, *(arguments.out / name for name in ("diagnosis.json", "report.html"))
         )
         OutputFolder(arguments.out).check_writable()  # a minute's work should not end there
-    inputs = gather(arguments, arguments.captures, arguments.validate, searches=True)
-    check_validation(inputs, arguments.adapt)
-    for text in inputs.notes:
-        common.note(text)
-    diagnosis = _diagnose(arguments, inputs)
-    evidence = gather_evidence(diagnosis)
-    document = diagnosis_document(diagnosis, inputs, evidence)
-    for text in document["notes"][len(inputs.notes) :]:
-        common.note(text)
+    made = diagnosed(arguments)
     if arguments.out is not None:
-        _write(arguments, diagnosis, evidence, document)
+        _write(arguments, made)
     if arguments.json:
-        common.print_json(document)
+        common.print_json(made.document)
     else:
-        print_diagnosis(document)
+        print_diagnosis(made.document)
     return 0
 
 
-def _diagnose(arguments: argparse.Namespace, inputs: Inputs) -> Diagnosis:
-    from servo_daemon.commands.diagnose.progress import progress_told
-    from servo_daemon.diagnosis.diagnose import DiagnoseOptions, diagnose
-
-    options = DiagnoseOptions(
-        inputs.effects,
-        inputs.nominal,
-        inputs.fixed,
-        arguments.adapt,
-        budget_s=arguments.budget,
-        journal=arguments.journal,
-    )
-    with progress_told(as_json=arguments.progress_json) as told:
-        return diagnose(inputs.captures, inputs.validation, options, told)
-
-
-def _write(arguments: argparse.Namespace, diagnosis: Diagnosis, evidence: Evidence, document: dict[str, Any]) -> None:
+def _write(arguments: argparse.Namespace, made: Diagnosed) -> None:
     """`diagnosis.json` and `report.html` in the folder."""
     from servo_daemon.commands.diagnose.report import diagnosis_report
     from servo_daemon.commands.shared.output_folder import OutputFolder
     from servo_daemon.report import make_provenance
 
     folder = OutputFolder(arguments.out)
-    provenance = make_provenance(sys.argv[1:], [c.path for c in diagnosis.captures])
-    report = diagnosis_report(diagnosis, evidence, document, provenance)
-    folder.write_json("diagnosis.json", document)
+    provenance = make_provenance(sys.argv[1:], [c.path for c in made.diagnosis.captures])
+    report = diagnosis_report(made.diagnosis, made.evidence, made.document, provenance)
+    folder.write_json("diagnosis.json", made.document)
     folder.write_report("report.html", report)
     common.note(f"{folder.path}/report.html")

@@ -10,8 +10,16 @@ from typing import Any
 import numpy as np
 
 from servo_daemon.commands.diagnose.evidence import Evidence
+from servo_daemon.commands.diagnose.missing import means_over_speed
 from servo_daemon.commands.diagnose.toml import toml_lines
-from servo_daemon.commands.fit.document import combination_row, null_row, parameter_row, score_row, validation_row
+from servo_daemon.commands.fit.document import (
+    combination_row,
+    null_row,
+    parameter_row,
+    score_row,
+    signals_row,
+    validation_row,
+)
 from servo_daemon.commands.fit.inputs import Inputs
 from servo_daemon.commands.fit.notes import result_notes
 from servo_daemon.commands.shared.units import shown_column, shown_unit
@@ -59,7 +67,8 @@ def diagnosis_document(d: Diagnosis, inputs: Inputs, evidence: Evidence) -> dict
         "drive": inputs.drive.name,
         "input": final.problem.plant.drive,
         "measured": [shown_column(c, linear=linear) for c in final.problem.channels],
-        "missing": _missing_rows(d, evidence.left, linear=linear),
+        "signals": signals_row(inputs.meaning),
+        "missing": _missing_rows(d, evidence, linear=linear),
         "differences": [_difference_row(s, linear=linear) for s in d.differences],
         "own_models": [_own_row(m, linear=linear) for m in d.own_models],
         "free_runs": [
@@ -161,10 +170,10 @@ def _dependence_row(x: Dependence, *, linear: bool) -> dict[str, Any]:
     }
 
 
-def _missing_rows(d: Diagnosis, left: Missing | None, *, linear: bool) -> dict[str, Any]:
+def _missing_rows(d: Diagnosis, evidence: Evidence, *, linear: bool) -> dict[str, Any]:
     """RMS of the unmodelled torque and voltage over the longest capture, of both models smoothed alike, and what either
-    model's motor works with."""
-    rows = {}
+    model's motor works with. `over_speed`: the means that the report draws, before with the extended model's motor."""
+    rows, left = {}, evidence.left
     for series, before in d.before.series.items():
         after = None if left is None else left.series.get(series)
         rows[_series_name(series, linear=linear)] = {
@@ -174,8 +183,20 @@ def _missing_rows(d: Diagnosis, left: Missing | None, *, linear: bool) -> dict[s
             "after_working_rms": None if left is None else left.size.get(series),
             "after_rms": None if after is None else float(np.sqrt(np.mean(after**2))),
             "std": float(np.median(d.before.std[series])),
+            "over_speed": {
+                "unit": "m/s" if linear else "rad/s",
+                "before": _curve(evidence.asked or d.before, series),
+                "after": None if left is None else _curve(left, series),
+            },
         }
     return rows
+
+
+def _curve(m: Missing, series: str) -> dict[str, Any] | None:
+    means = means_over_speed(m, series) if series in m.series else None
+    if means is None:
+        return None
+    return {"speed": means.x.tolist(), "value": [float(y) if math.isfinite(y) else None for y in means.y]}
 
 
 def _series_name(series: str, *, linear: bool) -> str:

@@ -90,6 +90,12 @@ def missing_figures(d: Diagnosis, evidence: Evidence, marks: Sequence[Mark]) -> 
     return tuple(figures)
 
 
+def means_over_speed(m: Missing, key: str) -> Points | None:
+    """A missing quantity's means over the speed; None: there is no speed, or too few samples for means."""
+    speed = m.states.get("velocity_rad_s")
+    return None if speed is None else _means(key, speed, m.series[key])
+
+
 def _over_time(s: _Series, begin: float, gap: float, group: str, marks: Sequence[Mark]) -> TimeSeries:
     lines = tuple(Line(who, s.of(who), s.of(who) - s.std(who), s.of(who) + s.std(who)) for who in s.passes)
     return TimeSeries(

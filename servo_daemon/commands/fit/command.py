@@ -5,14 +5,13 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from servo_daemon.commands.shared import common
 from servo_daemon.commands.shared.effect_flag import add_effect
 
 if TYPE_CHECKING:
-    from servo_daemon.commands.fit.inputs import Inputs
-    from servo_daemon.identification import Identification
+    from servo_daemon.commands.fit.fitting import Fitted
 
 HELP = "identify a motor from captures: values, standard deviations, what the data do not determine"
 EXAMPLE = """  servo-daemon fit capture.csv
@@ -64,92 +63,32 @@ def add_validation(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from servo_daemon.commands.fit.document import fit_document
-    from servo_daemon.commands.fit.inputs import check_validation, gather
-    from servo_daemon.commands.fit.notes import drift_note, result_notes
+    from servo_daemon.commands.fit.fitting import fitted
     from servo_daemon.commands.fit.text import print_fit
     from servo_daemon.commands.shared.output_folder import OutputFolder
-    from servo_daemon.identification import IdentifyOptions, identify
-    from servo_daemon.identification.output_error import FitOptions
 
     if arguments.out is not None:
         common.may_overwrite(arguments.force, *(arguments.out / name for name in ("fit.json", "report.html")))
         OutputFolder(arguments.out).check_writable()  # what cannot be written should not be computed first
-    inputs = gather(arguments, arguments.captures, arguments.validate)
-    _check_segment(arguments.segment, inputs)
-    check_validation(inputs, arguments.adapt)
-    for text in inputs.notes:
-        common.note(text)
-    if arguments.method == "idim":
-        return _idim(arguments, inputs)
-    options = FitOptions(
-        nominal=inputs.nominal, fixed=inputs.fixed, robust=not arguments.no_robust, segment_s=arguments.segment
-    )
-    result = identify(
-        inputs.captures, inputs.validation, IdentifyOptions(inputs.effects, inputs.baseline, options, arguments.adapt)
-    )
-    found = result_notes(result.fit, {**inputs.nominal, **inputs.fixed}, inputs.meaning, inputs.captures[0])
-    if result.drift is not None:
-        found.append(drift_note(result.drift, result.fit, linear=result.captures[0].axis == "linear"))
-    for text in found:
-        common.note(text)
-    document = {**fit_document(result, inputs.winding, inputs.meaning), "notes": [*inputs.notes, *found]}
+    made = fitted(arguments)
     if arguments.out is not None:
-        _write(arguments, result, document)
+        _write(arguments, made)
     if arguments.json:
-        common.print_json(document)
+        common.print_json(made.document)
     else:
-        print_fit(document)
+        print_fit(made.document)
     return 0
 
 
-def _check_segment(segment_s: float | None, inputs: Inputs) -> None:
-    """Each free run has an initial state of its own, which some samples must tell.
-
-    Raises:
-        BadInputError: there are too few in a run of this length, s.
-    """
-    from servo_daemon.errors import BadInputError
-    from servo_daemon.identification.output_error.problem.setup import FEWEST_SAMPLES
-
-    if segment_s is None:
-        return
-    if not segment_s > 0.0:
-        raise BadInputError(f"--segment must be greater than zero, not {segment_s:g}")
-    for capture in inputs.captures:
-        if segment_s < (shortest := (FEWEST_SAMPLES - 1) * capture.sample_period_s):
-            least = f"{FEWEST_SAMPLES} samples, here {shortest:.3g} s"
-            raise BadInputError(f"--segment {segment_s:g}: {capture.path}: a free run needs at least {least}")
-
-
-def _idim(arguments: argparse.Namespace, inputs: Inputs) -> int:
-    from servo_daemon.commands.fit.idim import idim_document
-    from servo_daemon.commands.fit.text import print_fit
-    from servo_daemon.commands.shared.output_folder import OutputFolder
-    from servo_daemon.errors import BadInputError
-
-    if arguments.adapt is not None or arguments.segment is not None:
-        raise BadInputError("--adapt and --segment belong to --method output-error")
-    document = idim_document(inputs)
-    for text in document["notes"][len(inputs.notes) :]:
-        common.note(text)
-    if arguments.out is not None:
-        OutputFolder(arguments.out).write_json("fit.json", document)
-    if arguments.json:
-        common.print_json(document)
-    else:
-        print_fit(document)
-    return 0
-
-
-def _write(arguments: argparse.Namespace, result: Identification, document: dict[str, Any]) -> None:
-    """`fit.json` and `report.html` in the folder, which is made."""
+def _write(arguments: argparse.Namespace, made: Fitted) -> None:
+    """`fit.json` and, of a fit by output error, `report.html` in the folder, which is made."""
     from servo_daemon.commands.fit.report import fit_report
     from servo_daemon.commands.shared.output_folder import OutputFolder
     from servo_daemon.report import make_provenance
 
     folder = OutputFolder(arguments.out)
-    provenance = make_provenance(sys.argv[1:], [c.path for c in result.captures])
-    folder.write_json("fit.json", document)
-    folder.write_report("report.html", fit_report(result, document, provenance))
-    common.note(f"{folder.path}/report.html")
+    folder.write_json("fit.json", made.document)
+    if made.result is not None:
+        provenance = make_provenance(sys.argv[1:], [c.path for c in made.result.captures])
+        folder.write_report("report.html", fit_report(made.result, made.document, provenance))
+        common.note(f"{folder.path}/report.html")

@@ -13,20 +13,20 @@ from threading import Event
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
-from tqdm import tqdm
-
 from servo_daemon.config import DriveConfig, load_config
 from servo_daemon.errors import BadInputError
 from servo_daemon.published.snapshot import ParameterEstimate
 
 if TYPE_CHECKING:
+    from tqdm import tqdm
+
     from drivers.base import DriveInfo
     from servo_daemon.captures import Capture
     from servo_daemon.captures.capture.read_options import ReadOptions
 
 
 #: What a command's argument CAPTURE may be.
-CAPTURE_HELP = "CSV, CSV.gz, Parquet, MAT, Excel, MDF or a CAN log (BLF, ASC)"
+CAPTURE_HELP = "CSV, CSV.gz, Parquet, MAT, Excel, MDF, MCAP or a CAN log (BLF, ASC)"
 
 
 def add_config(parser: argparse.ArgumentParser, *, required: bool = False, drive: bool = True) -> None:
@@ -134,6 +134,10 @@ def add_signals(parser: argparse.ArgumentParser, *, rate: bool = True) -> None:
     parser.add_argument("--counts-per-rev", type=float, metavar="N", help="of the encoder whose counts are in the file")
     parser.add_argument("--supply", metavar="V[/FULL]", help="volts of a duty cycle of 1, or of FULL (12/255)")
     parser.add_argument("--pole-pairs", type=float, metavar="N", help="where a file has the electrical speed only")
+    parser.add_argument("--joint", metavar="NAME", help="which joint (drive) of an MCAP file that holds several")
+    parser.add_argument(
+        "--effort", choices=("current", "torque", "force"), help="what the effort of a ROS JointState is"
+    )
 
 
 def _read_options(arguments: argparse.Namespace) -> ReadOptions:
@@ -146,6 +150,8 @@ def _read_options(arguments: argparse.Namespace) -> ReadOptions:
         arguments.counts_per_rev,
         None if arguments.supply is None else parse_supply(arguments.supply),
         arguments.pole_pairs,
+        arguments.joint,
+        arguments.effort,
     )
 
 
@@ -201,6 +207,8 @@ def note(text: str) -> None:
 
 def progress(total: float, unit: str, description: str) -> tqdm[Any]:
     """A progress bar on stderr, only where somebody watches."""
+    from tqdm import tqdm
+
     return tqdm(total=total, unit=unit, desc=description, disable=None, file=sys.stderr, leave=False, unit_scale=True)
 
 
@@ -208,6 +216,11 @@ def parameter_rows(parameters: tuple[ParameterEstimate, ...]) -> dict[str, dict[
     """Parameters as in the REST contract."""
     keys = ("value", "std", "unit", "nominal", "status", "reason")
     return {p.name: {key: getattr(p, key) for key in keys} for p in parameters}
+
+
+def has_terminal() -> bool:
+    """Whether it runs in a terminal, whose end it should share: a service does not."""
+    return any(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stdout, sys.stderr))
 
 
 def stop_signals() -> tuple[signal.Signals, ...]:

@@ -6,11 +6,13 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 from tempfile import NamedTemporaryFile
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from servo_daemon.errors import BadInputError
 from servo_daemon.files import AtomicFile
-from servo_daemon.report import Report, write_report
+
+if TYPE_CHECKING:
+    from servo_daemon.report import Report
 
 
 class OutputFolder:
@@ -47,4 +49,6 @@ class OutputFolder:
 
     def write_report(self, name: str, report: Report) -> None:
         """One HTML file; complete or not there."""
+        from servo_daemon.report import write_report
+
         write_report(self.path / name, report)

@@ -50,14 +50,25 @@ class TrendCoordinator:
     def __init__(
         self, archive: Archive | None, sources: Sequence[Source], clock: Callable[[], float] = time.time
     ) -> None:
-        self._archive, self._sources, self._clock = archive, sources, clock
+        self._archive, self._clock = archive, clock
+        self._sources: Sequence[Source] = ()
         self._standing: dict[str, frozenset[str]] = {}
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="trends", daemon=True)
+        self.follow(sources)
+
+    def follow(self, sources: Sequence[Source]) -> None:
+        """These are the drives from now on; one in another's place has its trends until they are found again."""
+        before = {source.name: source for source in self._sources}
         for source in sources:
-            days = source.active.limits.warn_before_d
-            none = "no history is kept: [storage] state_dir or [history] says where it could be"
-            source.trends = DriveTrends(warn_before_d=days) if archive else DriveTrends(None, none, days)
+            old = before.get(source.name)
+            if old is None:
+                days = source.active.limits.warn_before_d
+                none = "no history is kept: [storage] state_dir or [history] says where it could be"
+                source.trends = DriveTrends(warn_before_d=days) if self._archive else DriveTrends(None, none, days)
+            elif old is not source:
+                source.trends = old.trends
+        self._sources = sources
 
     def start(self) -> None:
         if self._archive is not None:

@@ -155,7 +155,7 @@ def _pieces(a: Augmented, stretches: Sequence[Stretch]) -> list[Stretch]:
 
 def _minus_two_log(piece: Stretch, out: F64) -> float:
     """Of a piece, but for a constant; `out`: innovations and their inverse variances."""
-    nu, precision = np.split(out, 2, axis=1)
+    nu, precision = out[:, : piece.counted.shape[1]], out[:, piece.counted.shape[1] :]
     use = piece.counted & (precision > 0)
     return float(np.sum(nu[use] ** 2 * precision[use] - np.log(precision[use])))
 

@@ -22,6 +22,7 @@ from functools import cache, cached_property
 import casadi as ca
 import numpy as np
 
+from servo_daemon.identification.output_error.problem.rollout import STEP
 from servo_daemon.kalman.layout import MEASURABLE
 from servo_daemon.kalman.model import natural, pack, unpack
 from servo_daemon.plant.build import PlantModel
@@ -181,13 +182,17 @@ class _Pass:
 @cache
 def forward(a: Augmented) -> SampleLoop:
     """State z | triangle of P, predicted for the sample; output: the row that `Augmented.columns` describes."""
-    return SampleLoop(_Pass.of(a).function(lambda found: ca.vertcat(*[found[name] for name in a.columns])))
+    return SampleLoop(
+        _Pass.of(a).function(lambda found: ca.vertcat(*[found[name] for name in a.columns])), paced_by=STEP
+    )
 
 
 @cache
 def likelihood(a: Augmented) -> SampleLoop:
     """The forward pass with innovations and their precisions only."""
-    return SampleLoop(_Pass.of(a).function(lambda found: ca.vertcat(found["innovation"], found["precision"])))
+    return SampleLoop(
+        _Pass.of(a).function(lambda found: ca.vertcat(found["innovation"], found["precision"])), paced_by=STEP
+    )
 
 
 def _part(a: Augmented, row: ca.SX, name: str) -> ca.SX:

@@ -51,7 +51,9 @@ class Regression:
         """Series over traces; `stiff`: the stiffness of the first of them, as `of_parameters` has it."""
         # A trace that leaves the range of numbers (a spring too stiff for this sampling, a speed of zero in a
         # denominator) explains nothing.
-        columns = {n: np.where(np.isfinite(c).all(axis=0), c, 0.0) for n, c in smoothed(missing, traces).items()}
+        columns = smoothed(missing, traces)
+        for shown in columns.values():
+            shown[:, ~np.isfinite(shown).all(axis=0)] = 0.0
         edges = np.linspace(0, len(motion.t), BLOCKS + 1).astype(int)
         XX, Xy, yy = np.zeros((BLOCKS, len(traces), len(traces))), np.zeros((BLOCKS, len(traces))), np.zeros(BLOCKS)
         unknown, moving = 0.0, ~motion.rest & missing.seen

@@ -21,8 +21,7 @@ from servo_daemon.identification.output_error.starts import starting_points
 from servo_daemon.identification.short_runs.initial_states import has_found_states, with_found_states
 from servo_daemon.kalman.gaussian import natural_values, to_coordinate
 from servo_daemon.parameters import Parameter
-from servo_daemon.plant.build import build_plant
-from servo_daemon.plant.effects import effects_by_name
+from servo_daemon.plant.effects import check_effects, effects_by_name
 from servo_daemon.plant.effects.base import LATE_STEPS, TWIST
 from servo_daemon.samples import F64
 
@@ -233,7 +232,7 @@ def _begun_like(problem: Problem, like: Trial | None, chosen: NDArray[np.intp]) 
 def model_exists(effects: tuple[str, ...]) -> bool:
     """Whether these effects can be in one model (two dry frictions cannot)."""
     try:
-        build_plant(effects)
+        check_effects(effects)
     except ConfigError:
         return False
     return True

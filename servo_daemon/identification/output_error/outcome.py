@@ -31,7 +31,7 @@ from servo_daemon.identification.output_error.precision.information import (
     wider,
 )
 from servo_daemon.identification.output_error.problem.problem import Problem
-from servo_daemon.identification.output_error.refine import Refined, refine, whiten_point
+from servo_daemon.identification.output_error.refine import Refined, refine, whiten_point, with_lost_seen
 from servo_daemon.identification.output_error.solver.solver import Solution
 from servo_daemon.samples import F64
 
@@ -75,13 +75,29 @@ def conclude(
         refined = refine(problem, plain.point, torque_size, below)
     if refined is None:
         return _plain(problem, plain, scale, None)
+    for tried in (_from_lost(problem, refined, torque_size), refined):
+        if tried is not None and (outcome := _explained(problem, plain, scale, tried)) is not None:
+            return outcome
     if not refined.at_rest:
         return replace(_plain(problem, plain, scale, None), unsettled=refined)
+    return _plain(problem, plain, scale, refined)
+
+
+def _from_lost(problem: Problem, refined: Refined, torque_size: float) -> Refined | None:
+    """The likelihood's end from where a parameter lost on the way is not at nothing; None: it is no better."""
+    seen = with_lost_seen(problem, refined.point, refined.log_variance) if "current_A" in problem.channels else None
+    other = None if seen is None else refine(problem, seen, torque_size, refined.deviance)
+    return other if other is not None and other.deviance < refined.deviance else None
+
+
+def _explained(problem: Problem, plain: Solution, scale: F64, refined: Refined) -> Outcome | None:
+    """The likelihood's answer, if noise of the voltage explains the residuals."""
+    if not refined.at_rest or refined.torque_gain >= WORTH or "current_A" not in problem.channels:
+        return None
     innovations, rms = refined.whitened.linearisation.residuals, refined.innovation_rms
     tests = innovation_tests(problem, innovations, rms, moving(problem), resolution(problem))
-    explained = refined.torque_gain < WORTH and "current_A" in problem.channels
-    if not explained or not all(test.white for test in tests.values()):
-        return _plain(problem, plain, scale, refined)
+    if not all(test.white for test in tests.values()):
+        return None
     solution = replace(plain, point=refined.point, at_bound=refined.at_bound)
     known = wider(information(problem, refined.whitened, scale), refined.event_time_std)
     return Outcome(solution, known, residual_tests(problem, refined.point), tests, refined.noise, refined)

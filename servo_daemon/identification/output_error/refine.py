@@ -128,6 +128,23 @@ def refine(problem: Problem, point: Point, torque_size: float, below: float = np
     return Refined(point, whitened, noise, a, deviance, torque, rms, at_bound, event_time_std, end.remaining)
 
 
+def with_lost_seen(problem: Problem, point: Point, log_variance: F64) -> Point | None:
+    """The point with positive parameters that a search has driven to nothing put one standard deviation (all else held)
+    away from it: at nothing their logarithms have no derivative, and neither a way back nor a share in what the others
+    are known by. None: there are none."""
+    whitened, _ = whiten_point(problem, point, log_variance)
+    known = np.diag(normal_equations(problem, whitened)[0])
+    lost = problem.logarithmic & (known > 0.0) & (known < _FAINT)
+    if not lost.any():
+        return None
+    unknowns = point.unknowns.copy()
+    unknowns[lost] -= 0.5 * np.log(known[lost])
+    unknowns = within(problem, unknowns)
+    with np.errstate(over="ignore", invalid="ignore"):
+        linear = linearise(problem, unknowns)
+    return point_of(problem, unknowns, linear, point.weights) if linear.finite else None
+
+
 @dataclass(frozen=True, slots=True)
 class _End:
     """Free run, the same whitened, log variances; see `Refined`."""

@@ -20,7 +20,7 @@ def _loop(plant: PlantModel) -> SampleLoop:
 
     x, p = ca.SX.sym("x", len(plant.states)), ca.SX.sym("p", len(plant.parameters))
     row = ca.SX.sym("row", 3)
-    return SampleLoop(ca.Function("step", [x, p, row], [plant.step(x, row[2], p, row[0], row[1]), x]))
+    return SampleLoop(ca.Function("step", [x, p, row], [plant.step(x, row[2], p, row[0], row[1]), x]), paced_by=1)
 
 
 def free_run(plant: PlantModel, values: Mapping[str, float], time_s: F64, held: F64, start: Mapping[str, float]) -> F64:

@@ -66,7 +66,8 @@ def _loop(plant: PlantModel, channels: tuple[str, ...]) -> SampleLoop:
     x, F, noise = step(x, q, u, t, h, variance, P[speed, speed])
     outputs = ca.vertcat(*white, *logs)
     return SampleLoop(
-        ca.Function("step", [state, const, sample], ca.cse([ca.vertcat(x, pack(F @ P @ F.T + noise)), outputs]))
+        ca.Function("step", [state, const, sample], ca.cse([ca.vertcat(x, pack(F @ P @ F.T + noise)), outputs])),
+        paced_by=STEP,
     )
 
 

@@ -13,7 +13,7 @@ from servo_daemon.regression.sampling import Sampling, coarse
 from servo_daemon.regression.stretch import Stretch
 from servo_daemon.samples import F64
 from servo_daemon.tracking.noise.quantised_input import QuantisedInput
-from servo_daemon.tracking.noise.watch import InnovationWatch
+from servo_daemon.tracking.noise.watch import InnovationWatch, WatchMark
 from servo_daemon.tracking.plan.parameter_masks import ParameterMasks
 from servo_daemon.tracking.samples.signal_scales import SignalScales
 
@@ -96,6 +96,14 @@ class NoiseSetting:
         self._watch.put_sensor("current_A", sensor_A2)
         self._watch.put_input(voltage_V2, self._signal_scales.input_square**0.5, self._input_lsb)
         self.set()
+
+    def mark(self) -> WatchMark:
+        """What has been learned, for `watch_back_to`."""
+        return self._watch.mark()
+
+    def watch_back_to(self, mark: WatchMark) -> None:
+        """What has been learned since is forgotten; the filter is told by the next `set`."""
+        self._watch.back_to(mark)
 
     def learned(self, information: F64, period_s: float) -> None:
         """What the filter gained of each coordinate in a second of the last window, shape (n,)."""

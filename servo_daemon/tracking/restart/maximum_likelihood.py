@@ -16,7 +16,7 @@ of 12 draws); without the drift 2.6 % at 1.6; with both as here 1.5 % at 0.9 (of
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from servo_daemon.samples import F64
 from servo_daemon.tracking.noise.setting import NoiseSetting
 from servo_daemon.tracking.plan.parameter_masks import ParameterMasks
 from servo_daemon.tracking.restart.divergence import DivergenceMonitor
+from servo_daemon.tracking.restart.relinearisation import STEPS_A_TICK
 from servo_daemon.tracking.samples.filtering import Filtering, Fit
 
 #: From this tick on the filter has found its values, or is suspected of having diverged.
@@ -35,7 +36,6 @@ _FIRST_TICK = 40
 _TICKS = (100, 155)
 #: No more samples than these are kept: a pass over them takes 20 ms.
 _MOST_SAMPLES = 20_000
-#: One iteration a tick, so many at most.
 _MOST_ITERATIONS = 15
 #: Steps of the differences: of one unit of a coordinate, of a variance's logarithm.
 _DIFFERENCE, _NOISE_DIFFERENCE = 1e-4, 0.05
@@ -63,9 +63,39 @@ class _Point:
     log_var: F64
 
 
+@dataclass(slots=True)
+class _Iteration:
+    """Passes over the samples, one a point, of which a tick takes some (`STEPS_A_TICK`).
+
+    Attributes:
+        points: where, each with its distance from the first.
+        base: what the filter says at the first; None: it has not been there yet.
+        error, log_s: derivatives of the innovations and of their variances' logarithms along the others, so far.
+    """
+
+    points: list[tuple[_Point, float]]
+    base: Innovations | None = None
+    error: list[F64] = field(default_factory=list)
+    log_s: list[F64] = field(default_factory=list)
+
+    @property
+    def next(self) -> _Point:
+        """The point of the next pass."""
+        return self.points[0 if self.base is None else 1 + len(self.error)][0]
+
+    def take(self, there: Innovations) -> bool:
+        """What the filter says at the next point. Returns whether that was the last."""
+        if self.base is None:
+            self.base = there
+        else:
+            by = self.points[1 + len(self.error)][1]
+            self.error.append(((there.innovation - self.base.innovation) / by).ravel())
+            self.log_s.append((np.log(there.variance / self.base.variance) / by).ravel())
+        return len(self.error) == len(self.points) - 1
+
+
 class MaximumLikelihoodRestart:
-    """Maximises the likelihood of one filter's first samples, an iteration a tick, and sets the filter to the
-    result."""
+    """Maximises the likelihood of one filter's first samples, some passes a tick, and sets the filter to the result."""
 
     def __init__(self, masks: ParameterMasks, ekf: Ekf, filtering: Filtering, noise: NoiseSetting) -> None:
         self._masks, self._ekf, self._filtering, self._noise = masks, ekf, filtering, noise
@@ -80,8 +110,10 @@ class MaximumLikelihoodRestart:
         Args:
             asked: it may be asked for; a filter from a saved state knows enough.
         """
-        self._waits, self._searches, self._iterations = asked, False, 0
+        self._waits, self._iterations = asked, 0
+        self._iteration: _Iteration | None = None
         self._compares = False
+        self._passes = 1
         self._at = _Point(np.zeros(0), np.zeros(0))
         self._least_log_var: F64 = np.zeros(0)
 
@@ -95,26 +127,33 @@ class MaximumLikelihoodRestart:
         """
         if not self._waits or tick < _FIRST_TICK:
             return False
-        if not monitor.of_its_start or self._filtering.kept > _MOST_SAMPLES:
+        searches = self._iteration is not None
+        if not monitor.of_its_start or (not searches and self._filtering.kept > _MOST_SAMPLES):
             self.end()
             return False
         if not self._compares:
             self._compares, self._filtering.own = True, Fit()
-        if tick in _TICKS:
-            self._searches, self._iterations, self._at = True, 0, self._here()
-            self._least_log_var = self._at.log_var + _LEAST_NOISE
-        if not self._searches:
+        if tick in _TICKS and self._filtering.kept <= _MOST_SAMPLES:
+            self._begin_search(scales)
+        if self._iteration is None:
             return False
-        self._iterations += 1
-        found = self._iterate(scales)
-        self._searches = not found and self._iterations < _MOST_ITERATIONS
-        if not self._searches and tick >= _TICKS[-1]:
-            self.end()
+        found = self._go_on(self._iteration, scales)
+        if found or self._iterations == _MOST_ITERATIONS:
+            self._iteration = None
+            if tick >= _TICKS[-1]:
+                self.end()
         return found
+
+    def _begin_search(self, scales: F64) -> None:
+        self._filtering.begin_batch()
+        self._passes = max(1, STEPS_A_TICK // self._filtering.kept)
+        self._iterations, self._at = 0, self._here()
+        self._least_log_var = self._at.log_var + _LEAST_NOISE
+        self._iteration = _Iteration(self._around(scales))
 
     def end(self) -> None:
         """Nothing is asked any more: what is known is enough, or the motor is another one than in its first samples."""
-        self._waits = self._searches = False
+        self._waits, self._iteration = False, None
         self._filtering.keep(None)
 
     def _here(self) -> _Point:
@@ -122,44 +161,56 @@ class MaximumLikelihoodRestart:
         var = np.array([noise.input_var, noise.torque_psd, *noise.channel_var])
         return _Point(self._ekf.coordinates, np.log(np.maximum(var, _LEAST_VAR)))
 
-    def _iterate(self, scales: F64) -> bool:
-        """One step of the scoring. Returns whether it was the last, and the filter is there; else it is as it was."""
+    def _go_on(self, iteration: _Iteration, scales: F64) -> bool:
+        """A tick's share of the passes. Returns whether the search is over, and the filter is there; else it is as it
+        was."""
         before, constants = self._ekf.snapshot(), self._ekf.constants
-        base = self._predicted(self._at)
-        step, covariance = self._step(base, scales)
-        known = bool(np.all(np.sqrt(covariance.diagonal())[self._asked] < _KNOWN_STD))
-        n = len(self._free)
-        length = step[:n] @ np.linalg.pinv(covariance, hermitian=True) @ step[:n]
-        found = bool(known and 0.0 <= length < _SETTLED**2) and self._explains(base) and self._is_better(base)
-        if found:
-            self._go_on_from(covariance)
-        else:
-            self._at = self._moved(step, scales)
+        found = False
+        for _ in range(self._passes):
+            if iteration.take(self._predicted(iteration.next)):
+                found = self._iterated(iteration, scales)
+                break
+        if not found:
             self._ekf.restore(before)
         self._ekf.put_constants(constants)
         if found:
             self._tell_noise()
         return found
 
-    def _predicted(self, at: _Point) -> Innovations:
-        """The kept samples, each predicted from those before it with these parameters and this noise."""
+    def _iterated(self, iteration: _Iteration, scales: F64) -> bool:
+        """One step of the scoring. Returns whether it was the last, and the filter is there."""
+        self._iterations += 1
+        assert iteration.base is not None
+        step, covariance = self._step(iteration, iteration.base)
+        known = bool(np.all(np.sqrt(covariance.diagonal())[self._asked] < _KNOWN_STD))
+        n = len(self._free)
+        length = step[:n] @ np.linalg.pinv(covariance, hermitian=True) @ step[:n]
+        if known and 0.0 <= length < _SETTLED**2 and self._explains(iteration.base) and self._goes_on_from(covariance):
+            return True
+        self._at = self._moved(step, scales)
+        self._iteration = _Iteration(self._around(scales))
+        return False
+
+    def _predicted(self, at: _Point, *, up_to_now: bool = False) -> Innovations:
+        """The kept samples, each predicted from those before it with these parameters and this noise.
+
+        Args:
+            up_to_now: those that have come since the search began, too.
+        """
         var = np.exp(at.log_var).tolist()
         self._ekf.set_noise(NoiseLevels(var[0], var[1], tuple(var[2:])))
         zeros = np.zeros(len(at.coordinates))
         self._ekf.set_active(zeros, zeros)
-        return self._filtering.predictions(Gaussian(self._masks.names, at.coordinates, np.diag(zeros)))
+        return self._filtering.predictions(
+            Gaussian(self._masks.names, at.coordinates, np.diag(zeros)), up_to_now=up_to_now
+        )
 
-    def _step(self, base: Innovations, scales: F64) -> tuple[F64, F64]:
+    def _step(self, iteration: _Iteration, base: Innovations) -> tuple[F64, F64]:
         """Of the free coordinates and the log-variances, shape (n + m,); and the covariance of the former, (n, n)."""
-        error, log_s = [], []
-        for moved, by in self._around(scales):
-            there = self._predicted(moved)
-            error.append(((there.innovation - base.innovation) / by).ravel())
-            log_s.append((np.log(there.variance / base.variance) / by).ravel())
         nu, s = base.innovation.ravel(), base.variance.ravel()
         z2 = np.square(nu) / s
         usual = z2 < _OUTLIER_SQUARE
-        d_nu, d_s = np.array(error) * (usual / np.sqrt(s)), np.array(log_s) * usual
+        d_nu, d_s = np.array(iteration.error) * (usual / np.sqrt(s)), np.array(iteration.log_s) * usual
         gradient = d_nu @ (nu / np.sqrt(s)) - 0.5 * d_s @ (z2 - 1.0)
         n = len(self._free)
         H = d_nu @ d_nu.T + 0.5 * d_s @ d_s.T + np.diag([0.0] * n + [_DAMPING] * (len(d_nu) - n))
@@ -168,8 +219,9 @@ class MaximumLikelihoodRestart:
         return -inverse @ gradient, inverse[:n, :n]
 
     def _around(self, scales: F64) -> list[tuple[_Point, float]]:
-        """The points at a small distance along each unknown, with that distance."""
-        at, out = self._at, []
+        """Where the search is, and the points at a small distance along each unknown, with that distance."""
+        at = self._at
+        out = [(at, 0.0)]
         for k in self._free.tolist():
             by = _DIFFERENCE * float(scales[k])
             out.append((_Point(at.coordinates + by * (np.arange(len(at.coordinates)) == k), at.log_var), by))
@@ -194,20 +246,22 @@ class MaximumLikelihoodRestart:
         correlation = np.sum(z[1:] * z[:-1], axis=0) / np.maximum(square, 1e-12)
         return bool((np.abs(square / number - 1.0) < _AS_EXPECTED).all() and (np.abs(correlation) < _WHITE).all())
 
-    def _is_better(self, base: Innovations) -> bool:
+    def _is_better(self, found: Innovations) -> bool:
         """Whether these values predict what has come since the filter was through its start better than the filter did.
         The likeliest constants of a motor that is none are wrong, and the filter, which follows it, is not."""
         n = self._filtering.own.samples
-        last = Innovations(base.innovation[-n:], base.variance[-n:], base.gated[-n:])
+        last = Innovations(found.innovation[-n:], found.variance[-n:], found.gated[-n:])
         return n > 0 and Fit().with_more(last).cost < self._filtering.own.cost
 
-    def _go_on_from(self, covariance: F64) -> None:
-        """The filter is at the last sample with what was found."""
-        self._predicted(self._at)
+    def _goes_on_from(self, covariance: F64) -> bool:
+        """Whether what was found is better than the filter; then it is at the last sample with that."""
+        if not self._is_better(self._predicted(self._at, up_to_now=True)):
+            return False
         everything = np.zeros((len(self._at.coordinates),) * 2)
         everything[np.ix_(self._free, self._free)] = covariance
         self._ekf.put_parameters(self._at.coordinates, everything)
         self._ekf.take_statistics()
+        return True
 
     def _tell_noise(self) -> None:
         """The noise of current and voltage as it was found."""

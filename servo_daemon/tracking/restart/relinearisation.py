@@ -18,73 +18,75 @@ the start are filtered once more.
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize
 
 from servo_daemon.kalman.ekf import Ekf
 from servo_daemon.kalman.gaussian import Gaussian
 from servo_daemon.samples import F64
 from servo_daemon.tracking.noise.setting import NoiseSetting
-from servo_daemon.tracking.noise.watch import WHITE_IN
+from servo_daemon.tracking.noise.watch import WatchMark
 from servo_daemon.tracking.plan.parameter_masks import Mask, ParameterMasks
-from servo_daemon.tracking.samples.filtering import Filtering, Fit
+from servo_daemon.tracking.restart.batch_passes import MOVED, WIDEST_STD, Batch, BatchPasses
+from servo_daemon.tracking.samples.filtering import Filtering
 from servo_daemon.tracking.start.starter import Start
 from servo_daemon.tracking.validity.validity_gate import ValidityGate
 
 #: Begun with a larger 1 σ than this a parameter's derivatives may be wrong.
 _VAGUE_STD = 0.1
-#: After so many ticks the first samples are filtered again, and after the first when a parameter has moved by so much
-#: (a share of one unit) from where the last time has left it; each time in at most so many passes.
-_TICKS, _MOVED, _PASSES = (10, 40), 0.1, 8
+#: After so many ticks the first samples are filtered again, and after the first when a parameter has moved by `MOVED`
+#: from where the last time has left it.
+_TICKS = 10, 40
 #: After so many jumps of a parameter the second time is waited for.
 _MOST_MOVES = 4
-#: So often noise and values are found in turn, where values have jumped meanwhile.
-_TURNS = 2
-#: More samples than these are not filtered again: others wait for their turn meanwhile.
+#: More samples than these are not filtered again.
 _MOST_SAMPLES = 20_000
-#: A pass begins with no larger 1 σ: further off a logarithm's derivatives say nothing of where it would have to go.
-_WIDEST_STD = 0.2
-#: A pass along the instrumental trajectory fits as well as one without it, if its cost is no larger than by this; by
-#: the second where one has been no better before.
-_AS_GOOD, _TRIED = 20.0, 3.0
 #: A parameter of which the samples leave more than this share of it was not seen.
 _UNSEEN_SHARE = 0.7
-#: A pass that moves nothing by more than these, in standard deviations and as a share of one unit, was the last.
-_SETTLED_STDS, _SETTLED_SHARE = 0.5, 0.01
-#: Values that a pass moves by less than this are good enough for the instrumental trajectory to follow.
-_FOLLOWS_SHARE = 0.05
-#: The search for the likeliest variances: first step and accuracy of their logarithms, of −2 log p, and passes.
-_NOISE_STEP, _NOISE_EXACT, _NOISE_COST, _NOISE_PASSES = 1.5, 0.3, 3.0, 25
-_LEAST_VAR = 1e-18
-#: Of fewer samples the values, which are fitted as well, leave too little of the noise.
-_FEWEST = 300
-#: Innovations are explained below this mean of ν²/s.
-_AS_EXPECTED = 1.3
+#: In a tick at most so many steps of the filter go over samples again, which takes 50 ms of its 100; the rest of it in
+#: the next ones. At 1 kHz the first time takes one tick, the second three.
+STEPS_A_TICK = 60_000
 
 
 @dataclass(frozen=True, slots=True)
-class _Batch:
-    """What all passes over one batch of samples share.
+class _Filter:
+    """Where filter and noise are."""
+
+    state: F64
+    constants: F64
+    noise: WatchMark
+
+
+@dataclass(slots=True)
+class _UnderWay:
+    """A batch that is being filtered again.
 
     Attributes:
-        start: of the filter.
-        index: of the start's parameters among the filter's.
-        vague: which of these are logarithms that were guessed.
-        walk_var_per_s: process noise of each coordinate, 1/s.
-        period_s: usual distance of two samples.
+        batch: what its passes share.
+        last: of the start's.
+        white: the innovations were when it began.
+        passes: a tick's.
+        work: what is left of it, a pass at a time.
+        at: where it has left filter and noise.
+        doubt: 1 σ that the balances left open before, (n,).
     """
 
-    start: Gaussian
-    index: list[int]
-    vague: Mask
-    walk_var_per_s: F64
-    period_s: float
+    batch: Batch
+    last: bool
+    white: bool
+    passes: int
+    work: Generator[None, None, bool | None]
+    at: _Filter
+    doubt: F64
 
 
 class BatchRelinearisation:
     """Re-linearises one filter at its first samples, at fixed ticks and whenever a guessed parameter has jumped.
+
+    That is spread over as many ticks as it needs (`STEPS_A_TICK`), in which the filter goes on as it was; what is found
+    is taken over with the samples that have come meanwhile.
 
     Attributes:
         pending: the filter started from no saved state, and its first samples have not been re-linearised yet.
@@ -100,10 +102,18 @@ class BatchRelinearisation:
     ) -> None:
         self._masks, self._ekf, self._filtering = masks, ekf, filtering
         self._validity, self._noise = validity, noise
+        self._passes = BatchPasses(masks, ekf, filtering, noise)
         self._start: Start | None = None
         self._left_at: F64 = np.zeros(0)  # coordinates, by the last time
         self._moves = 0
+        self._under_way: _UnderWay | None = None
+        self._due = False
         self.pending = False
+
+    @property
+    def is_open(self) -> bool:
+        """The first samples are yet to be re-linearised, or are so now."""
+        return self.pending or self._under_way is not None
 
     def begin(self, start: Start, trusted: bool) -> None:
         """A filter starts.
@@ -112,12 +122,12 @@ class BatchRelinearisation:
             trusted: from a saved state, or from another model's filter.
         """
         self._start, self.pending = None if trusted else start, not trusted
-        self._moves = 0
+        self._moves, self._under_way, self._due = 0, None, False
         self._filtering.keep(None if trusted else start.last)
 
     def update(self, tick: int, white: bool, period_s: float) -> bool:
-        """Filter the first samples again, if it is time to. Returns whether it was: all that was said of the filter's
-        values was of others.
+        """Filter the first samples again, if it is time to. Returns whether that is done: all that was said of the
+        filter's values was of others.
 
         Args:
             tick: number of the running filter's.
@@ -125,30 +135,88 @@ class BatchRelinearisation:
                 what no values explain: then nothing is done.
             period_s: usual distance of two samples.
         """
-        if self._start is None or not (tick in _TICKS or self._has_moved(tick)):
+        if self._start is None:
             return False
-        self._moves += tick not in _TICKS
-        first, usable = self.pending, self._filtering.kept <= _MOST_SAMPLES
-        self.pending = False
-        start = self._start.parameters
+        self._due |= tick in _TICKS
+        if self._under_way is None:
+            if not self._due and not self._has_moved(tick):
+                return False
+            self._moves += not self._due
+            self._due = False
+            self._under_way = self._begun(self._start.parameters, tick, white, period_s)
+        return self._go_on(self._under_way)
+
+    def end(self) -> None:
+        """Give up the first samples: the motor has changed since."""
+        self._start, self.pending = None, False
+        self._under_way, self._due = None, False
+
+    def _begun(self, start: Gaussian, tick: int, white: bool, period_s: float) -> _UnderWay:
         walk = self._validity.walk(self._masks.free)
-        batch = _Batch(start, self._index(start), self._vague(start), walk, period_s)
-        follows = self._filter_again(batch, white) if usable else None
-        if follows is None and not first:
+        batch = Batch(start, self._index(start), self._vague(start), walk, period_s)
+        samples = self._filtering.kept
+        usable = samples <= _MOST_SAMPLES
+        if usable:
+            self._filtering.begin_batch()
+        work = self._passes.filter_again(batch, white) if usable else _nothing()
+        passes = max(1, STEPS_A_TICK // max(samples, 1))
+        doubt = self._validity.mismatch.std
+        now = _UnderWay(batch, tick >= _TICKS[-1], white and usable, passes, work, self._here(), doubt)
+        if not self.pending:
             self._widen_moved(batch)
+        return now
+
+    def _go_on(self, now: _UnderWay) -> bool:
+        """A tick's share of the passes. Returns whether they are done, and the filter goes on from their result."""
+        filter_ = self._here()
+        self._put(now.at)
+        try:
+            for _ in range(now.passes):
+                next(now.work)
+        except StopIteration as done:
+            return self._done(now, filter_, done.value)
+        now.at = self._here()
+        self._put(filter_)
+        return False
+
+    def _done(self, now: _UnderWay, filter_: _Filter, follows: bool | None) -> bool:
+        """Take over what was found. Returns whether something was.
+
+        Args:
+            filter_: as it was meanwhile.
+            follows: as `BatchPasses.filter_again` returns it.
+        """
+        first, self.pending, self._under_way = self.pending, False, None
+        noise = self._noise.of_current
+        if follows is None:
+            self._put(filter_)
+        else:
+            self._passes.allow(now.batch, follows)
+            self._filtering.catch_up()
+            self._noise.watch_back_to(filter_.noise)
+        if noise is not None and (follows is not None or now.white):
+            self._noise.put_of_current(*noise)
+        if follows is not None:
+            self._widen(now.batch)
+        if not first:
+            moved = np.abs(self._ekf.coordinates - self._ekf.parameters_of(filter_.state)[0])
+            self._validity.doubt(np.maximum(now.doubt, moved))
         self._left_at = self._ekf.coordinates.copy()
-        if tick >= _TICKS[-1]:
+        if now.last:
             self._start = None
         if follows is None:
-            self._validity.resume()
             return False
         self._ekf.take_statistics()
         self._validity.begin_anew(follows)
         return True
 
-    def end(self) -> None:
-        """Give up the first samples: the motor has changed since."""
-        self._start, self.pending = None, False
+    def _here(self) -> _Filter:
+        return _Filter(self._ekf.snapshot(), self._ekf.constants, self._noise.mark())
+
+    def _put(self, there: _Filter) -> None:
+        self._ekf.restore(there.state)
+        self._ekf.put_constants(there.constants)
+        self._noise.watch_back_to(there.noise)
 
     def _has_moved(self, tick: int) -> bool:
         """Whether a guessed parameter that the filter has seen has left the values that the derivatives were taken
@@ -157,136 +225,24 @@ class BatchRelinearisation:
             return False
         start = self._start.parameters
         index = np.array(self._index(start))[self._vague(start)]
-        moved = (np.abs(self._ekf.coordinates - self._left_at) > _MOVED) & (self._ekf.coordinate_std < _VAGUE_STD)
+        moved = (np.abs(self._ekf.coordinates - self._left_at) > MOVED) & (self._ekf.coordinate_std < _VAGUE_STD)
         return bool(moved[index].any())
 
-    def _filter_again(self, batch: _Batch, white: bool) -> bool | None:
-        """Pass over the samples since the start. Returns whether the last pass used the instrumental trajectory; None:
-        with the best values there are still samples that do not fit, so that these are no samples to begin from, and
-        nothing is done.
-
-        Args:
-            white: as for `update`.
-        """
-        before, noise = self._ekf.snapshot(), self._noise.of_current
-        if not white:  # noise as found at values that explain nothing would be large enough to explain anything
-            self._iterate(batch, guessed=True)
-        outliers, follows = 0, False
-        for turn in range(_TURNS):
-            at = self._ekf.coordinates
-            self._learn_noise(batch)
-            outliers, follows = self._iterate(batch, guessed=white and turn == 0)
-            if (np.abs(self._ekf.coordinates - at)[self._masks.published] < _MOVED).all():
-                break
-        if outliers > 0 or not (white or self._is_white()):
-            self._ekf.restore(before)
-            if noise is not None and not white:
-                self._noise.put_of_current(*noise)
-            return None
-        self._widen(batch)
-        return follows
-
-    def _is_white(self) -> bool:
-        """Whether the last pass left white innovations."""
-        channels = self._ekf.take_statistics().values()
-        return all(abs(c.correlation) < WHITE_IN and c.nis < _AS_EXPECTED for c in channels)
-
-    def _iterate(self, batch: _Batch, *, guessed: bool) -> tuple[int, bool]:
-        """Passes until none moves the values any more. Returns how many outliers the best has left, and whether it was
-        along the instrumental trajectory.
-
-        Args:
-            guessed: the first begins where the filter did.
-        """
-        published = self._masks.published
-        best, best_fit, follows, best_follows = self._ekf.snapshot(), Fit(np.inf), False, False
-        for first in (guessed, *[False] * _PASSES):
-            found = self._ekf.coordinates
-            fit = self._pass_over(batch, follows, first)
-            moved = np.abs(self._ekf.coordinates - found)[published]
-            better = self._ekf.is_plausible() and fit.cost < best_fit.cost
-            if better:
-                best, best_fit, best_follows = self._ekf.snapshot(), fit, follows
-            allowed = self._allowed()[published]
-            if not first and ((follows and (moved < allowed).all()) or not better):
-                break
-            self._ekf.restore(best)
-            follows = bool((moved < allowed + _FOLLOWS_SHARE).all())
-        self._ekf.restore(best)
-        if not best_follows and best_fit.outliers == 0:
-            # Along its own states a filter learns from the colour of its noise, and fits a little better by it.
-            best_follows = self._follow(batch, best_fit.cost + (_TRIED if follows else _AS_GOOD))
-        return best_fit.outliers, best_follows
-
-    def _follow(self, batch: _Batch, limit: float) -> bool:
-        """Passes along the instrumental trajectory until none moves the values any more. Returns whether they fit, to
-        this cost; the values are those of the last that does."""
-        best, fits = self._ekf.snapshot(), False
-        for _ in range(_PASSES):
-            found = self._ekf.coordinates
-            fit = self._pass_over(batch, follows=True, guessed=False)
-            if not self._ekf.is_plausible() or fit.outliers > 0 or fit.cost > limit:
-                break
-            best, fits = self._ekf.snapshot(), True
-            if (np.abs(self._ekf.coordinates - found) < self._allowed())[self._masks.published].all():
-                break
-        self._ekf.restore(best)
-        return fits
-
-    def _allowed(self) -> F64:
-        """By how much the last pass may move each coordinate, shape (n,)."""
-        return _SETTLED_STDS * self._ekf.coordinate_std + _SETTLED_SHARE
-
-    def _learn_noise(self, batch: _Batch) -> None:
-        """Noise of the current's sensor and of the voltage as the samples are likeliest with, at the values that were
-        found. Where the winding is faster than the sampling both are white in the current, and only the one moves the
-        shaft: likelihood knows (by 280 of −2 log p within 1.5 s of an RE 40), correlations of innovations learn it
-        within a minute."""
-        guess = self._noise.of_current
-        if guess is None or self._filtering.kept < _FEWEST:
-            return
-        found = self._ekf.snapshot()
-
-        def cost(log_var: F64) -> float:
-            self._ekf.restore(found)
-            self._noise.put_of_current(*np.exp(log_var).tolist())
-            return self._pass_over(batch, follows=False, guessed=False).cost
-
-        at = np.log(np.maximum(guess, _LEAST_VAR))
-        simplex = at + np.array([[0.0, 0.0], [_NOISE_STEP, 0.0], [0.0, -_NOISE_STEP]])
-        options = {"initial_simplex": simplex, "xatol": _NOISE_EXACT, "fatol": _NOISE_COST, "maxfev": _NOISE_PASSES}
-        likeliest = minimize(cost, at, method="Nelder-Mead", options=options)
-        self._noise.put_of_current(*np.exp(likeliest.x).tolist())
-        self._ekf.restore(found)
-
-    def _pass_over(self, batch: _Batch, follows: bool, guessed: bool) -> Fit:
-        """Once, with the spread of the start.
-
-        Args:
-            follows: along the instrumental trajectory.
-            guessed: from where the filter started, and not from what it has found.
-        """
-        masks, found, start = self._masks, self._ekf.coordinates, batch.start
-        free = masks.free if follows else masks.free_along_own_states(found, batch.period_s)
-        begins = np.where(batch.vague & ~(free[batch.index] & guessed), found[batch.index], start.mean)
-        self._ekf.use_instrumental_trajectory(follows)
-        self._ekf.set_active(free, batch.walk_var_per_s)
-        spread = np.diag(np.minimum(start.std, _WIDEST_STD) ** 2)
-        return self._filtering.again(Gaussian(start.names, begins, spread))
-
-    def _widen_moved(self, batch: _Batch) -> None:
-        """The samples could not be filtered again. What has jumped did so along derivatives that were taken at other
-        values, and is known no better than by as much."""
-        moved = np.minimum(np.abs(self._ekf.coordinates - self._left_at), _WIDEST_STD)
+    def _widen_moved(self, batch: Batch) -> None:
+        """Until the samples have been filtered again, and if they cannot be: what has jumped did so along derivatives
+        that were taken at other values, and is known no better than by as much. Until then all the rest pays for it."""
+        moved = np.minimum(np.abs(self._ekf.coordinates - self._left_at), WIDEST_STD)
         vague = np.zeros(len(moved), dtype=bool)
         vague[batch.index] = batch.vague
-        self._ekf.widen_parameters(np.where(vague & (moved > _MOVED), np.square(moved), 0.0))
+        moved = np.where(vague & (moved > MOVED), moved, 0.0)
+        self._ekf.widen_parameters(np.square(moved))
+        self._validity.doubt(np.maximum(self._validity.mismatch.std, moved.max()))
 
-    def _widen(self, batch: _Batch) -> None:
+    def _widen(self, batch: Batch) -> None:
         """What the samples have not shown is known no better than at the start."""
         before = np.zeros(len(self._masks.names))
         before[batch.index] = batch.start.std
-        unseen = (before > _WIDEST_STD) & (self._ekf.coordinate_std > _UNSEEN_SHARE * _WIDEST_STD)
+        unseen = (before > WIDEST_STD) & (self._ekf.coordinate_std > _UNSEEN_SHARE * WIDEST_STD)
         self._ekf.widen_parameters(np.where(unseen, np.square(before), 0.0))
 
     def _index(self, start: Gaussian) -> list[int]:
@@ -296,3 +252,8 @@ class BatchRelinearisation:
         """Of the start's parameters: logarithms that were guessed, shape (parameters of the start,)."""
         logarithmic = self._masks.published & self._masks.logarithmic
         return np.asarray(logarithmic[self._index(start)] & (start.std > _VAGUE_STD))
+
+
+def _nothing() -> Generator[None, None, None]:
+    """Too many samples to filter again."""
+    yield from ()

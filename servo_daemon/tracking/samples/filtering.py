@@ -57,7 +57,8 @@ class Filtering:
         self._before: SampleBlock | None = None  # the last samples
         self._kept: list[tuple[SampleBlock, float | None, float | None]] | None = None
         self._kept_from: tuple[SampleBlock, Marked] | None = None
-        self._laid_out: tuple[float, list[Forget | F64]] | None = None  # the kept ones, since they were filtered
+        self._laid_out: tuple[float, list[Forget | F64]] | None = None  # the kept ones, as a batch
+        self._since: list[Forget | F64] = []  # what the filter took since then
         self.own = Fit()
         self._passed: list[Forget | F64] = []  # what the filter took since it was last asked for
         self._gated: list[F64] = []  # of each run of samples since they were last asked for; (n, channels)
@@ -74,9 +75,10 @@ class Filtering:
             return
         if self._kept is not None:
             self._kept.append((block, last_s, period_s))
-            self._laid_out = None
         for piece in self._pieces(block, last_s, period_s):
             self._passed.append(piece)
+            if self._laid_out is not None:
+                self._since.append(piece)
             innovations = self.run(piece, again=False)
             if innovations is not None:
                 self._gated.append(innovations.gated)
@@ -145,18 +147,33 @@ class Filtering:
         """
         self._kept = None if last is None else []
         self._kept_from = None if last is None else (last, self.layout.mark())
-        self._laid_out = None
+        self._laid_out, self._since = None, []
+
+    def begin_batch(self) -> None:
+        """What is kept by now is filtered `again` from here on, however much is added meanwhile."""
+        self._laid_out, self._since = self._lay_out(), []
+
+    def catch_up(self) -> None:
+        """Give the filter, which is through the batch, the samples that have come since."""
+        for piece in self._since:
+            self.run(piece)
 
     def again(self, parameters: Gaussian) -> Fit:
-        """Start the filter from these parameters and give it the samples that were kept."""
+        """Start the filter from these parameters and give it the samples of the batch."""
         fit = Fit()
         for innovations in self._over_kept(parameters):
             fit = fit.with_more(innovations)
         return fit
 
-    def predictions(self, parameters: Gaussian) -> Innovations:
-        """As `again`; what the filter says of all of them, in one piece."""
+    def predictions(self, parameters: Gaussian, *, up_to_now: bool = False) -> Innovations:
+        """As `again`; what the filter says of all of them, in one piece.
+
+        Args:
+            up_to_now: and of those that have come since.
+        """
         runs = list(self._over_kept(parameters))
+        if up_to_now:
+            runs += [innovations for piece in self._since if (innovations := self.run(piece)) is not None]
         return Innovations(
             np.concatenate([r.innovation for r in runs]),
             np.concatenate([r.variance for r in runs]),
@@ -164,11 +181,9 @@ class Filtering:
         )
 
     def _over_kept(self, parameters: Gaussian) -> Iterator[Innovations]:
-        """The filter, started from these parameters, over the samples that were kept."""
-        assert self._kept_from is not None
+        """The filter, started from these parameters, over the samples of the batch."""
+        assert self._kept_from is not None and self._laid_out is not None
         last, _ = self._kept_from
-        if self._laid_out is None:
-            self._laid_out = self._lay_out()
         held_input, pieces = self._laid_out
         self._ekf.start(parameters, held_input=held_input)
         self._ekf.forget_state(self.first_state(last))
@@ -176,7 +191,6 @@ class Filtering:
             innovations = self.run(piece)
             if innovations is not None:
                 yield innovations
-        self.forget_outliers()
 
     def _lay_out(self) -> tuple[float, list[Forget | F64]]:
         """The input before the samples that were kept, and these in as few pieces as can be: a drive sends ten at a

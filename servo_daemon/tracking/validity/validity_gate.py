@@ -84,6 +84,11 @@ class ValidityGate:
         self.excitation.forget()
         self._ekf.use_instrumental_trajectory(follows)
 
+    def doubt(self, std: F64) -> None:
+        """Widen what is positive and published to this 1 σ of the coordinates (n,), until the balances judge it."""
+        at = self._masks.published & self._masks.logarithmic
+        self.mismatch.std = np.where(at, std, self.mismatch.std)
+
     def waive_cross_check(self) -> None:
         """The filter's values are those of the greatest likelihood: no regression need speak for them."""
         self.confirmation.cross_check.done = True

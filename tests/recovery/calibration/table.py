@@ -68,7 +68,7 @@ SPEAKS: Mapping[str, str] = {
     "tracking.validity.excitation.SYSTEMATIC_LEAVE": "above",
     "tracking.restart.maximum_likelihood._WHITE": "above",
     "tracking.restart.maximum_likelihood._AS_EXPECTED": "above",
-    "tracking.restart.relinearisation._AS_EXPECTED": "above",
+    "tracking.restart.batch_passes._AS_EXPECTED": "above",
     "tracking.notifications._OFFSET_OUT": "above",
 }
 _NOTHING = "nothing"

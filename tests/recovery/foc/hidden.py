@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
+import contextlib
+import io
 import math
 import tempfile
 from collections.abc import Callable
@@ -10,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from servo_daemon.captures import Capture, read_capture, write_capture
-from servo_daemon.diagnosis.diagnose import diagnose
+from servo_daemon.captures import write_capture
+from servo_daemon.commands.diagnose.command import add_arguments
+from servo_daemon.commands.diagnose.diagnosing import diagnosed
 from servo_daemon.samples import make_block
 from servo_daemon.signal_meaning import SignalMeaning, as_texts
 from tests.recovery.foc.motor import OUTRUNNER, SMALL, FocMotor, instants, multisine, pick_and_place, polled, run
@@ -78,22 +82,24 @@ def cases(seed: int) -> list[LinkCase]:
 
 
 def judge(case: LinkCase) -> Named:
-    """Run the motor, read it over the link, write the samples to a file, diagnose the file."""
-    diagnosis = diagnose([_capture(case)])
-    return Named(case, tuple(e.name for e in diagnosis.effects), diagnosis.verdict, diagnosis.seconds)
+    """Run the motor, read it over the link, write the samples to a file, and ask as `servo-daemon diagnose FILE`."""
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stderr(io.StringIO()):
+        path = Path(folder) / "link.csv"
+        _write(case, path)
+        document = diagnosed(parser.parse_args([str(path)])).document
+    return Named(case, tuple(e["name"] for e in document["effects"]), document["verdict"], document["seconds"])
 
 
-def _capture(case: LinkCase) -> Capture:
+def _write(case: LinkCase, path: Path) -> None:
     motor, noise_A, size = MOTORS[case.motor]
     speed = MOTIONS[case.motion](size)
     amplitude = SHARE * _working_torque(motor, speed)
     trace = run(motor, speed, SECONDS, noise_A=noise_A, seed=case.seed, load=LOADS[case.cause](amplitude))
     columns = (polled if case.kind == "mean" else instants)(trace, case.hz, seed=case.seed)
     meaning = SignalMeaning(case.kind, case.kind, "dq", pole_pairs=motor.pole_pairs)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "link.csv"
-        write_capture(path, make_block(columns.pop("time_s"), **columns), metadata=as_texts(meaning))
-        return read_capture(path)
+    write_capture(path, make_block(columns.pop("time_s"), **columns), metadata=as_texts(meaning))
 
 
 def _working_torque(motor: FocMotor, speed: Callable[[float], float]) -> float:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import csv
 import io
 import sys
+from pathlib import Path
 from typing import Any
 
 import pyarrow.parquet
 import pytest
 
 from servo_daemon.api.app import create_app
+from servo_daemon.api.schemas import kept
 from servo_daemon.api.schemas import past as schemas
 from servo_daemon.published.archive import ArchiveUnavailableError
 from servo_daemon.published.snapshot import Event, ParameterEstimate
@@ -226,3 +228,31 @@ def test_the_fleet_says_what_to_look_at_first() -> None:
     assert drives["away"]["worst"]["why"] == "unplugged" and drives["away"]["connection"] == "down"
     assert drives["new"]["worst"] is None
     assert not drives["well"]["simulated"] and drives["away"]["simulated"]
+
+
+def test_diagnoses_and_models_that_are_kept_for_good(tmp_path: Path) -> None:
+    world = World.in_folder(tmp_path)
+    world.run(3.0)
+    world.diagnose({"verdict": "found", "effects": [{"name": "coulomb_friction", "parameters": {}}]})
+    world.drives[0].model = ("coulomb_friction",)
+    world.turn()
+    client = Client(create_app(daemon_over(world)))
+    drive = "/api/v1/drives/axis1"
+    document = client.get(f"{drive}/diagnoses").json()
+    kept.DiagnosesDocument.model_validate(document)
+    (short,) = document["diagnoses"]
+    assert (short["verdict"], short["effects"], short["model"]) == ("found", ["coulomb_friction"], [])
+    whole = client.get(short["url"]).json()
+    kept.KeptDiagnosisDocument.model_validate(whole)
+    assert whole["result"]["effects"] == [{"name": "coulomb_friction", "parameters": {}}]
+    models = client.get(f"{drive}/models").json()
+    kept.ModelsDocument.model_validate(models)
+    assert [(m["effects"], m["before"]) for m in models["models"]] == [(["coulomb_friction"], [])]
+    assert client.get(f"{drive}/diagnoses/99").json()["code"] == "unknown_diagnosis"
+
+
+def test_without_a_store_the_answer_says_why_nothing_is_kept() -> None:
+    client = Client(create_app(fake_daemon()))
+    assert client.get("/api/v1/drives/axis1/models").json()["models"] == []
+    assert "state_dir" in client.get("/api/v1/drives/axis1/diagnoses").json()["reason"]
+    assert client.get("/api/v1/drives/axis1/diagnoses/1").status_code == 404

@@ -7,6 +7,7 @@ from typing import Any
 import httpx
 import pytest
 
+from servo_daemon.api.access.permission import Access
 from servo_daemon.api.app import create_app
 from tests.fake_daemon import FakeDaemon, FakeDrive, fake_daemon
 from tests.http_rig import Client
@@ -176,7 +177,7 @@ def test_local_names_and_addresses_are_ours(client: Client, host: str) -> None:
 
 
 def test_more_hosts_can_be_allowed() -> None:
-    client = Client(create_app(fake_daemon(), allowed_hosts=["Servo.Example.com"]))
+    client = Client(create_app(fake_daemon(), Access(hosts=("Servo.Example.com",))))
     assert client.get("/api/v1/health", headers={"Host": "servo.example.com"}).status_code == 200
     assert client.get("/api/v1/health", headers={"Host": "other.example.com"}).status_code == 421
 

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from servo_daemon.api.times import iso_utc, iso_utc_list, parse_time
+from servo_daemon.api.times import iso_utc_list, parse_time
+from servo_daemon.published.times import iso_utc
 
 NOW = 1_795_262_400.25  # 2026-11-21T12:00:00.250Z
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from servo_daemon import cli
+from servo_daemon.api.access.permission import Access
 from servo_daemon.api.access.tokens import SCOPES, TokenFile, new_token
 from servo_daemon.api.app import create_app
 from servo_daemon.commands.shared.exposure import check_exposure
@@ -46,7 +47,7 @@ def test_a_token_allows_what_its_scope_says(
     secrets = [made(file, scope, scope, capsys) for scope in SCOPES]
     assert not any(secret in file.read_text() for secret in secrets), "only hashes are kept"
     daemon = fake_daemon()
-    client = Client(create_app(daemon, tokens=TokenFile(file)))
+    client = Client(create_app(daemon, Access(TokenFile(file))))
     wanted = (("GET", AXIS1 + "/estimates"), ("POST", AXIS1 + "/reset"), ("POST", AXIS1 + "/model"))
     caplog.set_level(logging.INFO, "servo_daemon.audit")
     for holder, secret in enumerate(secrets):
@@ -64,7 +65,7 @@ def test_a_token_allows_what_its_scope_says(
 def test_without_a_token_there_is_nothing(file: Path, path: str) -> None:
     token, secret = new_token("a", "read")
     file.write_text(token.line)
-    client = Client(create_app(fake_daemon(), tokens=TokenFile(file)))
+    client = Client(create_app(fake_daemon(), Access(TokenFile(file))))
     for headers in ({}, bearer(secret[:-1]), bearer("é"), {"Authorization": "Basic !"}, bearer(token.sha256)):
         response = client.get(path, headers={k: v.encode() for k, v in headers.items()})
         assert problem(response, 401)["code"] == "no_token"
@@ -75,7 +76,7 @@ def test_without_a_token_there_is_nothing(file: Path, path: str) -> None:
 
 def test_metrics_may_be_open(file: Path) -> None:
     file.write_text(new_token("a", "read")[0].line)
-    client = Client(create_app(fake_daemon(), tokens=TokenFile(file), open_metrics=True))
+    client = Client(create_app(fake_daemon(), Access(TokenFile(file), open_metrics=True)))
     assert client.get("/metrics").status_code == 200
     assert client.get("/api/v1/drives").status_code == 401
 

@@ -131,6 +131,19 @@ def test_what_is_left_is_smoothed_like_what_was_missing(found: tuple[Diagnosis, 
     assert row["after_rms"] == pytest.approx(float(np.sqrt(np.mean(again.left.series["torque"] ** 2))))
 
 
+def test_what_is_missing_over_the_speed_has_the_shape_of_its_cause(found: tuple[Diagnosis, Evidence]) -> None:
+    d, evidence = found
+    document = document_of(d, evidence)
+    curves = document["missing"]["torque"]["over_speed"]
+    assert curves["unit"] == "rad/s"
+    Tc = document["effects"][0]["parameters"]["Tc"]["value"]
+    for name, levels in (("before", (-Tc, Tc)), ("after", (0.0, 0.0))):
+        speed = np.array(curves[name]["speed"])
+        value = np.array([np.nan if y is None else y for y in curves[name]["value"]])
+        for side, level in zip((speed < -1, speed > 1), levels, strict=True):
+            assert np.nanmean(value[side]) == pytest.approx(level, abs=0.2 * Tc)
+
+
 def test_intensities_are_those_of_a_motor_of_that_size(found: tuple[Diagnosis, Evidence]) -> None:
     """Without a current two fits may have torques of any size."""
     d, _ = found

@@ -15,6 +15,7 @@ import can
 import numpy as np
 import pytest
 
+from drivers.base import OnboardEstimates
 from servo_daemon.config import parse_config
 from servo_daemon.daemon import reader as reader_module
 from servo_daemon.daemon import worker as worker_module
@@ -39,11 +40,13 @@ def test_samples_become_a_snapshot(start: Callable[..., Rig]) -> None:
     rig = start()
     before = rig.snapshot()
     assert before.estimate is None and before.time is None and before.connection == "connecting"
+    rig.driver().onboard = OnboardEstimates("tracking", {"R": (0.5, 0.01)}, time.monotonic())
     rig.driver().feed(4000)
     snapshot = rig.until_samples(4000)
     assert snapshot.estimate is not None and snapshot.estimate.samples == 4000
     assert snapshot.counters["samples"] == 4000 and snapshot.counters["samples_lost"] == 0
     assert rig.statuses() == {"tracking"}
+    assert snapshot.estimate.estimators["onboard"].parameters == {"R": (0.5, 0.01)}
     assert snapshot is rig.snapshot(), "the same object until the next one is published"
     assert rig.daemon.problems() == []
 

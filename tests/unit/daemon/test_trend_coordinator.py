@@ -69,6 +69,9 @@ class Store:
     def documents(self, drive: str, kind: str, limit: int) -> Sequence[Document]:
         return ()
 
+    def document(self, drive: str, kind: str, number: int) -> Document | None:
+        return None
+
     def events(self, drive: str, kinds: Sequence[str], *_more: object) -> EventPage:
         return EventPage(tuple(e for e in self.seen if e.kind in kinds), None)
 

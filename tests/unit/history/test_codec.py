@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from servo_daemon.api.times import iso_utc_list
 from servo_daemon.history.codec import BlockError, dump, pack, unpack
 from servo_daemon.published.buckets import Buckets
 from servo_daemon.published.rollup import roll_up
@@ -50,6 +51,11 @@ def test_a_packed_block_rounds_as_it_says(period_s: float) -> None:
 def test_rounding_again_changes_nothing() -> None:
     once = unpack(pack(ROWS))
     assert np.array_equal(unpack(pack(once)).mean, once.mean, equal_nan=True)
+
+
+def test_a_row_is_called_the_same_before_and_after() -> None:
+    rows = replace(ROWS, time_s=ROWS.time_s[0] // 1 + np.arange(len(ROWS)) / 8 + 0.0005)
+    assert iso_utc_list(unpack(pack(rows)).time_s) == iso_utc_list(rows.time_s)
 
 
 def test_one_series_of_many() -> None:

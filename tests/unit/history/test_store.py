@@ -103,14 +103,21 @@ def test_events_and_documents_stay_for_good(tmp_path: Path) -> None:
     log = world.drives[0].log
     for k in range(5):
         log.add("alarm" if k % 2 else "refreshed", f"event {k}", {"value": float("nan") if k == 1 else k})
+    world.row(world.drives[0], 0.1)
     world.now = T0 * 1e3  # events carry the real clock's time
     world.turn()
     world.diagnose({"verdict": "none", "effects": []})
     world.drives[0].model = ("coulomb_friction",)
     world.turn()
     world.turn()
+    diagnosis = world.drives[0].diagnosis
     world.restart()
     world.drives[0].log.add("connected", "here again")
+    world.drives[0].diagnosis = diagnosis  # read from its folder …
+    world.turn()
+    world.drives[0].model = ("coulomb_friction",)  # … and restored, before the first row
+    world.row(world.drives[0], 0.1)
+    world.turn()
     page = world.archive.events("axis1", [], None, 3, None)
     assert [e.message for e in page.events] == ["event 3", "event 4", "here again"]
     older = world.archive.events("axis1", [], None, 3, page.next)
@@ -123,6 +130,9 @@ def test_events_and_documents_stay_for_good(tmp_path: Path) -> None:
         {"verdict": "none", "effects": []}
     ]
     assert [d.body["effects"] for d in world.archive.documents("axis1", "model", 9)] == [["coulomb_friction"]]
+    (kept,) = world.archive.documents("axis1", "diagnosis", 9)
+    assert world.archive.document("axis1", "diagnosis", kept.number) == kept
+    assert world.archive.document("axis1", "model", kept.number) is None
 
 
 def test_the_level_that_suits() -> None:

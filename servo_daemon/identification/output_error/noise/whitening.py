@@ -104,7 +104,7 @@ def _tangent_loop(plant: PlantModel, channels: tuple[str, ...]) -> tuple[SampleL
     outputs = ca.vertcat(*[ca.vec(part) for part in parts])
     used, _ = outputs.sparsity().get_triplet()
     kept = ca.vertcat(*outputs.nonzeros())
-    loop = SampleLoop(ca.Function("step", [x, q, row], ca.cse([x_next, kept])))
+    loop = SampleLoop(ca.Function("step", [x, q, row], ca.cse([x_next, kept])), paced_by=STEP)
     return loop, Structure(n, len(channels), tuple(used))
 
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.integrate import trapezoid
 
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.problem.rollout import TIME
@@ -66,4 +65,4 @@ def _spread(known: dict[float, float], best: float) -> float:
     """Root mean square distance from the best under the likelihood, by trapezoids."""
     at: F64 = np.array(sorted(known))
     weight = np.exp(-0.5 * (np.array([known[t] for t in at.tolist()]) - known[best]))
-    return float(np.sqrt(trapezoid(weight * (at - best) ** 2, at) / trapezoid(weight, at)))
+    return float(np.sqrt(np.trapezoid(weight * (at - best) ** 2, at) / np.trapezoid(weight, at)))

@@ -89,8 +89,8 @@ class Differenced:
         recording = (k - problem.n_shared) // len(problem.local) if own else None
         there = problem.residuals(ahead, problem.starts(ahead, problem.carried(ahead)), recording)
         concerned = [i for i, s in enumerate(problem.segments) if recording in (None, s.recording)]
+        column = problem.n_shared + (k - problem.n_shared) % len(problem.local) if own else k
         for index, moved in zip(concerned, there, strict=True):
-            column = np.flatnonzero(problem.columns(index) == k)[0]
             out[index][:, :, column] = (self.residuals[index] - moved) / step
 
     def _by_state(self, out: Sequence[F64], state: int, starts: F64) -> None:

@@ -246,6 +246,12 @@ class Problem:
             for (recording, _), which in kinds.items()
         )
 
+    @cached_property
+    def _measured(self) -> tuple[tuple[F64, NDArray[np.bool_]], ...]:
+        """What was measured in each of `alike`, and where, shapes (k, n, c)."""
+        chosen = [[self.segments[k] for k in which] for _, which, _ in self.alike]
+        return tuple((np.stack([s.measured for s in one]), np.stack([s.valid for s in one])) for one in chosen)
+
     def residuals(self, unknowns: F64, starts: F64, recording: int | None = None) -> tuple[F64, ...]:
         """Measured minus simulated, per segment, shape (n, c); 0 where not valid.
 
@@ -254,11 +260,11 @@ class Problem:
             recording: only this one's segments; None: all.
         """
         out: dict[int, F64] = {}
-        for of, which, rows in self.alike:
+        for (of, which, rows), (measured, valid) in zip(self.alike, self._measured, strict=True):
             if recording in (None, of):
                 shown = free_runs(self.plant, self.channels, self.acting(unknowns, of), starts[which], rows)
-                out |= dict(zip(which.tolist(), shown, strict=True))
-        return tuple(np.where(self.segments[k].valid, self.segments[k].measured - out[k], 0.0) for k in sorted(out))
+                out |= dict(zip(which.tolist(), np.where(valid, measured - shown, 0.0), strict=True))
+        return tuple(out[k] for k in sorted(out))
 
     @cached_property
     def state_prior(self) -> tuple[F64, F64]:

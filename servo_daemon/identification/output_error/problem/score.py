@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from servo_daemon.identification.output_error.problem.rollout import free_run
 from servo_daemon.identification.output_error.problem.setup import input_rows
@@ -59,6 +58,8 @@ def slope(angle: F64, time_s: F64) -> F64:
     window = min(window, (len(angle) - 1) | 1)
     if window < 5:
         return np.gradient(angle, time_s)
+    from scipy.signal import savgol_filter  # a third of a second of imports
+
     return np.asarray(savgol_filter(angle, window, 3, deriv=1, delta=period))
 
 

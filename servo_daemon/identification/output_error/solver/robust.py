@@ -20,6 +20,14 @@ GATE = 5.0
 _OF_RESIDUAL = 0.6
 #: Longest run of suspects that still counts as isolated, samples.
 LONGEST_GLITCH = 3
+#: So many neighbours on either side tell what a sample should be like.
+_REACH = LONGEST_GLITCH + 1
+#: The fewest exchanges that bring the median of nine to the middle (Smith, *Implementing median filters in XC4000E
+#: FPGAs*, Xcell 23, 1996): whole columns at once, ten times as fast as sorting each sample's neighbours.
+_EXCHANGES = (
+    *((1, 2), (4, 5), (7, 8), (0, 1), (3, 4), (6, 7), (1, 2), (4, 5), (7, 8), (0, 3)),
+    *((5, 8), (4, 7), (3, 6), (1, 4), (2, 5), (4, 7), (4, 2), (6, 4), (4, 2)),
+)
 
 
 def sample_weights(residuals: Sequence[F64]) -> tuple[F64, ...]:
@@ -36,7 +44,7 @@ def sample_weights(residuals: Sequence[F64]) -> tuple[F64, ...]:
         return out
     for k in range(residuals[0].shape[1]):
         r = [part[:, k] for part in residuals]
-        differences = [_from_neighbours(part) for part in r]
+        differences = _from_neighbours(r)
         scale = _scale(r, differences)
         for weight, d, isolated in zip(out, differences, _isolated(differences, scale), strict=True):
             weight[isolated, k] = (GATE * scale / np.abs(d[isolated])) ** 2
@@ -64,14 +72,24 @@ def _isolated(differences: Sequence[F64], scale: float) -> list[NDArray[np.bool_
     return [s & ~_long_runs(s) if s.any() else s for s in suspects]
 
 
-def _from_neighbours(r: F64) -> F64:
-    """Each residual minus the median of those around it, shape (n,)."""
-    reach = LONGEST_GLITCH + 1
-    if len(r) < 2 * reach + 1:
-        return r - np.median(r)
-    padded = np.concatenate([np.full(reach, r[0]), r, np.full(reach, r[-1])])
-    around = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1)
-    return np.asarray(r - np.median(around, axis=1))
+def _from_neighbours(residuals: Sequence[F64]) -> list[F64]:
+    """Each residual minus the median of those around it, per segment, shape (n,)."""
+    ends = [np.concatenate([np.full(_REACH, r[0]), r, np.full(_REACH, r[-1])]) for r in residuals]
+    row = np.concatenate(ends)  # one behind the other: what reaches across an end is not looked at
+    n = len(row) - 2 * _REACH
+    around = _median([row[k : k + n] for k in range(2 * _REACH + 1)])
+    edges = np.cumsum([0, *map(len, ends)]).tolist()
+    return [
+        r - (around[begin : begin + len(r)] if len(r) > 2 * _REACH else np.median(r))
+        for r, begin in zip(residuals, edges, strict=False)
+    ]
+
+
+def _median(nine: list[F64]) -> F64:
+    """Of nine columns, shape (n,)."""
+    for low, high in _EXCHANGES:
+        nine[low], nine[high] = np.minimum(nine[low], nine[high]), np.maximum(nine[low], nine[high])
+    return nine[4]
 
 
 def _long_runs(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

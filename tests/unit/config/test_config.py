@@ -12,7 +12,7 @@ from servo_daemon.config_texts import parse_drift
 from servo_daemon.errors import ConfigError
 from servo_daemon.parameters import LINEAR
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 
 
 def load(path: Path, text: str, **environment: str) -> Config:

@@ -1,22 +1,16 @@
-"""Configuration: TOML, checked completely before anything starts; unknown keys are refused by name.
-
-Precedence: command-line flags, then environment (`SERVO_DAEMON_API_HOST`, `SERVO_DAEMON_API_PORT`,
-`SERVO_DAEMON_STATE_DIR`), then the file, then the defaults below. `deploy/example.toml` explains every key.
-"""
+"""Every section of the configuration with its keys, defaults and checks; `deploy/example.toml` explains each key."""
 
 from __future__ import annotations
 
 import math
-import os
 import re
-import tomllib
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from servo_daemon.config_hints import did_you_mean, keys_at, line_of
+from servo_daemon.config.sinks import MqttConfig, WebhookConfig
+from servo_daemon.config_hints import did_you_mean
 from servo_daemon.config_texts import is_limit, parse_days, parse_drift
 from servo_daemon.errors import ConfigError
 from servo_daemon.plant.effects import check_effects, parameter_table
@@ -25,7 +19,7 @@ from servo_daemon.signal_meaning import SignalMeaning
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 FiniteFloat = Annotated[float, Field(allow_inf_nan=False)]
 
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 _ALARM = re.compile(r"(?P<parameter>\w+)_(?P<side>max|min)")
 
 
@@ -39,10 +33,10 @@ class ApiConfig(_Section):
     host: str = "127.0.0.1"
     port: int = Field(8077, ge=0, le=65535)  # 0: any free port, logged at start
     allowed_hosts: tuple[str, ...] = ()  # names under which it may be asked for, beside addresses and local names
-    tokens_file: str | None = None  # of `servo-daemon token new`; who has none of these may ask for nothing
+    tokens_file: str | None = None  # of `servo-daemon token new`, or credential:NAME; who has none may ask for nothing
     metrics: Literal["token", "open"] = "token"  # whether /metrics needs one, too
     behind_proxy: bool = False  # a proxy in front asks who it is: then other addresses need no tokens
-    certificate: str | None = None  # PEM files for TLS
+    certificate: str | None = None  # PEM files for TLS, or credential:NAME
     private_key: str | None = None
 
     @model_validator(mode="after")
@@ -50,6 +44,12 @@ class ApiConfig(_Section):
         if (self.certificate is None) != (self.private_key is None):
             raise ValueError("'certificate' and 'private_key' belong together")
         return self
+
+
+class LogConfig(_Section):
+    """`[log]`: what goes to stderr, where neither `--log-level` nor SERVO_DAEMON_LOG_LEVEL says it."""
+
+    level: Literal["debug", "info", "warning", "error"] = "info"
 
 
 class StorageConfig(_Section):
@@ -90,6 +90,7 @@ class HistoryConfig(_Section):
     minutes_days: float = Field(90.0, ge=1, le=1e5)
     hours_years: float = Field(20.0, ge=0.1, le=1000)
     quota_MB: float = Field(2000.0, ge=10, allow_inf_nan=False)  # beyond it the oldest of the finer levels go
+    captures_quota_MB: float = Field(500.0, ge=0, allow_inf_nan=False)  # of samples around events; 0: none are kept
 
     @model_validator(mode="after")
     def _one_place(self) -> HistoryConfig:
@@ -242,7 +243,7 @@ class DriveConfig(_Section):
     @field_validator("name")
     @classmethod
     def _name_fits_an_url(cls, name: str) -> str:
-        if not _NAME.fullmatch(name):
+        if not NAME.fullmatch(name):
             raise ValueError("must be letters, digits, '_', '-' or '.', at most 64, starting with a letter or digit")
         return name
 
@@ -297,10 +298,13 @@ class Config(_Section):
     """The whole configuration."""
 
     api: ApiConfig = ApiConfig()
+    log: LogConfig = LogConfig()
     storage: StorageConfig = StorageConfig()
     diagnosis: DiagnosisConfig = DiagnosisConfig()
     learning: LearningConfig = LearningConfig()
     history: HistoryConfig = HistoryConfig()
+    mqtt: MqttConfig | None = None
+    webhook: tuple[WebhookConfig, ...] = ()
     drive: tuple[DriveConfig, ...] = (DriveConfig(),)
 
     @field_validator("drive")
@@ -314,6 +318,13 @@ class Config(_Section):
                 raise ValueError(f"two drives are named '{name}'")
         return drives
 
+    @model_validator(mode="after")
+    def _webhooks_name_drives(self) -> Config:
+        names = [d.name for d in self.drive]
+        for name in (n for hook in self.webhook for n in hook.drives if n not in names):
+            raise ValueError(f"a webhook is for the drive '{name}'{did_you_mean(name, names)}, which is not configured")
+        return self
+
     def drive_named(self, name: str | None) -> DriveConfig:
         """The drive of that name, or the first.
 
@@ -326,80 +337,3 @@ class Config(_Section):
             if drive.name == name:
                 return drive
         raise ConfigError(f"no drive named {name!r}: the config has {', '.join(d.name for d in self.drive)}")
-
-
-def _explain(error: ValidationError, source: str, text: str) -> str:
-    """Pydantic's first complaint as one line that names the place; a misspelt key before the one it leaves missing."""
-    complaints = error.errors()
-    first = next((e for e in complaints if e["type"] == "extra_forbidden"), complaints[0])
-    where = ".".join(str(part) for part in first["loc"]) or "config"
-    where = re.sub(r"\.(\d+)", lambda m: f"[{m[1]}]", where)
-    if first["type"] == "extra_forbidden":
-        place = first["loc"]
-        line = line_of(text, place)
-        told = "" if line is None else f", line {line}"
-        return f"{source}: unknown key '{where}'{told}{did_you_mean(str(place[-1]), keys_at(Config, place))}"
-    message = first["msg"].removeprefix("Value error, ")
-    if first["type"] == "tuple_type":  # TOML knows none
-        message = "must be a list, [[drive]]" if where == "drive" else "must be a list, in brackets"
-    more = len(complaints) - 1
-    return f"{source}: {where}: {message}" + (f" (and {more} more)" if more else "")
-
-
-def parse_config(data: Mapping[str, Any], source: str = "config", text: str = "") -> Config:
-    """A checked configuration from already parsed TOML.
-
-    Args:
-        text: the TOML, to name lines of.
-
-    Raises:
-        ConfigError: with one line naming file and key.
-    """
-    try:
-        return Config.model_validate(dict(data))
-    except ValidationError as error:
-        raise ConfigError(_explain(error, source, text)) from error
-
-
-def _apply_environment(data: dict[str, Any], environ: Mapping[str, str]) -> None:
-    """Overrides from SERVO_DAEMON_<SECTION>_<KEY>; pydantic converts and checks them like the file's own."""
-    for section, keys in (("api", ("host", "port")), ("storage", ("state_dir", "save_interval_s"))):
-        for key in keys:
-            value = environ.get(f"SERVO_DAEMON_{section.upper()}_{key.upper()}")
-            if value is not None:
-                table = data.setdefault(section, {})
-                if isinstance(table, dict):
-                    table[key] = value
-    if (state_dir := environ.get("SERVO_DAEMON_STATE_DIR")) is not None and isinstance(
-        table := data.setdefault("storage", {}), dict
-    ):
-        table["state_dir"] = state_dir
-
-
-def load_config(path: Path | None, environ: Mapping[str, str] = os.environ) -> Config:
-    """The configuration from a TOML file (None: defaults) and the environment.
-
-    Raises:
-        ConfigError: unreadable, not TOML, unknown or impossible keys, a file without a drive; one line naming
-            the place.
-    """
-    data: dict[str, Any] = {}
-    source, text = "config" if path is None else str(path), ""
-    if path is not None:
-        try:
-            text = path.read_text(encoding="utf-8-sig")
-            data = tomllib.loads(text)
-        except OSError as error:
-            raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
-        except UnicodeDecodeError as error:
-            raise ConfigError(f"{path}: not UTF-8 text: {error}") from error
-        except tomllib.TOMLDecodeError as error:
-            raise ConfigError(f"{path}: not valid TOML: {error}") from error
-    _apply_environment(data, environ)
-    config = parse_config(data, source, text)
-    if path is not None and "drive" not in data:
-        raise ConfigError(
-            f'{path}: no [[drive]]: add that line and below it driver = "serial", options = {{ port = "…" }}, or what '
-            '`servo-daemon scan` prints (driver = "simulated" is a simulated motor)'
-        )
-    return config

@@ -1,0 +1,1 @@
+"""`servo-daemon export`: what it is given, and what it writes."""

@@ -1,0 +1,1 @@
+"""`servo-daemon fleet`: many captures of many drives."""

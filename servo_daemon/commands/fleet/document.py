@@ -1,0 +1,64 @@
+"""`fleet.json`, and the same in a few lines of text."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from servo_daemon.commands.fleet.analysis import Fleet
+from servo_daemon.commands.fleet.report import drift_text, drifting, stranger_text, strangers
+from servo_daemon.commands.fleet.tables import prior_rows
+
+SCHEMA = 1
+
+
+def fleet_document(fleet: Fleet, asked: str) -> dict[str, Any]:
+    """Everything about the fleet in plain types; each drive's own results are in `results/` and the Parquet files.
+
+    Args:
+        asked: the work and its flags.
+    """
+    return {
+        "schema": SCHEMA,
+        "asked": asked,
+        "drives": len(fleet.documents),
+        "failed": [{"drive": d["drive"], "error": d["error"]} for d in fleet.failed],
+        "common": [asdict(row) for row in prior_rows(fleet)],
+        "causes": dict(sorted(fleet.causes.items(), key=lambda c: -c[1])) if fleet.diagnosed else None,
+        "strangers": [
+            {
+                "drive": fleet.documents[k]["drive"],
+                "text": stranger_text(fleet, k),
+                "off": [{"parameter": n, "difference": d, "z": z} for n, d, z in fleet.deviations(k)],
+                "effects": list(fleet.rare_effects(k)),
+            }
+            for k in strangers(fleet)
+        ],
+        "drifting": [
+            {"drive": fleet.documents[k]["drive"], "text": drift_text(fleet, k, drift), **asdict(drift)}
+            for k, drift in drifting(fleet)
+        ],
+        "seconds": float(np.sum([d["seconds"] for d in (*fleet.documents, *fleet.failed)])),
+    }
+
+
+def print_fleet(document: Mapping[str, Any]) -> None:
+    """On stdout."""
+    print(f"{document['drives']} drives, {len(document['failed'])} without a result")
+    for row in document["common"]:
+        spread = f"{row['spread']:.1%}" if row["logarithmic"] else f"{row['spread']:.3g} {row['unit']}"
+        print(f"  {row['parameter']:4s} {row['value']:.5g} {row['unit']}, drives differ by {spread} (1 σ)")
+    if not document["common"]:
+        print("  too few drives with values to tell what they have in common")
+    for name, n in (document["causes"] or {}).items():
+        print(f"  {name} in {n} of {document['drives']} drives")
+    for title in ("strangers", "drifting"):
+        for row in document[title]:
+            print(f"  {'not like the others' if title == 'strangers' else 'drifts'}: {row['text']}")
+    for row in document["failed"]:
+        print(f"  no result: {row['drive']}: {row['error']}")
+    if "model" in document:
+        print(f"  {document['model']['model']}: learned from {document['model']['motors']} simulated motors")

@@ -1,0 +1,138 @@
+"""The page about a fleet: how its parameters are distributed, which drives are not like the others, what drifts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from servo_daemon.commands.fleet.analysis import Drift, Fleet
+from servo_daemon.commands.fleet.tables import prior_rows
+from servo_daemon.plant.effects import effects_by_name, parameter_table
+from servo_daemon.report import Axis, Column, Items, Measured, Plot, Provenance, Report, Section, Table, Text, Verdict
+from servo_daemon.report.document import Block
+from servo_daemon.report.figures import Line, Mark
+
+#: Lines of a list before it says how many more there are; all of them are in the tables.
+_MOST_LINES = 50
+
+
+def fleet_report(fleet: Fleet, provenance: Provenance) -> Report:
+    """The whole page."""
+    sections = [Section("Result", (_verdict(fleet), *_summary(fleet)))]
+    if fleet.pooled is not None:
+        sections.append(Section("Distributions", tuple(_distribution(fleet, j) for j in range(len(fleet.names)))))
+    return Report("Fleet", f"{len(fleet.documents)} drives", tuple(sections), provenance)
+
+
+def _verdict(fleet: Fleet) -> Verdict:
+    lines = tuple(
+        line
+        for line in (
+            _counted(len(fleet.failed), "drive gave no result", "drives gave no result"),
+            _counted(len(strangers(fleet)), "drive is not like the others", "drives are not like the others"),
+            _counted(sum(map(bool, fleet.drifts)), "drive drifts", "drives drift"),
+        )
+        if line
+    )
+    if not fleet.documents:
+        return Verdict("bad", "No drive gave a result", lines)
+    if fleet.pooled is None:
+        return Verdict("warn", "Too few drives with values to tell what they have in common", lines)
+    return Verdict("warn" if lines else "good", f"{len(fleet.documents)} drives of one type", lines)
+
+
+def _counted(n: int, one: str, many: str) -> str:
+    return "" if n == 0 else f"{n} {one if n == 1 else many}"
+
+
+def strangers(fleet: Fleet) -> list[int]:
+    """Drives that do not belong to the others."""
+    return [] if fleet.pooled is None else np.flatnonzero(fleet.pooled.stranger).tolist()
+
+
+def stranger_text(fleet: Fleet, k: int) -> str:
+    """'axis7: R +38 % (7.1 σ); coulomb_friction is named'."""
+    off = [
+        f"{name} {d:+.1%} ({z:+.1f} σ)" if fleet.logarithmic[fleet.names.index(name)] else f"{name} ({z:+.1f} σ)"
+        for name, d, z in fleet.deviations(k)[:3]
+    ]
+    causes = [f"{name}: {effects_by_name()[name].cause}" for name in fleet.rare_effects(k)]
+    return f"{fleet.documents[k]['drive']}: {'; '.join([', '.join(off), *causes])}"
+
+
+def drift_text(fleet: Fleet, k: int, drift: Drift) -> str:
+    """'axis3: R +12.0 % (9 σ) from its first capture to its last'."""
+    unit = parameter_table()[drift.parameter].unit
+    change = f"{drift.change:+.1%}" if drift.relative else f"{drift.change:+.3g} {unit}"
+    return (
+        f"{fleet.documents[k]['drive']}: {drift.parameter} {change} ({abs(drift.z):.0f} σ) "
+        "from its first capture to its last"
+    )
+
+
+def drifting(fleet: Fleet) -> list[tuple[int, Drift]]:
+    """The surest first."""
+    found = [(k, d) for k, drifts in enumerate(fleet.drifts) for d in drifts]
+    return sorted(found, key=lambda pair: -abs(pair[1].z))
+
+
+def _summary(fleet: Fleet) -> list[Block]:
+    blocks: list[Block] = []
+    if rows := prior_rows(fleet):
+        columns = (
+            Column("parameter", text=True),
+            Column("mean ± std"),
+            Column("unit", text=True),
+            Column("between drives", text=True),
+        )
+        table = tuple(
+            (r.parameter, Measured(r.value, r.std), r.unit, f"{r.spread:.1%}" if r.logarithmic else f"{r.spread:.3g}")
+            for r in rows
+        )
+        blocks.append(Table("What the drives have in common", columns, table))
+    if fleet.diagnosed:
+        causes = sorted(fleet.causes.items(), key=lambda c: -c[1])
+        share = tuple((name, effects_by_name()[name].cause, n) for name, n in causes)
+        if share:
+            blocks.append(
+                Table(
+                    "Effects that were named",
+                    (Column("effect", text=True), Column("cause", text=True), Column("drives")),
+                    share,
+                )
+            )
+    lists: list[tuple[str, list[str]]] = [
+        ("Not like the others", [stranger_text(fleet, k) for k in strangers(fleet)]),
+        ("What drifts", [drift_text(fleet, k, d) for k, d in drifting(fleet)]),
+        ("No result", [f"{d['drive']}: {d['error']}" for d in fleet.failed]),
+    ]
+    for title, lines in lists:
+        if lines:
+            more = [f"and {len(lines) - _MOST_LINES} more"] if len(lines) > _MOST_LINES else []
+            blocks += [Text(title), Items(tuple(lines[:_MOST_LINES] + more))]
+    return blocks
+
+
+def _distribution(fleet: Fleet, j: int) -> Plot:
+    """Drives in the order of their pooled values, own values beside them."""
+    assert fleet.pooled is not None
+    name, log = fleet.names[j], fleet.logarithmic[j]
+    order = np.argsort(fleet.pooled.mean[:, j])
+    back: Any = np.exp if log else (lambda x: x)
+    own, pooled = fleet.own[order, j], fleet.pooled.mean[order, j]
+    half = 1.96 * np.sqrt(fleet.pooled.cov[order, j, j])
+    mean = float(back(fleet.pooled.prior.mean[j]))
+    return Plot(
+        f"{name} over the fleet",
+        np.arange(1.0, len(order) + 1.0),
+        (
+            Line("its own captures", back(own), style="dots"),
+            Line("with the other drives", back(pooled), back(pooled - half), back(pooled + half)),
+        ),
+        Axis(name, parameter_table()[name].unit),
+        caption="Drives in the order of their values; the band is the 95 % interval.",
+        x_axis=Axis("drive"),
+        levels=(Mark(mean, "mean"),),
+        group="drives",
+    )

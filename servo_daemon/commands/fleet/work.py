@@ -1,0 +1,94 @@
+"""What is done with one drive's captures: the documents of `fit` and `diagnose`, made on a worker of the cluster."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from servo_daemon.errors import BadInputError, ServoDaemonError
+from servo_daemon.fleet.units import Unit, filesystem_of
+
+
+def fit_unit(unit: Unit, flags: tuple[str, ...]) -> dict[str, Any]:
+    """All captures of a drive fitted together, and each alone where there are several.
+
+    Args:
+        flags: of `servo-daemon fit`, without captures.
+
+    Returns:
+        drive, seconds and fit, each (a document and a capture, or None), or error.
+    """
+    return _told(unit, lambda paths: _fitted(paths, flags))
+
+
+def diagnose_unit(unit: Unit, flags: tuple[str, ...]) -> dict[str, Any]:
+    """The same for `servo-daemon diagnose`: its document stands under `diagnosis`, its final model under `fit`."""
+    return _told(unit, lambda paths: _diagnosed(paths, flags))
+
+
+def _told(unit: Unit, work: Any) -> dict[str, Any]:
+    """With what went wrong, in words; only what is wrong with the input is caught."""
+    began, document = time.perf_counter(), {}
+    try:
+        with _local(unit.captures) as paths, contextlib.redirect_stderr(io.StringIO()):
+            document = work(paths)
+    except ServoDaemonError as error:
+        document = {"error": str(error)}
+    return {"drive": unit.name, "captures": list(unit.captures), "seconds": time.perf_counter() - began, **document}
+
+
+@contextmanager
+def _local(captures: Sequence[str]) -> Iterator[list[Path]]:
+    """Paths of this machine; what lies elsewhere is fetched for as long as it is needed."""
+    if not any("://" in c for c in captures):
+        yield [Path(c) for c in captures]
+        return
+    with tempfile.TemporaryDirectory(prefix="servo-fleet-") as folder:
+        paths = []
+        for k, url in enumerate(captures):
+            fs, remote = filesystem_of(url)
+            path = Path(folder) / f"{k:04d}-{Path(remote).name}"
+            try:
+                fs.get_file(remote, str(path))
+            except OSError as error:
+                raise BadInputError(f"{url}: cannot be read: {error}") from error
+            paths.append(path)
+        yield paths
+
+
+def _fitted(paths: Sequence[Path], flags: Sequence[str]) -> dict[str, Any]:
+    from servo_daemon.commands.fit.command import add_arguments
+    from servo_daemon.commands.fit.fitting import fitted
+
+    parser = argparse.ArgumentParser(add_help=False)
+    add_arguments(parser)
+
+    def fit(chosen: Sequence[Path]) -> dict[str, Any]:
+        arguments = parser.parse_args([*map(str, chosen), *flags])
+        return fitted(arguments).document
+
+    each: list[dict[str, Any] | None] = []
+    for path in paths if len(paths) > 1 else ():
+        try:
+            each.append(fit([path]))
+        except ServoDaemonError:  # too short alone; beside the others it may still tell something
+            each.append(None)
+    return {"fit": fit(paths), "each": each}
+
+
+def _diagnosed(paths: Sequence[Path], flags: Sequence[str]) -> dict[str, Any]:
+    from servo_daemon.commands.diagnose.command import add_arguments
+    from servo_daemon.commands.diagnose.diagnosing import diagnosed
+
+    parser = argparse.ArgumentParser(add_help=False)
+    add_arguments(parser)
+    document = diagnosed(parser.parse_args([*map(str, paths), *flags])).document
+    final = document["extended"] or document["baseline"]
+    return {"diagnosis": document, "fit": final, "each": []}

@@ -1,0 +1,1 @@
+"""`servo-daemon run`: the daemon, its server, its reload."""

@@ -1,0 +1,1 @@
+"""Recordings of the samples around events: which are kept, and where."""

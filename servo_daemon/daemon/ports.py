@@ -1,0 +1,62 @@
+"""Lines that one thread reads in turn, without waiting for any.
+
+What arrives on a serial port waits in the system's buffer (64 kB, some seconds of a line). So many ports need no thread
+each that is woken for each: at 32 drives half of what they cost was waking threads and handing over. The thread that
+turns the drives reads them all, decodes, and goes on to the turns; each port's own thread only opens it, and sleeps.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+#: From one reading to the next, s: with few drives as `drivers.serial.listener` has it, with many as long as they need
+#: for their turns (0.5 ms of each in 40 ms), so that the next one gathers more of each.
+_EVERY_S, _EVERY_OF_EACH_S = 0.04, 0.9e-3
+
+
+class Line(Protocol):
+    """One that can be read without waiting."""
+
+    def poll(self) -> bool:
+        """Take what has arrived. Returns whether the line goes on; one that does not is not asked again."""
+
+
+class Ports:
+    """The lines that are read in turn: added and removed by any thread, read by one at a time."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._lines: tuple[Line, ...] = ()  # replaced as a whole, under the lock
+        self._lock = threading.Lock()
+        self._due_s = 0.0
+
+    def __len__(self) -> int:
+        return len(self._lines)
+
+    def add(self, line: Line) -> None:
+        """From now on it is read."""
+        with self._lock:
+            self._lines = (*self._lines, line)
+
+    def remove(self, line: Line) -> None:
+        """It is read no more, but for a reading that is under way; does nothing where it was not read."""
+        with self._lock:
+            self._lines = tuple(other for other in self._lines if other is not line)
+
+    def wait_s(self, longest_s: float) -> float:
+        """How long until they are to be read, at most so long."""
+        return min(max(self._due_s - self._clock(), 0.0), longest_s) if self._lines else longest_s
+
+    def read(self) -> None:
+        """Read all, if it is time to."""
+        now_s = self._clock()
+        if now_s < self._due_s:
+            return
+        lines = self._lines
+        self._due_s = now_s + max(_EVERY_S, _EVERY_OF_EACH_S * len(lines))
+        for line in lines:
+            if not line.poll():
+                self.remove(line)

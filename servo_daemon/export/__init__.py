@@ -1,0 +1,1 @@
+"""What was identified, as files that other tools load."""

@@ -1,0 +1,1 @@
+"""The estimator itself in C99 for the drive's own processor."""

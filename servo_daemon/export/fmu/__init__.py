@@ -1,0 +1,1 @@
+"""The motor as a unit for co-simulation."""

@@ -1,0 +1,113 @@
+"""Work on a Dask cluster: two processes of this machine, or the scheduler that a user has."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from servo_daemon.errors import BadInputError, ServoDaemonError
+from servo_daemon.fleet.units import Unit
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+#: Units sent ahead for each thread of the cluster: a worker that is done has the next one already, and a million units
+#: are not a million tasks in the scheduler's memory.
+_AHEAD = 4
+#: A unit is tried again when the worker that had it died; after so many deaths it is given up.
+_DEATHS = 3
+_CONNECT_S = 10.0
+
+#: What is done with a unit, given what was asked: a document of plain values.
+Work = Callable[[Unit, tuple[str, ...]], dict[str, Any]]
+
+
+@contextmanager
+def cluster(address: str | None, workers: int | None = None) -> Iterator[Client]:
+    """A client of a scheduler, or of a cluster of processes on this machine that ends with it.
+
+    Raises:
+        BadInputError: no scheduler answers there.
+        ServoDaemonError: Dask is not installed.
+    """
+    try:
+        import dask
+        from distributed import Client, LocalCluster
+    except ImportError:
+        raise ServoDaemonError("fleet needs Dask: pip install 'servo-daemon[dask]'") from None
+    dask.config.set({"distributed.scheduler.allowed-failures": _DEATHS})
+    logging.getLogger("distributed").setLevel(logging.WARNING)  # it tells of every connection
+    if address is not None:
+        try:
+            client = Client(address, timeout=_CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]
+        except (OSError, ValueError) as error:
+            raise BadInputError(f"--dask {address}: no scheduler answers there: {error}") from error
+        with client:
+            yield client
+        return
+    # Estimation computes in one thread; several that share a core wait for each other.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    with (
+        LocalCluster(  # type: ignore[no-untyped-call]
+            n_workers=workers or os.cpu_count() or 1,
+            threads_per_worker=1,
+            host="127.0.0.1",
+            dashboard_address=None,
+        ) as local,
+        Client(local, set_as_default=False) as client,  # type: ignore[no-untyped-call]
+    ):
+        yield client
+
+
+def results(
+    client: Client, units: Sequence[Unit], work: Work, asked: tuple[str, ...]
+) -> Iterator[tuple[Unit, dict[str, Any]]]:
+    """What came of each unit, as they are done. One that its workers died of gives `{"error": …}`.
+
+    The scheduler blames every task that a dying worker had, so those are tried once more, one at a time.
+    """
+    threads = max(1, sum(client.nthreads().values()))  # type: ignore[no-untyped-call]
+    blamed = []
+    for unit, future in _done(client, units, work, asked, _AHEAD * threads):
+        if type(future.exception()).__name__ == "KilledWorker":
+            blamed.append(unit)
+        else:
+            yield unit, _document(future)
+    for unit, future in _done(client, blamed, work, asked, 1):
+        yield unit, _document(future)
+
+
+def _done(
+    client: Client, units: Sequence[Unit], work: Work, asked: tuple[str, ...], ahead: int
+) -> Iterator[tuple[Unit, Any]]:
+    """Finished futures, with at most so many units under way."""
+    from distributed import as_completed
+
+    waiting = iter(units)
+    running: dict[Any, Unit] = {}
+    done = as_completed(loop=client.loop)  # type: ignore[no-untyped-call]
+
+    def send() -> None:
+        unit = next(waiting, None)
+        if unit is not None:
+            future = client.submit(work, unit, asked, pure=False)
+            running[future.key] = unit
+            done.add(future)  # type: ignore[no-untyped-call]
+
+    for _ in range(ahead):
+        send()
+    for future in done:
+        yield running.pop(future.key), future
+        future.release()
+        send()
+
+
+def _document(future: Any) -> dict[str, Any]:
+    error = future.exception()
+    if error is not None:
+        return {"error": f"{type(error).__name__}: {error}"}
+    document: dict[str, Any] = future.result()
+    return document

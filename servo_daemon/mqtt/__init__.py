@@ -1,0 +1,1 @@
+"""Estimates and events to an MQTT broker: JSON with Home Assistant's discovery, or Sparkplug B."""

@@ -1,0 +1,83 @@
+"""`fleet` from captures of an independent generator: on processes, with one killed, resumed, and loaded again."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from servo_daemon import cli
+from servo_daemon.fleet.cluster import cluster, results
+from servo_daemon.fleet.units import Unit
+from tests.recovery.many_drives import draw, record
+
+pytest.importorskip("distributed", reason="the extra dask is not installed")
+
+DRIVES = 9
+
+
+@pytest.fixture(scope="module")
+def captures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("fleet")
+    for k in range(DRIVES):
+        motor = draw(k)
+        motor = replace(motor, R=1.5 * motor.R) if k == 3 else motor
+        record(folder / f"axis{k}.csv", motor, seconds=1.0, seed=k)
+    (folder / "broken.csv").write_text("time_s,voltage_V\n0,1\n")
+    return folder
+
+
+def fleet(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
+    assert cli.main(["fleet", *words, "--json"]) == 0
+    document: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return document
+
+
+@pytest.mark.slow
+def test_a_fleet_is_fitted_goes_on_where_it_stopped_and_names_the_stranger(
+    captures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = fleet(capsys, "fit", str(captures), "--out", str(tmp_path), "--workers", "2")
+    assert told["drives"] == DRIVES
+    assert [row["drive"] for row in told["failed"]] == ["broken"] and "broken.csv" in told["failed"][0]["error"]
+    assert [row["drive"] for row in told["strangers"]] == ["axis3"]
+    common = {row["parameter"]: row for row in told["common"]}
+    assert common["K"]["value"] == pytest.approx(0.06, rel=0.1)
+    assert all(p.is_file() for p in (tmp_path / n for n in ("report.html", "drives.parquet", "fleet.parquet")))
+
+    kept = sorted((tmp_path / "results").iterdir())
+    before = {path: path.stat().st_mtime_ns for path in kept}
+    kept[0].unlink()
+    assert fleet(capsys, "fit", str(captures), "--out", str(tmp_path), "--workers", "1")["common"] == told["common"]
+    after = {path: path.stat().st_mtime_ns for path in sorted((tmp_path / "results").iterdir())}
+    assert [path for path in kept if before[path] != after[path]] == [kept[0]]
+
+
+def deadly(unit: Unit, asked: tuple[str, ...]) -> dict[str, Any]:
+    """Kills its process the first time, as a machine that goes away does; `always`: every time."""
+    mark = Path(asked[0])
+    if unit.name == "always" or (unit.name == "once" and not mark.exists()):
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return {"pid": os.getpid()}
+
+
+@pytest.mark.slow
+def test_a_worker_that_dies_costs_no_result_but_that_of_what_kills_it(tmp_path: Path) -> None:
+    units = [Unit(name, (), ()) for name in ("a", "once", "b", "always", "c")]
+    with cluster(None, 2) as client:
+        found = {unit.name: d for unit, d in results(client, units, deadly, (str(tmp_path / "killed"),))}
+    assert set(found) == {"a", "once", "b", "always", "c"}
+    assert "KilledWorker" in found["always"]["error"]
+    assert all("error" not in d for name, d in found.items() if name != "always")
+
+
+def test_no_scheduler_is_said(captures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["fleet", "fit", str(captures), "--out", str(tmp_path), "--dask", "nothing://x"]
+    assert cli.main(words) == 2
+    assert "no scheduler answers there" in capsys.readouterr().err

@@ -1,0 +1,80 @@
+"""What the documents of many drives say together, from made-up documents."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from servo_daemon.commands.fleet.analysis import analyse
+from servo_daemon.commands.fleet.document import fleet_document
+from servo_daemon.commands.fleet.tables import drive_rows, parameter_rows
+
+RNG = np.random.default_rng(8)
+
+
+def fit(R: float, *, K: float | None = 0.05) -> dict[str, Any]:
+    def row(value: float | None, unit: str) -> dict[str, Any]:
+        known = value is not None
+        std = 0.01 * value if known else None
+        return {"value": value, "std": std, "unit": unit, "status": "estimated" if known else "undetermined"}
+
+    return {
+        "parameters": {"R": row(R, "Ω"), "K": row(K, "N·m/A")},
+        "residual": {"white": True},
+        "correlation": {"R": {"R": 1.0, "K": 0.5}, "K": {"K": 1.0, "R": 0.5}},
+    }
+
+
+def drive(number: int, R: float, *, each: tuple[float, ...] = (), K: float | None = 0.05) -> dict[str, Any]:
+    return {
+        "drive": f"axis{number}",
+        "captures": ["a.csv"],
+        "seconds": 0.1,
+        "fit": fit(R, K=K),
+        "each": [fit(r) for r in each],
+    }
+
+
+def make_fleet(n: int = 20) -> list[dict[str, Any]]:
+    return [drive(k, 2.0 * float(np.exp(0.05 * RNG.normal())), each=(2.0, 2.01, 1.99, 2.0)) for k in range(n)]
+
+
+def test_a_stranger_what_drifts_and_what_failed_are_told() -> None:
+    documents = [*make_fleet(), drive(20, 3.2), drive(21, 2.0, each=(1.8, 1.95, 2.1, 2.25))]
+    documents.append({"drive": "axis22", "captures": ["b.csv"], "seconds": 0.0, "error": "b.csv: too short"})
+    told = fleet_document(analyse(documents), "fit")
+    assert [row["drive"] for row in told["strangers"]] == ["axis20"]
+    assert told["strangers"][0]["off"][0]["parameter"] == "R"
+    assert [(row["drive"], row["parameter"]) for row in told["drifting"]] == [("axis21", "R")]
+    assert abs(told["drifting"][0]["change"] - 0.25) < 0.03
+    assert told["failed"] == [{"drive": "axis22", "error": "b.csv: too short"}]
+    assert [row["parameter"] for row in told["common"]] == ["R", "K"]
+
+
+def test_a_value_that_a_drive_does_not_determine_is_pooled_and_its_own_stays_absent() -> None:
+    documents = [*make_fleet(), drive(20, 2.0, K=None)]
+    fleet = analyse(documents)
+    rows = {(r["drive"], r["parameter"]): r for r in parameter_rows(fleet)}
+    row = rows["axis20", "K"]
+    assert row["value"] is None and row["std"] is None
+    assert abs(row["pooled_value"] / 0.05 - 1.0) < 0.02 and row["pooled_std"] > 0.0
+
+
+def test_few_drives_have_their_own_values_only() -> None:
+    fleet = analyse(make_fleet(4))
+    assert fleet.pooled is None
+    assert all(row["pooled_value"] is None for row in parameter_rows(fleet))
+    assert [row["stranger"] for row in drive_rows(fleet)] == [None] * 4
+    assert fleet_document(analyse([]), "fit")["drives"] == 0
+
+
+def test_an_effect_of_few_drives_is_told_beside_a_stranger() -> None:
+    documents = make_fleet()
+    for document in documents:
+        document["diagnosis"] = {"verdict": "none", "effects": []}
+    odd = drive(20, 3.2) | {"diagnosis": {"verdict": "found", "effects": [{"name": "coulomb_friction"}]}}
+    told = fleet_document(analyse([*documents, odd]), "diagnose")
+    assert told["causes"] == {"coulomb_friction": 1}
+    assert told["strangers"][0]["effects"] == ["coulomb_friction"]
+    assert "coulomb_friction" in told["strangers"][0]["text"]

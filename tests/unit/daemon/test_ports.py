@@ -1,0 +1,99 @@
+"""Lines that one thread reads in turn."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from benchmarks.feeder import frames
+from drivers.serial.line import SerialDriver
+from servo_daemon.daemon.ports import Ports
+from servo_daemon.daemon.reader import Reader
+
+
+class Line:
+    def __init__(self, goes_on: bool = True) -> None:
+        self.goes_on, self.polls = goes_on, 0
+
+    def poll(self) -> bool:
+        self.polls += 1
+        return self.goes_on
+
+
+def test_all_are_read_once_in_40_ms_and_seldomer_where_they_are_many() -> None:
+    now = [100.0]
+    ports = Ports(lambda: now[0])
+    assert ports.wait_s(0.1) == 0.1
+    lines = [Line() for _ in range(10)]
+    for line in lines:
+        ports.add(line)
+    assert ports.wait_s(0.1) == 0.0
+    ports.read()
+    now[0] += 0.02
+    ports.read()
+    assert [line.polls for line in lines] == [1] * 10 and abs(ports.wait_s(0.1) - 0.02) < 1e-9
+    for _ in range(90):
+        ports.add(Line())
+    now[0] += 0.03
+    ports.read()
+    assert abs(ports.wait_s(1.0) - 0.09) < 1e-9
+
+
+def test_a_line_that_has_ended_is_not_asked_again() -> None:
+    now = [0.0]
+    ports, ended = Ports(lambda: now[0]), Line(goes_on=False)
+    ports.add(ended)
+    for now[0] in (1.0, 2.0):
+        ports.read()
+    assert ended.polls == 1 and len(ports) == 0
+
+
+@pytest.fixture
+def terminal(tmp_path: Path) -> Iterator[tuple[int, Path]]:
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    yield master, Path(os.ttyname(slave))
+    os.close(slave)
+    os.close(master)
+
+
+def test_a_serial_port_is_read_by_whoever_reads_the_ports_and_its_own_thread_sees_it_go(
+    terminal: tuple[int, Path],
+) -> None:
+    master, path = terminal
+    ports, said, readers = Ports(), [], []
+    reader = Reader(SerialDriver("axis1", {"port": str(path)}), lambda: None, lambda *told: said.append(told), ports)
+    wait = reader.driver._wait_and_read  # type: ignore[attr-defined]
+
+    def noted(deadline: float) -> bytes | None:
+        readers.append(threading.current_thread())
+        return wait(deadline)
+
+    reader.driver._wait_and_read = noted  # type: ignore[attr-defined]
+    reader.start()
+    try:
+        until(lambda: len(ports) == 1)
+        description, samples = frames(0.1)
+        os.write(master, description + b"".join(samples))
+        until(lambda: (ports.read(), reader.queue.samples == 100)[1])
+        assert {thread.name for thread in readers} == {threading.current_thread().name}
+        reader.driver.close()  # as a device that went away: the port's own thread takes over
+        until(lambda: (ports.read(), len(ports) == 0 or reader.link.connection != "connected")[1])
+        until(lambda: (ports.read(), reader.reconnects == 1 and len(ports) == 1)[1])
+    finally:
+        reader.stop()
+    assert not reader.alive and len(ports) == 0
+
+
+def until(done: object, patience_s: float = 10.0) -> None:
+    assert callable(done)
+    deadline = time.monotonic() + patience_s
+    while not done():
+        assert time.monotonic() < deadline, "it did not happen"
+        time.sleep(0.005)
