@@ -120,14 +120,7 @@ class _Run:
 
     def unknown(self) -> tuple[str, ...]:
         """Parameters that are not known to the accuracy asked for."""
-        if self.fit is None:
-            return MOTOR_NAMES
-        return tuple(
-            name
-            for name, p in self.fit.parameters.items()
-            if p.status != "fixed"
-            and not (p.value is not None and p.std is not None and p.std <= self._ask.accuracy * abs(p.value))
-        )
+        return unknown_in(self.fit, self._ask.accuracy)
 
     def _first_look(self) -> None:
         s, lim = self.session.supervisor, self._limits
@@ -210,6 +203,17 @@ def _fitted(recordings: list[Recording], effects: tuple[str, ...]) -> OutputErro
         return fit_output_error(recordings, effects) if recordings else None
     except (BadInputError, NumericalError):
         return None
+
+
+def unknown_in(fit: OutputErrorFit | None, accuracy: float) -> tuple[str, ...]:
+    """Parameters whose 1 σ is more than this share of their value, or that have none."""
+    if fit is None:
+        return MOTOR_NAMES
+    return tuple(
+        name
+        for name, p in fit.parameters.items()
+        if p.status != "fixed" and not (p.value is not None and p.std is not None and p.std <= accuracy * abs(p.value))
+    )
 
 
 def stretches(block: SampleBlock, period_s: float) -> list[Recording]:

@@ -53,15 +53,20 @@ class Supervisor:
         period_s: of the samples.
         count_rad: one encoder count.
         watchdog_s: time without a sample that ends the run.
-        stopping_s: a shaft at 0 V goes on by its speed times this; longer as more is known of the motor.
+
+    Attributes:
+        stopping_s: a shaft at 0 V goes on by its speed times this; set anew when the motor is known better.
+        resting: nothing has been commanded yet.
+        driven: something is commanded now.
+        bounded_current: the command is such that even a stalled motor stays within the limit.
     """
 
     def __init__(self, limits: MotionLimits, period_s: float, count_rad: float, watchdog_s: float) -> None:
         self._limits, self._period_s, self._count, self._watchdog_s = limits, period_s, count_rad, watchdog_s
         self.stopping_s = 0.05
-        self.resting = True  # nothing has been commanded yet
-        self.driven = False  # something is commanded now
-        self.bounded_current = False  # the command is such that even a stalled motor stays within the limit
+        self.resting = True
+        self.driven = False
+        self.bounded_current = False
         self.peak_current_A = self.peak_speed_rad_s = self.peak_travel_rad = self.peak_voltage_V = 0.0
         self.speed_rad_s = 0.0
         self._last: Reading | None = None

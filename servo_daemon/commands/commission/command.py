@@ -67,8 +67,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.budget and _is_unexplained(result):
         common.note("the model does not explain the samples: looking for what it lacks")
         diagnosis = _diagnosed(capture, drive, arguments.budget)
-        result = _with_found(result, diagnosis)
-    tuning = output.tuned(drive, driver.info, result)
+        result = _with_found(result, diagnosis, accuracy)
+    tuning = output.tuned(drive, driver.info, result, diagnosis)
     document = output.document(drive, limits, ask, result, diagnosis, tuning)
     if arguments.out is not None:
         output.write(arguments.out, capture, document, result, tuning)
@@ -142,8 +142,10 @@ def _diagnosed(capture: Capture, drive: DriveConfig, budget_s: float) -> Diagnos
         return None
 
 
-def _with_found(result: Commissioning, diagnosis: Diagnosis | None) -> Commissioning:
+def _with_found(result: Commissioning, diagnosis: Diagnosis | None, accuracy: float) -> Commissioning:
     """The values of the extended model, where a cause was found."""
+    from servo_daemon.commissioning import unknown_in
+
     if diagnosis is None or diagnosis.extended is None:
         return result
-    return replace(result, fit=diagnosis.extended)
+    return replace(result, fit=diagnosis.extended, unknown=unknown_in(diagnosis.extended, accuracy))

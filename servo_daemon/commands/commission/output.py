@@ -49,9 +49,11 @@ def capture_of(drive: DriveConfig, info: DriveInfo, result: Commissioning) -> Ca
     return Capture(Path(_FILES[0]), block.time_s, metadata=metadata, **channels)
 
 
-def tuned(drive: DriveConfig, info: DriveInfo, result: Commissioning) -> Tuning | None:
-    """Gains for the motor, and what those in use are worth; None where the motor is not known."""
-    if result.fit is None or result.outcome == "not_known":
+def tuned(drive: DriveConfig, info: DriveInfo, result: Commissioning, diagnosis: Diagnosis | None) -> Tuning | None:
+    """Gains for the motor, and what those in use are worth; None where the motor is not known: a run that was stopped
+    or is unexplained tells it only if a diagnosis has found why."""
+    found = diagnosis is not None and diagnosis.extended is not None
+    if result.fit is None or not (result.outcome == "known" or found):
         return None
     facts = loop_facts(drive, info.counts_per_rev)
     try:
