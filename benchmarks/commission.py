@@ -12,9 +12,8 @@ import sys
 import time
 from collections import Counter
 
-from commanded_motor import FAULTS, CommandedMotor, drawn
-
 from servo_daemon.commissioning import commission
+from tests.commanded_motor import FAULTS, CommandedMotor, drawn
 
 
 def main(count: int, first: int) -> None:

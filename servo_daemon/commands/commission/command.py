@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from servo_daemon.commands.shared import common
 from servo_daemon.errors import BadInputError, RefusedError, ServoDaemonError
 
 if TYPE_CHECKING:
+    from drivers.base import Driver
     from drivers.commanding import Commanding
     from servo_daemon.captures import Capture
     from servo_daemon.commissioning import Commissioning, MotionLimits
@@ -26,6 +27,14 @@ _BUDGET_S = 300.0
 _PERCENT = re.compile(r"(\d+\.?\d*|\.\d+) ?%")
 #: Stops after which the samples are the motor's own, and a diagnosis may name what the model lacks.
 _UNEXPLAINED = ("innovations", "hard_stop")
+
+
+@dataclass(frozen=True, slots=True)
+class _Able:
+    """One driver by both of its sides: what is opened and closed, and what commands."""
+
+    driver: Driver
+    commands: Commanding
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,15 +69,15 @@ def run(arguments: argparse.Namespace) -> int:
         bar.set_description(step)
         bar.update(seconds - bar.n)
 
-    with bar, common.stop_requested() as stop, driver:  # type: ignore[attr-defined]
-        result = commission(driver, limits, ask, stop.is_set, told)
-    capture = output.capture_of(drive, driver.info, result)
+    with bar, common.stop_requested() as stop, driver.driver:
+        result = commission(driver.commands, limits, ask, stop.is_set, told)
+    capture = output.capture_of(drive, driver.driver.info, result)
     diagnosis = None
     if arguments.budget and _is_unexplained(result):
         common.note("the model does not explain the samples: looking for what it lacks")
         diagnosis = _diagnosed(capture, drive, arguments.budget)
         result = _with_found(result, diagnosis, accuracy)
-    tuning = output.tuned(drive, driver.info, result, diagnosis)
+    tuning = output.tuned(drive, driver.driver.info, result, diagnosis)
     document = output.document(drive, limits, ask, result, diagnosis, tuning)
     if arguments.out is not None:
         output.write(arguments.out, capture, document, result, tuning)
@@ -110,7 +119,7 @@ def motion_limits(drive: DriveConfig) -> MotionLimits:
     return MotionLimits(**values)
 
 
-def commanding_driver(drive: DriveConfig) -> Commanding:
+def commanding_driver(drive: DriveConfig) -> _Able:
     """The drive's driver, closed.
 
     Raises:
@@ -125,7 +134,7 @@ def commanding_driver(drive: DriveConfig) -> Commanding:
             f'drive {drive.name}: driver = "{drive.driver}" only reads; `servo-daemon excite` plans a motion for the '
             "drive's own tool to play, and `servo-daemon fit` takes its record"
         )
-    return driver
+    return _Able(driver, driver)
 
 
 def _is_unexplained(result: Commissioning) -> bool:
