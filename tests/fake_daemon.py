@@ -12,11 +12,10 @@ from dataclasses import dataclass, field, replace
 
 from servo_daemon.parameters import LINEAR
 from servo_daemon.pipeline.ring import SampleRing
-from servo_daemon.published.archive import Archive
+from servo_daemon.published.archive import Archive, Captures, KeptCapture
 from servo_daemon.published.diagnosis_state import Adoption, Diagnosis, DiagnosisView
 from servo_daemon.published.history import HistoryRing
 from servo_daemon.published.knowledge import LoopFacts
-from servo_daemon.published.recorded import Captures, KeptCapture
 from servo_daemon.published.sinks import SinkState
 from servo_daemon.published.snapshot import (
     AlarmLimit,
@@ -169,7 +168,7 @@ class FakeDrive:
 
 @dataclass
 class FakeCaptures:
-    """`published.recorded.Captures` of what the test puts there."""
+    """`published.archive.Captures` of what the test puts there."""
 
     captures: list[KeptCapture] = field(default_factory=list)
     refusal: Exception | None = None

@@ -12,11 +12,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from servo_daemon.parameters import Parameter
-from servo_daemon.published.archive import Archive
+from servo_daemon.published.archive import Archive, Captures
 from servo_daemon.published.diagnosis_state import DiagnosisView
 from servo_daemon.published.history import HistoryRing
 from servo_daemon.published.knowledge import LoopFacts
-from servo_daemon.published.recorded import Captures
 from servo_daemon.published.sinks import SinkState
 from servo_daemon.published.snapshot import AlarmLimit, Event, ParameterEstimate, Snapshot
 from servo_daemon.published.trends import DriveTrends

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -31,6 +32,13 @@ FOUND = """axe.run(document).then(({violations}) => violations.map(({id, help, n
 def violations(page: Page) -> Any:
     page.evaluate(AXE.read_text(encoding="utf-8") + "; undefined")
     return page.evaluate(FOUND)
+
+
+def test_axe_is_what_its_note_says() -> None:
+    note = (AXE.parent / "VENDORED.md").read_text(encoding="utf-8")
+    assert (
+        f"{hashlib.sha256(AXE.read_bytes()).hexdigest()}  {AXE.name}" in note and "Mozilla Public License 2.0" in note
+    )
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from servo_daemon.errors import BusyError
-from servo_daemon.published.recorded import KeptCapture
+from servo_daemon.published.archive import KeptCapture
 from servo_daemon.published.snapshot import Event
 from servo_daemon.samples import make_block
 from tests.browser.conftest import LiveServer

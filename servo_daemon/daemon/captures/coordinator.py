@@ -20,7 +20,7 @@ from servo_daemon.daemon.diagnosis.files import capture_metadata
 from servo_daemon.errors import BusyError, CaptureError, RefusedError, ServoDaemonError
 from servo_daemon.pipeline.event_log import EventLog
 from servo_daemon.pipeline.ring import SampleRing
-from servo_daemon.published.recorded import KeptCapture
+from servo_daemon.published.archive import KeptCapture
 from servo_daemon.published.snapshot import Event, Snapshot
 from servo_daemon.samples import SampleBlock
 from servo_daemon.signal_meaning import SignalMeaning
@@ -128,11 +128,11 @@ class CaptureCoordinator:
         self._thread = threading.Thread(target=self._run, name="captures", daemon=True)
 
     def of(self, drive: str) -> Sequence[KeptCapture]:
-        """See `published.recorded.Captures`."""
+        """See `published.archive.Captures`."""
         return self._folder.of(drive)
 
     def request(self, drive: str, seconds: float) -> Future[KeptCapture]:
-        """See `published.recorded.Captures`."""
+        """See `published.archive.Captures`."""
         source = self._sources.get(drive)
         if source is None:
             raise BusyError(f"drive {drive} has gone from the configuration")

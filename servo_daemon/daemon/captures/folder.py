@@ -15,7 +15,7 @@ from typing import Final
 
 from servo_daemon.captures import CaptureWriter
 from servo_daemon.errors import BusyError, ServoDaemonError
-from servo_daemon.published.recorded import KeptCapture
+from servo_daemon.published.archive import KeptCapture
 from servo_daemon.samples import SampleBlock
 
 log = logging.getLogger(__name__)

@@ -13,7 +13,7 @@ from servo_daemon.api.recorded.scope import MOST_SAMPLES, Trigger, edges, take
 from servo_daemon.api.schemas import recorded as schemas
 from servo_daemon.errors import BusyError
 from servo_daemon.pipeline.ring import SampleRing
-from servo_daemon.published.recorded import KeptCapture
+from servo_daemon.published.archive import KeptCapture
 from servo_daemon.samples import SampleBlock, make_block
 from tests.fake_daemon import T0, FakeCaptures, FakeDaemon, fake_daemon
 from tests.http_rig import Client
