@@ -207,6 +207,25 @@ class ControllerConfig(_Section):
         return self
 
 
+class CommissionConfig(_Section):
+    """`[drive.commission]`: whether `commission` may move the motor, and how far; from where it stands."""
+
+    allow_motion: bool = False
+    voltage_V: PositiveFloat | None = None
+    current_A: PositiveFloat | None = None
+    speed_rad_s: PositiveFloat | None = None
+    travel_rad: PositiveFloat | None = None
+    temperature_C: PositiveFloat | None = None  # of the drive's own sensor
+    seconds: PositiveFloat = 60.0  # of motion
+
+    @model_validator(mode="after")
+    def _motion_has_limits(self) -> CommissionConfig:
+        names = ("voltage_V", "current_A", "speed_rad_s", "travel_rad")
+        if self.allow_motion and (missing := [n for n in names if getattr(self, n) is None]):
+            raise ValueError(f"allow_motion = true needs the limits {', '.join(missing)}")
+        return self
+
+
 def _of_fleet(path: Any) -> dict[str, float]:
     """Raises ValueError where it is no file of `servo-daemon fleet`."""
     if path is None:
@@ -232,6 +251,7 @@ class DriveConfig(_Section):
     load: LoadConfig = LoadConfig()
     limits: LimitsConfig = LimitsConfig()
     controller: ControllerConfig = ControllerConfig()
+    commission: CommissionConfig = CommissionConfig()
     options: dict[str, Any] = {}
 
     @field_validator("name")
