@@ -293,7 +293,7 @@ def test_served_by_the_daemon_its_script_runs_only_where_the_policy_admits_it(
     async def app(scope: Scope, receive: Receive, send: Send) -> None:
         await Response(body, headers=headers, media_type="text/html")(scope, receive, send)
 
-    with serving(Guard(app)) as address:
+    with serving(Guard(app, tuple)) as address:
         if admitted:
             page = open_report(url=address)
             assert page.evaluate(INKED % (CURRENT, "c1")) > 200

@@ -122,7 +122,7 @@ def test_the_guard_leaves_the_reports_policy_and_gives_its_own_to_all_else() -> 
         own = {"Content-Security-Policy": content_security_policy()} if scope["path"] == "/report" else {}
         await Response("", headers=own)(scope, receive, send)
 
-    client = Client(Guard(app))
+    client = Client(Guard(app, tuple))
     assert client.get("/report").headers.get_list("content-security-policy") == [content_security_policy()]
     assert "script-src 'self'" in client.get("/").headers["content-security-policy"]
     assert client.get("/report").headers["x-content-type-options"] == "nosniff"
