@@ -10,6 +10,10 @@ SHELL := /bin/bash
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
 
+# Byte code is kept, whatever the shell says: without it each process that a test starts compiles all it imports anew
+# (the daemon's imports: 5.9 s of CPU instead of 2.2).
+unexport PYTHONDONTWRITEBYTECODE
+
 VENV := .venv
 BIN := $(VENV)/bin
 UV_VERSION := 0.13.9

@@ -33,6 +33,7 @@ COMMANDS = {
     "compare": "servo_daemon.commands.compare.command",
     "diagnose": "servo_daemon.commands.diagnose.command",
     "excite": "servo_daemon.commands.excite.command",
+    "commission": "servo_daemon.commands.commission.command",
     "tune": "servo_daemon.commands.tune.command",
     "train": "servo_daemon.commands.train",
     "fleet": "servo_daemon.commands.fleet.command",

@@ -15,9 +15,9 @@ import pytest
 from drivers.base import DriveInfo, Driver, OnboardEstimates
 from servo_daemon.config import Config, parse_config
 from servo_daemon.daemon import daemon as daemon_module
-from servo_daemon.daemon import reader as reader_module
 from servo_daemon.daemon.daemon import Daemon
 from servo_daemon.daemon.drive import DriveRuntime
+from servo_daemon.daemon.lines import reader as reader_module
 from servo_daemon.daemon.notify import Notifier
 from servo_daemon.published.snapshot import Snapshot
 from servo_daemon.samples import SampleBlock

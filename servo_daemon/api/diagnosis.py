@@ -23,7 +23,7 @@ from servo_daemon.api.documents import Document
 from servo_daemon.api.problems import ProblemError, sentence
 from servo_daemon.api.schemas import diagnosis as schemas
 from servo_daemon.errors import BusyError, ModelError, RefusedError, ServoDaemonError
-from servo_daemon.published.times import iso_utc
+from servo_daemon.published.units import iso_utc
 from servo_daemon.published.view import DriveView, ModelChange, StartValues
 
 #: How long an answer waits for the first estimate; a drive that does not speak is waited for no longer than that, s.

@@ -18,7 +18,7 @@ from servo_daemon.published.snapshot import (
     Snapshot,
     finite_or_none,
 )
-from servo_daemon.published.times import iso_utc
+from servo_daemon.published.units import iso_utc
 from servo_daemon.published.view import DaemonView, DriveView
 
 Document = dict[str, Any]

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from servo_daemon.api.documents import Document, event_document, scalar
 from servo_daemon.published.snapshot import ParameterEstimate, Snapshot
-from servo_daemon.published.times import iso_utc
+from servo_daemon.published.units import iso_utc
 from servo_daemon.published.view import DaemonView, DriveView
 
 #: Statuses that want an eye on them, the worst first; the others are as it should be, or will be in seconds.

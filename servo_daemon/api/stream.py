@@ -15,7 +15,7 @@ from collections.abc import AsyncIterator, Callable
 from typing import Final
 
 from servo_daemon.published.snapshot import Snapshot
-from servo_daemon.published.times import iso_utc
+from servo_daemon.published.units import iso_utc
 
 #: How often a stream looks for a new snapshot, and so the most it sends: 10 a second is more than an eye follows.
 PERIOD_S: Final = 0.1

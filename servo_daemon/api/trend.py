@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from servo_daemon.api.documents import Document, scalar
-from servo_daemon.published.times import iso_utc
 from servo_daemon.published.trends import DAY_S
+from servo_daemon.published.units import iso_utc
 from servo_daemon.published.view import DriveView
 from servo_daemon.trend.records import HORIZON_Y, Change, Range, Trend
 from servo_daemon.trend.words import sentence

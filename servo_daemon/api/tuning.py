@@ -19,7 +19,7 @@ from servo_daemon.api.problems import ProblemError
 from servo_daemon.errors import TuningError
 from servo_daemon.published.knowledge import LoopFacts, motor_knowledge
 from servo_daemon.published.snapshot import Snapshot
-from servo_daemon.published.times import iso_utc
+from servo_daemon.published.units import iso_utc
 from servo_daemon.published.view import DriveView
 from servo_daemon.tuning.knowledge import Ask, LoopSetup, MotorKnowledge
 

@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Exit code 1 if a drive cannot be opened or says nothing; 2 if the configuration is wrong."""
     from drivers.registry import make_driver
-    from servo_daemon.daemon.sinks import sinks_of
+    from servo_daemon.sinks import sinks_of
 
     if not 0.0 < arguments.listen < math.inf:
         raise BadInputError(f"--listen must be greater than zero, not {arguments.listen:g}")

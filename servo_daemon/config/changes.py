@@ -18,7 +18,7 @@ _NOW: Final = frozenset(
 )
 _TLS: Final = frozenset(("api.certificate", "api.private_key"))
 #: Of a drive: what is looked up when it is needed. Everything else is in its estimators from the start.
-_SECTIONS_NOW: Final = ("limits", "controller")
+_SECTIONS_NOW: Final = ("limits", "controller", "commission")
 _ESTIMATION_NOW: Final = ("adopt", "diagnose")
 _LONGEST: Final = 80
 

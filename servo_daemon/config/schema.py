@@ -24,14 +24,16 @@ def json_schema(drivers: tuple[str, ...] = ()) -> dict[str, Any]:
     """
     schema = {"$schema": DIALECT, **Config.model_json_schema(), "title": "servo-daemon configuration"}
     sections = schema["$defs"]
-    for section in sections.values():
+    for section in (schema, *sections.values()):
         _tidy(section)
     drive = sections["DriveConfig"]["properties"]
     table = parameter_table()
     drive["name"] |= {"pattern": f"^{NAME.pattern}$"}
     drive["driver"] = {"default": "simulated", "anyOf": [{"enum": list(drivers)}, {"type": "string"}]}
     drive["model"]["items"] = {"oneOf": [{"const": e.name, "description": e.cause} for e in effects_by_name().values()]}
-    drive["nominal"] = _closed("What the datasheet says, SI units.", {n: _nominal(p) for n, p in table.items()})
+    nominal = {"from": {"type": "string", "description": "fleet.parquet: what drives of this type have in common"}}
+    nominal |= {n: _nominal(p) for n, p in table.items()}
+    drive["nominal"] = _closed("What the datasheet says, SI units.", nominal)
     drift = {"type": "string", "pattern": _whole(DRIFT)}
     drive["drift"] = _closed("1 σ of its change, such as 10 %/h.", {name: _of(p, drift) for name, p in table.items()})
     limits = sections["LimitsConfig"]
@@ -68,13 +70,15 @@ def _alarms(table: dict[str, Parameter]) -> dict[str, Any]:
 
 
 def _tidy(section: dict[str, Any]) -> None:
-    """Without titles that only repeat the key, and without null, which TOML has not: such a key is left out."""
+    """Without titles that only repeat the key, without null, which TOML has not (such a key is left out), and without
+    whole sections as defaults: each of their keys has its own."""
     for key, schema in section.get("properties", {}).items():
         given = [one for one in schema.get("anyOf", ()) if one != {"type": "null"}]
-        merged = {**schema, **given[0]} if len(given) == 1 else schema
-        left = {"title"} | ({"anyOf"} if len(given) == 1 else set()) | ({"default"} - set(_valued(schema)))
-        section["properties"][key] = {k: v for k, v in merged.items() if k not in left}
+        alone = given[0] if len(given) == 1 else {}
+        left = {"title", *(("anyOf",) if alone else ()), *(() if _is_plain(schema.get("default")) else ("default",))}
+        section["properties"][key] = {k: v for k, v in {**schema, **alone}.items() if k not in left}
 
 
-def _valued(schema: dict[str, Any]) -> list[str]:
-    return [key for key, value in schema.items() if value is not None]
+def _is_plain(default: Any) -> bool:
+    parts = default if isinstance(default, list) else [default]
+    return not any(part is None or isinstance(part, dict) for part in parts)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
@@ -12,7 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from servo_daemon.config.sinks import MqttConfig, WebhookConfig
 from servo_daemon.config_hints import did_you_mean
 from servo_daemon.config_texts import is_limit, parse_days, parse_drift
-from servo_daemon.errors import ConfigError
+from servo_daemon.errors import BadInputError, ConfigError
+from servo_daemon.fleet.prior_file import nominal_of, read_prior
 from servo_daemon.plant.effects import check_effects, parameter_table
 from servo_daemon.signal_meaning import SignalMeaning
 
@@ -205,6 +207,37 @@ class ControllerConfig(_Section):
         return self
 
 
+class CommissionConfig(_Section):
+    """`[drive.commission]`: whether `commission` may move the motor, and how far; from where it stands."""
+
+    allow_motion: bool = False
+    voltage_V: PositiveFloat | None = None
+    current_A: PositiveFloat | None = None
+    speed_rad_s: PositiveFloat | None = None
+    travel_rad: PositiveFloat | None = None
+    temperature_C: PositiveFloat | None = None  # of the drive's own sensor
+    seconds: PositiveFloat = 60.0  # of motion
+
+    @model_validator(mode="after")
+    def _motion_has_limits(self) -> CommissionConfig:
+        names = ("voltage_V", "current_A", "speed_rad_s", "travel_rad")
+        if self.allow_motion and (missing := [n for n in names if getattr(self, n) is None]):
+            raise ValueError(f"allow_motion = true needs the limits {', '.join(missing)}")
+        return self
+
+
+def _of_fleet(path: Any) -> dict[str, float]:
+    """Raises ValueError where it is no file of `servo-daemon fleet`."""
+    if path is None:
+        return {}
+    if not isinstance(path, str):
+        raise ValueError("from must be the path of a fleet.parquet")
+    try:
+        return nominal_of(read_prior(Path(path)))
+    except BadInputError as error:
+        raise ValueError(f"from: {error}") from None
+
+
 class DriveConfig(_Section):
     """One `[[drive]]`. `options` belongs to the driver, which checks it itself when it is made."""
 
@@ -218,6 +251,7 @@ class DriveConfig(_Section):
     load: LoadConfig = LoadConfig()
     limits: LimitsConfig = LimitsConfig()
     controller: ControllerConfig = ControllerConfig()
+    commission: CommissionConfig = CommissionConfig()
     options: dict[str, Any] = {}
 
     @field_validator("name")
@@ -239,11 +273,13 @@ class DriveConfig(_Section):
     @field_validator("nominal", mode="before")
     @classmethod
     def _nominal_is_possible(cls, nominal: Any) -> Any:
-        """A choice may be given by its name: `channel = "current_A"`."""
+        """A choice may be given by its name: `channel = "current_A"`. `from` is a fleet's prior; what stands beside it
+        goes before its values."""
         if not isinstance(nominal, Mapping):
             return nominal
         table = parameter_table()
-        read: dict[str, float] = {}
+        read = _of_fleet(nominal.get("from"))
+        nominal = {name: given for name, given in nominal.items() if name != "from"}
         for name, given in nominal.items():
             if name not in table:
                 parameters = f"parameters are {', '.join(sorted(table))}"

@@ -14,6 +14,8 @@ HIDDEN: Final = "***"
 _SECRET: Final = re.compile(r"(.*_)?(password|passwd|secret|token|api_?key)", re.IGNORECASE)
 _IN_ADDRESS: Final = re.compile(r"(?<=://)([^/?#\s@:]*):[^/?#\s]*@")
 _IN_QUERY: Final = re.compile(r"([?&][^=&#\s]*(?:password|secret|token|key)[^=&#\s]*=)[^&#\s]*", re.IGNORECASE)
+#: Whoever knows such an address may often post there: a webhook's path is its password.
+_PATH: Final = re.compile(r"(https?://[^/?#\s]+/)[^\s]+")
 _BARE: Final = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -36,7 +38,8 @@ def hidden(key: str, value: Any) -> Any:
     if isinstance(value, str):
         if _SECRET.fullmatch(key) and value:
             return HIDDEN
-        return _IN_QUERY.sub(rf"\g<1>{HIDDEN}", _IN_ADDRESS.sub(rf"\g<1>:{HIDDEN}@", value))
+        without = _PATH.sub(rf"\g<1>{HIDDEN}", value)
+        return _IN_QUERY.sub(rf"\g<1>{HIDDEN}", _IN_ADDRESS.sub(rf"\g<1>:{HIDDEN}@", without))
     return value
 
 
@@ -66,7 +69,8 @@ def _key(key: str) -> str:
 def as_toml(value: Any) -> str:
     """A value on one line."""
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f" {_key(k)} = {as_toml(v)}" for k, v in value.items()) + " }" if value else "{}"
+        inner = ", ".join(f"{_key(k)} = {as_toml(v)}" for k, v in value.items() if v is not None)
+        return f"{{ {inner} }}" if inner else "{}"
     if isinstance(value, list):
         return "[" + ", ".join(as_toml(v) for v in value) + "]"
     if isinstance(value, float):  # TOML has inf and nan, too

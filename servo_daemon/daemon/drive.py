@@ -14,13 +14,12 @@ from servo_daemon.config import DriveConfig
 from servo_daemon.config.changes import looked_up
 from servo_daemon.daemon.diagnosis.coordinator import DiagnosisCoordinator
 from servo_daemon.daemon.diagnosis.runner import DiagnosisRunner
-from servo_daemon.daemon.drive_parts import line_counters, same_channels, stale
+from servo_daemon.daemon.drive_parts import line_counters, same_channels, stale, with_onboard
 from servo_daemon.daemon.learning_coordinator import Subscription
+from servo_daemon.daemon.lines.ports import Ports
+from servo_daemon.daemon.lines.reader import Link, Reader
 from servo_daemon.daemon.load import LoadWatch
 from servo_daemon.daemon.model_coordinator import ModelCoordinator
-from servo_daemon.daemon.onboard import with_onboard
-from servo_daemon.daemon.ports import Ports
-from servo_daemon.daemon.reader import Link, Reader
 from servo_daemon.daemon.state_keeper import StateKeeper
 from servo_daemon.errors import NumericalError, RefusedError
 from servo_daemon.pipeline.controller import loop_facts

@@ -1,12 +1,18 @@
-"""What `DriveRuntime` computes without being asked about itself: counters, runs of blocks, a stale estimate."""
+"""Small parts of `DriveRuntime`: counters, runs of blocks, a stale estimate, the drive's own estimates."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-from servo_daemon.daemon.reader import Link, Reader
-from servo_daemon.published.snapshot import Estimate
+from drivers.base import OnboardEstimates
+from servo_daemon.daemon.lines.reader import Link, Reader
+from servo_daemon.published.snapshot import Estimate, EstimatorView
 from servo_daemon.samples import SampleBlock
+
+#: A drive that has not told its estimates for so long, s, has stopped doing so.
+_OLD_S = 10.0
+#: Statuses whose numbers are not to be used.
+_NO_VALUE = ("starting", "invalid")
 
 
 def same_channels(blocks: list[SampleBlock]) -> list[list[SampleBlock]]:
@@ -53,3 +59,17 @@ def line_counters(reader: Reader, repeated: int, failures: int) -> dict[str, int
         "pipeline_failures": failures,
         **c.extra,
     }
+
+
+def with_onboard(estimate: Estimate | None, told: OnboardEstimates | None, now_s: float) -> Estimate | None:
+    """The estimate with `estimators.onboard`: of the model's parameters, none where the drive has no value yet.
+
+    Args:
+        now_s: on the monotonic clock.
+    """
+    if estimate is None or told is None or now_s - told.heard_s > _OLD_S:
+        return estimate
+    names = [p.name for p in estimate.parameters if p.name in told.values]
+    values = {name: (None, None) if told.status in _NO_VALUE else told.values[name] for name in names}
+    view = EstimatorView(values, {"status": told.status, "age_s": round(now_s - told.heard_s, 3)})
+    return replace(estimate, estimators={**estimate.estimators, "onboard": view})

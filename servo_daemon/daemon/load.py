@@ -8,7 +8,7 @@ compilation), or because other programs have the processor, is worked off withou
 
 from __future__ import annotations
 
-from servo_daemon.daemon.reader import BlockQueue
+from servo_daemon.daemon.lines.reader import BlockQueue
 from servo_daemon.tracking.plan.settings import Message
 
 #: Samples that have waited for longer are late, s: a watcher sees the drive as it was then.

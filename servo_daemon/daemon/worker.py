@@ -1,9 +1,9 @@
 """The threads that turn the drives' pipelines: one for all of them, and one more for each drive that takes long.
 
-The thread that all share reads the lines that need no thread of their own (`daemon/ports.py`), is woken by the blocks
-of the others, which come some 25 times a second, and takes what has queued up for each drive in one go: eight drives
-cost 20 % less so than with a thread each. A drive whose turn takes long (a plant that is compiled, a start or a jump
-filtered again, a slow engine) keeps the thread that it is in, and another goes on with the rest. Compiled code and
+The thread that all share reads the lines that need no thread of their own (`daemon/lines/ports.py`), is woken by the
+blocks of the others, which come some 25 times a second, and takes what has queued up for each drive in one go: eight
+drives cost 20 % less so than with a thread each. A drive whose turn takes long (a plant that is compiled, a start or a
+jump filtered again, a slow engine) keeps the thread that it is in, and another goes on with the rest. Compiled code and
 CasADi release the interpreter, and plain Python gives it up every few milliseconds, so that the others do turn
 meanwhile.
 """
@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from servo_daemon.daemon.drive import DriveRuntime
-from servo_daemon.daemon.ports import Ports
+from servo_daemon.daemon.lines.ports import Ports
 
 #: With several drives the shared thread waits so long for the others' blocks once one has come, s: fewer turns. Not
 #: beside a drive that takes long: then it waits for the interpreter often enough.
@@ -26,7 +26,7 @@ _IDLE_TURN_S = 0.1
 #: A turn beyond this is long, s of CPU time: with `daemon._WATCH_S` others wait for 35 ms at most. (By the wall clock
 #: every turn is long where other programs, or threads of this one, have the processor; then all drives had a thread
 #: each, which waited for each other.) One that waits for something (a compiler, a lock) is long after so long, s.
-LONG_TURN_S, LONG_WAIT_S = 0.015, 0.25
+LONG_TURN_S, LONG_WAIT_S = 0.015, 1.0
 #: A drive without a long turn for so long goes back to the others, s.
 _QUICK_S = 1.0
 #: A drive that has not turned for this long is a problem the API reports, s.

@@ -10,7 +10,7 @@ from typing import Any, Final, Protocol
 
 from servo_daemon.published.sinks import EventSource, encode
 from servo_daemon.published.snapshot import AlarmLimit, ParameterEstimate, Snapshot
-from servo_daemon.published.times import iso_utc
+from servo_daemon.published.units import iso_utc
 
 #: The state channels that change slowly enough for one value a second.
 _SLOW: Final = ("temperature_C",)

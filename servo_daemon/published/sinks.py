@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
 from servo_daemon.published.snapshot import Event, finite_or_none
-from servo_daemon.published.times import iso_utc
+from servo_daemon.published.units import iso_utc
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,8 @@
-"""Units as the names of state channels tell them."""
+"""Units as the names of state channels tell them, and times as they are told outside."""
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from typing import Final
 
 #: Longest first, so that `_rad_s` is not taken for `_s`.
@@ -26,3 +27,8 @@ def split_unit(name: str) -> tuple[str, str | None]:
         if name.endswith(suffix):
             return name.removesuffix(suffix), unit
     return name, None
+
+
+def iso_utc(epoch_s: float) -> str:
+    """1763724000.5 is "2025-11-21T11:20:00.500Z"."""
+    return datetime.fromtimestamp(epoch_s, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")

@@ -13,23 +13,25 @@ import numpy as np
 
 from drivers.base import DriveInfo
 from servo_daemon.plant.compiled import SampleLoop
-from servo_daemon.plant.servo_loop import N_OUT, N_ROW, OUT, ROW, servo_constants, servo_step
+from servo_daemon.plant.servo_loop import N_OUT, N_ROW, OUT, ROW, ServoGains, servo_constants, servo_step
 from servo_daemon.samples import CHANNELS, F64, I64, Quality, SampleBlock, concatenate, make_block
 from servo_daemon.simulate.settings import Settings
 
 #: Samples computed at once. Small against memory, large against the 0.1 ms that NumPy costs for each chunk.
 CHUNK = 1024
 
+#: Commands go to the motor as they are.
+_OPEN_LOOP = ServoGains(k_op=0.0)
 _STREAMS = ("jitter", "current", "voltage", "hidden", "position", "velocity")
 
 
 @dataclass(frozen=True)
 class _Chunk:
-    """`CHUNK` samples as recorded, and what was true while they were."""
+    """n samples as recorded, and what was true while they were."""
 
     block: SampleBlock
-    parameters: F64  # (CHUNK, np)
-    states: F64  # (CHUNK, n)
+    parameters: F64  # (n, np)
+    states: F64  # (n, states)
 
 
 class SimulatedDrive:
@@ -82,6 +84,15 @@ class SimulatedDrive:
         self._last = self._chunk.parameters[self._taken - 1], self._chunk.states[self._taken - 1]
         return concatenate(parts)
 
+    def commanded_block(self, voltage_V: F64) -> SampleBlock:
+        """The next samples with these voltages, shape (n,), V, in place of its own servo's; what its servo had computed
+        and nobody has taken is gone."""
+        self._chunk, self._taken = None, 0
+        constants = servo_constants(_OPEN_LOOP, self.settings.supply_V, self.settings.sensors.voltage_lsb_V)
+        chunk = self._compute(len(voltage_V), voltage_V, constants)
+        self._last = chunk.parameters[-1], chunk.states[-1]
+        return chunk.block
+
     def truth(self) -> dict[str, float]:
         """True parameters at the last delivered sample (before the first: at the start); J_d too where J_m is given.
 
@@ -100,42 +111,43 @@ class SimulatedDrive:
         state = np.array([s.initial for s in self.settings.model.states]) if last is None else last[1]
         return {name: float(value) for name, value in zip(self.settings.model.state_names, state, strict=True)}
 
-    def _compute(self) -> _Chunk:
+    def _compute(self, n: int = CHUNK, voltage_V: F64 | None = None, constants: F64 | None = None) -> _Chunk:
         s, settings = self.settings.sensors, self.settings
-        ticks = np.arange(self._computed, self._computed + CHUNK + 1, dtype=np.int64)
+        ticks = np.arange(self._computed, self._computed + n + 1, dtype=np.int64)
         even = ticks / settings.rate_hz
-        jitter = np.concatenate(([self._last_jitter_s], self._uniform("jitter", s.jitter_s)))
+        jitter = np.concatenate(([self._last_jitter_s], self._uniform("jitter", s.jitter_s, n)))
         time = even + jitter
         parameters = settings.ageing.values(time[:-1])
-        rows = np.empty((CHUNK, N_ROW + parameters.shape[1]))
+        rows = np.empty((n, N_ROW + parameters.shape[1]))
         rows[:, ROW.time_s] = time[:-1]
         rows[:, ROW.step_s] = np.diff(time)
         # The controller's clock ticks evenly; only the sampling jitters.
-        rows[:, ROW.reference_rad] = settings.motion.reference(even[:-1])
-        rows[:, ROW.dither_V] = settings.motion.dither(even[:-1])
-        rows[:, ROW.hidden_V] = self._noise("hidden", s.hidden_voltage_V)
+        commanded = voltage_V is not None
+        rows[:, ROW.reference_rad] = 0.0 if commanded else settings.motion.reference(even[:-1])
+        rows[:, ROW.dither_V] = voltage_V if commanded else settings.motion.dither(even[:-1])
+        rows[:, ROW.hidden_V] = self._noise("hidden", s.hidden_voltage_V, n)
         rows[:, N_ROW:] = parameters
-        outputs = self._loop.run(self._state, self._constants, rows)
-        self._computed += CHUNK
+        outputs = self._loop.run(self._state, self._constants if constants is None else constants, rows)
+        self._computed += n
         self._last_jitter_s = float(jitter[-1])
         return _Chunk(self._record(time[:-1], ticks[:-1], outputs), parameters, outputs[:, N_OUT:])
 
     def _record(self, time: F64, ticks: I64, outputs: F64) -> SampleBlock:
         """What the sensors make of the truth."""
-        s = self.settings.sensors
+        s, n = self.settings.sensors, len(ticks)
         voltage = outputs[:, OUT.voltage_V]
-        current = outputs[:, OUT.current_A] + self._noise("current", s.current_noise_A)
+        current = outputs[:, OUT.current_A] + self._noise("current", s.current_noise_A, n)
         saturated = np.abs(voltage) >= self.settings.supply_V
         if s.current_range_A:
             saturated |= np.abs(current) >= s.current_range_A
             current = np.clip(current, -s.current_range_A, s.current_range_A)
-        position = outputs[:, OUT.position_rad] + self._noise("position", s.position_noise_rad)
+        position = outputs[:, OUT.position_rad] + self._noise("position", s.position_noise_rad, n)
         count_rad = 2 * np.pi / s.counts_per_rev if s.counts_per_rev else 0.0
         shown = {
-            "voltage_V": voltage + self._noise("voltage", s.voltage_noise_V),
+            "voltage_V": voltage + self._noise("voltage", s.voltage_noise_V, n),
             "current_A": _quantised(current, s.current_lsb_A),
             "position_rad": _quantised(position, count_rad),
-            "velocity_rad_s": outputs[:, OUT.velocity_rad_s] + self._noise("velocity", s.velocity_noise_rad_s),
+            "velocity_rad_s": outputs[:, OUT.velocity_rad_s] + self._noise("velocity", s.velocity_noise_rad_s, n),
         }
         channels: dict[str, Any] = {name: np.ascontiguousarray(shown[name]) for name in s.channels}
         return make_block(
@@ -145,12 +157,12 @@ class SimulatedDrive:
             **channels,
         )
 
-    def _noise(self, stream: str, std: float) -> F64 | float:
-        """A chunk of noise; each stream is its own, so that switching one off leaves the others as they were."""
-        return std * self._random[stream].standard_normal(CHUNK) if std else 0.0
+    def _noise(self, stream: str, std: float, n: int) -> F64 | float:
+        """n values of noise; each stream is its own, so that switching one off leaves the others as they were."""
+        return std * self._random[stream].standard_normal(n) if std else 0.0
 
-    def _uniform(self, stream: str, half_width: float) -> F64:
-        return self._random[stream].uniform(-half_width, half_width, CHUNK) if half_width else np.zeros(CHUNK)
+    def _uniform(self, stream: str, half_width: float, n: int) -> F64:
+        return self._random[stream].uniform(-half_width, half_width, n) if half_width else np.zeros(n)
 
 
 def drive_info(settings: Settings) -> DriveInfo:

@@ -15,6 +15,9 @@ Options (`[drive.options]`, all optional):
     duration_s                    the stream ends after this much simulated time
     fail_after_s                  the device goes away once at this simulated time (to try out reconnecting)
 
+It takes commands (`drivers.commanding`): from the first one on its own servo rests, and the motor gets 0 V where none
+is valid. Then a read gives one sample, or those that are due.
+
 The motor stands still while the driver is closed and while the process is stopped (SIGSTOP, a sleeping host): it is
 simulated by this very process, so nothing is lost and there is nothing to catch up with.
 """
@@ -29,8 +32,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
+import numpy as np
+
 from drivers.base import DriveInfo, Driver, disconnected
-from servo_daemon.errors import BadInputError, DriverConfigError, EndOfStreamError
+from drivers.commanding import LONGEST_COMMAND_S
+from servo_daemon.errors import BadInputError, DriverConfigError, DriverError, EndOfStreamError
 from servo_daemon.samples import SampleBlock
 from servo_daemon.simulate import SimulatedDrive, drive_info, make_settings
 
@@ -83,6 +89,7 @@ class SimulatedDriver(Driver):
         self._anchor_s = 0.0  # clock time at which sample `_anchor_sample` was due
         self._anchor_sample = 0
         self._has_failed = False
+        self._command: tuple[float, int] | None = None  # V, and the first sample for which it is no longer valid
 
     @property
     def can_wait(self) -> bool:
@@ -97,7 +104,16 @@ class SimulatedDriver(Driver):
         drive = self._drive
         return None if drive is None else drive.truth()
 
+    def command(self, voltage_V: float, valid_for_s: float) -> None:
+        if not self._is_open:
+            raise DriverError(f"drive {self.name}: command before open")
+        if not (math.isfinite(voltage_V) and math.isfinite(valid_for_s)):
+            raise DriverError(f"drive {self.name}: {voltage_V} V for {valid_for_s} s is no command")
+        valid = min(max(valid_for_s, 0.0), LONGEST_COMMAND_S) * self._settings.rate_hz
+        self._command = voltage_V, self._delivered + math.floor(valid)
+
     def _open(self) -> None:
+        self._command = None
         if self._drive is None:
             self._drive = SimulatedDrive(self._settings)
         self._closing.clear()
@@ -111,9 +127,10 @@ class SimulatedDriver(Driver):
         assert drive is not None
         left = self._samples_left()
         if not pacing.realtime:
-            return None if self._closing.is_set() else self._deliver(drive, min(_FAST_BLOCK, left))
+            most = _FAST_BLOCK if self._command is None else 1
+            return None if self._closing.is_set() else self._deliver(drive, min(most, left))
         per_second = self._settings.rate_hz * pacing.speed
-        wanted = min(left, max(1, round(per_second * pacing.block_s)))
+        wanted = 1 if self._command else min(left, max(1, round(per_second * pacing.block_s)))
         due_s = self._anchor_s + (self._delivered + wanted - self._anchor_sample) / per_second
         wait_s = due_s - time.monotonic()
         if wait_s > 0 and (self._closing.wait(min(wait_s, max(timeout_s, 0.0))) or wait_s > timeout_s):
@@ -149,7 +166,12 @@ class SimulatedDriver(Driver):
         return left
 
     def _deliver(self, drive: SimulatedDrive, n: int) -> SampleBlock:
-        block = drive.next_block(n)
+        if self._command is None:
+            block = drive.next_block(n)
+        else:
+            voltage, until = self._command
+            samples = np.arange(self._delivered, self._delivered + n)
+            block = drive.commanded_block(np.where(samples < until, voltage, 0.0))
         self._delivered += n
         self.counters.frames += 1
         return replace(block, host_time_s=time.monotonic())

@@ -16,7 +16,7 @@ from servo_daemon.api.past.queries import DriveName
 from servo_daemon.api.problems import ProblemError, sentence
 from servo_daemon.api.schemas import kept as schemas
 from servo_daemon.published.archive import Archive, ArchiveUnavailableError, Document
-from servo_daemon.published.times import iso_utc
+from servo_daemon.published.units import iso_utc
 from servo_daemon.published.view import DriveView
 
 Found = TypeVar("Found")

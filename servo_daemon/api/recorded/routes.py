@@ -25,7 +25,7 @@ from servo_daemon.api.recorded.scope import Edge, Trigger, column, take
 from servo_daemon.api.schemas import recorded as schemas
 from servo_daemon.errors import BusyError, RefusedError, ServoDaemonError
 from servo_daemon.published.archive import KeptCapture
-from servo_daemon.published.times import iso_utc
+from servo_daemon.published.units import iso_utc
 from servo_daemon.published.view import DaemonView, DriveView
 
 #: A minute of samples is written in a second; a slow disk is waited for no longer than this, s.

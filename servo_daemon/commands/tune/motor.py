@@ -102,7 +102,6 @@ def _estimate(capture: Capture, drive: DriveConfig) -> Estimate:
 def _fitted(drive: DriveConfig, capture: Capture, fixed: Mapping[str, float]) -> MotorKnowledge:
     """The motor as the mean over a capture: output error."""
     from servo_daemon.identification.output_error import FitOptions, Recording, fit_output_error
-    from servo_daemon.published.knowledge import motor_knowledge
 
     nominal = {name: value for name, value in drive.nominal.items() if name != "J_m"}
     fit = fit_output_error([Recording(str(capture.path), capture.block())], drive.model, FitOptions(nominal, fixed))
@@ -113,6 +112,21 @@ def _fitted(drive: DriveConfig, capture: Capture, fixed: Mapping[str, float]) ->
                 f"{capture.path}: the model leaves {100 * share:.2g} % of {name}, more than noise: an effect is "
                 'missing (model = ["coulomb_friction"] in --config?), and the gains are for another motor than this one'
             )
+    return fitted_motor(drive, fit, fixed, str(capture.path))
+
+
+def fitted_motor(drive: DriveConfig, fit: OutputErrorFit, fixed: Mapping[str, float], where: str) -> MotorKnowledge:
+    """The motor of a fit.
+
+    Args:
+        where: the data, for messages.
+
+    Raises:
+        TuningError: too little is known.
+    """
+    from servo_daemon.published.knowledge import motor_knowledge
+
+    nominal = {name: value for name, value in drive.nominal.items() if name != "J_m"}
     if fit.answer is not None and any(fit.parameters[n].status == "undetermined" for n in NEEDED):
         return _by_answer(fit, fit.answer)
     parameters = [
@@ -129,11 +143,11 @@ def _fitted(drive: DriveConfig, capture: Capture, fixed: Mapping[str, float]) ->
     ]
     known = [name for name in fit.after.names if fit.parameters[name].std is not None]
     try:
-        return motor_knowledge(parameters, _covariance(fit, known), drive.model, {}, "capture", fixed)
+        return motor_knowledge(parameters, _covariance(fit, known), fit.problem.plant.effects, {}, "capture", fixed)
     except TuningError as error:
         enough = ",".join(f"{name}=…" for name in _to_be_given(fit))
         raise TuningError(
-            f"{capture.path}: {error}; --fix {enough} (or [drive.nominal] of --config) would do, or a capture with "
+            f"{where}: {error}; --fix {enough} (or [drive.nominal] of --config) would do, or a capture with "
             "more motion or more signals"
         ) from error
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from servo_daemon.api.times import iso_utc_list, parse_time
-from servo_daemon.published.times import iso_utc
+from servo_daemon.published.units import iso_utc
 
 NOW = 1_795_262_400.25  # 2026-11-21T12:00:00.250Z
 

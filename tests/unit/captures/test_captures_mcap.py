@@ -18,6 +18,7 @@ from servo_daemon.captures import Capture, CaptureWriter, read_capture, write_ca
 from servo_daemon.captures.capture.read_options import ReadOptions
 from servo_daemon.errors import BadInputError, CaptureError
 from servo_daemon.samples import make_block
+from tests.command_line import run_command
 
 N, T0_NS = 200, 1_795_262_400_000_000_000
 T = np.arange(N) * 0.001
@@ -227,3 +228,17 @@ def test_the_extra_is_named_where_it_is_missing(tmp_path: Path, monkeypatch: pyt
         read_capture(path)
     with pytest.raises(BadInputError, match=r"servo-daemon\[mcap\]"):
         ours(tmp_path / "b.mcap")
+
+
+def test_record_writes_it(tmp_path: Path) -> None:
+    config = tmp_path / "c.toml"
+    config.write_text("[[drive]]\n[drive.options]\nrealtime = false\n")
+    shared = ("record", "--config", config, "--seconds", "0.2", "--out")
+    recorded = run_command(*shared, tmp_path / "bench", "--format", "mcap")
+    assert recorded.code == 0, recorded.err
+    assert run_command(*shared, tmp_path / "a.csv").code == 0
+    found, meant = read_capture(tmp_path / "bench"), read_capture(tmp_path / "a.csv")
+    same(found, time_s=meant.time_s, voltage_V=meant.voltage_V, current_A=meant.current_A)
+    assert found.metadata["driver"] == "simulated"
+    wrong = run_command(*shared, tmp_path / "b.csv", "--format", "mcap")
+    assert wrong.code == 2 and "the name of a csv file" in wrong.err

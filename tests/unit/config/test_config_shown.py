@@ -115,4 +115,5 @@ def test_the_schema_knows_every_key(validator: Draft202012Validator) -> None:
     """A section that is added to the configuration is in the schema with the test that names its keys."""
     schema = json.loads(run_command("config", "schema").out)
     assert set(schema["properties"]) == set(Config.model_fields)
+    assert "null" not in json.dumps(schema)
     assert not [e.message for e in validator.iter_errors({"drive": [{"nominal": {"channel": "current_A"}}]})]

@@ -17,9 +17,9 @@ import pytest
 
 from drivers.base import OnboardEstimates
 from servo_daemon.config import parse_config
-from servo_daemon.daemon import reader as reader_module
 from servo_daemon.daemon import worker as worker_module
 from servo_daemon.daemon.daemon import Daemon
+from servo_daemon.daemon.lines import reader as reader_module
 from servo_daemon.daemon.notify import Notifier
 from servo_daemon.errors import DriverConfigError, DriverDisconnectedError
 from servo_daemon.pipeline.pipeline import Pipeline

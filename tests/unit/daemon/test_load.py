@@ -11,8 +11,8 @@ from servo_daemon.api.documents import estimates_document
 from servo_daemon.config import DriveConfig
 from servo_daemon.daemon import load as load_module
 from servo_daemon.daemon.drive import DriveRuntime
+from servo_daemon.daemon.lines.reader import BlockQueue
 from servo_daemon.daemon.load import CALM_S, KEPT_S, LATE_S, PATIENCE_S, LoadWatch
-from servo_daemon.daemon.reader import BlockQueue
 from servo_daemon.published.metrics import render_metrics
 from servo_daemon.samples import Quality, SampleBlock, make_block
 from servo_daemon.simulate import DEFAULT_NOMINAL
@@ -169,7 +169,7 @@ def test_a_drive_tells_it_in_health_events_and_metrics(monkeypatch: pytest.Monke
 class One:
     """A daemon with one drive, for the metrics."""
 
-    version, started, archive = "0", 0.0, None
+    version, started, archive, sinks = "0", 0.0, None, ()
 
     def __init__(self, drive: DriveRuntime) -> None:
         self.drives = {"axis1": drive}

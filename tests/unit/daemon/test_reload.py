@@ -162,8 +162,10 @@ def test_systemd_is_told(start: Callable[..., Rig], tmp_path: Path) -> None:
 def test_the_daemons_own_keys() -> None:
     old = config({"name": "a"})
     secret = "postgresql://me:hunter2@db/x"
+    hook = {"url": "https://hooks.example/secret-path"}
     new = config(
         {"name": "a"},
+        webhook=[hook],
         api={"port": 1, "metrics": "open", "certificate": "c", "private_key": "k"},
         history={"url": secret},
         log={"level": "debug"},
@@ -176,10 +178,11 @@ def test_the_daemons_own_keys() -> None:
         ('api.private_key: absent → "k": needs a restart', "restart"),
         ('log.level: "info" → "debug"', "now"),
         ('history.url: absent → "postgresql://me:***@db/x": needs a restart', "restart"),
+        ('webhook: [] → [{ url = "https://hooks.example/***", kinds = [], drives = [] }]: needs a restart', "restart"),
     ]
     at = at_work(old, new)
     assert (at.api.port, at.api.metrics, at.log.level, at.history.url) == (8077, "open", "debug", None)
-    assert [c.how for c in changes(at, new)] == ["restart"] * 4, "what needs a restart is told each time"
+    assert [c.how for c in changes(at, new)] == ["restart"] * 5, "what needs a restart is told each time"
     assert changes(new, new) == ()
     other = config({"name": "a"}, api={"certificate": "d", "private_key": "k"})
     assert [c.how for c in changes(new, other) if c.what.startswith("api.cert")] == ["now"]

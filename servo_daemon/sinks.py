@@ -10,7 +10,7 @@ from servo_daemon.config import Config
 from servo_daemon.published.sinks import SinkState
 
 if TYPE_CHECKING:
-    from servo_daemon.daemon.drive import DriveRuntime
+    from servo_daemon.mqtt.report import Source
 
 
 class Sink(Protocol):
@@ -19,12 +19,12 @@ class Sink(Protocol):
     @property
     def state(self) -> SinkState: ...
     def start(self) -> None: ...
-    def follow(self, sources: Sequence[DriveRuntime]) -> None: ...
+    def follow(self, sources: Sequence[Source]) -> None: ...
     def begin_stop(self) -> None: ...
     def stop(self, timeout_s: float) -> None: ...
 
 
-def sinks_of(config: Config, drives: Sequence[DriveRuntime], state_dir: Path | None) -> tuple[Sink, ...]:
+def sinks_of(config: Config, drives: Sequence[Source], state_dir: Path | None) -> tuple[Sink, ...]:
     """None of them is started.
 
     Raises:

@@ -1,8 +1,9 @@
 """One reader thread a drive: opens the driver, moves blocks into a bounded queue, reconnects with back-off.
 
-A line whose bytes wait in the system's buffer is read by the thread that reads all such lines (`daemon/ports.py`), and
-its own sleeps meanwhile. Else the thread does nothing else, so that a slow moment anywhere else never makes a serial
-buffer overflow. Every sample that is lost here is counted; nothing is dropped silently.
+A line whose bytes wait in the system's buffer is read by the thread that reads all such lines
+(`daemon/lines/ports.py`), and its own sleeps meanwhile. Else the thread does nothing else, so that a slow moment
+anywhere else never makes a serial buffer overflow. Every sample that is lost here is counted; nothing is dropped
+silently.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from drivers.base import Driver
-from servo_daemon.daemon.ports import Ports
+from servo_daemon.daemon.lines.ports import Ports
 from servo_daemon.errors import (
     DriverConfigError,
     DriverDisconnectedError,

@@ -13,8 +13,8 @@ import pytest
 
 from benchmarks.feeder import frames
 from drivers.serial.line import SerialDriver
-from servo_daemon.daemon.ports import Ports
-from servo_daemon.daemon.reader import Reader
+from servo_daemon.daemon.lines.ports import Ports
+from servo_daemon.daemon.lines.reader import Reader
 
 
 class Line:

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from drivers.base import DriveInfo, Driver
-from servo_daemon.daemon import reader as reader_module
-from servo_daemon.daemon.reader import BlockQueue, Reader
+from servo_daemon.daemon.lines import reader as reader_module
+from servo_daemon.daemon.lines.reader import BlockQueue, Reader
 from servo_daemon.errors import (
     DriverConfigError,
     DriverDisconnectedError,

@@ -1,0 +1,1 @@
+"""`servo-daemon commission`: moves the motor, small first, until its parameters are known."""

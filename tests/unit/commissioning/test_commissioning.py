@@ -1,0 +1,117 @@
+"""Commissioning from nothing, on motors with equations of their own, healthy and faulty."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from servo_daemon.commissioning import MotionLimits, commission
+from servo_daemon.commissioning.envelope import Envelope
+from servo_daemon.samples import SampleBlock
+from tests.commanded_motor import CommandedMotor, Setup, drawn
+
+SMALL = Setup(), MotionLimits(12, 6, 150, 30, 60)
+MIDDLE = Setup(R=3.57, L=2.5e-3, K=0.046, J=6e-5, B=6e-5, noise_A=0.003, seed=1), MotionLimits(24, 3, 200, 20, 60)
+LARGE = Setup(R=0.5, L=1.5e-3, K=0.3, J=8e-3, B=0.02, noise_A=0.03, seed=2), MotionLimits(24, 20, 20, 6, 60)
+
+
+@pytest.mark.parametrize(("setup", "limits"), [SMALL, MIDDLE, LARGE], ids=["small", "middle", "large"])
+def test_three_motors_are_known_from_nothing(setup: Setup, limits: MotionLimits) -> None:
+    motor = CommandedMotor(setup)
+    result = commission(motor, limits)
+    assert result.outcome == "known" and result.fit is not None
+    assert result.motion_s < 60.0
+    for name in ("R", "L", "K", "J", "B"):
+        p, true = result.fit.parameters[name], getattr(setup, name)
+        assert p.value is not None and p.std is not None
+        assert abs(p.value / true - 1.0) < 0.01, name
+        assert p.std < 0.01 * true
+        assert abs(p.value - true) < 4 * p.std
+    assert motor.share_of(limits) <= 0.8
+    assert abs(motor.state[1]) < 0.05 * limits.speed_rad_s  # at rest at the end
+
+
+#: Seeds of `drawn`, one a fault, and what the run may call it.
+FAULTY = (
+    (0, {"encoder_sign"}),
+    (1, {"current_sign"}),
+    (2, {"no_motion"}),
+    (5, {"hard_stop", "motion_ended"}),
+    (7, {"encoder_lost"}),
+    (14, {"data_missing"}),
+)
+
+
+@pytest.mark.parametrize(("seed", "names"), FAULTY)
+def test_a_faulty_set_up_is_stopped_within_its_limits(seed: int, names: set[str]) -> None:
+    setup, limits, _ = drawn(seed)
+    motor = CommandedMotor(setup)
+    result = commission(motor, limits)
+    assert result.stop is not None and result.stop.reason in names
+    assert motor.share_of(limits) <= 1.01
+    assert abs(motor.state[1]) < 0.2 * limits.speed_rad_s  # it runs down: nothing drives it any more
+
+
+def test_silence_and_the_user_stop_the_motor() -> None:
+    setup, limits = SMALL
+    silent = CommandedMotor(setup, silent_after_s=3.0)
+    result = commission(silent, limits)
+    assert result.stop is not None and result.stop.reason == "data_missing"
+    asked = 0
+
+    def interrupted() -> bool:
+        nonlocal asked
+        asked += 1
+        return asked > 3000
+
+    motor = CommandedMotor(setup)
+    result = commission(motor, limits, interrupted=interrupted)
+    assert result.stop is not None and result.stop.reason == "interrupted"
+    assert motor.commanded_V == 0.0
+    assert abs(motor.state[1]) < 0.01 * limits.speed_rad_s
+
+
+class Breaking(CommandedMotor):
+    """Its reading is interrupted in the middle of a motion."""
+
+    def read(self, timeout_s: float) -> SampleBlock | None:
+        if self.commanded_V > 0.1:
+            raise KeyboardInterrupt
+        return super().read(timeout_s)
+
+
+def test_whatever_ends_the_loop_the_last_command_is_0_V() -> None:
+    motor = Breaking(SMALL[0])
+    with pytest.raises(KeyboardInterrupt):
+        commission(motor, SMALL[1])
+    assert motor.commanded_V == 0.0
+
+
+def test_a_motor_too_strong_for_its_limits_is_stopped_before_them() -> None:
+    """A load that pulls: what nothing has commanded is not allowed either."""
+    setup, limits = SMALL
+    motor = CommandedMotor(setup)
+    motor.push(speed_rad_s=2.0)
+    result = commission(motor, limits)
+    assert result.stop is not None and result.stop.reason == "not_at_rest"
+
+
+def test_a_limit_is_reached_before_it_is_passed() -> None:
+    setup, limits = SMALL
+    for tight in (replace(limits, travel_rad=0.15), replace(limits, speed_rad_s=2.0)):
+        motor = CommandedMotor(setup)
+        commission(motor, replace(tight, seconds=6.0))
+        assert motor.share_of(tight) <= 1.01
+
+
+def test_the_envelope_holds_for_a_shaft_that_stops_or_comes_back() -> None:
+    e = Envelope(R=2.0, K=0.1, voltage_V=24.0, current_A=3.0)
+    for speed in (-30.0, -5.0, 0.0, 12.0, 40.0):
+        for wanted in (-24.0, 0.0, 24.0):
+            v = e.clamp(wanted, speed)
+            currents = [(v - 0.1 * w) / 2.0 for w in (speed, 0.0, -0.5 * speed)]
+            assert max(map(abs, currents)) <= 3.0
+    assert e.clamp(1.0, 0.0) == 1.0
+    assert math.isclose(e.clamp(24.0, 0.0), 0.85 * 2.0 * 3.0)

@@ -1,0 +1,104 @@
+"""Nothing moves a motor without permission, and only the simulated drive can be commanded."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.commanding import LONGEST_COMMAND_S, Commanding
+from drivers.registry import BUILT_IN, driver_class
+from servo_daemon.cli import main
+from servo_daemon.commands.commission.command import parse_accuracy
+from servo_daemon.config import parse_config
+from servo_daemon.errors import BadInputError, ConfigError, DriverError
+from servo_daemon.simulate.driver import SimulatedDriver
+
+ALLOWED = """
+[[drive]]
+name = "axis1"
+driver = "simulated"
+options = { realtime = false, seed = 3 }
+[drive.commission]
+allow_motion = true
+voltage_V = 24.0
+current_A = 20.0
+speed_rad_s = 20.0
+travel_rad = 6.0
+"""
+
+
+def test_the_drivers_that_can_command_are_these() -> None:
+    """Whoever gives another driver `command` has to write it down here, with its dead man."""
+    able = {kind for kind in BUILT_IN if hasattr(driver_class(kind), "command")}
+    assert able == {"simulated"}
+
+
+def test_a_simulated_drive_stops_by_itself() -> None:
+    driver = SimulatedDriver("axis1", {"realtime": False})
+    with pytest.raises(DriverError, match="before open"):
+        driver.command(1.0, 0.01)
+    with driver:
+        assert isinstance(driver, Commanding)
+        driver.command(5.0, 10.0)  # longer than any command is valid
+        blocks = [b for _ in range(80) if (b := driver.read(0.0)) is not None]
+        voltage = np.concatenate([b.voltage_V for b in blocks if b.voltage_V is not None])
+        held = round(LONGEST_COMMAND_S * 1000)
+        assert np.allclose(voltage[:held], 5.0, atol=0.01)
+        assert not voltage[held:].any()
+        assert all(len(b) == 1 for b in blocks)
+        with pytest.raises(DriverError, match="no command"):
+            driver.command(float("nan"), 0.01)
+
+
+@pytest.mark.parametrize(
+    ("config", "said"),
+    [
+        (ALLOWED.replace("allow_motion = true", ""), "needs allow_motion = true"),
+        (
+            ALLOWED.replace('"simulated"', '"serial"').replace("realtime = false, seed = 3", 'port = "/dev/x"'),
+            "only reads",
+        ),
+    ],
+    ids=["not allowed", "cannot"],
+)
+def test_without_permission_or_ability_it_is_refused(
+    config: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "servo.toml"
+    path.write_text(config)
+    assert main(["commission", "--config", str(path)]) == 1
+    assert said in capsys.readouterr().err
+
+
+def test_motion_needs_its_limits() -> None:
+    drive = {"name": "axis1", "commission": {"allow_motion": True, "voltage_V": 12.0}}
+    with pytest.raises(ConfigError, match="needs the limits current_A, speed_rad_s, travel_rad"):
+        parse_config({"drive": [drive]})
+
+
+def test_accuracy_is_a_share() -> None:
+    assert parse_accuracy("0.5%") == pytest.approx(0.005)
+    for text in ("0.01", "0%", "60%", "1e3%"):
+        with pytest.raises(BadInputError, match="--accuracy"):
+            parse_accuracy(text)
+
+
+@pytest.mark.slow
+def test_the_command_writes_what_it_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, out = tmp_path / "servo.toml", tmp_path / "out"
+    path.write_text(ALLOWED)
+    code = main(["commission", "--config", str(path), "--accuracy", "5%", "--budget", "0", "--out", str(out), "--json"])
+    document = json.loads(capsys.readouterr().out)
+    assert code == 0 and document["outcome"] == "known"
+    assert document["parameters"]["R"]["value"] == pytest.approx(0.5, rel=0.02)
+    assert document["tuning"] is not None
+    names = {p.name for p in out.iterdir()}
+    assert {"capture.csv.gz", "commission.json", "commission.toml", "tuning.json", "controller.toml"} <= names
+    # The lines are configuration.
+    written = tmp_path / "next.toml"
+    written.write_text('[[drive]]\nname = "axis1"\n' + (out / "commission.toml").read_text())
+    assert main(["commission", "--config", str(written)]) == 1
+    assert "needs allow_motion" in capsys.readouterr().err
