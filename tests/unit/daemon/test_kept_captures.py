@@ -25,8 +25,8 @@ from servo_daemon.samples import make_block
 from servo_daemon.signal_meaning import SignalMeaning
 
 RATE_HZ = 100.0
-#: Events carry the real time, so samples do, too.
-START = time.time()
+#: Events carry the real time: samples are later, so that the end of a capture is that of its samples.
+START = time.time() + 86_400.0
 
 
 @dataclass
