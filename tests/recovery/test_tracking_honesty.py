@@ -70,10 +70,12 @@ def test_samples_ten_times_slower_than_the_winding(rate_hz: float) -> None:
 
 @pytest.mark.first_is_fast
 @pytest.mark.parametrize(
-    ("motor", "seed"), [pytest.param(motor, seed, id=f"{motor}-{seed}") for motor in MOTORS for seed in (1, 2)]
+    ("motor", "seed"),
+    [pytest.param(motor, seed, id=f"{motor}-{seed}") for motor in reversed(MOTORS) for seed in (1, 2)],
 )
 def test_constant_speed_from_the_start(motor: str, seed: int) -> None:
-    """Nothing but one speed, and the approach to it in the first moment. Whatever is tracking is right."""
+    """Nothing but one speed, and the approach to it in the first moment. Whatever is tracking is right. (The first of
+    these goes over its start by a jump just before it is to do so anyway, and doubts it meanwhile.)"""
     recording = quiet("speed", lively=False)(MOTORS[motor], 30.0, seed).recording
     found = worst(run(recording, motor), recording)
     assert max(found.values()) < STDS, found

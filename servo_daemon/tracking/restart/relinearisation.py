@@ -112,8 +112,8 @@ class BatchRelinearisation:
 
     @property
     def is_open(self) -> bool:
-        """The first samples are yet to be re-linearised, or are so now."""
-        return self.pending or self._under_way is not None
+        """The first samples are yet to be re-linearised, or are so now: they must be kept."""
+        return self.pending or self._due or self._under_way is not None
 
     def begin(self, start: Start, trusted: bool) -> None:
         """A filter starts.
