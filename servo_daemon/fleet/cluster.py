@@ -25,6 +25,20 @@ _CONNECT_S = 10.0
 Work = Callable[[Unit, tuple[str, ...]], dict[str, Any]]
 
 
+def scheduler(address: str, timeout_s: float = _CONNECT_S) -> Client:
+    """A client of a scheduler, such as that at "tcp://host:8786"; Dask is installed.
+
+    Raises:
+        BadInputError: none answers there in that time.
+    """
+    from distributed import Client
+
+    try:
+        return Client(address, timeout=timeout_s, set_as_default=False)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError) as error:
+        raise BadInputError(f"--dask {address}: no scheduler answers there: {error}") from error
+
+
 @contextmanager
 def cluster(address: str | None, workers: int | None = None) -> Iterator[Client]:
     """A client of a scheduler, or of a cluster of processes on this machine that ends with it.
@@ -41,11 +55,7 @@ def cluster(address: str | None, workers: int | None = None) -> Iterator[Client]
     dask.config.set({"distributed.scheduler.allowed-failures": _DEATHS})
     logging.getLogger("distributed").setLevel(logging.WARNING)  # it tells of every connection
     if address is not None:
-        try:
-            client = Client(address, timeout=_CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]
-        except (OSError, ValueError) as error:
-            raise BadInputError(f"--dask {address}: no scheduler answers there: {error}") from error
-        with client:
+        with scheduler(address) as client:
             yield client
         return
     # Estimation computes in one thread; several that share a core wait for each other.

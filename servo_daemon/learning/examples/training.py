@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.errors import BadInputError, ServoDaemonError
+from servo_daemon.fleet.cluster import scheduler
 from servo_daemon.learning.examples.drawing import CORE, LEAD_S, TrainingSpec, draw_motor, draw_outside, draw_parameters
 from servo_daemon.learning.examples.faults import with_fault
 from servo_daemon.learning.features import catalogue
@@ -130,13 +131,9 @@ def _engine(dask: str | None, jobs: int) -> Iterator[None]:
             yield
         return
     try:
-        from distributed import Client
+        client = scheduler(dask, timeout_s=5)
     except ImportError:
         raise ServoDaemonError("--dask needs Dask: pip install 'servo-daemon[dask]'") from None
-    try:
-        client = Client(dask, timeout=5, set_as_default=False)  # type: ignore[no-untyped-call]
-    except (OSError, ValueError) as error:
-        raise BadInputError(f"--dask {dask}: no scheduler answers there: {error}") from error
     with client, parallel_config(backend="dask", client=client, wait_for_workers_timeout=30):
         yield
 
