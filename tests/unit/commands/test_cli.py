@@ -626,7 +626,7 @@ def test_a_configuration_without_a_drive_runs_nothing(run: Run, tmp_path: Path) 
         (("sim-drive", "--serial", "link", "--seconds", "-1"), "--seconds: must be a number greater than zero, not -1"),
         (
             ("sim-drive", "--serial", "link", "--seconds", "nan"),
-            "--seconds: must be a number greater than zero, not nan",
+            "--seconds: must be a number greater than zero",
         ),
         (("check", "--config", "c.toml", "--listen", "nan"), "--listen: must be a number greater than zero, not nan"),
         (("check", "--config", "c.toml", "--listen", "0"), "--listen: must be a number greater than zero, not 0"),
