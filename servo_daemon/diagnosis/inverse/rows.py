@@ -19,6 +19,7 @@ from servo_daemon.identification.inverse_dynamics.shaft import kinematics, speed
 from servo_daemon.identification.inverse_dynamics.signals import EvenStretch, even_stretch, pieces
 from servo_daemon.identification.output_error.problem.problem import Segment
 from servo_daemon.identification.output_error.problem.rollout import TIME
+from servo_daemon.numerics import sample_period
 from servo_daemon.plant.columns.screening import Motion
 from servo_daemon.samples import F64
 
@@ -105,7 +106,7 @@ def _stretches(data: Data) -> tuple[list[EvenStretch], list[int]]:
         effort = block.torque_Nm if block.torque_Nm is not None else block.current_A
         if effort is None or block.position_rad is None:
             return [], []
-        period = float(np.median(np.diff(block.time_s)))
+        period = sample_period(block.time_s)
         for piece in (p for p in pieces(block) if len(p) >= _FEWEST):
             measured = piece.torque_Nm if piece.torque_Nm is not None else piece.current_A
             assert measured is not None

@@ -23,6 +23,7 @@ import numpy as np
 from servo_daemon.kalman.ekf import Ekf
 from servo_daemon.kalman.gaussian import Gaussian
 from servo_daemon.kalman.records import Innovations, NoiseLevels
+from servo_daemon.numerics import inverse_of_information, score_and_information
 from servo_daemon.samples import F64
 from servo_daemon.tracking.noise.setting import NoiseSetting
 from servo_daemon.tracking.plan.parameter_masks import ParameterMasks
@@ -211,11 +212,9 @@ class MaximumLikelihoodRestart:
         z2 = np.square(nu) / s
         usual = z2 < _OUTLIER_SQUARE
         d_nu, d_s = np.array(iteration.error) * (usual / np.sqrt(s)), np.array(iteration.log_s) * usual
-        gradient = d_nu @ (nu / np.sqrt(s)) - 0.5 * d_s @ (z2 - 1.0)
+        gradient, H = score_and_information(nu / np.sqrt(s), d_nu, d_s)
         n = len(self._free)
-        H = d_nu @ d_nu.T + 0.5 * d_s @ d_s.T + np.diag([0.0] * n + [_DAMPING] * (len(d_nu) - n))
-        size = np.sqrt(np.maximum(H.diagonal(), 1e-300))
-        inverse = np.linalg.pinv(H / np.outer(size, size), hermitian=True) / np.outer(size, size)
+        inverse = inverse_of_information(H + np.diag([0.0] * n + [_DAMPING] * (len(d_nu) - n)))
         return -inverse @ gradient, inverse[:n, :n]
 
     def _around(self, scales: F64) -> list[tuple[_Point, float]]:
