@@ -20,7 +20,7 @@ import numpy as np
 from servo_daemon.errors import BadInputError
 from servo_daemon.identification.inverse_dynamics.signals import pieces
 from servo_daemon.identification.paper.free_run import free_run
-from servo_daemon.numerics import least_squares, sample_period
+from servo_daemon.numerics import sample_period
 from servo_daemon.plant.build import build_plant
 from servo_daemon.regression.linear_regression import ROBUST, LinearFit, autocorrelation, fit_linear
 from servo_daemon.samples import F64, SampleBlock
@@ -219,7 +219,7 @@ def _start(d: _Piece) -> F64:
             made = lfilter(b.ravel(), a, d.voltage)
             made = (made[1:] + made[:-1]) / 2 if d.is_angle else made[:-1]
             A = np.column_stack([made, np.ones_like(made)])
-            solution, _ = least_squares(A, shown)
+            solution, *_ = np.linalg.lstsq(A, shown, rcond=None)
             cost = float(np.sum((shown - A @ solution) ** 2))
             if cost < best and solution[0] > 0:
                 best, x = cost, np.array([np.log(solution[0]), np.log(a1), a2])
