@@ -50,16 +50,18 @@ def inverse_of_information(information: F64) -> F64:
 
 
 def score_and_information(innovation: F64, slopes: F64, log_var_slopes: F64) -> tuple[F64, F64]:
-    """Gradient and expected Hessian of −log p of Gaussian innovations by k coordinates, shapes (k,) and (k, k): a step
-    of Fisher's scoring is −H⁻¹ g.
+    """Gradient and expected Hessian of −2 log p of Gaussian innovations by k coordinates, shapes (k,) and (k, k): a
+    step of Fisher's scoring is −H⁻¹ g.
 
     Args:
         innovation: over its standard deviation, shape (n,).
-        slopes: of the innovation by each coordinate, over its standard deviation, shape (k, n).
+        slopes: of the same by each coordinate, shape (k, n).
         log_var_slopes: of the logarithm of its variance, shape (k, n).
     """
-    gradient = slopes @ innovation - 0.5 * log_var_slopes @ (np.square(innovation) - 1.0)
-    return gradient, slopes @ slopes.T + 0.5 * log_var_slopes @ log_var_slopes.T
+    gradient = np.sum(log_var_slopes + 2 * slopes * innovation, axis=1)
+    raw = slopes + 0.5 * innovation * log_var_slopes  # of the innovation itself, over its standard deviation
+    information = np.einsum("an,bn->ab", log_var_slopes, log_var_slopes) + 2 * np.einsum("an,bn->ab", raw, raw)
+    return gradient, information
 
 
 def least_squares(A: F64, y: F64) -> tuple[F64, int]:

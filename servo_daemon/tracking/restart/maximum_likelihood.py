@@ -212,10 +212,10 @@ class MaximumLikelihoodRestart:
         z2 = np.square(nu) / s
         usual = z2 < GATE**2
         d_nu, d_s = np.array(iteration.error) * (usual / np.sqrt(s)), np.array(iteration.log_s) * usual
-        gradient, H = score_and_information(nu / np.sqrt(s), d_nu, d_s)
-        n = len(self._free)
-        inverse = inverse_of_information(H + np.diag([0.0] * n + [_DAMPING] * (len(d_nu) - n)))
-        return -inverse @ gradient, inverse[:n, :n]
+        z, n = nu / np.sqrt(s), len(self._free)
+        gradient, H = score_and_information(z, d_nu - 0.5 * z * d_s, d_s)
+        inverse = 2.0 * inverse_of_information(H + np.diag([0.0] * n + [2.0 * _DAMPING] * (len(d_nu) - n)))
+        return -0.5 * inverse @ gradient, inverse[:n, :n]
 
     def _around(self, scales: F64) -> list[tuple[_Point, float]]:
         """Where the search is, and the points at a small distance along each unknown, with that distance."""

@@ -103,6 +103,4 @@ def _derivatives(
         moved[k] += difference[k]
         e1, logs1 = innovations(moved)
         d_e[row], d_logs[row] = (e1 - e) / difference[k], (logs1 - logs) / difference[k]
-    raw = d_e + 0.5 * e * d_logs  # of the innovation itself, in units of √s
-    g, H = score_and_information(e, raw, d_logs)
-    return 2 * g, 2 * H
+    return score_and_information(e, d_e, d_logs)
