@@ -22,14 +22,15 @@ def judged(watch: JumpWatch, *ticks: bool) -> list[Action]:
 
 def test_a_single_bad_tick_is_undone_and_forgotten() -> None:
     watch = JumpWatch()
-    assert watch.quiet
-    assert judged(watch, BAD) == ["undo"]
-    assert not watch.quiet
-    assert judged(watch, GOOD, GOOD, GOOD) == ["learn"] * 3
-    assert not watch.quiet  # a good tick counts a quarter
-    assert judged(watch, GOOD) == ["learn"]
-    assert watch.quiet
-    assert judged(watch, BAD, BAD) == ["undo", "undo"], "the first one still counts"
+    quiet = [watch.quiet]
+    for unexplained in (BAD, GOOD, GOOD, GOOD, GOOD):  # a good tick counts a quarter
+        assert judged(watch, unexplained) == ["undo" if unexplained else "learn"]
+        quiet.append(watch.quiet)
+    assert quiet == [True, False, False, False, False, True]
+
+
+def test_a_bad_tick_counts_until_four_good_ones_are_over() -> None:
+    assert judged(JumpWatch(), BAD, GOOD, BAD, BAD) == ["undo", "learn", "undo", "learn"]
 
 
 @pytest.mark.parametrize("explained", [True, False])
