@@ -126,7 +126,7 @@ endef
 $(VENV)/.runtime: requirements.lock
 	@if ! $(BIN)/python -c 'import pip' 2>/dev/null; then \
 	  python=$$($(FIND_PYTHON)); echo "$(VENV): $$($$python --version), $$(command -v $$python)"; \
-	  echo "$(VENV): less than a minute with a warm package cache; else as long as 190 MB take to download"; \
+	  echo "$(VENV): less than a minute with a warm package cache; else as long as 170 MB take to download"; \
 	  $$python -m venv --clear $(VENV) || { echo "make: 'python3 -m venv' failed" \
 	    "(on Debian and Ubuntu it is a package of its own: apt install python3-venv)" >&2; exit 1; }; fi
 	@$(BIN)/python $(PIP_INSTALL) --quiet -r <(sed -n '/^setuptools==/,/[^\\]$$/p' requirements.lock)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from servo_daemon.parameters import LINEAR
+from servo_daemon.plant import servo_loop
 from servo_daemon.plant.build import build_plant
 from servo_daemon.plant.compiled import SampleLoop
 from servo_daemon.plant.linear import linear_step
-from servo_daemon.plant import servo_loop
 from servo_daemon.plant.servo_loop import (
     N_ROW,
     OUT,
