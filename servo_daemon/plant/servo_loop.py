@@ -62,7 +62,8 @@ class Transfer(NamedTuple):
 def motor_speed(p: Mapping[str, float]) -> Transfer:
     """ω/v of the unloaded motor, rad/s per V: K / ((J s + B)(R + s L) + K²). The paper prints this one correctly."""
     electrical, mechanical = np.array([p["L"], p["R"]]), np.array([p["J"], p["B"]])
-    return Transfer(np.array([p["K"]]), np.polyadd(np.polymul(mechanical, electrical), [p["K"] ** 2]))
+    denominator = np.polyadd(np.polymul(mechanical, electrical), [p["K"] ** 2])
+    return Transfer(np.array([p["K"]]), np.asarray(denominator, np.float64))
 
 
 def closed_servo(p: Mapping[str, float], gains: ServoGains) -> Transfer:
@@ -71,7 +72,8 @@ def closed_servo(p: Mapping[str, float], gains: ServoGains) -> Transfer:
     forward = gains.k_s * motor.numerator
     with_tacho = np.polyadd(motor.denominator, gains.k_g * forward)
     wanted = gains.k_io * forward
-    return Transfer(wanted, np.polyadd(np.polymul(with_tacho, [1.0, 0.0]), wanted))
+    denominator = np.polyadd(np.polymul(with_tacho, [1.0, 0.0]), wanted)
+    return Transfer(wanted, np.asarray(denominator, np.float64))
 
 
 def suitable_gains(p: Mapping[str, float], supply_V: float, rate_hz: float) -> ServoGains:
