@@ -6,6 +6,7 @@ On the independent generator at 1 kHz with laboratory sensors; every nominal val
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -93,6 +94,7 @@ def held_speed(motor: Motor, time_s: F64, rng: np.random.Generator) -> Plan:
     return Plan("speed", np.full(len(time_s), 0.3 * motor.speed_max_rad_s), added_V=dither)
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("motion", [constant_voltage, held_speed], ids=["open loop", "servo"])
 @pytest.mark.parametrize("motor", list(MOTORS))
 def test_constant_speed_after_a_multisine(motor: str, motion: object) -> None:
@@ -292,8 +294,9 @@ def test_noise_that_was_taken_for_another_is_not_information(number: int) -> Non
 # -- a dry friction that is not in the model --------------------------------------------------------------------------
 
 
+@cache
 def with_friction(motor: str, motion: str) -> tuple[Track, Recording]:
-    """8 % of the rated torque, stick-slip."""
+    """8 % of the rated torque, stick-slip; two tests look at it."""
     effects = {"coulomb_friction": {"Tc": 0.08 * MOTORS[motor].working_torque_Nm}}
     recording = generate(MOTORS[motor], Scenario(motion, seconds=20.0, effects=effects, seed=SEED))
     return run(recording, motor), recording

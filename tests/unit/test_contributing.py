@@ -63,7 +63,7 @@ def stranger(repo_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the source with two effects more, a file each, and a capture of each."""
     folder = tmp_path_factory.mktemp("stranger")
     for package in ("servo_daemon", "drivers"):
-        shutil.copytree(repo_root / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(repo_root / package, folder / package)
     path, code = code_block(repo_root).split("\n", 1)
     target = folder / path.removeprefix("# ")
     assert not target.exists()
