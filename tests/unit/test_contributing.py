@@ -166,7 +166,7 @@ def test_beside_an_effect_of_a_stranger_the_motor_becomes_known(
         assert std < 0.05 * value, name
 
 
-@pytest.mark.first_is_fast
+@pytest.mark.slow
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize(
     ("capture", "effect", "true"),
