@@ -19,7 +19,8 @@ BIN := $(VENV)/bin
 UV_VERSION := 0.13.9
 PREFIX ?= /opt/servo-daemon
 ARGS ?=
-# Test processes beside each other. Each keeps to one thread: several that wait for each other on one core crawl.
+# Test processes beside each other; auto: three on two cores (tests/conftest.py). Each keeps to one thread: several that
+# wait for each other on one core crawl.
 WORKERS ?= auto
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
