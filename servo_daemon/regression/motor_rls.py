@@ -34,8 +34,8 @@ from servo_daemon.regression.rls_fit import OVERLAP
 from servo_daemon.regression.sampling import FEWEST_SAMPLES, SPAN_S, Sampling
 from servo_daemon.regression.stretch import Stretch, between_samples, joined, last
 
-#: After the first updates (a tick each) so many are worked off together: fewer calls on longer arrays.
-_EAGER_UPDATES, _BATCH = 50, 10
+#: After the first ticks so many are worked off together, and of a calm drive so many: fewer calls on longer arrays.
+_EAGER_UPDATES, _BATCH, _CALM_BATCH = 50, 10, 20
 
 #: What a balance that does not close gives is known to this share at best, 1 σ (with a second inertia the shaft's
 #: regression finds the sum of both, by slow motion).
@@ -78,7 +78,7 @@ class MotorRls:
         self._noise_var: dict[str, float] = {}
         self._sampling: Sampling | None = None
         self._estimate: RegressionEstimate | None = None
-        self._updates = 0
+        self._updates = self._waiting = 0
         self._sag = 0.0
         self._plausible = {which: Plausible() for which in SPAN_S}
 
@@ -88,25 +88,31 @@ class MotorRls:
         both = self._plant.drive == "voltage" and not self._known
         return (*(self._columns.named.values() if both else ()), *self._columns.given)
 
-    def update(self, new: Stretch, noise_var: Mapping[str, float], sampling: Sampling | None = None) -> bool:
+    def update(
+        self, new: Stretch, noise_var: Mapping[str, float], sampling: Sampling | None = None, ticks: int = 1
+    ) -> bool:
         """Take the samples of one tick; windows reach back into earlier ones. Returns whether they were worked off.
 
         Args:
             noise_var: of the measured channels, as far as it is known: what it adds to the regressors is taken out.
             sampling: noise and what else integrals over samples are off by, once a filter has found it: what the
                 balances leave beyond it is no noise.
+            ticks: how many it is, where it is not one.
 
-        The first ticks are worked off at once (the filter waits to start), later ones `_BATCH` at a time.
+        The first ticks are worked off at once (the filter waits to start), later ones `_BATCH` at a time, those of a
+        drive of which several come together `_CALM_BATCH`.
         """
-        self._updates += 1
+        self._updates += ticks
+        self._waiting += ticks
         self._noise_var, self._sampling = dict(noise_var), sampling
         if self._current_gain != 1.0 and new.current is not None:
             new = replace(new, current=new.current / self._current_gain)
         if self._lag is not None and new.voltage is not None:
             new = replace(new, voltage=self._lag.mean_of(new.time_s, new.voltage))
         self._pending.append(new)
-        if self._updates > _EAGER_UPDATES and self._updates % _BATCH:
+        if self._updates > _EAGER_UPDATES and self._waiting < (_BATCH if ticks == 1 else _CALM_BATCH):
             return False
+        self._waiting = 0
         stretch = recorded = joined(self._pending)
         end_s = float(stretch.time_s[-1])
         self.window.advance(end_s)
