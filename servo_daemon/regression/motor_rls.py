@@ -34,8 +34,10 @@ from servo_daemon.regression.rls_fit import OVERLAP
 from servo_daemon.regression.sampling import FEWEST_SAMPLES, SPAN_S, Sampling
 from servo_daemon.regression.stretch import Stretch, between_samples, joined, last
 
-#: After the first ticks so many are worked off together, and of a calm drive so many: fewer calls on longer arrays.
-_EAGER_UPDATES, _BATCH, _CALM_BATCH = 50, 10, 20
+#: After the first ticks so many are worked off together: fewer calls on longer arrays.
+_EAGER_UPDATES, _BATCH = 50, 10
+#: Of a drive whose ticks come several together every second time it is not asked what follows from it.
+_ASKED_EVERY = 2
 
 #: What a balance that does not close gives is known to this share at best, 1 σ (with a second inertia the shaft's
 #: regression finds the sum of both, by slow motion).
@@ -78,7 +80,7 @@ class MotorRls:
         self._noise_var: dict[str, float] = {}
         self._sampling: Sampling | None = None
         self._estimate: RegressionEstimate | None = None
-        self._updates = self._waiting = 0
+        self._updates = self._waiting = self._unasked = 0
         self._sag = 0.0
         self._plausible = {which: Plausible() for which in SPAN_S}
 
@@ -91,7 +93,8 @@ class MotorRls:
     def update(
         self, new: Stretch, noise_var: Mapping[str, float], sampling: Sampling | None = None, ticks: int = 1
     ) -> bool:
-        """Take the samples of one tick; windows reach back into earlier ones. Returns whether they were worked off.
+        """Take the samples of one tick; windows reach back into earlier ones. Returns whether there is something new
+        to ask for.
 
         Args:
             noise_var: of the measured channels, as far as it is known: what it adds to the regressors is taken out.
@@ -99,8 +102,7 @@ class MotorRls:
                 balances leave beyond it is no noise.
             ticks: how many it is, where it is not one.
 
-        The first ticks are worked off at once (the filter waits to start), later ones `_BATCH` at a time, those of a
-        drive of which several come together `_CALM_BATCH`.
+        The first ticks are worked off at once (the filter waits to start), later ones `_BATCH` at a time.
         """
         self._updates += ticks
         self._waiting += ticks
@@ -110,7 +112,7 @@ class MotorRls:
         if self._lag is not None and new.voltage is not None:
             new = replace(new, voltage=self._lag.mean_of(new.time_s, new.voltage))
         self._pending.append(new)
-        if self._updates > _EAGER_UPDATES and self._waiting < (_BATCH if ticks == 1 else _CALM_BATCH):
+        if self._updates > _EAGER_UPDATES and self._waiting < _BATCH:
             return False
         self._waiting = 0
         stretch = recorded = joined(self._pending)
@@ -128,6 +130,10 @@ class MotorRls:
             keep = max(FEWEST_SAMPLES, round(SPAN_S["shaft"] / period)) + 2
             recorded = last(recorded, keep)
         self._pending = [recorded]
+        self._unasked = self._unasked + 1 if ticks > 1 else _ASKED_EVERY
+        if self._unasked < _ASKED_EVERY:
+            return False
+        self._unasked = 0
         self._estimate = self._compute()
         return True
 
