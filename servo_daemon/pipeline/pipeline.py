@@ -7,10 +7,9 @@ blocks (see `pipeline/stream.py`).
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from drivers.base import DriveInfo
 from servo_daemon.config import DriveConfig
@@ -308,4 +307,4 @@ def all_finite(estimate: Estimate) -> bool:
     """Whether every published number is a number: the service's last line of defence, and the tests'."""
     numbers = [v for p in estimate.parameters for v in (p.value, p.std) if v is not None]
     numbers += [v for v in estimate.state.values() if v is not None]
-    return bool(np.isfinite(numbers).all()) if numbers else True
+    return all(map(math.isfinite, numbers))

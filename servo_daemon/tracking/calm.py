@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from servo_daemon.conditioning.gaps import gaps
+from servo_daemon.conditioning.gaps import is_whole
 from servo_daemon.kalman.ekf import Ekf
 from servo_daemon.kalman.records import ChannelStatistics
 from servo_daemon.samples import SampleBlock, concatenate
@@ -80,6 +80,6 @@ class CalmTicks:
     def _may_wait(
         self, tick: SampleBlock, test: InnovationTest, before_s: float | None, period_s: float | None
     ) -> bool:
-        if not self.calm or len(self._waiting) == TOGETHER - 1 or test.unexplained or not tick.all_good:
+        if not self.calm or len(self._waiting) == TOGETHER - 1 or test.unexplained:
             return False
-        return not gaps(tick, float(self._waiting[-1].time_s[-1]) if self._waiting else before_s, period_s)
+        return is_whole(tick, float(self._waiting[-1].time_s[-1]) if self._waiting else before_s, period_s)
