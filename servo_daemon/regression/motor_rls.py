@@ -139,8 +139,10 @@ class MotorRls:
 
     def expect_change(self) -> None:
         """A parameter has stepped: rows that are far off what the regressions expect are no spoilt ones. (How much of
-        the old motor they still hold the regressions see by themselves.)"""
+        the old motor they still hold the regressions see by themselves.) The balances begin anew, and are not asked
+        before they hold a whole batch: of a tick or two they would say that the motion shows nothing."""
         self.window.clear()
+        self._waiting = 0
         self._plausible = {which: Plausible() for which in SPAN_S}
 
     def follow_lag(self, lag_s: float) -> None:

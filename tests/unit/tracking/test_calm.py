@@ -21,7 +21,7 @@ from servo_daemon.tracking.plan.settings import Message, Resolutions
 from servo_daemon.tracking.plant_tracker import PlantTracker, make_tracker
 
 RATE_HZ, TICK = 500.0, 50
-STEP_S, SECONDS = 7.0, 9.5
+STEP_S, SECONDS = 9.0, 11.5
 #: Of a search, in a tick: half of what one takes otherwise.
 STEPS = 5_000
 
@@ -78,7 +78,7 @@ def ran(recording: SampleBlock) -> Ran:
 
 
 def test_ticks_wait_for_half_a_second_at_most_and_a_step_is_seen_at_once(ran: Ran) -> None:
-    calm, step = ran.waits[55:65], round(STEP_S * RATE_HZ / TICK)
+    calm, step = ran.waits[75:85], round(STEP_S * RATE_HZ / TICK)
     assert sum(calm) == len(calm) * (TOGETHER - 1) // TOGETHER
     assert not any(ran.waits[:40]) and not any(ran.waits[step + 1 : step + 11])
 
@@ -92,7 +92,7 @@ def test_a_search_for_a_step_is_spread_over_ticks(ran: Ran) -> None:
 
 
 def test_a_sample_that_is_no_measurement_ends_the_wait(recording: SampleBlock) -> None:
-    t, k = tracker(), 55 * TICK
+    t, k = tracker(), 75 * TICK
     run(t, recording.slice(0, k))
     while t.waits or not t.is_calm:  # until the next tick might wait
         run(t, recording.slice(k, k + TICK))
@@ -105,7 +105,7 @@ def test_a_sample_that_is_no_measurement_ends_the_wait(recording: SampleBlock) -
 def test_what_is_published_does_not_depend_on_blocks(recording: SampleBlock) -> None:
     one, other = (Pipeline(DriveConfig(nominal=dict(DEFAULT_NOMINAL))) for _ in range(2))
     rows = one.process(recording)
-    stays = [a.parameters is b.parameters for a, b in pairwise(rows[55:66])]
+    stays = [a.parameters is b.parameters for a, b in pairwise(rows[75:86])]
     assert sum(stays) > len(stays) // 2
     compared = 0
     for k in range(0, len(recording), 83):
