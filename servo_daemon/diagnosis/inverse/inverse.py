@@ -192,7 +192,7 @@ def _floor(found: Found, part: int) -> Scored:
     """What noise alone would leave of the balance: that of the measured effort, by its second differences, in which no
     motion is left."""
     scored = found.explained.scored(part)
-    noise = float(np.mean(np.diff(found.explained.rows.motion.u, n=2) ** 2) / 6.0)
+    noise = float(np.mean(np.diff(found.explained.rows.effort, n=2) ** 2) / 6.0)
     return replace(scored, squares=noise * scored.counts)
 
 
