@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servo_daemon.diagnosis.inverse.rows import BalanceRows
 from servo_daemon.diagnosis.trial.scored import Scored
@@ -72,7 +73,16 @@ class Explained:
 
     @cached_property
     def coefficients(self) -> F64:
-        return non_negative(self.table[self.rows.at(TRAIN)], self.rows.torque[self.rows.at(TRAIN)])
+        here = self.rows.at(TRAIN) & self.told
+        return non_negative(self.table[here], self.rows.torque[here])
+
+    @cached_property
+    def told(self) -> NDArray[np.bool_]:
+        """Rows of which the torque is told: with a dry friction those of motion, if there are enough, shape (w,)."""
+        moving = self.rows.rest < _MOVES
+        sticks = any(t.name in dry_frictions() for t in self.torques)
+        enough = np.count_nonzero(moving & self.rows.at(TRAIN)) > self.table.shape[1]
+        return moving if sticks and enough else np.ones_like(moving)
 
     @cached_property
     def residual(self) -> F64:

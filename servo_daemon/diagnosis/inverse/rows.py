@@ -168,7 +168,7 @@ def _motion(stretches: Sequence[EvenStretch], f: Filter, p: Mapping[str, float],
         return np.concatenate([_instants(s, x, instants) for s, x in pairs if x is not None])
 
     still = [
-        rests(m.speed, _REST_SIGMA * speed_noise(s, f), max(3, f.decimation))
+        rests(_instants(s, m.speed, instants), _REST_SIGMA * speed_noise(s, f), max(3, f.decimation) * instants)
         for s, m in zip(stretches, moved, strict=True)
     ]
     effort = np.concatenate([np.repeat(s.effort, instants) for s in stretches])
@@ -185,13 +185,15 @@ def _motion(stretches: Sequence[EvenStretch], f: Filter, p: Mapping[str, float],
         i_rate=np.repeat(rate, instants),
         omega_rate=every(m.acceleration for m in moved),
         at_sample={},
-        rest=every(x.astype(np.float64) for x in still) > 0.5,
+        rest=np.concatenate(still),
     )
 
 
 def _instants(s: EvenStretch, series: F64, instants: int) -> F64:
     """A series of samples; where the effort is that of the intervals, at so many instants spread over each."""
+    from scipy.interpolate import CubicSpline
+
     if not s.by_intervals:
         return series
-    at = (np.arange(instants) + 0.5) / instants
-    return np.asarray((series[:-1, None] * (1.0 - at) + series[1:, None] * at).ravel())
+    at = np.arange(len(series) - 1)[:, None] + (np.arange(instants) + 0.5) / instants
+    return np.asarray(CubicSpline(np.arange(len(series)), series)(at.ravel()))
