@@ -119,8 +119,8 @@ def full_data_values(explained: Explained) -> Values:
 
 
 def _unread_var(table: F64, torque: F64, unread: F64) -> F64:
-    """Variance of each coefficient, shape (m,), from readings that stand. Their errors are no noise: those of one reading
-    may all be the same, anything up to half a step; those of different readings are independent."""
+    """Variance of each coefficient, shape (m,), from readings that stand. Their errors are no noise: those of one
+    reading may all be the same, anything up to half a step; those of different readings are independent."""
     step = 2.0 * float(unread.max(initial=0.0))
     if step == 0.0:
         return np.zeros(table.shape[1])
