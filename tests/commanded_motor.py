@@ -166,6 +166,16 @@ class CommandedMotor:
         )
 
 
+#: Motors without a fault, with limits.
+HEALTHY = {
+    "small": (Setup(), MotionLimits(12, 6, 150, 30, 60)),
+    "middle": (
+        Setup(R=3.57, L=2.5e-3, K=0.046, J=6e-5, B=6e-5, noise_A=0.003, seed=1),
+        MotionLimits(24, 3, 200, 20, 60),
+    ),
+    "large": (Setup(R=0.5, L=1.5e-3, K=0.3, J=8e-3, B=0.02, noise_A=0.03, seed=2), MotionLimits(24, 20, 20, 6, 60)),
+}
+
 FAULTS = (
     "encoder_sign", "current_sign", "locked", "friction", "backlash", "hard_stop", "dropped", "encoder_dies",
 )  # fmt: skip
