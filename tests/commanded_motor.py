@@ -75,6 +75,16 @@ class CommandedMotor:
             "commanded", 1.0 / s.rate_hz, s.counts_per_rev, channels=("voltage_V", "current_A", "position_rad")
         )
 
+    hold_s = 0.02
+    can_wait = True
+
+    @property
+    def latency_s(self) -> float:
+        return 1.0 / self.setup.rate_hz
+
+    def acting_V(self, block: SampleBlock) -> np.ndarray:
+        return np.full(len(block), self._voltage)
+
     def command(self, voltage_V: float, valid_for_s: float) -> None:
         self._voltage = voltage_V
         self._until_s = self._n / self.setup.rate_hz + min(valid_for_s, 0.05)
