@@ -169,7 +169,7 @@ class Session:
         if self.supervisor.driven and np.isnan(volts).any():
             text = f"the drive went to 0 V by itself: no command that it follows came for {1e3 * self._valid_s:.0f} ms"
             raise StoppedError(Stop("command_lost", text, float(block.time_s[-1])))
-        return np.nan_to_num(volts, nan=0.0).tolist()
+        return [0.0 if math.isnan(v) else v for v in volts.tolist()]
 
     def _read(self) -> float:
         """Checks what has come; device time of the last sample, s."""

@@ -22,7 +22,7 @@ from drivers.serial.line import SerialDriver
 from servo_daemon.commissioning import Commissioning, commission
 from servo_daemon.errors import DriverConfigError, DriverError
 from servo_daemon.sim_drive.transmitter import Transmitter
-from tests.commanded_motor import HEALTHY, CommandedMotor, Setup
+from tests.commanded_motor import HEALTHY, CommandedMotor
 from tests.commissioning_rig import Wired, write_config
 from tests.drivers.serial_rig import Rig, serial_rig, wait_for
 
@@ -47,6 +47,7 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(CommandedSerialDriver, "hold_s", 5.0)
 
 
+@pytest.mark.slow
 def test_a_motor_is_known_over_the_wire_and_nothing_but_commands_is_sent(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -74,19 +75,11 @@ def test_a_motor_is_known_over_the_wire_and_nothing_but_commands_is_sent(
     assert max(c.valid_ms for c in commands) <= 50
 
 
-@pytest.mark.parametrize(
-    ("setup", "reason"),
-    [
-        (replace(SETUP, encoder_sign=-1.0), "encoder_sign"),
-        (replace(SETUP, encoder_dies_s=2.5), "encoder_lost"),
-    ],
-    ids=["encoder_sign", "encoder_dies"],
-)
-def test_a_fault_is_named_over_the_wire(setup: Setup, reason: str, tmp_path: Path) -> None:
-    source = Wired(CommandedMotor(setup))
+def test_a_wrong_sign_is_named_over_the_wire(tmp_path: Path) -> None:
+    source = Wired(CommandedMotor(replace(SETUP, encoder_sign=-1.0)))
     with drive(tmp_path / "servo", source):
         result = commissioned(tmp_path / "servo")
-    assert result.stop is not None and result.stop.reason == reason
+    assert result.stop is not None and result.stop.reason == "encoder_sign"
     assert source.motor.share_of(LIMITS) <= 1.01
     assert source.voltages[-1] == 0.0
 
@@ -100,9 +93,22 @@ def test_a_lost_port_is_a_stop(tmp_path: Path) -> None:
     assert result.stop is not None and result.stop.reason == "port_lost"
 
 
-def test_a_drive_that_follows_no_commands_gets_none(tmp_path: Path) -> None:
-    with serial_rig(tmp_path / "servo"), pytest.raises(DriverError, match="takes no commands"):
-        commissioned(tmp_path / "servo")
+def test_without_commands_nothing_is_sent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By what `run` uses to any drive, by commissioning to a drive that follows none."""
+    lines: list[Transmitter] = []
+    begin = Transmitter.__init__
+
+    def noted(line: Transmitter, master: int) -> None:
+        begin(line, master)
+        lines.append(line)
+
+    monkeypatch.setattr(Transmitter, "__init__", noted)
+    with serial_rig(tmp_path / "servo", realtime=False):
+        with SerialDriver("axis1", {"port": str(tmp_path / "servo")}) as driver:
+            wait_for(lambda: driver.read(0.1) is not None, "samples")
+        with pytest.raises(DriverError, match="takes no commands"):
+            commissioned(tmp_path / "servo")
+    assert [line.take_heard() for line in lines] == [b""]
 
 
 def test_only_commissioning_can_send() -> None:
