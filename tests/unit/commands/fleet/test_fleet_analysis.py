@@ -86,6 +86,6 @@ def test_the_page_of_few_drives_shows_each_and_names_those_with_an_effect() -> N
     documents = make_fleet(3)
     documents[1]["diagnosis"] = {"verdict": "found", "effects": [{"name": "coulomb_friction"}]}
     result = fleet_report(analyse(documents), make_provenance(["fleet"])).sections[0]
-    tables = {b.title: b for b in result.blocks if isinstance(b, Table)}
+    tables = {b.caption: b for b in result.blocks if isinstance(b, Table)}
     assert [row[0] for row in tables["Each drive's own values"].rows] == ["axis0", "axis1", "axis2"]
     assert [row[2] for row in tables["Effects that were named"].rows] == ["1 of 3: axis1"]
