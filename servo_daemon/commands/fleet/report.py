@@ -148,6 +148,7 @@ def _distribution(fleet: Fleet, j: int) -> Plot:
     back: Any = np.exp if log else (lambda x: x)
     own, pooled = fleet.own[order, j], fleet.pooled.mean[order, j]
     half = 1.96 * np.sqrt(fleet.pooled.cov[order, j, j])
+    lowest, highest = (fleet.documents[k]["drive"] for k in (order[0], order[-1]))
     mean = float(back(fleet.pooled.prior.mean[j]))
     return Plot(
         f"{name} over the fleet",
@@ -157,7 +158,7 @@ def _distribution(fleet: Fleet, j: int) -> Plot:
             Line("with the other drives", back(pooled), back(pooled - half), back(pooled + half)),
         ),
         Axis(name, parameter_table()[name].unit),
-        caption="Drives in the order of their values; the band is the 95 % interval.",
+        caption=f"Drives in the order of their values, from {lowest} to {highest}; the band is the 95 % interval.",
         x_axis=Axis("drive"),
         levels=(Mark(mean, "mean"),),
         group="drives",
