@@ -62,7 +62,6 @@ def test_a_motor_is_known_over_the_wire_and_nothing_but_commands_is_sent(
     source = Wired(CommandedMotor(SETUP))
     with drive(tmp_path / "servo", source):
         result = commissioned(tmp_path / "servo")
-        wait_for(lambda: b"".join(sent).endswith(b"\0"), "the last command")
     assert result.outcome == "known" and result.fit is not None
     for name, value in result.fit.values.items():
         assert abs(value / getattr(SETUP, name) - 1.0) < 0.01, name
@@ -71,7 +70,7 @@ def test_a_motor_is_known_over_the_wire_and_nothing_but_commands_is_sent(
     commands = [decode_command(decode_frame(f)) for f in frames]
     assert not rest and len(commands) > 1000
     assert {c.drive_id for c in commands} == {1}
-    assert not commands[-1].enabled  # the port is closed on a motor that is off
+    assert commands[-1].voltage_V == 0.0  # the port is closed on a motor that is off
     assert max(c.valid_ms for c in commands) <= 50
 
 
@@ -119,6 +118,23 @@ def test_only_commissioning_can_send() -> None:
         make_commanding("serial", "axis1", {"port": "/dev/null", "wire": "text", "counts_per_rev": 4096.0})
 
 
+def in_motion(process: subprocess.Popen[str], source: Wired) -> bool:
+    """Waits until this process moves the motor; false: it has ended before."""
+    before = np.count_nonzero(source.voltages)
+    wait_for(lambda: np.count_nonzero(source.voltages) > before + 200 or process.poll() is not None, "motion")
+    return process.poll() is None
+
+
+def held(pid: int, source: Wired) -> int:
+    """Stops this process for 300 samples of the drive; at which sample it stood."""
+    os.kill(pid, signal.SIGSTOP)
+    wait_for(lambda: ") T " in Path(f"/proc/{pid}/stat").read_text(encoding="utf-8"), "it is stopped")
+    stopped = len(source.voltages)
+    wait_for(lambda: len(source.voltages) > stopped + 300, "the drive goes on")
+    os.kill(pid, signal.SIGCONT)
+    return stopped
+
+
 @pytest.mark.slow
 def test_the_drive_stops_by_itself_when_the_process_is_stopped(tmp_path: Path) -> None:
     """SIGSTOP in the middle of a motion, in real time."""
@@ -127,18 +143,18 @@ def test_the_drive_stops_by_itself_when_the_process_is_stopped(tmp_path: Path) -
     config = write_config(tmp_path / "servo.toml", tmp_path / "servo", limits)
     command = [sys.executable, "-m", "servo_daemon", "commission", "--config", str(config), "--budget", "0", "--json"]
     with drive(tmp_path / "servo", source, realtime=True):
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        try:
-            wait_for(lambda: np.count_nonzero(source.voltages) > 800 or process.poll() is not None, "motion")
-            os.kill(process.pid, signal.SIGSTOP)
-            wait_for(lambda: ") T " in Path(f"/proc/{process.pid}/stat").read_text(), "it is stopped")
-            stopped = len(source.voltages)
-            wait_for(lambda: len(source.voltages) > stopped + 300, "the drive goes on")
-            os.kill(process.pid, signal.SIGCONT)
-            out, err = process.communicate(timeout=60)
-        finally:
-            process.kill()
-            process.wait()
+        for _ in range(10):  # on a busy machine silence ends a run, as it should, before it has begun
+            with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+                try:
+                    if not in_motion(process, source):
+                        continue
+                    stopped = held(process.pid, source)
+                    out, err = process.communicate(timeout=60)
+                    break
+                finally:
+                    process.kill()
+        else:
+            pytest.fail("no run came so far that the motor moved")
     assert any(source.voltages[stopped - 40 : stopped])
     # A block of two samples is being taken when the last command comes; it acts for 50 ms; and one sample.
     assert not any(source.voltages[stopped + 2 + 50 + 1 :])

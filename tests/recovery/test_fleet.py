@@ -69,30 +69,32 @@ def test_a_fleet_is_fitted_goes_on_where_it_stopped_and_names_the_stranger(
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_a_fleet_is_diagnosed_though_a_worker_dies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The whole command on three drives, one with friction; a process that computes is killed."""
+    """The whole command on two drives, one with friction; the processes are killed while one computes."""
     folder, out = tmp_path / "captures", tmp_path / "fleet"
-    for k in range(3):
+    for k in range(2):
         effects = {"coulomb_friction": {"Tc": 0.035}} if k == 1 else None
         record(folder / f"axis{k}.csv", draw(k), seconds=5.0, seed=k, effects=effects)
     killed: list[int] = []
 
     def kill() -> None:
         wait_for(lambda: any(out.glob("results/*.json")), "the first result", limit_s=300.0)
-        killed.append(workers()[0])  # two drives are left: both processes have one
-        os.kill(killed[0], signal.SIGKILL)
+        for child in workers():
+            os.kill(child, signal.SIGKILL)
+            killed.append(child)
 
     killer = threading.Thread(target=kill)
     killer.start()
     told = fleet(capsys, "diagnose", str(folder), "--out", str(out), "--workers", "2", "--budget", "60")
     killer.join()
     assert killed
-    assert (told["drives"], told["failed"], told["causes"]) == (3, [], {"coulomb_friction": 1})
+    assert (told["drives"], told["failed"], told["causes"]) == (2, [], {"coulomb_friction": 1})
     rows = pq.read_table(out / "drives.parquet").to_pylist()
-    assert {row["drive"]: row["effects"] for row in rows} == {"axis0": "", "axis1": "coulomb_friction", "axis2": ""}
+    assert {row["drive"]: row["effects"] for row in rows} == {"axis0": "", "axis1": "coulomb_friction"}
     values = {(r["drive"], r["parameter"]): r["value"] for r in pq.read_table(out / "parameters.parquet").to_pylist()}
     assert values["axis1", "Tc"] == pytest.approx(0.035, rel=0.05)
-    assert "1 of 3: axis1" in (out / "report.html").read_text(encoding="utf-8")
+    assert "1 of 2: axis1" in (out / "report.html").read_text(encoding="utf-8")
 
 
 def workers() -> list[int]:
