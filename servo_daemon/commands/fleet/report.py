@@ -97,8 +97,8 @@ def _summary(fleet: Fleet) -> list[Block]:
         blocks += _each(fleet)
     if fleet.causes:
         share = tuple((name, effects_by_name()[name].cause, drives_with(fleet, name)) for name in ranked_causes(fleet))
-        columns = (Column("effect", text=True), Column("cause", text=True), Column("drives", text=True))
-        blocks.append(Table("Effects that were named", columns, share))
+        headings = tuple(Column(name, text=True) for name in ("effect", "cause", "drives"))
+        blocks.append(Table("Effects that were named", headings, share))
     lists: list[tuple[str, list[str]]] = [
         ("Not like the others", [stranger_text(fleet, k) for k in strangers(fleet)]),
         ("What drifts", [drift_text(fleet, k, d) for k, d in drifting(fleet)]),
