@@ -11,7 +11,7 @@ import secrets
 import select
 import threading
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -21,6 +21,7 @@ from drivers.serial.encoder import BinaryEncoder, describe
 from drivers.serial.text import encode_lines
 from servo_daemon.errors import EndOfStreamError
 from servo_daemon.samples import SampleBlock
+from servo_daemon.sim_drive.counters import DeviceCounters
 from servo_daemon.sim_drive.line_faults import Fault, LineFaults
 from servo_daemon.sim_drive.pty_link import PtyLink
 from servo_daemon.sim_drive.source import SampleSource
@@ -41,18 +42,6 @@ _POLL_S = 0.05
 _SETTLE_S = 0.05
 
 _DEFAULT_COUNTS_PER_REV = 4096.0
-
-
-@dataclass(slots=True)
-class DeviceCounters:
-    """What a simulated device did. Only ever counts up; read by any thread."""
-
-    frames: int = 0  # sample frames (binary) or groups of lines (text) made
-    samples: int = 0  # samples in them
-    descriptions: int = 0
-    unheard: int = 0  # frames nobody had the port open for
-    overruns: int = 0  # frames lost or cut because the reader was too slow
-    restarts: int = 0
 
 
 class _Transmitter:

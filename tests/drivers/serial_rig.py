@@ -15,7 +15,8 @@ from drivers.base import DriveInfo
 from servo_daemon.errors import EndOfStreamError
 from servo_daemon.samples import SampleBlock, make_block
 from servo_daemon.sim_drive.line_faults import LineFaults
-from servo_daemon.sim_drive.serial_device import DeviceCounters, Wire, run_serial_device
+from servo_daemon.sim_drive.counters import DeviceCounters
+from servo_daemon.sim_drive.serial_device import Wire, run_serial_device
 
 PATIENCE_S = 30.0
 RATE_HZ = 1000.0

@@ -1,0 +1,155 @@
+"""What a soak found, and how it is told."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import stats
+
+from benchmarks.soak.service import Service
+
+#: A device that was kept from running for so long shows a machine that had no time, s: a pseudo-terminal holds
+#: less than that of a wire. What found no room then is the machine's.
+BUSY_S = 0.5
+#: Memory before this much of the first life grows to its working size, s.
+_WARM_S = 60.0
+
+
+@dataclass(frozen=True)
+class Quiet:
+    """While the drives paused; counts since the drives' (`sent`, `no_room`) and the daemon's start.
+
+    Attributes:
+        late_s: longest time that a device was kept from running since the last pause, s.
+        used: samples that went through the estimators.
+        waited_s: time the daemon's threads were kept waiting for a processor.
+    """
+
+    time_s: float
+    sent: tuple[int, ...]
+    no_room: tuple[int, ...]
+    late_s: float
+    received: tuple[int, ...]
+    used: tuple[int, ...]
+    dropped: int
+    waited_s: float
+    memory_MB: float
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """From one pause to the next, with a fault between. `exempt`: drives whose port was away."""
+
+    fault: str
+    first: Quiet
+    last: Quiet
+    exempt: set[int]
+
+    def _of(self, name: str) -> int:
+        pairs = zip(getattr(self.first, name), getattr(self.last, name), strict=True)
+        return sum(b - a for k, (a, b) in enumerate(pairs) if k not in self.exempt)
+
+    @property
+    def sent(self) -> int:
+        return self._of("sent")
+
+    @property
+    def lost(self) -> int:
+        """Samples that were sent whole and did not go through the estimators."""
+        return self.sent - min(self._of("received"), self._of("used"))
+
+    @property
+    def no_room(self) -> int:
+        """Frames or lines that a terminal had no room for."""
+        return self._of("no_room")
+
+    @property
+    def busy(self) -> bool:
+        return self.last.late_s > BUSY_S
+
+
+@dataclass
+class Tally:
+    """Attributes:
+    disk: how the disk was made full.
+    left_out: faults for which the machine has no part.
+    kills_s: history that each kill cost, s.
+    wrong: answers 5xx but 503, and messages that the MQTT sink dropped.
+    """
+
+    disk: str
+    left_out: set[str] = field(default_factory=set)
+    stretches: list[Stretch] = field(default_factory=list)
+    kills_s: list[float] = field(default_factory=list)
+    stops_s: list[float] = field(default_factory=list)
+    gap_s: float = 0.0
+    rows_dropped: int = 0
+    wrong: int = 0
+    corrupt: Sequence[str] = ()
+    faults: Sequence[str] = ()
+
+    def take(self, service: Service, wrong: int, corrupt: Sequence[str]) -> None:
+        self.stops_s, self.gap_s, self.rows_dropped = service.stops_s, service.signs.longest_s, service.dropped
+        self.wrong, self.corrupt, self.faults = wrong, corrupt, service.faults
+
+    @property
+    def lost(self) -> int:
+        return sum(s.lost for s in self.stretches)
+
+    def slope_MB_h(self) -> tuple[float, float] | None:
+        """Memory over time in the first life, and half of its 95 % interval; None: too short to be said.
+
+        Of the pauses; neighbours are taken for as alike as the residuals' first autocorrelation says.
+        """
+        points = [(s.last.time_s, s.last.memory_MB) for s in self.stretches if s.fault != "kill -9"]
+        start = points[0][0] if points else 0.0
+        time_h, memory = np.array([((t - start) / 3600, m) for t, m in points if t - start > _WARM_S]).reshape(-1, 2).T
+        n = len(time_h)
+        if n < 6:
+            return None
+        fit = np.polyfit(time_h, memory, 1)
+        residual = memory - np.polyval(fit, time_h)
+        alike = float(np.clip(np.corrcoef(residual[:-1], residual[1:])[0, 1], 0.0, 0.95))
+        effective = max(3.0, n * (1 - alike) / (1 + alike))
+        deviation = math.sqrt(residual @ residual / (effective - 2) / np.var(time_h) / n * (n / effective))
+        return float(fit[0]), float(stats.t.ppf(0.975, effective - 2)) * deviation
+
+
+def report(tally: Tally) -> str:
+    """Tables and lines for docs/benchmarks.md."""
+    out = ["| fault | times | good samples | lost | no room | longest wait of the daemon |", "|---|---|---|---|---|---|"]
+    for name in dict.fromkeys(s.fault for s in tally.stretches):
+        of = [s for s in tally.stretches if s.fault == name]
+        waited = max(s.last.waited_s - s.first.waited_s for s in of)
+        sums = [sum(getattr(s, field) for s in of) for field in ("sent", "lost", "no_room")]
+        out.append(f"| {name} | {len(of)} | {sums[0]:,} | {sums[1]} | {sums[2]} | {waited:.1f} s |")
+    full = sum(s.no_room for s in tally.stretches)
+    machine = sum(s.no_room for s in tally.stretches if s.busy)
+    kills, stops = tally.kills_s or [math.nan], tally.stops_s or [math.nan]
+    slope = tally.slope_MB_h()
+    out += [
+        "",
+        "| | measured | limit |",
+        "|---|---|---|",
+        f"| good samples lost | {tally.lost} of {sum(s.sent for s in tally.stretches):,} | 0 |",
+        f"| frames a terminal had no room for | {full}, {machine} of them while the devices did not run either | |",
+        f"| history lost by a kill | at most {max(kills):.1f} s, {len(tally.kills_s)} kills | 5 s |",
+        f"| rows that the history could not keep | {tally.rows_dropped} | 0 |",
+        f"| broken files; wrong answers | {len(tally.corrupt)}; {tally.wrong} | 0 |",
+        f"| stop | at most {max(stops):.2f} s, {len(tally.stops_s)} stops | 2 s |",
+        f"| from one watchdog sign to the next | at most {tally.gap_s:.2f} s | 2 s |",
+        f"| memory slope | {_told(slope)} | 1 MB/h |",
+        "",
+        f"Disk full: {tally.disk}. Left out for want of a part: {', '.join(sorted(tally.left_out)) or 'nothing'}.",
+    ]
+    return "\n".join([*out, *tally.corrupt, *tally.faults])
+
+
+def _told(slope: tuple[float, float] | None) -> str:
+    if slope is None:
+        return "this length cannot show it"
+    value, half = slope
+    return f"{value:+.1f} ± {half:.1f} MB/h (95 %): this length shows slopes above {half:.1f} MB/h"
