@@ -173,8 +173,8 @@ class Drives:
         return json.loads(self._process.stdout.readline())
 
     def close(self) -> None:
-        self._process.terminate()
-        self._process.wait(10)
+        with self._process:  # closes the pipes
+            self._process.terminate()
 
 
 @contextmanager

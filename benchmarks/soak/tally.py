@@ -24,17 +24,18 @@ class Quiet:
 
     Attributes:
         late_s: longest time that a device was kept from running since the last pause, s.
-        used: samples that went through the estimators.
+        behind: samples sent whole that have not gone through the estimators.
+        told: what the daemon itself counts as lost.
+        no_room: frames (slcan: lines) that a terminal had no room for.
         waited_s: time the daemon's threads were kept waiting for a processor.
     """
 
     time_s: float
     sent: tuple[int, ...]
+    behind: tuple[int, ...]
+    told: tuple[int, ...]
     no_room: tuple[int, ...]
     late_s: float
-    received: tuple[int, ...]
-    used: tuple[int, ...]
-    dropped: int
     waited_s: float
     memory_MB: float
 
@@ -48,9 +49,21 @@ class Stretch:
     last: Quiet
     exempt: set[int]
 
-    def _of(self, name: str) -> int:
+    def by_drive(self, name: str) -> list[int]:
+        """How much a count has grown; 0 of those exempt."""
         pairs = zip(getattr(self.first, name), getattr(self.last, name), strict=True)
-        return sum(b - a for k, (a, b) in enumerate(pairs) if k not in self.exempt)
+        return [0 if k in self.exempt else b - a for k, (a, b) in enumerate(pairs)]
+
+    def _of(self, name: str) -> int:
+        return sum(self.by_drive(name))
+
+    def __str__(self) -> str:
+        """For the log: where something was lost, of which drives, and what the daemon says."""
+        text = f"{self.lost} of {self.sent} lost"
+        if self.lost or self.no_room:
+            text += "".join(f", {n} {self.by_drive(n)}" for n in ("behind", "told", "no_room"))
+            text += f", devices late by {self.last.late_s:.2f} s"
+        return f"{text}; {self.last.memory_MB:.1f} MB"
 
     @property
     def sent(self) -> int:
@@ -59,7 +72,7 @@ class Stretch:
     @property
     def lost(self) -> int:
         """Samples that were sent whole and did not go through the estimators."""
-        return self.sent - min(self._of("received"), self._of("used"))
+        return self._of("behind")
 
     @property
     def no_room(self) -> int:
@@ -123,7 +136,7 @@ def report(tally: Tally) -> str:
     out = ["| fault | times | good samples | lost | no room | longest wait of the daemon |", "|---|---|---|---|---|---|"]
     for name in dict.fromkeys(s.fault for s in tally.stretches):
         of = [s for s in tally.stretches if s.fault == name]
-        waited = max(s.last.waited_s - s.first.waited_s for s in of)
+        waited = max(0.0, *(s.last.waited_s - s.first.waited_s for s in of))
         sums = [sum(getattr(s, field) for s in of) for field in ("sent", "lost", "no_room")]
         out.append(f"| {name} | {len(of)} | {sums[0]:,} | {sums[1]} | {sums[2]} | {waited:.1f} s |")
     full = sum(s.no_room for s in tally.stretches)
