@@ -48,6 +48,10 @@ class Source:
         self._called_s: float | None = None
         self.longest_s, self.waits = 0.0, False
 
+    def go_on(self) -> None:
+        """A pause ends: it was no delay."""
+        self._called_s = None
+
     def next_block(self, n: int) -> SampleBlock:
         now = time.monotonic()
         if self._called_s is not None:
@@ -141,7 +145,7 @@ def serve(folder: Path, serial: int, slcan: int) -> None:
                 time.sleep(0.005)
         elif what == "go":
             for device in devices:
-                device.source._called_s = None
+                device.source.go_on()
             running.set()
         elif what == "count":
             answer = [d.count() for d in devices]

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,6 +30,8 @@ file.execute("BEGIN EXCLUSIVE")
 print("held", flush=True)
 sys.stdin.read()
 """
+#: Between two questions whether the daemon has noticed or recovered, s: they are no flood.
+_ASK_S = 0.2
 READERS = 200
 FLOODERS = 8
 #: What the flood asks for: cheap, dear, wrong and forbidden things. Answers below 500, and 503, are right.
@@ -107,7 +109,8 @@ def broker_loss(world: World) -> set[int]:
     time.sleep(world.hurt_s)
     world.broker.start()
     sink = lambda: world.service.program.get("/health")["sinks"]["mqtt"]  # noqa: E731
-    wait_for(lambda: sink()["connected"] and sink()["waiting"] <= len(world.drives.links), "what was kept is sent")
+    sent = lambda: sink()["connected"] and sink()["waiting"] <= len(world.drives.links)  # noqa: E731
+    wait_for(sent, "what was kept is sent", every_s=_ASK_S)
     world.wrong += sink()["dropped"]
     return set()
 
@@ -118,10 +121,10 @@ def database_locked(world: World) -> set[int]:
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as locker:
         assert locker.stdin is not None and locker.stdout is not None
         locker.stdout.readline()
-        wait_for(world.problems, "it is told")
+        wait_for(world.problems, "it is told", every_s=_ASK_S)
         time.sleep(world.hurt_s)
         locker.stdin.close()
-        wait_for(lambda: not world.problems(), "the history is written again")
+        wait_for(lambda: not world.problems(), "the history is written again", every_s=_ASK_S)
     return set()
 
 
@@ -137,10 +140,10 @@ def disk_full(world: World) -> set[int]:
         pid = world.service.program.process.pid
         before = resource.prlimit(pid, resource.RLIMIT_FSIZE, (0, resource.RLIM_INFINITY))
         free = lambda: resource.prlimit(pid, resource.RLIMIT_FSIZE, before)  # noqa: E731
-    wait_for(world.problems, "it is told")
+    wait_for(world.problems, "it is told", every_s=_ASK_S)
     time.sleep(world.hurt_s)
     free()
-    wait_for(lambda: not world.problems(), "everything is written again")
+    wait_for(lambda: not world.problems(), "everything is written again", every_s=_ASK_S)
     return set()
 
 
@@ -208,7 +211,7 @@ FAULTS: Mapping[str, Callable[[World], set[int]]] = {
 
 
 @contextlib.contextmanager
-def small_disk(folder: Path, megabytes: int = 64):  # type: ignore[no-untyped-def]
+def small_disk(folder: Path, megabytes: int = 64) -> Iterator[bool]:
     """A file system of its own at `folder`, in memory; whether it could be had (root)."""
     mounted = False
     if os.geteuid() == 0:

@@ -73,9 +73,9 @@ def quiet(world: World, last: Quiet | None = None, exempt: Iterable[int] = ()) -
     tries = [_pause(world)]
     while len(tries) < _TRIES:
         behind = [min(some) for some in zip(*(t.behind for t in tries), strict=True)]
-        if len(tries) >= _FIRST_TRIES or math.inf not in known:
-            if all(now <= before for now, before in zip(behind, known, strict=True)):
-                break
+        enough = len(tries) >= _FIRST_TRIES or math.inf not in known
+        if enough and all(now <= before for now, before in zip(behind, known, strict=True)):
+            break
         time.sleep(_BETWEEN_S)
         tries.append(_pause(world))
     late_s = max(t.late_s for t in tries)
@@ -130,31 +130,32 @@ def rounds(world: World, plan: Plan, tally: Tally, say: Callable[[str], None]) -
 
 
 def lives(world: World, plan: Plan, tally: Tally, say: Callable[[str], None]) -> None:
+    end_s: float | None = None
     for k in range(plan.lives):
-        world.service.start()
-        attached(world)
+        _begin(world, tally, end_s)
         first = quiet(world)
         time.sleep(plan.life_s)
         stretch = Stretch("kill -9", first, quiet(world, first), set())
         tally.stretches.append(stretch)
+        say(f"life {k + 1} of {plan.lives}: {stretch}")
         if k % 5 == 4:
             api_flood(world)
             world.service.stop()
+            end_s = None
         else:
             end_s = time.time()
             world.service.kill()
-            killed(world, end_s, tally)
-        say(f"life {k + 1} of {plan.lives}: {stretch}; history lost at most {max(tally.kills_s):.1f} s")
-    world.service.start()
-    attached(world)
+    _begin(world, tally, end_s)
     world.service.stop()
 
 
-def killed(world: World, end_s: float, tally: Tally) -> None:
-    """A new life only to ask what the last one left."""
+def _begin(world: World, tally: Tally, killed_s: float | None) -> None:
+    """A new life; what the kill of the last one has cost is asked first."""
     world.service.start()
-    tally.kills_s.append(max(end_s - world.service.last_row_s(f"axis{k}", end_s) for k in range(DRIVES)))
-    world.service.kill()
+    if killed_s is not None:
+        last = [world.service.last_row_s(f"axis{k}", killed_s) for k in range(DRIVES)]
+        tally.kills_s.append(killed_s - min(last))
+    attached(world)
 
 
 def soak(folder: Path, plan: Plan, say: Callable[[str], None] = lambda _: None) -> Tally:

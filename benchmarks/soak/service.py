@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import signal
 import socket
 import sqlite3
@@ -11,6 +10,7 @@ import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -124,13 +124,7 @@ class Service:
         """The last moment of its history before that one, s since the epoch."""
         words = f"parameter=R&start={before_s - 60:.3f}&end={before_s:.3f}&points=20000"
         times = self.program.get(f"/drives/{drive}/history?{words}")["time"]
-        return max((_epoch_s(t) for t in times), default=0.0)
-
-
-def _epoch_s(text: str) -> float:
-    from datetime import datetime
-
-    return datetime.fromisoformat(text).timestamp()
+        return max((datetime.fromisoformat(t).timestamp() for t in times), default=0.0)
 
 
 def corrupt(state: Path) -> Sequence[str]:
@@ -139,7 +133,3 @@ def corrupt(state: Path) -> Sequence[str]:
     with contextlib.closing(sqlite3.connect(state / "history.sqlite")) as file:
         verdict = file.execute("PRAGMA integrity_check").fetchone()[0]
     return found if verdict == "ok" else [*found, f"history.sqlite: {verdict}"]
-
-
-def is_root() -> bool:
-    return os.geteuid() == 0

@@ -1,7 +1,7 @@
 """Feeds every decoder and reader and says how many inputs each took and which of them found a fault.
 
-    python -m tests.fuzz --inputs 1000000           a quarter of an hour of one core
-    python -m tests.fuzz --inputs 20000 --only slcan --seed 3
+python -m tests.fuzz --inputs 1000000           a quarter of an hour of one core
+python -m tests.fuzz --inputs 20000 --only slcan --seed 3
 """
 
 from __future__ import annotations

@@ -11,8 +11,8 @@ from typing import NoReturn
 
 import pytest
 
-from benchmarks.soak.drives import drives
-from tests.system.harness import DaemonProgram, daemon, nominal_table, wait_for, write_config
+from benchmarks.soak.drives import Drives, drives
+from tests.system.harness import PATIENCE_S, DaemonProgram, daemon, nominal_table, wait_for, write_config
 
 _ROOT = Path("/sys/fs/cgroup")
 _PERIOD_US = 100_000
@@ -45,45 +45,34 @@ def quota(missing: Callable[[str], NoReturn]) -> Iterator[tuple[Callable[[int], 
         group.rmdir()
 
 
-def sent(feeder: object) -> int:
-    (count,) = feeder.tell("count")  # type: ignore[attr-defined]
-    assert count["no_room"] == 0, "the terminal held what was sent"
-    return int(count["sent"])
-
-
-def compared(program: DaemonProgram, feeder: object) -> int:
-    """How many samples the daemon is short of, once it has worked off what was sent."""
-    feeder.tell("pause")  # type: ignore[attr-defined]
-    total = sent(feeder)
-    end = time.monotonic() + 20.0
-    while (short := total - program.estimates()["samples"]) > 0 and time.monotonic() < end:
-        time.sleep(0.1)
-    feeder.tell("go")  # type: ignore[attr-defined]
-    return short
+def short(program: DaemonProgram, feeder: Drives) -> int:
+    """How many samples that were sent whole the daemon has not used once it has worked off what it has."""
+    feeder.tell("pause")
+    (count,) = feeder.tell("count")
+    assert count["no_room"] == 0, "the terminal held all of them"
+    end = time.monotonic() + PATIENCE_S
+    while (found := int(count["sent"]) - program.estimates()["samples"]) > 0 and time.monotonic() < end:
+        time.sleep(0.05)
+    feeder.tell("go")
+    return found
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(200)
 def test_a_starved_daemon_keeps_its_samples_and_says_so(missing: Callable[[str], NoReturn], tmp_path: Path) -> None:
-    with (
-        quota(missing) as (take, allow),
-        drives(tmp_path, 1, 0, wait_for) as feeder,
-    ):
+    """Half a core is plenty for one drive. With a thirtieth it cannot keep up, and the port's own memory may run over;
+    what it has read is used nevertheless."""
+    with quota(missing) as (take, allow), drives(tmp_path, 1, 0, wait_for) as feeder:
         text = f'name = "axis1"\ndriver = "serial"\n{nominal_table()}[drive.options]\nport = "{feeder.links[0]}"'
         with daemon("--config", write_config(tmp_path / "c.toml", text), "--state-dir", tmp_path / "state") as program:
+            allow(50)
             take(program.process.pid)
-            allow(50)
+            program.until(lambda d: program.said("device opened"), "the port is open")
             feeder.tell("go")
-            program.until(lambda d: d["samples"] > 1000, "samples come")
-            short = compared(program, feeder)  # what was sent before the port was open
-            time.sleep(3.0)
-            assert compared(program, feeder) == short, "with half a core nothing is lost"
-            before = program.estimates()["health"]
+            program.until(lambda d: d["samples"] > 5000, "the start, with its looks back, is over")
+            assert short(program, feeder) == 0, "with half a core nothing is lost"
             allow(3)
-            program.until(lambda d: "behind" in program.events(), "it says that it is behind")
+            wait_for(lambda: "behind" in program.events(), "it says that it is behind", every_s=1.0)
             allow(50)
-            program.until(lambda d: "behind_over" in program.events(), "it has caught up")
-            assert compared(program, feeder) == short, "nothing was lost while it was behind"
+            wait_for(lambda: "behind_over" in program.events(), "it has caught up")
             health = program.estimates()["health"]
-            assert health["samples_lost"] == before["samples_lost"] and not health["overloaded"]
-            assert "overloaded" not in program.events()
+            assert health["queue_dropped"] == 0 and "overloaded" not in program.events()
