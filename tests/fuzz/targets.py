@@ -43,6 +43,7 @@ from tests.wire_tools import describe, frame
 
 ROOT = Path(__file__).resolve().parents[2]
 Step = Callable[[], None]
+Reader = Callable[[Path], object]
 #: A line that does not end is given up after 256 bytes; no decoder may keep more of anything that is no frame.
 _KEPT = 100_000
 
