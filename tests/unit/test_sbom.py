@@ -49,7 +49,7 @@ SCHEMA: dict[str, Any] = {
         "components": {"type": "array", "uniqueItems": True, "items": _COMPONENT},
         "dependencies": {
             "type": "array",
-            "items": {"type": "object", "required": ["ref"], "properties": {"ref": _TEXT, "dependsOn": {"uniqueItems": True}}},
+            "items": {"type": "object", "required": ["ref"], "properties": {"ref": _TEXT}},
         },
     },
 }  # fmt: skip
