@@ -65,6 +65,7 @@ def test_no_violations(everything_wrong: LiveServer, browser: Browser, open_page
     page = open_page(dark=dark)
     page.until("document.getElementById('verdict').dataset.verdict == 'found'")
     page.until("!document.getElementById('alarms').hidden")
+    page.until("/^servo-daemon [0-9]/.test(document.getElementById('version').textContent)")
     page.evaluate("document.getElementById('scope-form').requestSubmit()")
     page.until("!document.getElementById('scope-plots').hidden")
     assert violations(page) == []

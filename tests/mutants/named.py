@@ -85,7 +85,7 @@ NAMED: Sequence[Named] = (
         "servo_daemon/learning/model/model.py",
         "np.where(familiarity < LEAST_FAMILIARITY,",
         "np.where(familiarity < -1.0,",
-        FAMILIARITY,
+        NOVELTY,
     ),
     Named(
         "familiarity without what lies outside the components",

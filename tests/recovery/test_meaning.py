@@ -215,7 +215,7 @@ def test_a_mend_is_told_by_the_files_own_names_and_units(tmp_path: Path) -> None
     }
     path = tmp_path / "own.csv"
     np.savetxt(path, np.column_stack(list(own.values())), delimiter=",", header=",".join(own), comments="", fmt="%.10g")
-    options = ReadOptions(counts_per_rev=GEAR_MOTOR.counts_per_rev, supply_V=12.0 / 255)
+    options = ReadOptions(counts_per_rev=GEAR_MOTOR.counts_per_rev, supply_V=12.0, full_duty=255.0)
     (text,) = plausibility_notes(read_capture(path, options=options))
     above = re.search(r"above it +(counts_per_rev = \d+)", text)
     assert above, text

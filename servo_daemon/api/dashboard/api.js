@@ -30,7 +30,7 @@ async function answer(path, options, timeoutMs) {
   const response = await fetch(`${PREFIX}${path}`, { ...options, cache: "no-store", signal: AbortSignal.timeout(timeoutMs) });
   if (response.ok) return response;
   const problem = await response.json().catch(() => ({}));
-  throw new Error(problem.detail ?? `HTTP ${response.status}`);
+  throw Object.assign(new Error(problem.detail ?? `HTTP ${response.status}`), { document: problem });
 }
 
 export const drivePath = (name) => `/drives/${encodeURIComponent(name)}`;

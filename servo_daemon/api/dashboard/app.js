@@ -107,6 +107,6 @@ byId("reset").addEventListener("click", async () => {
 });
 
 get("/health")
-  .then(({ version }) => (byId("version").textContent = `servo-daemon ${version}`))
-  .catch(() => {});
+  .catch(({ document }) => document) // 503: health with its problems
+  .then((health) => health?.version && (byId("version").textContent = `servo-daemon ${health.version}`));
 poll();

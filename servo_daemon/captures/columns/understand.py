@@ -24,6 +24,7 @@ from servo_daemon.captures.columns.signal_values import (
     wrap_of,
 )
 from servo_daemon.captures.columns.understood import Understood, field_of
+from servo_daemon.captures.meaning.units import full_scale
 from servo_daemon.column_names import Meaning, meaning, unit_of
 
 _MOTION = frozenset({"position_rad", "velocity_rad_s"})
@@ -193,22 +194,27 @@ class _Reader:
         if "duty" not in self._beside or "voltage_V" in self._found.fields:
             return
         signal, what = self._beside["duty"]
-        told = self._number("supply_V", self._options.supply_V)
-        supply = self._beside.get("supply")
-        if told is not None or (supply is not None and not duty_needs_scale(self._values(signal), what.scale)):
-            if told is None and supply is not None:
-                other, unit = supply
-                refs = (SignalRef("Duty", signal.name, what.scale), SignalRef("Supply", other.name, unit.scale))
-                formula = parse_formula("Duty * Supply", f"{self._recording.path}: voltage_V")
-                self._add(MappedColumn("voltage_V", refs, formula), f"{signal.name} × {other.name}")
-                return
-            if not (self._options.supply_V is None and duty_needs_scale(self._values(signal), what.scale)):
-                scale = what.scale * (told or 1.0)
-                column = MappedColumn("voltage_V", (SignalRef("value", signal.name, scale),))
-                self._add(column, signal.name, f" (× {scale:.6g} V)")
-                return
-        text = f"{signal.name} is a share of the supply: --supply 12 (volts at 1) or 12/255 (at 255) says of which"
-        self._found.ask(signal.name, "voltage_V", text)
+        values, full = self._values(signal), self._options.full_duty
+        volts, supply = self._number("supply_V", self._options.supply_V), self._beside.get("supply")
+        beyond = full is None and values.largest * what.scale > 1.0 + 1e-6
+        unsure = beyond or (self._options.supply_V is None and duty_needs_scale(values, what.scale))
+        if volts is not None and not unsure:
+            scale = what.scale * volts / (full or 1.0)
+            column = MappedColumn("voltage_V", (SignalRef("value", signal.name, scale),))
+            self._add(column, signal.name, f" (× {scale:.6g} V)")
+        elif supply is not None and not unsure:
+            other, unit = supply
+            refs = (SignalRef("Duty", signal.name, what.scale), SignalRef("Supply", other.name, unit.scale))
+            formula = parse_formula("Duty * Supply", f"{self._recording.path}: voltage_V")
+            self._add(MappedColumn("voltage_V", refs, formula), f"{signal.name} × {other.name}")
+        else:
+            text = f"{signal.name} is a share of the supply"
+            if beyond and values.whole:
+                top, end = values.largest, full_scale(values.largest)
+                text += f" and goes to {top:g}: --supply {volts or 12:g}/{end:g} (volts at {end:g}) says of which"
+            else:
+                text += ": --supply 12 (volts at 1) or 12/255 (at 255) says of which"
+            self._found.ask(signal.name, "voltage_V", text)
 
     def take_electrical_speed(self) -> None:
         """The shaft's speed by the electrical one, where no motion is there itself."""

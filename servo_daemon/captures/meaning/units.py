@@ -49,6 +49,11 @@ def unit_findings(capture: Capture, limit_V: float | None) -> list[Finding]:
     ]
 
 
+def full_scale(top: float) -> float:
+    """What a PWM code reads at full scale, by the largest value that is seen: the next end of a range, else itself."""
+    return next((code for code in _CODES if code >= top), top)
+
+
 def _is_whole(values: F64) -> bool:
     return bool(np.all(values == np.round(values))) and len(np.unique(values)) >= _DIFFERENT
 
@@ -88,7 +93,7 @@ def _voltage(capture: Capture, limit_V: float | None) -> list[Finding]:
         text = f"column voltage_V holds whole numbers only, up to {top:,.0f}: {'a PWM code' if code else 'millivolts'}"
         told = mend(capture, "voltage_V", {"scale": 1e-3})
         if code:
-            told = _by_supply(capture, next(c for c in _CODES if c >= top), limit_V)
+            told = _by_supply(capture, full_scale(top), limit_V)
         return [Finding("voltage_V", f"{text}. {told}")]
     if limit_V is not None and top > _BEYOND * limit_V:
         text = f"column voltage_V reaches {top:,.4g}, more than the drive's {limit_V:g} V: a code, or another unit"

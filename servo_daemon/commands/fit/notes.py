@@ -62,11 +62,11 @@ def result_notes(
             f"the {what} is known at the samples and taken as straight between them; the standard deviations hold "
             "what that may be off by (half a sample's delay at the most)"
         )
-    loss = None if meaning.measures_voltage else _held_voltage(fit)
-    if loss is not None and "R" not in nominal:
+    if fit.problem.plant.drive == "current" and "R" not in nominal and not meaning.measures_voltage:
+        lost, given_by = _held_voltage(fit)
         notes.append(
-            f"if the drive holds its voltage for whole samples, J is too small by up to {100 * loss:.2g} % over R in "
-            "Ω, which no residual shows and no standard deviation holds; `--fix R=…` puts it there"
+            f"if the drive holds its voltage for whole samples, J is too small by up to {lost}, which no residual "
+            f"shows and no standard deviation holds; `--fix {given_by}` puts it there"
         )
     return notes
 
@@ -111,11 +111,11 @@ def drift_note(drift: Drift, fit: OutputErrorFit, *, linear: bool) -> str:
     )
 
 
-def _held_voltage(fit: OutputErrorFit) -> float | None:
-    """h K²/(2 J), Ω: over R the largest share of J that a held voltage hides, see `input_error.py`; None: no such
-    model, or J is not known."""
-    K, J = (fit.parameters.get(name) for name in ("K", "J"))
-    if fit.problem.plant.drive != "current" or K is None or J is None or J.std is None:
-        return None
-    assert J.value is not None
-    return None if K.value is None else fit.problem.sample_period_s * K.value**2 / (2.0 * J.value)
+def _held_voltage(fit: OutputErrorFit) -> tuple[str, str]:
+    """What share of J a held voltage hides at most, h K²/(2 R J) (see `input_error.py`), and what to give for it to be
+    in the standard deviation: in words, since R is not known, and K and J perhaps not either."""
+    K, J = (fit.parameters[name] for name in ("K", "J"))
+    half_s = 0.5 * fit.problem.sample_period_s
+    if K.value is None or J.value is None or J.std is None:
+        return f"{1e3 * half_s:.3g} ms over the mechanical time constant R J/K²", "K=…,R=…"
+    return f"{100 * half_s * K.value**2 / J.value:.2g} % over R in Ω", "R=…"

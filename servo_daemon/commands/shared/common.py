@@ -144,11 +144,13 @@ def _read_options(arguments: argparse.Namespace) -> ReadOptions:
     from servo_daemon.captures.capture.read_options import ReadOptions, parse_supply
 
     names = (arguments.columns or "").split(",") if arguments.columns is not None else []
+    supply_V, full_duty = (None, None) if arguments.supply is None else parse_supply(arguments.supply)
     return ReadOptions(
         tuple(name.strip() for name in names),
         arguments.capture_rate,
         arguments.counts_per_rev,
-        None if arguments.supply is None else parse_supply(arguments.supply),
+        supply_V,
+        full_duty,
         arguments.pole_pairs,
         arguments.joint,
         arguments.effort,

@@ -74,7 +74,7 @@ FULL = {
     "duty of a measured supply": (table((M.t, M.v / 12, 0 * M.t + 12, M.i, M.x), "t,duty,vbus,i,theta"), {}),
     "pwm of a told supply": (
         table((M.t, M.v * 255 / 12, M.i, M.x), "t,pwm,i,theta"),
-        {"supply_V": parse_supply("12/255")},
+        dict(zip(("supply_V", "full_duty"), parse_supply("12/255"), strict=True)),
     ),
     "counts": (table((US, M.v, M.i, M.counts), "t_us,V,A,enc", digits=".4f"), {"counts_per_rev": COUNTS_PER_REV}),
     "counts by the metadata": ("# counts_per_rev: 2400\n" + table((M.t, M.v, M.i, M.counts), "t,v,i,ticks"), {}),
@@ -136,7 +136,7 @@ def test_the_names_that_are_suggested_work(tmp_path: Path, name: str) -> None:
             "--counts-per-rev N",
             {"counts_per_rev": 1},
         ),
-        (table((MS, M.v * 20, RPM), "ms,pwm,rpm"), "--supply 12 (volts at 1) or 12/255", {"supply_V": 0.05}),
+        (table((MS, M.v * 20, RPM), "ms,pwm,rpm"), "goes to 240: --supply 12/255", {"supply_V": 1, "full_duty": 20}),
         (table((M.t, M.v, M.i, 7 * RPM), "time_s,voltage_V,current_A,erpm"), "--pole-pairs N", {"pole_pairs": 7}),
         (
             table((M.t, M.v, M.i, RPM, RPM), "time_s,voltage_V,current_A,left_rpm,right_rpm"),
@@ -155,6 +155,16 @@ def test_the_only_motion_is_never_dropped_but_asked_about(
     capture = read_capture(path, options=ReadOptions(**options))  # type: ignore[arg-type]
     assert {"position_rad", "velocity_rad_s"} & set(capture.channels)
     assert "voltage_V" in capture.channels
+
+
+def test_a_supply_without_the_full_scale_of_a_pwm_code_is_asked_about(tmp_path: Path) -> None:
+    """Else a code of 241 is 2,892 V, and the mend for volts beyond reason (millivolts) is wrong by a factor of four."""
+    codes = np.round(M.v / np.abs(M.v).max() * 241)
+    path = written(tmp_path, table((MS, codes, RPM), "ms,pwm,rpm"))
+    with pytest.raises(CaptureError, match=r"pwm is a share of the supply and goes to 241: --supply 12/255"):
+        read_capture(path, options=ReadOptions(supply_V=12.0))
+    capture = read_capture(path, options=ReadOptions(supply_V=12.0, full_duty=255.0))
+    np.testing.assert_allclose(capture.voltage_V, codes * 12 / 255, atol=1e-6)
 
 
 def test_counts_are_never_suggested_as_radians(tmp_path: Path) -> None:

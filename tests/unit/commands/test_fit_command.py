@@ -236,6 +236,8 @@ def test_what_a_held_voltage_hides_of_j_is_said_or_in_its_deviation(capture: Pat
     (note,) = (n for n in without["notes"] if "holds its voltage" in n)
     J = without["parameters"]["J"]
     assert f"{100 * 1e-3 * 0.30628**2 / (2 * J['value']):.2g} % over R" in note
+    (ratios,) = (n for n in run_command("fit", bare, "--json").document["notes"] if "holds its voltage" in n)
+    assert "0.5 ms over the mechanical time constant R J/K²" in ratios
     given = run_command("fit", bare, "--fix", "K=0.30628,R=0.4937", "--json").document
     assert not any("holds its voltage" in n for n in given["notes"])
     hidden = 1e-3 * 0.30628**2 / (2 * 0.4937)

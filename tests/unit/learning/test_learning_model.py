@@ -37,6 +37,7 @@ from servo_daemon.learning.examples.training import (
 from servo_daemon.learning.features import catalogue
 from servo_daemon.learning.features.features import transformed
 from servo_daemon.learning.features.preparation import Preparation
+from servo_daemon.learning.learners.familiarity import LEAST_FAMILIARITY
 from servo_daemon.learning.learners.learners import make_learner
 from servo_daemon.learning.learners.screening import correlated_groups, screen
 from servo_daemon.learning.model.model import LearnedModel
@@ -143,6 +144,17 @@ def test_a_fault_that_looks_like_another_motor_is_declined(model: LearnedModel) 
     found = [model.predict(f.features) for b in accepted if (f := labelled(late(b), {}, 0)) is not None]
     assert np.mean([p.accepted[0] for p in found]) < 0.25
     assert any("fault of the measuring" in p.declined[0] for p in found)
+
+
+def test_what_is_unlike_the_training_is_declined(model: LearnedModel, windows: TrainingSet) -> None:
+    class Unlike:
+        def score(self, features: np.ndarray) -> np.ndarray:
+            return np.full(len(features), 0.99 * LEAST_FAMILIARITY)
+
+    accepted = model.predict(windows.features[:40]).accepted
+    assert accepted.any()
+    declined = dataclasses.replace(model, familiarity=Unlike()).predict(windows.features[:40]).declined
+    assert {declined[k] for k in np.flatnonzero(accepted)} == {"the window is unlike those of the training"}
 
 
 def test_what_healthy_motors_look_like_is_calibrated(model: LearnedModel) -> None:

@@ -135,6 +135,13 @@ def test_a_step_is_doubted_at_once_and_followed_soon() -> None:
     np.testing.assert_allclose(found[44].value, TRUE * 1.3, rtol=0.01)
 
 
+def test_a_step_that_a_whole_window_does_not_show_is_doubted_by_the_newest_rows() -> None:
+    """1 %, a second after it: without them the old value stands at 5.6 of its standard deviations."""
+    found = followed(np.where(np.arange(41)[:, None] < 40, TRUE, TRUE * 1.01))
+    assert (np.abs(found[-1].value - TRUE * 1.01) < 2.0 * std_of(found[-1])).all()
+    assert [e.closes for e in found[-2:]] == [True, False]
+
+
 def test_no_direction_is_remembered_for_longer_than_the_window() -> None:
     """However well the others were seen before: afterwards they may have changed, and only the first is shown."""
     rng, rls = np.random.default_rng(2), SlidingRls(3)
