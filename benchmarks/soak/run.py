@@ -98,6 +98,7 @@ def _pause(world: World) -> Quiet:
         time_s=time.monotonic(),
         sent=tuple(int(c["sent"]) for c in counts),
         behind=tuple(int(c["sent"]) - n for c, n in zip(counts, used, strict=True)),
+        received=tuple(d["health"]["samples"] for d in documents),
         told=tuple(d["health"]["samples_lost"] for d in documents),
         no_room=tuple(int(c["no_room"]) for c in counts),
         late_s=max(c["late_s"] for c in counts),
@@ -117,15 +118,18 @@ def attached(world: World) -> None:
 def rounds(world: World, plan: Plan, tally: Tally, say: Callable[[str], None]) -> None:
     attached(world)
     last = quiet(world)
+    spoilt = set[int]()
     for k in range(plan.rounds):
         world.turn = k
         for name, fault in FAULTS.items():
             if name in tally.left_out:
                 continue
-            exempt = fault(world)
+            exempt = fault(world) | spoilt
             now = quiet(world, last, exempt)
             tally.stretches.append(Stretch(name, last, now, exempt))
             say(f"round {k + 1} of {plan.rounds}, {name}: {tally.stretches[-1]}")
+            # The rest of a frame that was cut there may still meet the next one.
+            spoilt = {j for j in range(DRIVES) if now.no_room[j] > last.no_room[j]}
             last = now
 
 

@@ -26,6 +26,7 @@ class Quiet:
     Attributes:
         late_s: longest time that a device was kept from running since the last pause, s.
         behind: samples sent whole that have not gone through the estimators.
+        received: samples that the daemon has read.
         told: what the daemon itself counts as lost.
         no_room: frames (slcan: lines) that a terminal had no room for.
         waited_s: time the daemon's threads were kept waiting for a processor.
@@ -34,6 +35,7 @@ class Quiet:
     time_s: float
     sent: tuple[int, ...]
     behind: tuple[int, ...]
+    received: tuple[int, ...]
     told: tuple[int, ...]
     no_room: tuple[int, ...]
     late_s: float
@@ -59,7 +61,7 @@ class Stretch:
         """For the log: where something was lost, of which drives, and what the daemon says."""
         text = f"{self.lost} of {self.sent} lost"
         if self.lost or self.no_room:
-            text += "".join(f", {n} {self.by_drive(n)}" for n in ("behind", "told", "no_room"))
+            text += "".join(f", {n} {self.by_drive(n)}" for n in ("behind", "sent", "received", "told", "no_room"))
             text += f", devices late by {self.last.late_s:.2f} s"
         return f"{text}; {self.last.memory_MB:.1f} MB"
 
@@ -75,7 +77,7 @@ class Stretch:
     @property
     def no_room(self) -> int:
         """Frames or lines that a terminal had no room for; of such a drive it is not known which samples were whole."""
-        return sum(self.by_drive("no_room"))
+        return sum(self.last.no_room) - sum(self.first.no_room)
 
     @property
     def waited_s(self) -> float:
@@ -117,7 +119,8 @@ class Tally:
     def slope_MB_h(self) -> tuple[float, float] | None:
         """Memory over time in the first life, and half of its 95 % interval; None: too short to be said.
 
-        Of the pauses; neighbours are taken for as alike as the residuals' first autocorrelation says.
+        Of the pauses; so many of them count as the residuals' first autocorrelation leaves (Santer et al., J. Geophys.
+        Res. 105, 2000, equation 6).
         """
         points = [(s.last.time_s, s.last.memory_MB) for s in self.stretches if s.fault != "kill -9"]
         start = points[0][0] if points else 0.0
@@ -129,7 +132,7 @@ class Tally:
         residual = memory - np.polyval(fit, time_h)
         alike = float(np.clip(np.corrcoef(residual[:-1], residual[1:])[0, 1], 0.0, 0.95))
         effective = max(3.0, n * (1 - alike) / (1 + alike))
-        deviation = math.sqrt(residual @ residual / (effective - 2) / np.var(time_h) / n * (n / effective))
+        deviation = math.sqrt(residual @ residual / (effective - 2) / (n * np.var(time_h)))
         return float(fit[0]), float(stats.t.ppf(0.975, effective - 2)) * deviation
 
 
