@@ -110,6 +110,14 @@ def test_what_runs_needs_no_more_packages_than_it_uses(repo_root: Path) -> None:
     assert f"puts {len(re.findall('^[a-z].*==', lock, re.MULTILINE))} packages" in (repo_root / "README.md").read_text()
 
 
+def test_nothing_that_runs_imports_what_only_tests_have(repo_root: Path) -> None:
+    """The development tools hide that it would be missing."""
+    imports = re.compile(r"^\s*(?:import|from) (control|matplotlib)\b", re.MULTILINE)
+    files = [path for folder in ("servo_daemon", "drivers") for path in (repo_root / folder).rglob("*.py")]
+    assert len(files) > 100
+    assert [str(path) for path in files if imports.search(path.read_text(encoding="utf-8"))] == []
+
+
 def test_slim_leaves_every_library_under_every_name_once(repo_root: Path, tmp_path: Path) -> None:
     package = tmp_path / "casadi"
     headers = package / "include" / "casadi"
