@@ -21,6 +21,7 @@ from servo_daemon.identification.inverse_dynamics.shaft import kinematics, speed
 from servo_daemon.identification.inverse_dynamics.signals import EvenStretch, even_stretch, pieces
 from servo_daemon.identification.output_error.problem.problem import Segment
 from servo_daemon.identification.output_error.problem.rollout import TIME
+from servo_daemon.numerics import sample_period
 from servo_daemon.plant.columns.screening import Motion
 from servo_daemon.samples import F64
 
@@ -138,7 +139,7 @@ def _pieces(data: Data) -> list[_Piece]:
         block = recording.block
         if (block.torque_Nm is None and block.current_A is None) or block.position_rad is None:
             return []
-        period = float(np.median(np.diff(block.time_s)))
+        period = sample_period(block.time_s)
         for piece in (p for p in pieces(block) if len(p) >= _FEWEST):
             effort = piece.torque_Nm if piece.torque_Nm is not None else piece.current_A
             assert effort is not None

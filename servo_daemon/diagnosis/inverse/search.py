@@ -20,6 +20,7 @@ from servo_daemon.diagnosis.screening.screen import has_no_formula
 from servo_daemon.diagnosis.search.evidence import LEAST_OWN, LEAST_SHARE, LEAST_TOGETHER, convinces, ties_with
 from servo_daemon.diagnosis.trial.compare import Advantage, bootstrapped
 from servo_daemon.diagnosis.trial.split import CHOICE, HELD_OUT, TRAIN
+from servo_daemon.numerics import least_squares
 from servo_daemon.plant.columns.scans import HARMONICS
 from servo_daemon.plant.columns.screening import Context, phase
 from servo_daemon.plant.contribution import contribution
@@ -198,8 +199,7 @@ def _strongest(before: Explained, waves: Mapping[int, F64]) -> int:
     taken: dict[int, float] = {}
     for n, wave in waves.items():
         X = beside(wave[here])
-        found, *_ = np.linalg.lstsq(X, y, rcond=1e-9)
-        taken[n] = float(y @ X @ found)
+        taken[n] = float(y @ X @ least_squares(X, y)[0])
     return max(taken, key=lambda n: taken[n])
 
 
