@@ -36,8 +36,8 @@ from servo_daemon.tracking.validity.validity_gate import ValidityGate
 
 #: Begun with a larger 1 σ than this a parameter's derivatives may be wrong.
 _VAGUE_STD = 0.1
-#: After so many ticks the first samples are filtered again, and after the first when a parameter has moved by `MOVED`
-#: from where the last time has left it.
+#: After so many ticks (decision 33) the first samples are filtered again, and after the first when a parameter has
+#: moved by `MOVED` from where the last time has left it.
 _TICKS = 10, 40
 #: After so many jumps of a parameter the second time is waited for.
 _MOST_MOVES = 4
