@@ -323,7 +323,7 @@ class PlantTracker(Tracker):
         known = (self.qualification.qualified | self.excitation.excited)[self._masks.published]
         seen = self._ticks >= _TICKS_TO_JUDGE and bool(known.any())
         messages += self._notifications.whether_white(seen=seen) + self._notifications.whether_frozen(stretch, alike_s)
-        if self._divergence.has_diverged(test.nis, self._jumps.watch.is_open):
+        if self._divergence.has_diverged(test.nis):
             messages += self._restart("its innovations do not fit while the regression does")
         elif fresh and self._divergence.could_begin_better(self._ticks):
             self._begin_again()

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from servo_daemon.kalman.ekf import Ekf
+from servo_daemon.kalman.model import GATE
 from servo_daemon.kalman.records import ChannelStatistics
 from servo_daemon.samples import F64
 from servo_daemon.tracking.noise.levels import Whiteness
@@ -36,8 +37,6 @@ _PASSES, _SETTLED_STDS, _SETTLED_SHARE = 4, 0.5, 0.01
 #: Innovations over all ticks since are white below this mean of ν²/s over what it usually is; standard deviations of
 #: their correlation that chance may make.
 _NIS_MORE, _CHANCE = 3.0, 4.0
-#: ν²/s at which an outlier counts.
-_OUTLIER_SQUARE = 25.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,7 +249,7 @@ class Trials:
             if first:
                 self._var[number].append(innovations.variance)
             s = innovations.variance if first or not self._slow else next(var)
-            cost += float(np.sum(np.minimum(np.square(innovations.innovation) / s, _OUTLIER_SQUARE)))
+            cost += float(np.sum(np.minimum(np.square(innovations.innovation) / s, GATE**2)))
             if not self._slow:
                 cost += float(np.sum(np.log(s)))
         return cost

@@ -10,6 +10,7 @@ from servo_daemon.plant.build import build_plant
 from servo_daemon.plant.effects import parameter_table
 from servo_daemon.regression.columns.terms import (
     armature_columns,
+    armature_offsets,
     as_parameters,
     coefficient,
     columns_of,
@@ -141,6 +142,12 @@ def test_columns_of_the_armature() -> None:
         "rip_cos",
     )
     assert armature_columns(("gravity_load",)) == ()
+
+
+def test_what_is_a_constant_of_the_armature_gives_an_offset() -> None:
+    effects = ("brush_voltage_drop", "current_sensor_offset", "coulomb_friction", "voltage_sensor_offset")
+    assert armature_offsets(effects) == ("i0", "v0")
+    assert armature_offsets(effects[:1]) == ()
 
 
 def test_without_a_current_no_share_of_it_is_a_column() -> None:
