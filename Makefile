@@ -90,6 +90,14 @@ install: ## as root: into PREFIX (/opt/servo-daemon) without development tools, 
 deb: ## build/servo-daemon_VERSION_ARCHITECTURE.deb for the Debian that this is; needs debhelper
 	./deploy/package
 
+.PHONY: sbom
+sbom: ## build/sbom.json: what requirements.lock installs, as a CycloneDX bill of materials
+	@python3 deploy/sbom.py build/sbom.json
+
+.PHONY: fuzz
+fuzz: venv ## a million spoilt inputs for every decoder and reader, three minutes (INPUTS=1000000 SEED=1)
+	$(BIN)/python -W ignore -m tests.fuzz --inputs $(or $(INPUTS),1000000) --seed $(or $(SEED),1)
+
 .PHONY: lock
 lock: $(VENV)/.lock-tools ## both locks to what pyproject.toml asks for, pins kept (ARGS=--upgrade: newest versions)
 	$(UV_COMPILE) $(ARGS) pyproject.toml --group build --override <(echo '$(NOT_USED)') -o requirements.lock

@@ -9,7 +9,7 @@ import secrets
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -21,6 +21,7 @@ from drivers.serial.wire import Description
 from servo_daemon.errors import EndOfStreamError, WireError
 from servo_daemon.samples import I64, SampleBlock
 from servo_daemon.sim_drive.commanded import CommandedOutput
+from servo_daemon.sim_drive.counters import DeviceCounters
 from servo_daemon.sim_drive.line_faults import Fault, LineFaults
 from servo_daemon.sim_drive.pty_link import PtyLink
 from servo_daemon.sim_drive.source import CommandedSource, SampleSource
@@ -50,18 +51,6 @@ _COMMANDED_FRAME_S = 0.002
 _MAX_BEHIND_COMMANDED_S = 0.02
 #: Without real time a commanded drive goes on when it has been told to, or after this time, s.
 _PATIENCE_S = 0.2
-
-
-@dataclass(slots=True)
-class DeviceCounters:
-    """What a simulated device did. Only ever counts up; read by any thread."""
-
-    frames: int = 0  # sample frames (binary) or groups of lines (text) made
-    samples: int = 0  # samples in them
-    descriptions: int = 0
-    unheard: int = 0  # frames nobody had the port open for
-    overruns: int = 0  # frames lost or cut because the reader was too slow
-    restarts: int = 0
 
 
 class _Firmware:

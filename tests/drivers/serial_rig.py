@@ -14,8 +14,9 @@ import numpy as np
 from drivers.base import DriveInfo
 from servo_daemon.errors import EndOfStreamError
 from servo_daemon.samples import SampleBlock, make_block
+from servo_daemon.sim_drive.counters import DeviceCounters
 from servo_daemon.sim_drive.line_faults import LineFaults
-from servo_daemon.sim_drive.serial_device import DeviceCounters, Wire, run_serial_device
+from servo_daemon.sim_drive.serial_device import Wire, run_serial_device
 from servo_daemon.sim_drive.source import CommandedSource
 
 PATIENCE_S = 30.0
