@@ -38,6 +38,7 @@ COMMANDS: Mapping[str, tuple[str, ...]] = {
     "daemon": ("benchmarks/daemon.py",),
     "life": ("-m", "benchmarks.life"),
     "neighbours": ("-m", "benchmarks.neighbours", "--seconds", "30"),
+    "soak": ("-m", "benchmarks.soak", "--minutes", "3"),
     "heavy-steps": ("-m", "benchmarks.heavy_steps"),
     "identification": ("benchmarks/identification.py",),
     "identification-montecarlo": ("-m", "benchmarks.identification_montecarlo", *_MONTE_CARLO),

@@ -105,7 +105,7 @@ def read_endpoints(path: Path, where: str) -> tuple[tuple[int, ...], tuple[int, 
         raise DriverConfigError(f"{where}: endpoints {path}: cannot be read: {error.strerror or error}") from error
     except KeyError as error:
         raise DriverConfigError(f"{where}: endpoints {path}: has no {error.args[0]!r}") from error
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, RecursionError) as error:
         raise DriverConfigError(f"{where}: endpoints {path}: not the maker's flat_endpoints.json: {error}") from error
     if len(numbers) != len(ENDPOINTS) or len(told) != 3 or not all(0 <= n <= 0xFFFF for n in numbers):
         raise DriverConfigError(f"{where}: endpoints {path}: not the maker's flat_endpoints.json of firmware 0.6")

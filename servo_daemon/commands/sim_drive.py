@@ -32,6 +32,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--ageing", nargs="+", action="extend", default=None, metavar="P=±%/T", help="default: ages like `run`'s motor"
     )
+    parser.add_argument(
+        "--commands",
+        action="store_true",
+        help="take commands of `commission` over the serial line; stands still until one comes, and does not age",
+    )
     parser.add_argument("--seconds", type=positive, default=None, help="stop after this long (default: never)")
 
 
@@ -48,13 +53,18 @@ def run(arguments: argparse.Namespace) -> int:
         sim_makes.serve(arguments, stop)
         return 0
     rate_hz = 1000.0 if arguments.rate is None else arguments.rate
+    if arguments.commands and arguments.ageing is None:
+        arguments.ageing = []
     source = sim_makes.brushed_motor(arguments)
     link = arguments.serial or arguments.slcan
     common.note(f"{link}: drive {arguments.drive_id}, {rate_hz:g} samples a second; Ctrl-C ends it")
     if arguments.serial is not None:
         from servo_daemon.sim_drive.serial_device import run_serial_device
 
-        run_serial_device(link, source, wire=arguments.wire, drive_id=arguments.drive_id, stop=stop)
+        commanded = source if arguments.commands else None
+        run_serial_device(
+            link, source, wire=arguments.wire, drive_id=arguments.drive_id, stop=stop, commanded=commanded
+        )
     else:
         from servo_daemon.sim_drive.slcan_device import run_slcan_device
 
@@ -80,5 +90,7 @@ def _check(arguments: argparse.Namespace) -> None:
         raise BadInputError(f"--rate must be at most 100000, not {arguments.rate:g}")
     if not lowest <= arguments.drive_id <= highest:
         raise BadInputError(f"--drive-id {arguments.drive_id} is outside {lowest} .. {highest}")
+    if arguments.commands and (arguments.serial is None or arguments.wire != "binary"):
+        raise BadInputError("--commands is for --serial with the binary wire: the others only tell")
     if arguments.seconds is not None and arguments.seconds > threading.TIMEOUT_MAX:
         raise BadInputError(f"--seconds must be at most {threading.TIMEOUT_MAX:g}, not {arguments.seconds:g}")

@@ -80,6 +80,8 @@ def _read(path: Path) -> tuple[str, dict[str, Any]]:
         raise ConfigError(f"{path}: not UTF-8 text: {error}") from error
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path}: not valid TOML: {error}") from error
+    except RecursionError:
+        raise ConfigError(f"{path}: not valid TOML: brackets or braces are nested too deeply") from None
 
 
 def merge(files: Sequence[ConfigFile]) -> tuple[dict[str, Any], tuple[ConfigFile, ...]]:

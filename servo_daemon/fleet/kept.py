@@ -25,7 +25,7 @@ class KeptResults:
         """What was found before; None: nothing, or a file that cannot be read (it is computed anew)."""
         try:
             document = json.loads(self._path(unit).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+        except (OSError, ValueError, RecursionError):
             return None
         return document if isinstance(document, dict) else None
 

@@ -18,6 +18,7 @@ from pathlib import Path
 
 from servo_daemon.errors import EndOfStreamError
 from servo_daemon.sim_drive.can_frames import CanFrame, FrameEncoder
+from servo_daemon.sim_drive.counters import DeviceCounters
 from servo_daemon.sim_drive.pty_link import PtyLink
 from servo_daemon.sim_drive.slcan_adapter import SlcanAdapter
 from servo_daemon.sim_drive.source import SampleSource
@@ -64,6 +65,7 @@ def run_slcan_device(
     stop: threading.Event,
     realtime: bool = True,
     faults: SlcanFaults = NO_FAULTS,
+    counters: DeviceCounters | None = None,
 ) -> int:
     """Serve a simulated drive until `stop` is set or the source ends.
 
@@ -74,6 +76,7 @@ def run_slcan_device(
         realtime: pace samples by the clock, whether or not the channel is open, and drop what does not fit into the
             pseudo-terminal; otherwise send as fast as the host fetches, lose nothing and start with its `O`.
         faults: injected into what is sent.
+        counters: where to count, in real time: frames are groups of samples, `samples` those of an open channel.
 
     Returns:
         Frames dropped because the host did not fetch them.
@@ -83,24 +86,26 @@ def run_slcan_device(
     """
     encoder = FrameEncoder(source.info, drive_id)
     with PtyLink(link) as pty:
-        device = _Device(pty.master, source, encoder, faults)
+        device = _Device(pty.master, source, encoder, faults, counters or DeviceCounters())
         with contextlib.suppress(EndOfStreamError):
             if realtime:
                 device.run_in_real_time(stop)
             else:
                 device.run_as_fetched(stop)
-        if device.dropped:
-            log.info("%s: %d frames were not fetched in time and dropped", link, device.dropped)
-        return device.dropped
+        if dropped := device.counters.overruns:
+            log.info("%s: %d frames were not fetched in time and dropped", link, dropped)
+        return device.counters.overruns
 
 
 class _Device:
-    def __init__(self, master: int, source: SampleSource, encoder: FrameEncoder, faults: SlcanFaults) -> None:
+    def __init__(
+        self, master: int, source: SampleSource, encoder: FrameEncoder, faults: SlcanFaults, counters: DeviceCounters
+    ) -> None:
+        self.counters = counters
         self._master, self._source, self._encoder, self._faults = master, source, encoder, faults
         self._adapter = SlcanAdapter()
         self._pending = b""  # the rest of what the pseudo-terminal took only half
         self._taken = 0
-        self.dropped = 0
         period_s = source.info.sample_period_s or GROUP_S
         self._group = max(1, round(GROUP_S / period_s))
         self._period_s = period_s
@@ -116,9 +121,13 @@ class _Device:
             self._serve(0.0)
             if wait < -MAX_BEHIND_S:
                 start -= wait
-            if self._adapter.channel_open:
-                for line in lines:
-                    self.dropped += not self._send(line)
+            self.counters.frames += 1
+            if not self._adapter.channel_open:
+                self.counters.unheard += 1
+                continue
+            self.counters.samples += self._group
+            for line in lines:
+                self.counters.overruns += not self._send(line)
 
     def run_as_fetched(self, stop: threading.Event) -> None:
         while not stop.is_set():

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import signal
-import sqlite3
-import subprocess
-import sys
 import time
-from contextlib import closing
-from datetime import datetime
 from pathlib import Path
 
 import pytest
 
-from tests.system.harness import ROOT, all_tracking, daemon, environment, nominal_table, wait_for, write_config
+from tests.system.harness import all_tracking, daemon, nominal_table, wait_for, write_config
 
 #: What issue 29 allows to be lost.
 _LOST_S = 5.0
@@ -48,48 +42,3 @@ def test_a_killed_daemon_begins_where_it_ended(tmp_path: Path) -> None:
         )
         assert program.get("/drives/axis1/history?parameter=R,K&window=1y&level=1%20h")["points"] in {1, 2}
         assert program.get("/health")["status"] == "ok"
-
-
-_WRITER = """
-import sys, time
-from pathlib import Path
-from servo_daemon.config import HistoryConfig
-from servo_daemon.daemon.recording import Recording
-from tests.fake_daemon import make_snapshot
-from tests.unit.history.world import Drive
-drive = Drive()
-recording = Recording(HistoryConfig(), Path(sys.argv[1]), [drive])
-recording.start()
-while True:
-    time.sleep(0.1)
-    drive.history.append(make_snapshot(time=time.time()))
-    print(time.time(), flush=True)
-"""
-
-
-@pytest.mark.slow
-def test_whenever_it_is_killed_at_most_five_seconds_are_lost(tmp_path: Path) -> None:
-    """Four writers at once, each killed at another moment between two turns."""
-    folders = [tmp_path / str(k) for k in range(4)]
-    last: list[float] = []
-    with contextlib.ExitStack() as stack:
-        writers = []
-        for folder in folders:
-            words = [sys.executable, "-c", _WRITER, str(folder)]
-            writer = subprocess.Popen(words, cwd=ROOT, env=environment(), stdout=subprocess.PIPE, text=True)
-            stack.enter_context(writer)
-            stack.callback(writer.kill)
-            writers.append(writer)
-        for writer in writers:
-            assert writer.stdout is not None
-            assert writer.stdout.readline(), "runs"
-        time.sleep(4.0)
-        for writer in writers:
-            time.sleep(0.8)  # a quarter of a turn
-            writer.kill()
-            last.append(max(float(line) for line in writer.communicate()[0].split()))
-    for folder, end in zip(folders, last, strict=True):
-        with closing(sqlite3.connect(folder / "history.sqlite")) as file:
-            assert file.execute("PRAGMA integrity_check").fetchone() == ("ok",)
-            written = file.execute("SELECT max(stop) FROM block").fetchone()[0]
-        assert written is not None and end - written <= _LOST_S, datetime.fromtimestamp(end)

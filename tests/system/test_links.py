@@ -15,8 +15,9 @@ from typing import Any
 import pytest
 
 from drivers.serial.encoder import BinaryEncoder, describe
+from servo_daemon.sim_drive.counters import DeviceCounters
 from servo_daemon.sim_drive.line_faults import Fault, LineFaults
-from servo_daemon.sim_drive.serial_device import DeviceCounters, run_serial_device
+from servo_daemon.sim_drive.serial_device import run_serial_device
 from servo_daemon.sim_drive.slcan_device import SlcanFaults, run_slcan_device
 from servo_daemon.simulate import PAPER_MOTOR, SimulatedDrive, make_settings
 from tests.system.harness import (

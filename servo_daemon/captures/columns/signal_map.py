@@ -196,7 +196,7 @@ def load_signal_map(path: Path | str) -> SignalMap:
         document = tomllib.loads(path.read_text("utf-8-sig"))
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ConfigError(f"{path}: not a signal map in TOML: {' '.join(str(error).split())}") from error
     known = ("signals", "metadata", *OPTIONS)
     for key in document:

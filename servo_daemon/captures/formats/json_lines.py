@@ -107,7 +107,7 @@ def _lines(path: Path, text: Iterable[str]) -> Iterator[tuple[int, Any]]:
         if not line.endswith("\n"):  # the last one: a logger that is stopped cuts it off
             try:
                 yield number, json.loads(line)
-            except ValueError:
+            except (ValueError, RecursionError):
                 return
             continue
         yield number, _parsed(path, line, number)

@@ -42,7 +42,7 @@ def read_tied(path: Path, configured: Sequence[str]) -> Tied:
         document = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise BadInputError(f"{path}: not a JSON document: {error}") from error
     try:
         return _tied(str(path), document, configured)

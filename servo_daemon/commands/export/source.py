@@ -36,7 +36,7 @@ def from_document(path: Path, drive: DriveConfig | None) -> ExportedModel:
         document = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise BadInputError(f"{path}: {error.strerror or error}") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise BadInputError(f"{path}: no JSON document: {error}") from None
     if not isinstance(document, Mapping):
         raise BadInputError(f"{path}: neither a fit.json nor a diagnosis.json")

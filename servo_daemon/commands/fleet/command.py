@@ -92,7 +92,7 @@ def _check_folder(arguments: argparse.Namespace, asked: str) -> None:
     path = arguments.out / "fleet.json"
     try:
         before = json.loads(path.read_text(encoding="utf-8")).get("asked")
-    except (OSError, ValueError, AttributeError):
+    except (OSError, ValueError, AttributeError, RecursionError):
         before = None
     if before != asked:
         common.may_overwrite(arguments.force, path)

@@ -46,7 +46,7 @@ def document(url: str, path: str, params: Mapping[str, str | int] | None = None)
     """The same as a JSON document. Raises: ServoDaemonError: also where something else answers there."""
     try:
         return json.loads(get(url, path, params))
-    except ValueError:
+    except (ValueError, RecursionError):
         raise ServoDaemonError(f"what answers at {url} is no servo-daemon") from None
 
 
@@ -54,5 +54,5 @@ def _detail(body: bytes) -> str | None:
     try:
         problem = json.loads(body)
         return str(problem["detail"])
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         return None

@@ -32,7 +32,7 @@ class Journal:
                 row = json.loads(line)
                 if row["data"] == self._data:
                     found.append((str(row["model"]), {str(n): float(v) for n, v in row["values"].items()}))
-            except (ValueError, KeyError, TypeError, AttributeError):
+            except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
                 continue  # cut off where it was stopped
         return found
 

@@ -50,6 +50,11 @@ class JumpActions:
         return self.watch.quiet and not self.search.running
 
     @property
+    def idle(self) -> bool:
+        """Whether nothing has been examined lately, either."""
+        return self.quiet and self.watch.idle
+
+    @property
     def is_open(self) -> bool:
         """Whether a change is being examined."""
         return self.search.promising
@@ -59,6 +64,17 @@ class JumpActions:
         if self.quiet:
             self._before = self._ekf.snapshot(), time_s
             self._wander.add(self._ekf.coordinates.copy())
+
+    def pass_over(self, end_s: float) -> None:
+        """A tick while it is `idle`, to which there was nothing.
+
+        Args:
+            end_s: of device time.
+        """
+        self.watch.observe(False, self.watch.sudden)
+        self.search.take(end_s)
+        self.remember(end_s)
+        self.search.mark()
 
     def take(
         self, test: InnovationTest, end_s: float, *, explained: bool, judged: bool, searched: bool | None

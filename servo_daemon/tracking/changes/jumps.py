@@ -56,6 +56,11 @@ class JumpWatch:
         return self._score == 0.0
 
     @property
+    def idle(self) -> bool:
+        """Quiet, unexplained ticks are the exception, and it does not rest."""
+        return self.quiet and self.calm and self._rest == 0
+
+    @property
     def calm(self) -> bool:
         """Whether unexplained ticks are the exception."""
         return self._usual < _RULE

@@ -120,6 +120,11 @@ class MaximumLikelihoodRestart:
         self._at = _Point(np.zeros(0), np.zeros(0))
         self._least_log_var: F64 = np.zeros(0)
 
+    @property
+    def is_open(self) -> bool:
+        """It may yet be asked for."""
+        return self._waits
+
     def update(self, tick: int, scales: F64, monitor: DivergenceMonitor) -> bool:
         """After each tick. Returns whether the filter has been set to what was found.
 

@@ -65,6 +65,7 @@ def test_drives_may_all_be_in_drop_ins(base: Path) -> None:
         ("api = 5", r"b\.toml: api: "),
         ("drive = 5", r"b\.toml: drive: must be a list"),
         ("[api", r"b\.toml: not valid TOML"),
+        ("a = " + "[" * 5000, r"b\.toml: not valid TOML: .* nested too deeply"),
     ],
 )
 def test_a_complaint_names_the_file_and_the_place_in_it(base: Path, text: str, says: str) -> None:
