@@ -46,7 +46,7 @@ def inverse_of_information(information: F64) -> F64:
     """Covariance of what has this information, in any units, shape (n, n); along what nothing is known of, zero."""
     size = np.sqrt(np.maximum(information.diagonal(), 1e-300))
     scale = np.outer(size, size)
-    return np.asarray(np.linalg.pinv(information / scale, hermitian=True) / scale)
+    return np.asarray(np.linalg.pinv(information / scale) / scale)
 
 
 def score_and_information(innovation: F64, slopes: F64, log_var_slopes: F64) -> tuple[F64, F64]:

@@ -1,6 +1,7 @@
 """Passes of the filter over one batch of samples, until they no longer move its values (`relinearisation.py`).
 
-Everything here stops after every pass, so that whoever asks for it can go on in the next tick.
+Everything here stops after every pass, so that whoever asks for it can go on in the next tick. Without the noise that
+is learned beside the values `test_noise_that_was_taken_for_another_is_not_information` fails.
 """
 
 from __future__ import annotations

@@ -12,6 +12,8 @@ variances, and derivatives by differences of whole passes,
 The noise has to be found beside the parameters, and no process noise of these may be there: with the noise that the
 filter had, and its drift, K of the paper's motor was 6 % off at 3.2 of its standard deviations (20 s of reversals, rms
 of 12 draws); without the drift 2.6 % at 1.6; with both as here 1.5 % at 0.9 (of 8).
+
+Without it `test_a_start_that_the_filter_does_not_find_is_found_by_likelihood` fails.
 """
 
 from __future__ import annotations
