@@ -19,7 +19,8 @@ BIN := $(VENV)/bin
 UV_VERSION := 0.13.9
 PREFIX ?= /opt/servo-daemon
 ARGS ?=
-# Test processes beside each other. Each keeps to one thread: several that wait for each other on one core crawl.
+# Test processes beside each other; auto: three on two cores (tests/conftest.py). Each keeps to one thread: several that
+# wait for each other on one core crawl.
 WORKERS ?= auto
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
@@ -99,12 +100,15 @@ fuzz: venv ## a million spoilt inputs for every decoder and reader, three minute
 
 .PHONY: lock
 lock: $(VENV)/.lock-tools ## both locks to what pyproject.toml asks for, pins kept (ARGS=--upgrade: newest versions)
-	$(UV_COMPILE) $(ARGS) pyproject.toml --group build -o requirements.lock
+	$(UV_COMPILE) $(ARGS) pyproject.toml --group build --override <(echo '$(NOT_USED)') -o requirements.lock
 	$(UV_COMPILE) $(ARGS) --group dev -c requirements.lock -o requirements-dev.lock
 
 # One lock for Linux, macOS and Windows from 3.11 on, with the hash of every file the registry has of each version.
 UV_COMPILE := $(VENV)/.lock-tools/bin/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
 	--no-emit-index-url --no-emit-find-links --no-header --no-annotate
+
+# What a dependency asks for and what runs does not use: filterpy draws with it, and imports it only there.
+NOT_USED := matplotlib; python_version < "3"
 
 .PHONY: clean
 clean: ## removes .venv and every cache of the tools
@@ -123,6 +127,7 @@ define install
 $(BIN)/python $(PIP_INSTALL) -r $(1) 2> $(VENV)/pip.log | while read -r verb what _; do case $$verb in \
   Collecting | Processing) what=$${what##*/}; printf ' %s' "$${what%%[-=<>]*}" ;; \
   Installing) printf '\n%s: unpacking them\n' $(VENV) ;; esac; done || { echo; cat $(VENV)/pip.log >&2; exit 1; }; \
+$(BIN)/python deploy/slim.py; \
 echo "$(VENV): done in $$SECONDS s, $$(du -sh $(VENV) | cut -f1) on disk"
 endef
 
@@ -130,7 +135,7 @@ endef
 $(VENV)/.runtime: requirements.lock
 	@if ! $(BIN)/python -c 'import pip' 2>/dev/null; then \
 	  python=$$($(FIND_PYTHON)); echo "$(VENV): $$($$python --version), $$(command -v $$python)"; \
-	  echo "$(VENV): less than a minute with a warm package cache; else as long as 190 MB take to download"; \
+	  echo "$(VENV): less than a minute with a warm package cache; else as long as 170 MB take to download"; \
 	  $$python -m venv --clear $(VENV) || { echo "make: 'python3 -m venv' failed" \
 	    "(on Debian and Ubuntu it is a package of its own: apt install python3-venv)" >&2; exit 1; }; fi
 	@$(BIN)/python $(PIP_INSTALL) --quiet -r <(sed -n '/^setuptools==/,/[^\\]$$/p' requirements.lock)

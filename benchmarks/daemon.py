@@ -139,7 +139,13 @@ def load(n: int, seconds: float, folder: Path) -> None:
         first = used_percent(pid, lambda: time.sleep(FIRST_S))
         api, (asking_s, steady_s) = Api(port), (seconds / 3, max(seconds - FIRST_S - seconds / 3, 5.0))
         before, memory = [api.get(f"/drives/axis{k}") for k in range(n)], rss_MB(pid)
+        cpu = cpu_s(pid)
         steady = used_percent(pid, lambda: time.sleep(steady_s))
+        cpu = cpu_s(pid) - cpu
+        api = Api(port)  # an idle connection has been closed meanwhile
+        worked = sum(
+            api.get(f"/drives/axis{k}")["counters"]["samples"] - before[k]["counters"]["samples"] for k in range(n)
+        )
         latency_ms = frames_to_rest(Api(port), (0, n // 2), asking_s, begin, n)
         late_s = latest(Api(port), n, max(5.0, asking_s), begin)
         api = Api(port)  # an idle connection has been closed meanwhile
@@ -152,6 +158,7 @@ def load(n: int, seconds: float, folder: Path) -> None:
     p50, p99 = np.percentile(latency_ms, [50, 99])
     print(f"{n} drive{'s' * (n > 1)} at {RATE_HZ} Hz over serial lines, R tracked by {100 * tracked:.0f} %")
     print(f"  CPU {first:6.2f} % of a core in the first {FIRST_S:.0f} s, {steady:.2f} % then")
+    print(f"  that is {1e6 * cpu / worked:.2f} ms per 1,000 samples")
     print(f"  sample to REST: median {p50:.0f} ms, p99 {p99:.0f} ms; the latest drive was {late_s:.2f} s behind")
     print(f"  samples {samples:,}, lost {lost}, bad frames {bad}")
     print(f"  resident memory {memory:.0f} MB, then {grown:.0f} MB", flush=True)

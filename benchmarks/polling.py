@@ -45,11 +45,14 @@ class Recorded:
     period_s: float | None = None
 
     def __init__(self, device: Device, answers: dict[bytes, list[bytes]]) -> None:
+        self._length = len(next(iter(answers)))  # of every request
         self._device, self._answers = device, {r: itertools.cycle(a) for r, a in answers.items()}
 
     def receive(self, data: bytes) -> bytes:
-        recorded = self._answers.get(data)
-        return self._device.receive(data) if recorded is None else next(recorded)
+        answered = b""
+        while recorded := next((a for request, a in self._answers.items() if data.startswith(request)), None):
+            data, answered = data[self._length :], answered + next(recorded)
+        return answered + (self._device.receive(data) if data else b"")
 
     def due(self) -> bytes:
         return b""

@@ -1,27 +1,54 @@
 """What a driver offers that can move its motor: a capability of its own, and most drivers lack it on purpose.
 
-Drivers read. One that also commands has `command`; `servo-daemon commission` asks for it, nothing else calls it.
+Drivers read. What also commands is in `COMMANDING`, and `servo-daemon commission` alone makes it.
 """
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+import importlib
+from typing import Any, Protocol, cast
 
-from drivers.base import DriveInfo
-from servo_daemon.samples import SampleBlock
+from drivers.base import DriveInfo, Driver
+from servo_daemon.samples import F64, SampleBlock
 
 #: A command is valid for at most so long, s: a drive that hears nothing for this time stops by itself.
 LONGEST_COMMAND_S = 0.05
 
 
-@runtime_checkable
+#: kind -> (module, class) of what commands; the driver of all other commands where it is the same class lacks nothing
+#: but a caller.
+COMMANDING: dict[str, tuple[str, str]] = {
+    "simulated": ("servo_daemon.simulate.driver", "SimulatedDriver"),
+    "serial": ("drivers.serial.commander", "CommandedSerialDriver"),
+}
+
+
 class Commanding(Protocol):
-    """A drive that takes voltages, beside what `drivers.base.Driver` says of reading."""
+    """A drive that takes voltages, beside what `drivers.base.Driver` says of reading.
+
+    Attributes:
+        hold_s: for how long a command should be valid, s: what may pass between two of them on this way to the drive.
+    """
+
+    hold_s: float
 
     @property
     def info(self) -> DriveInfo: ...
 
+    @property
+    def can_wait(self) -> bool: ...
+
+    @property
+    def latency_s(self) -> float:
+        """Longest time lately from the newest sample that was known when a command was given until it acted, s."""
+        ...
+
     def read(self, timeout_s: float) -> SampleBlock | None: ...
+
+    def acting_V(self, block: SampleBlock) -> F64:
+        """The commanded voltage that should act at each sample of the block that was read last, shape (n,), V; not a
+        number: none does, and the drive stays at 0 V until it is told 0 V."""
+        ...
 
     def command(self, voltage_V: float, valid_for_s: float) -> None:
         """Apply this voltage from the next sample on. After `valid_for_s`, s, without another command, and after
@@ -31,3 +58,16 @@ class Commanding(Protocol):
             DriverError: the drive is not open, or the voltage or the time is not a number.
         """
         ...
+
+
+def make_commanding(kind: str, name: str, options: dict[str, Any]) -> tuple[Driver, Commanding] | None:
+    """A closed driver by both of its sides: what is opened and closed, and what commands. None: this kind only reads.
+
+    Raises:
+        DriverConfigError: wrong options.
+    """
+    if kind not in COMMANDING:
+        return None
+    module, cls = COMMANDING[kind]
+    driver = getattr(importlib.import_module(module), cls)(name, options)
+    return driver, cast(Commanding, driver)

@@ -27,6 +27,11 @@ def upper_median(values: F64) -> float:
     return float(np.partition(values, middle)[middle])
 
 
+def sample_period(time_s: F64) -> float:
+    """Usual distance of two samples, s: what gaps do not move."""
+    return float(np.median(np.diff(time_s)))
+
+
 def white_noise_var(signal: F64) -> float:
     """Variance of the white part of a signal, by the median of its third differences: what is smooth is a polynomial
     over four samples."""
@@ -35,6 +40,28 @@ def white_noise_var(signal: F64) -> float:
     third = np.diff(signal, 3)
     sigma = float(np.median(np.abs(third))) / MEDIAN_TO_STD
     return sigma**2 / THIRD_DIFFERENCE_GAIN
+
+
+def inverse_of_information(information: F64) -> F64:
+    """Covariance of what has this information, in any units, shape (n, n); along what nothing is known of, zero."""
+    size = np.sqrt(np.maximum(information.diagonal(), 1e-300))
+    scale = np.outer(size, size)
+    return np.asarray(np.linalg.pinv(information / scale, hermitian=True) / scale)
+
+
+def score_and_information(innovation: F64, slopes: F64, log_var_slopes: F64) -> tuple[F64, F64]:
+    """Gradient and expected Hessian of −2 log p of Gaussian innovations by k coordinates, shapes (k,) and (k, k): a
+    step of Fisher's scoring is −H⁻¹ g.
+
+    Args:
+        innovation: over its standard deviation, shape (n,).
+        slopes: of the same by each coordinate, shape (k, n).
+        log_var_slopes: of the logarithm of its variance, shape (k, n).
+    """
+    gradient = np.sum(log_var_slopes + 2 * slopes * innovation, axis=1)
+    raw = slopes + 0.5 * innovation * log_var_slopes  # of the innovation itself, over its standard deviation
+    information = np.einsum("an,bn->ab", log_var_slopes, log_var_slopes) + 2 * np.einsum("an,bn->ab", raw, raw)
+    return gradient, information
 
 
 def least_squares(A: F64, y: F64) -> tuple[F64, int]:

@@ -159,14 +159,19 @@ def concatenate(blocks: Sequence[SampleBlock]) -> SampleBlock:
         raise ValueError("no blocks to concatenate")
     if len(blocks) == 1:
         return blocks[0]
-    channels = blocks[0].channels
-    if any(b.channels != channels for b in blocks):
-        raise ValueError(f"blocks carry different channels: {sorted({b.channels for b in blocks})}")
+    channels: dict[str, F64] = {}
+    for name in CHANNELS:
+        arrays = [getattr(b, name) for b in blocks]
+        known = [a for a in arrays if a is not None]
+        if known and len(known) < len(arrays):
+            raise ValueError(f"blocks carry different channels: {sorted({b.channels for b in blocks})}")
+        if known:
+            channels[name] = np.concatenate(known)
     return SampleBlock(
         time_s=np.concatenate([b.time_s for b in blocks]),
         sequence=np.concatenate([b.sequence for b in blocks]),
         quality=np.concatenate([b.quality for b in blocks]),
         host_time_s=blocks[-1].host_time_s,
         current_mean=blocks[-1].current_mean,
-        **{name: np.concatenate([getattr(b, name) for b in blocks]) for name in channels},
+        **channels,
     )

@@ -75,6 +75,16 @@ class CommandedMotor:
             "commanded", 1.0 / s.rate_hz, s.counts_per_rev, channels=("voltage_V", "current_A", "position_rad")
         )
 
+    hold_s = 0.02
+    can_wait = True
+
+    @property
+    def latency_s(self) -> float:
+        return 1.0 / self.setup.rate_hz
+
+    def acting_V(self, block: SampleBlock) -> np.ndarray:
+        return np.full(len(block), self._voltage)
+
     def command(self, voltage_V: float, valid_for_s: float) -> None:
         self._voltage = voltage_V
         self._until_s = self._n / self.setup.rate_hz + min(valid_for_s, 0.05)
@@ -165,6 +175,16 @@ class CommandedMotor:
             p["travel"] / limits.travel_rad,
         )
 
+
+#: Motors without a fault, with limits.
+HEALTHY = {
+    "small": (Setup(), MotionLimits(12, 6, 150, 30, 60)),
+    "middle": (
+        Setup(R=3.57, L=2.5e-3, K=0.046, J=6e-5, B=6e-5, noise_A=0.003, seed=1),
+        MotionLimits(24, 3, 200, 20, 60),
+    ),
+    "large": (Setup(R=0.5, L=1.5e-3, K=0.3, J=8e-3, B=0.02, noise_A=0.03, seed=2), MotionLimits(24, 20, 20, 6, 60)),
+}
 
 FAULTS = (
     "encoder_sign", "current_sign", "locked", "friction", "backlash", "hard_stop", "dropped", "encoder_dies",

@@ -74,7 +74,8 @@ def read_vectors() -> dict[str, dict[str, Any]]:
 
 VECTORS = read_vectors()
 DESCRIPTIONS = {name: v for name, v in VECTORS.items() if "channels" in v}
-SAMPLES = {name: v for name, v in VECTORS.items() if "channels" not in v}
+SAMPLES = {name: v for name, v in VECTORS.items() if "description" in v}
+COMMANDS = {name: v for name, v in VECTORS.items() if "enabled" in v}
 
 
 def description_of(vector: dict[str, Any]) -> Description:

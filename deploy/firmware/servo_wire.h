@@ -49,7 +49,8 @@ typedef enum {
     SERVO_WIRE_VELOCITY = 4,    /* rad/s */
     SERVO_WIRE_TEMPERATURE = 5, /* degrees Celsius */
     SERVO_WIRE_TORQUE = 6,      /* N m */
-    SERVO_WIRE_STATUS = 16      /* SERVO_WIRE_BAD_... bits */
+    SERVO_WIRE_STATUS = 16,     /* SERVO_WIRE_BAD_... bits */
+    SERVO_WIRE_COMMAND = 17     /* number of the command that acts: servo_wire_command.h */
 } servo_wire_quantity;
 
 typedef enum { SERVO_WIRE_U8 = 1, SERVO_WIRE_I16 = 2, SERVO_WIRE_U16 = 3, SERVO_WIRE_I32 = 4 } servo_wire_format;

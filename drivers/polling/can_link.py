@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -60,7 +61,7 @@ class CanLink:
     def __init__(
         self, settings: Mapping[str, Any], keys: frozenset[int], counters: DriverCounters, *, fd: bool = False
     ) -> None:
-        self._inbox, self._fd, self._awake = Inbox(keys, counters, prompt=True), fd, False
+        self._inbox, self._fd, self._awake = Inbox(keys, counters, prompt=True), fd, threading.Event()
         self._port = CanPort.attach(settings, self._inbox)
 
     def send(self, data: bytes) -> None:
@@ -75,14 +76,17 @@ class CanLink:
             self._port.send(message)
 
     def receive(self, timeout_s: float) -> bytes:
-        batch = self._port.take(self._inbox, max(0.0, timeout_s), lambda: self._awake)
+        batch = self._port.take(self._inbox, max(0.0, timeout_s), self._awake.is_set)
         if batch is None:
             return b""
         rows = zip(batch.keys.tolist(), batch.lengths.tolist(), batch.data, strict=True)
         return b"".join(pack(Frame(key, row[:length].tobytes())) for key, length, row in rows)
 
+    def pause(self, seconds: float) -> bool:
+        return self._awake.wait(max(0.0, seconds))
+
     def wake(self) -> None:
-        self._awake = True
+        self._awake.set()
         self._port.wake()
 
     def close(self) -> None:

@@ -13,7 +13,7 @@ from drivers.polling.poller import Answer, Dialogue, Pace, Poller, V
 from servo_daemon.samples import SampleBlock
 
 #: Answers are gathered so long after the first: what comes after a block costs the same for one sample as for ten.
-GATHER_S = 0.05
+GATHER_S = 0.1
 
 
 class PollingDriver(Driver, Generic[V]):

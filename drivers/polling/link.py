@@ -24,8 +24,12 @@ class Link(Protocol):
         """What has arrived, as soon as there is something; nothing at the end of the time, or on `wake`."""
         ...
 
+    def pause(self, seconds: float) -> bool:
+        """Wait whatever arrives; ended by `wake`, and then true."""
+        ...
+
     def wake(self) -> None:
-        """End a wait of `receive` that another thread is in, and every later one."""
+        """End a wait of `receive` or `pause` that another thread is in, and every later one."""
         ...
 
     def close(self) -> None:
@@ -52,16 +56,25 @@ class SerialLink:
             self._port.write(data[sent:])
 
     def receive(self, timeout_s: float) -> bytes:
+        if timeout_s <= 0.0 and (data := self._read()):  # one call of the system instead of two
+            return data
         ready = select.select(self._watched, (), (), timeout_s if timeout_s > 0.0 else 0.0)[0]
         if not ready or self._wake_r in ready:
             return b""
-        try:
-            data = os.read(self._fd, _READ_SIZE)
-        except BlockingIOError:  # another program has taken it
-            return b""
-        if not data:
+        data = self._read()
+        if data == b"":
             raise OSError("the port reports that something has come, and has nothing")
-        return data
+        return data or b""
+
+    def _read(self) -> bytes | None:
+        """What is there; nothing where the line is silent or gone; None: another program has taken it."""
+        try:
+            return os.read(self._fd, _READ_SIZE)
+        except BlockingIOError:
+            return None
+
+    def pause(self, seconds: float) -> bool:
+        return bool(select.select((self._wake_r,), (), (), max(0.0, seconds))[0])
 
     def wake(self) -> None:
         os.write(self._wake_w, b"x")

@@ -38,6 +38,9 @@ _MAX_WAITING = 256 * 1024
 #: How many frames back a repeated frame is recognised; a driver that sends a buffer twice does so at once.
 _RECENT_FRAMES = 32
 
+#: Blocks whose commands' numbers are kept.
+_KEPT_NUMBERS = 256
+
 _HEAD = 4  # bytes that are equal in frames of the same kind, drive, session and size
 
 
@@ -51,6 +54,7 @@ class BinaryDecoder:
     Attributes:
         description: the last description of this drive, None until one has come.
         onboard: the last estimates that the drive has made itself.
+        numbers: of the last blocks, sequence and number of the command that acts, each of shape (n,).
         counters: what happened; `extra` holds `descriptions_refused` (well-formed, but not understood) and
             `frames_undescribed` (sample frames given up because no description came for them).
     """
@@ -65,6 +69,7 @@ class BinaryDecoder:
         self._unwrapper: CountUnwrapper | None = None
         self._last_description: Description | None = None
         self._recent: deque[bytes] = deque(maxlen=_RECENT_FRAMES)
+        self.numbers: deque[tuple[I64, I64]] = deque(maxlen=_KEPT_NUMBERS)
         self._ready: list[SampleBlock] = []
         self._host_time_s = 0.0
         self._forget_line()
@@ -273,10 +278,13 @@ class BinaryDecoder:
             quality[:, 0] = placed.flags
             restarts = np.flatnonzero(placed.flags & Quality.TIME_RESTART) * offsets.shape[1]
         values: dict[str, Any] = {}
+        sequence = (placed.sequence[:, None] + self._run_numbers).reshape(-1)
         for field, channel in zip(description.fields, description.channels, strict=True):
             raw = records[field]
             if channel.quantity == Quantity.STATUS:
                 quality |= raw.astype(np.uint8) & np.uint8(STATUS_MASK)
+            elif channel.quantity == Quantity.COMMAND:
+                self.numbers.append((sequence, raw.astype(np.int64).reshape(-1)))
             elif channel.quantity in CHANNEL_OF:
                 if channel.quantity == Quantity.POSITION and self._unwrapper is not None:
                     raw = self._unwrapper.unwrap(raw.astype(np.int64).reshape(-1), restarts)
@@ -286,7 +294,7 @@ class BinaryDecoder:
                 values[CHANNEL_OF[channel.quantity]] = value
         return SampleBlock(
             time_s=(placed.time_us[:, None] + offsets).reshape(-1) / 1e6,
-            sequence=(placed.sequence[:, None] + self._run_numbers).reshape(-1),
+            sequence=sequence,
             quality=quality.reshape(-1),
             host_time_s=self._host_time_s,
             **values,

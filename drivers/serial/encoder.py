@@ -41,8 +41,9 @@ _DEFAULT_LSB = {
 _DEFAULT_COUNTS_PER_REV = 65536.0
 
 
-def describe(info: DriveInfo, *, drive_id: int = 1, session: int = 0) -> Description:
-    """A description for a drive that is known by its `DriveInfo`: 32-bit channels and a status byte.
+def describe(info: DriveInfo, *, drive_id: int = 1, session: int = 0, commands: bool = False) -> Description:
+    """A description for a drive that is known by its `DriveInfo`: 32-bit channels and a status byte; `commands`: it
+    takes commands.
 
     Raises:
         ValueError: the drive has no channel.
@@ -55,6 +56,8 @@ def describe(info: DriveInfo, *, drive_id: int = 1, session: int = 0) -> Descrip
             scale = lsb.get(name) or _DEFAULT_LSB.get(name) or info.counts_per_rev or _DEFAULT_COUNTS_PER_REV
             channels.append(Channel(quantity, 4, float(np.float32(scale))))
     channels.append(Channel(Quantity.STATUS, 1))
+    if commands:
+        channels.append(Channel(Quantity.COMMAND, 3))
     return Description(
         drive_id=drive_id,
         session=session,
@@ -97,14 +100,17 @@ class BinaryEncoder:
         """The description frame as it goes over the wire; due once a second and before the first samples."""
         return encode_frame(encode_description(self.description))
 
-    def encode(self, block: SampleBlock) -> list[bytes]:
+    def encode(self, block: SampleBlock, commands: I64 | None = None) -> list[bytes]:
         """Frames as they go over the wire, as few as possible: a frame ends at its size limit, where a number is
         missing and where time steps by more than 65535 µs.
+
+        Args:
+            commands: numbers of the commands that act, shape (n,).
 
         Raises:
             ValueError: the block lacks a channel of the description.
         """
-        columns = self._columns(block)
+        columns = self._columns(block, commands)
         t_us = time_us(block)
         breaks = (np.diff(t_us) > 0xFFFF) | (np.diff(t_us) <= 0) | (np.diff(block.sequence) != 1)
         frames = []
@@ -115,7 +121,7 @@ class BinaryEncoder:
             frames.append(encode_frame(payload))
         return frames
 
-    def _columns(self, block: SampleBlock) -> list[NDArray[Any]]:
+    def _columns(self, block: SampleBlock, commands: I64 | None) -> list[NDArray[Any]]:
         status: U8 = block.quality & np.uint8(STATUS_MASK)
         columns: dict[int, NDArray[Any]] = {}
         for channel in self.description.channels:
@@ -133,6 +139,7 @@ class BinaryEncoder:
             status = status | np.where(bad, np.uint8(_INVALID.get(name, 0)), np.uint8(0))
         zeros = np.zeros(len(block), dtype=np.int64)
         columns[Quantity.STATUS] = status
+        columns[Quantity.COMMAND] = zeros if commands is None else commands
         return [columns.get(c.quantity, zeros) for c in self.description.channels]
 
 

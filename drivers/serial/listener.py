@@ -1,4 +1,5 @@
-"""A serial port that is listened to: pyserial for the port, a decoder for the bytes. Nothing is ever sent.
+"""A serial port that is listened to: pyserial for the port, a decoder for the bytes. Nothing is sent but by
+`commander`, for commissioning.
 
 Every wakeup takes all bytes the system has in one read, and wakeups are kept `_MIN_READ_SPACING_S` apart, so the cost
 is that of some wakeups a second, whatever the baud rate and however thinly the bytes trickle in.
@@ -50,6 +51,8 @@ class SerialListener(Driver):
         keep: what has arrived before the opening is given to `_hear` instead of being thrown away.
     """
 
+    _spacing_s = _MIN_READ_SPACING_S
+
     def __init__(self, name: str, options: dict[str, Any], *, port: str, baudrate: int, keep: bool) -> None:
         super().__init__(name, options)
         self._where, self._baudrate, self._keep = port, baudrate, keep
@@ -98,7 +101,7 @@ class SerialListener(Driver):
         if port is None or not self._is_open:
             return None
         try:
-            pause = min(self._last_read_s + _MIN_READ_SPACING_S, deadline) - time.monotonic()
+            pause = min(self._last_read_s + self._spacing_s, deadline) - time.monotonic()
             if pause > 0 and select.select([self._wake_r], [], [], pause)[0]:
                 return None
             wait = max(deadline - time.monotonic(), 0.0)
@@ -110,6 +113,22 @@ class SerialListener(Driver):
             raise self._gone(error) from error
         self._last_read_s = time.monotonic()
         return data
+
+    def _send(self, data: bytes) -> None:
+        """All of it, at once.
+
+        Raises:
+            DriverDisconnectedError: the port is gone, or takes no more.
+        """
+        with self._io:
+            if self._port is None:
+                raise disconnected(self.name, f"{self._where}: closed")
+            try:
+                sent = os.write(self._port.fileno(), data)
+            except OSError as error:
+                raise self._gone(error) from error
+        if sent < len(data):
+            raise disconnected(self.name, f"{self._where}: it takes no more bytes")
 
     def _gone(self, error: OSError) -> DriverDisconnectedError:
         return disconnected(self.name, f"{self._where}: {error}")

@@ -30,6 +30,7 @@ class FrameType(IntEnum):
     SAMPLES = 1
     DESCRIPTION = 2
     ESTIMATES = 3
+    COMMAND = 4  # to the device
 
 
 class Quantity(IntEnum):
@@ -42,6 +43,7 @@ class Quantity(IntEnum):
     TEMPERATURE = 5
     TORQUE = 6
     STATUS = 16
+    COMMAND = 17  # number of the command that acts, 0: none
 
 
 #: Quantity -> channel of SampleBlock. Quantities that are not here (yet) are skipped.

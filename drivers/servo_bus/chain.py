@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from drivers.base import DriverCounters
+from drivers.polling.driver import GATHER_S
 from drivers.polling.link import Link
 from drivers.polling.poller import Answer, Pace, Poller, Reply, Request
 from drivers.servo_bus.families import Family
@@ -193,25 +194,31 @@ class Chain:
         dialogue = ChainDialogue(self._family, tuple(p.servo for p in places))
         numbered = self._extra.get("polls_sent", 0)  # requests of pollers before this one
         poller = Poller(self._link, dialogue, self._pace, self._extra)
-        errors = (0, 0)
+        errors, answers = (0, 0), list[Answer[Round]]()
         while self._places is places and not self._stopping:
-            answers = poller.step(time.monotonic() + _AGAIN_S)
+            now = time.monotonic()
+            until_s = answers[0].received_s + GATHER_S if answers else now + _AGAIN_S
+            answers += poller.step(until_s)
             fresh = dialogue.errors
-            if answers or fresh != errors:
-                with self._ready:
-                    self._hand_out(places, answers, dialogue, numbered)
-                    for place in places:
-                        place.counters.crc_errors += fresh[0] - errors[0]
-                        place.counters.framing_errors += fresh[1] - errors[1]
-                    self._ready.notify_all()
-                errors = fresh
+            if fresh != errors or (answers and time.monotonic() >= answers[0].received_s + GATHER_S):
+                for place in places:
+                    place.counters.crc_errors += fresh[0] - errors[0]
+                    place.counters.framing_errors += fresh[1] - errors[1]
+                self._hand_out(places, answers, dialogue, numbered)
+                errors, answers = fresh, []
+        self._hand_out(places, answers, dialogue, numbered)
 
     def _hand_out(
         self, places: tuple[Place, ...], answers: list[Answer[Round]], dialogue: ChainDialogue, numbered: int
     ) -> None:
-        for place in places:
-            place.model = dialogue.models.get(place.servo, place.model)
-            place.counters.extra |= self._extra
-            for a in answers:
-                if place.servo in a.value:
-                    place.answers.append(Answer(numbered + a.number, a.sent_s, a.received_s, a.value[place.servo]))
+        with self._ready:
+            for place in places:
+                place.model = dialogue.models.get(place.servo, place.model)
+                place.counters.extra |= self._extra
+                servo = place.servo
+                place.answers += [
+                    Answer(numbered + a.number, a.sent_s, a.received_s, a.value[servo])
+                    for a in answers
+                    if servo in a.value
+                ]
+            self._ready.notify_all()

@@ -17,6 +17,7 @@ from drivers.polling.link import SerialLink
 from drivers.polling.poller import Answer, Pace
 from drivers.serial.port import open_port
 from drivers.vesc.dialogue import Polled, VescDialogue
+from drivers.vesc.requests import POLL_MASKS
 from drivers.vesc.shaft import Shaft, Source
 from drivers.vesc.values import POLLED, Firmware, values_of
 from drivers.vesc.when import SampleTimes
@@ -109,7 +110,8 @@ class PolledVesc(PollingDriver[Firmware | Polled]):
 
     @property
     def _pace(self) -> Pace:
-        return Pace(self._settings.rate_hz, together=2, timeout_s=max(0.1, 4.0 / self._settings.rate_hz))
+        timeout_s = max(0.1, 4.0 / self._settings.rate_hz)
+        return Pace(self._settings.rate_hz, together=2, timeout_s=timeout_s, watched=len(POLL_MASKS))
 
     def _open_link(self) -> SerialLink:
         return SerialLink(open_port(self.name, self._settings.port, self._settings.baudrate))

@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Literal, Protocol, get_args
+from typing import Protocol
 
 import numpy as np
 
 from servo_daemon.captures.capture.layout import make_layout
 from servo_daemon.captures.capture.model import LINEAR_COLUMNS, Axis, capture_error
+from servo_daemon.captures.kinds import Kind, kind_of, require_library
 from servo_daemon.errors import CaptureError, ServoDaemonError
 from servo_daemon.files import AtomicFile
 from servo_daemon.samples import F64, Quality, SampleBlock
 
 #: Samples that say "this is no measurement": a capture has no empty cells, so the whole sample is left out.
 _INVALID = Quality.VOLTAGE_INVALID | Quality.CURRENT_INVALID | Quality.POSITION_INVALID
-
-#: Kinds of files, and the endings of their names.
-Kind = Literal["csv", "parquet", "mcap"]
-KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
-_ENDINGS: Final[Mapping[str, Kind]] = {".csv": "csv", ".csv.gz": "csv", ".parquet": "parquet", ".mcap": "mcap"}
 
 _LINEAR_NAMES = {field: name for name, field in LINEAR_COLUMNS.items()}
 _KEY = re.compile(r"[\w.-]+")
@@ -82,7 +77,7 @@ class CaptureWriter:
         self.samples_dropped = 0
         self._metadata = _clean_metadata(self.path, metadata or {}, axis)
         self._kind = kind_of(self.path, kind)
-        _require(self.path, self._kind)
+        require_library(self.path, self._kind)
         self._keep_partial = self._kind == "csv"  # the others nobody can read without their footers
         self._output = AtomicFile(self.path)
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="capture-writer")
@@ -259,38 +254,6 @@ def write_capture(
     except BaseException:
         writer.discard()
         raise
-
-
-def kind_of(path: Path, kind: Kind | None = None) -> Kind:
-    """What kind of file a capture of this name is.
-
-    Args:
-        kind: what is asked for; None: the name says it.
-
-    Raises:
-        CaptureError: it says none, or another one than is asked for.
-    """
-    named = next((k for ending, k in _ENDINGS.items() if path.name.endswith(ending)), None)
-    if kind is not None and named not in (None, kind):
-        raise CaptureError(f"{path}: this is the name of a {named} file, not of {kind}")
-    if (found := kind or named) is not None:
-        return found
-    with contextlib.suppress(OSError):
-        if path.exists() and not path.is_file():  # /dev/stdout, a pipe; a folder is refused when it is opened
-            return "csv"
-    raise CaptureError(f"{path}: a capture's name ends in .csv, .csv.gz, .parquet or .mcap")
-
-
-def _require(path: Path, kind: Kind) -> None:
-    """Raises: BadInputError: its library is not installed."""
-    if kind == "parquet":
-        from servo_daemon.captures.formats.parquet import require_pyarrow
-
-        require_pyarrow(path)
-    elif kind == "mcap":
-        from servo_daemon.captures.formats.mcap.library import require_mcap
-
-        require_mcap(path, "writer")
 
 
 def _clean_metadata(path: Path, metadata: Mapping[str, str], axis: Axis) -> dict[str, str]:

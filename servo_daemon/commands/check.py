@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,8 +10,9 @@ from typing import Any
 from drivers.base import Driver
 from servo_daemon.commands.shared import common
 from servo_daemon.commands.shared.listening import heard
+from servo_daemon.commands.shared.numbers import positive
 from servo_daemon.config import DriveConfig, load_config
-from servo_daemon.errors import BadInputError, DriverConfigError, DriverError, EndOfStreamError
+from servo_daemon.errors import DriverConfigError, DriverError, EndOfStreamError
 from servo_daemon.parameters import WINDING_NAMES
 from servo_daemon.samples import SampleBlock
 from servo_daemon.signal_meaning import SignalMeaning, told
@@ -37,7 +37,9 @@ _UNREAD = 0.05
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--config", type=Path, required=True, metavar="FILE", help="TOML configuration")
-    parser.add_argument("--listen", type=float, default=_LISTEN_S, metavar="S", help="how long to listen to each drive")
+    parser.add_argument(
+        "--listen", type=positive, default=_LISTEN_S, metavar="S", help="how long to listen to each drive"
+    )
     common.add_json(parser)
 
 
@@ -46,8 +48,6 @@ def run(arguments: argparse.Namespace) -> int:
     from drivers.registry import make_driver
     from servo_daemon.sinks import sinks_of
 
-    if not 0.0 < arguments.listen < math.inf:
-        raise BadInputError(f"--listen must be greater than zero, not {arguments.listen:g}")
     config = load_config(arguments.config)
     drives = [(d, make_driver(d.driver, d.name, d.options)) for d in config.drive]  # all options, before any device
     for sink in sinks_of(config, (), None):  # extras and files; nothing is sent

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import io
 import sys
 import time
@@ -14,6 +13,7 @@ from urllib.parse import quote
 
 from servo_daemon.commands.shared import common, daemon_http
 from servo_daemon.errors import BadInputError
+from servo_daemon.extras import require_pyarrow
 from servo_daemon.files import AtomicFile
 
 HELP = "the history of a running daemon as CSV or Parquet"
@@ -97,10 +97,7 @@ def _write_csv(file: AtomicFile, url: str, path: str, questions: list[dict[str, 
 
 
 def _write_parquet(file: AtomicFile, url: str, path: str, questions: list[dict[str, str | int]]) -> int:
-    try:
-        parquet: Any = importlib.import_module("pyarrow.parquet")
-    except ImportError:
-        raise BadInputError("Parquet needs pyarrow: pip install 'servo-daemon[parquet]', or use .csv.gz") from None
+    _, parquet = require_pyarrow()
     rows = 0
     writer: Any = None
     for params in questions:

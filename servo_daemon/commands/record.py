@@ -8,7 +8,7 @@ from threading import Event
 from typing import TYPE_CHECKING, Any
 
 from drivers.base import Driver
-from servo_daemon.captures.write import KINDS, kind_of
+from servo_daemon.captures.kinds import KINDS, kind_of
 from servo_daemon.commands.shared import common
 from servo_daemon.errors import BadInputError, DriverError, DriverUnavailableError, EndOfStreamError
 from servo_daemon.samples import SampleBlock

@@ -10,6 +10,7 @@ from pathlib import Path
 from servo_daemon.commands import sim_makes
 from servo_daemon.commands.shared import common
 from servo_daemon.commands.shared.effect_flag import add_effect
+from servo_daemon.commands.shared.numbers import positive
 
 HELP = "a simulated drive that speaks the real wire on a pseudo-terminal, until it is stopped"
 EXAMPLE = """  servo-daemon sim-drive --serial /tmp/servo0    # then: driver = "serial", port = "/tmp/servo0"
@@ -25,13 +26,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     sim_makes.add_arguments(wire)
     parser.add_argument("--wire", choices=("binary", "text"), default="binary", help="of the serial line")
     parser.add_argument("--drive-id", type=int, default=1, help="the drive's number on the wire (default: 1)")
-    parser.add_argument("--rate", type=float, default=None, metavar="HZ", help="samples a second (default: 1000)")
+    parser.add_argument("--rate", type=positive, default=None, metavar="HZ", help="samples a second (default: 1000)")
     parser.add_argument("--seed", type=int, default=0, help="same seed, same motor noise (default: 0)")
     add_effect(parser, "an effect the motor has")
     parser.add_argument(
         "--ageing", nargs="+", action="extend", default=None, metavar="P=±%/T", help="default: ages like `run`'s motor"
     )
-    parser.add_argument("--seconds", type=float, default=None, help="stop after this long (default: never)")
+    parser.add_argument(
+        "--commands",
+        action="store_true",
+        help="take commands of `commission` over the serial line; stands still until one comes, and does not age",
+    )
+    parser.add_argument("--seconds", type=positive, default=None, help="stop after this long (default: never)")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -47,13 +53,18 @@ def run(arguments: argparse.Namespace) -> int:
         sim_makes.serve(arguments, stop)
         return 0
     rate_hz = 1000.0 if arguments.rate is None else arguments.rate
+    if arguments.commands and arguments.ageing is None:
+        arguments.ageing = []
     source = sim_makes.brushed_motor(arguments)
     link = arguments.serial or arguments.slcan
     common.note(f"{link}: drive {arguments.drive_id}, {rate_hz:g} samples a second; Ctrl-C ends it")
     if arguments.serial is not None:
         from servo_daemon.sim_drive.serial_device import run_serial_device
 
-        run_serial_device(link, source, wire=arguments.wire, drive_id=arguments.drive_id, stop=stop)
+        commanded = source if arguments.commands else None
+        run_serial_device(
+            link, source, wire=arguments.wire, drive_id=arguments.drive_id, stop=stop, commanded=commanded
+        )
     else:
         from servo_daemon.sim_drive.slcan_device import run_slcan_device
 
@@ -75,9 +86,11 @@ def _check(arguments: argparse.Namespace) -> None:
         highest = 63
     elif sim_makes.is_asked_for(arguments):
         highest = 126  # of moteus; the others have more
-    if arguments.rate is not None and not 0.0 < arguments.rate <= 1e5:
-        raise BadInputError(f"--rate must be greater than zero and at most 100000, not {arguments.rate:g}")
+    if arguments.rate is not None and arguments.rate > 1e5:
+        raise BadInputError(f"--rate must be at most 100000, not {arguments.rate:g}")
     if not lowest <= arguments.drive_id <= highest:
         raise BadInputError(f"--drive-id {arguments.drive_id} is outside {lowest} .. {highest}")
-    if arguments.seconds is not None and not 0.0 < arguments.seconds <= threading.TIMEOUT_MAX:
-        raise BadInputError(f"--seconds must be greater than zero, not {arguments.seconds:g}")
+    if arguments.commands and (arguments.serial is None or arguments.wire != "binary"):
+        raise BadInputError("--commands is for --serial with the binary wire: the others only tell")
+    if arguments.seconds is not None and arguments.seconds > threading.TIMEOUT_MAX:
+        raise BadInputError(f"--seconds must be at most {threading.TIMEOUT_MAX:g}, not {arguments.seconds:g}")

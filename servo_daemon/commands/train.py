@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from servo_daemon.commands.shared import common
+from servo_daemon.commands.shared.numbers import positive
 from servo_daemon.learning import DEFAULT_MOTORS
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--dask", metavar="ADDRESS", help="simulate on a Dask cluster, e.g. tcp://host:8786")
     parser.add_argument("--jobs", type=int, default=-1, metavar="N", help="processes here (default: one per core)")
     parser.add_argument(
-        "--rate", type=float, metavar="HZ", help="the drive's sample rate (the simulated driver's own, else 1000)"
+        "--rate", type=positive, metavar="HZ", help="the drive's sample rate (the simulated driver's own, else 1000)"
     )
     parser.add_argument(
         "--window", type=float, metavar="S", help="window of operation, 2–10 s (the config's refresh_window_s, else 5)"
@@ -99,8 +99,6 @@ def _check_numbers(arguments: argparse.Namespace) -> None:
         raise BadInputError("--jobs must not be 0 (-1: one per core)")
     if arguments.seed < 0:
         raise BadInputError(f"--seed must not be negative, not {arguments.seed}")
-    if arguments.rate is not None and not 0.0 < arguments.rate < math.inf:
-        raise BadInputError(f"--rate must be greater than zero, not {arguments.rate:g}")
 
 
 def _check_out(arguments: argparse.Namespace, path: Path) -> None:

@@ -29,6 +29,9 @@ _CURRENT_GAIN = 0.2
 #: named.
 _LEFT, _FAST = 0.5, 0.1
 
+#: A shaft that stands is looked at when the memory of its last motion is gone: after so many times `_MEMORY_S`.
+_GONE = 3.0
+
 _DEAD = "the motor turns (back-EMF), and the encoder does not show it"
 
 
@@ -57,6 +60,8 @@ class Prediction:
         self._last = start
         self._peak_w, self._peak_i = peaks
         self._turning = 0.0  # mean modulus of the speed by back-EMF over the memory, rad/s
+        self._stands_at, self._stands_since = start.position_rad, start.time_s
+        self._turned = 0.0  # greatest `_turning` while the encoder stood
         self._emf_V = 0.0  # as voltage and current of the last sample have it
 
     def check(self, r: Reading) -> None:
@@ -71,6 +76,7 @@ class Prediction:
         current = r.current_A - self._offset_A
         self._emf_V = self._measured_emf(last, current, dt)
         self._turning += dt / _MEMORY_S * (abs(self._emf_V / self._motor["K"]) - self._turning)
+        self._look_at_standing(r)
         off_x, off_i = r.position_rad - self._x, current - self._i
         self._peak_w, self._peak_i = max(self._peak_w, abs(self._w)), max(self._peak_i, abs(self._i))
         torque_rad = _TORQUE * self._motor["K"] / self._motor["J"] * self._peak_i * _MEMORY_S**2
@@ -85,11 +91,17 @@ class Prediction:
 
     def named_stuck(self, stop: Stop) -> Stop:
         """A stop because the encoder stands, named by the back-EMF."""
-        if self._turning > _FAST * self._peak_w:
+        if self._turned > _FAST * self._peak_w:
             return Stop("encoder_lost", _DEAD, stop.time_s)
         return Stop(
             "hard_stop", "the shaft stands although there is torque (no back-EMF): stuck, or at a stop", stop.time_s
         )
+
+    def _look_at_standing(self, r: Reading) -> None:
+        if abs(r.position_rad - self._stands_at) > 1.5 * self._count:
+            self._stands_at, self._stands_since, self._turned = r.position_rad, r.time_s, 0.0
+        elif r.time_s - self._stands_since > _GONE * _MEMORY_S:
+            self._turned = max(self._turned, self._turning)
 
     def _step(self, v: float) -> None:
         i, w, x = self._i, self._w, self._x

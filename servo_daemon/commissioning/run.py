@@ -148,6 +148,7 @@ class _Run:
         s.stopping_s = _STOPPING * time_constant_s
         session.centring_V_rad = motor["K"] * min(_CENTRING_RAD_S, _CENTRING_SHARE / time_constant_s)
         wave = planned(session, self._limits, motor, self._ask.effects, unknown, share, self._ask.seed + k)
+        session.catch_up()
         assert s.last is not None
         session.prediction = Prediction(
             motor,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Callable
@@ -14,15 +15,18 @@ from servo_daemon.commissioning.limits import MotionLimits
 from servo_daemon.commissioning.prediction import Prediction
 from servo_daemon.commissioning.stop import Stop, StoppedError
 from servo_daemon.commissioning.supervisor import Reading, Supervisor
-from servo_daemon.errors import DriverError
+from servo_daemon.errors import DriverDisconnectedError, DriverError
 from servo_daemon.samples import F64, Quality, SampleBlock, concatenate
 
-#: A command is valid for this many samples, and at most as long as a drive holds one.
+#: A command is valid for this many samples or as long as the way to the drive needs, and at most as long as a drive
+#: holds one. So long without a sample ends a run.
 _VALID_SAMPLES = 5
-#: Time without a sample that ends a run: as long as a command is valid, and not below what a host's scheduler may take.
-_WATCHDOG_S = 0.02
 #: How long a read waits, s.
 _READ_S = 0.005
+#: Longest time until a drive follows the first command, s: many times what any command may take.
+_ARM_S = 0.5
+#: Longest time until the first sample, s: a drive on a wire describes itself once a second.
+_FIRST_S = 3.0
 #: Recorded after a stop, s: the motor runs down.
 _AFTER_S = 0.2
 _INVALID = int(Quality.VOLTAGE_INVALID | Quality.CURRENT_INVALID | Quality.POSITION_INVALID | Quality.TIME_RESTART)
@@ -40,19 +44,22 @@ class Session:
 
     def __init__(self, drive: Commanding, limits: MotionLimits, interrupted: Callable[[], bool]) -> None:
         self._drive, self._limits, self._interrupted = drive, limits, interrupted
+        if drive.info.sample_period_s is None:
+            self._first()  # on a wire it has to describe itself before it can be told anything
         drive.command(0.0, LONGEST_COMMAND_S)  # whatever it does now, it ends
         first = self._first()
         period = drive.info.sample_period_s
         if period is None:
             raise DriverError("commissioning needs a drive that tells its sample period")
         self.period_s = period
+        self._silence_s = max(drive.hold_s, _VALID_SAMPLES * period)
         self.count_rad = 2 * math.pi / (drive.info.counts_per_rev or 1e6)
-        self.supervisor = Supervisor(limits, period, self.count_rad, max(_WATCHDOG_S, 5 * period))
-        self._valid_s = min(LONGEST_COMMAND_S, max(_VALID_SAMPLES * period, _WATCHDOG_S))
+        self.supervisor = Supervisor(limits, period, self.count_rad, self._silence_s)
+        self._valid_s = min(LONGEST_COMMAND_S, self._silence_s)
         self._blocks = [first]
         assert first.position_rad is not None
         self._origin = float(first.position_rad[0])
-        self._commanded = 0.0
+        self._follows = False  # whether it has shown that a command acts, and none has run out since
         self.envelope: Envelope | None = None
         self.prediction: Prediction | None = None
         self.centring_V_rad = 0.0
@@ -95,7 +102,31 @@ class Session:
         finally:
             self._halt()
 
+    def catch_up(self) -> None:
+        """After a time in which samples went by unseen and nothing was commanded: goes on from the newest."""
+        if self._drive.can_wait:
+            return
+        self.supervisor.driven = False
+        while self._received(0.0) is not None:
+            pass  # what waited in the line is old, and where that was full the newest are lost
+        newest = self._received(self._silence_s)
+        if newest is not None:
+            self._acting(newest)
+            self._keep(newest.slice(len(newest) - 1, len(newest)))
+            self.supervisor.skip(self._readings(newest)[-1][0])
+
+    def _arm(self) -> None:
+        """0 V until the drive follows."""
+        until = self._now() + _ARM_S
+        while not self._follows:
+            self._send(0.0)
+            self._read()
+            if self._now() > until:
+                raise StoppedError(Stop("command_lost", "the drive does not follow commands", self._now()))
+
     def _play(self, wave: F64, enough: Callable[[], bool]) -> None:
+        self.supervisor.driven = False
+        self._arm()
         began = last = self._now()
         n, moving = len(wave), bool(np.any(wave))
         values, self.supervisor.driven = wave.tolist(), moving
@@ -116,23 +147,44 @@ class Session:
         wanted_V = min(max(wanted_V, -limit), limit)
         if self.envelope is not None:
             wanted_V = self.envelope.clamp(wanted_V, s.speed_rad_s)
-        self._commanded = wanted_V
-        self._drive.command(wanted_V, self._valid_s)
+        self._send(wanted_V)
+
+    def _send(self, voltage_V: float) -> None:
+        try:
+            self._drive.command(voltage_V, self._valid_s)
+        except DriverDisconnectedError as error:
+            raise StoppedError(Stop("port_lost", str(error), self._now())) from error
+
+    def _received(self, timeout_s: float) -> SampleBlock | None:
+        try:
+            return self._drive.read(timeout_s)
+        except DriverDisconnectedError as error:
+            raise StoppedError(Stop("port_lost", str(error), self._now())) from error
+
+    def _acting(self, block: SampleBlock) -> list[float]:
+        """Voltages that should act, V; 0 where none is commanded."""
+        volts = self._drive.acting_V(block)
+        self._follows = not math.isnan(volts[-1])
+        self.supervisor.latency_s = max(self._drive.latency_s, self.period_s)
+        if self.supervisor.driven and np.isnan(volts).any():
+            text = f"the drive went to 0 V by itself: no command that it follows came for {1e3 * self._valid_s:.0f} ms"
+            raise StoppedError(Stop("command_lost", text, float(block.time_s[-1])))
+        return [0.0 if math.isnan(v) else v for v in volts.tolist()]
 
     def _read(self) -> float:
         """Checks what has come; device time of the last sample, s."""
         began = time.monotonic()
-        while (block := self._drive.read(_READ_S)) is None:
+        while (block := self._received(_READ_S)) is None:
             if self._interrupted():
                 raise StoppedError(Stop("interrupted", "stopped by the user", self._now()))
-            if time.monotonic() - began > _WATCHDOG_S:
-                raise StoppedError(Stop("data_missing", f"no sample for {1e3 * _WATCHDOG_S:g} ms", self._now()))
+            if time.monotonic() - began > self._silence_s:
+                raise StoppedError(Stop("data_missing", f"no sample for {1e3 * self._silence_s:g} ms", self._now()))
         if self._interrupted():
             raise StoppedError(Stop("interrupted", "stopped by the user", self._now()))
         self._keep(block)
-        for r, good in self._readings(block):
+        for (r, good), volts in zip(self._readings(block), self._acting(block), strict=True):
             try:
-                self.supervisor.check(r if good else _bad(r), self._commanded)
+                self.supervisor.check(r if good else _bad(r), volts)
             except StoppedError as error:
                 if self.prediction is None or error.stop.reason != "motion_ended":
                     raise
@@ -161,7 +213,8 @@ class Session:
         return float(self._blocks[-1].time_s[-1])
 
     def _first(self) -> SampleBlock:
-        for _ in range(400):  # two seconds
+        until = time.monotonic() + _FIRST_S
+        while time.monotonic() < until:
             if (block := self._drive.read(_READ_S)) is not None:
                 self._readings_possible(block)
                 return block
@@ -173,17 +226,18 @@ class Session:
             raise DriverError("commissioning needs a drive that measures voltage, current and position")
 
     def _halt(self) -> None:
-        self._commanded = 0.0
-        self._drive.command(0.0, LONGEST_COMMAND_S)
+        """0 V; a port that is lost commands nothing any more, and the drive stops by itself."""
+        with contextlib.suppress(DriverDisconnectedError):
+            self._drive.command(0.0, LONGEST_COMMAND_S)
 
     def _run_down(self) -> None:
         """Records how the motor comes to rest; nothing is commanded any more."""
         until = time.monotonic() + _AFTER_S
         end = self._now() + _AFTER_S
         while self._now() < end and time.monotonic() < until:
-            block = self._drive.read(_READ_S)
-            if block is not None:
-                self._keep(block)
+            with contextlib.suppress(DriverDisconnectedError):
+                if (block := self._drive.read(_READ_S)) is not None:
+                    self._keep(block)
 
 
 def _bad(r: Reading) -> Reading:

@@ -7,7 +7,8 @@ from typing import Literal
 
 Reason = Literal[
     "limit", "data_missing", "bad_data", "voltage_differs", "current_sign", "encoder_sign", "no_current", "no_motion",
-    "motion_ended", "encoder_lost", "hard_stop", "innovations", "not_at_rest", "interrupted",
+    "motion_ended", "encoder_lost", "hard_stop", "innovations", "not_at_rest", "interrupted", "command_lost",
+    "port_lost",
 ]  # fmt: skip
 
 

@@ -15,9 +15,8 @@ from servo_daemon.commissioning.stop import Reason, Stop, StoppedError
 
 #: A limit is called reached at this share of it; what is left is for noise and the sample until 0 V acts.
 _REACHED = 0.95
-#: Samples from one that shows too much until 0 V acts: the command acts from the next sample on, and half of the window
-#: over which the speed is a mean.
-_AHEAD = 3
+#: Half of the window over which the speed is a mean, in samples: what it shows is so old.
+_LATE = 2
 #: Samples over which a speed is taken.
 _WINDOW = 4
 #: A sum is negative beyond noise at so many standard deviations.
@@ -58,6 +57,7 @@ class Supervisor:
         stopping_s: a shaft at 0 V goes on by its speed times this; set anew when the motor is known better.
         resting: nothing has been commanded yet.
         driven: something is commanded now.
+        latency_s: from a sample until the command that answers it acts.
         bounded_current: the command is such that even a stalled motor stays within the limit.
     """
 
@@ -67,6 +67,7 @@ class Supervisor:
         self.resting = True
         self.driven = False
         self.bounded_current = False
+        self.latency_s = period_s
         self.peak_current_A = self.peak_speed_rad_s = self.peak_travel_rad = self.peak_voltage_V = 0.0
         self.speed_rad_s = 0.0
         self._last: Reading | None = None
@@ -99,6 +100,16 @@ class Supervisor:
     def last(self) -> Reading | None:
         """The sample checked last."""
         return self._last
+
+    def skip(self, r: Reading) -> None:
+        """Goes on from this sample after a time in which nobody looked and nothing was commanded."""
+        self._last = r
+        self._at.clear()
+        self._speeds.clear()
+        self._at.append((r.time_s, r.position_rad))
+        self._speeds.append(0.0)
+        self.speed_rad_s = 0.0
+        self._stuck_at, self._stuck_since, self._stuck_A = r.position_rad, r.time_s, 0.0
 
     def check(self, r: Reading, commanded_V: float) -> None:
         """Takes the next sample.
@@ -172,14 +183,19 @@ class Supervisor:
             self._stop("encoder_sign", "the shaft turns against the torque: the encoder has the wrong sign", r)
 
     def _check_limits(self, r: Reading, last: Reading | None) -> None:
-        lim = self._limits
+        lim, ahead = self._limits, self.latency_s / self._period_s
         rise = 0.0 if last is None or self.bounded_current else max(0.0, abs(r.current_A) - abs(last.current_A))
         gain = max(0.0, abs(self._speeds[-1]) - abs(self._speeds[0])) / max(1, len(self._speeds) - 1)
         outward = max(0.0, math.copysign(1.0, r.position_rad) * self.speed_rad_s)
         reached = (
-            ("current", abs(r.current_A) + rise, lim.current_A, "A"),
-            ("speed", abs(self.speed_rad_s) + _AHEAD * gain, lim.speed_rad_s, "rad/s"),
-            ("travel", abs(r.position_rad) + outward * self.stopping_s, lim.travel_rad, "rad"),
+            ("current", abs(r.current_A) + ahead * rise, lim.current_A, "A"),
+            ("speed", abs(self.speed_rad_s) + (_LATE + ahead) * gain, lim.speed_rad_s, "rad/s"),
+            (
+                "travel",
+                abs(r.position_rad) + outward * (self.stopping_s + self.latency_s - self._period_s),
+                lim.travel_rad,
+                "rad",
+            ),
         )
         for name, value, limit, unit in reached:
             if value > _REACHED * limit:

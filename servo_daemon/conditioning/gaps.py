@@ -29,6 +29,13 @@ def _longest_distance(block: SampleBlock, last_s: float | None) -> float:
     return block.longest_step_s if last_s is None else max(float(block.time_s[0]) - last_s, block.longest_step_s)
 
 
+def is_whole(block: SampleBlock, last_s: float | None, period_s: float | None) -> bool:
+    """Whether there is nothing for `breaks` and `gaps` to find: the usual case, told by one look."""
+    if period_s is None or not block.all_good:
+        return False
+    return _longest_distance(block, last_s) <= min(LONG_GAP_S, _GAP_PERIODS * period_s)
+
+
 def breaks(block: SampleBlock, last_s: float | None) -> list[int]:
     """Indices of samples before which the plant's state is lost: restarts and long gaps."""
     if block.all_good and _longest_distance(block, last_s) <= LONG_GAP_S:

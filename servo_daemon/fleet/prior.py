@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from servo_daemon.numerics import STD_OF_MEDIAN
 from servo_daemon.samples import F64
 
 #: With fewer drives T is hardly known, and its own error, which the interval leaves out, is as large as T.
@@ -115,7 +116,7 @@ def _maximised(y: F64, S: F64, *, robust: bool) -> tuple[F64, F64]:
     believed = np.where(variance < UNKNOWN, 1.0 / variance, 0.0)
     mean = _weighted_median(y, believed)
     spread = _weighted_median(np.abs(y - mean), believed)
-    between = np.diag(np.maximum((1.4826 * spread) ** 2, 1e-8))  # 1.4826: of a normal distribution's median deviation
+    between = np.diag(np.maximum((STD_OF_MEDIAN * spread) ** 2, 1e-8))
     dof = np.maximum((believed > 0.0).sum(axis=1), 1)
     for _ in range(_MOST_STEPS):
         gain = between @ np.linalg.inv(between + S)

@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from servo_daemon.errors import BadInputError
+from servo_daemon.extras import require_pyarrow
 from servo_daemon.files import AtomicFile
-
-
-def _pyarrow(path: Path) -> tuple[Any, Any]:
-    try:
-        return importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")
-    except ImportError:
-        raise BadInputError(f"{path}: Parquet needs pyarrow: pip install 'servo-daemon[parquet]'") from None
 
 
 def write_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -24,7 +17,7 @@ def write_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     Raises:
         BadInputError: pyarrow is not installed, or the file cannot be written.
     """
-    arrow, parquet = _pyarrow(path)
+    arrow, parquet = require_pyarrow(path, instead="")
     table = arrow.Table.from_pylist([dict(row) for row in rows])
     with AtomicFile(path) as output:
         parquet.write_table(table, output.file)
@@ -36,7 +29,7 @@ def read_table(path: Path) -> list[dict[str, Any]]:
     Raises:
         BadInputError: pyarrow is not installed, or the file cannot be read.
     """
-    _, parquet = _pyarrow(path)
+    _, parquet = require_pyarrow(path, instead="")
     try:
         rows: list[dict[str, Any]] = parquet.read_table(path).to_pylist()
     except (OSError, ValueError) as error:  # pyarrow's own errors are of these kinds

@@ -7,10 +7,9 @@ blocks (see `pipeline/stream.py`).
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from drivers.base import DriveInfo
 from servo_daemon.config import DriveConfig
@@ -62,7 +61,7 @@ class Pipeline:
         self._channels: tuple[str, ...] = ()
         self._cutter = TickCutter()
         self._tick: list[SampleBlock] = []
-        self._driven: list[SampleBlock] = []  # the same as the trackers take them
+        self._driven: list[SampleBlock] = []  # the same as the trackers take them, where that is not the same
         self._publisher = Publisher(config)
         self._published: Estimate | None = None
         self._handover = Handover(self._tracker_for)
@@ -171,7 +170,9 @@ class Pipeline:
                 self._close_tick()
                 # At the tick's end, before the filter takes what came with it in one block: what is published must not
                 # depend on how the samples came.
-                if (rows or k == last) and self._tracker is not None and self._tracker.last_s is not None:
+                # (Nor may what the next ticks keep of it.)
+                tracker = self._tracker
+                if tracker is not None and tracker.last_s is not None and (rows or k == last or tracker.is_calm):
                     estimates.append(self._publish())
             self._take(segment.block)
             self._samples += len(segment.block)
@@ -183,13 +184,15 @@ class Pipeline:
 
     def _take(self, block: SampleBlock) -> None:
         assert self._tracker is not None
-        driven = block if self._link is None else self._link.driven(block)
+        driven = block
+        if self._link is not None:
+            driven = self._link.driven(block)
+            self._driven.append(driven)
         self._tracker.take(driven)
         self._handover.take(driven)
         self._last_s = float(block.time_s[-1])
         self._temperature_C = last_temperature(block, self._temperature_C)
         self._tick.append(block)
-        self._driven.append(driven)
 
     def finish(self) -> Estimate | None:
         """At the end of a finite source: the estimate after the last, incomplete tick; None if there is none."""
@@ -256,15 +259,20 @@ class Pipeline:
 
     def _close_tick(self) -> None:
         assert self._tracker is not None
-        tick, driven = concatenate(self._tick), concatenate(self._driven)
+        tick = concatenate(self._tick)
+        driven = tick if self._link is None else concatenate(self._driven)
         told = self._tracker.close_tick(driven)
         self.messages += told
+        stays = self._tracker.waits
         if self._refresher is not None:
+            view = self._refresher.view
             self.messages += self._refresher.take(tick, self._tracker, told)
+            stays &= self._refresher.view is view
         if self._ring is not None:
             self._ring.append(tick)
         self._tick, self._driven = [], []
-        self._published = None
+        if not stays:
+            self._published = None
         if (successor := self._handover.close_tick(driven)) is not None:
             self._take_over(successor)
         if self._link is not None and self._link.close_tick(tick):
@@ -299,4 +307,4 @@ def all_finite(estimate: Estimate) -> bool:
     """Whether every published number is a number: the service's last line of defence, and the tests'."""
     numbers = [v for p in estimate.parameters for v in (p.value, p.std) if v is not None]
     numbers += [v for v in estimate.state.values() if v is not None]
-    return bool(np.isfinite(numbers).all()) if numbers else True
+    return all(map(math.isfinite, numbers))

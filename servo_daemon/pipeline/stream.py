@@ -16,7 +16,8 @@ import numpy as np
 
 from servo_daemon.samples import F64, Quality, SampleBlock
 
-#: Period of everything that is slower than a sample, and of the rows of EST.csv, s.
+#: Period of everything that is slower than a sample (of a calm drive several are judged together), and of the rows of
+#: EST.csv, s.
 TICK_S = 0.1
 
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -23,12 +23,6 @@ import numpy as np
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.plant.linear import linear_step
 from servo_daemon.samples import F64
-
-if TYPE_CHECKING:
-    from control import TransferFunction
-else:
-    TransferFunction = Any  # python-control takes 1.5 s to import: only the functions that need it do
-
 
 _DAMPING = 0.35  # a step then overshoots by about 30 % at most: lively, and far from unstable
 
@@ -58,24 +52,28 @@ class ServoGains:
         return self.k_op * self.k_au * self.k_pu * self.k_su
 
 
-def _laplace() -> TransferFunction:
-    from control import TransferFunction as Transfer
+class Transfer(NamedTuple):
+    """A transfer function's polynomials in s, highest power first."""
 
-    return Transfer([1, 0], [1])
+    numerator: F64
+    denominator: F64
 
 
-def motor_speed(p: Mapping[str, float]) -> TransferFunction:
+def motor_speed(p: Mapping[str, float]) -> Transfer:
     """ω/v of the unloaded motor, rad/s per V: K / ((J s + B)(R + s L) + K²). The paper prints this one correctly."""
-    s = _laplace()
-    return p["K"] / ((p["J"] * s + p["B"]) * (p["R"] + s * p["L"]) + p["K"] ** 2)
+    electrical, mechanical = np.array([p["L"], p["R"]]), np.array([p["J"], p["B"]])
+    denominator = np.polyadd(np.polymul(mechanical, electrical), [p["K"] ** 2])
+    return Transfer(np.array([p["K"]]), np.asarray(denominator, np.float64))
 
 
-def closed_servo(p: Mapping[str, float], gains: ServoGains) -> TransferFunction:
+def closed_servo(p: Mapping[str, float], gains: ServoGains) -> Transfer:
     """θ_o/θ_i as we close it: tacho feedback inside, the potentiometer on the shaft outside. Unity at rest."""
-    from control import feedback
-
-    inner = feedback(gains.k_s * motor_speed(p), gains.k_g)
-    return feedback(gains.k_io * inner / _laplace(), 1)
+    motor = motor_speed(p)
+    forward = gains.k_s * motor.numerator
+    with_tacho = np.polyadd(motor.denominator, gains.k_g * forward)
+    wanted = gains.k_io * forward
+    denominator = np.polyadd(np.polymul(with_tacho, [1.0, 0.0]), wanted)
+    return Transfer(wanted, np.asarray(denominator, np.float64))
 
 
 def suitable_gains(p: Mapping[str, float], supply_V: float, rate_hz: float) -> ServoGains:

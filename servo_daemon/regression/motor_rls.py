@@ -34,8 +34,10 @@ from servo_daemon.regression.rls_fit import OVERLAP
 from servo_daemon.regression.sampling import FEWEST_SAMPLES, SPAN_S, Sampling
 from servo_daemon.regression.stretch import Stretch, between_samples, joined, last
 
-#: After the first updates (a tick each) so many are worked off together: fewer calls on longer arrays.
+#: After the first ticks so many are worked off together: fewer calls on longer arrays.
 _EAGER_UPDATES, _BATCH = 50, 10
+#: Of a drive whose ticks come several together every second time it is not asked what follows from it.
+_ASKED_EVERY = 2
 
 #: What a balance that does not close gives is known to this share at best, 1 σ (with a second inertia the shaft's
 #: regression finds the sum of both, by slow motion).
@@ -78,7 +80,7 @@ class MotorRls:
         self._noise_var: dict[str, float] = {}
         self._sampling: Sampling | None = None
         self._estimate: RegressionEstimate | None = None
-        self._updates = 0
+        self._updates = self._waiting = self._unasked = 0
         self._sag = 0.0
         self._plausible = {which: Plausible() for which in SPAN_S}
 
@@ -88,25 +90,31 @@ class MotorRls:
         both = self._plant.drive == "voltage" and not self._known
         return (*(self._columns.named.values() if both else ()), *self._columns.given)
 
-    def update(self, new: Stretch, noise_var: Mapping[str, float], sampling: Sampling | None = None) -> bool:
-        """Take the samples of one tick; windows reach back into earlier ones. Returns whether they were worked off.
+    def update(
+        self, new: Stretch, noise_var: Mapping[str, float], sampling: Sampling | None = None, ticks: int = 1
+    ) -> bool:
+        """Take the samples of one tick; windows reach back into earlier ones. Returns whether there is something new
+        to ask for.
 
         Args:
             noise_var: of the measured channels, as far as it is known: what it adds to the regressors is taken out.
             sampling: noise and what else integrals over samples are off by, once a filter has found it: what the
                 balances leave beyond it is no noise.
+            ticks: how many it is, where it is not one.
 
         The first ticks are worked off at once (the filter waits to start), later ones `_BATCH` at a time.
         """
-        self._updates += 1
+        self._updates += ticks
+        self._waiting += ticks
         self._noise_var, self._sampling = dict(noise_var), sampling
         if self._current_gain != 1.0 and new.current is not None:
             new = replace(new, current=new.current / self._current_gain)
         if self._lag is not None and new.voltage is not None:
             new = replace(new, voltage=self._lag.mean_of(new.time_s, new.voltage))
         self._pending.append(new)
-        if self._updates > _EAGER_UPDATES and self._updates % _BATCH:
+        if self._updates > _EAGER_UPDATES and self._waiting < _BATCH:
             return False
+        self._waiting = 0
         stretch = recorded = joined(self._pending)
         end_s = float(stretch.time_s[-1])
         self.window.advance(end_s)
@@ -122,13 +130,19 @@ class MotorRls:
             keep = max(FEWEST_SAMPLES, round(SPAN_S["shaft"] / period)) + 2
             recorded = last(recorded, keep)
         self._pending = [recorded]
+        self._unasked = self._unasked + 1 if ticks > 1 else _ASKED_EVERY
+        if self._unasked < _ASKED_EVERY:
+            return False
+        self._unasked = 0
         self._estimate = self._compute()
         return True
 
     def expect_change(self) -> None:
         """A parameter has stepped: rows that are far off what the regressions expect are no spoilt ones. (How much of
-        the old motor they still hold the regressions see by themselves.)"""
+        the old motor they still hold the regressions see by themselves.) The balances begin anew, and are not asked
+        before they hold a whole batch: of a tick or two they would say that the motion shows nothing."""
         self.window.clear()
+        self._waiting = 0
         self._plausible = {which: Plausible() for which in SPAN_S}
 
     def follow_lag(self, lag_s: float) -> None:

@@ -5,12 +5,10 @@ Behaves as a UART does: nobody needs to listen, and what a slow reader leaves no
 
 from __future__ import annotations
 
-import contextlib
-import os
 import secrets
-import select
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -19,12 +17,15 @@ import numpy as np
 
 from drivers.serial.encoder import BinaryEncoder, describe
 from drivers.serial.text import encode_lines
-from servo_daemon.errors import EndOfStreamError
-from servo_daemon.samples import SampleBlock
+from drivers.serial.wire import Description
+from servo_daemon.errors import EndOfStreamError, WireError
+from servo_daemon.samples import I64, SampleBlock
+from servo_daemon.sim_drive.commanded import CommandedOutput
 from servo_daemon.sim_drive.counters import DeviceCounters
 from servo_daemon.sim_drive.line_faults import Fault, LineFaults
 from servo_daemon.sim_drive.pty_link import PtyLink
-from servo_daemon.sim_drive.source import SampleSource
+from servo_daemon.sim_drive.source import CommandedSource, SampleSource
+from servo_daemon.sim_drive.transmitter import Transmitter
 
 Wire = Literal["binary", "text"]
 
@@ -43,35 +44,13 @@ _SETTLE_S = 0.05
 
 _DEFAULT_COUNTS_PER_REV = 4096.0
 
-
-class _Transmitter:
-    """The master side of a pseudo-terminal, used like a UART's transmitter."""
-
-    def __init__(self, master: int) -> None:
-        self._master = master
-        self._poll = select.poll()
-        self._poll.register(master, select.POLLIN | select.POLLHUP)
-        self._poll_write = select.poll()
-        self._poll_write.register(master, select.POLLOUT)
-
-    def has_reader(self) -> bool:
-        """Whether somebody has the port open. What they send is read and thrown away."""
-        events = dict(self._poll.poll(0)).get(self._master, 0)
-        if events & select.POLLIN:
-            with contextlib.suppress(OSError):
-                os.read(self._master, 65536)
-        return not events & select.POLLHUP
-
-    def write(self, data: bytes) -> int:
-        """Send what there is room for; how many bytes that was."""
-        try:
-            return os.write(self._master, data)
-        except OSError:  # EAGAIN: no room; EIO: the reader left just now
-            return 0
-
-    def wait_for_room(self, timeout_s: float) -> None:
-        """Wait until there is room, or the reader left, or the timeout."""
-        self._poll_write.poll(timeout_s * 1e3)
+#: While it is commanded, samples go out at once: this much in a frame, s.
+_COMMANDED_FRAME_S = 0.002
+#: Then a drive that the host kept waiting longer than this, s, has stood still: its clock, by which a command runs out,
+#: must not run ahead of the commands that lie in the line.
+_MAX_BEHIND_COMMANDED_S = 0.02
+#: Without real time a commanded drive goes on when it has been told to, or after this time, s.
+_PATIENCE_S = 0.2
 
 
 class _Firmware:
@@ -82,11 +61,14 @@ class _Firmware:
     """
 
     def __init__(
-        self, source: SampleSource, wire: Wire, drive_id: int, faults: LineFaults, counters: DeviceCounters
-    ) -> None:
+        self, source: SampleSource, wire: Wire, drive_id: int, faults: LineFaults, counters: DeviceCounters,
+        commands: bool,
+    ) -> None:  # fmt: skip
         session = secrets.randbelow(256)  # another after every start, as docs/protocol.md asks of a device
         self._binary = (
-            BinaryEncoder(describe(source.info, drive_id=drive_id, session=session)) if wire == "binary" else None
+            BinaryEncoder(describe(source.info, drive_id=drive_id, session=session, commands=commands))
+            if wire == "binary"
+            else None
         )
         self._counts_per_rev = source.info.counts_per_rev or _DEFAULT_COUNTS_PER_REV
         self._faults, self._counters = faults, counters
@@ -94,8 +76,14 @@ class _Firmware:
         self._description_due_s = -np.inf
         self._origin: SampleBlock | None = None  # its first sample is where the restarted device counts from
 
-    def bytes_of(self, block: SampleBlock) -> list[bytes]:
-        """What goes out for these samples, one entry a frame (binary) or for all of them (text)."""
+    @property
+    def description(self) -> Description | None:
+        """Of the binary wire, as it is now."""
+        return None if self._binary is None else self._binary.description
+
+    def bytes_of(self, block: SampleBlock, commands: I64 | None = None) -> list[bytes]:
+        """What goes out for these samples, one entry a frame (binary) or for all of them (text); `commands`: numbers of
+        those that act."""
         fault = self._faults.next_fault(self._frame)
         self._frame += 1
         self._counters.frames += 1
@@ -104,7 +92,10 @@ class _Firmware:
             self._restart(block)
         out = self._description(float(block.time_s[0]))
         block = self._as_counted(block)
-        frames = [encode_lines(block, self._counts_per_rev)] if self._binary is None else self._binary.encode(block)
+        if self._binary is None:
+            frames = [encode_lines(block, self._counts_per_rev)]
+        else:
+            frames = self._binary.encode(block, commands)
         return out + [self._faults.spoil(fault, wire) for wire in frames]
 
     def _restart(self, block: SampleBlock) -> None:
@@ -147,6 +138,7 @@ def run_serial_device(
     samples_per_frame: int = 10,
     stop: threading.Event,
     realtime: bool = True,
+    commanded: CommandedSource | None = None,
     faults: LineFaults | None = None,
     counters: DeviceCounters | None = None,
 ) -> None:
@@ -159,6 +151,7 @@ def run_serial_device(
         samples_per_frame: samples in a frame (binary), lines written at once (text).
         realtime: pace by the samples' own time, and lose what nobody listens to or has no room; otherwise as fast as
             the reader takes it, nothing lost, waiting for a reader.
+        commanded: the same drive where it takes commands: it stands still at 0 V until one comes.
         faults: what to do wrong.
         counters: where to count.
 
@@ -167,9 +160,14 @@ def run_serial_device(
         WireError, ValueError: the source has nothing that this wire can carry.
     """
     counters = DeviceCounters() if counters is None else counters
-    firmware = _Firmware(source, wire, drive_id, faults or LineFaults(), counters)
+    firmware = _Firmware(source, wire, drive_id, faults or LineFaults(), counters, commanded is not None)
     with PtyLink(link, hold_open=False) as pty:
-        device = _Device(_Transmitter(pty.master), stop, realtime, counters)
+        line = Transmitter(pty.master)
+        device = _Device(
+            line, stop, realtime, counters, _MAX_BEHIND_S if commanded is None else _MAX_BEHIND_COMMANDED_S
+        )
+        if commanded is not None:
+            _serve_commanded(commanded, firmware, line, device, stop)
         while not stop.is_set():
             try:
                 block = source.next_block(samples_per_frame)
@@ -180,11 +178,31 @@ def run_serial_device(
             device.send(firmware.bytes_of(block))
 
 
+def _serve_commanded(
+    source: CommandedSource, firmware: _Firmware, line: Transmitter, device: _Device, stop: threading.Event
+) -> None:
+    told, period_s = firmware.description, source.info.sample_period_s
+    if told is None or period_s is None:
+        raise WireError("only the binary wire, with regular samples, takes commands")
+    output = CommandedOutput(told, 1.0 / period_s, source.most_V)
+    n = max(1, round(_COMMANDED_FRAME_S / period_s))
+    while not stop.is_set():
+        voltage, numbers = output.next(n)
+        block = source.commanded_block(voltage)
+        device.wait_for(float(block.time_s[-1]))
+        device.send(firmware.bytes_of(block, numbers))
+        output.description = firmware.description or told
+        device.wait_for_command(lambda: output.hear(line.take_heard()))
+
+
 class _Device:
     """Sends at the right time, and never waits for ever."""
 
-    def __init__(self, line: _Transmitter, stop: threading.Event, realtime: bool, counters: DeviceCounters) -> None:
+    def __init__(
+        self, line: Transmitter, stop: threading.Event, realtime: bool, counters: DeviceCounters, behind_s: float
+    ) -> None:
         self._line, self._stop, self._realtime, self._counters = line, stop, realtime, counters
+        self._behind_s = behind_s
         self._start_s: float | None = None  # host time at device time 0
         self._settled = False
 
@@ -195,7 +213,7 @@ class _Device:
             self._wait_for_reader()
             return
         now = time.monotonic()
-        if self._start_s is None or now - (self._start_s + time_s) > _MAX_BEHIND_S:
+        if self._start_s is None or now - (self._start_s + time_s) > self._behind_s:
             self._start_s = now - time_s
         self._stop.wait(max(0.0, self._start_s + time_s - now))
 
@@ -209,6 +227,14 @@ class _Device:
             else:
                 self._settled = True
                 self._stop.wait(_SETTLE_S)
+
+    def wait_for_command(self, hear: Callable[[], int]) -> None:
+        """Follow what has come; without real time until something has."""
+        until = time.monotonic() + _PATIENCE_S
+        while not hear() and not self._realtime and not self._stop.is_set() and time.monotonic() < until:
+            self._line.wait_for_bytes(_POLL_S)
+            if not self._line.has_reader():
+                return
 
     def send(self, frames: list[bytes]) -> None:
         """Put frames on the line."""

@@ -63,6 +63,11 @@ class SimulatedDrive:
         """What a drive says of itself."""
         return drive_info(self.settings)
 
+    @property
+    def most_V(self) -> float:
+        """Of its supply."""
+        return self.settings.supply_V
+
     def next_block(self, n: int) -> SampleBlock:
         """The next n ≥ 1 samples.
 

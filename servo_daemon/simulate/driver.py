@@ -37,7 +37,7 @@ import numpy as np
 from drivers.base import DriveInfo, Driver, disconnected
 from drivers.commanding import LONGEST_COMMAND_S
 from servo_daemon.errors import BadInputError, DriverConfigError, DriverError, EndOfStreamError
-from servo_daemon.samples import SampleBlock
+from servo_daemon.samples import F64, SampleBlock
 from servo_daemon.simulate import SimulatedDrive, drive_info, make_settings
 
 log = logging.getLogger(__name__)
@@ -70,6 +70,8 @@ class SimulatedDriver(Driver):
     """
 
     kind: ClassVar[str] = "simulated"
+    #: Five samples at 250 Hz, and what a host's scheduler may take.
+    hold_s = 0.02
 
     def __init__(self, name: str, options: dict[str, Any]) -> None:
         super().__init__(name, options)
@@ -111,6 +113,13 @@ class SimulatedDriver(Driver):
             raise DriverError(f"drive {self.name}: {voltage_V} V for {valid_for_s} s is no command")
         valid = min(max(valid_for_s, 0.0), LONGEST_COMMAND_S) * self._settings.rate_hz
         self._command = voltage_V, self._delivered + math.floor(valid)
+
+    @property
+    def latency_s(self) -> float:
+        return 1.0 / self._settings.rate_hz
+
+    def acting_V(self, block: SampleBlock) -> F64:
+        return np.full(len(block), 0.0 if self._command is None else self._command[0])
 
     def _open(self) -> None:
         self._command = None

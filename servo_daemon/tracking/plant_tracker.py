@@ -21,6 +21,7 @@ from servo_daemon.regression.motor_rls import MotorRls
 from servo_daemon.regression.sampling import Sampling
 from servo_daemon.regression.stretch import Stretch
 from servo_daemon.samples import F64, SampleBlock
+from servo_daemon.tracking.calm import CalmTicks, Taken
 from servo_daemon.tracking.changes import jumps
 from servo_daemon.tracking.changes.actions import JumpActions
 from servo_daemon.tracking.changes.search import JumpSearch
@@ -52,6 +53,9 @@ _TICKS_TO_WATCH, _SOUNDNESS_EVERY = 8, 20
 _TICKS_TO_SETTLE = 10
 #: Before so many the innovations are of a filter that is still finding its values and noise: they refute no model.
 _TICKS_TO_JUDGE = 40
+#: A drive is calm after so many ticks to which there was nothing: as many as the balances look back over
+#: (`regression/sampling.WINDOW_S`), so that what they say is of a motor that does as it did before.
+_TICKS_TO_CALM = 50
 #: A step is one of a motor that the model has explained for so long before, s (a filter that has just started on data
 #: with 30 % of dry friction that its model lacks looked white for 2 s, and then "K stepped").
 _CALM_S = 2.5
@@ -104,7 +108,9 @@ class PlantTracker(Tracker):
         )
         self._likelihood_restart = MaximumLikelihoodRestart(self._masks, self._ekf, self._filtering, self._noise)
         self._divergence = DivergenceMonitor(self._masks, self._ekf, self._rls, self._validity, self.watch)
+        self._together = CalmTicks(self._ekf, self.watch, self._jumps, self._signal_scales)
         self._ticks = 0
+        self._eventful = 0  # the last tick to which there was something
 
     @property
     def ekf(self) -> Ekf:
@@ -122,6 +128,14 @@ class PlantTracker(Tracker):
     @property
     def settled(self) -> bool:
         return self._ekf.started and self._ticks > _TICKS_TO_SETTLE
+
+    @property
+    def is_calm(self) -> bool:
+        return self._together.calm
+
+    @property
+    def waits(self) -> bool:
+        return self._together.waiting > 0
 
     @property
     def excitation(self) -> Excitation:
@@ -200,19 +214,27 @@ class PlantTracker(Tracker):
         self._filtering.take(block, before_s, self.sample_period_s)
 
     def close_tick(self, tick: SampleBlock) -> list[Message]:
+        if not self._ekf.started:
+            stretch, noise_var = self._stretch_of(tick)
+            self._rls.update(self._signal_scales.without_spikes(stretch), noise_var)
+            return self._try_start(tick)
+        taken = self._together.take(tick, self._tick_end_s, self.sample_period_s)
+        if taken is None:
+            return []
+        stretch, noise_var = self._stretch_of(taken.samples)
+        self._noise.take(stretch, self.sample_period_s or 0.0)
+        return self._watch(stretch, taken, noise_var)
+
+    def _stretch_of(self, tick: SampleBlock) -> tuple[Stretch, Mapping[str, float]]:
+        """Samples as the regressions take them, and variances of the measured channels, as far as known before."""
         period_s, before_s = self.sample_period_s, self._tick_end_s  # with which the filter has taken its samples
         super().close_tick(tick)
-        duration = max((self.sample_period_s or 0.0) * len(tick), 1e-6)
         assert self.first_s is not None
         # (In the first tick, of which nothing was known before it, gaps are told by its own period.)
         stretch = self._stretches.of(tick, self.first_s, before_s, period_s or self.sample_period_s)
         noise_var = self._noise_var()
         self._signal_scales.take(stretch, self._filtering.layout.position_lsb, noise_var)
-        if not self._ekf.started:
-            self._rls.update(self._signal_scales.without_spikes(stretch), noise_var)
-            return self._try_start(tick)
-        self._noise.take(stretch, self.sample_period_s or 0.0)
-        return self._watch(stretch, duration, noise_var)
+        return stretch, noise_var
 
     def _noise_var(self) -> dict[str, float]:
         """Of the measured channels: as the filter has found it, or what the resolutions alone make of it."""
@@ -245,7 +267,7 @@ class PlantTracker(Tracker):
         saved = () if self._prior is None else (*self._prior.names, *self.plan.biases)
         trusted = trusted_mask(self._masks.names, self._transfer, saved)
         self._validity.begin(trusted, self._tick_end_s or 0.0)
-        self._ticks = 0
+        self._ticks = self._eventful = 0
         self._filtering.forget_outliers()
         self.excitation.scales = self._noise.begin(start.input_lsb, self._sampling())
         free = self._masks.free
@@ -258,18 +280,18 @@ class PlantTracker(Tracker):
         self._relinearisation.begin(start, trusted=sure)
         self._likelihood_restart.begin(asked=not sure)
 
-    def _watch(self, stretch: Stretch, duration_s: float, noise_var: Mapping[str, float]) -> list[Message]:
-        """Noise, whiteness, jumps, excitation, soundness: after each tick of the running filter.
+    def _watch(self, stretch: Stretch, taken: Taken, noise_var: Mapping[str, float]) -> list[Message]:
+        """Noise, whiteness, jumps, excitation, soundness: after each tick of the running filter, or several of them.
 
         Args:
             noise_var: of the measured channels, as far as it was known before.
         """
-        self._ticks += 1
-        sound = self._ekf.is_sound if self._ticks % _SOUNDNESS_EVERY == 0 else self._ekf.is_plausible
-        if not sound():
+        looked_at, self._ticks = self._ticks // _SOUNDNESS_EVERY, self._ticks + taken.ticks
+        test = taken.test
+        if test is None or (self._ticks // _SOUNDNESS_EVERY > looked_at and not self._ekf.is_sound()):
             return self._restart("its covariance or state is no longer sound")
-        statistics = self._ekf.take_statistics()
-        test = self.watch.judge(statistics)
+        period_s = self.sample_period_s or 0.0
+        duration_s, last_s = max(period_s * len(taken.samples), 1e-6), max(period_s * taken.last, 1e-6)
         end_s, judged = self._tick_end_s or 0.0, self._ticks > _TICKS_TO_WATCH and stretch.complete
         searched = self._may_search(stretch)
         explained = self._notifications.explained and self._validity.calm_s > _CALM_S
@@ -277,9 +299,9 @@ class PlantTracker(Tracker):
         if messages:  # a step was named
             self._relinearisation.end()
             self._likelihood_restart.end()
-        fresh = self._rls.update(self._believed(stretch, action), noise_var, self._sampling())
+        fresh = self._rls.update(self._believed(stretch, action), noise_var, self._sampling(), taken.ticks)
         if action == "learn" and stretch.complete:
-            self.watch.learn(statistics, duration_s, rests=self._signal_scales.rests)
+            self.watch.learn(taken.statistics, last_s, rests=self._signal_scales.rests)
         sampling = self._sampling()
         if fresh:
             self.excitation.scales = self._noise.rescale(sampling)
@@ -293,7 +315,7 @@ class PlantTracker(Tracker):
                 np.where(self._masks.published, np.square(_SECOND_START_STD * self.excitation.scales), 0)
             )
         self._jumps.remember(end_s)
-        alike_s = self._stretches.alike("current_A") * (self.sample_period_s or 0.0)
+        alike_s = self._stretches.alike("current_A") * period_s
         if self._has_looked_again():
             self._jumps.reset()
             self.watch.learn_anew()
@@ -301,11 +323,28 @@ class PlantTracker(Tracker):
         known = (self.qualification.qualified | self.excitation.excited)[self._masks.published]
         seen = self._ticks >= _TICKS_TO_JUDGE and bool(known.any())
         messages += self._notifications.whether_white(seen=seen) + self._notifications.whether_frozen(stretch, alike_s)
-        if self._divergence.has_diverged(test.nis, self._jumps.watch.is_open):
+        if self._divergence.has_diverged(test.nis):
             messages += self._restart("its innovations do not fit while the regression does")
         elif fresh and self._divergence.could_begin_better(self._ticks):
             self._begin_again()
+        if messages or test.unexplained or not stretch.complete or stretch.gap is not None or alike_s > 0.0:
+            self._eventful = self._ticks
+        self._together.calm = self._is_calm
         return messages
+
+    @property
+    def _is_calm(self) -> bool:
+        """Whether nothing is in doubt or about to change: several ticks may be judged together."""
+        shown = self._masks.published & self.excitation.excited & ~self.qualification.qualified
+        return (
+            self._ekf.started
+            and self._ticks - self._eventful >= _TICKS_TO_CALM
+            and not self._relinearisation.is_open
+            and not self._likelihood_restart.is_open
+            and self._jumps.idle
+            and self.explained
+            and not np.count_nonzero(shown)
+        )
 
     def _has_looked_again(self) -> bool:
         """Whether the first samples have just been re-linearised, and the filter goes on from what that came to."""

@@ -55,6 +55,16 @@ class Tracker:
         return None
 
     @property
+    def is_calm(self) -> bool:
+        """Whether the next ticks may be judged together, some at a time."""
+        return False
+
+    @property
+    def waits(self) -> bool:
+        """Whether the last tick is to be judged with later ones: what is known of the parameters is as before it."""
+        return False
+
+    @property
     def settled(self) -> bool:
         """Whether the filter has run long enough for its parameters to qualify; at once where none can run."""
         return True

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_daemon.numerics import STD_OF_MEDIAN
 from servo_daemon.samples import F64
 
 YEAR_D: Final = 365.25
@@ -17,8 +18,6 @@ MOST_STRETCHES: Final = 160
 #: noise one in two million is.
 _OUTLIER_STD: Final = 5.0
 _NEIGHBOURS: Final = 9
-#: Of the median of the absolute deviation, for normal noise.
-_MAD_TO_STD: Final = 1.4826
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,5 +108,5 @@ def _usual(value: F64) -> NDArray[np.bool_]:
         return np.ones(len(value), dtype=bool)
     padded = np.pad(value, _NEIGHBOURS // 2, mode="edge")
     away = np.abs(value - np.median(np.lib.stride_tricks.sliding_window_view(padded, _NEIGHBOURS), axis=1))
-    usual = _MAD_TO_STD * np.median(away)
+    usual = STD_OF_MEDIAN * np.median(away)
     return away <= _OUTLIER_STD * usual if usual > 0 else np.ones(len(value), dtype=bool)

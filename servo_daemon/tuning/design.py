@@ -100,7 +100,7 @@ def lqr_gains(p: Mapping[str, float], setup: LoopSetup, omega: float) -> StateGa
     Raises:
         np.linalg.LinAlgError: the Riccati equation has no solution.
     """
-    from control import dlqr
+    from scipy.linalg import solve_discrete_are
 
     cut = filter_hz(omega, setup)
     motor = sampled_motor(np.log([[p[name] for name in NEEDED]]), setup.period_s, setup.delay_samples)
@@ -109,10 +109,12 @@ def lqr_gains(p: Mapping[str, float], setup: LoopSetup, omega: float) -> StateGa
     n = len(A)
     Q = np.zeros((n, n))
     Q[n - 2, n - 2], Q[n - 1, n - 1] = 1.0, (_INTEGRAL_SHARE * omega) ** 2
-    gain, _, poles = dlqr(A, B[:, None] * (1.0 / angle), Q, np.eye(1))  # voltages in units of 1/angle: weight 1
-    row = np.asarray(gain, np.float64)[0] / angle
+    b = B / angle  # voltages in units of 1/angle: weight 1
+    X = solve_discrete_are(A, b[:, None], Q, np.eye(1))
+    gain = b @ X @ A / (1.0 + b @ X @ b)
+    row = gain / angle
     stored = motor.B.shape[1] - N_MOTION
-    rates = -np.log(np.abs(np.asarray(poles)) + 1e-300) / setup.period_s
+    rates = -np.log(np.abs(np.linalg.eigvals(A - np.outer(b, gain))) + 1e-300) / setup.period_s
     slow = float(rates.min())
     angle_gain, integral = float(row[n - 2]), float(row[n - 1])
     return StateGains(

@@ -57,8 +57,7 @@ def tune(
     nominal: F64 | None = None,
     tolerance: Mapping[str, float] | None = None,
 ) -> Tuning:
-    """Gains for the motor as it is, and what those in use are worth. Takes about 0.3 s, and 1 s once for importing
-    python-control.
+    """Gains for the motor as it is, and what those in use are worth. Takes about 0.3 s.
 
     Args:
         nominal: logarithms of the nominal R, L, K, J, B, shape (5,); None where one of them is not given.

@@ -126,23 +126,32 @@ def duration_s(motor: SampledMotor, controller: Controller) -> float:
 def settling_s(motor: SampledMotor, controller: Controller, duration: float) -> float | None:
     """Until a step stays within 2 % of 1, s; None: not within `duration`."""
     answer = step(motor, controller, duration)
-    outside = np.flatnonzero(~(np.abs(answer.shown - 1.0) <= SETTLED))
+    return _settled(answer.shown, answer.time_s)
+
+
+def _settled(share: F64, time_s: F64) -> float | None:
+    """From when on a step, as a share of its final value, stays within 2 %."""
+    outside = np.flatnonzero(~(np.abs(share - 1.0) <= SETTLED))
     last = int(outside[-1]) if len(outside) else -1
-    return None if last + 1 >= len(answer.shown) else float(answer.time_s[last + 1])
+    return None if last + 1 >= len(share) else float(time_s[last + 1])
+
+
+def _rise(share: F64, time_s: F64) -> float | None:
+    """From the first sample at 10 % to the first at 90 %, s."""
+    low, high = np.flatnonzero(share >= 0.1), np.flatnonzero(share >= 0.9)
+    return float(time_s[high[0]] - time_s[low[0]]) if len(high) else None
 
 
 def response(motor: SampledMotor, controller: Controller) -> Response:
     """The first motor's loop, which must be stable."""
-    from control import step_info
-
     answer = step(motor, controller, duration_s(motor, controller))
     final = 1.0 if _reaches(controller) else float(answer.shown[-1])
-    info = step_info(answer.shown, answer.time_s, None, final, SettlingTimeThreshold=SETTLED)
+    share = answer.shown / final
     return Response(
         bandwidth_hz=bandwidth_hz(motor, controller),
-        settling_s=_number(info["SettlingTime"]),
-        rise_s=_number(info["RiseTime"]),
-        overshoot_percent=_number(info["Overshoot"]),
+        settling_s=_settled(share, answer.time_s),
+        rise_s=_rise(share, answer.time_s),
+        overshoot_percent=max(0.0, 100.0 * (float(share.max()) - 1.0)),
         peak_V=float(np.abs(answer.voltage_V).max()),
     )
 
@@ -150,7 +159,3 @@ def response(motor: SampledMotor, controller: Controller) -> Response:
 def _reaches(controller: Controller) -> bool:
     """An integrator in the controller, or the angle itself: the step's final value is the reference."""
     return bool((np.abs(np.diag(controller.A) - 1.0) < 1e-12).any())
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""A picture of the page of a running daemon, for the README:
+"""A picture of the page of a running daemon, for the README, or of a report (file://…), to look at:
 
 python -m tests.browser.picture http://127.0.0.1:8077/ docs/page.png [--width 1280] [--dark] [--seconds 60]
 """
@@ -27,9 +27,10 @@ def main() -> int:
         page = Page(browser)
         page.look(arguments.width, 900, dark=arguments.dark)
         page.open(arguments.url)
-        page.until("document.querySelectorAll('#parameters .card canvas').length >= 5")
-        choose = "const w = document.getElementById('window'); w.value = '%s'; w.dispatchEvent(new Event('change'))"
-        page.evaluate(f"(() => {{ {choose % arguments.window} }})()")
+        if page.evaluate("document.getElementById('parameters') !== null"):
+            page.until("document.querySelectorAll('#parameters .card canvas').length >= 5")
+            choose = "const w = document.getElementById('window'); w.value = '%s'; w.dispatchEvent(new Event('change'))"
+            page.evaluate(f"(() => {{ {choose % arguments.window} }})()")
         time.sleep(arguments.seconds)
         page.picture(arguments.out)
         for error in page.errors():

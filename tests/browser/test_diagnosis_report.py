@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.browser.devtools import Browser, Page
-from tests.command_line import run_command
+from tests.diagnosed import dry_friction
 
 pytestmark = pytest.mark.system
 
@@ -26,13 +27,9 @@ EMPTY = """(() => [...document.querySelectorAll('figure.plot')].filter(figure =>
 
 
 @pytest.fixture(scope="module")
-def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def report(once: Callable[[str, Callable[[], Any]], Any], run_folder: Path) -> Path:
     """Of a motor with dry friction."""
-    folder = tmp_path_factory.mktemp("diagnosis")
-    capture, effect = folder / "dry.csv", "coulomb_friction:Tc=0.3"
-    assert run_command("simulate", "--out", capture, "--seconds", "6", "--seed", "4", "--effect", effect).code == 0
-    assert run_command("diagnose", capture, "--out", folder).code == 0
-    return folder / "report.html"
+    return dry_friction(once, run_folder).folder / "report.html"
 
 
 @pytest.fixture

@@ -17,6 +17,7 @@ from servo_daemon.samples import SampleBlock, make_block
 from servo_daemon.sim_drive.counters import DeviceCounters
 from servo_daemon.sim_drive.line_faults import LineFaults
 from servo_daemon.sim_drive.serial_device import Wire, run_serial_device
+from servo_daemon.sim_drive.source import CommandedSource
 
 PATIENCE_S = 30.0
 RATE_HZ = 1000.0
@@ -105,6 +106,7 @@ def serial_rig(
     faults: LineFaults | None = None,
     samples_per_frame: int = 10,
     drive_id: int = 1,
+    commanded: CommandedSource | None = None,
 ) -> Iterator[Rig]:
     """A device that sends while the context lasts; whatever goes wrong in it fails the test."""
     counters, stop = DeviceCounters(), threading.Event()
@@ -114,12 +116,13 @@ def serial_rig(
         try:
             run_serial_device(
                 link,
-                source or Ramp(),
+                commanded or source or Ramp(),
                 wire=wire,
                 drive_id=drive_id,
                 samples_per_frame=samples_per_frame,
                 stop=stop,
                 realtime=realtime,
+                commanded=commanded,
                 faults=faults,
                 counters=counters,
             )

@@ -12,10 +12,13 @@ import pytest
 from cobs import cobs
 from crccheck.crc import Crc16Ibm3740
 
+from drivers.serial.command import Command, encode_command
 from drivers.serial.decoder import BinaryDecoder
+from drivers.serial.frame import encode_frame
 from drivers.serial.text import TextDecoder
 from servo_daemon.samples import Quality
-from tests.wire_tools import DESCRIPTIONS, SAMPLES, VECTORS, rows_of
+from servo_daemon.sim_drive.commanded import CommandedOutput
+from tests.wire_tools import DESCRIPTIONS, SAMPLES, SERVO, VECTORS, rows_of
 
 pytestmark = pytest.mark.system
 
@@ -155,3 +158,38 @@ def test_the_sketch_speaks_the_text_wire(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.diff(block.time_s)[1:], 2e-3, atol=3e-4)
     assert block.voltage_V[0] == pytest.approx(24 * 501 / 1023, abs=1e-3)
     np.testing.assert_allclose(block.position_rad, -np.arange(1, 6) * 2 * np.pi / 1200, rtol=1e-12)
+
+
+def test_the_firmware_follows_commands_as_the_simulated_drive_does(harness: Path) -> None:
+    """Any commands at any time: the same voltages and numbers, sample by sample."""
+    noise, output = random.Random(5), CommandedOutput(SERVO, 1000.0, 24.0)
+    asks, expected, number = setup_commands("description_servo"), [], 65520
+    for k in range(3000):
+        if noise.random() < 0.1:
+            number = noise.choice((number, *5 * (number + 1,), number + 2, number - 1)) % 65536 or 1
+            command = Command(
+                7, 1 + (noise.random() < 0.05), number, noise.random() < 0.98, noise.choice((0, 3, 20, 50, 255)),
+                noise.choice((*3 * (0.0,), *6 * (1.5, -2.5), 25.0)),
+            )  # fmt: skip
+            wire = bytearray(encode_frame(encode_command(command)))
+            if noise.random() < 0.1:
+                wire[noise.randrange(len(wire))] ^= 4
+            output.hear(bytes(wire))
+            asks.append(f"hear {1000 * k} {wire.hex()}")
+        voltage, numbers = output.next(1)
+        asks.append(f"voltage {1000 * k}")
+        expected.append((int(numbers[0]), float(voltage[0])))
+    answers = [(int(n), float(v)) for n, v in (line.split() for line in ask(harness, *asks)[1:])]
+    assert answers == expected
+    assert sum(v != 0.0 for _, v in expected) > 200 and sum(n == 0 for n, _ in expected) > 200
+
+
+def test_the_commanded_example_stops_by_itself(tmp_path: Path) -> None:
+    program = compile_c(FIRMWARE / "example_commanded.c", tmp_path / "commanded")
+    commands = [Command(7, 1, k + 1, True, 255, 0.0 if k == 0 else 3.0) for k in range(200)]
+    wire = b"".join(encode_frame(encode_command(c)) for c in commands)
+    stream = subprocess.run([program], input=wire, capture_output=True, check=True).stdout
+    block = BinaryDecoder().feed(stream)
+    assert block is not None and block.voltage_V is not None and block.position_rad is not None
+    assert block.voltage_V.tolist() == [0.0] + [3.0] * (199 + 49) + [0.0] * 751
+    assert block.position_rad[-1] > 1.0

@@ -1,13 +1,13 @@
 /* servo_wire.h on standard input and output, for test_serial_firmware.py: one command a line, frames come out in hex.
  *
  *   frame HEX | init N [QUANTITY FORMAT SCALE OFFSET]... | set DRIVE SESSION PERIOD MODULUS SEQUENCE IDENTITY_HEX
- *   add T_US VALUE... | skip N | samples | description
+ *   add T_US VALUE... | skip N | samples | description | hear T_US HEX | voltage T_US
  */
 #include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>
 
-#include "servo_wire.h"
+#include "servo_wire_command.h"
 
 static size_t read_hex(const char *text, uint8_t *out) {
     size_t n = 0;
@@ -27,6 +27,7 @@ static void print_frame(const uint8_t *frame, size_t size) {
 
 int main(void) {
     static servo_wire wire;
+    static servo_wire_command command = {.most_V = 24.0f};
     static servo_wire_channel channels[16];
     static uint8_t payload[SERVO_WIRE_MAX_PAYLOAD], frame[SERVO_WIRE_FRAME_SIZE];
     static char line[4 * SERVO_WIRE_MAX_PAYLOAD], text[4 * SERVO_WIRE_MAX_PAYLOAD], name[16];
@@ -65,6 +66,16 @@ int main(void) {
                 values[i] = (int32_t)strtol(rest, &rest, 10);
             }
             printf("%d\n", servo_wire_add(&wire, t_us, values));
+        } else if (!strcmp(name, "hear")) {
+            const uint32_t t_us = (uint32_t)strtoul(rest, &rest, 10);
+            sscanf(rest, "%s", text);
+            const size_t size = read_hex(text, payload);
+            for (size_t i = 0; i < size; i++) {
+                servo_wire_hear(&command, &wire, payload[i], t_us);
+            }
+        } else if (!strcmp(name, "voltage")) {
+            const float voltage = servo_wire_voltage(&command, (uint32_t)strtoul(rest, &rest, 10));
+            printf("%u %g\n", command.number, (double)voltage);
         } else if (!strcmp(name, "skip")) {
             servo_wire_skip(&wire, (uint32_t)strtoul(rest, &rest, 10));
         } else if (!strcmp(name, "samples")) {

@@ -5,15 +5,19 @@ from __future__ import annotations
 import json
 import os
 import signal
+import threading
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pyarrow.parquet as pq
 import pytest
 
 from servo_daemon import cli
 from servo_daemon.fleet.cluster import cluster, results
 from servo_daemon.fleet.units import Unit
+from servo_daemon.learning.model.model_file import load_model
+from tests.can_tools import wait_for
 from tests.recovery.many_drives import draw, record
 
 pytest.importorskip("distributed", reason="the extra dask is not installed")
@@ -56,6 +60,48 @@ def test_a_fleet_is_fitted_goes_on_where_it_stopped_and_names_the_stranger(
     assert fleet(capsys, "fit", str(captures), "--out", str(tmp_path), "--workers", "1")["common"] == told["common"]
     after = {path: path.stat().st_mtime_ns for path in sorted((tmp_path / "results").iterdir())}
     assert [path for path in kept if before[path] != after[path]] == [kept[0]]
+
+    # The learned model of this type: no drive is fitted once more for it.
+    told = fleet(capsys, "train", str(captures), "--out", str(tmp_path), "--motors", "130")
+    assert 100 <= told["model"]["motors"] <= 130
+    assert load_model(tmp_path / "model.zip").feature_names
+    assert after == {path: path.stat().st_mtime_ns for path in sorted((tmp_path / "results").iterdir())}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_a_fleet_is_diagnosed_though_a_worker_dies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The whole command on two drives, one with friction; the processes are killed while one computes."""
+    folder, out = tmp_path / "captures", tmp_path / "fleet"
+    for k in range(2):
+        effects = {"coulomb_friction": {"Tc": 0.035}} if k == 1 else None
+        record(folder / f"axis{k}.csv", draw(k), seconds=5.0, seed=k, effects=effects)
+    killed: list[int] = []
+
+    def kill() -> None:
+        wait_for(lambda: any(out.glob("results/*.json")), "the first result", limit_s=300.0)
+        for child in workers():
+            os.kill(child, signal.SIGKILL)
+            killed.append(child)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    told = fleet(capsys, "diagnose", str(folder), "--out", str(out), "--workers", "2", "--budget", "60")
+    killer.join()
+    assert killed
+    assert (told["drives"], told["failed"], told["causes"]) == (2, [], {"coulomb_friction": 1})
+    rows = pq.read_table(out / "drives.parquet").to_pylist()
+    assert {row["drive"]: row["effects"] for row in rows} == {"axis0": "", "axis1": "coulomb_friction"}
+    values = {(r["drive"], r["parameter"]): r["value"] for r in pq.read_table(out / "parameters.parquet").to_pylist()}
+    assert values["axis1", "Tc"] == pytest.approx(0.035, rel=0.05)
+    assert "1 of 2: axis1" in (out / "report.html").read_text(encoding="utf-8")
+
+
+def workers() -> list[int]:
+    """Processes of the cluster that this process has started."""
+    children = Path(f"/proc/{os.getpid()}/task").glob("*/children")
+    found = {int(pid) for path in children for pid in path.read_text().split()}
+    return [pid for pid in found if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
 
 
 def deadly(unit: Unit, asked: tuple[str, ...]) -> dict[str, Any]:

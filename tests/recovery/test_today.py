@@ -53,10 +53,8 @@ def verdict(rows: list[dict[str, Any]]) -> str:
 
 
 @pytest.fixture(scope="session")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One for all processes of this run."""
-    own = tmp_path_factory.getbasetemp()
-    path = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "today"
+def folder(run_folder: Path) -> Path:
+    path = run_folder / "today"
     path.mkdir(exist_ok=True)
     return path
 

@@ -6,6 +6,7 @@ On the independent generator at 1 kHz with laboratory sensors; every nominal val
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -93,6 +94,7 @@ def held_speed(motor: Motor, time_s: F64, rng: np.random.Generator) -> Plan:
     return Plan("speed", np.full(len(time_s), 0.3 * motor.speed_max_rad_s), added_V=dither)
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("motion", [constant_voltage, held_speed], ids=["open loop", "servo"])
 @pytest.mark.parametrize("motor", list(MOTORS))
 def test_constant_speed_after_a_multisine(motor: str, motion: object) -> None:
@@ -138,6 +140,7 @@ def test_a_rest_is_no_evidence_against_the_model(motor: str) -> None:
 # -- sampling far slower than the winding -----------------------------------------------------------------------------
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("motor", list(MOTORS))
 def test_a_hundred_samples_a_second_are_as_right_as_a_thousand(motor: str) -> None:
     """L/R is a millisecond, a tenth of the period: integrals over samples see nothing of it, the filter does."""
@@ -155,6 +158,7 @@ def test_a_hundred_samples_a_second_are_as_right_as_a_thousand(motor: str) -> No
 # -- a start in motion, under friction ---------------------------------------------------------------------------------
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("motor", list(MOTORS))
 def test_a_filter_that_starts_while_the_shaft_turns_under_dry_friction(motor: str) -> None:
     """With friction in the model a shaft may stick, and one that sticks has no speed to be wrong about: a filter that
@@ -170,6 +174,7 @@ def test_a_filter_that_starts_while_the_shaft_turns_under_dry_friction(motor: st
 # -- an offset of the current sensor ----------------------------------------------------------------------------------
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("motion", ["multisine", "pick_and_place"])
 @pytest.mark.parametrize("motor", list(MOTORS))
 def test_five_percent_of_current_offset_bends_nothing(motor: str, motion: str) -> None:
@@ -219,6 +224,7 @@ def test_what_the_first_samples_did_not_show_is_not_claimed_on_the_way(number: i
     assert not start.on_the_way, start
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("number", [327, 547, 667])
 def test_an_inductance_between_two_samples_is_not_learned_from_the_colour_of_the_noise(number: int) -> None:
     """L/R = 0.3 ms at 1 kHz: along its own states, with noise of the voltage taken for the sensor's, the filter was
@@ -249,6 +255,7 @@ def test_the_likeliest_constants_of_a_motor_that_ages_are_not_taken() -> None:
     assert track.tracking[after(track, 10.0)].all()
 
 
+@pytest.mark.slow
 def test_what_has_jumped_and_cannot_be_relinearised_is_widened() -> None:
     """Slow reversals under friction: J went from −55 to −15 % with a σ of 3 %, along derivatives taken far off."""
     case = reversals(MOTORS["paper"], 60.0, 123)
@@ -292,8 +299,9 @@ def test_noise_that_was_taken_for_another_is_not_information(number: int) -> Non
 # -- a dry friction that is not in the model --------------------------------------------------------------------------
 
 
+@cache
 def with_friction(motor: str, motion: str) -> tuple[Track, Recording]:
-    """8 % of the rated torque, stick-slip."""
+    """8 % of the rated torque, stick-slip; two tests look at it."""
     effects = {"coulomb_friction": {"Tc": 0.08 * MOTORS[motor].working_torque_Nm}}
     recording = generate(MOTORS[motor], Scenario(motion, seconds=20.0, effects=effects, seed=SEED))
     return run(recording, motor), recording
@@ -344,6 +352,7 @@ def test_a_voltage_in_steps_of_a_tenth_of_a_volt_leaves_L_open(motor: str) -> No
         assert track.tracking[after(track, 10.0), NAMES.index(parameter)].all()
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("motor", list(MOTORS))
 def test_spikes_of_the_voltage_bend_nothing(motor: str) -> None:
     """Single samples at the supply's limit, every 2 s on average."""
@@ -385,9 +394,8 @@ def test_spikes_of_the_current_bend_no_inductance(seed: int) -> None:
 # -- missing samples --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "run_length", [pytest.param(1, id="singly"), pytest.param(50, id="in runs", marks=pytest.mark.slow)]
-)
+@pytest.mark.first_is_fast
+@pytest.mark.parametrize("run_length", [pytest.param(1, id="singly"), pytest.param(50, id="in runs")])
 @pytest.mark.parametrize("motor", list(MOTORS))
 def test_a_fifth_of_the_samples_missing_bends_nothing(motor: str, run_length: int) -> None:
     """What the voltage did in a short gap is on a straight line; after a long one the speed is found first."""
@@ -419,6 +427,7 @@ def test_a_start_among_gaps_is_as_good_as_any(seed: int) -> None:
 # -- what was known and is so no longer -------------------------------------------------------------------------------
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("motor", ["paper", "gear", "large"])
 def test_what_was_known_is_held_and_not_the_datasheet(motor: str) -> None:
     """From 12 s on six of ten samples are missing, by twos, and for a time the balances close no more. What was known

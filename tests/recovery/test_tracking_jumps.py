@@ -48,13 +48,12 @@ def errors(case: Case, track: Track) -> F64:
     return np.asarray((track.value - truth_of(case, track)) / [abs(case.truth[name][-1]) for name in track.names])
 
 
-def each(*names: str, failing: dict[tuple[str, str], str] | None = None) -> pytest.MarkDecorator:
-    """All motors under both motions; `failing`: by name and motor, why not."""
+def each(*names: str, fast: bool = False) -> pytest.MarkDecorator:
+    """All motors under both motions; `fast`: of each name and motion one motor, of the next another; else as marked."""
     rows = []
-    for name in [n + motion for n in names for motion in MOTIONS]:
-        for motor in MOTORS:
-            why = (failing or {}).get((name, motor))
-            marks = [pytest.mark.xfail(strict=True, reason=why)] if why else []
+    for turn, name in enumerate(n + motion for n in names for motion in MOTIONS):
+        for k, motor in enumerate(MOTORS):
+            marks = [pytest.mark.slow] if fast and k != turn % len(MOTORS) else []
             rows.append(pytest.param(name, motor, marks=marks, id=f"{name}-{motor}"))
     return pytest.mark.parametrize(("name", "motor"), rows)
 
@@ -62,7 +61,7 @@ def each(*names: str, failing: dict[tuple[str, str], str] | None = None) -> pyte
 # -- steps that a parameter explains ----------------------------------------------------------------------------------
 
 
-@each(*STEPS)
+@each(*STEPS, fast=True)
 def test_a_step_is_named_within_two_seconds_and_nothing_else(name: str, motor: str) -> None:
     case, track = followed(name, motor)
     assert [t.data["parameter"] for t in jumps(track)] == [case.stepped], [t.message for t in jumps(track)]
@@ -97,7 +96,7 @@ def test_values_are_right_again_after_five_seconds(name: str, motor: str) -> Non
     assert track.tracking[late][:, seen].all()
 
 
-@each(*STEPS)
+@each(*STEPS, fast=True)
 def test_inductance_is_right_again_after_five_seconds(name: str, motor: str) -> None:
     """Or says how much it is off: in pick and place the posterior Cramér–Rao bound of the RE 40's L (L/R = 0.3 ms) is
     1.8 % after 20 s."""
@@ -151,6 +150,7 @@ def test_a_clean_run_reports_no_jump(motor: str, motion: str) -> None:
     assert not jumps(clean(motion, motor))
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("motion", ["multisine", "pick_and_place"])
 @pytest.mark.parametrize("motor", list(MOTORS))
 def test_a_clean_run_reports_no_mismatch(motor: str, motion: str) -> None:

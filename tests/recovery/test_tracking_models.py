@@ -82,7 +82,7 @@ def test_found_beside_every_motor(effect: str, motor: str) -> None:
 
 @pytest.mark.first_is_fast
 @pytest.mark.parametrize(
-    ("effect", "motor"), [("stribeck_friction", "re40"), ("shaft_compliance", "paper"), ("brush_voltage_drop", "paper")]
+    ("effect", "motor"), [("brush_voltage_drop", "paper"), ("shaft_compliance", "paper"), ("stribeck_friction", "re40")]
 )
 def test_what_a_diagnosis_gives_is_followed(effect: str, motor: str) -> None:
     run = run_model(effect, motor, near=NEAR)

@@ -6,10 +6,12 @@ parameters stay within a few of their standard deviations throughout, and every 
 
 from __future__ import annotations
 
+import copy
 import itertools
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from hypothesis import strategies as st
 
 from servo_daemon.config import DriveConfig
 from servo_daemon.pipeline.pipeline import Pipeline, all_finite
+from servo_daemon.plant.compiled import SampleLoop
 from servo_daemon.published.snapshot import Estimate
 from servo_daemon.samples import Quality, SampleBlock, concatenate, make_block
 from servo_daemon.simulate import DEFAULT_NOMINAL, PAPER_MOTOR, SimulatedDrive, make_settings
@@ -43,7 +46,13 @@ def config(**more: object) -> DriveConfig:
 
 
 def settled() -> Pipeline:
-    """A pipeline that tracks."""
+    """A pipeline that tracks: a copy of one, all but the compiled steps, which keep nothing."""
+    with mock.patch.object(SampleLoop, "__deepcopy__", lambda loop, memo: loop, create=True):
+        return copy.deepcopy(_settled())
+
+
+@cache
+def _settled() -> Pipeline:
     pipeline = Pipeline(config(), SimulatedDrive(make_settings(seed=0)).info)
     pipeline.process(recording().slice(0, WELL))
     assert {p.status for p in current(pipeline).parameters} == {"tracking"}

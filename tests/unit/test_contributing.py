@@ -63,7 +63,7 @@ def stranger(repo_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the source with two effects more, a file each, and a capture of each."""
     folder = tmp_path_factory.mktemp("stranger")
     for package in ("servo_daemon", "drivers"):
-        shutil.copytree(repo_root / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(repo_root / package, folder / package)
     path, code = code_block(repo_root).split("\n", 1)
     target = folder / path.removeprefix("# ")
     assert not target.exists()
@@ -166,7 +166,7 @@ def test_beside_an_effect_of_a_stranger_the_motor_becomes_known(
         assert std < 0.05 * value, name
 
 
-@pytest.mark.first_is_fast
+@pytest.mark.slow
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize(
     ("capture", "effect", "true"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import runpy
 import subprocess
 import sys
 import tomllib
@@ -68,6 +69,16 @@ def test_the_examples_in_comments_hold(example: str) -> None:
             make_driver(drive.driver, drive.name, drive.options)
 
 
+#: What requirements.lock holds.
+RUNTIME = """
+annotated-doc annotated-types anyio argparse-addons bitstruct cantools casadi click cloudpickle cobs colorama
+crccheck fastapi filterpy h11 httptools idna joblib latex2mathml markdown-it-py mdurl narwhals numpy
+opentelemetry-api packaging prettytable pydantic pydantic-core pygments pyserial python-can rich scikit-learn
+scipy setuptools shtab skops sqlalchemy starlette textparser threadpoolctl tqdm typing-extensions
+typing-inspection uvicorn uvloop wcwidth wrapt
+"""
+
+
 @pytest.mark.parametrize("name", ["requirements.lock", "requirements-dev.lock"])
 def test_every_line_of_a_lock_is_a_version_with_hashes_and_no_address(repo_root: Path, name: str) -> None:
     text = (repo_root / name).read_text(encoding="utf-8")
@@ -90,6 +101,30 @@ def test_the_locks_hold_what_the_project_asks_for(repo_root: Path) -> None:
         locked = set(re.findall(r"^([a-z0-9.-]+)==", (repo_root / lock).read_text(encoding="utf-8"), re.MULTILINE))
         names = {re.split(r"[<>=~!; \[]", line, maxsplit=1)[0].lower().replace("_", "-") for line in asked}
         assert names - locked == set(), f"`make lock` brings {lock} up to date"
+
+
+def test_what_runs_needs_no_more_packages_than_it_uses(repo_root: Path) -> None:
+    """A new one is added here knowingly: `make run` installs at most 450 MB."""
+    lock = (repo_root / "requirements.lock").read_text(encoding="utf-8")
+    assert sorted(set(re.findall(r"^([a-z0-9.-]+)==", lock, re.MULTILINE))) == RUNTIME.split()
+    assert f"puts {len(re.findall('^[a-z].*==', lock, re.MULTILINE))} packages" in (repo_root / "README.md").read_text()
+
+
+def test_slim_leaves_every_library_under_every_name_once(repo_root: Path, tmp_path: Path) -> None:
+    package = tmp_path / "casadi"
+    headers = package / "include" / "casadi"
+    headers.mkdir(parents=True)
+    for path in (headers / "core.hpp", package / "libuno.a", package / "libuno.la"):
+        path.write_text("for C++", encoding="utf-8")
+    libraries = {"libcasadi.so": b"one", "libcasadi.so.3.7": b"one", "libipopt.so.3": b"two"}
+    kept = {**libraries, "casadi.py": b"one", "_casadi.so": b"three"}
+    for name, content in kept.items():
+        (package / name).write_bytes(content)
+    slim = runpy.run_path(str(repo_root / "deploy" / "slim.py"))["slim"]
+    for _ in range(2):
+        slim(package)
+        assert {path.name: path.read_bytes() for path in package.iterdir()} == kept
+        assert len({path.stat().st_ino for path in package.iterdir()}) == len(kept) - 1
 
 
 def test_no_file_names_a_registry_or_this_machine(repo_root: Path) -> None:

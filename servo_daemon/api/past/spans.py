@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import io
 from collections.abc import Collection, Sequence
 from typing import Any, Final, Literal
@@ -12,6 +11,8 @@ import numpy as np
 from servo_daemon.api.past.documents import column, dominant
 from servo_daemon.api.problems import ProblemError
 from servo_daemon.api.times import iso_utc_list
+from servo_daemon.errors import BadInputError
+from servo_daemon.extras import require_pyarrow
 from servo_daemon.published.archive import Span
 
 Kind = Literal["json", "csv", "parquet"]
@@ -49,12 +50,11 @@ def check_available(kind: Kind) -> None:
     """Raises: ProblemError: 406, Parquet without pyarrow."""
     if kind == "parquet":
         try:
-            importlib.import_module("pyarrow.parquet")
-        except ImportError:
-            detail = (
-                "Parquet needs pyarrow on the daemon's side (pip install 'servo-daemon[parquet]'); ask for text/csv."
-            )
-            raise ProblemError(406, "no_parquet", detail, available=["application/json", CSV]) from None
+            require_pyarrow(instead="ask for text/csv")
+        except BadInputError as error:
+            raise ProblemError(
+                406, "no_parquet", f"The daemon cannot: {error}.", available=["application/json", CSV]
+            ) from None
 
 
 def encode(span: Span, names: Sequence[str], parameters: Collection[str], kind: Kind) -> tuple[bytes, str]:
@@ -100,7 +100,7 @@ def _text(value: object) -> str:
 
 
 def _parquet(span: Span, columns: dict[str, list[Any]]) -> bytes:
-    arrow, parquet = importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")
+    arrow, parquet = require_pyarrow()
     milliseconds = np.floor(span.buckets.time_s * 1e3 + 0.5).astype("int64")
     arrays = {"time": arrow.array(milliseconds, type=arrow.timestamp("ms", tz="UTC"))}
     for name, values in columns.items():

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.errors import BadInputError, CaptureError
+from servo_daemon.numerics import sample_period
 from servo_daemon.samples import CHANNELS, F64, U8, Quality, SampleBlock, make_block
 from servo_daemon.signal_meaning import SignalMeaning, as_texts, keys_of_texts
 
@@ -107,7 +108,7 @@ class Capture:
     @property
     def sample_period_s(self) -> float:
         """Median distance of two samples, s: not moved by gaps."""
-        return float(np.median(np.diff(self.time_s)))
+        return sample_period(self.time_s)
 
     @property
     def duration_s(self) -> float:

@@ -15,6 +15,7 @@ from servo_daemon.captures.capture.model import Capture, capture_error
 from servo_daemon.captures.meaning.finding import mend
 from servo_daemon.captures.meaning.windows import travelled
 from servo_daemon.column_names import RPM
+from servo_daemon.numerics import least_squares
 from servo_daemon.samples import F64
 
 #: Sampling periods of a servo drive, s: slower shows no motor's dynamics, faster is no drive's log.
@@ -171,9 +172,9 @@ def _balance(capture: Capture) -> list[str]:
         assert capture.velocity_rad_s is not None
         speed = capture.velocity_rad_s[: n * m].reshape(n, m).mean(axis=1)
     A = np.column_stack([mean_i, speed])
-    if np.linalg.matrix_rank(A) < 2:
+    found, rank = least_squares(A, mean_v)
+    if rank < 2:
         return []
-    found, *_ = np.linalg.lstsq(A, mean_v, rcond=None)
     left = float(np.mean((mean_v - A @ found) ** 2))
     # The balance at rest is not quite that of a motion: where current and speed go together, that matters most.
     std = np.sqrt((left + _STATIC**2 * float(mean_v @ mean_v)) * np.diag(np.linalg.inv(A.T @ A)))

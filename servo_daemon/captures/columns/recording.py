@@ -30,6 +30,7 @@ from servo_daemon.captures.columns.understood import Understood
 from servo_daemon.captures.meaning.restored import restored_current
 from servo_daemon.captures.meaning.windows import travel_of
 from servo_daemon.errors import BadInputError, CaptureError, ConfigError
+from servo_daemon.numerics import sample_period
 from servo_daemon.samples import F64
 
 
@@ -90,7 +91,7 @@ def _understood(recording: Recording, found: Understood, time_s: F64, options: R
     parts = [*recording.told, *found.told]
     if not parts and options.rate_hz is None:
         return ()
-    rate_hz = options.rate_hz or 1.0 / float(np.median(np.diff(time_s)))
+    rate_hz = options.rate_hz or 1.0 / sample_period(time_s)
     size = f"{len(time_s):,} rows at {rate_hz:,.1f} Hz"
     return (", ".join([*recording.told, size, *found.told]),)
 

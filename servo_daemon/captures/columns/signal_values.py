@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from servo_daemon.column_names import TURN
+from servo_daemon.numerics import sample_period
 from servo_daemon.samples import F64
 
 #: Seconds since 1970 between 2001 and 2096: a larger number is the same in ms, µs or ns.
@@ -44,7 +45,7 @@ def time_scale(values: Values) -> float | None:
     for scale in (1.0, 1e-3, 1e-6, 1e-9):
         if _EPOCH[0] <= float(values.finite[0]) * scale < _EPOCH[1]:
             return scale
-    period = float(np.median(np.diff(values.finite)))
+    period = sample_period(values.finite)
     return 1.0 if period <= _SLOWEST_S else None
 
 

@@ -5,7 +5,6 @@ Lines `# key: value` above the header are metadata, a row of units below it is u
 
 from __future__ import annotations
 
-import importlib
 import warnings
 import zipfile
 from collections.abc import Mapping, Sequence
@@ -23,7 +22,8 @@ from servo_daemon.captures.columns.held import HeldSignal, describe, proposal
 from servo_daemon.captures.columns.recording import parser_failed
 from servo_daemon.captures.columns.signal_map import SignalMap, SignalRef
 from servo_daemon.column_names import meaning
-from servo_daemon.errors import BadInputError, CaptureError
+from servo_daemon.errors import CaptureError
+from servo_daemon.extras import require
 
 #: Rows among which the header is looked for.
 _HEADER_WITHIN = 200
@@ -103,7 +103,7 @@ def read_excel(path: Path, raw: BinaryIO, signal_map: SignalMap | None) -> Sheet
         CaptureError: damaged, no such sheet, or no (or more than one) sheet that fits.
         BadInputError: openpyxl is not installed.
     """
-    openpyxl = _require_openpyxl(path)
+    openpyxl = require("openpyxl", "openpyxl", "excel", f"{path}: Excel", "use CSV")
     wanted = signal_map.text("sheet") if signal_map is not None else None
     try:
         _check_unpacked(path, raw)
@@ -143,13 +143,6 @@ def _makes_a_capture(held: Sequence[HeldSignal]) -> bool:
         s.name if s.name in KNOWN_COLUMNS else m.column for s in held if (m := meaning(s.name, s.unit)) is not None
     }
     return "time_s" in columns and len(columns) > 1
-
-
-def _require_openpyxl(path: Path) -> Any:
-    try:
-        return importlib.import_module("openpyxl")
-    except ImportError as error:
-        raise BadInputError(f"{path}: Excel needs openpyxl: pip install 'servo-daemon[excel]', or use CSV") from error
 
 
 def _check_unpacked(path: Path, raw: BinaryIO) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import importlib
 import logging
 import sys
 import traceback
@@ -22,7 +21,8 @@ from servo_daemon.captures.columns.foreign import Series
 from servo_daemon.captures.columns.held import HeldSignal
 from servo_daemon.captures.columns.recording import assemble, parser_failed
 from servo_daemon.captures.columns.signal_map import SignalMap, SignalRef
-from servo_daemon.errors import BadInputError, ServoDaemonError
+from servo_daemon.errors import ServoDaemonError
+from servo_daemon.extras import require
 from servo_daemon.samples import F64
 
 
@@ -103,7 +103,7 @@ def read_mdf(path: Path, raw: BinaryIO, signal_map: SignalMap | None, options: R
         CaptureError: damaged, or not usable; one line naming file, sample and channel.
         BadInputError: asammdf is not installed.
     """
-    asammdf = _require_asammdf(path)
+    asammdf = require("asammdf", "asammdf", "mdf", f"{path}: MDF", "export CSV")
     with _quiet():
         try:
             with asammdf.MDF(raw) as file:
@@ -115,13 +115,6 @@ def read_mdf(path: Path, raw: BinaryIO, signal_map: SignalMap | None, options: R
             traceback.clear_frames(error.__traceback__)
         gc.collect()  # a half-made file complains when it goes, and is held by a cycle: here it goes unheard
     raise failure
-
-
-def _require_asammdf(path: Path) -> Any:
-    try:
-        return importlib.import_module("asammdf")
-    except ImportError as error:
-        raise BadInputError(f"{path}: MDF needs asammdf: pip install 'servo-daemon[mdf]', or export CSV") from error
 
 
 @contextmanager

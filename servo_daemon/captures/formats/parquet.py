@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, ClassVar
@@ -18,7 +17,7 @@ from servo_daemon.captures.columns.held import HeldSignal, describe
 from servo_daemon.captures.columns.recording import assemble
 from servo_daemon.captures.columns.signal_map import SignalMap, SignalRef
 from servo_daemon.captures.columns.understood import only_ours
-from servo_daemon.errors import BadInputError
+from servo_daemon.extras import require_pyarrow
 from servo_daemon.samples import F64
 
 #: Rows of a row group: Arrow's readers work best with 10^5 and more; 10^5 rows of 5 columns are 4 MB in memory.
@@ -26,20 +25,6 @@ _ROW_GROUP = 100_000
 
 #: Schema metadata that belong to other programs.
 _FOREIGN = frozenset({"pandas", "ARROW:schema", "huggingface"})
-
-
-def require_pyarrow(path: Path) -> tuple[Any, Any]:
-    """The modules pyarrow and pyarrow.parquet.
-
-    Raises:
-        BadInputError: they are not installed.
-    """
-    try:
-        return importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")
-    except ImportError as error:
-        raise BadInputError(
-            f"{path}: Parquet needs pyarrow: pip install 'servo-daemon[parquet]', or use .csv.gz"
-        ) from error
 
 
 def read_parquet(
@@ -127,7 +112,7 @@ class ParquetSink:
     """Columns into an open file, in row groups of about `_ROW_GROUP` rows whatever the blocks' sizes."""
 
     def __init__(self, file: BinaryIO, names: Sequence[str], metadata: Mapping[str, str]) -> None:
-        self._arrow, parquet = require_pyarrow(Path(getattr(file, "name", "capture")))
+        self._arrow, parquet = require_pyarrow()
         fields = [(name, self._arrow.float64()) for name in names]
         self._schema = self._arrow.schema(fields, metadata=dict(metadata))
         self._writer = parquet.ParquetWriter(file, self._schema)

@@ -7,6 +7,7 @@ import numpy as np
 from servo_daemon.captures.capture.model import Capture
 from servo_daemon.captures.meaning.finding import Finding, column_name, mend
 from servo_daemon.captures.meaning.windows import FEWEST, travelled
+from servo_daemon.numerics import least_squares
 from servo_daemon.samples import F64
 
 #: Windows for a speed and its change, s, and at least so many intervals.
@@ -31,7 +32,7 @@ def sign_findings(capture: Capture) -> list[Finding]:
     if min(np.mean(rows[:, 2] > 0.0), np.mean(rows[:, 2] < 0.0)) < _EITHER_WAY:
         return []  # a load that is let down drives all the time
     parts = np.array_split(rows, _PARTS)
-    found = np.array([np.linalg.lstsq(p[:, 1:], p[:, 0], rcond=None)[0][:2] for p in parts])
+    found = np.array([least_squares(p[:, 1:], p[:, 0])[0][:2] for p in parts])
     mean, error = found.mean(axis=0), found.std(axis=0, ddof=1) / np.sqrt(_PARTS)
     drives = np.max(found[:, 1]) < 0.0 and mean[1] < -_SIGMA * error[1]
     if not drives or mean[0] > error[0]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.captures.capture.model import Capture
+from servo_daemon.numerics import least_squares, sample_period
 from servo_daemon.samples import F64
 
 #: A window lasts this long, s, and at least so many intervals: the encoder's step is small against its travel.
@@ -35,7 +36,7 @@ def travelled(capture: Capture) -> F64 | None:
 
 def window_length(time_s: F64) -> int:
     """Intervals in a window."""
-    return max(_LEAST, round(_WINDOW_S / float(np.median(np.diff(time_s)))))
+    return max(_LEAST, round(_WINDOW_S / sample_period(time_s)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +79,6 @@ def _summed(values: F64, edges: NDArray[np.intp]) -> F64:
 
 def left(columns: F64, known: F64) -> tuple[F64, float]:
     """Coefficients, shape (m,), and the rms that a least-squares fit leaves, as a share of what there is."""
-    found, *_ = np.linalg.lstsq(columns, known, rcond=None)
+    found, _ = least_squares(columns, known)
     size = float(np.sqrt(np.mean(known**2)))
-    return np.asarray(found, np.float64), float(np.sqrt(np.mean((known - columns @ found) ** 2))) / max(size, 1e-300)
+    return found, float(np.sqrt(np.mean((known - columns @ found) ** 2))) / max(size, 1e-300)

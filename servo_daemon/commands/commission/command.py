@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from servo_daemon.commands.shared import common
@@ -27,14 +27,6 @@ _BUDGET_S = 300.0
 _PERCENT = re.compile(r"(\d+\.?\d*|\.\d+) ?%")
 #: Stops after which the samples are the motor's own, and a diagnosis may name what the model lacks.
 _UNEXPLAINED = ("innovations", "hard_stop")
-
-
-@dataclass(frozen=True, slots=True)
-class _Able:
-    """One driver by both of its sides: what is opened and closed, and what commands."""
-
-    driver: Driver
-    commands: Commanding
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -62,22 +54,22 @@ def run(arguments: argparse.Namespace) -> int:
     limits = motion_limits(drive)
     output.prepare(arguments.out, arguments.force)
     ask = Ask(accuracy, drive.model, arguments.seed)
-    driver = commanding_driver(drive)
+    driver, commands = commanding_driver(drive)
     bar = common.progress(limits.seconds, "s", "commission")
 
     def told(seconds: float, step: str) -> None:
         bar.set_description(step)
         bar.update(seconds - bar.n)
 
-    with bar, common.stop_requested() as stop, driver.driver:
-        result = commission(driver.commands, limits, ask, stop.is_set, told)
-    capture = output.capture_of(drive, driver.driver.info, result)
+    with bar, common.stop_requested() as stop, driver:
+        result = commission(commands, limits, ask, stop.is_set, told)
+    capture = output.capture_of(drive, driver.info, result)
     diagnosis = None
     if arguments.budget and _is_unexplained(result):
         common.note("the model does not explain the samples: looking for what it lacks")
         diagnosis = _diagnosed(capture, drive, arguments.budget)
         result = _with_found(result, diagnosis, accuracy)
-    tuning = output.tuned(drive, driver.driver.info, result, diagnosis)
+    tuning = output.tuned(drive, driver.info, result, diagnosis)
     document = output.document(drive, limits, ask, result, diagnosis, tuning)
     if arguments.out is not None:
         output.write(arguments.out, capture, document, result, tuning)
@@ -119,22 +111,21 @@ def motion_limits(drive: DriveConfig) -> MotionLimits:
     return MotionLimits(**values)
 
 
-def commanding_driver(drive: DriveConfig) -> _Able:
-    """The drive's driver, closed.
+def commanding_driver(drive: DriveConfig) -> tuple[Driver, Commanding]:
+    """The drive's driver, closed, by both of its sides.
 
     Raises:
         RefusedError: it cannot command.
     """
-    from drivers.commanding import Commanding
-    from drivers.registry import make_driver
+    from drivers.commanding import make_commanding
 
-    driver = make_driver(drive.driver, drive.name, drive.options)
-    if not isinstance(driver, Commanding):
+    made = make_commanding(drive.driver, drive.name, drive.options)
+    if made is None:
         raise RefusedError(
             f'drive {drive.name}: driver = "{drive.driver}" only reads; `servo-daemon excite` plans a motion for the '
             "drive's own tool to play, and `servo-daemon fit` takes its record"
         )
-    return _Able(driver, driver)
+    return made
 
 
 def _is_unexplained(result: Commissioning) -> bool:

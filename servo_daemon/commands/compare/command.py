@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from servo_daemon.commands.fit.command import add_model
 from servo_daemon.commands.shared import common
+from servo_daemon.commands.shared.numbers import positive
 from servo_daemon.learning import QUICK_MOTORS
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--paper", action="store_true", help="the paper's own numbers redone; needs no capture")
     parser.add_argument(
         "--assumed-R",
-        type=float,
+        type=positive,
         metavar="OHM",
         help=f"R for method 1, which cannot find it (the config's nominal R, else the paper's {PAPER_R})",
     )
@@ -61,8 +62,6 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.capture is None and not arguments.paper:
         raise BadInputError("a CAPTURE is needed, or --paper for the paper's own numbers")
-    if arguments.assumed_R is not None and not arguments.assumed_R > 0.0:
-        raise BadInputError(f"--assumed-R must be greater than zero, not {arguments.assumed_R:g}")
     if arguments.out is not None:
         common.may_overwrite(arguments.force, *(arguments.out / name for name in ("compare.json", "report.html")))
         OutputFolder(arguments.out).check_writable()  # what cannot be written should not be computed first

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from servo_daemon.commands.fit.command import add_model, add_validation
 from servo_daemon.commands.shared import common
+from servo_daemon.commands.shared.numbers import positive
 
 if TYPE_CHECKING:
     from servo_daemon.commands.diagnose.diagnosing import Diagnosed
@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--budget",
-        type=_positive,
+        type=positive,
         metavar="SECONDS",
         help="of processor time: then nothing more is tried, and the best so far is the answer",
     )
@@ -44,13 +44,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     common.add_signals(parser)
     common.add_config(parser)
     common.add_json(parser)
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value < math.inf:
-        raise ValueError(text)
-    return value
 
 
 def run(arguments: argparse.Namespace) -> int:

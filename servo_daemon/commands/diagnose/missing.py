@@ -12,6 +12,7 @@ from servo_daemon.commands.diagnose.evidence import Evidence, has_other_torques
 from servo_daemon.commands.shared.units import shown_unit
 from servo_daemon.diagnosis.missing.missing import Missing
 from servo_daemon.diagnosis.verdict.result import Diagnosis
+from servo_daemon.numerics import sample_period
 from servo_daemon.report import Axis, Line, Mark, Points, Scatter, Spectrum, TimeSeries
 from servo_daemon.report.document import Block
 from servo_daemon.report.numbers import number_text
@@ -167,7 +168,7 @@ def _spectrum(s: _Series) -> Iterator[Spectrum]:
     from scipy.signal import welch
 
     time = s.time_s
-    period = float(np.median(np.diff(time))) if len(time) >= 2 * _SHORTEST_PIECE else 0.0
+    period = sample_period(time) if len(time) >= 2 * _SHORTEST_PIECE else 0.0
     if period <= 0:
         return
     even = np.arange(time[0], time[-1], period)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from servo_daemon.commands.shared import common
+from servo_daemon.commands.shared.numbers import positive
 from servo_daemon.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -50,12 +51,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="voltage",
         help="what the drive takes: a voltage, or what its servo is to follow (default: voltage)",
     )
-    parser.add_argument("--seconds", type=float, default=20.0, help="length (default: 20)")
-    parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="samples a second (default: 1000)")
+    parser.add_argument("--seconds", type=positive, default=20.0, help="length (default: 20)")
+    parser.add_argument("--rate", type=positive, default=1000.0, metavar="HZ", help="samples a second (default: 1000)")
     parser.add_argument("--seed", type=int, default=0, help="same seed, same plan (default: 0)")
     common.add_fix(parser, "values that are known, as [drive.nominal] has them; repeatable")
     parser.add_argument(
-        "--rms-current", type=float, metavar="A", help="greatest RMS current (default: half of current_A)"
+        "--rms-current", type=positive, metavar="A", help="greatest RMS current (default: half of current_A)"
     )
     parser.add_argument("--current-noise", type=float, metavar="A", help="of the sensor, 1 σ; 0: there is no sensor")
     common.add_json(parser)
@@ -135,13 +136,6 @@ def _check(arguments: argparse.Namespace) -> None:
     Raises:
         BadInputError: one does not.
     """
-    for name, value in (
-        ("seconds", arguments.seconds),
-        ("rate", arguments.rate),
-        ("rms-current", arguments.rms_current),
-    ):
-        if value is not None and not 0.0 < value < float("inf"):
-            raise BadInputError(f"--{name} must be greater than zero, not {value:g}")
     if arguments.seed < 0:
         raise BadInputError(f"--seed must not be negative, not {arguments.seed}")
 

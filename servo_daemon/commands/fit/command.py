@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from servo_daemon.commands.shared import common
 from servo_daemon.commands.shared.effect_flag import add_effect
+from servo_daemon.commands.shared.numbers import positive
 
 if TYPE_CHECKING:
     from servo_daemon.commands.fit.fitting import Fitted
@@ -28,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--method", choices=("output-error", "idim"), default="output-error", help="default: output-error"
     )
     parser.add_argument(
-        "--segment", type=float, metavar="S", help="free runs of this length, each with its own initial state"
+        "--segment", type=positive, metavar="S", help="free runs of this length, each with its own initial state"
     )
     parser.add_argument("--no-robust", action="store_true", help="give isolated wrong samples full weight")
     common.add_out(parser, "write fit.json and report.html there", metavar="DIR")

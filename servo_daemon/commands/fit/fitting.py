@@ -72,8 +72,6 @@ def _check_segment(segment_s: float | None, inputs: Inputs) -> None:
     """
     if segment_s is None:
         return
-    if not segment_s > 0.0:
-        raise BadInputError(f"--segment must be greater than zero, not {segment_s:g}")
     for capture in inputs.captures:
         if segment_s < (shortest := (FEWEST_SAMPLES - 1) * capture.sample_period_s):
             least = f"{FEWEST_SAMPLES} samples, here {shortest:.3g} s"

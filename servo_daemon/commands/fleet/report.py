@@ -15,6 +15,8 @@ from servo_daemon.report.figures import Line, Mark
 
 #: Lines of a list before it says how many more there are; all of them are in the tables.
 _MOST_LINES = 50
+#: Names of drives in one cell.
+_MOST_NAMES = 8
 
 
 def fleet_report(fleet: Fleet, provenance: Provenance) -> Report:
@@ -38,7 +40,7 @@ def _verdict(fleet: Fleet) -> Verdict:
     if not fleet.documents:
         return Verdict("bad", "No drive gave a result", lines)
     if fleet.pooled is None:
-        return Verdict("warn", "Too few drives with values to tell what they have in common", lines)
+        return Verdict("warn", f"{len(fleet.documents)} drives: too few to tell what they have in common", lines)
     return Verdict("warn" if lines else "good", f"{len(fleet.documents)} drives of one type", lines)
 
 
@@ -91,17 +93,12 @@ def _summary(fleet: Fleet) -> list[Block]:
             for r in rows
         )
         blocks.append(Table("What the drives have in common", columns, table))
-    if fleet.diagnosed:
-        causes = sorted(fleet.causes.items(), key=lambda c: -c[1])
-        share = tuple((name, effects_by_name()[name].cause, n) for name, n in causes)
-        if share:
-            blocks.append(
-                Table(
-                    "Effects that were named",
-                    (Column("effect", text=True), Column("cause", text=True), Column("drives")),
-                    share,
-                )
-            )
+    else:
+        blocks += _each(fleet)
+    if fleet.causes:
+        share = tuple((name, effects_by_name()[name].cause, drives_with(fleet, name)) for name in ranked_causes(fleet))
+        headings = tuple(Column(name, text=True) for name in ("effect", "cause", "drives"))
+        blocks.append(Table("Effects that were named", headings, share))
     lists: list[tuple[str, list[str]]] = [
         ("Not like the others", [stranger_text(fleet, k) for k in strangers(fleet)]),
         ("What drifts", [drift_text(fleet, k, d) for k, d in drifting(fleet)]),
@@ -114,6 +111,35 @@ def _summary(fleet: Fleet) -> list[Block]:
     return blocks
 
 
+def ranked_causes(fleet: Fleet) -> list[str]:
+    """Effects that were named, the commonest first."""
+    return sorted(fleet.causes, key=lambda name: -fleet.causes[name])
+
+
+def drives_with(fleet: Fleet, effect: str) -> str:
+    """'2 of 6: axis1, axis4'."""
+    names = [d["drive"] for k, d in enumerate(fleet.documents) if effect in fleet.effects_of(k)]
+    more = [f"and {len(names) - _MOST_NAMES} more"] if len(names) > _MOST_NAMES else []
+    return f"{len(names)} of {len(fleet.documents)}: {', '.join(names[:_MOST_NAMES] + more)}"
+
+
+def _each(fleet: Fleet) -> list[Block]:
+    """Each drive's own values, where nothing says more than they do."""
+    documents = fleet.documents[:_MOST_LINES]
+    units = {n: row["unit"] for d in documents for n, row in d["fit"]["parameters"].items()}
+    if not units:
+        return []
+    columns = tuple(Column(name, unit) for name, unit in units.items())
+    rows = tuple((d["drive"], *(_own(d["fit"]["parameters"].get(name)) for name in units)) for d in documents)
+    return [Table("Each drive's own values", (Column("drive", text=True), *columns), rows)]
+
+
+def _own(row: Any) -> Measured | str:
+    if row is None or row["value"] is None:
+        return ""
+    return Measured(row["value"], row["std"])
+
+
 def _distribution(fleet: Fleet, j: int) -> Plot:
     """Drives in the order of their pooled values, own values beside them."""
     assert fleet.pooled is not None
@@ -122,6 +148,7 @@ def _distribution(fleet: Fleet, j: int) -> Plot:
     back: Any = np.exp if log else (lambda x: x)
     own, pooled = fleet.own[order, j], fleet.pooled.mean[order, j]
     half = 1.96 * np.sqrt(fleet.pooled.cov[order, j, j])
+    lowest, highest = (fleet.documents[k]["drive"] for k in (order[0], order[-1]))
     mean = float(back(fleet.pooled.prior.mean[j]))
     return Plot(
         f"{name} over the fleet",
@@ -131,7 +158,7 @@ def _distribution(fleet: Fleet, j: int) -> Plot:
             Line("with the other drives", back(pooled), back(pooled - half), back(pooled + half)),
         ),
         Axis(name, parameter_table()[name].unit),
-        caption="Drives in the order of their values; the band is the 95 % interval.",
+        caption=f"Drives in the order of their values, from {lowest} to {highest}; the band is the 95 % interval.",
         x_axis=Axis("drive"),
         levels=(Mark(mean, "mean"),),
         group="drives",

@@ -14,11 +14,13 @@ from servo_daemon.plant.effects import parameter_table
 
 
 def write_tables(folder: Path, fleet: Fleet) -> None:
-    """All three; a table without rows is not written.
+    """All three; a table without rows is not there: one of an earlier question would be taken for this one's.
 
     Raises:
         BadInputError: pyarrow is not installed, or a file cannot be written.
     """
+    for name in ("parameters", "drives", "fleet"):
+        (folder / f"{name}.parquet").unlink(missing_ok=True)
     for name, rows in (("parameters", parameter_rows(fleet)), ("drives", drive_rows(fleet))):
         if rows:
             write_table(folder / f"{name}.parquet", rows)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from servo_daemon.commands.shared import common
+from servo_daemon.numerics import sample_period
 from servo_daemon.parameters import spaced
 from servo_daemon.published.snapshot import ParameterEstimate
 
@@ -101,13 +102,12 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _learned(path: Path, drive: DriveConfig, capture: Capture) -> LearnedModel:
     """Refused unless it was trained for a drive like this one."""
-    import numpy as np
 
     from servo_daemon.learning.examples.drive import trainable
     from servo_daemon.learning.model.model_file import DriveIdentity, load_model
 
     block = capture.block()
-    rate_hz = 1.0 / float(np.median(np.diff(block.time_s)))
+    rate_hz = 1.0 / sample_period(block.time_s)
     return load_model(path, DriveIdentity(drive.model, drive.nominal, trainable(block.channels), rate_hz))
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -12,7 +11,8 @@ from servo_daemon.commands.scan.bus import bus_options, on_bus
 from servo_daemon.commands.scan.finding import Candidate, Finding, look
 from servo_daemon.commands.scan.places import on_port
 from servo_daemon.commands.shared import common
-from servo_daemon.errors import BadInputError, DriverConfigError, DriverError
+from servo_daemon.commands.shared.numbers import positive
+from servo_daemon.errors import DriverConfigError, DriverError
 
 HELP = "which drives are there, what they send, and the TOML for them"
 EXAMPLE = """  servo-daemon scan                            # listens to every serial port of this machine
@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="also send requests (reads only): to serial ports, and to CANopen nodes that are heard",
     )
-    parser.add_argument("--seconds", type=float, default=_SECONDS, metavar="S", help="for each look (default: 4)")
+    parser.add_argument("--seconds", type=positive, default=_SECONDS, metavar="S", help="for each look (default: 4)")
     common.add_json(parser)
 
 
@@ -40,8 +40,6 @@ def run(arguments: argparse.Namespace) -> int:
     """Exit code 1 if no drive is found; 2 where a bus or a flag is wrong."""
     from drivers.serial.port import port_names
 
-    if not 0.0 < arguments.seconds < math.inf:
-        raise BadInputError(f"--seconds must be greater than zero, not {arguments.seconds:g}")
     buses = [bus_options(text, arguments.bitrate) for text in arguments.can]
     ports = arguments.port or ([] if buses else port_names())
     findings, remarks = [], []

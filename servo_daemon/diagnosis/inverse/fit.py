@@ -7,11 +7,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servo_daemon.diagnosis.inverse.rows import BalanceRows
 from servo_daemon.diagnosis.trial.scored import Scored
 from servo_daemon.diagnosis.trial.split import TRAIN
 from servo_daemon.numerics import least_squares
+from servo_daemon.plant.effects import dry_frictions
 from servo_daemon.regression.linear_regression import autocorrelation
 from servo_daemon.samples import F64
 
@@ -22,6 +24,9 @@ OFFSET = "constant_load_torque"
 OWN = ("J", "B", "TL")
 #: Of these, the first that cannot be negative.
 _POSITIVE = 2
+
+#: Less of a row is rest than this, and it is one of motion.
+_MOVES = 0.01
 
 #: From the coefficients of an effect's columns to its parameters, natural units; None: there are none.
 Start = Callable[[F64], Mapping[str, float] | None]
@@ -68,18 +73,41 @@ class Explained:
 
     @cached_property
     def coefficients(self) -> F64:
-        return non_negative(self.table[self.rows.at(TRAIN)], self.rows.torque[self.rows.at(TRAIN)])
+        here = self.rows.at(TRAIN) & self.told
+        return non_negative(self.table[here], self.rows.torque[here])
+
+    @cached_property
+    def told(self) -> NDArray[np.bool_]:
+        """Rows of which the torque is told: with a dry friction those of motion, if there are enough, shape (w,)."""
+        moving = self.rows.rest < _MOVES
+        sticks = any(t.name in dry_frictions() for t in self.torques)
+        enough = np.count_nonzero(moving & self.rows.at(TRAIN)) > self.table.shape[1]
+        return moving if sticks and enough else np.ones_like(moving)
 
     @cached_property
     def residual(self) -> F64:
         """Residual of the fit, N·m, shape (w,)."""
         return np.asarray(self.rows.torque - self.table @ self.coefficients)
 
+    @cached_property
+    def error(self) -> F64:
+        """What of the residual is neither a step of the reading nor what a shaft that sticks takes, N·m, shape (w,)."""
+        free = self.rows.unread + self.rows.rest * sum(self._holds(t) for t in self.torques)
+        return np.asarray(np.sign(self.residual) * np.maximum(np.abs(self.residual) - free, 0.0))
+
+    def _holds(self, torque: Torque) -> float:
+        """The most that a dry friction holds at rest without motion, N·m: what it takes in motion; 0 of others."""
+        moving = self.rows.rest < _MOVES
+        if torque.name not in dry_frictions() or not moving.any():
+            return 0.0
+        taken = torque.columns[moving] @ self.coefficients[self.columns_of(torque)]
+        return float(np.median(np.abs(taken)))
+
     def scored(self, part: int) -> Scored:
         """Errors by free run of a part, in the unit of the measured effort."""
         here = self.rows.at(part)
         runs, number = np.unique(self.rows.run[here], return_inverse=True)
-        squares = np.bincount(number, (self.residual[here] / self.rows.factor) ** 2, len(runs)).astype(np.float64)
+        squares = np.bincount(number, (self.error[here] / self.rows.factor) ** 2, len(runs)).astype(np.float64)
         counts = np.bincount(number, minlength=len(runs)).astype(np.float64)
         effort = self.rows.torque[self.rows.run >= 0] / self.rows.factor
         return Scored(squares[:, None], counts[:, None], np.array([max(float(np.std(effort)), 1e-300)]))

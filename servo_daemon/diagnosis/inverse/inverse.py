@@ -32,7 +32,7 @@ _STEP = 1e-6
 
 
 @dataclass(frozen=True)
-class _Values:
+class Values:
     """Natural values and 1 σ by name; a σ of None: not seen, the value is one that would not show."""
 
     value: Mapping[str, float]
@@ -59,7 +59,7 @@ def found_by_balance(data: Data, baseline: OutputErrorFit, base: Trial, nominal:
     found = None if rows is None else search_balance(rows)
     if rows is None or found is None:
         return None
-    values, every = _full_data_values(found.explained), data.full
+    values, every = full_data_values(found.explained), data.full
     extended = _model(every, baseline, found.explained, values, K_known="K" in data.fixed or plant.drive == "torque")
     measuring, number = data.split.measuring, data.longest
     before, after, floor = found.base.scored(measuring), found.explained.scored(measuring), _floor(found, measuring)
@@ -91,15 +91,17 @@ def _known(names: Sequence[str], data: Data, nominal: Mapping[str, float]) -> di
     return {"K": data.fixed.get("K", nominal.get("K", parameter_table()["K"].nominal))}
 
 
-def _full_data_values(explained: Explained) -> _Values:
-    """The regression over all rows, with standard deviations for a residual that is correlated."""
-    rows = explained.rows
-    beta = non_negative(explained.table, rows.torque)
+def full_data_values(explained: Explained) -> Values:
+    """The regression over all rows, with standard deviations for a residual that is correlated and for what standing
+    readings do not tell."""
+    table, torque_of = explained.table[explained.told], explained.rows.torque[explained.told]
+    beta = non_negative(table, torque_of)
     kept = np.flatnonzero((beta != 0) | (np.arange(len(beta)) >= len(OWN)))
-    fit = fit_linear([str(k) for k in kept], explained.table[:, kept], rows.torque)
+    fit = fit_linear([str(k) for k in kept], table[:, kept], torque_of)
     full, covariance = np.zeros(len(beta)), np.zeros((len(beta), len(beta)))
     at = [int(name) for name in fit.names]
     full[at], covariance[np.ix_(at, at)] = fit.value, fit.covariances[ROBUST]
+    covariance[kept, kept] += _unread_var(table[:, kept], torque_of, explained.rows.unread[explained.told])
     value: dict[str, float] = {}
     std: dict[str, float | None] = {}
     for k, name in enumerate(OWN):
@@ -113,7 +115,18 @@ def _full_data_values(explained: Explained) -> _Values:
         found, spread_of = _with_std(torque.start, full[own], covariance[own, own])
         value |= found
         std |= spread_of
-    return _Values(value, std)
+    return Values(value, std)
+
+
+def _unread_var(table: F64, torque: F64, unread: F64) -> F64:
+    """Variance of each coefficient, shape (m,), from readings that stand. Their errors are no noise: those of one
+    reading may all be the same, anything up to half a step; those of different readings are independent."""
+    step = 2.0 * float(unread.max(initial=0.0))
+    if step == 0.0:
+        return np.zeros(table.shape[1])
+    _, reading = np.unique(np.rint(torque / step), return_inverse=True)
+    most = np.array([np.bincount(reading, np.abs(row) * unread) for row in np.linalg.pinv(table)])
+    return np.asarray((most**2).sum(axis=1) / 3.0)
 
 
 def _invisible(explained: Explained, column: int) -> float:
@@ -135,7 +148,7 @@ def _with_std(start: Start, b: F64, covariance: F64) -> tuple[dict[str, float], 
 
 
 def _model(
-    data: Data, baseline: OutputErrorFit, explained: Explained, values: _Values, *, K_known: bool
+    data: Data, baseline: OutputErrorFit, explained: Explained, values: Values, *, K_known: bool
 ) -> OutputErrorFit:
     """The extended motor with these values, over free runs as short as they may be."""
     effects = tuple(e for t in explained.torques for e in t.effects) + ((OFFSET,) if "TL" in values.value else ())
@@ -153,7 +166,7 @@ def _model(
     return replace(fit, parameters=parameters, combinations=ratios)
 
 
-def _parameter(name: str, fitted: FittedParameter, values: _Values, *, K_known: bool) -> FittedParameter:
+def _parameter(name: str, fitted: FittedParameter, values: Values, *, K_known: bool) -> FittedParameter:
     """As the regression has it; a torque by an unknown K has no number."""
     if name not in values.value or parameter_table()[name].held == "always":
         return fitted
@@ -167,7 +180,7 @@ def _is_torque(name: str) -> bool:
     return name == "J" or parameter_table()[name].unit.startswith("N·m")
 
 
-def _ratios(rows: BalanceRows, values: _Values, parameters: Mapping[str, FittedParameter]) -> tuple[Combination, ...]:
+def _ratios(rows: BalanceRows, values: Values, parameters: Mapping[str, FittedParameter]) -> tuple[Combination, ...]:
     """Torques over K, which is what a current tells."""
     units = {"J": "A·s²/rad", "B": "A·s/rad", "c2": "A·s²/rad²"}
     return tuple(
@@ -177,7 +190,7 @@ def _ratios(rows: BalanceRows, values: _Values, parameters: Mapping[str, FittedP
     )
 
 
-def _linear(baseline: OutputErrorFit, values: _Values, factor: float) -> F64:
+def _linear(baseline: OutputErrorFit, values: Values, factor: float) -> F64:
     """Coordinates of the linear motor of the balance, as `Missing.coordinates` has them."""
     (names, q), table = coordinates_with_load(baseline), parameter_table()
     motor = {name: value for name, value in values.value.items() if name in OWN}
@@ -192,7 +205,7 @@ def _floor(found: Found, part: int) -> Scored:
     """What noise alone would leave of the balance: that of the measured effort, by its second differences, in which no
     motion is left."""
     scored = found.explained.scored(part)
-    noise = float(np.mean(np.diff(found.explained.rows.motion.u, n=2) ** 2) / 6.0)
+    noise = float(np.mean(np.diff(found.explained.rows.effort, n=2) ** 2) / 6.0)
     return replace(scored, squares=noise * scored.counts)
 
 

@@ -20,6 +20,7 @@ from servo_daemon.diagnosis.screening.screen import has_no_formula
 from servo_daemon.diagnosis.search.evidence import LEAST_OWN, LEAST_SHARE, LEAST_TOGETHER, convinces, ties_with
 from servo_daemon.diagnosis.trial.compare import Advantage, bootstrapped
 from servo_daemon.diagnosis.trial.split import CHOICE, HELD_OUT, TRAIN
+from servo_daemon.numerics import least_squares
 from servo_daemon.plant.columns.scans import HARMONICS
 from servo_daemon.plant.columns.screening import Context, phase
 from servo_daemon.plant.contribution import contribution
@@ -34,7 +35,7 @@ _WAVES = "cogging_torque"
 NAMED = (_WAVES, "gravity_load", "load_dependent_friction", "position_dependent_friction")
 #: Of causes that do as well the one that every machine has.
 _USUAL = "coulomb_friction"
-#: Log of the squared error that a further harmonic must take, and the radians of one that a sample may pass.
+#: Log of the squared error that a further harmonic must take, and the radians of one that an instant may pass.
 _HARMONIC_WORTH, _RESOLVED = 0.15, 1.5
 _MOST_EFFECTS = 3
 
@@ -118,7 +119,7 @@ def _tried(current: Explained) -> Iterator[Tried]:
 def _advantage(simple: Explained, rich: Explained, added: Torque) -> Advantage:
     here = rich.rows.at(TRAIN)
     n = max(rich.independent * float(here.sum()), 2.0)
-    squares = [max(float(e.residual[here] @ e.residual[here]), 1e-300) for e in (simple, rich)]
+    squares = [max(float(e.error[here] @ e.error[here]), 1e-300) for e in (simple, rich)]
     delta_bic = added.parameters * float(np.log(n)) - n * float(np.log(squares[0] / squares[1]))
     return Advantage(*bootstrapped(simple.scored(CHOICE), rich.scored(CHOICE)), delta_bic)
 
@@ -167,7 +168,7 @@ def _cogging(current: Explained) -> Torque | None:
     """As many harmonics of the turn as pay for themselves, the largest first."""
     rows = current.rows
     theta, omega = rows.motion.theta, rows.motion.omega
-    passed = float(np.percentile(np.abs(omega), 95.0)) / rows.filter.rate_Hz
+    passed = float(np.percentile(np.abs(omega), 95.0)) / (rows.filter.rate_Hz * rows.instants)
     most = int(min(HARMONICS, _RESOLVED / max(passed, 1e-12)))
     least = max(2, int(np.ceil(2 * np.pi / max(float(np.ptp(theta)), 1e-9))))
     waves = {
@@ -198,8 +199,7 @@ def _strongest(before: Explained, waves: Mapping[int, F64]) -> int:
     taken: dict[int, float] = {}
     for n, wave in waves.items():
         X = beside(wave[here])
-        found, *_ = np.linalg.lstsq(X, y, rcond=1e-9)
-        taken[n] = float(y @ X @ found)
+        taken[n] = float(y @ X @ least_squares(X, y)[0])
     return max(taken, key=lambda n: taken[n])
 
 

@@ -19,6 +19,7 @@ from servo_daemon.diagnosis.missing.response import smoothed
 from servo_daemon.diagnosis.missing.signals import motion_of
 from servo_daemon.diagnosis.screening.derived import derived, usual_values
 from servo_daemon.diagnosis.screening.regression import Regression, bent_names, of_parameters
+from servo_daemon.numerics import least_squares
 from servo_daemon.parameters import MOTOR_NAMES
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.plant.columns.screening import Basis, Context, Family, Motion, Trace
@@ -140,7 +141,7 @@ def context_of(missing: Missing, motion: Motion, nuisance: Sequence[Trace]) -> C
     stacked = [(columns[n] / np.median(missing.std[n])) * moving[:, None] for n in columns]
     if stacked:
         y = np.concatenate([residual[n] / np.median(missing.std[n]) for n in columns])
-        beta, *_ = np.linalg.lstsq(np.vstack(stacked), y, rcond=1e-9)
+        beta, _ = least_squares(np.vstack(stacked), y)
         residual = {n: np.where(moving, missing.series[n] - columns[n] @ beta, 0.0) for n in columns}
     held = motion.direction
     if "torque" in residual and moving.any():

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from servo_daemon.errors import BadInputError
 from servo_daemon.identification.output_error import Recording
+from servo_daemon.numerics import sample_period
 
 #: Free runs last between these, s; about so many of them are wanted.
 _SHORTEST_S, _LONGEST_S, _WANTED = 0.4, 1.5, 48
@@ -69,14 +70,14 @@ class Split:
 def segment_length_s(recordings: Sequence[Recording]) -> float:
     """Length of the free runs, s."""
     total = sum(float(r.block.time_s[-1] - r.block.time_s[0]) for r in recordings)
-    period = max(float(np.median(np.diff(r.block.time_s))) for r in recordings)
+    period = max(sample_period(r.block.time_s) for r in recordings)
     return max(float(np.clip(total / _WANTED, _SHORTEST_S, _LONGEST_S)), _FEWEST * period)
 
 
 def shorter_s(recordings: Sequence[Recording], segment_s: float) -> float | None:
     """Length of free runs for motors that are unstable where they stand (a rotor between two detents): what is not
     known of the state grows there many-fold within the usual length. None: there is nothing shorter."""
-    period = max(float(np.median(np.diff(r.block.time_s))) for r in recordings)
+    period = max(sample_period(r.block.time_s) for r in recordings)
     shorter = max(segment_s / _SHORTER, _FEWEST * period)
     return shorter if shorter < 0.5 * segment_s else None
 

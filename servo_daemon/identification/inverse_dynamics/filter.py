@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -96,14 +97,12 @@ class Filter:
 
     def decimate(self, columns: F64) -> F64:
         """Rows (w, m) from columns (n, m), ends trimmed, the last sample kept (as MATLAB's `decimate` does)."""
-        from scipy.signal import cheby1, sosfiltfilt
+        from scipy.signal import sosfiltfilt
 
         kept = columns[self.trim_samples[0] : len(columns) - self.trim_samples[1]]
         if self.decimation == 1:
             return kept
-        # In sections: as one fraction the eight poles near 1 are unstable by rounding from a decimation of 100 on.
-        sections = cheby1(8, 0.05, 0.8 / self.decimation, output="sos")
-        smooth = sosfiltfilt(sections, kept, axis=0, padlen=3 * 8)
+        smooth = sosfiltfilt(_lowpass(self.decimation), kept, axis=0, padlen=3 * 8)
         return np.asarray(smooth[self._first(len(kept)) :: self.decimation])
 
     def pick(self, column: NDArray[Any]) -> NDArray[Any]:
@@ -113,6 +112,14 @@ class Filter:
 
     def _first(self, n: int) -> int:
         return (n - 1) % self.decimation
+
+
+@lru_cache(maxsize=16)
+def _lowpass(decimation: int) -> F64:
+    """Of a decimation, in sections: as one fraction the eight poles near 1 are unstable by rounding from 100 on."""
+    from scipy.signal import cheby1
+
+    return np.asarray(cheby1(8, 0.05, 0.8 / decimation, output="sos"))
 
 
 def choose(choice: FilterChoice, rate_Hz: float, signals: Sequence[F64], efforts: Sequence[F64], order: int) -> Filter:

@@ -25,6 +25,7 @@ from servo_daemon.identification.inverse_dynamics.result import Found, as_estima
 from servo_daemon.identification.inverse_dynamics.shaft import check_effects, has_dry_friction, kinematics, rows
 from servo_daemon.identification.inverse_dynamics.signals import EvenStretch, even_stretch, pieces
 from servo_daemon.identification.inverse_dynamics.solve import MakeRows, blurred, solve_shaft
+from servo_daemon.numerics import sample_period
 from servo_daemon.regression.linear_regression import ROBUST, autocorrelation
 from servo_daemon.samples import F64, SampleBlock
 
@@ -188,7 +189,7 @@ def _effort(
     R, K = (given.get(n) if armature is None else armature.get(n, given) for n in ("R", "K"))
     if R is None or K is None:
         return np.asarray((current[1:] + current[:-1]) / 2)
-    period = float(np.median(np.diff(piece.time_s)))
+    period = sample_period(piece.time_s)
     made = piece.current_A is None  # of speeds that are constant over an interval: nothing bends
     return Lag.of(R, L, period).mean_current(piece, current, 0.0 if made else K / R)
 

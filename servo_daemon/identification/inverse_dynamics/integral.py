@@ -25,7 +25,7 @@ from servo_daemon.identification.inverse_dynamics.filter import Filter
 from servo_daemon.identification.inverse_dynamics.shaft import Kinematics, shaft_columns
 from servo_daemon.identification.inverse_dynamics.signals import measured
 from servo_daemon.identification.inverse_dynamics.solve import MakeRows
-from servo_daemon.numerics import MEDIAN_TO_STD
+from servo_daemon.numerics import sample_period, white_noise_var
 from servo_daemon.samples import F64, SampleBlock
 
 #: φ and its derivatives on 0..1.
@@ -41,8 +41,6 @@ _FASTEST = 90.0
 _LONGEST_LOOK = 200
 #: The step of a sensor that shows no step: so many standard deviations of its noise.
 _NOISE_STEPS = 4.0
-#: Third differences have so many times the standard deviation of white noise.
-_THIRD: float = 20.0**0.5
 #: Fewer different values than this share of the samples: the sensor has steps.
 _HAS_STEPS = 0.7
 #: A slide goes on over a gap of so many usual periods.
@@ -75,8 +73,7 @@ def sensor_step(position: F64) -> float:
     different = np.unique(position)
     if 2 < len(different) < _HAS_STEPS * len(position):
         return float(np.percentile(np.diff(different), 10.0))
-    third = np.diff(position, 3)  # what is no polynomial is noise; its variance is 20-fold
-    return _NOISE_STEPS * float(np.median(np.abs(third))) / (MEDIAN_TO_STD * _THIRD)
+    return _NOISE_STEPS * float(np.sqrt(white_noise_var(position)))
 
 
 def slides(block: SampleBlock, step: float) -> list[Slide]:
@@ -96,7 +93,7 @@ def slides(block: SampleBlock, step: float) -> list[Slide]:
     behind = np.concatenate([np.zeros(m), ahead[:-m]])
     sure = np.minimum(np.abs(ahead), np.abs(behind)) > _STEPS * step
     sign = np.where(sure & (np.sign(ahead) == np.sign(behind)), np.sign(ahead), 0.0)
-    broken = np.diff(t) > _BRIDGED * float(np.median(np.diff(t)))
+    broken = np.diff(t) > _BRIDGED * sample_period(t)
     edges = np.flatnonzero((np.diff(sign) != 0.0) | broken) + 1
     parts = np.concatenate([[0], edges, [len(x)]])
     return [

@@ -31,8 +31,9 @@ from servo_daemon.identification.output_error.precision.information import (
     wider,
 )
 from servo_daemon.identification.output_error.problem.problem import Problem
-from servo_daemon.identification.output_error.refine import Refined, refine, whiten_point, with_lost_seen
+from servo_daemon.identification.output_error.refine import Refined, refine, with_lost_seen
 from servo_daemon.identification.output_error.solver.solver import Solution
+from servo_daemon.identification.output_error.whitened_point import whiten_point
 from servo_daemon.samples import F64
 
 NoiseOption = Literal["auto", "none"]

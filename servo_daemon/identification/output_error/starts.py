@@ -23,6 +23,7 @@ from servo_daemon.identification.output_error.problem.setup import (
 )
 from servo_daemon.identification.output_error.window_regression import window_starts
 from servo_daemon.kalman.gaussian import to_coordinate
+from servo_daemon.numerics import sample_period
 from servo_daemon.parameters import LINEAR, MOTOR_NAMES, Parameter
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.regression.motor_rls import MotorRls
@@ -195,7 +196,7 @@ def regression_values(block: SampleBlock, plant: PlantModel) -> dict[str, float]
     if block.position_rad is None and block.velocity_rad_s is None:
         return {}
     rls, stretches = MotorRls(plant, {}, spans_s=(SPANS_S[-1],)), Stretches()
-    period = float(np.median(np.diff(block.time_s)))
+    period = sample_period(block.time_s)
     for begin in range(0, len(block), _TICK):
         part = block.slice(begin, begin + _TICK)
         last = float(block.time_s[begin - 1]) if begin else None

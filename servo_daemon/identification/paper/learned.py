@@ -15,6 +15,7 @@ from servo_daemon.learning.examples.targets import baseline
 from servo_daemon.learning.examples.training import TARGETS, cut_windows
 from servo_daemon.learning.features.features import compute_features
 from servo_daemon.learning.model.model import LearnedModel
+from servo_daemon.numerics import sample_period
 from servo_daemon.parameters import LINEAR
 from servo_daemon.samples import F64, SampleBlock
 
@@ -54,7 +55,7 @@ def learned_method(
     features = _features(block, window_s)
     known = all(n in nominal for n in CORE)
     centre = {n: nominal[n] for n in nominal} if known else _own_centre(features)
-    rate = 1.0 / float(np.median(np.diff(block.time_s)))
+    rate = 1.0 / sample_period(block.time_s)
     spec = TrainingSpec(
         centre,
         effects,

@@ -65,13 +65,13 @@ def position_test(
         parameters: R, L, K, J, B, natural units.
         reference: the curve to compare with (the true motor's).
     """
-    from control import poles, step_response
+    from scipy.signal import step
 
     loop = closed_servo(parameters, loop_gains(product_V_rad))
     time = np.linspace(0.0, TEST_S, _POINTS)
-    stable = bool(np.max(np.real(poles(loop))) < 0.0)
+    stable = bool(np.max(np.roots(loop.denominator).real) < 0.0)
     with np.errstate(over="ignore", invalid="ignore"):
-        response = np.asarray(step_response(loop, time).outputs, dtype=np.float64)
+        _, response = step(loop, T=time)
     angle = STEP_DEG * np.clip(np.nan_to_num(response, nan=_UNSTABLE), -_UNSTABLE, _UNSTABLE)
     distance = None if reference is None else float(np.sqrt(np.mean((angle - reference.angle_deg) ** 2)))
     return PositionTest(

@@ -20,6 +20,7 @@ import numpy as np
 from servo_daemon.errors import BadInputError
 from servo_daemon.identification.inverse_dynamics.signals import pieces
 from servo_daemon.identification.paper.free_run import free_run
+from servo_daemon.numerics import sample_period
 from servo_daemon.plant.build import build_plant
 from servo_daemon.regression.linear_regression import ROBUST, LinearFit, autocorrelation, fit_linear
 from servo_daemon.samples import F64, SampleBlock
@@ -155,7 +156,7 @@ def _gauss_newton(data: Sequence[_Piece], x: F64, filters: Sequence[F64]) -> tup
     Returns:
         x; the last linear problem; residuals of the pieces, unwhitened.
     """
-    period = float(np.median(np.diff(data[0].time_s)))
+    period = sample_period(data[0].time_s)
     for _ in range(_ROUNDS):
         fit, residuals = _solve(data, x, filters)
         move = np.array([fit.value[fit.names.index(n)] if n in fit.names else 0.0 for n in _NAMES])
@@ -207,7 +208,7 @@ def _start(d: _Piece) -> F64:
     """(log k, log a₁, a₂) of the best of a grid of time constants, on even sampling."""
     from scipy.signal import cont2discrete, lfilter
 
-    period = float(np.median(np.diff(d.time_s)))
+    period = sample_period(d.time_s)
     shown = d.shown / period if d.is_angle else d.shown[:-1]
     best, x = np.inf, np.zeros(3)
     longest = _LONGEST * float(d.time_s[-1] - d.time_s[0])

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from servo_daemon.errors import BadInputError
 from servo_daemon.identification.inverse_dynamics.armature import travel
 from servo_daemon.identification.inverse_dynamics.signals import pieces
+from servo_daemon.numerics import sample_period
 from servo_daemon.regression.linear_regression import ROBUST, LinearFit, fit_linear
 from servo_daemon.samples import F64, SampleBlock
 
@@ -124,7 +125,7 @@ def _made(
 
 
 def _length_s(sum_s: float, block: SampleBlock) -> float:
-    return max(_LENGTH * sum_s, _FEWEST_SAMPLES * float(np.median(np.diff(block.time_s))))
+    return max(_LENGTH * sum_s, _FEWEST_SAMPLES * sample_period(block.time_s))
 
 
 def _cut(block: SampleBlock, sum_s: float) -> F64 | None:
@@ -134,7 +135,7 @@ def _cut(block: SampleBlock, sum_s: float) -> F64 | None:
     if len(block) < 2:
         return None
     length_s = _length_s(sum_s, block)
-    n = round(length_s / float(np.median(np.diff(block.time_s))))
+    n = round(length_s / sample_period(block.time_s))
     count = (len(block) - 1) // n
     if count < 1:
         return None

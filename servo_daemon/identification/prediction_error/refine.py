@@ -30,6 +30,7 @@ from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.problem.setup import Recording
 from servo_daemon.identification.output_error.republished import republished, uncut, with_settled_states
 from servo_daemon.identification.prediction_error.predictor import Predictions, Predictor, predictor
+from servo_daemon.numerics import inverse_of_information
 from servo_daemon.regression.sampling import settles_between
 from servo_daemon.samples import F64
 
@@ -214,8 +215,7 @@ def _published(
 
 def _information(before: Information, found: Found, columns: Sequence[int]) -> Information:
     """What the predictions tell of these columns, the noise being unknown as well."""
-    size = np.sqrt(np.maximum(np.diag(found.hessian), 1e-300))
-    covariance = 2.0 * np.linalg.pinv(found.hessian / np.outer(size, size)) / np.outer(size, size)
+    covariance = 2.0 * inverse_of_information(found.hessian)
     k = len(columns)
     values, vectors = np.linalg.eigh(covariance[:k, :k])
     root = np.zeros((len(before.names), k))

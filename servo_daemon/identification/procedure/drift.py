@@ -18,6 +18,7 @@ import numpy as np
 from servo_daemon.errors import ServoDaemonError
 from servo_daemon.identification.output_error import FitOptions, OutputErrorFit, Recording, fit_output_error
 from servo_daemon.identification.output_error.problem.rollout import TIME
+from servo_daemon.numerics import least_squares
 from servo_daemon.samples import F64, SampleBlock
 
 #: Length of the short free runs, s, and how many of them a recording must hold for both to mean something.
@@ -107,6 +108,6 @@ def _without_lines(time: F64, residual: F64, pieces: int) -> float:
     left = 0.0
     for begin, end in pairwise(np.linspace(0, len(time), pieces + 1).astype(int).tolist()):
         A = np.column_stack([np.ones(end - begin), time[begin:end] - time[begin]])
-        line, *_ = np.linalg.lstsq(A, residual[begin:end], rcond=None)
+        line, _ = least_squares(A, residual[begin:end])
         left += float(np.sum((residual[begin:end] - A @ line) ** 2))
     return left

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from servo_daemon.numerics import sample_period
 from servo_daemon.plant.columns.screening import Context
 from servo_daemon.samples import F64
 
@@ -16,7 +17,7 @@ _RESOLVED, _SECTORS = 1.5, 4096
 def spectral_lines(t: F64, r: F64, count: int) -> list[float]:
     """Frequencies, Hz, of the highest peaks of a series over (nearly) even time, between two periods in it and a
     quarter of its rate; refined by a parabola through the peak."""
-    n, period = len(r), float(np.median(np.diff(t)))
+    n, period = len(r), sample_period(t)
     even = np.interp(t[0] + period * np.arange(round((t[-1] - t[0]) / period) + 1), t, r) if n > 1 else r
     window = np.hanning(len(even))
     size = 1 << (4 * len(even) - 1).bit_length()

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from servo_daemon.numerics import inverse_of_information
 from servo_daemon.parameters import WINDING_NAMES
 from servo_daemon.regression.linear_regression import long_run
 from servo_daemon.regression.sampling import settles_between
@@ -170,7 +171,7 @@ class _Fit:
     def of(cls, X: F64, y: F64) -> _Fit:
         scale = np.sqrt(np.mean(X**2, axis=0))
         scale[scale == 0.0] = 1.0
-        inverse = np.linalg.pinv((X / scale).T @ (X / scale)) / np.outer(scale, scale)
+        inverse = inverse_of_information(X.T @ X)
         value = inverse @ (X.T @ y)
         residual = y - X @ value
         scores = X / scale * residual[:, None]

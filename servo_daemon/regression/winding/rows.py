@@ -19,6 +19,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from servo_daemon.numerics import sample_period
 from servo_daemon.samples import F64, SampleBlock
 from servo_daemon.signal_meaning import SignalMeaning
 
@@ -82,7 +83,7 @@ def winding_rows(block: SampleBlock, meaning: SignalMeaning, *, by_position: boo
         speed = other = omega
     whole = whole & np.roll(whole, -1) & np.roll(whole, -2) & np.roll(whole, 1)
     parts = (v, i, speed, fine.of(i), other, coarse.of(i), fine.of(v))
-    return _rows(t, parts, whole, float(np.median(np.diff(t))))
+    return _rows(t, parts, whole, sample_period(t))
 
 
 def _whole(block: SampleBlock) -> NDArray[np.bool_]:
@@ -132,7 +133,7 @@ class _Rates:
 
     def __init__(self, t: F64, reach: int) -> None:
         self._reach, self._width = reach, 2 * reach + 1
-        self._usual = float(np.median(np.diff(t)))
+        self._usual = sample_period(t)
         d = (sliding_window_view(t, self._width) - t[reach : len(t) - reach, None]) / self._usual
         V = np.swapaxes(d[:, :, None] ** np.arange(self._width), 1, 2)
         unit = np.zeros((len(d), self._width, 1))

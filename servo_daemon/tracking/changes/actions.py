@@ -17,6 +17,13 @@ from servo_daemon.tracking.plan.parameter_masks import ParameterMasks
 from servo_daemon.tracking.plan.settings import Message
 from servo_daemon.tracking.validity.validity_gate import ValidityGate
 
+#: While a step is looked for, nothing is published as known better than this, 1 σ over its scale (below the loss of
+#: qualification); signed parameters, which have no qualification to lose by it.
+_OPEN_STD, _OPEN_SIGNED_STD = 0.13, 0.5
+#: A parameter that has stepped is named if it moved by this share of its scale, and by so many standard deviations of
+#: how it wandered before (two invented steps of K under a hidden brush drop: 3.9).
+_NOTICEABLE, _WANDERS = 0.02, 6.0
+
 
 class JumpActions:
     """Carries out on one filter what the watch for jumps decides. `watch` decides, `remember` is called after every
@@ -43,15 +50,31 @@ class JumpActions:
         return self.watch.quiet and not self.search.running
 
     @property
+    def idle(self) -> bool:
+        """Whether nothing has been examined lately, either."""
+        return self.quiet and self.watch.idle
+
+    @property
     def is_open(self) -> bool:
         """Whether a change is being examined."""
-        return self.watch.is_open or self.search.promising
+        return self.search.promising
 
     def remember(self, time_s: float) -> None:
         """Keep what is known now, unless a change is being examined."""
         if self.quiet:
             self._before = self._ekf.snapshot(), time_s
             self._wander.add(self._ekf.coordinates.copy())
+
+    def pass_over(self, end_s: float) -> None:
+        """A tick while it is `idle`, to which there was nothing.
+
+        Args:
+            end_s: of device time.
+        """
+        self.watch.observe(False, self.watch.sudden)
+        self.search.take(end_s)
+        self.remember(end_s)
+        self.search.mark()
 
     def take(
         self, test: InnovationTest, end_s: float, *, explained: bool, judged: bool, searched: bool | None
@@ -66,37 +89,17 @@ class JumpActions:
             searched: which parameter has stepped may be looked for; None: nothing that is seen now says anything of it.
         """
         self.watch.observe(test.unexplained, explained)
-        action: jumps.Action = "learn"
-        if judged:
-            action = self.watch.judge(test.unexplained, test.settled, self.search.running)
-        messages = self._act(action, end_s)
-        if searched is None:
-            self.search.clear()
-            return action, messages
-        self.search.take(end_s)
-        may_begin = searched and self.watch.sudden and not self.watch.is_open
-        found = self.search.look(test.unexplained, may_begin)
-        if found is None:
-            return action, messages
-        return "accept", messages + self._take_over(found, end_s)
-
-    def _act(self, action: jumps.Action, time_s: float) -> list[Message]:
-        """Do with the last tick what the watch for jumps has decided.
-
-        Args:
-            time_s: the tick's end.
-        """
-        if self._before is None or action in ("learn", "settle"):
-            return []
-        before = self._known_before()
-        if action in ("undo", "open", "reject"):
+        action: jumps.Action = self.watch.judge(test.unexplained, self.search.running) if judged else "learn"
+        if action == "undo" and self._before is not None:
+            before = self._known_before()
             self._ekf.put_parameters(before.mean, before.covariance)
             self._ekf.forget_motion(self._ekf.x)  # it was led astray as well
-        if action == "open":
-            self._ekf.widen_parameters(self._opening())
-        if action == "accept":
-            return self._report(before, time_s)
-        return []
+        if searched is None:
+            self.search.clear()
+            return action, []
+        self.search.take(end_s)
+        found = self.search.look(test.unexplained, searched and self.watch.sudden)
+        return (action, []) if found is None else ("accept", self._take_over(found, end_s))
 
     def _take_over(self, found: Found, time_s: float) -> list[Message]:
         """A parameter has stepped: the filter goes on with it.
@@ -110,13 +113,7 @@ class JumpActions:
         self.watch.explain()
         self._rls.expect_change()
         self._validity.stepped(found.k)
-        before = Known(self._masks.names, found.mean, found.covariance, found.before_s)
-        candidates = (self._masks.published & self._validity.qualification.qualified) | self._masks.biases
-        alone = np.zeros_like(candidates)
-        alone[found.k] = candidates[found.k]
-        scales = self._validity.excitation.scales
-        moved = jumps.jumped(before, self._ekf.coordinates, self._ekf.coordinate_std, scales, alone)
-        return self._named(before, moved, time_s)
+        return self._named(Known(self._masks.names, found.mean, found.covariance, found.before_s), found.k, time_s)
 
     def _known_before(self) -> Known:
         """What was known of the parameters before something happened."""
@@ -126,34 +123,19 @@ class JumpActions:
         return Known(self._masks.names, mean, covariance, time_s)
 
     def _opening(self) -> F64:
-        """Added to the coordinates' variances while a jump is looked for, shape (n,)."""
-        std = (
-            np.where(self._masks.logarithmic, jumps.OPEN_STD, jumps.OPEN_SIGNED_STD) * self._validity.excitation.scales
-        )
+        """Added to the coordinates' variances while a step is looked for, shape (n,)."""
+        std = np.where(self._masks.logarithmic, _OPEN_STD, _OPEN_SIGNED_STD) * self._validity.excitation.scales
         return np.asarray(np.where(self._masks.free, std**2, 0.0))
 
-    def _report(self, before: Known, time_s: float) -> list[Message]:
-        excitation, qualified = self._validity.excitation, self._validity.qualification.qualified
-        candidates = (self._masks.published & qualified & excitation.excited) | self._masks.biases
-        moved = jumps.jumped(before, self._ekf.coordinates, self._ekf.coordinate_std, excitation.scales, candidates)
-        self._rls.expect_change()
-        stayed = self._masks.free.copy()
-        stayed[moved] = False
-        at = np.flatnonzero(stayed)
-        self._ekf.take_in(at, before.mean[at], before.covariance[np.ix_(at, at)])
-        return self._named(before, moved, time_s) if self.watch.sudden else []
-
-    def _named(self, before: Known, moved: list[int], time_s: float) -> list[Message]:
-        """What is told of parameters that have moved: those published that have not wandered as far before, either."""
-        after, published = self._ekf.coordinates, self._masks.published
-        steps = np.abs(after - before.mean) > jumps.SIGNIFICANT * self._wander.spread(len(after))
-        if any(published[k] and steps[k] for k in moved):
-            self._wander.clear()  # what follows is about another value
-        return [
-            jumps.message(self._masks.parameters[k], before, float(after[k]), time_s)
-            for k in moved
-            if published[k] and steps[k]
-        ]
+    def _named(self, before: Known, k: int, time_s: float) -> list[Message]:
+        """What is told of a parameter that has stepped: nothing, if it is not published, or has wandered as far."""
+        after, scale = self._ekf.coordinates, float(self._validity.excitation.scales[k])
+        least = max(_NOTICEABLE * scale, _WANDERS * float(self._wander.spread(len(after))[k]))
+        known = self._masks.published[k] and self._validity.qualification.qualified[k]
+        if not known or abs(float(after[k] - before.mean[k])) <= least:
+            return []
+        self._wander.clear()  # what follows is about another value
+        return [jumps.message(self._masks.parameters[k], before, float(after[k]), time_s)]
 
     def published(self) -> Gaussian | None:
         """What is to be published of all parameters; None before the filter runs. Beside the filter's own spread: what

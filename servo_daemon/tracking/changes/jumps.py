@@ -1,10 +1,8 @@
 """Sudden changes, distinguished from noise, from slow drift and from what no parameter explains.
 
 A tick whose innovations the noise does not explain is not learned from: the parameters go back to what they were before
-it. A wrong sample or two, a lost encoder count, a voltage that read zero for a moment end there. If such ticks go on,
-something has changed: the parameters' covariance is opened for a moment. Either they settle on new values and the
-innovations are white again: a jump, reported with its time and size; or they do not: no parameter explains it, what was
-known before is put back, and it is left to the process noise and the mismatch watch.
+it. A wrong sample or two, a lost encoder count, a voltage that read zero for a moment end there. If such ticks go on
+and no parameter is found to have stepped (`search.py`), it is left to the process noise and the mismatch watch.
 """
 
 from __future__ import annotations
@@ -12,44 +10,28 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from servo_daemon.kalman.gaussian import from_coordinate
 from servo_daemon.parameters import Parameter, spaced
 from servo_daemon.samples import F64
 from servo_daemon.tracking.plan.settings import Message
 
-#: Ticks with unexplained innovations (others count a quarter against) until the covariance is opened: 0.3 s.
-_TICKS_TO_OPEN = 3.0
-#: Ticks the filter has to settle: at least and at most; so many in a row must be explained again.
-_OPEN_LEAST, _OPEN_MOST, _SETTLED = 10, 30, 5
+#: Unexplained ticks (others count a quarter against) that are undone, where no search for a step runs: 0.2 s.
+_MOST_UNDONE = 2.0
 #: Share of unexplained ticks, over about so many, from which on they are the rule.
 _RULE, _USUAL_TICKS = 0.15, 50
 #: After something that no parameter explained the watch rests, ticks.
 _REST = 300
-#: By how much a coordinate's covariance is opened, 1 σ over its scale: below the loss of qualification.
-OPEN_STD = 0.13
-#: The same for signed parameters (a load torque), which have no qualification to lose by it.
-OPEN_SIGNED_STD = 0.5
-#: A parameter has jumped when it moved by this many standard deviations, and by this much of its size. It is named if
-#: that is as much more than it wandered before (two invented steps of K under a hidden brush drop: 3.9 times).
-SIGNIFICANT, _NOTICEABLE = 6.0, 0.02
-#: Beside a large jump of one, others are named only if they are this share as significant: they have been pulled along.
-_BESIDE = 0.3
-
 #: The event that names a parameter which has jumped.
 JUMPED = "parameter_jump"
 
 #: What the filter is to do with the tick it has just worked through.
-Action = Literal["learn", "undo", "open", "settle", "accept", "reject"]
+Action = Literal["learn", "undo", "accept"]
 
 
 class JumpWatch:
     """Decides, tick by tick. It holds no estimate itself.
 
     Attributes:
-        is_open: the covariance is open.
         sudden: what is being looked into came suddenly, after samples that the model explained. Where unexplained
             ticks are the rule, or innovations were not white, the model lacks something, and what moves then is no jump
             that could be named.
@@ -61,9 +43,7 @@ class JumpWatch:
         self.reset()
 
     def reset(self) -> None:
-        self._score = 0.0
-        self._open_ticks = self._settled = self._rest = 0
-        self.is_open = False
+        self._score, self._rest = 0.0, 0
 
     def explain(self) -> None:
         """The unexplained ticks have been explained: count anew."""
@@ -73,7 +53,12 @@ class JumpWatch:
     @property
     def quiet(self) -> bool:
         """Nothing unexplained is being looked into: what is known now is what a restart of the daemon may keep."""
-        return self._score == 0.0 and not self.is_open
+        return self._score == 0.0
+
+    @property
+    def idle(self) -> bool:
+        """Quiet, unexplained ticks are the exception, and it does not rest."""
+        return self.quiet and self.calm and self._rest == 0
 
     @property
     def calm(self) -> bool:
@@ -91,16 +76,13 @@ class JumpWatch:
             self.sudden, self._usual_before = self.calm and explained, self._usual
         self._usual += (float(unexplained) - self._usual) / _USUAL_TICKS
 
-    def judge(self, unexplained: bool, settled: bool, searched: bool = False) -> Action:
+    def judge(self, unexplained: bool, searched: bool = False) -> Action:
         """Decide after a tick.
 
         Args:
             unexplained: its innovations are beyond what the noise explains.
-            settled: they are as the noise has them.
-            searched: which parameter it was is still being looked for (`jump_search`): nothing is opened meanwhile.
+            searched: which parameter it was is still being looked for (`search.py`).
         """
-        if self.is_open:
-            return self._judge_open(settled)
         if self._rest > 0:
             self._rest -= 1
             return "learn"
@@ -109,23 +91,11 @@ class JumpWatch:
             return "learn"
         self._score += 1.0
         if searched:
-            self._score = min(self._score, _TICKS_TO_OPEN - 1.0)
-        if self._score < _TICKS_TO_OPEN:
+            self._score = min(self._score, _MOST_UNDONE)
+        if self._score <= _MOST_UNDONE:
             return "undo"
-        self.is_open, self._open_ticks, self._settled = True, 0, 0
-        return "open"
-
-    def _judge_open(self, settled: bool) -> Action:
-        self._open_ticks += 1
-        self._settled = self._settled + 1 if settled else 0
-        if self._open_ticks >= _OPEN_LEAST and self._settled >= _SETTLED:
-            self.reset()
-            return "accept"
-        if self._open_ticks >= _OPEN_MOST:
-            self.reset()
-            self._rest = _REST
-            return "reject"
-        return "settle"
+        self._score, self._rest = 0.0, _REST
+        return "learn"
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,21 +106,6 @@ class Known:
     mean: F64
     covariance: F64
     time_s: float
-
-
-def jumped(before: Known, mean: F64, std: F64, scales: F64, candidates: NDArray[np.bool_]) -> list[int]:
-    """Indices of the parameters that moved, the most significant first.
-
-    Args:
-        mean, std: after it, shape (n,).
-        scales: one unit of each coordinate, shape (n,).
-        candidates: which may be named, shape (n,).
-    """
-    moved = np.abs(mean - before.mean)
-    z = moved / np.sqrt(np.diag(before.covariance) + std**2)
-    possible = candidates & (z > SIGNIFICANT) & (moved > _NOTICEABLE * scales)
-    significant = possible & (z > _BESIDE * np.max(z, where=possible, initial=0.0))
-    return [int(k) for k in np.argsort(-z) if significant[k]]
 
 
 def message(parameter: Parameter, before: Known, coordinate: float, time_s: float) -> Message:

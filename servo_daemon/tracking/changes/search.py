@@ -11,7 +11,8 @@ parameter changed, is as likely, none has.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Generator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +24,9 @@ from servo_daemon.tracking.plan.parameter_masks import ParameterMasks
 from servo_daemon.tracking.samples.filtering import Filtering, Forget
 from servo_daemon.tracking.validity.validity_gate import ValidityGate
 
+#: In a tick at most so many steps of the filter go over samples again, half of what a look back takes
+#: (`restart/relinearisation`), which it may meet; the rest of a look in the next ones.
+_STEPS_A_TICK = 30_000
 #: So many ticks are kept, and no more samples than these.
 _TICKS, _SAMPLES = 31, 20_000
 #: A change that is seen as one came at most so many ticks before; one that only shows in where the filter has gone.
@@ -105,7 +109,7 @@ class JumpSearch:
     def clear(self) -> None:
         """Forget what was kept: it is of another filter."""
         self._filtering.take_passed()
-        self._count = 0
+        self._count = self._looked_at = 0
         self._ticks: list[_Tick] = []
         self._begins: tuple[F64, F64, WatchMark] | None = None
         self._rest = 0
@@ -117,6 +121,8 @@ class JumpSearch:
         self._trials: Trials | None = None
         self._new: list[Section] = []  # not filtered yet
         self._best: dict[int, Trial] = {}
+        self._due = False
+        self._work: Generator[int, None, tuple[Found | None, bool]] | None = None  # what is left of a look
 
     def mark(self) -> None:
         """Keep the filter's state at the beginning of a tick."""
@@ -145,17 +151,24 @@ class JumpSearch:
             unexplained: its innovations are beyond what the noise explains.
             may_begin: a change may be looked for at all.
         """
+        looks = self._count // _LOOKED_AT_EVERY != self._looked_at
+        self._looked_at = self._count // _LOOKED_AT_EVERY
         if self._trials is None:
             self._rest = max(self._rest - 1, 0)
             if not may_begin or self._rest or len(self._ticks) < 2:
                 return None
-            if not unexplained and (self._count % _LOOKED_AT_EVERY or not self._has_moved()):
+            if not unexplained and not (looks and self._has_moved()):
                 return None
             self._trials = self._begin(slow=not unexplained)
         else:
             self._new += sections_of(self._ticks[-1].pieces, len(self._ticks) - 1, 1, coarse=False)
         self._age += 1
-        return self._look(self._trials) if self._age in _LOOKS else None
+        self._due |= self._age in _LOOKS
+        if self._work is None:
+            if not self._due:
+                return None
+            self._due, self._work = False, self._look(self._trials)
+        return self._go_on(self._work)
 
     def _begin(self, *, slow: bool) -> Trials:
         self._end()
@@ -169,22 +182,39 @@ class JumpSearch:
         scales, whiteness = self._validity.excitation.scales, begin.noise.whiteness
         return Trials(self._masks, self._ekf, self._filtering, scales, begin.state, dict(whiteness), slow=slow)
 
-    def _look(self, trials: Trials) -> Found | None:
-        """Over the samples, and back to where the filter was."""
-        before = self._ekf.snapshot(), self._ekf.constants
+    def _go_on(self, work: Generator[int, None, tuple[Found | None, bool]]) -> Found | None:
+        """A tick's share of a look over the samples, and back to where the filter was."""
+        before, done, steps = (self._ekf.snapshot(), self._ekf.constants), None, 0
         self._ekf.put_constants(self._ticks[0].constants)
-        trials.extend(self._new)
-        self._new = []
-        found, passed_by = self._examine(trials)
+        try:
+            while steps < _STEPS_A_TICK:
+                steps += next(work)
+        except StopIteration as stopped:
+            done = stopped.value
+            if done[0] is not None:
+                done = self._caught_up(done[0]), False
         self._ekf.restore(before[0])
         self._ekf.put_constants(before[1])
+        return None if done is None else self._conclude(*done)
+
+    def _caught_up(self, found: Found) -> Found:
+        """With the samples that have come since the look began."""
+        self._ekf.restore(found.state)
+        for section in self._new:
+            for piece in section.pieces:
+                self._filtering.run(piece)
+        return replace(found, state=self._ekf.snapshot())
+
+    def _conclude(self, found: Found | None, passed_by: bool) -> Found | None:
+        """What follows from a look."""
+        self._work = None
         too_many = sum(t.samples for t in self._ticks) > _SAMPLES
         if found is not None or passed_by:  # from here on another motor is seen, or the same one
             if found is not None:
                 self._watch.back_to(self._ticks[0].noise)
             self._end()
             self._ticks = []
-        elif self._age == _LOOKS[-1] or too_many or self._is_hopeless():
+        elif (self._age >= _LOOKS[-1] and not self._due) or too_many or self._is_hopeless():
             self._end()
             self._rest = _REST
         return found
@@ -208,13 +238,16 @@ class JumpSearch:
                 return True
         return False
 
-    def _examine(self, trials: Trials) -> tuple[Found | None, bool]:
+    def _look(self, trials: Trials) -> Generator[int, None, tuple[Found | None, bool]]:
         """What has stepped, if it is certain; and whether something has only passed by."""
+        new, self._new = self._new, []
+        trials.extend(new)
+        yield sum(section.samples for section in new)
         for k in (MOMENT, *map(int, np.flatnonzero(self._masks.free))):
-            self._best[k] = trials.likeliest(k, self._best.get(k))
+            self._best[k] = yield from trials.likeliest(k, self._best.get(k))
         ranked = self._ranked()
         for trial in (self._best[MOMENT], *ranked[:2]):
-            self._best[trial.k] = trials.at_another_time(trial)
+            self._best[trial.k] = yield from trials.at_another_time(trial)
         ranked, moment = self._ranked(), self._best[MOMENT]
         best = ranked[0]
         if moment.explained and moment.cost - best.cost < _CHANGED:
@@ -224,7 +257,8 @@ class JumpSearch:
         after = trials.sections[-1].tick - trials.sections[best.section].tick
         if not self.promising or after < _CONFIRM or (len(ranked) > 1 and ranked[1].cost - best.cost < _MARGIN):
             return None, False
-        if best.cost - trials.run(ALL, best.section).cost > _OF_ALL:
+        of_all = yield from trials.run(ALL, best.section)
+        if best.cost - of_all.cost > _OF_ALL:
             return None, False
         tick = trials.sections[best.section].tick
         mean, covariance = trials.known_before(best.section)

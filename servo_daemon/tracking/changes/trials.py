@@ -11,12 +11,13 @@ parameter (K was 1.5 standard deviations off on average after a step of the load
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from servo_daemon.kalman.ekf import Ekf
+from servo_daemon.kalman.model import GATE
 from servo_daemon.kalman.records import ChannelStatistics
 from servo_daemon.samples import F64
 from servo_daemon.tracking.noise.levels import Whiteness
@@ -36,8 +37,6 @@ _PASSES, _SETTLED_STDS, _SETTLED_SHARE = 4, 0.5, 0.01
 #: Innovations over all ticks since are white below this mean of ν²/s over what it usually is; standard deviations of
 #: their correlation that chance may make.
 _NIS_MORE, _CHANCE = 3.0, 4.0
-#: ν²/s at which an outlier counts.
-_OUTLIER_SQUARE = 25.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +51,11 @@ class Section:
     pieces: tuple[Forget | F64, ...]
     tick: int
     coarse: bool
+
+    @property
+    def samples(self) -> int:
+        """How many."""
+        return sum(0 if isinstance(piece, Forget) else len(piece) for piece in self.pieces)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +78,10 @@ class Trial:
     std: float
     state: F64
     explained: bool
+
+
+#: What runs over samples yields after each run how many steps of the filter it took, so that the rest can wait.
+Sliced = Generator[int, None, Trial]
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,19 +144,21 @@ class Trials:
         """The parameters' coordinates and covariance at a section's begin."""
         return self._ekf.parameters_of(self._unchanged[section].state)
 
-    def likeliest(self, k: int, known: Trial | None) -> Trial:
+    def likeliest(self, k: int, known: Trial | None) -> Sliced:
         """Of a change of parameter k: where it was likeliest the last time, or looked for everywhere."""
         if known is not None:
-            return self.settled(known)
-        coarse = [number for number, section in enumerate(self.sections) if section.coarse]
-        trials = [self.run(k, number, self._coordinate_before(k, number)) for number in coarse]
-        return self.settled(min(trials, key=lambda t: t.cost))
+            return (yield from self.settled(known))
+        trials = []
+        for number, section in enumerate(self.sections):
+            if section.coarse:
+                trials.append((yield from self.run(k, number, self._coordinate_before(k, number))))
+        return (yield from self.settled(min(trials, key=lambda t: t.cost)))
 
-    def settled(self, trial: Trial) -> Trial:
+    def settled(self, trial: Trial) -> Sliced:
         """Begun again at the value that was found, until that is where it ends."""
         best = trial
         for _ in range(_PASSES):
-            again = self.run(trial.k, trial.section, trial.coordinate)
+            again = yield from self.run(trial.k, trial.section, trial.coordinate)
             if not np.isfinite(again.cost):
                 break
             moved, trial = abs(again.coordinate - trial.coordinate), again
@@ -157,16 +167,17 @@ class Trials:
             best = min(best, again, key=lambda t: t.cost)
         return best
 
-    def at_another_time(self, trial: Trial) -> Trial:
+    def at_another_time(self, trial: Trial) -> Sliced:
         """The same change at another moment, if it is likelier then: by smaller and smaller steps."""
         best = trial
         for step in _STEPS:
             for number in (best.section - step, best.section + step):
                 if 0 <= number < len(self.sections):
-                    best = min(best, self.run(trial.k, number, best.coordinate), key=lambda t: t.cost)
-        return trial if best is trial else self.settled(best)
+                    other = yield from self.run(trial.k, number, best.coordinate)
+                    best = min(best, other, key=lambda t: t.cost)
+        return trial if best is trial else (yield from self.settled(best))
 
-    def run(self, k: int, number: int, coordinate: float = 0.0) -> Trial:
+    def run(self, k: int, number: int, coordinate: float = 0.0) -> Sliced:
         """A change in section `number` of parameter k to about this coordinate, of none, or of all."""
         self._ekf.restore(self._unchanged[number].state)
         if k >= 0:
@@ -178,7 +189,9 @@ class Trials:
         found, std = (self._ekf.coordinates, self._ekf.coordinate_std) if k >= 0 else (np.zeros(1), np.zeros(1))
         cost = cost + more if self._ekf.is_plausible() else np.inf
         at = max(k, 0)
-        return Trial(k, number, cost, float(found[at]), float(std[at]), self._ekf.snapshot(), explained)
+        trial = Trial(k, number, cost, float(found[at]), float(std[at]), self._ekf.snapshot(), explained)
+        yield sum(section.samples for section in self.sections[number:])
+        return trial
 
     def _opened(self, k: int) -> F64:
         if k == ALL:
@@ -236,7 +249,7 @@ class Trials:
             if first:
                 self._var[number].append(innovations.variance)
             s = innovations.variance if first or not self._slow else next(var)
-            cost += float(np.sum(np.minimum(np.square(innovations.innovation) / s, _OUTLIER_SQUARE)))
+            cost += float(np.sum(np.minimum(np.square(innovations.innovation) / s, GATE**2)))
             if not self._slow:
                 cost += float(np.sum(np.log(s)))
         return cost

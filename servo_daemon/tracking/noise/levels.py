@@ -15,6 +15,8 @@ import numpy as np
 from servo_daemon.numerics import white_noise_var
 from servo_daemon.samples import F64
 
+#: No variance is smaller, in its unit squared: below any sensor's (1 nA, 1 nrad), and its logarithm is a number.
+LEAST_VAR = 1e-18
 #: Time constant of the adaptation, s.
 _ADAPTATION_S = 5.0
 #: While the level is still a guess it may change fourfold at once.
@@ -62,7 +64,7 @@ def initial_noise(signal: F64, lsb: float | None) -> ChannelNoise:
     """From the first samples and, if the driver knows it, the least significant bit."""
     step = smallest_step(signal) if lsb is None else lsb
     typical = float(np.sqrt(np.mean(np.square(signal - signal.mean()))))
-    floor = max(step**2 / 12.0, (1e-6 * typical) ** 2, 1e-18)
+    floor = max(step**2 / 12.0, (1e-6 * typical) ** 2, LEAST_VAR)
     return ChannelNoise(max(white_noise_var(signal), floor), floor)
 
 
@@ -89,7 +91,7 @@ def adapted(
 
 def input_variance(rms: float, lsb: float | None) -> float:
     """Variance of the held input, in its unit squared."""
-    return (lsb or 0.0) ** 2 / 12.0 + (_INPUT_SHARE * rms) ** 2 + 1e-18
+    return (lsb or 0.0) ** 2 / 12.0 + (_INPUT_SHARE * rms) ** 2 + LEAST_VAR
 
 
 def torque_intensity(rms_torque_Nm: float) -> float:

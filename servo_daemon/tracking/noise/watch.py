@@ -23,8 +23,8 @@ WHITE_IN, WHITE_OUT = 0.15, 0.25
 #: White, but only because process noise was raised by this factor: not white. Of the torque; of the held input, whose
 #: noise is a drive's own (dead time, ripple) up to 1.4 % of its rms.
 _UNEXPLAINED = (10.0, 200.0)
-#: A tick is unexplained above so many standard deviations of its mean square, or with so many outliers; settled below.
-_UNEXPLAINED_NIS, _SETTLED_NIS = 7.0, 4.0
+#: A tick is unexplained above so many standard deviations of its mean square, or with so many outliers.
+_UNEXPLAINED_NIS = 7.0
 _FEWEST_GATED, _GATED_SHARE = 3, 0.03
 
 _NONE = ProcessNoise()
@@ -38,17 +38,15 @@ class InnovationTest:
         nis: largest mean of ν²/s of a channel.
         unexplained: beyond what the noise explains, and not by chance: outliers, or large and one following the other
             (large but white is noise that has grown).
-        settled: as the noise has them.
     """
 
     nis: float
     unexplained: bool
-    settled: bool
 
 
 def judged(statistics: Mapping[str, ChannelStatistics]) -> InnovationTest:
     """Test of a tick's innovations for size and whiteness."""
-    worst, unexplained, settled = 0.0, False, True
+    worst, unexplained = 0.0, False
     for s in statistics.values():
         if s.count < 1:
             unexplained |= s.gated >= _FEWEST_GATED
@@ -58,8 +56,7 @@ def judged(statistics: Mapping[str, ChannelStatistics]) -> InnovationTest:
         spread = math.sqrt(2.0 / s.count)  # of the mean square of as many white innovations
         drifts = nis > 1.0 + _UNEXPLAINED_NIS * spread and correlation > max(0.2, 3.0 / math.sqrt(s.count))
         unexplained |= drifts or s.gated >= max(_FEWEST_GATED, _GATED_SHARE * s.count)
-        settled &= nis < 1.0 + _SETTLED_NIS * spread and s.gated < _FEWEST_GATED
-    return InnovationTest(worst, unexplained, settled)
+    return InnovationTest(worst, unexplained)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ import numpy as np
 from servo_daemon.kalman.ekf import Ekf
 from servo_daemon.kalman.gaussian import Gaussian
 from servo_daemon.samples import F64
+from servo_daemon.tracking.noise.levels import LEAST_VAR
 from servo_daemon.tracking.noise.setting import NoiseSetting
 from servo_daemon.tracking.noise.watch import WHITE_IN
 from servo_daemon.tracking.plan.parameter_masks import Mask, ParameterMasks
@@ -36,7 +37,6 @@ _SETTLED_STDS, _SETTLED_SHARE = 0.5, 0.01
 _FOLLOWS_SHARE = 0.05
 #: The search for the likeliest variances: first step and accuracy of their logarithms, of −2 log p, and passes.
 _NOISE_STEP, _NOISE_EXACT, _NOISE_COST, _NOISE_PASSES = 1.5, 0.3, 3.0, 25
-_LEAST_VAR = 1e-18
 #: Of fewer samples the values, which are fitted as well, leave too little of the noise.
 _FEWEST = 300
 #: Innovations are explained below this mean of ν²/s.
@@ -155,7 +155,7 @@ class BatchPasses:
             self._noise.put_of_current(*np.exp(log_var).tolist())
             return self._pass_over(batch, follows=False, guessed=False).cost
 
-        at = np.log(np.maximum(guess, _LEAST_VAR))
+        at = np.log(np.maximum(guess, LEAST_VAR))
         simplex = at + np.array([[0.0, 0.0], [_NOISE_STEP, 0.0], [0.0, -_NOISE_STEP]])
         likeliest = SimplexSearch(cost, simplex, exact=_NOISE_EXACT, cost_exact=_NOISE_COST, most=_NOISE_PASSES)
         yield from likeliest.steps()

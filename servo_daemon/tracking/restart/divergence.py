@@ -39,17 +39,14 @@ class DivergenceMonitor:
         """Count anew: the filter begins again."""
         self.suspicious_ticks = 0
 
-    def has_diverged(self, nis: float, examines_jump: bool) -> bool:
+    def has_diverged(self, nis: float) -> bool:
         """After each tick: whether the filter no longer fits its data while the regression does.
 
         Args:
             nis: of the tick's innovations, the worst channel's.
-            examines_jump: something sudden is being looked into.
         """
         self.suspicious_ticks = self.suspicious_ticks + 1 if nis > _DIVERGED_NIS else 0
-        if self.suspicious_ticks < _DIVERGED_TICKS or examines_jump:
-            return False
-        return well_known(self._rls.estimate(), self._core)
+        return self.suspicious_ticks >= _DIVERGED_TICKS and well_known(self._rls.estimate(), self._core)
 
     def could_begin_better(self, tick: int) -> bool:
         """Each time that the regressions are worked off: whether the filter had to start from little and still does not

@@ -22,8 +22,11 @@ import numpy as np
 
 from servo_daemon.kalman.ekf import Ekf
 from servo_daemon.kalman.gaussian import Gaussian
+from servo_daemon.kalman.model import GATE
 from servo_daemon.kalman.records import Innovations, NoiseLevels
+from servo_daemon.numerics import inverse_of_information, score_and_information
 from servo_daemon.samples import F64
+from servo_daemon.tracking.noise.levels import LEAST_VAR
 from servo_daemon.tracking.noise.setting import NoiseSetting
 from servo_daemon.tracking.plan.parameter_masks import ParameterMasks
 from servo_daemon.tracking.restart.divergence import DivergenceMonitor
@@ -32,7 +35,8 @@ from servo_daemon.tracking.samples.filtering import Filtering, Fit
 
 #: From this tick on the filter has found its values, or is suspected of having diverged.
 _FIRST_TICK = 40
-#: After so many ticks of the filter the samples since its start are asked, and once more with those up to then.
+#: After so many ticks of the filter the samples since its start are asked, and once more with those up to then
+#: (decision 36: where slow reversals had left K 4.2 σ off).
 _TICKS = (100, 155)
 #: No more samples than these are kept: a pass over them takes 20 ms.
 _MOST_SAMPLES = 20_000
@@ -50,9 +54,6 @@ _SETTLED = 0.3
 _KNOWN_STD = 0.05
 #: The innovations then: lag-1 correlation at most, and mean of ν²/s around one.
 _WHITE, _AS_EXPECTED = 0.1, 0.15
-#: ν²/s from which on an innovation says nothing of parameters.
-_OUTLIER_SQUARE = 25.0
-_LEAST_VAR = 1e-18
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +118,11 @@ class MaximumLikelihoodRestart:
         self._at = _Point(np.zeros(0), np.zeros(0))
         self._least_log_var: F64 = np.zeros(0)
 
+    @property
+    def is_open(self) -> bool:
+        """It may yet be asked for."""
+        return self._waits
+
     def update(self, tick: int, scales: F64, monitor: DivergenceMonitor) -> bool:
         """After each tick. Returns whether the filter has been set to what was found.
 
@@ -159,7 +165,7 @@ class MaximumLikelihoodRestart:
     def _here(self) -> _Point:
         noise = self._ekf.noise
         var = np.array([noise.input_var, noise.torque_psd, *noise.channel_var])
-        return _Point(self._ekf.coordinates, np.log(np.maximum(var, _LEAST_VAR)))
+        return _Point(self._ekf.coordinates, np.log(np.maximum(var, LEAST_VAR)))
 
     def _go_on(self, iteration: _Iteration, scales: F64) -> bool:
         """A tick's share of the passes. Returns whether the search is over, and the filter is there; else it is as it
@@ -209,14 +215,12 @@ class MaximumLikelihoodRestart:
         """Of the free coordinates and the log-variances, shape (n + m,); and the covariance of the former, (n, n)."""
         nu, s = base.innovation.ravel(), base.variance.ravel()
         z2 = np.square(nu) / s
-        usual = z2 < _OUTLIER_SQUARE
+        usual = z2 < GATE**2
         d_nu, d_s = np.array(iteration.error) * (usual / np.sqrt(s)), np.array(iteration.log_s) * usual
-        gradient = d_nu @ (nu / np.sqrt(s)) - 0.5 * d_s @ (z2 - 1.0)
-        n = len(self._free)
-        H = d_nu @ d_nu.T + 0.5 * d_s @ d_s.T + np.diag([0.0] * n + [_DAMPING] * (len(d_nu) - n))
-        size = np.sqrt(np.maximum(H.diagonal(), 1e-300))
-        inverse = np.linalg.pinv(H / np.outer(size, size), hermitian=True) / np.outer(size, size)
-        return -inverse @ gradient, inverse[:n, :n]
+        z, n = nu / np.sqrt(s), len(self._free)
+        gradient, H = score_and_information(z, d_nu - 0.5 * z * d_s, d_s)
+        inverse = 2.0 * inverse_of_information(H + np.diag([0.0] * n + [2.0 * _DAMPING] * (len(d_nu) - n)))
+        return -0.5 * inverse @ gradient, inverse[:n, :n]
 
     def _around(self, scales: F64) -> list[tuple[_Point, float]]:
         """Where the search is, and the points at a small distance along each unknown, with that distance."""
@@ -240,7 +244,7 @@ class MaximumLikelihoodRestart:
     def _explains(self, base: Innovations) -> bool:
         """Whether the innovations are white and as large as they should be, in every channel."""
         z = base.innovation / np.sqrt(base.variance)
-        if np.count_nonzero(np.abs(z) > np.sqrt(_OUTLIER_SQUARE)) > 0:
+        if np.count_nonzero(np.abs(z) > GATE) > 0:
             return False
         square, number = np.sum(np.square(z), axis=0), np.maximum(np.sum(base.measured, axis=0), 1)
         correlation = np.sum(z[1:] * z[:-1], axis=0) / np.maximum(square, 1e-12)

@@ -36,8 +36,8 @@ from servo_daemon.tracking.validity.validity_gate import ValidityGate
 
 #: Begun with a larger 1 σ than this a parameter's derivatives may be wrong.
 _VAGUE_STD = 0.1
-#: After so many ticks the first samples are filtered again, and after the first when a parameter has moved by `MOVED`
-#: from where the last time has left it.
+#: After so many ticks (decision 33) the first samples are filtered again, and after the first when a parameter has
+#: moved by `MOVED` from where the last time has left it.
 _TICKS = 10, 40
 #: After so many jumps of a parameter the second time is waited for.
 _MOST_MOVES = 4
@@ -45,9 +45,9 @@ _MOST_MOVES = 4
 _MOST_SAMPLES = 20_000
 #: A parameter of which the samples leave more than this share of it was not seen.
 _UNSEEN_SHARE = 0.7
-#: In a tick at most so many steps of the filter go over samples again, which takes 50 ms of its 100; the rest of it in
-#: the next ones. At 1 kHz the first time takes one tick, the second three.
-STEPS_A_TICK = 60_000
+#: In a tick at most so many steps of the filter go over samples again, which takes 35 ms of its 100; the rest of it in
+#: the next ones. At 1 kHz the first time takes a tick or two, the second four.
+STEPS_A_TICK = 40_000
 
 
 @dataclass(frozen=True, slots=True)

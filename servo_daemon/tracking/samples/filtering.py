@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.conditioning.filled import LINE_VAR, filled
-from servo_daemon.conditioning.gaps import breaks, gaps
+from servo_daemon.conditioning.gaps import breaks, gaps, is_whole
 from servo_daemon.conditioning.layout import Layout, Marked, Mask, channel
 from servo_daemon.kalman.ekf import Ekf
 from servo_daemon.kalman.gaussian import Gaussian
@@ -104,6 +104,9 @@ class Filtering:
     def _pieces(self, block: SampleBlock, last_s: float | None, period_s: float | None) -> Iterator[Forget | F64]:
         """Samples as the filter takes them, and what it forgets in between."""
         before, self._before = self._before, block
+        if is_whole(block, last_s, period_s):
+            yield self._rows(block)
+            return
         cuts = breaks(block, last_s)
         holes = gaps(block, last_s, period_s)
         if not cuts and not holes:

@@ -10,6 +10,7 @@ from scipy.linalg import block_diag
 
 from servo_daemon.conditioning.layout import INPUT, channel
 from servo_daemon.kalman.gaussian import Gaussian, to_coordinate
+from servo_daemon.numerics import sample_period
 from servo_daemon.regression.estimate import RegressionEstimate
 from servo_daemon.samples import F64, SampleBlock, concatenate
 from servo_daemon.tracking.noise import levels as noise_levels
@@ -85,7 +86,7 @@ class Starter:
         if not enough or elapsed_s < (_EARLIEST_SAVED_S if prior is not None else _EARLIEST_S):
             return None
         recording = concatenate(self._early)
-        period_s = float(np.median(np.diff(recording.time_s)))
+        period_s = sample_period(recording.time_s)
         measured = {name: _valid(recording, name) for name in self._plan.measured}
         known = self._known(elapsed_s, found, period_s, prior)
         parameters = None if known is None else self._with_offsets(known, scales)

@@ -19,9 +19,10 @@ GOOD_STD = 0.15
 _USABLE_STD = 0.5
 #: What a regression over samples may be off by in any case (trapezoids, jitter), 1 σ.
 _FLOOR_STD = 0.01
-#: A nominal value is a datasheet's, or a motor that has aged: 1 σ of its logarithm.
+#: A nominal value is a datasheet's, or a motor that has aged: 1 σ of its logarithm, a factor of two.
 _NOMINAL_STD = 0.7
-#: A guess from the regression's error alone, or an effect's start value: 1 σ.
+#: A guess from the regression's error alone, or an effect's start value: 1 σ of its logarithm, a factor of 4.5 (the
+#: benchmark `starts` is up to five times off).
 _GUESS_STD = 1.5
 #: A nominal value further from the regression than this many σ is not believed.
 _IMPLAUSIBLE = 4.0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -14,39 +13,21 @@ import pytest
 
 from servo_daemon.captures import read_capture
 from servo_daemon.samples import F64
-from tests.command_line import Result, run_command
+from tests.command_line import run_command
+from tests.diagnosed import TC, Run, dry_friction
 
 Columns = dict[str, F64]
-TC = 0.3
-
-
-@dataclass(frozen=True)
-class Run:
-    """One call with everything, and where it wrote."""
-
-    result: Result
-    folder: Path
-
-    @property
-    def document(self) -> Any:
-        return self.result.document
 
 
 @pytest.fixture(scope="module")
-def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """6 s of the simulated paper's motor with dry friction."""
-    path = tmp_path_factory.mktemp("diagnose") / "dry.csv"
-    effect = f"coulomb_friction:Tc={TC}"
-    assert run_command("simulate", "--out", path, "--seconds", "6", "--seed", "4", "--effect", effect).code == 0
-    return path
+def found(once: Callable[[str, Callable[[], Any]], Any], run_folder: Path) -> Run:
+    """The whole command on 6 s of the simulated paper's motor with dry friction."""
+    return dry_friction(once, run_folder)
 
 
 @pytest.fixture(scope="module")
-def found(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
-    """The whole command on it."""
-    folder = tmp_path_factory.mktemp("report") / "deep" / "folder"
-    words = ("--out", folder, "--json", "--progress-json", "--validate", capture, "--adapt", "0.3")
-    return Run(run_command("diagnose", capture, *words), folder)
+def capture(found: Run) -> Path:
+    return found.capture
 
 
 def rewritten(source: Path, target: Path, change: Callable[[Columns], Columns]) -> Path:

@@ -296,7 +296,7 @@ def test_nan_is_placed(capture: Path, tmp_path: Path) -> None:
         (("--fix", "Tc=0.1"), "the model has no parameter Tc"),
         (("--effect", "magic"), "unknown effect 'magic'"),
         (("--adapt", "1.5"), "--adapt must lie between 0 and 1"),
-        (("--segment", "0"), "--segment must be greater than zero"),
+        (("--segment", "0"), "--segment: must be a number greater than zero"),
         (("--segment", "1e-9"), "motor.csv: a free run needs at least 10 samples"),
     ],
 )

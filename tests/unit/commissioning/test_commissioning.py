@@ -10,14 +10,12 @@ import pytest
 from servo_daemon.commissioning import MotionLimits, commission
 from servo_daemon.commissioning.envelope import Envelope
 from servo_daemon.samples import SampleBlock
-from tests.commanded_motor import CommandedMotor, Setup, drawn
+from tests.commanded_motor import HEALTHY, CommandedMotor, Setup, drawn
 
-SMALL = Setup(), MotionLimits(12, 6, 150, 30, 60)
-MIDDLE = Setup(R=3.57, L=2.5e-3, K=0.046, J=6e-5, B=6e-5, noise_A=0.003, seed=1), MotionLimits(24, 3, 200, 20, 60)
-LARGE = Setup(R=0.5, L=1.5e-3, K=0.3, J=8e-3, B=0.02, noise_A=0.03, seed=2), MotionLimits(24, 20, 20, 6, 60)
+SMALL = HEALTHY["small"]
 
 
-@pytest.mark.parametrize(("setup", "limits"), [SMALL, MIDDLE, LARGE], ids=["small", "middle", "large"])
+@pytest.mark.parametrize(("setup", "limits"), HEALTHY.values(), ids=HEALTHY.keys())
 def test_three_motors_are_known_from_nothing(setup: Setup, limits: MotionLimits) -> None:
     motor = CommandedMotor(setup)
     result = commission(motor, limits)

@@ -1,4 +1,4 @@
-"""Nothing moves a motor without permission, and only the simulated drive can be commanded."""
+"""Nothing moves a motor without permission, and only few drives can be commanded."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.commanding import LONGEST_COMMAND_S, Commanding
+from drivers.commanding import COMMANDING, LONGEST_COMMAND_S, make_commanding
 from drivers.registry import BUILT_IN, driver_class
 from servo_daemon.cli import main
 from servo_daemon.commands.commission.command import parse_accuracy
@@ -33,7 +33,9 @@ travel_rad = 6.0
 def test_the_drivers_that_can_command_are_these() -> None:
     """Whoever gives another driver `command` has to write it down here, with its dead man."""
     able = {kind for kind in BUILT_IN if hasattr(driver_class(kind), "command")}
-    assert able == {"simulated"}
+    assert able == {"simulated"}  # of what `run` uses: a motor of this very process
+    assert set(COMMANDING) == {"simulated", "serial"}  # of what `commission` uses
+    assert make_commanding("can", "axis1", {}) is None
 
 
 def test_a_simulated_drive_stops_by_itself() -> None:
@@ -41,7 +43,6 @@ def test_a_simulated_drive_stops_by_itself() -> None:
     with pytest.raises(DriverError, match="before open"):
         driver.command(1.0, 0.01)
     with driver:
-        assert isinstance(driver, Commanding)
         driver.command(5.0, 10.0)  # longer than any command is valid
         blocks = [b for _ in range(80) if (b := driver.read(0.0)) is not None]
         voltage = np.concatenate([b.voltage_V for b in blocks if b.voltage_V is not None])
@@ -58,7 +59,7 @@ def test_a_simulated_drive_stops_by_itself() -> None:
     [
         (ALLOWED.replace("allow_motion = true", ""), "needs allow_motion = true"),
         (
-            ALLOWED.replace('"simulated"', '"serial"').replace("realtime = false, seed = 3", 'port = "/dev/x"'),
+            ALLOWED.replace('"simulated"', '"vesc"').replace("realtime = false, seed = 3", 'port = "/dev/x"'),
             "only reads",
         ),
     ],

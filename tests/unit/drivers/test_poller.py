@@ -16,6 +16,7 @@ class Line:
         self.now, self.delay_s, self.answers = 0.0, delay_s, answers
         self.sent: list[tuple[float, bytes]] = []
         self._coming: list[tuple[float, bytes]] = []
+        self.waits = 0
 
     def clock(self) -> float:
         return self.now
@@ -25,7 +26,17 @@ class Line:
             self._coming.append((self.now + self.delay_s, data))
         self.sent.append((self.now, data))
 
+    def pause(self, seconds: float) -> bool:
+        self.waits += 1
+        self.now += max(seconds, 0.0)
+        return False
+
     def receive(self, timeout_s: float) -> bytes:
+        self.waits += timeout_s > 0.0
+        if timeout_s <= 0.0:  # all that is there
+            data = b"".join(d for arrives, d in self._coming if arrives <= self.now)
+            self._coming = [c for c in self._coming if c[0] > self.now]
+            return data
         end = self.now + max(timeout_s, 1e-9)
         if self._coming and self._coming[0][0] <= end:
             arrives, data = self._coming.pop(0)
@@ -105,3 +116,46 @@ def test_an_answer_nobody_asked_for_is_counted_and_left() -> None:
     poller = Poller(line, Counting(4), Pace(200.0), extra, line.clock)
     poller.step(0.0015)
     assert extra["polls_unasked"] == 1 and extra["polls_answered"] == 0
+
+
+def test_early_answers_are_read_together_and_waited_for_now_and_then() -> None:
+    """One wait a request and not two; each answer still has the time of its own request and round trip."""
+    every, _ = run(each := Line(0.0005), 2.2, Pace(500.0, together=2), 4)
+    answers, extra = run(line := Line(0.0005), 2.2, Pace(500.0, together=2, watched=4), 4)
+    assert len(every) - 4 <= len(answers) <= len(every)
+    assert [a.value for a in answers] == [a.value for a in every][: len(answers)]
+    for answer in answers:
+        assert answer.received_s - answer.sent_s == pytest.approx(0.0005, abs=1e-9)
+        assert answer.sent_s == pytest.approx(answer.number * 0.002, abs=1e-9)
+    assert line.waits < 0.66 * each.waits
+    assert extra["poll_rate_hz"] == pytest.approx(500, abs=3) and extra["poll_jitter_us"] == 0
+    assert (extra["polls_missed"], extra["polls_timed_out"], extra["polls_unasked"]) == (0, 0, 0)
+
+
+def test_a_lost_answer_that_was_not_waited_for_is_not_taken_for_the_next_ones() -> None:
+    answers, extra = run(Line(0.0005, lambda k: k % 50 not in (7, 8)), 3.0, Pace(500.0, together=2, watched=4), 4)
+    assert [a.value for a in answers] == [a.number % 256 for a in answers]
+    assert len(answers) > 600 and extra["polls_timed_out"] > 10  # each time the line gets two time-outs of silence
+
+
+def test_answers_that_came_while_the_host_paused_are_not_given_up() -> None:
+    line = Line(0.0005)
+    extra: dict[str, int] = {}
+    poller, answers = Poller(line, Counting(4), Pace(500.0, together=2, watched=4), extra, line.clock), []
+    while line.now < 2.0:
+        answers += poller.step(2.0 if line.now > 0.3 else line.now + 0.05)
+        line.now += 0.3 if 0.3 < line.now < 0.31 else 0.0
+    assert [a.value for a in answers] == [a.number % 256 for a in answers]
+    assert extra["polls_timed_out"] == 0 and extra["polls_unasked"] == 0
+
+
+def test_answers_that_get_late_are_waited_for() -> None:
+    line = Line(0.0005)
+    extra: dict[str, int] = {}
+    poller, answers = Poller(line, Counting(4), Pace(500.0, together=2, watched=4), extra, line.clock), []
+    while line.now < 2.0:
+        answers += poller.step(2.0)
+        line.delay_s = 0.0005 if line.now < 1.0 else 0.003
+    late = [a for a in answers if a.sent_s > 1.02]
+    assert len(late) > 450 and all(a.received_s - a.sent_s == pytest.approx(0.003, abs=1e-9) for a in late)
+    assert [a.value for a in answers] == [a.number % 256 for a in answers]

@@ -12,7 +12,7 @@ from servo_daemon.learning.examples.training import simulate_motors
 from servo_daemon.learning.learners.familiarity import LEAST_FAMILIARITY, Familiarity
 from servo_daemon.learning.model.model import LearnedModel
 from servo_daemon.samples import F64
-from tests.learned_models import SPEC, small_model
+from tests.learned_models import SPEC, Once, small_model
 
 
 def windows(n: int, seed: int, strength: float = 1.0) -> F64:
@@ -60,9 +60,9 @@ class _NeverNovel:
 
 
 @pytest.mark.slow
-def test_a_model_declines_what_is_unfamiliar() -> None:
+def test_a_model_declines_what_is_unfamiliar(once: Once) -> None:
     """The features of healthy windows, and the same with most of them another motor's and three times as large."""
-    model: LearnedModel = dataclasses.replace(small_model(), novelty=_NeverNovel())  # type: ignore[arg-type]
+    model: LearnedModel = dataclasses.replace(small_model(once), novelty=_NeverNovel())  # type: ignore[arg-type]
     features = own_windows()
     healthy = model.predict(features)
     assert np.mean([d == "" for d in healthy.declined]) > 0.8

@@ -46,20 +46,20 @@ from servo_daemon.learning.model.novelty import Novelty
 from servo_daemon.learning.training.fitting import train_model
 from servo_daemon.samples import SampleBlock
 from servo_daemon.simulate import PAPER_MOTOR, SimulatedDrive, make_settings
+from tests.learned_models import SPEC, Once, small_model, small_windows
 
-SPEC = TrainingSpec(dict(PAPER_MOTOR), window_s=2.0, rate_hz=500.0)
 CHANNELS = ("voltage_V", "current_A", "position_rad")
 DRIVE = DriveIdentity((), PAPER_MOTOR, CHANNELS, 500.0)
 
 
 @pytest.fixture(scope="module")
-def windows() -> TrainingSet:
-    return simulate_motors(SPEC, range(300), draw_parameters(SPEC, 300), novel=True)
+def windows(once: Once) -> TrainingSet:
+    return small_windows(once)
 
 
 @pytest.fixture(scope="module")
-def model(windows: TrainingSet) -> LearnedModel:
-    return train_model(SPEC, windows, jobs=1)
+def model(once: Once) -> LearnedModel:
+    return small_model(once)
 
 
 @pytest.fixture

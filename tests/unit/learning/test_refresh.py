@@ -15,12 +15,12 @@ from servo_daemon.learning.refresh.champion_challenger import Comparison
 from servo_daemon.learning.refresh.refresh import GATE, PseudoMeasurement, Refresh, RefreshEstimate
 from servo_daemon.samples import Quality, SampleBlock
 from servo_daemon.simulate import PAPER_MOTOR, SimulatedDrive, make_settings
-from tests.learned_models import small_model
+from tests.learned_models import Once, small_model
 
 
 @pytest.fixture(scope="module")
-def model() -> LearnedModel:
-    return small_model()
+def model(once: Once) -> LearnedModel:
+    return small_model(once)
 
 
 @pytest.fixture(scope="module")

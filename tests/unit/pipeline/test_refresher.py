@@ -25,14 +25,14 @@ from servo_daemon.pipeline.training_spec import training_spec
 from servo_daemon.published.snapshot import Estimate
 from servo_daemon.samples import F64, SampleBlock
 from servo_daemon.simulate import PAPER_MOTOR, SimulatedDrive, make_settings
-from tests.learned_models import SPEC, small_model
+from tests.learned_models import SPEC, Once, small_model
 
 DRIVE = DriveConfig(nominal=dict(PAPER_MOTOR), estimation=EstimationConfig(refresh_every_s=2.0, refresh_window_s=2.0))
 
 
 @pytest.fixture(scope="module")
-def model() -> LearnedModel:
-    return small_model()
+def model(once: Once) -> LearnedModel:
+    return small_model(once)
 
 
 @pytest.fixture(scope="module")

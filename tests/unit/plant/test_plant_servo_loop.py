@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from servo_daemon.parameters import LINEAR
+from servo_daemon.plant import servo_loop
 from servo_daemon.plant.build import build_plant
 from servo_daemon.plant.compiled import SampleLoop
 from servo_daemon.plant.linear import linear_step
@@ -17,8 +18,6 @@ from servo_daemon.plant.servo_loop import (
     OUT,
     ROW,
     ServoGains,
-    closed_servo,
-    motor_speed,
     servo_constants,
     servo_step,
     suitable_gains,
@@ -29,6 +28,14 @@ PAPER = {p.name: p.nominal for p in LINEAR}
 GAINS = ServoGains()
 STEP = np.deg2rad(50.0)
 S = control.TransferFunction([1, 0], [1])
+
+
+def motor_speed(p: Mapping[str, float]) -> control.TransferFunction:
+    return control.TransferFunction(*servo_loop.motor_speed(p))
+
+
+def closed_servo(p: Mapping[str, float], gains: ServoGains) -> control.TransferFunction:
+    return control.TransferFunction(*servo_loop.closed_servo(p, gains))
 
 
 def motor_angle(p: Mapping[str, float]) -> control.TransferFunction:
@@ -88,6 +95,14 @@ def test_printed_g_s_turns_a_step_into_a_ramp() -> None:
     speed = np.gradient(angle, t)
     assert speed[2000] == pytest.approx(speed[3900], rel=1e-6)  # it never stops
     assert angle[-1] > 10
+
+
+def test_the_closed_loop_is_the_motor_inside_both_feedbacks() -> None:
+    """Against python-control's own algebra: tacho inside, potentiometer outside."""
+    speed = PAPER["K"] / ((PAPER["J"] * S + PAPER["B"]) * (PAPER["R"] + S * PAPER["L"]) + PAPER["K"] ** 2)
+    inner = control.feedback(GAINS.k_s * speed, GAINS.k_g)
+    at = 1j * np.geomspace(0.1, 1e4, 50)
+    assert np.allclose(closed_servo(PAPER, GAINS)(at), control.feedback(GAINS.k_io * inner / S, 1)(at), rtol=1e-12)
 
 
 def test_closed_loop_reaches_the_angle_it_was_given() -> None:

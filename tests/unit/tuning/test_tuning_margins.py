@@ -10,9 +10,11 @@ import pytest
 from scipy.linalg import expm
 
 from servo_daemon.samples import F64
-from servo_daemon.tuning.knowledge import CascadeGains
+from servo_daemon.tuning.design import lqr_gains
+from servo_daemon.tuning.knowledge import CascadeGains, LoopSetup
 from servo_daemon.tuning.laws import Gains, StateGains, controller
 from servo_daemon.tuning.margins import Margins, margins
+from servo_daemon.tuning.response import duration_s, response, step
 from servo_daemon.tuning.sampled import C128, closed_loop, sampled_motor
 from tests.recovery.generator.motors import MOTORS, PAPER, RE40, Motor
 
@@ -78,6 +80,38 @@ def test_margins_are_those_of_python_control(name: str) -> None:
     assert ours.phase_margin_deg == pytest.approx(min(phase), abs=0.05)
     assert ours.gain_margin_dB == pytest.approx(20 * math.log10(min(g for g in gain if g > 1)), abs=0.02)
     assert ours.sensitivity_peak == pytest.approx(1 / min(sensitivity), rel=2e-3)
+
+
+@pytest.mark.parametrize("name", ["paper-speed", "paper-full", "paper-lqr"])
+def test_a_step_is_described_as_python_control_describes_it(name: str) -> None:
+    import control
+
+    motor, gains, rate_hz, delay = LOOPS[name]
+    sampled, law = sampled_motor(logs(motor), 1.0 / rate_hz, delay), controller(gains, 1.0 / rate_hz)
+    ours = response(sampled, law)
+    shown = step(sampled, law, duration_s(sampled, law))
+    info = control.step_info(shown.shown, shown.time_s, None, 1.0, SettlingTimeThreshold=0.02)
+    found = (ours.rise_s, ours.settling_s, ours.overshoot_percent)
+    assert found == pytest.approx((info["RiseTime"], info["SettlingTime"], info["Overshoot"]), rel=1e-9, abs=1e-9)
+    assert 0.0 < ours.rise_s < ours.settling_s  # type: ignore[operator]
+
+
+def test_the_lqr_gains_are_those_of_python_control() -> None:
+    """On the motor sampled by python-control, with the angle in place of the mean speed and without delay."""
+    import control
+
+    rate_hz, omega = 1000.0, 60.0
+    T, m = 1.0 / rate_hz, PAPER
+    A = [[-m.R / m.L, -m.K / m.L, 0], [m.K / m.J, -m.B / m.J, 0], [0, 1, 0]]
+    motor = control.sample_system(control.ss(A, [[1 / m.L], [0], [0]], np.eye(3), np.zeros((3, 1))), T, "zoh")
+    A4 = np.block([[motor.A, np.zeros((3, 1))], [np.array([[0, 0, T, 1]])]])  # the integral of the angle
+    B4 = np.vstack((motor.B, [[0.0]]))
+    per_volt = abs(motor(np.exp(1j * omega * T))[2, 0])
+    Q = np.diag([0, 0, 1, (omega / 3) ** 2])
+    gain, _, _ = control.dlqr(A4, B4, Q, np.eye(1) * per_volt**2)
+    ours = lqr_gains({n: getattr(m, n) for n in NAMES}, LoopSetup(rate_hz, delay_samples=0.0), omega)
+    found = (ours.current_V_A, ours.speed_V_s_rad, ours.angle_V_rad, ours.integral_V_rad_s)
+    assert found == pytest.approx(np.asarray(gain)[0], rel=1e-6)
 
 
 def ideal(crossover_rad_s: float, delay: float, rate_hz: float) -> Margins:

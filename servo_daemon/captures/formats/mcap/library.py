@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import importlib
 from pathlib import Path
 from typing import Any
 
-from servo_daemon.errors import BadInputError
+from servo_daemon.extras import require
 
 
 def require_mcap(path: Path, module: str) -> Any:
@@ -15,7 +14,4 @@ def require_mcap(path: Path, module: str) -> Any:
     Raises:
         BadInputError: it is not installed.
     """
-    try:
-        return importlib.import_module(f"mcap.{module}")
-    except ImportError as error:
-        raise BadInputError(f"{path}: MCAP needs mcap: pip install 'servo-daemon[mcap]', or use .csv.gz") from error
+    return require(f"mcap.{module}", "mcap", "mcap", f"{path}: MCAP")

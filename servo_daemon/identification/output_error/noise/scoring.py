@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from servo_daemon.numerics import score_and_information
 from servo_daemon.samples import F64
 
 #: Promise of −2 log p below which it is over; most steps.
@@ -102,6 +103,4 @@ def _derivatives(
         moved[k] += difference[k]
         e1, logs1 = innovations(moved)
         d_e[row], d_logs[row] = (e1 - e) / difference[k], (logs1 - logs) / difference[k]
-    g = np.sum(d_logs + 2 * d_e * e, axis=1)
-    raw = d_e + 0.5 * e * d_logs  # of the innovation itself, in units of √s
-    return g, np.einsum("an,bn->ab", d_logs, d_logs) + 2 * np.einsum("an,bn->ab", raw, raw)
+    return score_and_information(e, d_e, d_logs)

@@ -10,6 +10,7 @@ import numpy as np
 
 from servo_daemon.identification.output_error.problem.rollout import free_run
 from servo_daemon.identification.output_error.problem.setup import input_rows
+from servo_daemon.numerics import sample_period
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.samples import F64, SampleBlock
 
@@ -53,7 +54,7 @@ def measured_speed(block: SampleBlock) -> F64 | None:
 
 def slope(angle: F64, time_s: F64) -> F64:
     """rad/s, shape (n,): of angles, or of differences of angles, by a Savitzky–Golay cubic."""
-    period = float(np.median(np.diff(time_s)))
+    period = sample_period(time_s)
     window = max(_SLOPE_SAMPLES, round(_SLOPE_S / period)) | 1
     window = min(window, (len(angle) - 1) | 1)
     if window < 5:

@@ -8,7 +8,9 @@ import numpy as np
 
 from servo_daemon.commands.fleet.analysis import analyse
 from servo_daemon.commands.fleet.document import fleet_document
+from servo_daemon.commands.fleet.report import fleet_report
 from servo_daemon.commands.fleet.tables import drive_rows, parameter_rows
+from servo_daemon.report import Table, make_provenance
 
 RNG = np.random.default_rng(8)
 
@@ -78,3 +80,12 @@ def test_an_effect_of_few_drives_is_told_beside_a_stranger() -> None:
     assert told["causes"] == {"coulomb_friction": 1}
     assert told["strangers"][0]["effects"] == ["coulomb_friction"]
     assert "coulomb_friction" in told["strangers"][0]["text"]
+
+
+def test_the_page_of_few_drives_shows_each_and_names_those_with_an_effect() -> None:
+    documents = make_fleet(3)
+    documents[1]["diagnosis"] = {"verdict": "found", "effects": [{"name": "coulomb_friction"}]}
+    result = fleet_report(analyse(documents), make_provenance(["fleet"])).sections[0]
+    tables = {b.caption: b for b in result.blocks if isinstance(b, Table)}
+    assert [row[0] for row in tables["Each drive's own values"].rows] == ["axis0", "axis1", "axis2"]
+    assert [row[2] for row in tables["Effects that were named"].rows] == ["1 of 3: axis1"]

@@ -1,0 +1,38 @@
+"""A point of the fit with its residuals and sensitivities as the innovations of a Kalman filter."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from servo_daemon.identification.output_error.noise.whitening import channel_weights, tangents, whiten
+from servo_daemon.identification.output_error.problem.problem import Linearisation, Problem
+from servo_daemon.identification.output_error.solver.solver import Point
+from servo_daemon.samples import F64
+
+
+def whiten_point(problem: Problem, point: Point, log_variance: F64) -> tuple[Point, F64]:
+    """Residuals and sensitivities through the filter, in units of the innovations' σ; its value is −2 log p.
+
+    Returns:
+        that point, and the RMS of the innovations in the channels' units, shape (c,).
+    """
+    residuals, jacobians, logs, squares = [], [], 0.0, np.zeros(len(problem.channels))
+    for model, w, r, J in zip(
+        tangents(problem, point.unknowns),
+        channel_weights(problem, point.weights),
+        point.linearisation.residuals,
+        point.linearisation.jacobian,
+        strict=True,
+    ):
+        out = whiten(model, w, np.concatenate([r[:, :, None], J], axis=2), np.exp(log_variance))
+        residuals.append(out.values[:, :, 0])
+        jacobians.append(out.values[:, :, 1:])
+        logs += float(out.log_variance.sum())
+        squares += (residuals[-1] ** 2 * np.exp(out.log_variance)).sum(axis=0)
+    ones = tuple(np.ones_like(r) for r in residuals)
+    sse = np.sum([(r * r).sum(axis=0) for r in residuals], axis=0)
+    linear = Linearisation(tuple(residuals), tuple(jacobians), True)
+    mean, prior = problem.state_prior
+    value = logs + float(sse.sum() + prior @ (point.unknowns - mean) ** 2)
+    whitened = Point(point.unknowns, linear, ones, sse, np.ones(len(problem.channels)), value)
+    return whitened, np.sqrt(squares / problem.counts)
