@@ -59,8 +59,8 @@ def short(program: DaemonProgram, feeder: Drives) -> int:
 
 @pytest.mark.slow
 def test_a_starved_daemon_keeps_its_samples_and_says_so(missing: Callable[[str], NoReturn], tmp_path: Path) -> None:
-    """Half a core is plenty for one drive. With a fiftieth it cannot keep up, and the port's own memory may run over;
-    what it has read is used nevertheless."""
+    """Half a core is plenty for one drive. With a few hundredths it cannot keep up, and the port's own memory may run
+    over; what it has read is used nevertheless."""
     with quota(missing) as (take, allow), drives(tmp_path, 1, 0, wait_for) as feeder:
         text = f'name = "axis1"\ndriver = "serial"\n{nominal_table()}[drive.options]\nport = "{feeder.links[0]}"'
         with daemon("--config", write_config(tmp_path / "c.toml", text), "--state-dir", tmp_path / "state") as program:
@@ -70,8 +70,12 @@ def test_a_starved_daemon_keeps_its_samples_and_says_so(missing: Callable[[str],
             feeder.tell("go")
             program.until(lambda d: d["samples"] > 5000, "the start, with its looks back, is over")
             assert short(program, feeder) == 0, "with half a core nothing is lost"
-            allow(2)
-            wait_for(lambda: "behind" in program.events(), "it says that it is behind", every_s=1.0)
+            for percent in (4, 2, 1):  # how little is too little depends on the machine
+                allow(percent)
+                with contextlib.suppress(AssertionError):
+                    wait_for(lambda: "behind" in program.events(), "it says that it is behind", 15.0, every_s=1.0)
+                    break
+            assert "behind" in program.events()
             allow(50)
             wait_for(lambda: "behind_over" in program.events(), "it has caught up")
             health = program.estimates()["health"]
