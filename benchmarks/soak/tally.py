@@ -19,6 +19,13 @@ BUSY_S, BUSY_SHARE = 0.5, 0.25
 _WARM_S = 60.0
 
 
+#: Drives on serial lines, which come first, and on slcan.
+SERIAL, SLCAN = 4, 4
+#: Samples of a CAN drive from one Sync to the next, 50 ms: they wait in the decoder until the Sync dates them, and
+#: where between two Syncs a pause begins is chance. (What is lost shows besides as a gap in the numbers, `told`.)
+UNDATED = 50
+
+
 @dataclass(frozen=True)
 class Quiet:
     """While the drives paused; counts since the drives' (`sent`, `no_room`) and the daemon's start.
@@ -71,8 +78,13 @@ class Stretch:
 
     @property
     def lost(self) -> int:
-        """Samples that were sent whole and did not go through the estimators."""
-        return sum(n for n, full in zip(self.by_drive("behind"), self.by_drive("no_room"), strict=True) if not full)
+        """Samples that were sent whole and did not go through the estimators: of a CAN drive those beyond what may wait
+        for its Sync."""
+        found = 0
+        for k, (behind, full) in enumerate(zip(self.by_drive("behind"), self.by_drive("no_room"), strict=True)):
+            if not full:
+                found += behind if k < SERIAL else max(0, abs(behind) - UNDATED)
+        return found
 
     @property
     def no_room(self) -> int:

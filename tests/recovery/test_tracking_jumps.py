@@ -210,8 +210,8 @@ def test_the_one_parameter_that_stepped_is_named_and_no_other_is_told(
     stds = np.where(counted, np.abs(track.value - truth_of(case, track)) / track.std, 0.0)
     worst = dict(zip(NAMES, stds.max(axis=0), strict=True))
     assert max(worst.values()) < STDS, worst
-    # (At a single moment it is a matter of luck: of the paper's motor in pick and place K, J and B are told apart for 60
-    # to 65 % of the time, whatever stepped.)
+    # (At a single moment it is a matter of luck: of the paper's motor in pick and place K, J and B are told apart for
+    # 60 to 65 % of the time, whatever stepped.)
     after = track.time_s > 20.0 + FOLLOWED_S
     assert track.tracking[after].all(axis=1).mean() > 0.5, "all is known again, most of the time"
 

@@ -28,6 +28,9 @@ def test_every_fault_once(program: Callable[..., str], tmp_path: Path) -> None:
     print(report(tally))  # shown with a failure
     assert not tally.left_out and len(tally.stretches) == 9 + 2
     assert tally.lost == 0 and tally.rows_dropped == 0
+    for stretch in tally.stretches:
+        counts = zip(stretch.by_drive("told"), stretch.by_drive("no_room"), strict=True)
+        assert not any(told for told, full in counts if not full), stretch
     assert (list(tally.corrupt), list(tally.faults), tally.wrong) == ([], [], 0)
     assert len(tally.kills_s) == 2 and max(tally.kills_s) <= HISTORY_S
     assert max(tally.stops_s) < STOP_S and tally.gap_s < HUNG_S
