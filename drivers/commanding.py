@@ -9,14 +9,15 @@ import importlib
 from typing import Any, Protocol, cast
 
 from drivers.base import DriveInfo, Driver
+from drivers.registry import driver_class
 from servo_daemon.samples import F64, SampleBlock
 
 #: A command is valid for at most so long, s: a drive that hears nothing for this time stops by itself.
 LONGEST_COMMAND_S = 0.05
 
 
-#: kind -> (module, class) of what commands; the driver of all other commands where it is the same class lacks nothing
-#: but a caller.
+#: kind -> (module, class) of what commands. The simulated drive's driver reads and commands; on a wire the driver that
+#: everything else uses has no way to send.
 COMMANDING: dict[str, tuple[str, str]] = {
     "simulated": ("servo_daemon.simulate.driver", "SimulatedDriver"),
     "serial": ("drivers.serial.commander", "CommandedSerialDriver"),
@@ -64,10 +65,11 @@ def make_commanding(kind: str, name: str, options: dict[str, Any]) -> tuple[Driv
     """A closed driver by both of its sides: what is opened and closed, and what commands. None: this kind only reads.
 
     Raises:
-        DriverConfigError: wrong options.
+        DriverConfigError: unknown driver, or wrong options.
     """
     if kind not in COMMANDING:
+        driver_class(kind)  # an unknown one is said to be unknown
         return None
     module, cls = COMMANDING[kind]
-    driver = getattr(importlib.import_module(module), cls)(name, options)
+    driver = getattr(importlib.import_module(module), cls).made(name, options)
     return driver, cast(Commanding, driver)

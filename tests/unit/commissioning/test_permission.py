@@ -13,7 +13,7 @@ from drivers.registry import BUILT_IN, driver_class
 from servo_daemon.cli import main
 from servo_daemon.commands.commission.command import parse_accuracy
 from servo_daemon.config import parse_config
-from servo_daemon.errors import BadInputError, ConfigError, DriverError
+from servo_daemon.errors import BadInputError, ConfigError, DriverConfigError, DriverError
 from servo_daemon.simulate.driver import SimulatedDriver
 
 ALLOWED = """
@@ -36,6 +36,8 @@ def test_the_drivers_that_can_command_are_these() -> None:
     assert able == {"simulated"}  # of what `run` uses: a motor of this very process
     assert set(COMMANDING) == {"simulated", "serial"}  # of what `commission` uses
     assert make_commanding("can", "axis1", {}) is None
+    with pytest.raises(DriverConfigError, match="unknown driver 'seriall'"):
+        make_commanding("seriall", "axis1", {})
 
 
 def test_a_simulated_drive_stops_by_itself() -> None:
