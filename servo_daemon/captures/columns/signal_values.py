@@ -57,9 +57,14 @@ def unit_is_open(column: str, values: Values) -> bool:
     return len(np.unique(values.finite)) >= _DIFFERENT
 
 
+def exceeds_one(values: Values, scale: float) -> bool:
+    """Whether a duty cycle is more than the whole supply: then it has another full scale than 1."""
+    return values.largest * scale > 1.0 + 1e-6
+
+
 def duty_needs_scale(values: Values, scale: float) -> bool:
     """Whether a duty cycle is not plainly one between −1 and 1: then its full scale must be told."""
-    return values.largest * scale > 1.0 + 1e-6 or (scale == 1.0 and values.whole)
+    return exceeds_one(values, scale) or (scale == 1.0 and values.whole)
 
 
 def wrap_of(column: str, unit: float, values: Values) -> float | None:

@@ -18,6 +18,7 @@ from servo_daemon.captures.columns.signal_map import COUNTS, MappedColumn, Signa
 from servo_daemon.captures.columns.signal_values import (
     Values,
     duty_needs_scale,
+    exceeds_one,
     time_scale,
     turns_ratio,
     unit_is_open,
@@ -196,7 +197,7 @@ class _Reader:
         signal, what = self._beside["duty"]
         values, full = self._values(signal), self._options.full_duty
         volts, supply = self._number("supply_V", self._options.supply_V), self._beside.get("supply")
-        beyond = full is None and values.largest * what.scale > 1.0 + 1e-6
+        beyond = full is None and exceeds_one(values, what.scale)
         unsure = beyond or (self._options.supply_V is None and duty_needs_scale(values, what.scale))
         if volts is not None and not unsure:
             scale = what.scale * volts / (full or 1.0)
