@@ -21,6 +21,9 @@ from servo_daemon.tracking.samples.signal_scales import SignalScales
 
 #: So many ticks of a calm drive are judged together.
 TOGETHER = 5
+#: A drive is calm after so many ticks to which there was nothing: as many as the balances look back over
+#: (`regression/sampling.WINDOW_S`), so that what they say is of a motor that does as it did before.
+TICKS_TO_CALM = 50
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +54,23 @@ class CalmTicks:
     def __init__(self, ekf: Ekf, watch: InnovationWatch, jumps: JumpActions, signal_scales: SignalScales) -> None:
         self._ekf, self._watch, self._jumps, self._signal_scales = ekf, watch, jumps, signal_scales
         self._waiting: list[SampleBlock] = []
+        self._eventful = 0  # the last tick to which there was something
         self.calm = False
+
+    def begin(self) -> None:
+        """The filter starts, and its ticks are counted anew."""
+        self._eventful = 0
+
+    def rest(self, tick: int, *, eventful: bool, certain: bool) -> None:
+        """Ticks up to this one have been judged.
+
+        Args:
+            eventful: there was something to them.
+            certain: nothing is in doubt or about to change now.
+        """
+        if eventful:
+            self._eventful = tick
+        self.calm = certain and tick - self._eventful >= TICKS_TO_CALM
 
     @property
     def waiting(self) -> int:

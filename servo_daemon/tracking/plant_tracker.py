@@ -53,9 +53,6 @@ _TICKS_TO_WATCH, _SOUNDNESS_EVERY = 8, 20
 _TICKS_TO_SETTLE = 10
 #: Before so many the innovations are of a filter that is still finding its values and noise: they refute no model.
 _TICKS_TO_JUDGE = 40
-#: A drive is calm after so many ticks to which there was nothing: as many as the balances look back over
-#: (`regression/sampling.WINDOW_S`), so that what they say is of a motor that does as it did before.
-_TICKS_TO_CALM = 50
 #: A step is one of a motor that the model has explained for so long before, s (a filter that has just started on data
 #: with 30 % of dry friction that its model lacks looked white for 2 s, and then "K stepped").
 _CALM_S = 2.5
@@ -110,7 +107,6 @@ class PlantTracker(Tracker):
         self._divergence = DivergenceMonitor(self._masks, self._ekf, self._rls, self._validity, self.watch)
         self._together = CalmTicks(self._ekf, self.watch, self._jumps, self._signal_scales)
         self._ticks = 0
-        self._eventful = 0  # the last tick to which there was something
 
     @property
     def ekf(self) -> Ekf:
@@ -267,7 +263,8 @@ class PlantTracker(Tracker):
         saved = () if self._prior is None else (*self._prior.names, *self.plan.biases)
         trusted = trusted_mask(self._masks.names, self._transfer, saved)
         self._validity.begin(trusted, self._tick_end_s or 0.0)
-        self._ticks = self._eventful = 0
+        self._ticks = 0
+        self._together.begin()
         self._filtering.forget_outliers()
         self.excitation.scales = self._noise.begin(start.input_lsb, self._sampling())
         free = self._masks.free
@@ -327,18 +324,18 @@ class PlantTracker(Tracker):
             messages += self._restart("its innovations do not fit while the regression does")
         elif fresh and self._divergence.could_begin_better(self._ticks):
             self._begin_again()
-        if messages or test.unexplained or not stretch.complete or stretch.gap is not None or alike_s > 0.0:
-            self._eventful = self._ticks
-        self._together.calm = self._is_calm
+        eventful = (
+            bool(messages) or test.unexplained or not stretch.complete or stretch.gap is not None or alike_s > 0.0
+        )
+        self._together.rest(self._ticks, eventful=eventful, certain=self._is_certain)
         return messages
 
     @property
-    def _is_calm(self) -> bool:
-        """Whether nothing is in doubt or about to change: several ticks may be judged together."""
+    def _is_certain(self) -> bool:
+        """Whether nothing is in doubt or about to change."""
         shown = self._masks.published & self.excitation.excited & ~self.qualification.qualified
         return (
             self._ekf.started
-            and self._ticks - self._eventful >= _TICKS_TO_CALM
             and not self._relinearisation.is_open
             and not self._likelihood_restart.is_open
             and self._jumps.idle
