@@ -29,9 +29,8 @@ _PAUSE_S = 1.1
 #: Pauses in which a drive may be found to have lost nothing; where nothing is known yet, the first so many decide. Of a
 #: CAN drive one in seven found samples waiting on a machine with a load of 8.
 _TRIES, _FIRST_TRIES = 8, 3
-#: Until the next of them, s: several Syncs, which come every 50 ms, and each time a third of that longer, or all would
-#: end at the same place between two Syncs.
-_BETWEEN_S, _LONGER_S = 0.3, 0.017
+#: Until the next of them, s: several Syncs.
+_BETWEEN_S = 0.3
 _NOMINAL = "[drive.nominal]\n" + "".join(f"{k} = {v}\n" for k, v in DEFAULT_NOMINAL.items())
 
 
@@ -76,7 +75,7 @@ def quiet(world: World, last: Quiet | None = None, exempt: Iterable[int] = ()) -
         enough = len(tries) >= _FIRST_TRIES or math.inf not in known
         if enough and all(now <= before for now, before in zip(behind, known, strict=True)):
             break
-        time.sleep(_BETWEEN_S + _LONGER_S * len(tries))
+        time.sleep(_BETWEEN_S)
         tries.append(_pause(world))
     late_s = max(t.late_s for t in tries)
     return replace(tries[-1], behind=tuple(map(min, zip(*(t.behind for t in tries), strict=True))), late_s=late_s)

@@ -9,7 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import stats
 
+from benchmarks.soak.drives import RATE_HZ
 from benchmarks.soak.service import Service
+from drivers.can.ours.wire import SYNC_PERIOD_S
 
 #: A machine without time, where a terminal may run over without anybody's fault: a device was kept from running for
 #: so long, s (a terminal holds more than that of a wire), or the daemon's threads waited for a processor for so much of
@@ -21,9 +23,9 @@ _WARM_S = 60.0
 
 #: Drives on serial lines, which come first, and on slcan.
 SERIAL, SLCAN = 4, 4
-#: Samples of a CAN drive from one Sync to the next, 50 ms: they wait in the decoder until the Sync dates them, and
-#: where between two Syncs a pause begins is chance. (What is lost shows besides as a gap in the numbers, `told`.)
-UNDATED = 50
+#: Samples of a CAN drive from one Sync to the next: they may wait in the decoder until a Sync dates them, and where
+#: between two Syncs a pause begins is chance. (What is lost shows besides as a gap in the numbers, `told`.)
+UNDATED = round(SYNC_PERIOD_S * RATE_HZ)
 
 
 @dataclass(frozen=True)
