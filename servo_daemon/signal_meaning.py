@@ -53,6 +53,7 @@ class SignalMeaning:
         gear_ratio: turns of the motor for one turn of what the position is measured at, greater than 0.
         truncated_A, truncated_V: steps in which current and voltage are cut off toward zero, as the drive reports them;
             0: they are not. A value is then on average half a step further from zero than it says.
+        current_late_s: how far the current is behind angle and speed, s: the delay of a filter in the drive.
 
     Raises:
         BadInputError: a value is none of these; the text names the field.
@@ -66,6 +67,7 @@ class SignalMeaning:
     gear_ratio: float = 1.0
     truncated_A: float = 0.0
     truncated_V: float = 0.0
+    current_late_s: float = 0.0
 
     def __post_init__(self) -> None:
         for name, known in _CHOICES.items():
@@ -76,7 +78,7 @@ class SignalMeaning:
             raise BadInputError(f"pole_pairs = {self.pole_pairs!r} must be a whole number from 1 on")
         if not (isinstance(self.gear_ratio, int | float) and math.isfinite(self.gear_ratio) and self.gear_ratio > 0.0):
             raise BadInputError(f"gear_ratio = {self.gear_ratio!r} must be a number greater than 0")
-        for name in ("truncated_A", "truncated_V"):
+        for name in ("truncated_A", "truncated_V", "current_late_s"):
             step = getattr(self, name)
             if not (isinstance(step, int | float) and math.isfinite(step) and step >= 0.0):
                 raise BadInputError(f"{name} = {step!r} must be a number from 0 on")
@@ -164,7 +166,7 @@ def keys_of_texts(texts: Mapping[str, str]) -> dict[str, Any]:
         if key in given and given[key][:1] in "0123456789.+-":
             del given[key]
     readers: dict[str, Callable[[str], float]] = {"pole_pairs": _whole}
-    for key in ("pole_pairs", "gear_ratio", "truncated_A", "truncated_V"):
+    for key in ("pole_pairs", "gear_ratio", "truncated_A", "truncated_V", "current_late_s"):
         if key in given:
             try:
                 given[key] = readers.get(key, float)(given[key])
@@ -190,4 +192,6 @@ def told(meaning: SignalMeaning) -> str:
         parts.append(f"gear {meaning.gear_ratio:g}: at the motor's shaft")
     if meaning.truncated_A or meaning.truncated_V:
         parts.append("cut off toward zero: half a step is added")
+    if meaning.current_late_s:
+        parts.append(f"current {1e3 * meaning.current_late_s:g} ms late")
     return ", ".join(parts)

@@ -174,6 +174,7 @@ class SignalsConfig(_Section):
     gear_ratio: PositiveFloat | None = None
     truncated_A: float | None = Field(None, ge=0)
     truncated_V: float | None = Field(None, ge=0)
+    current_late_s: float | None = Field(None, ge=0)
     temperature: Literal["winding", "elsewhere"] = "elsewhere"  # what the drive's temperature is of
 
     def meaning(self, otherwise: SignalMeaning | None = None) -> SignalMeaning:

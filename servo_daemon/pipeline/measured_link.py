@@ -68,6 +68,7 @@ class MeasuredLink:
     K: float | None = None
     _rows: deque[Rows] = field(default_factory=deque)
     _tail: SampleBlock | None = None  # the last samples, whose rows need those after them
+    _before: SampleBlock | None = None  # the last sample that the filter was given
     _estimate: WindingEstimate | None = None
     _known: dict[str, _Known] = field(default_factory=dict)
     _due_s: float = -math.inf
@@ -84,8 +85,15 @@ class MeasuredLink:
         return config.model_copy(update={"nominal": {**config.nominal, **K}})
 
     def driven(self, block: SampleBlock) -> SampleBlock:
-        """The samples as the filter takes them: without the voltage."""
-        return replace(block, voltage_V=None)
+        """The samples as the filter takes them: without the voltage, their motion of the current's moment."""
+        late_s = self.meaning.current_late_s
+        if not late_s:
+            return replace(block, voltage_V=None)
+        before = self._before
+        if before is not None and (before.channels != block.channels or block.quality[0] & Quality.TIME_RESTART):
+            before = None
+        self._before = block.slice(len(block) - 1, len(block))
+        return replace(_earlier(block, before, late_s), voltage_V=None)
 
     def close_tick(self, tick: SampleBlock) -> bool:
         """Take a tick's samples, in a DC motor's units. Returns whether K has become known."""
@@ -230,6 +238,20 @@ class MeasuredLink:
             at = [e.names.index(n) for n in names]
             return e.covariance[np.ix_(at, at)] / np.outer(e.value[at], e.value[at])
         return np.diag([(self._known[n].std / self._known[n].value) ** 2 for n in names])
+
+
+def _earlier(block: SampleBlock, before: SampleBlock | None, by_s: float) -> SampleBlock:
+    """Position and speed as they were a while before each sample, on the line from the sample before it."""
+    whole = block if before is None else concatenate([before, block])
+    steps = np.diff(whole.time_s)
+    moved = {}
+    for name in ("position_rad", "velocity_rad_s"):
+        values = getattr(block, name)
+        if values is None or not len(steps):
+            continue
+        rates = np.diff(getattr(whole, name)) / steps
+        moved[name] = values - by_s * (rates if before is not None else np.concatenate([rates[:1], rates]))
+    return replace(block, **moved)
 
 
 def is_torque(name: str) -> bool:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from drivers.base import DriveInfo
 from servo_daemon.config import DriveConfig
 from servo_daemon.pipeline import publish
+from servo_daemon.pipeline.current_timing import CurrentTiming
 from servo_daemon.pipeline.handover import Handover, Successor
 from servo_daemon.pipeline.measured_link import MeasuredLink
 from servo_daemon.pipeline.model_change import ModelRequest, change_message
@@ -56,6 +57,7 @@ class Pipeline:
     ) -> None:
         self.meaning = meaning or config.signals.meaning()
         self._link: MeasuredLink | None = None
+        self._timing: CurrentTiming | None = None
         self._config, self._info, self._saved, self._ring = config, info, saved, ring
         self._tracker: Tracker | None = None
         self._channels: tuple[str, ...] = ()
@@ -226,6 +228,7 @@ class Pipeline:
         self._tick, self._driven = [], []
         self._cutter = TickCutter()
         self._link = MeasuredLink(self._config, self.meaning) if self._is_measured else None
+        self._timing = CurrentTiming(self.meaning) if self.meaning.measures_voltage else None
         self.preparing = True
         try:
             self._tracker = self._tracker_for(self._config, self._saved)
@@ -275,6 +278,8 @@ class Pipeline:
             self._published = None
         if (successor := self._handover.close_tick(driven)) is not None:
             self._take_over(successor)
+        if self._timing is not None:
+            self._timing.take(tick)
         if self._link is not None and self._link.close_tick(tick):
             self._tracker = self._tracker_for(self._config, self._saved)  # K is known: the filter can begin
         if (successor := self._handover.begin(self._tracker)) is not None:
@@ -296,6 +301,8 @@ class Pipeline:
             self._published = self._publisher.estimate(self._tracker, self._samples, self._refresher)
             if self._link is not None:
                 self._published = self._link.instead(self._published)
+            if self._timing is not None:
+                self._published = self._timing.widened(self._published)
             self._published = publish.with_equivalents(self._published, self.meaning)
             self._published = replace(self._published, time_s=self._last_s)
         elif self._published.time_s != self._last_s:
