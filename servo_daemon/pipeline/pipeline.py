@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 from drivers.base import DriveInfo
 from servo_daemon.config import DriveConfig
 from servo_daemon.pipeline import publish
-from servo_daemon.pipeline.current_timing import CurrentTiming
 from servo_daemon.pipeline.handover import Handover, Successor
-from servo_daemon.pipeline.measured_link import MeasuredLink
+from servo_daemon.pipeline.link.current_timing import CurrentTiming
+from servo_daemon.pipeline.link.measured_link import MeasuredLink
 from servo_daemon.pipeline.model_change import ModelRequest, change_message
 from servo_daemon.pipeline.publish import Publisher, SavedState
 from servo_daemon.pipeline.refresher import Refresher

@@ -241,16 +241,14 @@ class MeasuredLink:
 
 
 def _earlier(block: SampleBlock, before: SampleBlock | None, by_s: float) -> SampleBlock:
-    """Position and speed as they were a while before each sample, on the line from the sample before it."""
+    """Position and speed as they were a while before each sample, on the line from the sample before it. The first one
+    of all stays: how samples are cut into blocks must not show."""
     whole = block if before is None else concatenate([before, block])
-    steps = np.diff(whole.time_s)
     moved = {}
     for name in ("position_rad", "velocity_rad_s"):
-        values = getattr(block, name)
-        if values is None or not len(steps):
-            continue
-        rates = np.diff(getattr(whole, name)) / steps
-        moved[name] = values - by_s * (rates if before is not None else np.concatenate([rates[:1], rates]))
+        if (values := getattr(whole, name)) is not None:
+            rates = np.concatenate([[0.0], np.diff(values) / np.diff(whole.time_s)])
+            moved[name] = getattr(block, name) - by_s * rates[len(whole) - len(block) :]
     return replace(block, **moved)
 
 

@@ -1,0 +1,1 @@
+"""Drives whose voltage is a measurement, live."""
