@@ -16,7 +16,14 @@ import numpy as np
 from servo_daemon.column_names import RPM, TURN, Meaning
 
 INSTANT = {"voltage": "instant", "convention": "dq"}
-_MEAN = {"voltage": "mean", "current": "mean", "convention": "dq"}
+#: VESC's firmware casts what it sends to whole hundredths of an ampere and thousandths of a volt, toward zero.
+_MEAN = {
+    "voltage": "mean",
+    "current": "mean",
+    "convention": "dq",
+    "truncated_A": "0.01",
+    "truncated_V": "0.001",
+}
 
 
 @dataclass(frozen=True, slots=True)

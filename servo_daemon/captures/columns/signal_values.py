@@ -95,6 +95,11 @@ def _wraps(values: F64, wrap: float, *, rising: bool) -> bool:
     return bool(np.max(np.abs(left)) < _CLEAR * wrap) and (not rising or float(left.min()) >= 0.0)
 
 
+def jumps(angle_rad: F64) -> bool:
+    """Whether an angle goes more than half a turn from one row to the next, shape (n,)."""
+    return bool(np.max(np.abs(np.diff(angle_rad)), initial=0.0) > math.pi)
+
+
 def turns_ratio(time_s: F64, angle_rad: F64, electrical_rad_s: F64) -> float | None:
     """How many electrical turns make one of an angle: pole pairs, where the angle is the shaft's.
 

@@ -19,6 +19,7 @@ from servo_daemon.captures.columns.signal_values import (
     Values,
     duty_needs_scale,
     exceeds_one,
+    jumps,
     time_scale,
     turns_ratio,
     unit_is_open,
@@ -27,6 +28,7 @@ from servo_daemon.captures.columns.signal_values import (
 from servo_daemon.captures.columns.understood import Understood, field_of
 from servo_daemon.captures.meaning.units import full_scale
 from servo_daemon.column_names import Meaning, meaning, unit_of
+from servo_daemon.samples import F64
 
 _MOTION = frozenset({"position_rad", "velocity_rad_s"})
 
@@ -227,9 +229,12 @@ class _Reader:
         if moving is not None and moving.operands[0].signal == "encoder_position":
             told = self._encoder_ratio(moving, signal, what)
             if told is None or (pairs is not None and round(told) != pairs):
-                del self._found.columns["position_rad"]  # stands still, or is the electrical angle: no shaft's position
-            elif "pole_pairs" not in self._found.metadata:
-                self._found.metadata["pole_pairs"] = f"{told:.0f}"
+                self._drop(moving)  # stands still, or is the electrical angle: no shaft's position
+            else:
+                self._found.metadata.setdefault("pole_pairs", f"{told:.0f}")
+                if moving.wrap is None and jumps(self._values_of(moving)):
+                    self._drop(moving)  # which way round it went from row to row is not known
+                    pairs = told
         if _MOTION & self._found.fields:
             return
         if pairs is None:
@@ -246,11 +251,19 @@ class _Reader:
         time = self._found.columns.get("time_s")
         if time is None:
             return None
-        ref = moving.operands[0]
-        angle = self._recording.read(ref).values * ref.scale
+        angle = self._values_of(moving)
         seconds = self._recording.read(time.operands[0]).values * time.operands[0].scale
         speed = self._recording.read(SignalRef("value", signal.name)).values * what.scale
         return turns_ratio(seconds, angle, speed)
+
+    def _values_of(self, column: MappedColumn) -> F64:
+        """Of a column that is one signal."""
+        ref = column.operands[0]
+        return self._recording.read(ref).values * ref.scale
+
+    def _drop(self, column: MappedColumn) -> None:
+        del self._found.columns[column.name]
+        self._found.told = [t for t in self._found.told if not t.startswith(f"{column.operands[0].signal} → ")]
 
     def _number(self, key: str, told: float | None) -> float | None:
         """A number by its flag, else by the file's metadata."""

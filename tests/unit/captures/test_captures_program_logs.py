@@ -65,6 +65,28 @@ def test_vesc_real_time_log(tmp_path: Path) -> None:
     )
 
 
+def test_vesc_casts_toward_zero_and_half_a_step_is_put_back(tmp_path: Path) -> None:
+    """Of a gimbal motor's current a hundredth is some per cent."""
+    small = 0.3 * M.i / np.abs(M.i).max()
+    cut = np.trunc(100 * small) / 100
+    capture = read(tmp_path, vesc_rt(q_axis_current=cut))
+    block = capture.meaning().converted(capture.block())
+    assert block.current_A is not None
+    slope = float(small @ block.current_A / (small @ small)) / np.sqrt(1.5)
+    assert abs(slope - 1.0) < 0.01 < abs(float(small @ cut / (small @ small)) - 1.0)
+
+
+def test_vesc_too_fast_for_its_rows_is_known_by_its_electrical_speed(tmp_path: Path) -> None:
+    """Up to 0.4 turns from row to row: which way round is not known of the angle, the pole pairs are."""
+    faster = 0.4 / (np.abs(np.diff(M.x)).max() / math.tau)
+    turned = {"encoder_position": np.degrees(faster * M.x) % 360.0, "erpm": faster * M.w * PAIRS * 30 / math.pi}
+    capture = read(tmp_path, vesc_rt(**turned))
+    assert "position_rad" not in capture.channels
+    assert capture.velocity_rad_s is not None
+    np.testing.assert_allclose(capture.velocity_rad_s, faster * M.w, rtol=1e-3, atol=0.1)
+    assert "encoder_position → " not in capture.notes[0]
+
+
 def test_vesc_over_midnight(tmp_path: Path) -> None:
     late = np.rint(86_399_500 + 1e3 * M.t) % 86_400_000
     assert_close(read(tmp_path, vesc_rt(ms_today=late)), time_s=M.t, position_rad=M.x)
