@@ -94,9 +94,13 @@ def look(candidate: Candidate, seconds: float) -> Finding | str | None:
     span_s = float(blocks[-1].time_s[-1] - blocks[0].time_s[0])
     rate_hz = (driver.counters.samples - 1) / span_s if span_s > 0.0 else None
     plan = plan_signals(blocks[-1].channels, (), preset.nominal)
+    free, reasons = list(plan.free), dict(plan.reasons)
+    if "L" in free and driver.meaning is not None and driver.meaning.voltage == "instant":
+        free.remove("L")
+        reasons["L"] = "its voltage is an instant's: what it did for L between two samples is not seen"
     return Finding(
-        candidate.driver, info.identity, options, blocks[-1].channels, rate_hz, remark, tuple(plan.free),
-        dict(plan.reasons), preset.nominal, candidate.missing,
+        candidate.driver, info.identity, options, blocks[-1].channels, rate_hz, remark, tuple(free), reasons,
+        preset.nominal, candidate.missing,
     )  # fmt: skip
 
 
