@@ -149,14 +149,3 @@ def test_a_daemons_estimates(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not model.gear_known
     with pytest.raises(BadInputError, match="needs B"):
         target("mujoco").write(model)
-
-
-def test_simulink_is_well_formed(tmp_path: Path, export: Exporting) -> None:
-    out = tmp_path / "out"
-    assert (
-        export(document("coulomb_friction", "cogging_torque", **COGGED), "--to", "simulink", "--out", str(out))[0] == 0
-    )
-    code = "\n".join(line.split("%")[0] for line in out.read_text(encoding="utf-8").splitlines())
-    for a, b in ("()", "[]"):
-        assert code.count(a) == code.count(b)
-    assert all(line.rstrip().endswith(";") or not line.strip() for line in code.splitlines()), code
