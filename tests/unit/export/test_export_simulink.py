@@ -23,7 +23,7 @@ def models(rng: np.random.Generator) -> list[ExportedModel]:
         others = ("coulomb_friction",) if effect.scales_friction and name not in dry_frictions() else ()
         others += (effect.further,) if effect.further else ()
         bare = ExportedModel(f"m_{name}", "s", "voltage", (*others, name), {}, {})
-        # Nine digits are written: none is lost of these. J_l, too: a second inertia is exported as if its shaft were stiff.
+        # Nine digits are written: none is lost of these. J_l: a second inertia is exported as on a stiff shaft.
         values = {n: Value(round(float(rng.uniform(0.1, 2.0)), 6), None, "", "x") for n in (*bare.needed, "J_l")}
         found.append(ExportedModel(bare.name, "s", "voltage", bare.effects, values, {}))
     return found

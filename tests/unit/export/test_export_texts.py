@@ -20,6 +20,7 @@ from servo_daemon.export.balances import balances, expressible
 from servo_daemon.export.expressions import PYTHON
 from servo_daemon.export.model import ExportedModel, Value
 from servo_daemon.export.targets import NAMES, target
+from servo_daemon.export.words import identifier
 from servo_daemon.plant.effects import dry_frictions, effects_by_name
 from tests.unit.export.motor import Exporting, document
 
@@ -131,6 +132,13 @@ def test_a_configs_nominal_values_and_signals(tmp_path: Path, capsys: pytest.Cap
     assert scope["DC_MOTOR"]["saturation_effort"] == pytest.approx(0.06 * 24 / 1.1 * 8)
     assert f"{np.sqrt(3):.9g} x v_q" in text
     assert "nominal, not estimated" in text
+
+
+@pytest.mark.parametrize(
+    ("name", "written"), [("axis 1", "axis_1"), ("end", "drive_end"), ("R", "drive_R"), ("2", "drive_2")]
+)
+def test_a_drives_name_is_one_that_every_language_takes(name: str, written: str) -> None:
+    assert identifier(name) == written
 
 
 def test_a_daemons_estimates(monkeypatch: pytest.MonkeyPatch) -> None:
