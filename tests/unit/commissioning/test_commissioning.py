@@ -73,6 +73,13 @@ def test_an_encoder_that_stands_before_the_motor_is_known(wrong: dict[str, Any],
     assert motor.share_of(limits) <= 1.01
 
 
+def test_time_that_is_used_up_is_no_fault_of_the_shaft() -> None:
+    setup, limits = SMALL
+    result = commission(CommandedMotor(replace(setup, Tc=0.01)), replace(limits, seconds=0.5))
+    assert (result.outcome, result.stop) == ("not_known", None)
+    assert len(result.unknown) == 5
+
+
 def test_silence_and_the_user_stop_the_motor() -> None:
     setup, limits = SMALL
     silent = CommandedMotor(setup, silent_after_s=3.0)
