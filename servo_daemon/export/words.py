@@ -26,10 +26,11 @@ def with_std(value: Value) -> str:
 _KEYWORDS = """
     algorithm annotation asm auto block bool case catch char class classdef connect connector const constant
     constrainedby continue default der discrete do double each else elseif elsewhen encapsulated end endif enum
-    enumeration equation expandable extends extern external final float flow for function global goto if import impure
-    in initial inline inner input int long loop model nargin nargout not operator otherwise outer output package parameter
-    parfor partial persistent protected public pure record redeclare register replaceable restrict return short signed
-    sizeof spmd static stream struct switch then true try type typedef union unsigned void volatile when while within
+    enumeration equation expandable extends extern external final float flow for function global goto if import
+    impure in initial inline inner input int long loop model nargin nargout not operator otherwise outer output
+    package parameter parfor partial persistent protected public pure record redeclare register replaceable restrict
+    return short signed sizeof spmd static stream struct switch then true try type typedef union unsigned void
+    volatile when while within
 """
 #: Names that the files have inside, beside the parameters'.
 _WITHIN = """
