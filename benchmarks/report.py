@@ -37,6 +37,8 @@ COMMANDS: Mapping[str, tuple[str, ...]] = {
     "ekf-step": ("benchmarks/ekf_step.py",),
     "daemon": ("benchmarks/daemon.py",),
     "life": ("-m", "benchmarks.life"),
+    "kills": ("-m", "benchmarks.kills"),
+    "page": ("-m", "benchmarks.page"),
     "neighbours": ("-m", "benchmarks.neighbours", "--seconds", "30"),
     "soak": ("-m", "benchmarks.soak", "--minutes", "3"),
     "heavy-steps": ("-m", "benchmarks.heavy_steps"),
