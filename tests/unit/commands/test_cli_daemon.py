@@ -14,6 +14,8 @@ import pytest
 from rich.console import Console
 
 from servo_daemon import cli
+from servo_daemon.api.access.permission import Access
+from servo_daemon.api.access.tokens import TokenFile
 from servo_daemon.api.app import create_app
 from servo_daemon.commands import export_history
 from servo_daemon.commands.status import rendered, with_std
@@ -66,6 +68,19 @@ def test_no_daemon_and_none_of_ours(capsys: pytest.CaptureFixture[str], url: str
     assert cli.main(["status", "nonsense"]) == 2
     assert cli.main(["export-history", url, "--drive", "axis9", "--out", "x.csv"]) == 2
     assert "There is no drive 'axis9'" in capsys.readouterr().err
+
+
+def test_a_token_comes_from_the_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "tokens"
+    assert cli.main(["token", "new", "wall", "--scope", "read", "--file", str(file)]) == 0
+    secret = capsys.readouterr().out.split()[-1]
+    with serving(create_app(fake_daemon(), access=Access(tokens=TokenFile(file)))) as closed:
+        assert cli.main(["status", closed]) == 1
+        assert "set SERVO_DAEMON_TOKEN" in capsys.readouterr().err
+        monkeypatch.setenv("SERVO_DAEMON_TOKEN", secret)
+        assert cli.main(["status", closed, "--json"]) == 0
 
 
 def test_the_history_as_files(
