@@ -5,7 +5,8 @@
 Some of the drives live the whole year, all write afterwards (a year of 32 takes an hour and shows no more). Each
 minute of the year is a bucket as the recorder makes them, from an estimate that ages, wanders with the filter's memory
 and follows a temperature; the last day comes in seconds and the last hour in single rows, so that every level is as
-full as in service. Then the year is asked for, beside 32 writers at ten rows a second each.
+full as in service. Then the year is asked for in the process that writes, as the daemon answers: beside a thread that
+brings ten rows a second of 32 drives each and writes them every three seconds.
 """
 
 from __future__ import annotations
@@ -13,16 +14,18 @@ from __future__ import annotations
 import argparse
 import contextlib
 import shutil
+import sys
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from scipy.signal import lfilter
 
+from servo_daemon.commands.run.serve import SWITCH_S
 from servo_daemon.config import HistoryConfig
 from servo_daemon.history.archive import StoreArchive
 from servo_daemon.history.blocks import BlockWriter, drive_id
@@ -41,6 +44,9 @@ PARAMETERS = {"R": (0.5, 2e-3, 0.05), "L": (2e-3, 1e-2, 0.0), "K": (0.3, 2e-3, -
 UNITS = {"R": "Ω", "L": "H", "K": "N·m/A", "J": "kg·m²", "B": "N·m·s/rad", "Tc": "N·m"}
 CHANNELS = {"current_A": 3.0, "velocity_rad_s": 6.0, "position_rad": 1.0}
 MEMORY_S, DAY, YEAR = 20.0, 86_400.0, 365.25 * 86_400.0
+#: Rows of a drive between two turns of the writer (`daemon/recording.py`), and the pause between two questions, s: 400 of
+#: them meet a dozen turns.
+ROWS, ASK_EVERY_S = 30, 0.08
 END = 1.8e9 // 86_400 * 86_400
 
 
@@ -153,13 +159,14 @@ def serve(database: Database, drives: int, filled: int, config: HistoryConfig) -
     archive = StoreArchive(recorder, lambda: now[0])
     cpu = 0.0
 
-    def turns(number: int) -> None:
+    def turns(number: int, pause: Callable[[], object] = lambda: None) -> None:
         nonlocal cpu
         for _ in range(number):
-            for _ in range(30):
+            for _ in range(ROWS):
                 now[0] += 0.1
                 for source in sources:
                     source.step(now[0], rng)
+                pause()
             began = time.thread_time()
             recorder.turn(now[0], now[0])
             cpu += time.thread_time() - began
@@ -172,9 +179,7 @@ def serve(database: Database, drives: int, filled: int, config: HistoryConfig) -
 
     def write() -> None:
         while not done.is_set():
-            began = time.perf_counter()
-            turns(1)
-            done.wait(max(0.0, 3.0 - (time.perf_counter() - began)))
+            turns(1, lambda: done.wait(0.1))
 
     writing = threading.Thread(target=write)
     writing.start()
@@ -182,6 +187,7 @@ def serve(database: Database, drives: int, filled: int, config: HistoryConfig) -
         began, worked = time.perf_counter(), time.thread_time()
         span = archive.span(f"axis{k % filled}", ["R"], now[0] - YEAR, None, 500)
         took.append((time.perf_counter() - began, time.thread_time() - worked))
+        time.sleep(ASK_EVERY_S)
         assert 200 < len(span.buckets) <= 500 and span.level == "1 h", (len(span.buckets), span.level)
     done.set()
     writing.join()
@@ -196,6 +202,7 @@ def main() -> None:
     parser.add_argument("--days", type=int, default=365)
     parser.add_argument("--store", type=Path, help="keep the year that was lived here, and begin with it next time")
     arguments = parser.parse_args()
+    sys.setswitchinterval(SWITCH_S)
     config = HistoryConfig()
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "history.sqlite"

@@ -122,7 +122,7 @@ class Database:
         return (count - free) * size
 
     def checkpoint(self) -> None:
-        """Bring what was committed from the log into the file and onto the disk. Waits for nobody, and nobody for it."""
+        """Bring what was committed from the log into the file and onto the disk. Waits for nobody, nor they for it."""
         if self.path is not None:
             with self._engine.connect() as connection:
                 connection.exec_driver_sql("PRAGMA wal_checkpoint(PASSIVE)")
