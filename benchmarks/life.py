@@ -44,7 +44,7 @@ PARAMETERS = {"R": (0.5, 2e-3, 0.05), "L": (2e-3, 1e-2, 0.0), "K": (0.3, 2e-3, -
 UNITS = {"R": "Ω", "L": "H", "K": "N·m/A", "J": "kg·m²", "B": "N·m·s/rad", "Tc": "N·m"}
 CHANNELS = {"current_A": 3.0, "velocity_rad_s": 6.0, "position_rad": 1.0}
 MEMORY_S, DAY, YEAR = 20.0, 86_400.0, 365.25 * 86_400.0
-#: Rows of a drive between two turns of the writer (`daemon/recording.py`), and the pause between two questions, s: 400 of
+#: Rows of a drive between two turns of the writer (`daemon/recording.py`); the pause between two questions, s: 400 of
 #: them meet a dozen turns.
 ROWS, ASK_EVERY_S = 30, 0.08
 END = 1.8e9 // 86_400 * 86_400

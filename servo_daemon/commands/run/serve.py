@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-#: A thread that computes lets another one on after so long, s. An answer from the history lets go of the interpreter some
+#: A thread that computes lets another on after so long, s. An answer from the history lets go of the interpreter some
 #: hundred times, and may wait so long each time: with Python's own 5 ms it took 60 ms more beside a thread that never
 #: rests, with this 25 ms; what threads get done in a second of CPU was the same to 2 %.
 SWITCH_S: Final = 5e-4
