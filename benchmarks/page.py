@@ -5,7 +5,7 @@ Chromium opens the fleet and the view of a drive, its cache off, over loopback; 
 the daemon and of the processes that it started, over equal stretches: nobody looks, ten tabs show the fleet, ten tabs
 show a drive each. What tabs cost is the difference to the mean of the quiet stretches before and after.
 
-    .venv/bin/python -m benchmarks.page                  32 drives at 1 kHz, 10 tabs, 20 s a stretch: 3 minutes
+    .venv/bin/python -m benchmarks.page                  32 drives at 1 kHz, 10 tabs, 15 s a stretch: 3 minutes
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--drives", type=int, default=32)
     parser.add_argument("--tabs", type=int, default=10)
-    parser.add_argument("--seconds", type=float, default=20.0, help="of a stretch")
+    parser.add_argument("--seconds", type=float, default=15.0, help="of a stretch")
     a = parser.parse_args()
     enough_s = COME_UP_S + STARTED_S + 5 * a.seconds + 2 * SETTLE_S + 120
     with (

@@ -36,7 +36,7 @@ COMMANDS: Mapping[str, tuple[str, ...]] = {
     "captures": ("benchmarks/captures.py",),
     "ekf-step": ("benchmarks/ekf_step.py",),
     "daemon": ("benchmarks/daemon.py",),
-    "life": ("-m", "benchmarks.life"),
+    "life": ("-m", "benchmarks.life", "--filled", "1"),
     "kills": ("-m", "benchmarks.kills"),
     "page": ("-m", "benchmarks.page"),
     "neighbours": ("-m", "benchmarks.neighbours", "--seconds", "30"),
