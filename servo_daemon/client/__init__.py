@@ -9,6 +9,11 @@
 `AsyncClient` has the same methods to be awaited.
 """
 
+try:
+    import httpx as _httpx  # noqa: F401
+except ImportError as error:
+    raise ImportError("servo_daemon.client needs httpx: pip install 'servo-daemon[client]'") from error
+
 from servo_daemon.client.awaited import AsyncClient
 from servo_daemon.client.clients import Client
 from servo_daemon.client.errors import DaemonError, UnreachableError

@@ -6,10 +6,7 @@ import json
 from collections.abc import Iterable
 from typing import Any, Final
 
-try:
-    import httpx
-except ImportError as error:
-    raise ImportError("servo_daemon.client needs httpx: pip install 'servo-daemon[client]'") from error
+import httpx
 
 from servo_daemon.client.errors import DaemonError, UnreachableError
 from servo_daemon.client.records import Estimates

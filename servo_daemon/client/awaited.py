@@ -7,8 +7,9 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
+import httpx
+
 from servo_daemon.client import answers, steps
-from servo_daemon.client.answers import httpx
 from servo_daemon.client.clients import CAPTURE_S, POLL_S, TIMEOUT_S, URL, Verify, When
 from servo_daemon.client.records import Capture, Diagnosis, Estimates, Event, History, Model, Samples
 

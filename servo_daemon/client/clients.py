@@ -9,8 +9,9 @@ from datetime import datetime
 from types import TracebackType
 from typing import Any, Final, Self, TypeVar
 
+import httpx
+
 from servo_daemon.client import answers, steps
-from servo_daemon.client.answers import httpx
 from servo_daemon.client.records import Capture, Diagnosis, Estimates, Event, History, Model, Samples
 
 URL: Final = "http://127.0.0.1:8077"
