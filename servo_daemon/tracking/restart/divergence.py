@@ -12,7 +12,8 @@ from servo_daemon.tracking.validity.cross_check import on_one_line
 from servo_daemon.tracking.validity.gates import QUALIFIED
 from servo_daemon.tracking.validity.validity_gate import ValidityGate
 
-#: Diverged: innovations this many times larger than they should be, for as many ticks, while the regression is well.
+#: Diverged: innovations this many times larger than they should be, for as many ticks, while the regression is well
+#: (see `make calibrate`).
 _DIVERGED_NIS, _DIVERGED_TICKS = 6.0, 20
 #: A filter that started from little has this long to find out for itself, ticks.
 _TICKS_TO_BEGIN_BETTER = 50
