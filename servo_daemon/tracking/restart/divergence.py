@@ -41,7 +41,8 @@ class DivergenceMonitor:
         self.suspicious_ticks = 0
 
     def has_diverged(self, nis: float) -> bool:
-        """After each tick: whether the filter no longer fits its data while the regression does.
+        """After each tick: whether the filter no longer fits its data while the regression does (without it
+        `test_a_filter_that_no_longer_fits_begins_again_where_the_regression_does` fails).
 
         Args:
             nis: of the tick's innovations, the worst channel's.
@@ -51,7 +52,7 @@ class DivergenceMonitor:
 
     def could_begin_better(self, tick: int) -> bool:
         """Each time that the regressions are worked off: whether the filter had to start from little and still does not
-        know what the regression knows by now.
+        know what the regression knows by now (without it `test_a_filter_that_started_from_little_begins_better` fails).
 
         Args:
             tick: number of the running filter's.

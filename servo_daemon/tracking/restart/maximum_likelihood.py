@@ -172,7 +172,11 @@ class MaximumLikelihoodRestart:
         before, constants = self._ekf.snapshot(), self._ekf.constants
         found = False
         for _ in range(self._passes):
-            if iteration.take(self._predicted(iteration.next)):
+            there = self._predicted(iteration.next)
+            if not there.possible:  # so far off that the filter overflows: nothing leads back from there
+                self._iterations = _MOST_ITERATIONS
+                break
+            if iteration.take(there):
                 found = self._iterated(iteration, scales)
                 break
         if not found:

@@ -36,8 +36,10 @@ class Fit:
 
     def with_more(self, i: Innovations) -> Fit:
         """With those of another run of samples."""
-        square = np.minimum(np.square(i.innovation) / i.variance, GATE**2)
-        cost = self.cost + float(np.sum(square + np.log(i.variance)))
+        cost = np.inf
+        if i.possible:
+            square = np.minimum(np.square(i.innovation) / i.variance, GATE**2)
+            cost = self.cost + float(np.sum(square + np.log(i.variance)))
         return Fit(cost, self.outliers + int(np.count_nonzero(i.gated)), self.samples + len(i.innovation))
 
 
