@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.command_line import run_command
 from tests.system.harness import all_tracking, daemon, nominal_table, run_once, write_config
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -21,10 +20,10 @@ BO_ 256 Status1: 8 Drive
 
 
 def assert_refused(*words: str | Path, code: int, says: tuple[str, ...]) -> None:
-    done = run_command(*words)
-    assert done.code == code, done.err
-    assert done.out == ""
-    lines = [line for line in done.err.splitlines() if line]
+    done = run_once(*words)
+    assert done.returncode == code, done.stderr
+    assert done.stdout == ""
+    lines = [line for line in done.stderr.splitlines() if line]
     assert len(lines) == 1, lines
     for text in says:
         assert text in lines[0], lines[0]
@@ -67,7 +66,7 @@ def test_a_dbc_without_the_mapped_signal(tmp_path: Path) -> None:
         '[drive.options.signals]\ncurrent_A = "Status1.MotorCurent"\nvelocity_rad_s = "Status1.Speed"',
     )
     assert_refused("run", "--port", "0", "--config", config, code=2, says=("other.dbc", "MotorCurent"))
-    done = run_once("check", "--json", "--config", config)  # a process: what it prints, and that it ends
+    done = run_once("check", "--json", "--config", config)
     assert done.returncode == 2 and "MotorCurent" in json.loads(done.stdout)["error"]
 
 
