@@ -182,7 +182,12 @@ def test_runs_side_by_side_with_constants_of_their_own_are_what_each_is_alone() 
 def test_zeros_of_either_sign_and_no_numbers_side_by_side() -> None:
     x, y, row = ca.SX.sym("x"), ca.SX.sym("y"), ca.SX.sym("row", 2)
     a, b = row[0], row[1]
-    choices = [ca.fmax(a, b), ca.fmin(a, b), ca.if_else(a < b, a, b), ca.if_else(ca.logic_or(a == b, a != a), x, -b)]
+    choices = [
+        ca.fmax(a, b),
+        ca.fmin(a, b),
+        ca.if_else(a < b, a, b),
+        ca.if_else(ca.logic_or(a == b, a * 0 != 0), x, -b),
+    ]
     shown = ca.vertcat(*choices, ca.fabs(a), ca.sqrt(a), ca.exp(b), ca.atan2(a, b), ca.logic_not(a), 2 * a - b / a)
     loop = SampleLoop(ca.Function("step", [x, y, row], [x + y, shown]))
     odd = np.array([0.0, -0.0, 1.0, -1.0, np.nan, np.inf, -np.inf, 5e-324])
