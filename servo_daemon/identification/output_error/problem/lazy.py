@@ -6,14 +6,14 @@ cost ten times as much as the simulation itself.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from servo_daemon.identification.output_error.problem.problem import Linearised, Problem
-from servo_daemon.identification.output_error.problem.rollout import simulate_many
+from servo_daemon.identification.output_error.problem.rollout import free_runs, simulate_many
 from servo_daemon.plant.c_code.lanes import LANES
 from servo_daemon.samples import F64
 
@@ -92,7 +92,7 @@ class Differenced:
             points.append(self.unknowns.copy())
             steps.append(_DIFFERENCE * max(size, _LEAST_SIZE))
             points[-1][k] += steps[-1]
-        for index, there in self.problem.residuals_each(points, recording):
+        for index, there in _residuals(self.problem, points, recording):
             for column, (moved, step) in enumerate(zip(there, steps, strict=True), start=first):
                 out[index][:, :, column] = (self.residuals[index] - moved) / step
 
@@ -104,3 +104,20 @@ class Differenced:
         for index, moved in enumerate(problem.residuals(self.unknowns, ahead)):
             column = out[index].shape[2] - len(problem.plant.states) + state
             out[index][:, :, column] = (self.residuals[index] - moved) / steps[index]
+
+
+def _residuals(problem: Problem, points: Sequence[F64], recording: int) -> Iterator[tuple[int, F64]]:
+    """Residuals of a recording at several points, simulated at once: number of a segment, shape (m, n, c)."""
+    paths, m = problem.paths(points, recording), len(points)
+    q = np.stack([problem.acting(unknowns, recording) for unknowns in points])
+    for (of, which, rows), (measured, valid) in zip(problem.alike, problem.measured, strict=True):
+        if of != recording:
+            continue
+        starts = []
+        for unknowns, path in zip(points, paths, strict=True):
+            carried = [path[s.begin] if len(path) and s.recording == of else None for s in problem.segments]
+            starts.append(problem.starts(unknowns, carried)[which])
+        own, runs = np.repeat(q, len(which), axis=0), np.tile(rows, (m, 1, 1))
+        shown = free_runs(problem.plant, problem.channels, own, np.concatenate(starts), runs)
+        left = np.where(valid, measured - shown.reshape(m, *measured.shape), 0.0)
+        yield from zip(which.tolist(), left.swapaxes(0, 1), strict=True)

@@ -9,7 +9,7 @@ in the parameters' coordinates (logarithms where positive). Nothing here decides
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -216,7 +216,7 @@ class Problem:
 
     def carried(self, unknowns: F64) -> list[F64 | None]:
         """Per segment the states as a run over the whole recording has them at its first sample, shape (nx,)."""
-        paths = [self._paths([unknowns], recording)[0] for recording in range(len(self.whole))]
+        paths = [self.paths([unknowns], recording)[0] for recording in range(len(self.whole))]
         return [paths[s.recording][s.begin] if self._carries else None for s in self.segments]
 
     @cached_property
@@ -224,7 +224,7 @@ class Problem:
         """Whether segments take states from a run over the whole recording."""
         return bool(self.whole) and not set(self.plant.state_names) <= set(self.own_states)
 
-    def _paths(self, points: Sequence[F64], recording: int) -> F64:
+    def paths(self, points: Sequence[F64], recording: int) -> F64:
         """States of that run at each of several points, shape (m, n, nx); empty where none are taken from it."""
         if not self._carries:
             return np.empty((len(points), 0, 0))
@@ -257,7 +257,7 @@ class Problem:
         )
 
     @cached_property
-    def _measured(self) -> tuple[tuple[F64, NDArray[np.bool_]], ...]:
+    def measured(self) -> tuple[tuple[F64, NDArray[np.bool_]], ...]:
         """What was measured in each of `alike`, and where, shapes (k, n, c)."""
         chosen = [[self.segments[k] for k in which] for _, which, _ in self.alike]
         return tuple((np.stack([s.measured for s in one]), np.stack([s.valid for s in one])) for one in chosen)
@@ -269,26 +269,10 @@ class Problem:
             starts: see `starts`.
         """
         out: dict[int, F64] = {}
-        for (of, which, rows), (measured, valid) in zip(self.alike, self._measured, strict=True):
+        for (of, which, rows), (measured, valid) in zip(self.alike, self.measured, strict=True):
             shown = free_runs(self.plant, self.channels, self.acting(unknowns, of), starts[which], rows)
             out |= dict(zip(which.tolist(), np.where(valid, measured - shown, 0.0), strict=True))
         return tuple(out[k] for k in sorted(out))
-
-    def residuals_each(self, points: Sequence[F64], recording: int) -> Iterator[tuple[int, F64]]:
-        """The same of one recording at several points, simulated at once: number of a segment, shape (m, n, c)."""
-        paths, m = self._paths(points, recording), len(points)
-        q = np.stack([self.acting(unknowns, recording) for unknowns in points])
-        for (of, which, rows), (measured, valid) in zip(self.alike, self._measured, strict=True):
-            if of != recording:
-                continue
-            starts = []
-            for unknowns, path in zip(points, paths, strict=True):
-                carried = [path[s.begin] if len(path) and s.recording == of else None for s in self.segments]
-                starts.append(self.starts(unknowns, carried)[which])
-            own, runs = np.repeat(q, len(which), axis=0), np.tile(rows, (m, 1, 1))
-            shown = free_runs(self.plant, self.channels, own, np.concatenate(starts), runs)
-            left = np.where(valid, measured - shown.reshape(m, *measured.shape), 0.0)
-            yield from zip(which.tolist(), left.swapaxes(0, 1), strict=True)
 
     @cached_property
     def state_prior(self) -> tuple[F64, F64]:
