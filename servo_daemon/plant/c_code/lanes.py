@@ -32,11 +32,14 @@ _RULES = tuple(
         (rf"({_NAME})=\(({_NAME})\|\|({_NAME})\);", r"\1=sd_truth((\2!=sd_all(0))|(\3!=sd_all(0)));"),
         (rf"({_NAME})=\(({_NAME})\?({_NAME}):0\);", r"\1=sd_where(\2!=sd_all(0), \3);"),
         (rf"({_NAME})=casadi_fabs\(\s*({_NAME})\);", r"\1=sd_fabs(\2);"),
+        (rf"({_NAME})=casadi_sign\(\s*({_NAME})\);", r"\1=sd_sign(\2);"),
         (rf"({_NAME})=casadi_sq\(\s*({_NAME})\);", r"\1=\2*\2;"),
         (rf"({_NAME})=sqrt\(\s*({_NAME})\);", r"\1=sd_sqrt(\2);"),
         (rf"({_NAME})=casadi_(fmin|fmax)\(({_NAME}),({_NAME})\);", r"\1=sd_\2(\3, \4);"),
         (rf"({_NAME})=SD_ONCE\((\w+), ({_NAME})\);", r"\1=SD_LANES_ONCE(\2, \3);"),
         (rf"({_NAME})=SD_ONCE_2\((\w+), ({_NAME}),({_NAME})\);", r"\1=SD_LANES_ONCE_2(\2, \3, \4);"),
+        (rf"({_NAME})=(exp|log|sin|cos|tanh|atanh|casadi_expm1)\(\s*({_NAME})\s*\);", r"\1=sd_each(\2, \3);"),
+        (rf"({_NAME})=atan2\(({_NAME}),({_NAME})\);", r"\1=sd_atan2(\2, \3);"),
         (r"return 0;", r"return;"),
         (r"}", r"}"),
     )
@@ -53,6 +56,10 @@ typedef long long sd_m __attribute__((vector_size(8 * SD_LANES), may_alias));
 #define sd_where(mask, x) ((sd_v)((sd_m)(mask) & (sd_m)(x)))
 #define sd_truth(mask) sd_where(mask, sd_all(1))
 #define sd_fabs(x) ((sd_v)((sd_m)(x) & 0x7fffffffffffffffLL))
+#define sd_choice(mask, x, y) ((sd_v)(((sd_m)(mask) & (sd_m)(x)) | (~(sd_m)(mask) & (sd_m)(y))))
+static inline sd_v sd_sign(sd_v x) {{
+  return sd_choice(x < sd_all(0), sd_all(-1), sd_choice(x > sd_all(0), sd_all(1), x));
+}}
 #ifdef __AVX__
 #define sd_sqrt(x) ((sd_v)__builtin_ia32_sqrtpd256(x))
 #define sd_none(mask) (!__builtin_ia32_movmskpd256((sd_v)(mask)))
@@ -61,13 +68,8 @@ static inline sd_v sd_sqrt(sd_v x) {{ return (sd_v){{sqrt(x[0]), sqrt(x[1]), sqr
 static inline int sd_none(sd_m mask) {{ return !(mask[0] | mask[1] | mask[2] | mask[3]); }}
 #endif
 /* Of a number and what is none the number. Of two zeros the compiler chooses one for the library's functions, too. */
-#define SD_CHOICE(name, sign) \\
-  static inline sd_v sd_##name(sd_v x, sd_v y) {{ \\
-    const sd_m first = (sd_m)(x sign y) | (sd_m)(y != y); \\
-    return (sd_v)((first & (sd_m)x) | (~first & (sd_m)y)); \\
-  }}
-SD_CHOICE(fmax, >)
-SD_CHOICE(fmin, <)
+static inline sd_v sd_fmax(sd_v x, sd_v y) {{ return sd_choice((x > y) | (y != y), x, y); }}
+static inline sd_v sd_fmin(sd_v x, sd_v y) {{ return sd_choice((x < y) | (y != y), x, y); }}
 /* As SD_ONCE: what stays the same is not computed again, run by run. */
 static __attribute__((noinline)) void sd_once(double (*f)(double), sd_v* m, sd_v x) {{
   int k;
@@ -81,6 +83,18 @@ static __attribute__((noinline)) void sd_once_2(double (*f)(double, double), sd_
     if (!sd_same((double*)m + k, (double*)&x + k) || !sd_same((double*)(m + 1) + k, (double*)&y + k))
       m[2][k] = f(x[k], y[k]);
   m[0] = x; m[1] = y;
+}}
+static __attribute__((noinline)) sd_v sd_each(double (*f)(double), sd_v x) {{
+  sd_v out;
+  int k;
+  for (k = 0; k < SD_LANES; ++k) out[k] = f(x[k]);
+  return out;
+}}
+static __attribute__((noinline)) sd_v sd_atan2(sd_v y, sd_v x) {{
+  sd_v out;
+  int k;
+  for (k = 0; k < SD_LANES; ++k) out[k] = atan2(y[k], x[k]);
+  return out;
 }}
 static inline int sd_changed(sd_v one, sd_v other) {{ return !sd_none((sd_m)one != (sd_m)other); }}
 enum {{ SD_LANES_FIRST = __COUNTER__ }};

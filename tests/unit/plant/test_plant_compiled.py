@@ -188,7 +188,9 @@ def test_zeros_of_either_sign_and_no_numbers_side_by_side() -> None:
         ca.if_else(a < b, a, b),
         ca.if_else(ca.logic_or(a == b, a * 0 != 0), x, -b),
     ]
-    shown = ca.vertcat(*choices, ca.fabs(a), ca.sqrt(a), ca.exp(b), ca.atan2(a, b), ca.logic_not(a), 2 * a - b / a)
+    shown = ca.vertcat(
+        *choices, ca.fabs(a), ca.sign(a), ca.sqrt(a), ca.exp(b), ca.atan2(a, b), ca.logic_not(a), 2 * a - b / a
+    )
     loop = SampleLoop(ca.Function("step", [x, y, row], [x + y, shown]))
     odd = np.array([0.0, -0.0, 1.0, -1.0, np.nan, np.inf, -np.inf, 5e-324])
     rows = np.ascontiguousarray(np.stack(np.meshgrid(odd, odd), axis=-1))
