@@ -147,7 +147,7 @@ int servo_daemon_loops(long long runs, long long n, double* states, const double
   long long k, begun;
   int failed = 0, l;
   memset(w, 0xff, sizeof w); /* not a number, as is any function of it */
-  for (begun = 0; begun < SD_LANES; ++begun) {
+  for (begun = 0; begun < (apart ? SD_LANES : 1); ++begun) {
     if ((failed = sd_begin(tables + begun, apart ? n : runs * n))) break;
     tables[begun].w = w;
   }
