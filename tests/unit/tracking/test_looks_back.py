@@ -34,13 +34,18 @@ def test_no_tick_takes_more_steps_than_its_share_and_blocks_do_not_matter(
     recording: SampleBlock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     steps: list[int] = []
-    update = Ekf.update
+    update, predict_held = Ekf.update, Ekf.predict_held
 
     def counted(self: Ekf, samples: F64, *, again: bool = False) -> Innovations:
         steps[-1] += len(samples) if again else 0
         return update(self, samples, again=again)
 
+    def counted_held(self: Ekf, samples: F64) -> Innovations:
+        steps[-1] += len(samples)
+        return predict_held(self, samples)
+
     monkeypatch.setattr(Ekf, "update", counted)
+    monkeypatch.setattr(Ekf, "predict_held", counted_held)
     for module in (maximum_likelihood, relinearisation):
         monkeypatch.setattr(module, "STEPS_A_TICK", STEPS)
     one, other, found, same = pipeline(), pipeline(), [], []
