@@ -18,6 +18,7 @@ import casadi as ca
 import numpy as np
 
 from servo_daemon.plant.at_once import cores, on_all_cores
+from servo_daemon.plant.c_code.lanes import LANES
 from servo_daemon.plant.compiler import compile_step, find_compiler
 from servo_daemon.samples import F64
 
@@ -76,7 +77,11 @@ class SampleLoop:
                 self._call.argtypes = [ctypes.c_longlong] + [ctypes.c_void_p] * 4
                 self._call_many = self._library.servo_daemon_loops
                 self._call_many.restype = ctypes.c_int
-                self._call_many.argtypes = [ctypes.c_longlong] * 2 + [ctypes.c_void_p] * 4
+                self._call_many.argtypes = [ctypes.c_longlong] * 2 + [
+                    *[ctypes.c_void_p] * 2,
+                    ctypes.c_longlong,
+                    *[ctypes.c_void_p] * 2,
+                ]
             except (OSError, subprocess.SubprocessError) as error:
                 detail = getattr(error, "stderr", "") or ""
                 log.warning("C compilation failed (%s %s): using CasADi's virtual machine", error, detail.strip())
@@ -126,7 +131,7 @@ class SampleLoop:
 
         Args:
             states: shape (k, ns), C-contiguous, changed in place.
-            constants: shape (nc,).
+            constants: shape (nc,), or (k, nc): each run's own.
             samples: shape (k, n, ni), C-contiguous.
 
         Returns:
@@ -137,20 +142,23 @@ class SampleLoop:
         """
         k, n = samples.shape[:2]
         self._check(states, (k, self._n_state), "states")
-        self._check(constants, (self._n_constants,), "constants")
+        own = constants.ndim == 2
+        self._check(constants, (k, self._n_constants) if own else (self._n_constants,), "constants")
         self._check(samples, (k, n, self._n_sample), "samples")
         outputs = np.empty((k, n, self._n_output))
         if self._library is None:
-            for state, rows, shown in zip(states, samples, outputs, strict=True):
-                self._run_vm(state, constants, rows, shown)
+            for run, (state, rows, shown) in enumerate(zip(states, samples, outputs, strict=True)):
+                self._run_vm(state, constants[run] if own else constants, rows, shown)
             return outputs
 
         def part(runs: slice) -> int:
-            arrays = (states[runs], constants, samples[runs], outputs[runs])
-            return int(self._call_many(len(arrays[0]), n, *map(_address, arrays)))
+            first = _address(constants[runs] if own else constants), self._n_constants if own else 0
+            state, sample, shown = (_address(array[runs]) for array in (states, samples, outputs))
+            return int(self._call_many(runs.stop - runs.start, n, state, *first, sample, shown))
 
         threads = min(cores(), k) if k * n >= _WORTH_A_THREAD else 1
-        edges = [k * part // threads for part in range(threads + 1)]
+        group = LANES if k >= LANES * threads else 1  # of what is simulated at once
+        edges = [k * part // threads // group * group for part in range(threads)] + [k]
         parts = [slice(a, b) for a, b in pairwise(edges)]
         if any(on_all_cores(part, parts)):
             raise RuntimeError("the compiled step reported an error")

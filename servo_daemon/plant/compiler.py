@@ -7,7 +7,6 @@ import hashlib
 import logging
 import os
 import platform
-import re
 import shutil
 import subprocess
 import tempfile
@@ -18,129 +17,21 @@ from pathlib import Path
 
 import casadi as ca
 
+from servo_daemon.plant.c_code.lanes import in_lanes
+from servo_daemon.plant.c_code.loop import LOOP, ONCE, with_memory
+
 log = logging.getLogger(__name__)
 
-#: Long steps (substeps, sensitivities) compile four times as fast this way and run as fast.
+#: Long steps (substeps, sensitivities) compile four times as fast this way and run as fast. Of shorter ones four run at
+#: once, too: a third to all as long again to compile, a half to a quarter as long to run.
 _LONG_SOURCE, _LONG_FLAGS = 400_000, ("-O1",)
 _FLAGS = ("-O2", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-shared", "-w")
 #: Less than this share of a step's operations is computed again as fast as it is looked up (measured: a cogging
 #: motor's sensitivities, 8 %, take a quarter longer; a gap's simulation, 21 %, a seventh less).
 _WORTH_PREPARING = 0.15
-_ONCE = """
-#include <math.h>
-#include <string.h>
-/* Both sides of a case distinction are computed, the one that does not apply of constants: a function of the same
-   argument as in the sample before is not computed again. Each place in the code has its own memory, behind `w`. */
-static inline int sd_same(const double* one, const double* other) { return !memcmp(one, other, sizeof *one); }
-#define SD_ONCE(f, x) ({ \
-  double* m_ = w + SD_W + 1 + 3 * __COUNTER__; const double x_ = (x); \
-  if (!sd_same(m_, &x_)) { m_[0] = x_; m_[2] = (f)(x_); } \
-  m_[2]; })
-#define SD_ONCE_2(f, x, y) ({ \
-  double* m_ = w + SD_W + 1 + 3 * __COUNTER__; const double x_ = (x), y_ = (y); \
-  if (!sd_same(m_, &x_) || !sd_same(m_ + 1, &y_)) { m_[0] = x_; m_[1] = y_; m_[2] = (f)(x_, y_); } \
-  m_[2]; })
-"""
-#: A statement of generated code that calls a function of the library: the others are single operations. In longer code
-#: (sensitivities) the calls are a small part of the time, and looking whether they are needed costs half as much again
-#: to compile.
+#: In longer code (sensitivities) calls of the library are a small part of the time, and looking whether they are needed
+#: costs half as much again to compile.
 _SHORT_SOURCE = 80_000
-_CALL = re.compile(r"=(exp|log|sin|cos|tanh|atanh|atan2|casadi_expm1)\(([^()]*)\);")
-_LOOP = """
-enum { SD_ONCES = __COUNTER__ };
-#include <stdlib.h>
-/* Appended by servo_daemon to the code of a step: n samples through it, the state carried along. */
-
-/* What was prepared for the lengths of step met so far in a call: a table of sets of two, by the length's bits. */
-typedef struct {
-  double* entries; /* the bits of a length, plus one (0: empty), and what was prepared for it */
-  int shift;
-  double* w; /* what a step works with */
-} sd_table;
-
-#if SD_PREPARED
-#define SD_ENTRY (SD_PREPARED + 1)
-/* So many lengths at most: a recording has one, a few hundred where its clock shows jitter; and so much memory. */
-#define SD_MOST_BITS 12
-#define SD_MOST_BYTES (4 << 20)
-
-static int sd_begin(sd_table* table, long long samples) {
-  int bits = 1;
-  while (bits < SD_MOST_BITS && (1LL << bits) < 2 * samples && (2LL << bits) * SD_ENTRY * 8 <= SD_MOST_BYTES) ++bits;
-  table->shift = 64 - bits;
-  table->entries = calloc((size_t)SD_ENTRY << bits, sizeof(double));
-  return !table->entries;
-}
-
-static void sd_end(sd_table* table) { free(table->entries); }
-
-static unsigned long long sd_key(const double* entry) {
-  unsigned long long key;
-  memcpy(&key, entry, sizeof key);
-  return key;
-}
-
-static const double* sd_prepared(sd_table* table, const double* constants, const double* length) {
-  const unsigned long long key = sd_key(length) + 1;
-  const unsigned long long place = (key * 0x9E3779B97F4A7C15ULL) >> table->shift; /* Knuth's multiplicative hash */
-  double* entry = table->entries + place * SD_ENTRY;
-  double* other = table->entries + (place ^ 1) * SD_ENTRY;
-  casadi_int iw[SD_IW + 1];
-  const double* arg[SD_ARG + 2];
-  double* res[SD_RES + 1];
-  if (key && sd_key(entry) == key) return entry + 1;
-  if (key && sd_key(other) == key) return other + 1;
-  if (sd_key(entry) && !sd_key(other)) entry = other;
-  memcpy(entry, &key, sizeof key);
-  arg[0] = constants; arg[1] = length;
-  res[0] = entry + 1;
-  prepare(arg, res, iw, table->w, 0);
-  return entry + 1;
-}
-#else
-static int sd_begin(sd_table* table, long long samples) { return 0; }
-static void sd_end(sd_table* table) {}
-static const double* sd_prepared(sd_table* table, const double* constants, const double* length) { return 0; }
-#endif
-
-static int sd_run(sd_table* table, long long n, double* state, const double* constants, const double* samples,
-                  double* outputs) {
-  casadi_int iw[SD_IW + 1];
-  double next[SD_STATE + 1];
-  const double* arg[SD_ARG + 4];
-  double* res[SD_RES + 2];
-  long long k;
-  for (k = 0; k < n; ++k) {
-    const double* sample = samples + k * SD_SAMPLE;
-    arg[0] = state; arg[1] = constants; arg[2] = sample;
-    arg[3] = sd_prepared(table, constants, sample + SD_PACE);
-    res[0] = next; res[1] = outputs + k * SD_OUTPUT;
-    if (step(arg, res, iw, table->w, 0)) return 1;
-    memcpy(state, next, sizeof(double) * SD_STATE);
-  }
-  return 0;
-}
-
-/* So many runs of n samples each, side by side in memory. */
-int servo_daemon_loops(long long runs, long long n, double* states, const double* constants, const double* samples,
-                       double* outputs) {
-  double w[SD_W + 1 + 3 * SD_ONCES];
-  sd_table table;
-  long long k;
-  int failed = sd_begin(&table, runs * n);
-  memset(w, 0xff, sizeof w); /* not a number, as is any function of it */
-  table.w = w;
-  for (k = 0; k < runs && !failed; ++k)
-    failed = sd_run(&table, n, states + k * SD_STATE, constants, samples + k * n * SD_SAMPLE,
-                    outputs + k * n * SD_OUTPUT);
-  sd_end(&table);
-  return failed;
-}
-
-int servo_daemon_loop(long long n, double* state, const double* constants, const double* samples, double* outputs) {
-  return servo_daemon_loops(1, n, state, constants, samples, outputs);
-}
-"""
 #: One for each function: threads that need the same code wait for it, others compile beside them.
 _build_locks: defaultdict[Path, threading.Lock] = defaultdict(threading.Lock)
 
@@ -197,6 +88,7 @@ def _generate(function: ca.Function, paced_by: int | None) -> str:
     prepare, step = (None, function) if paced_by is None else split(function, paced_by)
     sizes = {
         "STATE": function.numel_in(0),
+        "CONSTANTS": function.numel_in(1),
         "SAMPLE": function.numel_in(2),
         "OUTPUT": function.numel_out(1),
         "PACE": paced_by or 0,
@@ -214,15 +106,12 @@ def _generate(function: ca.Function, paced_by: int | None) -> str:
     defines = "\n".join(f"#define SD_{name} {value}" for name, value in sizes.items())
     # glibc exports a function `step` of its own (regexp.h of old), which would be called instead of ours.
     rename = "#define step servo_daemon_step\n#define prepare servo_daemon_prepare"
-    source = generator.dump()
+    source, lanes = generator.dump(), ""
     if len(source) < _SHORT_SOURCE:
-        source = _CALL.sub(_once, source)
-    return f"{rename}\n{defines}\n{_ONCE}\n{source}\n{_LOOP}"
-
-
-def _once(call: re.Match[str]) -> str:
-    name, arguments = call.groups()
-    return f"=SD_ONCE{'_2' if ',' in arguments else ''}({name}, {arguments});"
+        source = with_memory(source)
+    if len(source) < _LONG_SOURCE:
+        lanes = in_lanes(source)
+    return f"{rename}\n{defines}\n{ONCE}\n{source}\nenum {{ SD_ONCES = __COUNTER__ }};\n{lanes}\n{LOOP}"
 
 
 def split(function: ca.Function, paced_by: int) -> tuple[ca.Function | None, ca.Function]:

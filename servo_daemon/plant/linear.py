@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.linalg import expm
 
 from servo_daemon.parameters import MOTOR_NAMES
 from servo_daemon.samples import F64
@@ -17,6 +16,8 @@ def linear_step(p: Mapping[str, float | F64], h: float) -> tuple[F64, F64]:
     Args:
         p: R, L, K, J, B: numbers, or arrays of one shape (…) for as many motors.
     """
+    from scipy.linalg import expm  # 0.2 s to load, and a fit takes no such step
+
     R, L, K, J, B = np.broadcast_arrays(*(np.asarray(p[name], np.float64) for name in MOTOR_NAMES))
     augmented = np.zeros((*R.shape, 5, 5))
     augmented[..., 0, 0], augmented[..., 0, 1], augmented[..., 0, 3] = -R / L, -K / L, 1 / L

@@ -36,7 +36,7 @@ from servo_daemon.identification.output_error.problem.event_times import event_t
 from servo_daemon.identification.output_error.problem.lazy import linearise
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.solver.solver import Point, normal_equations, point_of, within
-from servo_daemon.identification.output_error.whitened_point import whiten_point
+from servo_daemon.identification.output_error.whitened_point import whiten_point, whitened_value
 from servo_daemon.samples import F64
 
 #: Most steps, and most halvings of one.
@@ -189,7 +189,7 @@ def _moved(problem: Problem, point: Point, column: int, at_s: float) -> Point:
 def _deviance_at(problem: Problem, end: _End, column: int, at_s: float) -> float:
     """−2 log p with one event at another time and all else as it is."""
     moved = _moved(problem, end.point, column, at_s)
-    return whiten_point(problem, moved, end.log_variance)[0].value if moved.linearisation.finite else np.inf
+    return whitened_value(problem, moved, end.log_variance) if moved.linearisation.finite else np.inf
 
 
 def _torque_gain(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64]) -> float:
@@ -279,7 +279,6 @@ def _along(
         if not linear.finite:
             continue
         trial = point_of(problem, unknowns, linear, point.weights)
-        trial_whitened, _ = whiten_point(problem, trial, a)
-        if decrement < 1.0 or trial_whitened.value < whitened.value:
-            return trial, trial_whitened
+        if decrement < 1.0 or whitened_value(problem, trial, a) < whitened.value:
+            return trial, whiten_point(problem, trial, a)[0]
     return None

@@ -10,6 +10,20 @@ from servo_daemon.identification.output_error.solver.solver import Point
 from servo_daemon.samples import F64
 
 
+def whitened_value(problem: Problem, point: Point, log_variance: F64) -> float:
+    """The value of `whiten_point`, −2 log p, without the sensitivities."""
+    parts = zip(
+        tangents(problem, point.unknowns),
+        channel_weights(problem, point.weights),
+        point.linearisation.residuals,
+        strict=True,
+    )
+    variance = np.exp(log_variance)
+    out = [whiten(model, w, r[:, :, None], variance) for model, w, r in parts]
+    sse = np.sum([(o.values[:, :, 0] ** 2).sum(axis=0) for o in out], axis=0)
+    return _value(problem, point, sse, sum(float(o.log_variance.sum()) for o in out))
+
+
 def whiten_point(problem: Problem, point: Point, log_variance: F64) -> tuple[Point, F64]:
     """Residuals and sensitivities through the filter, in units of the innovations' σ; its value is −2 log p.
 
@@ -32,7 +46,11 @@ def whiten_point(problem: Problem, point: Point, log_variance: F64) -> tuple[Poi
     ones = tuple(np.ones_like(r) for r in residuals)
     sse = np.sum([(r * r).sum(axis=0) for r in residuals], axis=0)
     linear = Linearisation(tuple(residuals), tuple(jacobians), True)
-    mean, prior = problem.state_prior
-    value = logs + float(sse.sum() + prior @ (point.unknowns - mean) ** 2)
+    value = _value(problem, point, sse, logs)
     whitened = Point(point.unknowns, linear, ones, sse, np.ones(len(problem.channels)), value)
     return whitened, np.sqrt(squares / problem.counts)
+
+
+def _value(problem: Problem, point: Point, sse: F64, logs: float) -> float:
+    mean, prior = problem.state_prior
+    return logs + float(sse.sum() + prior @ (point.unknowns - mean) ** 2)

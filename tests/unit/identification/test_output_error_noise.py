@@ -20,6 +20,8 @@ from servo_daemon.identification.output_error.noise.whitening import (
 from servo_daemon.identification.output_error.problem.lazy import linearise
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.problem.setup import make_problem
+from servo_daemon.identification.output_error.solver.solver import point_of
+from servo_daemon.identification.output_error.whitened_point import whiten_point, whitened_value
 from servo_daemon.plant.build import build_plant
 from servo_daemon.plant.linear import linear_step
 from servo_daemon.samples import F64, SampleBlock, make_block
@@ -124,6 +126,17 @@ def residual_likelihood(block: SampleBlock):  # type: ignore[no-untyped-def]
     model = tangent(problem.plant, problem.channels, q, np.zeros(3), problem.segments[0].rows)
     limits = np.full(4, np.log(1e-12)), np.full(4, np.log(1e4))
     return likelihood_of([model], [np.ones((len(block), 2))], linearise(problem, start).residuals, limits)
+
+
+def test_the_value_needs_no_sensitivities() -> None:
+    problem = make_problem([Recording("a", noisy_block(400))], (), {})
+    start = problem.start({name: float(np.log(value)) for name, value in MOTOR.items()})
+    linear = linearise(problem, start)
+    point = point_of(problem, start, linear, tuple(np.ones_like(r) for r in linear.residuals))
+    variance = np.log([1e-4, 1e-8, CURRENT_STD**2, ANGLE_STD**2])
+    value = whitened_value(problem, point, variance)
+    assert "jacobian" not in vars(linear)
+    assert value == whiten_point(problem, point, variance)[0].value
 
 
 def test_the_likelihood_finds_the_noise_there_is() -> None:

@@ -158,6 +158,56 @@ def test_many_wrong_arrays_are_refused(change: Callable[..., tuple[F64, F64, F64
         SampleLoop(step_function(ALL)).run_many(*change(*many(3, 6)))
 
 
+@pytest.mark.parametrize("effect", ["backlash", "magnetic_saturation", "stribeck_friction"])
+def test_code_is_rewritten_for_runs_side_by_side(effect: str) -> None:
+    assert "sd_step_lanes(const" in compiler._generate(step_function((effect,)), None)
+
+
+@needs_compiler
+def test_runs_side_by_side_with_constants_of_their_own_are_what_each_is_alone() -> None:
+    effects = ("coulomb_friction",)
+    function = step_function(effects)
+    rng, (x, p, rows) = np.random.default_rng(3), inputs(effects, 40)
+    states, own = np.tile(x, (6, 1)), p * rng.uniform(0.8, 1.2, (6, len(p)))
+    states[:, : len(x)] += rng.normal(size=states.shape) * 0.1
+    alone, loop = states.copy(), SampleLoop(function, paced_by=1)
+    shown = loop.run_many(states, own, np.tile(rows, (6, 1, 1)))
+    assert len(np.unique(shown[:, -1, 0])) == 6
+    for state, constants, seen in zip(alone, own, shown, strict=True):
+        np.testing.assert_array_equal(loop.run(state, constants.copy(), rows), seen)
+    np.testing.assert_array_equal(states, alone)
+
+
+@needs_compiler
+def test_zeros_of_either_sign_and_no_numbers_side_by_side() -> None:
+    x, y, row = ca.SX.sym("x"), ca.SX.sym("y"), ca.SX.sym("row", 2)
+    a, b = row[0], row[1]
+    choices = [
+        ca.fmax(a, b),
+        ca.fmin(a, b),
+        ca.if_else(a < b, a, b),
+        ca.if_else(ca.logic_or(a == b, a * 0 != 0), x, -b),
+    ]
+    shown = ca.vertcat(
+        *choices, ca.fabs(a), ca.sign(a), ca.sqrt(a), ca.exp(b), ca.atan2(a, b), ca.logic_not(a), 2 * a - b / a
+    )
+    loop = SampleLoop(ca.Function("step", [x, y, row], [x + y, shown]))
+    odd = np.array([0.0, -0.0, 1.0, -1.0, np.nan, np.inf, -np.inf, 5e-324])
+    rows = np.ascontiguousarray(np.stack(np.meshgrid(odd, odd), axis=-1))
+    many = loop.run_many(np.ones((8, 1)), np.array([1.0]), rows)
+    for samples, seen in zip(rows, many, strict=True):
+        one = loop.run(np.ones(1), np.array([1.0]), samples)
+        np.testing.assert_array_equal(one, seen)
+        signed = ~np.isnan(one[:, 2:])  # which of two zeros is the larger the compiler chooses
+        np.testing.assert_array_equal(np.signbit(one[:, 2:][signed]), np.signbit(seen[:, 2:][signed]))
+
+
+def test_code_with_an_unknown_statement_runs_one_after_the_other() -> None:
+    x, p, row = (ca.SX.sym(name) for name in ("x", "p", "row"))
+    source = compiler._generate(ca.Function("step", [x, p, row], [x + row, ca.floor(x * p)]), None)
+    assert "sd_step_lanes(const" not in source
+
+
 @needs_compiler
 def test_a_forked_child_has_threads_of_its_own() -> None:
     """The pool's threads do not come along, and who waits for them waits for ever."""
@@ -227,7 +277,7 @@ def test_a_damaged_cache_file_is_compiled_again(
     own_cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     function = step_function((), gain=2.0)
-    SampleLoop(function)
+    SampleLoop(function, paced_by=1)
     (library,) = own_cache.iterdir()
     other = tmp_path / "other" / "servo-daemon"  # another path: the loader knows the first one as loaded already
     other.mkdir(parents=True)

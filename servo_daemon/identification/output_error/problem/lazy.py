@@ -6,14 +6,15 @@ cost ten times as much as the simulation itself.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from servo_daemon.identification.output_error.problem.problem import Linearised, Problem
-from servo_daemon.identification.output_error.problem.rollout import simulate_many
+from servo_daemon.identification.output_error.problem.rollout import free_runs, simulate_many
+from servo_daemon.plant.c_code.lanes import LANES
 from servo_daemon.samples import F64
 
 #: Forward differences: share of an unknown's size; a parameter that may be zero is at least so large.
@@ -72,26 +73,28 @@ class Differenced:
         """Per segment, shape (n, c, k)."""
         problem = self.problem
         out = tuple(np.zeros((*r.shape, len(problem.columns(k)))) for k, r in enumerate(self.residuals))
-        for k in range(len(problem.parameter_of_column)):
-            size = 1.0 if problem.logarithmic[k] else abs(float(self.unknowns[k]))
-            self._by_parameter(out, k, _DIFFERENCE * max(size, _LEAST_SIZE))
+        for recording in range(problem.recordings):
+            own = problem.n_shared + len(problem.local) * recording
+            columns = [*range(problem.n_shared), *range(own, own + len(problem.local))]
+            for first in range(0, len(columns), LANES):
+                self._by_parameters(out, columns[first : first + LANES], first, recording)
         starts = problem.starts(self.unknowns, problem.carried(self.unknowns))
         for state, name in enumerate(problem.plant.state_names):
             if name in problem.own_states:
                 self._by_state(out, state, starts)
         return out
 
-    def _by_parameter(self, out: Sequence[F64], k: int, step: float) -> None:
-        """One parameter's column of every segment that has it."""
-        problem, ahead = self.problem, self.unknowns.copy()
-        ahead[k] += step
-        own = k >= problem.n_shared
-        recording = (k - problem.n_shared) // len(problem.local) if own else None
-        there = problem.residuals(ahead, problem.starts(ahead, problem.carried(ahead)), recording)
-        concerned = [i for i, s in enumerate(problem.segments) if recording in (None, s.recording)]
-        column = problem.n_shared + (k - problem.n_shared) % len(problem.local) if own else k
-        for index, moved in zip(concerned, there, strict=True):
-            out[index][:, :, column] = (self.residuals[index] - moved) / step
+    def _by_parameters(self, out: Sequence[F64], which: Sequence[int], first: int, recording: int) -> None:
+        """Some parameters' columns, from this one on, of every segment of a recording."""
+        points, steps = [], []
+        for k in which:
+            size = 1.0 if self.problem.logarithmic[k] else abs(float(self.unknowns[k]))
+            points.append(self.unknowns.copy())
+            steps.append(_DIFFERENCE * max(size, _LEAST_SIZE))
+            points[-1][k] += steps[-1]
+        for index, there in _residuals(self.problem, points, recording):
+            for column, (moved, step) in enumerate(zip(there, steps, strict=True), start=first):
+                out[index][:, :, column] = (self.residuals[index] - moved) / step
 
     def _by_state(self, out: Sequence[F64], state: int, starts: F64) -> None:
         """One initial state's column of every segment."""
@@ -101,3 +104,20 @@ class Differenced:
         for index, moved in enumerate(problem.residuals(self.unknowns, ahead)):
             column = out[index].shape[2] - len(problem.plant.states) + state
             out[index][:, :, column] = (self.residuals[index] - moved) / steps[index]
+
+
+def _residuals(problem: Problem, points: Sequence[F64], recording: int) -> Iterator[tuple[int, F64]]:
+    """Residuals of a recording at several points, simulated at once: number of a segment, shape (m, n, c)."""
+    paths, m = problem.paths(points, recording), len(points)
+    q = np.stack([problem.acting(unknowns, recording) for unknowns in points])
+    for (of, which, rows), (measured, valid) in zip(problem.alike, problem.measured, strict=True):
+        if of != recording:
+            continue
+        starts = []
+        for unknowns, path in zip(points, paths, strict=True):
+            carried = [path[s.begin] if len(path) and s.recording == of else None for s in problem.segments]
+            starts.append(problem.starts(unknowns, carried)[which])
+        own, runs = np.repeat(q, len(which), axis=0), np.tile(rows, (m, 1, 1))
+        shown = free_runs(problem.plant, problem.channels, own, np.concatenate(starts), runs)
+        left = np.where(valid, measured - shown.reshape(m, *measured.shape), 0.0)
+        yield from zip(which.tolist(), left.swapaxes(0, 1), strict=True)

@@ -17,7 +17,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_daemon.identification.output_error.problem.rollout import STEP, free_run, free_runs
+from servo_daemon.identification.output_error.problem.rollout import STEP, free_paths, free_runs
 from servo_daemon.plant.at_once import alike
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.samples import F64
@@ -216,12 +216,22 @@ class Problem:
 
     def carried(self, unknowns: F64) -> list[F64 | None]:
         """Per segment the states as a run over the whole recording has them at its first sample, shape (nx,)."""
-        if not self.whole or set(self.plant.state_names) <= set(self.own_states):
-            return [None] * len(self.segments)
-        paths = []
-        for recording, (x0, rows) in enumerate(self.whole):
-            paths.append(free_run(self.plant, self.channels, self.acting(unknowns, recording), x0, rows)[1])
-        return [paths[s.recording][s.begin] for s in self.segments]
+        paths = [self.paths([unknowns], recording)[0] for recording in range(len(self.whole))]
+        return [paths[s.recording][s.begin] if self._carries else None for s in self.segments]
+
+    @cached_property
+    def _carries(self) -> bool:
+        """Whether segments take states from a run over the whole recording."""
+        return bool(self.whole) and not set(self.plant.state_names) <= set(self.own_states)
+
+    def paths(self, points: Sequence[F64], recording: int) -> F64:
+        """States of that run at each of several points, shape (m, n, nx); empty where none are taken from it."""
+        if not self._carries:
+            return np.empty((len(points), 0, 0))
+        x0, rows = self.whole[recording]
+        q = np.stack([self.acting(unknowns, recording) for unknowns in points])
+        m = len(points)
+        return free_paths(self.plant, self.channels, q, np.tile(x0, (m, 1)), np.tile(rows, (m, 1, 1)))
 
     def initial_states(self, unknowns: F64) -> F64:
         """Of all segments, shape (segments, nx)."""
@@ -247,23 +257,21 @@ class Problem:
         )
 
     @cached_property
-    def _measured(self) -> tuple[tuple[F64, NDArray[np.bool_]], ...]:
+    def measured(self) -> tuple[tuple[F64, NDArray[np.bool_]], ...]:
         """What was measured in each of `alike`, and where, shapes (k, n, c)."""
         chosen = [[self.segments[k] for k in which] for _, which, _ in self.alike]
         return tuple((np.stack([s.measured for s in one]), np.stack([s.valid for s in one])) for one in chosen)
 
-    def residuals(self, unknowns: F64, starts: F64, recording: int | None = None) -> tuple[F64, ...]:
+    def residuals(self, unknowns: F64, starts: F64) -> tuple[F64, ...]:
         """Measured minus simulated, per segment, shape (n, c); 0 where not valid.
 
         Args:
             starts: see `starts`.
-            recording: only this one's segments; None: all.
         """
         out: dict[int, F64] = {}
-        for (of, which, rows), (measured, valid) in zip(self.alike, self._measured, strict=True):
-            if recording in (None, of):
-                shown = free_runs(self.plant, self.channels, self.acting(unknowns, of), starts[which], rows)
-                out |= dict(zip(which.tolist(), np.where(valid, measured - shown, 0.0), strict=True))
+        for (of, which, rows), (measured, valid) in zip(self.alike, self.measured, strict=True):
+            shown = free_runs(self.plant, self.channels, self.acting(unknowns, of), starts[which], rows)
+            out |= dict(zip(which.tolist(), np.where(valid, measured - shown, 0.0), strict=True))
         return tuple(out[k] for k in sorted(out))
 
     @cached_property

@@ -118,8 +118,15 @@ def free_runs(plant: PlantModel, channels: tuple[str, ...], q: F64, x0: F64, row
     """Many free runs: what is shown, shape (k, n, c).
 
     Args:
+        q: shape (np,), or (k, np): each run's own.
         x0: shape (k, nx).
         rows: shape (k, n, 3), C-contiguous.
     """
     out = _loop(plant, channels, False).run_many(np.array(x0, dtype=np.float64, order="C"), q, rows)
     return out[:, :, : len(channels)]
+
+
+def free_paths(plant: PlantModel, channels: tuple[str, ...], q: F64, x0: F64, rows: F64) -> F64:
+    """The plant's states along many free runs, shape (k, n, nx); arguments as for `free_runs`."""
+    out = _loop(plant, channels, False).run_many(np.array(x0, dtype=np.float64, order="C"), q, rows)
+    return out[:, :, len(channels) :]

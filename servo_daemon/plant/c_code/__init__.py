@@ -1,0 +1,1 @@
+"""The text of the C code around a generated step."""
