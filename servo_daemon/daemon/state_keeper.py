@@ -24,8 +24,8 @@ class StateKeeper:
         self._config = config
         self._writing = threading.Lock()
         self._offered: tuple[str, SavedState] | None = None
+        self._refused: tuple[str, SavedState] | None = None  # by the disk; the saver's
         self._kept: DriveConfig = config  # whose model the file has, or will have
-        self.unwritable = False
 
     def load(self, identity: str) -> SavedState | None:
         """What was kept of this device with the configured model, or with one adopted in its place."""
@@ -59,18 +59,25 @@ class StateKeeper:
             self._offered = (identity, replace(saved, adopted=Adopted.of(self._config, active)))
 
     def write(self) -> None:
-        """Write what was laid out."""
+        """Write what was laid out; what cannot be written is tried again next time, unless something newer is there."""
         with self._writing:
-            offered, self._offered = self._offered, None
+            offered, self._offered = self._offered or self._refused, None
             if offered is None:
                 return
-            if not offered[1].names and offered[1].adopted is None:
-                self._file.forget()  # an adopted model was given back, and of the configured one nothing is known yet
-            else:
-                self.unwritable = not self._file.save(*offered)
+            if offered[1].names or offered[1].adopted is not None:
+                self._refused = None if self._file.save(*offered) else offered
+            else:  # an adopted model was given back, and of the configured one nothing is known yet
+                self._file.forget()
+                self._refused = None
+
+    @property
+    def unwritable(self) -> bool:
+        """The newest state is not in the file, because that cannot be written."""
+        return self._refused is not None
 
     def forget(self) -> None:
         """Delete the file; nothing older may be written after it."""
         with self._writing:
-            self._offered, self._kept = None, self._config
+            self._offered = self._refused = None
+            self._kept = self._config
             self._file.forget()

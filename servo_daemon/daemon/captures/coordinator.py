@@ -7,6 +7,7 @@ import logging
 import queue
 import threading
 import time
+from collections import deque
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
@@ -43,6 +44,10 @@ _AGAIN_S: Final = 600.0
 _LEAST_S: Final = 1.0
 #: Requests that wait for the disk.
 _MOST_REQUESTS: Final = 8
+#: Captures of events that wait for a place to be written to: a minute of one drive at 1 kHz takes about 2 MB of memory.
+_MOST_WAITING: Final = 4
+#: The place is tried again after so long, s.
+_RETRY_S: Final = 2.0
 
 
 class Source(Protocol):
@@ -102,6 +107,32 @@ class _Pending:
     due_s: float
 
 
+@dataclass(frozen=True, slots=True)
+class _Capture:
+    """What is to be written of a drive; start and end UTC, seconds since the epoch."""
+
+    drive: str
+    kind: str
+    start: float
+    end: float
+    blocks: tuple[SampleBlock, ...]
+    metadata: Mapping[str, str]
+
+    @classmethod
+    def of(cls, source: Source, kind: str, recording: _Recording, event: Event | None = None) -> _Capture:
+        told = {} if event is None else {"event": event.kind, "event_message": event.message}
+        metadata = capture_metadata(source.active, source.info, __version__, source.meaning) | told
+        end = recording.end if event is None else max(recording.end, event.time)
+        return cls(source.name, kind, recording.end - recording.span_s, end, recording.blocks, metadata)
+
+    def store(self, folder: CaptureFolder) -> KeptCapture:
+        """See `CaptureFolder.store`."""
+        return folder.store(self.drive, self.kind, self.start, self.end, self.blocks, self.metadata)
+
+    def lost(self, error: ServoDaemonError) -> None:
+        log.warning("drive %s: the capture of %s is lost: %s", self.drive, self.kind, error)
+
+
 def _recorded(source: Source) -> _Recording:
     return _Recording(source.ring.blocks(), source.snapshot().time or time.time())
 
@@ -114,7 +145,7 @@ class CaptureCoordinator:
         sources: the drives.
 
     Attributes:
-        problem: why nothing can be written, in words; None: the last one was.
+        problem: why what was recorded of an event waits, in words; None: all is written.
     """
 
     def __init__(self, folder: CaptureFolder, sources: Sequence[Source]) -> None:
@@ -122,6 +153,8 @@ class CaptureCoordinator:
         self._folder, self._sources = folder, {s.name: s for s in sources}
         self._seen: dict[str, tuple[Source, int]] = {}  # how many events of it
         self._pending: dict[str, _Pending] = {}
+        self._waiting: deque[_Capture] = deque()
+        self._retry_s = 0.0
         self._quiet_until: dict[tuple[str, str], float] = {}
         self._asked: queue.Queue[tuple[Source, _Recording, Future[KeptCapture]]] = queue.Queue(_MOST_REQUESTS)
         self._stop, self._wake = threading.Event(), threading.Event()
@@ -190,13 +223,14 @@ class CaptureCoordinator:
             if not future.set_running_or_notify_cancel():
                 continue  # whoever asked waits no longer
             try:
-                future.set_result(self._store(source, "request", recording, {}))
+                future.set_result(_Capture.of(source, "request", recording).store(self._folder))
             except Exception as error:
                 future.set_exception(error)
         self._write_due(now_s, end=False)  # of a drive that has another in its place since
         for source in self._sources.values():
             self._note(source, now_s)
         self._write_due(now_s, end=end)
+        self._write_waiting(now_s, end=end)
 
     def _write_due(self, now_s: float, *, end: bool) -> None:
         for name, pending in list(self._pending.items()):
@@ -227,23 +261,23 @@ class CaptureCoordinator:
                 self._pending[source.name] = _Pending(source, event, before, now_s + HALF_S)
 
     def _write(self, source: Source, event: Event, recording: _Recording) -> None:
-        told = {"event": event.kind, "event_message": event.message}
-        try:
-            self._store(source, event.kind, recording, told, event.time)
-        except ServoDaemonError as error:
-            log.warning("drive %s: the capture of %s is lost: %s", source.name, event.kind, error)
+        self._waiting.append(_Capture.of(source, event.kind, recording, event))
+        self._retry_s = 0.0
 
-    def _store(
-        self, source: Source, kind: str, recording: _Recording, told: Mapping[str, str], event_time: float = 0.0
-    ) -> KeptCapture:
-        metadata = capture_metadata(source.active, source.info, __version__, source.meaning) | dict(told)
-        start, end = recording.end - recording.span_s, max(recording.end, event_time)
-        try:
-            kept = self._folder.store(source.name, kind, start, end, recording.blocks, metadata)
-        except (BusyError, CaptureError):  # the samples are no capture: nothing is wrong with the place for it
-            raise
-        except ServoDaemonError as error:
-            self.problem = f"captures cannot be kept: {error}"
-            raise
+    def _write_waiting(self, now_s: float, *, end: bool) -> None:
+        """Write what there is of events; what cannot be written waits while there is room, and is tried again."""
+        if not end and now_s < self._retry_s:
+            return
+        while self._waiting:
+            try:
+                self._waiting[0].store(self._folder)
+            except (BusyError, CaptureError) as error:  # the samples are no capture: nothing is wrong with the place
+                self._waiting[0].lost(error)
+            except ServoDaemonError as error:
+                self.problem = f"captures cannot be kept: {error}"
+                self._retry_s = now_s + _RETRY_S
+                while len(self._waiting) > (0 if end else _MOST_WAITING):
+                    self._waiting.popleft().lost(error)
+                return
+            self._waiting.popleft()
         self.problem = None
-        return kept

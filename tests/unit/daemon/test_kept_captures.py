@@ -177,9 +177,21 @@ def test_a_disk_that_refuses_is_told_and_nothing_else_suffers(drive: Drive, tmp_
         future.result(0)
     assert coordinator.problem is not None and "captures cannot be kept" in coordinator.problem
     (tmp_path / "captures").unlink()
-    coordinator.request("axis1", 5.0)
     coordinator.turn(1.0)
-    assert coordinator.problem is None and len(coordinator.of("axis1")) == 1
+    assert coordinator.problem is not None  # it is not tried at each turn
+    coordinator.turn(2.0)
+    assert coordinator.problem is None and [k.kind for k in coordinator.of("axis1")] == ["diagnosis_started"]
+
+
+def test_what_waits_for_a_disk_is_bounded(drive: Drive, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "captures").touch()
+    coordinator = coordinator_of(drive, tmp_path / "captures")
+    for k in range(6):
+        drive.log.add("diagnosis_started", "…")
+        coordinator.turn(1000.0 * k)
+    assert caplog.text.count("the capture of diagnosis_started is lost") == 2
+    coordinator.turn(1e4, end=True)
+    assert caplog.text.count("the capture of diagnosis_started is lost") == 6
 
 
 def test_samples_that_are_no_measurements_are_no_problem_of_the_daemon(tmp_path: Path) -> None:

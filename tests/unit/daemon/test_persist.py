@@ -17,11 +17,13 @@ from hypothesis import strategies as st
 
 from servo_daemon.config import DriveConfig
 from servo_daemon.daemon.persist import SCHEMA_VERSION, StateFile
+from servo_daemon.daemon.state_keeper import StateKeeper
 from servo_daemon.pipeline.pipeline import Pipeline, all_finite
 from servo_daemon.pipeline.publish import Adopted, SavedState
 from servo_daemon.simulate import DEFAULT_NOMINAL, PAPER_MOTOR, SimulatedDrive, make_settings
 
 NAMES = ("R", "L", "K", "J", "B")
+CONFIG = DriveConfig(name="axis1", driver="sim")
 STATE = SavedState(
     (),
     NAMES,
@@ -178,6 +180,30 @@ def test_a_place_that_cannot_be_written_is_said_once_until_it_works(
     blocked_again.write_text("")
     assert not file.save("motor", STATE)
     assert len(caplog.records) == 2, "a new trouble is said again"
+
+
+def test_what_a_full_disk_refused_is_written_when_there_is_room(tmp_path: Path) -> None:
+    """Also where nothing newer comes: after a restart of the drive nothing is known that is worth keeping."""
+    (tmp_path / "blocked").touch()  # where the folder should be
+    keeper = StateKeeper(tmp_path / "blocked", CONFIG)
+    keeper.offer("motor", STATE, CONFIG)
+    keeper.write()
+    keeper.offer("motor", None, CONFIG)
+    assert keeper.unwritable
+    (tmp_path / "blocked").unlink()
+    keeper.write()
+    assert not keeper.unwritable and keeper.load("motor") == STATE
+
+
+def test_a_reset_leaves_nothing_to_be_written(tmp_path: Path) -> None:
+    (tmp_path / "blocked").touch()
+    keeper = StateKeeper(tmp_path / "blocked", CONFIG)
+    keeper.offer("motor", STATE, CONFIG)
+    keeper.write()
+    (tmp_path / "blocked").unlink()
+    keeper.forget()
+    keeper.write()
+    assert not keeper.unwritable and keeper.load("motor") is None
 
 
 def test_a_write_that_fails_leaves_the_old_file(
