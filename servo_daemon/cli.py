@@ -7,13 +7,14 @@ exactly one JSON document; logs, notes and progress go to stderr.
 from __future__ import annotations
 
 import argparse
+import difflib
 import importlib
 import json
 import logging
 import os
 import sys
 from collections.abc import Callable, Collection, Sequence
-from typing import NoReturn, Protocol, cast
+from typing import Any, NoReturn, Protocol, cast
 
 from servo_daemon import __version__
 from servo_daemon.errors import ServoDaemonError
@@ -68,6 +69,20 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         raise _UsageError(self.prog, self.format_usage(), message)
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        """As argparse does it; an unknown flag is refused here, where the flags of its command are known."""
+        parsed, extras = super().parse_known_args(args, namespace)
+        if any(word.startswith("-") for word in extras):
+            self.error(f"unrecognized arguments: {' '.join(extras)}{self._meant(extras)}")
+        return parsed, extras
+
+    def _meant(self, words: Sequence[str]) -> str:
+        """To follow the message: " (did you mean --fix?)"; empty where no flag is like one of the words."""
+        flags = {flag.lstrip("-"): flag for action in self._actions for flag in action.option_strings}
+        unknown = (word.partition("=")[0].lstrip("-").lower().replace("_", "-") for word in words if word[0] == "-")
+        like = [flags[name] for word in unknown for name in difflib.get_close_matches(word, flags, 1)]
+        return f" (did you mean {', '.join(like)}?)" if like else ""
 
 
 def _parser(names: Collection[str] = COMMANDS) -> argparse.ArgumentParser:

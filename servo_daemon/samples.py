@@ -70,6 +70,7 @@ class SampleBlock:
     current_mean: bool = False
     # Asked for several times of each block; looked up once.
     _all_good: bool | None = field(default=None, init=False, repr=False, compare=False)
+    _channels: tuple[str, ...] | None = field(default=None, init=False, repr=False, compare=False)
     _longest_step_s: float | None = field(default=None, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -104,7 +105,10 @@ class SampleBlock:
     @property
     def channels(self) -> tuple[str, ...]:
         """Names of the channels this block carries, in the order of `CHANNELS`."""
-        return tuple(name for name in CHANNELS if getattr(self, name) is not None)
+        if self._channels is None:
+            carried = tuple(name for name in CHANNELS if getattr(self, name) is not None)
+            object.__setattr__(self, "_channels", carried)
+        return self._channels or ()
 
     @property
     def end(self) -> SampleBlock:

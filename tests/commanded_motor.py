@@ -39,6 +39,7 @@ class Setup:
     stop_rad: float = math.inf  # a hard stop on either side
     drop_share: float = 0.0  # of samples, in bursts
     encoder_dies_s: float = math.inf
+    locks_s: float = math.inf  # the shaft is held from then on
 
 
 _PEAKS = ("voltage_V", "current_A", "speed", "travel")
@@ -135,8 +136,8 @@ class CommandedMotor:
         s, h = self.setup, self._h
         i, w, x = self._i, self._w, self._x
         load = self._teeth(h) if s.gap_rad else 0.0
-        if s.locked or (s.Tc and w == 0.0 and abs(s.K * i - load) <= s.Tc):
-            self._i = v / s.R + (i - v / s.R) * self._still
+        if s.locked or self._n >= s.locks_s * s.rate_hz or (s.Tc and w == 0.0 and abs(s.K * i - load) <= s.Tc):
+            self._i, self._w = v / s.R + (i - v / s.R) * self._still, 0.0
         else:
             turning = w or s.K * i - load
             torque = load + math.copysign(s.Tc, turning) if s.Tc else load

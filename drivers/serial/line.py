@@ -79,6 +79,8 @@ class SerialDriver(SerialListener):
         text = settings.wire == "text"
         super().__init__(name, options, port=settings.port, baudrate=settings.baudrate, keep=text)
         self._decoder = self._make_decoder()
+        self._info_is_of: Description | None = None  # as it was when `info` was last asked for, with every turn
+        self._info = DriveInfo(identity="")
 
     def _make_decoder(self) -> BinaryDecoder | TextDecoder:
         settings = self._settings
@@ -98,7 +100,10 @@ class SerialDriver(SerialListener):
         settings = self._settings
         if isinstance(self._decoder, BinaryDecoder):
             described = self._decoder.description
-            return DriveInfo(identity="") if described is None else info_of(described, settings.port)
+            if described is not self._info_is_of:
+                self._info = DriveInfo(identity="") if described is None else info_of(described, settings.port)
+                self._info_is_of = described
+            return self._info
         counted = "position_counts" in self._decoder.format.channels
         return DriveInfo(
             identity=f"serial:{settings.port}",

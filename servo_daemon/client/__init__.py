@@ -9,12 +9,29 @@
 `AsyncClient` has the same methods to be awaited.
 """
 
-from servo_daemon.client.clients import AsyncClient, Client
+try:
+    import httpx as _httpx  # noqa: F401
+except ImportError as error:
+    raise ImportError("servo_daemon.client needs httpx: pip install 'servo-daemon[client]'") from error
+
+from servo_daemon.client.awaited import AsyncClient
+from servo_daemon.client.clients import Client
 from servo_daemon.client.errors import DaemonError, UnreachableError
-from servo_daemon.client.records import Diagnosis, Estimates, Event, History, Model, Parameter, Series
+from servo_daemon.client.records import (
+    Capture,
+    Diagnosis,
+    Estimates,
+    Event,
+    History,
+    Model,
+    Parameter,
+    Samples,
+    Series,
+)
 
 __all__ = [
     "AsyncClient",
+    "Capture",
     "Client",
     "DaemonError",
     "Diagnosis",
@@ -23,6 +40,7 @@ __all__ = [
     "History",
     "Model",
     "Parameter",
+    "Samples",
     "Series",
     "UnreachableError",
 ]

@@ -1,60 +1,49 @@
-"""The two clients over httpx."""
+"""The client that waits, over httpx."""
 
 from __future__ import annotations
 
-import asyncio
+import ssl
 import time
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
 from types import TracebackType
 from typing import Any, Final, Self, TypeVar
 
-try:
-    import httpx
-except ImportError as error:
-    raise ImportError("servo_daemon.client needs httpx: pip install 'servo-daemon[client]'") from error
+import httpx
 
-from servo_daemon.client import steps
-from servo_daemon.client.errors import DaemonError, UnreachableError
-from servo_daemon.client.records import Diagnosis, Estimates, Event, History, Model
+from servo_daemon.client import answers, steps
+from servo_daemon.client.records import Capture, Diagnosis, Estimates, Event, History, Model, Samples
 
 URL: Final = "http://127.0.0.1:8077"
-_PREFIX: Final = "/api/v1"
-#: A change of the model is answered after up to 30 s (`api/diagnosis.py`); everything else at once.
-_TIMEOUT_S: Final = 40.0
+#: A change of the model and a capture are answered after up to 30 s (`api/diagnosis.py`); everything else at once.
+TIMEOUT_S: Final = 40.0
 #: New events are asked for this often, s.
-_POLL_S: Final = 1.0
+POLL_S: Final = 1.0
+#: Of device time in a capture that is asked for, s: the API's own.
+CAPTURE_S: Final = 60.0
 Found = TypeVar("Found")
 When = datetime | str | None
-
-
-def _decoded(answer: httpx.Response) -> Any:
-    """Raises: DaemonError: the answer is a problem."""
-    if answer.is_success:
-        return answer.json()
-    try:
-        problem = answer.json()
-    except ValueError:
-        problem = {}
-    raise DaemonError(answer.status_code, problem if isinstance(problem, dict) else {})
-
-
-def _options(ask: steps.Ask) -> dict[str, Any]:
-    return {"params": dict(ask.params), **({} if ask.body is None else {"json": ask.body})}
-
-
-def _unreachable(url: object, error: httpx.TransportError) -> UnreachableError:
-    return UnreachableError(f"no daemon answers at {url}: {error or type(error).__name__}")
+Verify = bool | ssl.SSLContext
 
 
 class Client:
-    """A daemon, asked and waited for. Not for several threads at once. `transport` is httpx's own, for tests.
+    """A daemon, asked and waited for. Not for several threads at once.
 
     Every method raises UnreachableError (no answer) or DaemonError (refused, with the reason).
+
+    Args:
+        token: of `servo-daemon token new`, where the daemon asks for one.
+        verify: certificates that are trusted besides the system's: `ssl.create_default_context(cafile=…)`.
+        transport: httpx's own, for tests.
     """
 
-    def __init__(self, url: str = URL, timeout_s: float = _TIMEOUT_S, transport: httpx.BaseTransport | None = None):
-        self._http = httpx.Client(base_url=url, timeout=timeout_s, transport=transport)
+    def __init__(
+        self, url: str = URL, timeout_s: float = TIMEOUT_S, transport: httpx.BaseTransport | None = None, *,
+        token: str | None = None, verify: Verify = True,
+    ) -> None:  # fmt: skip
+        self._http = httpx.Client(
+            base_url=url, timeout=timeout_s, transport=transport, headers=answers.headers(token), verify=verify
+        )
 
     def __enter__(self) -> Self:
         return self
@@ -84,9 +73,10 @@ class Client:
 
     def _ask(self, ask: steps.Ask) -> Any:
         try:
-            return _decoded(self._http.request(ask.method, _PREFIX + ask.path, **_options(ask)))
+            answer = self._http.request(ask.method, answers.address(ask.path), **answers.options(ask))
         except httpx.TransportError as error:
-            raise _unreachable(self._http.base_url, error) from error
+            raise answers.unreachable(self._http.base_url, error) from error
+        return answers.content(ask, answer)
 
     def get(self, path: str) -> Any:
         """Any document of the API: `get("/fleet")`."""
@@ -109,7 +99,7 @@ class Client:
         return self._run(steps.history(drive, names, options))
 
     def events(
-        self, drive: str, *kinds: str, since: When = None, follow: bool = False, poll_s: float = _POLL_S
+        self, drive: str, *kinds: str, since: When = None, follow: bool = False, poll_s: float = POLL_S
     ) -> Iterator[Event]:
         """Events, oldest first; with `follow` for ever, each new one as it comes."""
         found = self._run(steps.all_events(drive, kinds, since))
@@ -141,94 +131,41 @@ class Client:
         """Go over to another model; `parameters` say where new ones begin (`{"Tc": 0.012}`)."""
         return self._run(steps.set_model(drive, effects, parameters or {}))
 
-
-class AsyncClient:
-    """The same, awaited."""
-
-    def __init__(
-        self, url: str = URL, timeout_s: float = _TIMEOUT_S, transport: httpx.AsyncBaseTransport | None = None
-    ) -> None:
-        self._http = httpx.AsyncClient(base_url=url, timeout=timeout_s, transport=transport)
-
-    async def __aenter__(self) -> Self:
-        return self
-
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        await self.close()
-
-    async def close(self) -> None:
-        """End the connections."""
-        await self._http.aclose()
-
-    async def _run(self, todo: steps.Steps[Found]) -> Found:
-        answer: Any = None
-        while True:
-            try:
-                step = todo.send(answer)
-            except StopIteration as done:
-                found: Found = done.value
-                return found
-            answer = None
-            if isinstance(step, steps.Wait):
-                await asyncio.sleep(step.seconds)
-            else:
-                answer = await self._ask(step)
-
-    async def _ask(self, ask: steps.Ask) -> Any:
+    def stream(self, drive: str) -> Iterator[Estimates]:
+        """The estimates now, and again whenever there are new ones, until the daemon stops."""
         try:
-            return _decoded(await self._http.request(ask.method, _PREFIX + ask.path, **_options(ask)))
+            with self._http.stream("GET", answers.address(steps.stream_path(drive))) as answer:
+                if not answer.is_success:
+                    answer.read()
+                answers.check(answer)
+                for line in answer.iter_lines():
+                    yield from answers.estimates_in(line)
         except httpx.TransportError as error:
-            raise _unreachable(self._http.base_url, error) from error
+            raise answers.unreachable(self._http.base_url, error) from error
 
-    async def get(self, path: str) -> Any:
-        """Any document of the API: `get("/fleet")`."""
-        return await self._run(steps.document(path))
+    def samples(
+        self, drive: str, seconds: float = 1.0, *, trigger: str | None = None, level: float = 0.0,
+        edge: str = "rising", before: float = 0.2,
+    ) -> Samples:  # fmt: skip
+        """The last samples, or those about the last time that the channel `trigger` crossed `level`; at most 5 s."""
+        return self._run(steps.samples(drive, seconds, trigger, level, edge, before))
 
-    async def drives(self) -> tuple[str, ...]:
-        """Names of the drives."""
-        return await self._run(steps.drives())
+    def captures(self, drive: str) -> tuple[Capture, ...]:
+        """The recordings that are kept, oldest first."""
+        return self._run(steps.captures(drive))
 
-    async def estimates(self, drive: str) -> Estimates:
-        """The estimates now."""
-        return await self._run(steps.estimates(drive))
+    def capture(self, drive: str, capture: Capture | str) -> bytes:
+        """One of them (or of its `id`) as the file that `fit` and `diagnose` open: `Path(c.file).write_bytes(…)`."""
+        return self._run(steps.capture(drive, capture))
 
-    async def history(
-        self, drive: str, *names: str, window: str | None = None, start: When = None, end: When = None,
-        points: int | None = None, level: str | None = None,
-    ) -> History:  # fmt: skip
-        """See `Client.history`."""
-        options = {"window": window, "start": start, "end": end, "points": points, "level": level}
-        return await self._run(steps.history(drive, names, options))
+    def record(self, drive: str, seconds: float = CAPTURE_S) -> Capture:
+        """Keep the last samples; there when this returns."""
+        return self._run(steps.record(drive, seconds))
 
-    async def events(
-        self, drive: str, *kinds: str, since: When = None, follow: bool = False, poll_s: float = _POLL_S
-    ) -> AsyncIterator[Event]:
-        """See `Client.events`."""
-        found = await self._run(steps.all_events(drive, kinds, since))
-        seen = [e for e in found if e.time == found[-1].time]
-        for event in found:
-            yield event
-        while follow:
-            await asyncio.sleep(poll_s)
-            for event in await self._run(steps.new_events(drive, kinds, seen)):
-                yield event
+    def report(self, drive: str) -> str:
+        """The report of the last diagnosis, a page of HTML."""
+        return self._run(steps.report(drive))
 
-    async def diagnosis(self, drive: str) -> Diagnosis:
-        """The last diagnosis."""
-        return await self._run(steps.diagnosis(drive))
-
-    async def diagnose(
-        self, drive: str, timeout_s: float = 3600.0, told: Callable[[Diagnosis], object] | None = None
-    ) -> Diagnosis:
-        """See `Client.diagnose`."""
-        return await self._run(steps.diagnose(drive, timeout_s, told))
-
-    async def model(self, drive: str) -> Model:
-        """The model that the drive has now."""
-        return await self._run(steps.model(drive))
-
-    async def set_model(self, drive: str, effects: Sequence[str], parameters: Mapping[str, Any] | None = None) -> Model:
-        """See `Client.set_model`."""
-        return await self._run(steps.set_model(drive, effects, parameters or {}))
+    def reset(self, drive: str) -> None:
+        """Begin the estimation anew."""
+        self._run(steps.reset(drive))

@@ -217,3 +217,60 @@ class Model:
     effects: tuple[str, ...]
     time: datetime | None
     done: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Capture:
+    """A recording that the daemon keeps.
+
+    Attributes:
+        kind: of the event that it was kept for; "request": somebody has asked for it.
+        start, end: arrival of its first and last sample.
+        size: bytes.
+        file: its name when it is saved: Parquet, or CSV in gzip.
+    """
+
+    id: str
+    kind: str
+    start: datetime
+    end: datetime
+    size: int
+    file: str
+
+    @classmethod
+    def of(cls, document: Mapping[str, Any]) -> Capture:
+        """From an entry of `GET /drives/{d}/captures`."""
+        start, end = (datetime.fromisoformat(document[key]) for key in ("start", "end"))
+        return cls(document["id"], document["kind"], start, end, document["bytes"], document["file"])
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """A snapshot of the signals at sample rate: `samples["current_A"]` over `samples.time_s`.
+
+    Attributes:
+        time: arrival of the last sample there is; None: there was none yet.
+        time_s: (n,) device time, s.
+        signals: (n,) each, units in their names.
+        trigger_s: device time of the first sample beyond the level; None: none was asked for or found.
+        shortened: less time than was asked for, as so many samples are too many.
+    """
+
+    time: datetime | None
+    time_s: F64
+    signals: Mapping[str, F64]
+    trigger_s: float | None
+    shortened: bool
+
+    def __getitem__(self, name: str) -> F64:
+        return self.signals[name]
+
+    @classmethod
+    def of(cls, document: Mapping[str, Any]) -> Samples:
+        """From `GET /drives/{d}/samples`."""
+        trigger = document["trigger"]
+        signals = {name: np.array(values, dtype=np.float64) for name, values in document["signals"].items()}
+        return cls(
+            moment(document["time"]), np.array(document["time_s"], dtype=np.float64), signals,
+            None if trigger is None else trigger["time_s"], document["shortened"],
+        )  # fmt: skip

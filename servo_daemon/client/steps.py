@@ -10,19 +10,20 @@ from datetime import datetime
 from typing import Any, Final, TypeVar
 from urllib.parse import quote
 
-from servo_daemon.client.records import Diagnosis, Estimates, Event, History, Model, moment
+from servo_daemon.client.records import Capture, Diagnosis, Estimates, Event, History, Model, Samples, moment
 
 Found = TypeVar("Found")
 
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """One request below the API's prefix; what comes back is its JSON document."""
+    """One request below the API's prefix; what comes back is its JSON document, or of a file its bytes."""
 
     path: str
     params: Mapping[str, str | int] = field(default_factory=dict)
     method: str = "GET"
     body: object | None = None
+    is_file: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +139,48 @@ def set_model(drive: str, effects: Sequence[str], parameters: Mapping[str, Any])
     body = {"effects": list(effects), "parameters": dict(parameters)}
     found = yield Ask(_drive(drive, "/model"), method="POST", body=body)
     return Model(tuple(found["model"]), moment(found["time"]), found["done"])
+
+
+def stream_path(drive: str) -> str:
+    """Where the estimates come by themselves."""
+    return _drive(drive, "/stream")
+
+
+def samples(drive: str, seconds: float, trigger: str | None, level: float, edge: str, before: float) -> Steps[Samples]:
+    """The last ones."""
+    params: dict[str, str | int] = {"seconds": str(seconds)}
+    if trigger is not None:
+        params |= {"trigger": trigger, "level": str(level), "edge": edge, "before": str(before)}
+    return Samples.of((yield Ask(_drive(drive, "/samples"), params)))
+
+
+def captures(drive: str) -> Steps[tuple[Capture, ...]]:
+    """Those that are kept."""
+    found = yield Ask(_drive(drive, "/captures"))
+    return tuple(map(Capture.of, found["captures"]))
+
+
+def capture(drive: str, wanted: Capture | str) -> Steps[bytes]:
+    """One as a file."""
+    name = wanted if isinstance(wanted, str) else wanted.id
+    found: bytes = yield Ask(_drive(drive, f"/captures/{quote(name, safe='')}"), is_file=True)
+    return found
+
+
+def record(drive: str, seconds: float) -> Steps[Capture]:
+    """A new one."""
+    return Capture.of((yield Ask(_drive(drive, "/captures"), method="POST", body={"seconds": seconds})))
+
+
+def report(drive: str) -> Steps[str]:
+    """That of the last diagnosis."""
+    found: bytes = yield Ask(_drive(drive, "/diagnosis/report"), is_file=True)
+    return found.decode()
+
+
+def reset(drive: str) -> Steps[None]:
+    """The estimation begins anew."""
+    yield Ask(_drive(drive, "/reset"), method="POST")
 
 
 def _text(value: object) -> str | int:

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from servo_daemon.commissioning.standing import DEAD, STANDS
 from servo_daemon.commissioning.stop import Stop, StoppedError
 from servo_daemon.commissioning.supervisor import Reading
 from servo_daemon.plant.linear import linear_step
@@ -31,8 +32,6 @@ _LEFT, _FAST = 0.5, 0.1
 
 #: A shaft that stands is looked at when the memory of its last motion is gone: after so many times `_MEMORY_S`.
 _GONE = 3.0
-
-_DEAD = "the motor turns (back-EMF), and the encoder does not show it"
 
 
 class Prediction:
@@ -92,10 +91,8 @@ class Prediction:
     def named_stuck(self, stop: Stop) -> Stop:
         """A stop because the encoder stands, named by the back-EMF."""
         if self._turned > _FAST * self._peak_w:
-            return Stop("encoder_lost", _DEAD, stop.time_s)
-        return Stop(
-            "hard_stop", "the shaft stands although there is torque (no back-EMF): stuck, or at a stop", stop.time_s
-        )
+            return Stop("encoder_lost", DEAD, stop.time_s)
+        return Stop("hard_stop", STANDS, stop.time_s)
 
     def _look_at_standing(self, r: Reading) -> None:
         if abs(r.position_rad - self._stands_at) > 1.5 * self._count:
@@ -125,7 +122,7 @@ class Prediction:
             return Stop("innovations", otherwise, r.time_s)
         emf_left, encoder_left = abs(by_emf - w) > _LEFT * abs(w), abs(by_encoder - w) > _LEFT * abs(w)
         if encoder_left and not emf_left:
-            return Stop("encoder_lost", _DEAD, r.time_s)
+            return Stop("encoder_lost", DEAD, r.time_s)
         if encoder_left and emf_left and abs(by_emf - by_encoder) < _LEFT * abs(w):
             return Stop("hard_stop", "the shaft was stopped at once: it has run against something", r.time_s)
         return Stop("innovations", otherwise, r.time_s)

@@ -134,9 +134,10 @@ class _Run:
             )
 
         self.session.play(growing(1.0 / self.session.period_s, lim.voltage_V, self._ask.seed), enough)
+        if not s.has_moved and s.last is not None and self.session.time_left_s > 0.0:
+            stop = Stop("no_motion", "the shaft does not move at any voltage tried", s.last.time_s)
+            raise StoppedError(self.session.named(stop))
         self.session.rest(_PAUSE_S)
-        if not s.has_moved and s.last is not None:
-            raise StoppedError(Stop("no_motion", "the shaft does not move at any voltage tried", s.last.time_s))
 
     def _round(self, unknown: tuple[str, ...], share: float, k: int) -> None:
         motor = self._motor()

@@ -10,11 +10,12 @@ from collections.abc import Callable
 import numpy as np
 
 from drivers.commanding import LONGEST_COMMAND_S, Commanding
+from servo_daemon.commissioning import standing
 from servo_daemon.commissioning.envelope import Envelope
 from servo_daemon.commissioning.limits import MotionLimits
 from servo_daemon.commissioning.prediction import Prediction
 from servo_daemon.commissioning.stop import Stop, StoppedError
-from servo_daemon.commissioning.supervisor import Reading, Supervisor
+from servo_daemon.commissioning.supervisor import LEAST_NOISE, Reading, Supervisor
 from servo_daemon.errors import DriverDisconnectedError, DriverError
 from servo_daemon.samples import F64, Quality, SampleBlock, concatenate
 
@@ -102,6 +103,17 @@ class Session:
         finally:
             self._halt()
 
+    def named(self, stop: Stop) -> Stop:
+        """A stop because the encoder stands, by its cause."""
+        if stop.reason not in ("no_motion", "motion_ended"):
+            return stop
+        if self.prediction is not None and stop.reason == "motion_ended":
+            return self.prediction.named_stuck(stop)
+        s, block = self.supervisor, self.block()
+        since = int(np.searchsorted(block.time_s, s.stands_since_s))
+        noise = max(s.current_noise_A, LEAST_NOISE * self._limits.current_A)
+        return standing.named(stop, block.slice(since, len(block)), s.offset_A, noise)
+
     def catch_up(self) -> None:
         """After a time in which samples went by unseen and nothing was commanded: goes on from the newest."""
         if self._drive.can_wait:
@@ -186,9 +198,7 @@ class Session:
             try:
                 self.supervisor.check(r if good else _bad(r), volts)
             except StoppedError as error:
-                if self.prediction is None or error.stop.reason != "motion_ended":
-                    raise
-                raise StoppedError(self.prediction.named_stuck(error.stop)) from None
+                raise StoppedError(self.named(error.stop)) from None
             if self.prediction is not None:
                 self.prediction.check(r)
         return float(block.time_s[-1])

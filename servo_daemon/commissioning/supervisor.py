@@ -27,6 +27,8 @@ _COUNTS = 6
 _LOCKED, _OPEN = 0.6, 0.1
 #: A shaft that was seen to move and does not for so long, s, with so many times the current that moved it first.
 _STUCK_S, _STUCK = 0.15, 3.0
+#: No current is taken for less noisy than this share of its limit: σ of a step of a converter of twelve bits.
+LEAST_NOISE = 1e-4
 #: At rest the current is no more than this share of its limit.
 _REST = 0.05
 #: The drive reports this share of its limit more or less than it was told, so many samples on end.
@@ -101,6 +103,11 @@ class Supervisor:
         """The sample checked last."""
         return self._last
 
+    @property
+    def stands_since_s(self) -> float:
+        """Since then the encoder stands, while something is commanded."""
+        return self._stuck_since
+
     def skip(self, r: Reading) -> None:
         """Goes on from this sample after a time in which nobody looked and nothing was commanded."""
         self._last = r
@@ -166,7 +173,7 @@ class Supervisor:
             self._stop("not_at_rest", f"{self.offset_A:.3g} A although no voltage is commanded", r)
 
     def _check_signs(self, last: Reading, r: Reading) -> None:
-        noise = max(self.current_noise_A, 1e-4 * self._limits.current_A)
+        noise = max(self.current_noise_A, LEAST_NOISE * self._limits.current_A)
         dt = r.time_s - last.time_s
         mean = 0.5 * (last.current_A + r.current_A) - self.offset_A
         self._electrical += last.voltage_V * mean * dt

@@ -6,7 +6,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
-from servo_daemon.config.sections import ApiConfig, Config, DriveConfig
+from servo_daemon.config.drive_section import DriveConfig
+from servo_daemon.config.sections import ApiConfig, Config
 from servo_daemon.config.shown import as_toml, hidden
 
 #: at once; the drive's estimation begins again, with what is saved of it; a drive that was not there; one that goes;

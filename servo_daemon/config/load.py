@@ -6,7 +6,7 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from pydantic import ValidationError
 
@@ -53,6 +53,9 @@ def _checked(data: Mapping[str, Any], files: Sequence[ConfigFile]) -> Config:
         raise ConfigError(_explain(error, files)) from error
 
 
+_UNKNOWN_KEY: Final = re.compile(r"unknown key '([^']+)'")
+
+
 def _explain(error: ValidationError, files: Sequence[ConfigFile]) -> str:
     """Pydantic's first complaint as one line that names the place; a misspelt key before the one it leaves missing."""
     complaints = error.errors()
@@ -64,6 +67,8 @@ def _explain(error: ValidationError, files: Sequence[ConfigFile]) -> str:
         told = file.line(place)
         return f"{file.name}: unknown key '{where}'{told}{did_you_mean(str(place[-1]), keys_at(Config, place))}"
     message = first["msg"].removeprefix("Value error, ")
+    if unknown := _UNKNOWN_KEY.match(message):  # of a table whose keys are data: parameters, alarms
+        message = unknown[0] + file.line((*place, unknown[1])) + message[unknown.end() :]
     if first["type"] == "tuple_type":  # TOML knows none
         message = "must be a list, [[drive]]" if where == "drive" else "must be a list, in brackets"
     more = len(complaints) - 1

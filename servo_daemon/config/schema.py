@@ -7,7 +7,8 @@ from typing import Any, Final
 
 from pydantic.json_schema import GenerateJsonSchema
 
-from servo_daemon.config.sections import NAME, Config
+from servo_daemon.config.section import NAME
+from servo_daemon.config.sections import Config
 from servo_daemon.config_texts import DRIFT, RELATIVE, SPAN
 from servo_daemon.parameters import J_D, Parameter, spaced
 from servo_daemon.plant.effects import effects_by_name, parameter_table

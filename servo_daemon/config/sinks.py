@@ -7,7 +7,9 @@ import socket
 from typing import Literal
 from urllib.parse import urlsplit
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
+
+from servo_daemon.config.section import Section
 
 #: MQTT 3.1.1, 4.7.1: wildcards, and 4.7.2: `$` in front is the server's own.
 _IN_TOPICS = re.compile(r"[^+#$\x00/][^+#\x00]*")
@@ -21,11 +23,7 @@ def _fits_a_topic(text: str, levels: bool) -> str:
     return text
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class MqttConfig(_Section):
+class MqttConfig(Section):
     """`[mqtt]`: a broker that estimates and events are published to. QoS 1; Sparkplug's own 0."""
 
     host: str = Field(min_length=1)
@@ -83,7 +81,7 @@ class MqttConfig(_Section):
         return self.prefix or f"servo-daemon/{self.node_name}"
 
 
-class WebhookConfig(_Section):
+class WebhookConfig(Section):
     """One `[[webhook]]`: an address that events are sent to by POST."""
 
     url: str

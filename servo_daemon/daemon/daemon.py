@@ -21,9 +21,10 @@ from servo_daemon.daemon.drive import DriveRuntime
 from servo_daemon.daemon.learning_coordinator import LearningCoordinator
 from servo_daemon.daemon.lines.ports import Ports
 from servo_daemon.daemon.notify import Notifier
+from servo_daemon.daemon.slot import DriveSlot
 from servo_daemon.daemon.state_lock import StateLocks
 from servo_daemon.daemon.trends.coordinator import TrendCoordinator
-from servo_daemon.daemon.worker import DriveSlot, Workers
+from servo_daemon.daemon.worker import Workers
 from servo_daemon.published.sinks import SinkState
 from servo_daemon.sinks import sinks_of
 

@@ -46,6 +46,9 @@ log = logging.getLogger(__name__)
 _ROUND_SAMPLES = 500
 #: A pipeline that fails again and again is told this often, s; every failure is counted.
 _FAILURE_SAID_EVERY_S = 60.0
+#: So much of its samples, s, a drive starts: the last look back at its first samples ends by then
+#: (`tracking/restart/maximum_likelihood.py`).
+_START_S = 20.0
 
 
 class DriveRuntime:
@@ -91,6 +94,8 @@ class DriveRuntime:
         self._quiet_until = 0.0
         self._reset_wanted = self._changed = False
         self._wanted_config: DriveConfig | None = None
+        self._worked_s = 0.0  # so much of its samples, device time
+        self.others_start = False  # some wait for their turn; told by whoever turns the drives
         self._was_silent = False
         self._link: Link = self.reader.link
         self._warnings = DriveWarnings(config)
@@ -207,7 +212,25 @@ class DriveRuntime:
         return bool(blocks)
 
     def _relieve(self) -> list[Message]:
-        return self._load.relieve(self.reader.queue, time.monotonic(), time.process_time())
+        return self._load.relieve(
+            self.reader.queue, time.monotonic(), time.process_time(), drives_start=self.others_start
+        )
+
+    @property
+    def starts(self) -> bool:
+        """Its first samples may yet be gone over again, which takes long. Any thread."""
+        return self._worked_s < _START_S
+
+    def tell_waiting(self, before: int) -> None:
+        """Say so, once, where its samples wait for others' turns that take long. Whoever turns the drives, between two
+        turns.
+
+        Args:
+            before: so many drives have theirs first.
+        """
+        if told := self._load.wait(self.reader.queue, time.monotonic(), before):
+            self.log.tell(told)
+            self._snapshot = self._make_snapshot()
 
     def offer_state(self) -> None:
         """Lay out what is worth keeping for `save_offered`, if the drive is well and there is something. Worker thread:
@@ -230,6 +253,7 @@ class DriveRuntime:
         repeated = pipeline.samples_repeated
         for run in same_channels(blocks):
             pipeline.process(concatenate(run), rows=False)
+            self._worked_s += float(run[-1].time_s[-1] - run[0].time_s[0])
         self._repeated += pipeline.samples_repeated - repeated
         estimate = pipeline.current()
         if estimate is not None and not all_finite(estimate):

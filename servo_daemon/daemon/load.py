@@ -40,17 +40,39 @@ class LoadWatch:
         self._calm_since: float | None = None
         self._dropped = self._dropped_before = 0  # now, and when the overload began
 
-    def relieve(self, queue: BlockQueue, now_s: float, used_s: float | None = None) -> list[Message]:
+    def wait(self, queue: BlockQueue, now_s: float, before: int) -> list[Message]:
+        """The drive waits for its turn, which will take long.
+
+        Args:
+            now_s: host monotonic.
+            before: so many drives have theirs first.
+
+        Returns:
+            what is to be told: once, as soon as its samples are late.
+        """
+        waited_s = queue.waited_s(now_s)
+        if self.behind or waited_s <= LATE_S:
+            return []
+        self.behind = True
+        text = f"drives start one after the other, {before} before it: its samples wait, and none is left out"
+        return [("behind", text, {"waited_s": round(waited_s, 3), "drives_before": before})]
+
+    def relieve(
+        self, queue: BlockQueue, now_s: float, used_s: float | None = None, *, drives_start: bool = False
+    ) -> list[Message]:
         """Before each round of the worker: drop all but the last `KEPT_S` where it does not keep up.
 
         Args:
             now_s: host monotonic.
             used_s: CPU time of this process so far; None: not known, whoever is late is taken for overloaded.
+            drives_start: some do, one after the other: that this one is late now says nothing of later.
 
         Returns:
             what is to be told.
         """
         waited_s = queue.waited_s(now_s)
+        if drives_start:
+            self._late_since = None
         told = self._judge(waited_s, queue.dropped, now_s, used_s)
         if self.overloaded and waited_s > LATE_S:
             queue.drop_before(now_s - KEPT_S)

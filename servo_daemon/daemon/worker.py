@@ -1,4 +1,5 @@
-"""The threads that turn the drives' pipelines: one for all of them, and one more for each drive that takes long.
+"""The threads that turn the drives' pipelines: one for all of them, and as many as the machine has room for beside it
+for those that take long.
 
 The thread that all share reads the lines that need no thread of their own (`daemon/lines/ports.py`), is woken by the
 blocks of the others, which come some 25 times a second, and takes what has queued up for each drive in one go: eight
@@ -6,140 +7,39 @@ drives cost 20 % less so than with a thread each. A drive whose turn takes long 
 jump filtered again, a slow engine) keeps the thread that it is in, and another goes on with the rest. Compiled code and
 CasADi release the interpreter, and plain Python gives it up every few milliseconds, so that the others do turn
 meanwhile.
+
+The next turns of such a drive, and the first of each, wait for a place: one after the other, while their samples queue
+up. (With a thread each, 64 drives that started had the interpreter by turns: of these threads each waited for all
+others, the lines were not read for seconds, and a third of the drives had had no turn after a minute.)
 """
 
 from __future__ import annotations
 
+import os
 import threading
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Iterator, Sequence
 
-from servo_daemon.daemon.drive import DriveRuntime
 from servo_daemon.daemon.lines.ports import Ports
+from servo_daemon.daemon.slot import DriveSlot, Turn
 
 #: With several drives the shared thread waits so long for the others' blocks once one has come, s: fewer turns. Not
 #: beside a drive that takes long: then it waits for the interpreter often enough.
 _GATHER_S = 0.015
 #: Without any block drives are turned all the same, to see that one has fallen silent and to carry out requests, s.
 _IDLE_TURN_S = 0.1
-#: A turn beyond this is long, s of CPU time: with `daemon._WATCH_S` others wait for 35 ms at most. (By the wall clock
-#: every turn is long where other programs, or threads of this one, have the processor; then all drives had a thread
-#: each, which waited for each other.) One that waits for something (a compiler, a lock) is long after so long, s.
-LONG_TURN_S, LONG_WAIT_S = 0.015, 1.0
 #: A drive without a long turn for so long goes back to the others, s.
 _QUICK_S = 1.0
-#: A drive that has not turned for this long is a problem the API reports, s.
-STUCK_S = 5.0
+#: A drive keeps its place for so long while it has samples, s: most of a start. Then it is the next one's.
+_SLICE_S = 0.5
+#: Where none of those that take long has samples, it is looked again after so long, s.
+_LOOK_S = 0.01
 
 
-class DriveSlot:
-    """One drive among the threads.
-
-    Args:
-        make: the drive, given what is called when there is work for it.
-        wake_all: called as well.
-
-    Attributes:
-        owner: the thread that works for this drive alone; None: the shared one does.
-        turned: when it last did, host monotonic, s.
-        has_worked: samples have been worked off.
-        left: the drive has gone, and what it knew is laid out to be saved.
-    """
-
-    def __init__(
-        self,
-        make: Callable[[Callable[[], None]], DriveRuntime],
-        wake_all: Callable[[], None],
-        save_interval_s: float,
-        save: Callable[[], None],
-    ) -> None:
-        self.wake, self._wake_all = threading.Event(), wake_all
-        self._save_interval_s, self._save = save_interval_s, save
-        self.owner: threading.Thread | None = None
-        self.turned = self._next_save = time.monotonic()
-        self.has_worked = self._leaving = False
-        self.left = threading.Event()
-        self.runtime = make(self.call)
-
-    def call(self) -> None:
-        """There is work. Any thread."""
-        self.wake.set()
-        self._wake_all()
-
-    def leave(self) -> None:
-        """The drive is to go: its reader has ended. Any thread; `left` tells when what had come is worked off."""
-        self._leaving = True
-        self.call()
-
-    def turn(self) -> None:
-        """A round of the drive's work, and time and again what it knows laid out to be saved."""
-        if self.left.is_set():
-            return
-        leaving = self._leaving  # looked at before: then everything that will come is in the queue
-        self.has_worked |= self.runtime.work()
-        self.turned = time.monotonic()
-        if self.runtime.reader.queue.samples:
-            self.call()
-        elif leaving:
-            self.offer()
-            self.left.set()
-            return
-        if self.turned >= self._next_save:
-            self._next_save = self.turned + self._save_interval_s
-            self.offer()
-
-    def offer(self) -> None:
-        """The pipeline belongs to the thread that works for it; writing to a disk that may be slow does not."""
-        self.runtime.offer_state()
-        self._save()
-
-    def has_turned_since(self, then_s: float) -> bool:
-        """Whether it has turned, or makes an estimator, which may take ten seconds.
-
-        Args:
-            then_s: host monotonic.
-        """
-        return self.turned >= then_s or self.runtime.preparing
-
-    @property
-    def problem(self) -> str | None:
-        """What is wrong with it, in words."""
-        since_s = time.monotonic() - self.turned
-        if since_s <= STUCK_S or self.runtime.preparing:
-            return None
-        return f"drive {self.runtime.name}: the pipeline has not turned for {since_s:.0f} s"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Turn:
-    """Under way.
-
-    Attributes:
-        clock: the CPU time of its thread; None: this system has none that others can read (macOS, Windows).
-        began_s, cpu_began_s: host monotonic, and CPU time.
-    """
-
-    slot: DriveSlot
-    clock: int | None
-    began_s: float
-    cpu_began_s: float
-
-    @classmethod
-    def begun(cls, slot: DriveSlot) -> _Turn:
-        """In this thread, now."""
-        clock = time.pthread_getcpuclockid(threading.get_ident()) if hasattr(time, "pthread_getcpuclockid") else None
-        return cls(slot, clock, time.monotonic(), 0.0 if clock is None else time.clock_gettime(clock))
-
-    @property
-    def is_long(self) -> bool:
-        """Any thread, while that of the turn lives."""
-        waited = time.monotonic() - self.began_s
-        if waited < LONG_TURN_S:
-            return False
-        if self.clock is None or self.slot.runtime.preparing or waited >= LONG_WAIT_S:
-            return True
-        return time.clock_gettime(self.clock) - self.cpu_began_s >= LONG_TURN_S
+def _places() -> int:
+    """How many drives may take long at once: one core is left for all others."""
+    return max(1, (os.cpu_count() or 1) - 1)
 
 
 class Workers:
@@ -148,18 +48,24 @@ class Workers:
     Args:
         stop: set when they are to end.
         ports: that the shared thread reads; None: there are none.
+        places: how many drives may take long at once, but for those whose turn was not known to.
 
     Attributes:
         slots: may be exchanged while they work.
     """
 
-    def __init__(self, stop: threading.Event, ports: Ports | None = None) -> None:
+    def __init__(self, stop: threading.Event, ports: Ports | None = None, places: int | None = None) -> None:
         self.slots: Sequence[DriveSlot] = ()
         self._stop, self._wake, self._lock = stop, threading.Event(), threading.Lock()
         self._ports = Ports() if ports is None else ports
-        self._turn: _Turn | None = None
+        self._turn: Turn | None = None
         self._shared: threading.Thread | None = None
         self._threads: list[threading.Thread] = []
+        self._last: DriveSlot | None = None  # that the shared thread turned
+        self._places = _places() if places is None else places
+        self._waiting: deque[DriveSlot] = deque()  # those that take long and have no place; under the lock
+        self._taken = 0  # places, and threads in a turn that was not known to be long; under the lock
+        self._under_way: set[Turn] = set()  # of those that have a place; under the lock
 
     def start(self, slots: Sequence[DriveSlot]) -> None:
         self.slots = slots
@@ -185,7 +91,10 @@ class Workers:
         self.look()
 
     def look(self) -> None:
-        """Where a turn takes long, let another thread go on with the other drives. Any thread."""
+        """Where a turn takes long, let another thread go on with the other drives; where one that has a place only
+        waits for something, give its place away meanwhile. Any thread."""
+        if any(turn.is_stuck for turn in tuple(self._under_way)):
+            self._give_away_places()
         turn = self._turn
         if turn is None or not turn.is_long:
             return
@@ -194,52 +103,150 @@ class Workers:
         with self._lock:
             if self._turn is not turn or self._stop.is_set():
                 return
-            turn.slot.owner, self._turn = self._shared, None
+            turn.slot.takes_long, self._turn = True, None
+            self._taken += 1
             self._replace_shared()
 
+    # -- the shared thread -----------------------------------------------------------------------------------
+
     def _replace_shared(self) -> None:
-        self._threads = [thread for thread in self._threads if thread.is_alive()]
-        self._shared = threading.Thread(target=self._work_for_all, name="pipeline", daemon=True)
-        self._threads.append(self._shared)
-        self._shared.start()
+        self._shared = self._begun(threading.Thread(target=self._work_for_all, name="pipeline", daemon=True))
+
+    def _begun(self, thread: threading.Thread) -> threading.Thread:
+        self._threads = [other for other in self._threads if other.is_alive()]
+        self._threads.append(thread)
+        thread.start()
+        return thread
 
     def _work_for_all(self) -> None:
         while not self._stop.is_set():
             called = self._wake.wait(self._ports.wait_s(_IDLE_TURN_S))
-            if called and len(self.slots) > len(self._ports) + 1 and all(slot.owner is None for slot in self.slots):
+            if called and len(self.slots) > len(self._ports) + 1 and not any(s.takes_long for s in self.slots):
                 self._stop.wait(_GATHER_S)
             self._ports.read()
             self._wake.clear()
-            for slot in self.slots:
-                if slot.owner is None and not self._is_back_after(slot):
-                    self._work_for(slot)
+            others_start = self._others_start()
+            for slot in self._round():
+                slot.runtime.others_start = others_start
+                self._ports.read()  # once more, where the round takes longer than from one reading to the next
+                if slot.takes_long:
+                    self._tell_if_it_waits(slot)
+                elif slot.is_to_start and len(self.slots) > 1:
+                    self._give_place(slot)
+                elif not self._is_back_after(slot):
+                    self._work_for_long(slot)
                     return
         for slot in self.slots:
-            if slot.owner is None:
+            if not slot.takes_long:
                 slot.offer()
+
+    def _round(self) -> Iterator[DriveSlot]:
+        """All drives, from the one on that is next: a thread that replaces another begins where that one was."""
+        slots = self.slots
+        first = slots.index(self._last) + 1 if self._last in slots else 0
+        for slot in (*slots[first:], *slots[:first]):
+            self._last = slot
+            yield slot
 
     def _is_back_after(self, slot: DriveSlot) -> bool:
         """Turn a drive. Returns whether this is the shared thread still."""
-        self._turn = _Turn.begun(slot)
+        self._turn = Turn.begun(slot)
         slot.turn()
         with self._lock:
-            self._turn = None if slot.owner is None else self._turn
-            return slot.owner is None
+            self._turn = None if not slot.takes_long else self._turn
+            return not slot.takes_long
+
+    def _others_start(self) -> bool:
+        """Whether drives wait for a turn of their start."""
+        with self._lock:
+            return any(slot.runtime.starts for slot in self._waiting)
+
+    def _tell_if_it_waits(self, slot: DriveSlot) -> None:
+        with self._lock:
+            if slot in self._waiting:
+                slot.runtime.tell_waiting(self._waiting.index(slot))
+
+    def _give_place(self, slot: DriveSlot) -> None:
+        """The drive's next turn will take long: as soon as there is a place for it."""
+        with self._lock:
+            slot.takes_long = True
+            self._waiting.append(slot)
+            self._fill_places()
+
+    def _fill_places(self) -> None:
+        """Threads for those that wait, as far as there are places. Under the lock."""
+        if self._taken < self._places and self._waiting and not self._stop.is_set():
+            self._taken += 1
+            self._begun(threading.Thread(target=self._work_for_long, name="pipeline-long", daemon=True))
+
+    # -- a thread for those that take long -------------------------------------------------------------------
+
+    def _work_for_long(self, slot: DriveSlot | None = None) -> None:
+        """Those that take long, one after the other, until there are none.
+
+        Args:
+            slot: which has just had a long turn in this thread.
+        """
+        if slot is not None:
+            slot.last_long = slot.turned
+        while self._goes_on_after(slot):
+            slot = self._next()
+            if slot is None:
+                self._stop.wait(_LOOK_S)
+            else:
+                threading.current_thread().name = f"pipeline-{slot.runtime.name}"
+                self._work_for(slot)
+
+    def _goes_on_after(self, slot: DriveSlot | None) -> bool:
+        """Put back the drive that has had its turns; whether this thread goes on."""
+        if slot is not None and self._stop.is_set() and not slot.left.is_set():
+            slot.offer()
+        with self._lock:
+            if slot is not None and not slot.left.is_set():
+                slot.takes_long = slot.turned - slot.last_long < _QUICK_S
+                if slot.takes_long:
+                    self._waiting.append(slot)
+                else:
+                    self._wake.set()
+            now = time.monotonic()
+            for other in self._waiting:  # their turn comes
+                other.seen = now
+            goes_on = self._taken <= min(self._places, len(self._waiting) + len(self._under_way))
+            goes_on &= not self._stop.is_set()
+            self._taken -= not goes_on
+            return goes_on
+
+    def _next(self) -> DriveSlot | None:
+        """The first of those that wait and have something to do; None: none has."""
+        idle_since = time.monotonic() - _IDLE_TURN_S
+        with self._lock:
+            for slot in self._waiting:
+                if slot.wake.is_set() or slot.turned < idle_since:
+                    self._waiting.remove(slot)
+                    return slot
+        return None
 
     def _work_for(self, slot: DriveSlot) -> None:
-        """Alone, until its turns are no longer long."""
-        threading.current_thread().name = f"pipeline-{slot.runtime.name}"
-        last_long = time.monotonic()
-        while not self._stop.is_set() and not slot.left.is_set():
-            slot.wake.wait(_IDLE_TURN_S)
+        """Its turns while it has samples, for a while."""
+        began = time.monotonic()
+        slot.runtime.others_start = self._others_start()
+        while not self._stop.is_set():
             slot.wake.clear()
-            turn = _Turn.begun(slot)
+            turn = Turn.begun(slot)
+            with self._lock:
+                self._under_way.add(turn)
             slot.turn()
+            with self._lock:
+                self._taken += turn not in self._under_way  # its place was given away: this thread takes one again
+                self._under_way.discard(turn)
             if turn.is_long:
-                last_long = slot.turned
-            elif slot.turned - last_long >= _QUICK_S:
-                slot.owner = None
-                self._wake.set()
+                slot.last_long = slot.turned
+            if not slot.wake.is_set() or slot.turned - began >= _SLICE_S:
                 return
-        if not slot.left.is_set():
-            slot.offer()
+
+    def _give_away_places(self) -> None:
+        with self._lock:
+            for turn in [turn for turn in self._under_way if turn.is_stuck]:
+                self._under_way.discard(turn)
+                self._taken -= 1
+                self._fill_places()

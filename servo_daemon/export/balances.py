@@ -10,6 +10,7 @@ import casadi as ca
 
 from servo_daemon.export.expressions import Language, as_text
 from servo_daemon.export.model import CORE, ExportedModel, Value
+from servo_daemon.parameters import LINEAR
 from servo_daemon.plant import equations
 from servo_daemon.plant.dry import dry_levels
 from servo_daemon.plant.effects import Signals, effects_by_name, event_times
@@ -70,7 +71,9 @@ def balances(model: ExportedModel) -> Balances:
     """Of the effects that are terms; those that are not are left out (`expressible`)."""
     effects = [effects_by_name()[name] for name in model.effects if expressible(name)]
     names = [*CORE[model.drive], *(p.name for e in effects for p in e.parameters)]
-    p = {name: ca.SX.sym(name) for name in dict.fromkeys(("R", "L", "K", "J", "B", *names))}
+    given = {name: ca.SX.sym(name) for name in dict.fromkeys(names)}
+    # Effects may refer to what this input hides (R without a voltage): as in the plant.
+    p = {q.name: ca.SX(q.nominal) for q in LINEAR} | given
     t, u, i, omega, theta, h = (ca.SX.sym(n) for n in ("t", "u", "i", "omega", "theta", "h"))
     own = {s.name: ca.SX.sym(s.name) for s in chain.from_iterable(e.states for e in effects)}
     voltage = model.drive == "voltage"
@@ -94,7 +97,7 @@ def balances(model: ExportedModel) -> Balances:
         for channel, added in term.sensed.items():
             sensed[channel] = sensed.get(channel, ca.SX(0)) + added
     found = Balances(
-        symbols=(t, u, i, omega, theta, *own.values(), *p.values()),
+        symbols=(t, u, i, omega, theta, *own.values(), *given.values()),
         states={name: rate for term in terms for name, rate in term.rates.items()},
         current_rate=equations.current_rate(u - drop, i, omega, R, p["L"], K) if voltage else None,
         speed_rate=equations.speed_rate(push, omega, load, factor, p["J"], B),

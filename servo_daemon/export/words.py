@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import keyword
 import re
 from collections.abc import Collection, Mapping, Sequence
 
 from servo_daemon import __version__
 from servo_daemon.export.model import ExportedModel, Value
 from servo_daemon.parameters import spaced
-from servo_daemon.plant.effects import effects_by_name
+from servo_daemon.plant.effects import effects_by_name, parameter_table
 
 
 def number(value: float) -> str:
@@ -21,10 +22,28 @@ def with_std(value: Value) -> str:
     return f"{number(value.value)}{std}{spaced(value.unit)} ({value.origin})"
 
 
+#: Words of C, Modelica and MATLAB that no variable can be called, beside Python's.
+_KEYWORDS = """
+    algorithm annotation asm auto block bool case catch char class classdef connect connector const constant
+    constrainedby continue default der discrete do double each else elseif elsewhen encapsulated end endif enum
+    enumeration equation expandable extends extern external final float flow for function global goto if import
+    impure in initial inline inner input int long loop model nargin nargout not operator otherwise outer output
+    package parameter parfor partial persistent protected public pure record redeclare register replaceable restrict
+    return short signed sizeof spmd static stream struct switch then true try type typedef union unsigned void
+    volatile when while within
+"""
+#: Names that the files have inside, beside the parameters'.
+_WITHIN = """
+    p n i t u x omega theta flange rotor drive friction gear input_u rates time Real Modelica np JOINT DC_MOTOR
+    sin cos tan exp log sqrt abs sign min max tanh atan2
+"""
+
+
 def identifier(name: str) -> str:
     """A drive's name as every language takes it."""
     text = re.sub(r"\W", "_", name, flags=re.ASCII)
-    return text if text[:1].isalpha() else f"drive_{text}"
+    taken = {*_KEYWORDS.split(), *keyword.kwlist, *_WITHIN.split(), *parameter_table()}
+    return text if text[:1].isalpha() and text not in taken else f"drive_{text}"
 
 
 def header(model: ExportedModel, notes: Sequence[str]) -> list[str]:
@@ -48,6 +67,8 @@ def conventions(model: ExportedModel) -> list[str]:
             f"voltage and current are a DC motor's (power v i): {v:.9g} x v_q and {i:.9g} x i_q of the drive "
             f"(amplitude-invariant dq, {meaning.publish} values, {meaning.pole_pairs} pole pairs)"
         )
+        if model.limits:
+            lines.append("limits of voltage and current are taken as the DC motor's, like R, L and K")
     if meaning.gear_ratio != 1.0:
         lines.append(f"gear: {meaning.gear_ratio:.9g} turns of the motor for one of the output")
     return lines

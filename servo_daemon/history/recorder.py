@@ -33,7 +33,8 @@ log = logging.getLogger(__name__)
 _MOST_ROWS: Final = 3000
 #: A database that is out of reach is tried again after this long, s.
 _RETRY_S: Final = 5.0
-#: Old blocks are looked for this often, s.
+#: Old blocks are looked for, and what was written goes onto the disk for good, this often, s: so much of the history a
+#: power cut may cost.
 _PRUNE_EVERY_S: Final = 60.0
 #: Nothing is deleted for its age before wall clock and monotonic clock have gone together for so long, to so much, s: a
 #: machine without a battery begins in a wrong year, and a wrong year would delete everything.
@@ -172,7 +173,7 @@ class Recorder:
         return _write_documents(connection, drive, source, mark, wall_s), counts
 
     def _look_after(self, wall_s: float, monotonic_s: float) -> None:
-        """Delete what is too old, or too much."""
+        """Delete what is too old, or too much; and bring what is there onto the disk."""
         wall0, monotonic0 = self._clock or (wall_s, monotonic_s)
         if self._clock is None or abs((wall_s - wall0) - (monotonic_s - monotonic0)) > _CLOCK_AGREES_S:
             self._clock = wall0, monotonic0 = wall_s, monotonic_s
@@ -185,6 +186,7 @@ class Recorder:
             while self.database.size_bytes(connection) > self.quota_bytes:
                 if not self._blocks.shorten(connection, _SHORTEN_BY):
                     break
+        self.database.checkpoint()
 
     def _fail(self, error: BaseException, monotonic_s: float) -> None:
         """Say what is wrong, once, and try again later (reading goes on meanwhile, where it can); a broken file is

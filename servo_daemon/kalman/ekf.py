@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.kalman.gaussian import Gaussian, completed
+from servo_daemon.kalman.held import build_held_step
 from servo_daemon.kalman.layout import STATISTICS, EkfLayout
 from servo_daemon.kalman.model import INSTRUMENT_S, NO_INSTRUMENT_S, build_ekf_step
 from servo_daemon.kalman.records import ChannelStatistics, Innovations, NoiseLevels
@@ -48,6 +49,8 @@ class Ekf:
         self._lay: EkfLayout = layout
         self._compiled: Loop = SampleLoop(function)
         self._running: Loop = self._compiled if loop is None else loop
+        self._held: Loop | None = None  # made when it is asked for
+        self._mean_input = mean_input
         self._state = np.zeros(layout.n_state)
         self._constants = np.zeros(layout.n_constants)
         self.use_instrumental_trajectory(True)
@@ -166,6 +169,24 @@ class Ekf:
                 times as many as there are samples.
         """
         outputs = (self._compiled if again else self._running).run(self._state, self._constants, samples)
+        return Innovations(outputs[:, 0::3], outputs[:, 1::3], outputs[:, 2::3])
+
+    def predict_held(self, samples: F64) -> Innovations:
+        """As `update(…, again=True)` with parameters that are known exactly, in a tenth of its time: of all that the
+        filter carries the plant's states, their covariance and the held input go on, and nothing else.
+
+        Args:
+            samples: shape (n, n_sample).
+        """
+        if self._held is None:
+            _, function = build_held_step(self.plant, self.channels, self._mean_input)
+            self._held = SampleLoop(function, paced_by=1)
+        lay = self._lay
+        index = [*range(lay.n_x), *lay.state_covariance, lay.held_input, lay.held_variance]
+        state = self._state[index]
+        constants = np.concatenate([self._constants, self._state[lay.q]])
+        outputs = self._held.run(state, constants, samples)
+        self._state[index] = state
         return Innovations(outputs[:, 0::3], outputs[:, 1::3], outputs[:, 2::3])
 
     def take_information(self) -> F64:

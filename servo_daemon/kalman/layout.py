@@ -88,6 +88,12 @@ class EkfLayout:
         return slice(self.n_z, self.n_z + self.n_tri)
 
     @cached_property
+    def state_covariance(self) -> tuple[int, ...]:
+        """The elements of P's part of x, its lower triangle by columns."""
+        starts = [self.n_z + column * self.n_z - column * (column - 1) // 2 - column for column in range(self.n_x)]
+        return tuple(starts[column] + row for column in range(self.n_x) for row in range(column, self.n_x))
+
+    @cached_property
     def held_input(self) -> int:
         return self.n_z + self.n_tri
 

@@ -40,6 +40,11 @@ class Innovations:
         """Which samples are measurements, shape (n, channels)."""
         return np.asarray(self.innovation != 0.0)
 
+    @property
+    def possible(self) -> bool:
+        """Whether a filter could run over the samples at all: far off its state and variances overflow."""
+        return bool(np.isfinite(self.innovation).all() and (self.variance > 0.0).all())
+
 
 @dataclass(frozen=True, slots=True)
 class ChannelStatistics:

@@ -21,7 +21,7 @@ from itertools import pairwise
 import casadi as ca
 
 from servo_daemon.plant import flow
-from servo_daemon.plant.effects.base import LATE_STEPS
+from servo_daemon.plant.effects.base import LATE_STEPS, Delay, Terms
 
 #: Shortest step, s. A kept length below half of it is none.
 SHORTEST_S = 1e-9
@@ -111,3 +111,13 @@ def _by_speeds(share: ca.SX, phi: tuple[_Phi, _Phi], change: ca.SX, faster: ca.S
     a = (change * first.beta - second.beta * faster) / determinant
     b = (second.alpha * faster - change * first.alpha) / determinant
     return a * share**2 * here.alpha + b * share**3 * here.beta
+
+
+def of_channel(delay: Delay, current: ca.SX, angle: ca.SX, speed: ca.SX) -> ca.SX:
+    """That of the late channel: 0 current, 1 angle, 2 speed."""
+    return ca.if_else(delay.channel < 0.5, current, ca.if_else(delay.channel < 1.5, angle, speed))
+
+
+def delay_of(terms: Sequence[Terms]) -> Delay | None:
+    """The late channel, where there is one."""
+    return next((term.delay for term in terms if term.delay is not None), None)

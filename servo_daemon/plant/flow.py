@@ -21,6 +21,9 @@ _TAYLOR_TERMS = 14  # 1/16! = 5e-14 is what is cut off at spectral radius 1
 _SMALL = 0.5  # m² + |x| below this: spectral radius below 1
 _DISTINCT = 1e-3  # x > this · m²: eigenvalues differ by at least 6 % of their mean
 _NEAR = 0.3  # |x| below this: series of cosh √x and sinh √x / √x
+#: Over less of the winding's time constant than this a current within a step is a parabola: below it the exponential's
+#: terms cancel.
+_NEARLY_STRAIGHT = 0.05
 
 
 class MatrixFunction(NamedTuple):
@@ -142,3 +145,25 @@ def phi_series(Z: ca.SX, terms: int, doublings: int) -> tuple[MatrixFunction, Ma
 def apply(f: MatrixFunction, Z: ca.SX, vector: ca.SX) -> ca.SX:
     """f(Z) · vector."""
     return f.alpha * vector + f.beta * (Z @ vector)
+
+
+def mean_square(before: ca.SX, change: ca.SX, mean: ca.SX, z: ca.SX) -> ca.SX:
+    """⟨i²⟩ over a step, A²: of i = a + b exp(z s) + d s, s from 0 to 1, between the currents at both ends, with the
+    mean that the step's own balance L Δi = h (u − R ⟨i⟩) − K Δθ gives. The exponential is the winding's, the straight
+    part what the speed makes meanwhile.
+
+    Args:
+        before, change, mean: current before the step, its change over it and its mean, A.
+        z: −h R/L.
+    """
+    above = mean - before - change / 2  # a straight line
+    slow = ca.fabs(z) < _NEARLY_STRAIGHT
+    z = ca.if_else(slow, -1.0, z)
+    _, phi1, phi2 = phi_scalar(z)
+    _, phi1_twice, _ = phi_scalar(2 * z)
+    b = above / (z * (phi2 - phi1 / 2))
+    a, d = before - b, change - b * z * phi1
+    bent = a**2 + b**2 * phi1_twice + d**2 / 3 + 2 * a * b * phi1 + a * d + 2 * b * d * (phi1 - phi2)
+    c, middle = 6 * above, before + change / 2  # the parabola through the same
+    parabola = middle**2 + change**2 / 12 + c * middle / 3 + c**2 / 30
+    return ca.if_else(slow, parabola, bent)

@@ -20,16 +20,15 @@ import casadi as ca
 
 from servo_daemon.plant import flow
 from servo_daemon.plant.core import Core, Drive, Turning, homogeneous, linear_core
-from servo_daemon.plant.delay import Step, behind, kept, with_newest
+from servo_daemon.plant.delay import Step, behind, delay_of, kept, of_channel, with_newest
 from servo_daemon.plant.dry import dry_levels, friction_over_step
 from servo_daemon.plant.effects import Effect, Signals, State, Terms
 from servo_daemon.plant.effects.base import LAGGED, LATE, LATE_STEPS, TWIST, Delay
+from servo_daemon.plant.midpoint import factors_follow_motion, guess_needs_friction
 from servo_daemon.plant.shaft import TwoInertias, after_second_half, standing
 
 #: Passes over blocked current and sticking shaft, where both may be: each moves the other by K² h²/(4 J L) at most.
 _PASSES = 3
-#: Over less of the winding's time constant than this a current within a step is a parabola.
-_NEARLY_STRAIGHT = 0.05
 
 
 @dataclass(frozen=True)
@@ -86,7 +85,7 @@ class StepBuilder:
     def step(self, x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX) -> tuple[ca.SX, ca.SX]:
         """x after the step, and its derivatives by input and load torque, shape (n, 2)."""
         after, gain = self._parts(x, u, t, h)
-        delay = _delay(self.terms(x, u, t, h))
+        delay = delay_of(self.terms(x, u, t, h))
         return (after, gain) if delay is None else self._keep_step(x, after, gain, delay, h)
 
     def _parts(self, x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -97,12 +96,9 @@ class StepBuilder:
         after, whole, length = x, ca.SX.zeros(len(self.states), 2), h / parts
         substep = self._substep_function()
         for k in range(parts):
-            after, gain, through = substep(after, u, t + k * length, length, self._parameters())
+            after, gain, through = substep(after, u, t + k * length, length, ca.vertcat(*self.p.values()))
             whole = through @ whole + gain  # what the parts before have done goes on in this one
         return after, whole
-
-    def _parameters(self) -> ca.SX:
-        return ca.vertcat(*self.p.values())
 
     def _substep_function(self) -> ca.Function:
         """`_substep` as a function (x, u, t, h, p) -> (x_next, gain, through)."""
@@ -124,13 +120,13 @@ class StepBuilder:
         ahead = self.terms(ca.vertcat(begin[: n - 1], angle, own_middle), u, t + h / 2, h)
         core = self._core(begin, ahead, h)
         speed = None if two is not None else begin[n - 2]
-        guess = self._solved(core, _Held(mean, rise, ahead), speed, dry=self._guess_needs_friction()).x
+        guess = self._solved(core, _Held(mean, rise, ahead), speed, dry=guess_needs_friction(*self._probe())).x
         middle_x = ca.vertcat((begin + guess) / 2, own_middle)
         if two is not None:
             middle_x[n - 1] = angle
         middle = self.terms(middle_x, u, t + h / 2, h)
         known = ahead
-        if self._factors_follow_motion():
+        if factors_follow_motion(*self._probe()):
             known = middle
             core = self._core(begin, known, h)
         held = _Held(mean, rise, middle)
@@ -227,37 +223,17 @@ class StepBuilder:
 
     def _drop(self, terms: Sequence[Terms]) -> ca.SX:
         """Without a voltage there is nothing that a drop could be taken from."""
-        voltage = self.drive == "voltage"
-        return sum((ca.SX(term.voltage_drop) for term in terms if voltage), start=ca.SX(0))
+        return sum((ca.SX(term.voltage_drop) for term in terms if self.drive == "voltage"), start=ca.SX(0))
 
     def _dry_drop(self, terms: Sequence[Terms]) -> ca.SX:
         return sum((ca.SX(term.dry_drop) for term in terms if self.drive == "voltage"), start=ca.SX(0))
 
     def _probe(self) -> tuple[ca.SX, list[Terms]]:
         x = ca.SX.sym("x", len(self.states))
-        return x, self.terms(x, ca.SX(0), ca.SX(0), ca.SX.sym("h"))
-
-    def _factors_follow_motion(self) -> bool:
-        """Whether R, K or B as scaled depends on current, speed or angle, whose midpoint needs a guess."""
-        x, terms = self._probe()
-        names = ("factor_R", "factor_K", "factor_B", "viscous", "moment_K")
-        factors = ca.vertcat(*[ca.SX(getattr(term, name)) for term in terms for name in names])
-        return bool(terms) and bool(ca.depends_on(factors, x[: self.core_states]))
-
-    def _guess_needs_friction(self) -> bool:
-        """Whether what acts at the midpoint depends on current or speed there, which dry friction changes to first
-        order within a step (the angle only to second)."""
-        x, terms = self._probe()
-        if not terms:
-            return False
-        names = ("load_torque", "voltage_drop", "factor_dry", "viscous", "dry_drop")
-        acting = [ca.SX(getattr(term, name)) for term in terms for name in names] + list(dry_levels(terms))
-        return bool(ca.depends_on(ca.vertcat(*acting), x[: self.core_states - 1]))
+        return x[: self.core_states], self.terms(x, ca.SX(0), ca.SX(0), ca.SX.sym("h"))
 
     def _mean_square(self, x: ca.SX, held: _Held, solved: _Solved, h: ca.SX) -> ca.SX:
-        """⟨i²⟩ over a step, A²: of i = a + b exp(−s h R/L) + d s, s from 0 to 1, between the currents at both ends,
-        with the mean that the step's own balance L Δi = h (u − R ⟨i⟩) − K Δθ gives. The exponential is the winding's,
-        the straight part what the speed makes meanwhile."""
+        """⟨i²⟩ over a step, A²."""
         R, K = self.p["R"], self.p["K"]
         for term in held.terms:
             R, K = R * term.factor_R, K * term.factor_K
@@ -265,18 +241,7 @@ class StepBuilder:
         change, turned = solved.x[0] - before, solved.x[n - 1] - x[n - 1]
         u = held.u - self._drop(held.terms) - solved.drop
         mean = (u - (K * turned + self.p["L"] * change) / h) / R
-        above = mean - before - change / 2  # a straight line
-        z = -R / self.p["L"] * h
-        slow = ca.fabs(z) < _NEARLY_STRAIGHT
-        z = ca.if_else(slow, -1.0, z)
-        _, phi1, phi2 = flow.phi_scalar(z)
-        _, phi1_twice, _ = flow.phi_scalar(2 * z)
-        b = above / (z * (phi2 - phi1 / 2))
-        a, d = before - b, change - b * z * phi1
-        bent = a**2 + b**2 * phi1_twice + d**2 / 3 + 2 * a * b * phi1 + a * d + 2 * b * d * (phi1 - phi2)
-        c, middle = 6 * above, before + change / 2  # the parabola through the same
-        parabola = middle**2 + change**2 / 12 + c * middle / 3 + c**2 / 30
-        return ca.if_else(slow, parabola, bent)
+        return flow.mean_square(before, change, mean, -R / self.p["L"] * h)
 
     def _own_states(self, x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX, i_square: ca.SX | None = None) -> ca.SX:
         """The effects' states after h, from those in x, with the motion in x taken as constant over h.
@@ -303,20 +268,19 @@ class StepBuilder:
         moved = ca.horzcat(after[:n] - x[:n], gain[:n, :])
         current = moved[0, :] if self.drive == "voltage" else ca.SX.zeros(1, 3)
         speed, angle = moved[n - 2, :], moved[n - 1, :]
-        change, other = _of_channel(delay, current, angle, speed), _of_channel(delay, speed, speed, current)
+        change, other = of_channel(delay, current, angle, speed), of_channel(delay, speed, speed, current)
         after[places] = with_newest(x[places], Step(change[0], other[0], h))
         gain[places[0], :], gain[places[LATE_STEPS], :] = change[1:], other[1:]
         return after, gain
 
     def sensed(self, x: ca.SX, t: ca.SX) -> ca.SX:
         """(current_A, velocity_rad_s, position_rad) as the sensors show them."""
-        n = self.core_states
-        none = ca.SX(0)
-        delay = _delay(self.terms(x, none, t, none))
+        n, none = self.core_states, ca.SX(0)
+        delay = delay_of(self.terms(x, none, t, none))
         if delay is not None:
             late = behind(kept(x[self._places(LATE)]), delay.seconds, x[n - 2], homogeneous(self.drive, self.p))
             only = [
-                _of_channel(delay, *(value if k == which else none for k, value in enumerate(late)))
+                of_channel(delay, *(value if k == which else none for k, value in enumerate(late)))
                 for which in range(3)
             ]
             x = ca.vertcat(x[:n] + ca.vertcat(only[0], only[2], only[1])[3 - n :], x[n:])
@@ -330,15 +294,6 @@ class StepBuilder:
                 if name in shown:
                     shown[name] = shown[name] + error
         return ca.vertcat(*shown.values())
-
-
-def _of_channel(delay: Delay, current: ca.SX, angle: ca.SX, speed: ca.SX) -> ca.SX:
-    """That of the late channel: 0 current, 1 angle, 2 speed."""
-    return ca.if_else(delay.channel < 0.5, current, ca.if_else(delay.channel < 1.5, angle, speed))
-
-
-def _delay(terms: Sequence[Terms]) -> Delay | None:
-    return next((term.delay for term in terms if term.delay is not None), None)
 
 
 def _load(terms: Sequence[Terms]) -> ca.SX:

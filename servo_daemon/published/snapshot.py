@@ -118,7 +118,8 @@ class Snapshot:
         estimate: None until the first samples.
         counters: totals of driver and queue: samples, samples_lost, queue_dropped, crc_errors, reconnects, ...
         overloaded: its samples come faster than they are worked off; the oldest are left out, and counted.
-        behind_s: how late its samples are worked off because other programs have the processor; none is left out.
+        behind_s: how late its samples are worked off because other programs have the processor, or other drives start
+            first; none is left out.
         truth: a simulated drive's true values at this moment; for display only.
     """
 

@@ -16,7 +16,8 @@ from servo_daemon.tracking.plan.signals import EFFECT_OF
 
 #: A current that shows one value for so long, s, is told of.
 _FROZEN_S = 0.5
-#: An offset that the user's model does not hold is told of beyond this share of its scale; hysteresis.
+#: An offset that the user's model does not hold is told of beyond this share of its scale; hysteresis (see `make
+#: calibrate`).
 _OFFSET_OUT, _OFFSET_IN = 0.10, 0.07
 
 

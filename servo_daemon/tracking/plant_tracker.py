@@ -33,7 +33,7 @@ from servo_daemon.tracking.plan.signals import SignalPlan, plan_signals
 from servo_daemon.tracking.prior_transfer import PriorTransfer, trusted_mask
 from servo_daemon.tracking.restart.divergence import DivergenceMonitor
 from servo_daemon.tracking.restart.maximum_likelihood import MaximumLikelihoodRestart
-from servo_daemon.tracking.restart.relinearisation import BatchRelinearisation
+from servo_daemon.tracking.restart.relinearisation import FOUND_TICK, BatchRelinearisation
 from servo_daemon.tracking.samples.filtering import Filtering
 from servo_daemon.tracking.samples.signal_scales import SignalScales
 from servo_daemon.tracking.start.starter import Start, Starter
@@ -51,8 +51,6 @@ _SAVED_STD = 0.03
 _TICKS_TO_WATCH, _SOUNDNESS_EVERY = 8, 20
 #: From then on a filter that took over from another may speak for the drive.
 _TICKS_TO_SETTLE = 10
-#: Before so many the innovations are of a filter that is still finding its values and noise: they refute no model.
-_TICKS_TO_JUDGE = 40
 #: A step is one of a motor that the model has explained for so long before, s (a filter that has just started on data
 #: with 30 % of dry friction that its model lacks looked white for 2 s, and then "K stepped").
 _CALM_S = 2.5
@@ -318,7 +316,8 @@ class PlantTracker(Tracker):
             self.watch.learn_anew()
         self._jumps.search.mark()
         known = (self.qualification.qualified | self.excitation.excited)[self._masks.published]
-        seen = self._ticks >= _TICKS_TO_JUDGE and bool(known.any())
+        # (Before that they are of a filter that is still finding its values and noise: they refute no model.)
+        seen = self._ticks >= FOUND_TICK and bool(known.any())
         messages += self._notifications.whether_white(seen=seen) + self._notifications.whether_frozen(stretch, alike_s)
         if self._divergence.has_diverged(test.nis):
             messages += self._restart("its innovations do not fit while the regression does")
@@ -360,7 +359,7 @@ class PlantTracker(Tracker):
         explain that best."""
         if self._stretches.alike("current_A"):
             return None
-        settled = self._ticks >= _TICKS_TO_JUDGE and not self._relinearisation.is_open
+        settled = self._ticks >= FOUND_TICK and not self._relinearisation.is_open
         return settled and stretch.complete and bool((self.qualification.qualified & self._masks.published).any())
 
     def _believed(self, stretch: Stretch, action: jumps.Action) -> Stretch:

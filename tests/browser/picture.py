@@ -27,7 +27,8 @@ def main() -> int:
         page = Page(browser)
         page.look(arguments.width, 900, dark=arguments.dark)
         page.open(arguments.url)
-        if page.evaluate("document.getElementById('parameters') !== null"):
+        page.until("document.body.innerText.length > 0")
+        if page.evaluate("document.getElementById('parameters') !== null && document.getElementById('fleet').hidden"):
             page.until("document.querySelectorAll('#parameters .card canvas').length >= 5")
             choose = "const w = document.getElementById('window'); w.value = '%s'; w.dispatchEvent(new Event('change'))"
             page.evaluate(f"(() => {{ {choose % arguments.window} }})()")

@@ -80,10 +80,17 @@ def test_what_is_to_be_done(fleet: Page, server: LiveServer) -> None:
             "Decide about dry friction: found by the diagnosis",
         ),
         ("{diagnosis: {verdict: 'found', effects: ['dry_friction']}, model: ['dry_friction']}", None),
+        (
+            "{connection: 'connecting', reason: 'no such port; next attempt in 5 s'}",
+            "Check supply and line: no such port; next attempt in 5 s",
+        ),
         ("{alarms: ['controller_margin']}", "Tune again: the controller's margins are too small"),
         ("{statuses: {at_bound: 1}, worst: {parameter: 'J', why: 'at its bound'}}", "See why J cannot be told"),
     ):
         assert fleet.evaluate(TO_DO % changes) == said
+    server.daemon.wrong = tuple(f"drive axis{k}: the pipeline has not turned for 9 s" for k in range(9))
+    fleet.until("document.getElementById('fleet-problems').innerText.split('\\n').length == 5")
+    assert fleet.text("#fleet-problems").endswith("for 9 s\nand 5 more: /api/v1/health")
     fleet.look(390, 900, dark=True)
     assert fleet.evaluate("document.documentElement.scrollWidth") == 390
     assert fleet.errors() == []

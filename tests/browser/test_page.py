@@ -67,6 +67,10 @@ def test_values_and_charts(open_page: OpenPage, server: LiveServer, tmp_path: Pa
 
 def test_numbers_follow_the_stream(open_page: OpenPage) -> None:
     page = open_page()
+    steps = "import('/assets/format.js').then(f => [2, 2.5, 0.25, 0.5, 20, 25, 1e-3].map(f.stepDecimals))"
+    assert page.evaluate(steps) == [0, 1, 2, 1, 0, 0, 3], "the distance of ticks as it is"
+    typeset = "import('/assets/format.js').then(f => f.typeset('axis-1: -0.3 % from 2026-11-27 in 5 s'))"
+    assert page.evaluate(typeset) == "axis-1: −0.3\u00a0% from 2026-11-27 in 5\u00a0s"
     before = page.text("[data-name=velocity_rad_s] .number")
     last = page.evaluate(TIMES % "R")[-1]
     page.until(f"document.querySelector('[data-name=velocity_rad_s] .number').innerText != {json.dumps(before)}")
@@ -100,7 +104,7 @@ def test_a_drive_that_is_down(open_page: OpenPage, server: LiveServer) -> None:
     assert "/dev/ttyUSB0 is gone" in page.text("[data-name=R] .reason")
     assert page.text("[data-name=R] .number") != "–"
     page.until("document.querySelectorAll('#events li').length == 1")
-    assert "/dev/ttyUSB0 is <gone> (after s 3.5)" in page.text("#events")
+    assert "/dev/ttyUSB0 is <gone> (after 3.5 s)" in page.text("#events")
     assert "axis1 (down)" in page.evaluate("document.getElementById('drive').options[1].text")
     server.paused.clear()
     page.until("document.getElementById('banner').hidden")

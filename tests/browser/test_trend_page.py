@@ -23,13 +23,14 @@ AGEING = Trend(
 
 
 def test_trends_are_told_in_words(open_page: OpenPage, server: LiveServer) -> None:
-    trends = {"L": Trend("no_trend"), "R": AGEING, "K": Trend("too_short", "3 days are there")}
+    short = Trend("too_short", "3 days are there")
+    trends = {"L": Trend("no_trend"), "R": AGEING, "K": short, "J": Trend("no_trend"), "B": Trend("no_trend")}
     server.axis1.trends = DriveTrends(T0, None, trends=trends, near=frozenset({"R"}))
     page = open_page()
     page.until("document.querySelectorAll('#trends li').length == 3")
     first = page.text("#trends li.near")
     assert first.startswith("R +1.8 %/year (1.2–2.5); R_max in 1") and "no temperature is known" in first
-    assert page.text("#trends li:nth-child(2)") == "L: no trend"
+    assert page.text("#trends li:nth-child(2)") == "L, J, B: no trend"
     assert "3 days are there" in page.text("#trends")
     page.evaluate("location.hash = '#axis2'")
     page.until("document.getElementById('trend-why').textContent.includes('a minute after the start')")

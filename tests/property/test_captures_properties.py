@@ -43,7 +43,7 @@ def outcome(path: Path) -> str | list[list[float]]:
     return [getattr(capture, name).tolist() for name in ("time_s", *capture.channels)]
 
 
-@QUICK
+@settings(QUICK, max_examples=50)
 @given(
     rows=st.lists(st.tuples(finite, finite, finite), min_size=2, max_size=30, unique_by=lambda r: r[0] + 0.0),
     metadata=st.dictionaries(

@@ -1,7 +1,7 @@
 // One small chart: value with its 95 % band (± 2 σ), the simulated truth dashed, and what is drawn over them.
 /* global uPlot */
 
-import { decimalsFor, fixed } from "./format.js";
+import { fixed, stepDecimals } from "./format.js";
 import { colour, drawEvents, drawLines, drawMarks } from "./overlays.js";
 import { extent } from "./series.js";
 import { STEPS_S, tickSpace, tickText } from "./times.js";
@@ -16,7 +16,7 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => char
 
 /** Ticks on the chart's own scale, with the decimals that their distance needs. */
 const tickTexts = (chart) => (_plot, ticks, _axis, _space, step) => {
-  const decimals = decimalsFor(step / chart.scale.factor, 1);
+  const decimals = stepDecimals(step / chart.scale.factor);
   return ticks.map((tick) => fixed(tick / chart.scale.factor, decimals));
 };
 

@@ -76,6 +76,15 @@ export function renderNote(note) {
 /** A number with the four digits that a message has, too. */
 const short = (value) => (typeof value === "number" ? Number(value.toPrecision(4)) : value);
 
+/** Whether a message has the value, with two digits or more. */
+const says = (message, value) => (typeof value === "number" ? [2, 3, 4].some((n) => message.includes(Number(value.toPrecision(n)))) : message.includes(value));
+
+/** A key and its value in words: `waited_s` 5.3 is "waited 5.3 s". */
+function fact(key, value) {
+  const [, name, unit] = /^(.+)_(s|h|min|A|V|Hz|days|years)$/.exec(key) ?? [key, key, ""];
+  return `${name.replaceAll("_", " ")} ${value} ${unit}`.trim();
+}
+
 function eventItem(event, capture) {
   const item = document.createElement("li");
   item.id = eventId(event);
@@ -86,8 +95,8 @@ function eventItem(event, capture) {
   time.textContent = new Date(event.time).toLocaleString("sv-SE");
   const kind = document.createElement("b");
   kind.textContent = event.kind.replaceAll("_", " ");
-  const more = Object.entries(event.data).filter(([key, value]) => !TOLD.has(key) && !event.message.includes(short(value)));
-  const data = more.map(([key, value]) => `${key.replaceAll("_", " ")} ${short(value)}`).join(", ");
+  const more = Object.entries(event.data).filter(([key, value]) => !TOLD.has(key) && !says(event.message, value));
+  const data = more.map(([key, value]) => fact(key, short(value))).join(", ");
   const message = document.createElement("span");
   message.textContent = event.message + (data ? ` (${data})` : "");
   item.append(time, kind, message);

@@ -1,16 +1,19 @@
 // All drives at a glance: one row each, a click opens the drive.
 
 import { get } from "./api.js";
+import { typeset } from "./format.js";
 import { sparkline } from "./sparkline.js";
 
 const byId = (id) => document.getElementById(id);
 const spaced = (name) => name.replaceAll("_", " ");
+const MOST_PROBLEMS = 4;
 const KNOWN = ["tracking", "unexcited", "fixed"];
 
 /** What is to be done about a drive, the most urgent; null: nothing. */
 export function toDo(drive) {
   const { worst, diagnosis, alarms, statuses } = drive;
-  if (drive.connection === "down" || drive.connection === "silent") return `Check supply and line: ${drive.reason ?? drive.connection}`;
+  const refused = drive.connection === "connecting" && drive.reason;
+  if (refused || drive.connection === "down" || drive.connection === "silent") return `Check supply and line: ${drive.reason ?? drive.connection}`;
   if (alarms.includes("controller_margin")) return "Tune again: the controller's margins are too small";
   if (alarms.length) return `Inspect what ${worst?.parameter ?? alarms[0]} depends on`;
   if (statuses.invalid || statuses.at_bound) return `See why ${worst.parameter} cannot be told`;
@@ -35,6 +38,10 @@ function cell(row, label, className, text) {
   return inner;
 }
 
+function badge(text) {
+  return Object.assign(document.createElement("span"), { className: "badge ringing", textContent: text });
+}
+
 function fill(row, drive) {
   const name = document.createElement("th");
   name.scope = "row";
@@ -47,12 +54,13 @@ function fill(row, drive) {
   cell(row, "Status", "pill", drive.connection).dataset.state = drive.connection;
   cell(row, "Parameters", "", known(drive));
   const { worst, reason } = drive; // of a drive that is away all parameters say what is to be done says, too
-  cell(row, "Look at", "", worst && worst.why !== reason ? `${worst.parameter}: ${worst.why}` : "–");
+  cell(row, "Look at", "", worst && worst.why !== reason ? `${worst.parameter}: ${typeset(worst.why)}` : "–");
   cell(row, "Last 30 days", "sparks", "").dataset.parameter = drive.worst?.parameter ?? Object.keys(drive.parameters)[0] ?? "";
-  const alarms = drive.alarms.map((name) => (name === "controller_margin" ? spaced(name) : name)).join(", ");
-  cell(row, "Alarms", alarms ? "badge ringing" : "quiet", alarms || "none");
+  const alarms = drive.alarms.map((name) => (name === "controller_margin" ? spaced(name) : name));
+  const first = cell(row, "Alarms", alarms.length ? "badge ringing" : "quiet", alarms[0] ?? "none");
+  first.after(...alarms.slice(1).flatMap((name) => [" ", badge(name)]));
   const todo = toDo(drive);
-  cell(row, "To do", todo ? "todo" : "quiet", todo ?? "nothing");
+  cell(row, "To do", todo ? "todo" : "quiet", todo ? typeset(todo) : "nothing");
 }
 
 function curve(row, drive) {
@@ -83,9 +91,18 @@ function render(drives) {
   });
 }
 
+/** What is wrong with the daemon, a line each; a whole fleet's worth would push the table off the screen. */
+function tell(problems) {
+  const banner = byId("fleet-problems");
+  const more = problems.length - MOST_PROBLEMS;
+  const lines = more > 0 ? [...problems.slice(0, MOST_PROBLEMS), `and ${more} more: /api/v1/health`] : problems;
+  const text = lines.join("\n");
+  if (banner.textContent !== text) banner.textContent = text; // written again it would be read out again
+  banner.hidden = problems.length === 0;
+}
+
 export async function pollFleet() {
   const { drives, problems } = await get("/fleet");
   render(drives);
-  byId("fleet-problems").textContent = problems.join(". ");
-  byId("fleet-problems").hidden = problems.length === 0;
+  tell(problems);
 }

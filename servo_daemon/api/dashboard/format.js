@@ -38,6 +38,16 @@ export function decimalsFor(size, digits) {
   return Math.min(9, Math.max(0, digits - 1 - Math.floor(Math.log10(size) + 1e-9)));
 }
 
+/** Decimals that show the distance of two ticks as it is: 2.5 takes one more than 2. */
+export function stepDecimals(step) {
+  const decimals = decimalsFor(step, 1);
+  const rest = Math.abs(step * 10 ** decimals - Math.round(step * 10 ** decimals));
+  return rest > 1e-6 ? decimals + 1 : decimals;
+}
+
+/** A text of the daemon with true minus signs before its numbers, and their units on the same line. */
+export const typeset = (text) => text.replace(/(?<![\w.)])-(?=\d)/g, MINUS).replace(/(\d) (?=(s|min|h|%)(\W|$))/g, "$1\u00a0");
+
 /** A number with so many decimals, a true minus sign, and no "−0". */
 export function fixed(value, decimals) {
   if (value === null || value === undefined || !Number.isFinite(value)) return NOTHING;

@@ -3,7 +3,7 @@
 
 import { drivePath, get } from "./api.js";
 import { charts } from "./chart.js";
-import { decimalsFor, fixed } from "./format.js";
+import { fixed, stepDecimals } from "./format.js";
 import { colour } from "./overlays.js";
 import { signalUnit, signalWords } from "./signals.js";
 
@@ -16,14 +16,14 @@ const BEFORE = 0.2; // share of the picture before the trigger
 
 /** Seconds on an axis whose whole span is `span`. */
 function timeTicks(ticks, step) {
-  const decimals = decimalsFor(step * 1e3, 1);
+  const decimals = stepDecimals(step * 1e3);
   return ticks.map((tick) => fixed(tick * 1e3, decimals));
 }
 
 function options(width, title, level) {
   const grid = { stroke: colour("--grid"), width: 1 };
   const axis = { stroke: colour("--ink-2"), font: FONT, grid, ticks: { show: false }, gap: 4 };
-  const texts = (_plot, ticks, _axis, _space, step) => ticks.map((tick) => fixed(tick, decimalsFor(step, 1)));
+  const texts = (_plot, ticks, _axis, _space, step) => ticks.map((tick) => fixed(tick, stepDecimals(step)));
   return {
     width,
     height: HEIGHT,

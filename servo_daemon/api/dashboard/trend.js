@@ -13,11 +13,26 @@ function item(text, note, near) {
   return made;
 }
 
+/** Parameters of which the same is said, in one line: "R, L, K: no trend". */
+function groups(names, parameters, isNear) {
+  const said = new Map();
+  for (const name of names) {
+    const { text, remark } = parameters[name];
+    const rest = text.startsWith(`${name}: `) ? text.slice(name.length) : null;
+    const key = JSON.stringify([rest ?? text, remark, isNear(name)]);
+    const group = said.get(key);
+    if (group && rest !== null) group.names.push(name);
+    else said.set(key, { names: [name], rest, text, remark, near: isNear(name) });
+  }
+  return [...said.values()];
+}
+
 /** Those whose limit is near first; the others as they are. */
 function items({ parameters, near }) {
   const isNear = (name) => near.includes(name);
   const names = Object.keys(parameters).sort((a, b) => isNear(b) - isNear(a));
-  return names.map((name) => item(parameters[name].text, parameters[name].remark, isNear(name)));
+  const told = ({ names: alike, rest, text }) => (alike.length > 1 ? alike.join(", ") + rest : text);
+  return groups(names, parameters, isNear).map((group) => item(told(group), group.remark, group.near));
 }
 
 /** One drive's card; made anew when another drive is shown. */

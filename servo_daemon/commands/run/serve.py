@@ -7,9 +7,10 @@ import gc
 import logging
 import signal
 import socket
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from servo_daemon.commands.run.reload import Files, Reload
 from servo_daemon.commands.shared import common
@@ -20,6 +21,10 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+#: A thread that computes lets another on after so long, s. An answer from the history lets go of the interpreter some
+#: hundred times, and may wait so long each time: with Python's own 5 ms it took 60 ms more beside a thread that never
+#: rests, with this 25 ms; what threads get done in a second of CPU was the same to 2 %.
+SWITCH_S: Final = 5e-4
 #: Open streams and slow clients may hold up a stop this long, s.
 _DRAIN_S = 1
 
@@ -45,6 +50,7 @@ async def serve(daemon: Daemon, listener: socket.socket, files: Files, hangups: 
         loop.add_signal_handler(signal.SIGHUP, hung_up.set)
     if hangups:
         hung_up.set()
+    sys.setswitchinterval(SWITCH_S)
     daemon.start()
     try:
         await _serve_api(daemon, listener, told, hung_up, files)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import urllib.error
 import urllib.request
 from collections.abc import Mapping
@@ -12,6 +13,8 @@ from urllib.parse import urlencode
 from servo_daemon.errors import BadInputError, ServoDaemonError
 
 URL: Final = "http://127.0.0.1:8077"
+#: The token for a daemon that asks for one: not an argument, which everybody on the machine could read.
+TOKEN: Final = "SERVO_DAEMON_TOKEN"
 _TIMEOUT_S: Final = 30.0
 #: Not through a proxy: the daemon is in this network.
 _OPENER: Final = urllib.request.build_opener(urllib.request.ProxyHandler({}))
@@ -26,13 +29,18 @@ def get(url: str, path: str, params: Mapping[str, str | int] | None = None, acce
     """
     query = f"?{urlencode(params)}" if params else ""
     try:
-        request = urllib.request.Request(f"{url.rstrip('/')}/api/v1{path}{query}", headers={"Accept": accept})
+        headers = {"Accept": accept}
+        if token := os.environ.get(TOKEN):
+            headers["Authorization"] = f"Bearer {token}"
+        request = urllib.request.Request(f"{url.rstrip('/')}/api/v1{path}{query}", headers=headers)
         with _OPENER.open(request, timeout=_TIMEOUT_S) as answer:
             body: bytes = answer.read()
             return body
     except urllib.error.HTTPError as error:
         with error:
             text = _detail(error.read()) or f"{url} answered with status {error.code}"
+            if error.code == 401:
+                text = f"{url} asks for a token (servo-daemon token new): set {TOKEN} to one that it knows"
         raise (BadInputError if error.code in {404, 406, 422} else ServoDaemonError)(text) from None
     except urllib.error.URLError as error:
         raise ServoDaemonError(f"no daemon answers at {url}: {error.reason}") from None

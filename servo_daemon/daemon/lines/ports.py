@@ -15,6 +15,8 @@ from typing import Protocol
 #: From one reading to the next, s: with few drives as `drivers.serial.listener` has it, with many as long as they need
 #: for their turns (0.5 ms of each in 40 ms), so that the next one gathers more of each.
 _EVERY_S, _EVERY_OF_EACH_S = 0.04, 0.9e-3
+#: Nor does reading take more than one part in this many of the time.
+_EVERY_OF_READING = 3.0
 
 
 class Line(Protocol):
@@ -52,11 +54,12 @@ class Ports:
 
     def read(self) -> None:
         """Read all, if it is time to."""
-        now_s = self._clock()
-        if now_s < self._due_s:
+        began_s = self._clock()
+        if began_s < self._due_s:
             return
         lines = self._lines
-        self._due_s = now_s + max(_EVERY_S, _EVERY_OF_EACH_S * len(lines))
         for line in lines:
             if not line.poll():
                 self.remove(line)
+        took_s = self._clock() - began_s
+        self._due_s = began_s + max(_EVERY_S, _EVERY_OF_EACH_S * len(lines), _EVERY_OF_READING * took_s)

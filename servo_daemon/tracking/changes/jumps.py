@@ -15,9 +15,10 @@ from servo_daemon.parameters import Parameter, spaced
 from servo_daemon.samples import F64
 from servo_daemon.tracking.plan.settings import Message
 
-#: Unexplained ticks (others count a quarter against) that are undone, where no search for a step runs: 0.2 s.
+#: Unexplained ticks (others count a quarter against) that are undone, where no search for a step runs: 0.2 s (decision
+#: 40).
 _MOST_UNDONE = 2.0
-#: Share of unexplained ticks, over about so many, from which on they are the rule.
+#: Share of unexplained ticks, over about so many, from which on they are the rule (see `make calibrate`).
 _RULE, _USUAL_TICKS = 0.15, 50
 #: After something that no parameter explained the watch rests, ticks.
 _REST = 300

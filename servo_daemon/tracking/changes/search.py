@@ -21,21 +21,23 @@ from servo_daemon.samples import F64
 from servo_daemon.tracking.changes.trials import ALL, MOMENT, Section, Trial, Trials, sections_of
 from servo_daemon.tracking.noise.watch import InnovationWatch, WatchMark
 from servo_daemon.tracking.plan.parameter_masks import ParameterMasks
-from servo_daemon.tracking.samples.filtering import Filtering, Forget
+from servo_daemon.tracking.samples.filtering import MOST_SAMPLES, Filtering, Forget
 from servo_daemon.tracking.validity.validity_gate import ValidityGate
 
 #: In a tick at most so many steps of the filter go over samples again, half of what a look back takes
 #: (`restart/relinearisation`), which it may meet; the rest of a look in the next ones.
 _STEPS_A_TICK = 30_000
-#: So many ticks are kept, and no more samples than these.
-_TICKS, _SAMPLES = 31, 20_000
-#: A change that is seen as one came at most so many ticks before; one that only shows in where the filter has gone.
+#: So many ticks are kept (decision 41: a step is looked for over the last 3 s), and no more than `MOST_SAMPLES`.
+_TICKS = 31
+#: A change that is seen as one came at most so many ticks before; one that only shows in where the filter has gone
+#: (decision 41).
 _BACK_SUDDEN, _BACK_SLOW = 10, 30
 #: First it is looked for so many ticks before it was seen, and then around where it is likeliest.
 _COARSE = (0, 2, 5, 10, 20, 30)
 #: In the tick in which it was seen and the one before it is looked for in so many parts of them.
 _PARTS = 5
-#: It is looked for at these ticks after it was seen; the last time is the last.
+#: It is looked for at these ticks after it was seen; the last time is the last (decision 41: 255 of 280 steps are
+#: named within 2 s).
 _LOOKS = (3, 6, 10, 13, 16, 20, 25, 30)
 #: Not accepted before so many ticks after it.
 _CONFIRM = 10
@@ -47,10 +49,11 @@ _REST = 50
 #: not exactly what they were taken for (4 of 20 steps of K and 4 of 10 of a load, `published` and `witness` of
 #: `benchmarks.tracking`).
 _CHANGED, _MARGIN, _OF_ALL, _OF_ALL_SHARE = 60.0, 20.0, 30.0, 0.05
-#: A parameter has stepped by this many standard deviations of what was known of it before and after.
+#: A parameter has stepped by this many standard deviations of what was known of it before and after (see `make
+#: calibrate`).
 _STEPPED_STDS = 6.0
 #: The filter's estimate has moved by more of its own standard deviations than its information allows, and by this share
-#: of the scale.
+#: of the scale (see `make calibrate`).
 _MOVED_STDS, _MOVED_SHARE = 6.0, 0.01
 #: Whether it has is asked every so many ticks.
 _LOOKED_AT_EVERY = 3
@@ -144,7 +147,7 @@ class JumpSearch:
         samples = sum(0 if isinstance(p, Forget) else len(p) for p in pieces)
         self._ticks.append(_Tick(*self._begins, tuple(pieces), samples, end_s))
         if not self.running:
-            while len(self._ticks) > _TICKS or sum([t.samples for t in self._ticks]) > _SAMPLES:
+            while len(self._ticks) > _TICKS or sum([t.samples for t in self._ticks]) > MOST_SAMPLES:
                 del self._ticks[0]
 
     def look(self, unexplained: bool, may_begin: bool) -> Found | None:
@@ -211,7 +214,7 @@ class JumpSearch:
     def _conclude(self, found: Found | None, passed_by: bool) -> Found | None:
         """What follows from a look."""
         self._work = None
-        too_many = sum(t.samples for t in self._ticks) > _SAMPLES
+        too_many = sum(t.samples for t in self._ticks) > MOST_SAMPLES
         if found is not None or passed_by:  # from here on another motor is seen, or the same one
             if found is not None:
                 self._watch.back_to(self._ticks[0].noise)

@@ -23,7 +23,7 @@ from servo_daemon.samples import F64
 from servo_daemon.tracking.noise.levels import Whiteness
 from servo_daemon.tracking.noise.watch import WHITE_OUT, judged
 from servo_daemon.tracking.plan.parameter_masks import ParameterMasks
-from servo_daemon.tracking.samples.filtering import Filtering, Forget
+from servo_daemon.tracking.samples.filtering import SETTLED_SHARE, SETTLED_STDS, Filtering, Forget
 
 #: In place of a parameter's number: none has stepped, something has passed by; all are others.
 MOMENT, ALL = -1, -2
@@ -32,10 +32,10 @@ MOMENT, ALL = -1, -2
 _STEP_STD, _SIGNED_STEP_STD, _OF_ALL = 0.3, 1.0, 0.4
 #: Moments further and further off the likeliest, sections.
 _STEPS = (4, 2, 1)
-#: Passes until none moves the value by more than this (standard deviations, share of the scale).
-_PASSES, _SETTLED_STDS, _SETTLED_SHARE = 4, 0.5, 0.01
+#: Passes at most until the value has settled.
+_PASSES = 4
 #: Innovations over all ticks since are white below this mean of ν²/s over what it usually is; standard deviations of
-#: their correlation that chance may make.
+#: their correlation that chance may make (see `make calibrate`).
 _NIS_MORE, _CHANCE = 3.0, 4.0
 
 
@@ -162,7 +162,7 @@ class Trials:
             if not np.isfinite(again.cost):
                 break
             moved, trial = abs(again.coordinate - trial.coordinate), again
-            if trial.k < 0 or moved < _SETTLED_STDS * again.std + _SETTLED_SHARE * self._scales[trial.k]:
+            if trial.k < 0 or moved < SETTLED_STDS * again.std + SETTLED_SHARE * self._scales[trial.k]:
                 return again
             best = min(best, again, key=lambda t: t.cost)
         return best

@@ -27,7 +27,8 @@ _SETTLED_UPDATES, _FAR_NIS, _FAR_SHARE = 10, 0.6, 0.3
 _INPUT_SHARE = 1e-3
 #: Unmodelled torque, 1 σ over a millisecond as a share of the rms motor torque.
 _TORQUE_SHARE = 2e-3
-#: Process noise rises per tick above these, and falls below half the correlation.
+#: Process noise rises per tick above these, and falls below half the correlation (decision 12; see
+#: `make calibrate`).
 _NIS_HIGH, _CORRELATED = 1.3, 0.15
 _RISE, _FALL, FACTOR_MOST = 1.6, 0.97, 1e8
 #: Innovations smaller than this say that the noise is too large already: then it recedes per tick by this.

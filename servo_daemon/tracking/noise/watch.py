@@ -18,12 +18,14 @@ _CROSS_MEMORY_S, _CROSS_WEIGHT, _CROSS_WEIGHT_SETTLED = 10.0, 4.0, 10.0
 #: Of a sensor's noise that is known from elsewhere at least this much stays, however small the innovations are beside
 #: what a filter that has just started expects of them.
 _LEAST_SHARE = 0.5
-#: Whiteness, by the correlation of neighbouring innovations: leaves at the second value, returns at the first.
+#: Whiteness, by the correlation of neighbouring innovations: leaves at the second value, returns at the first (see
+#: `make calibrate`).
 WHITE_IN, WHITE_OUT = 0.15, 0.25
 #: White, but only because process noise was raised by this factor: not white. Of the torque; of the held input, whose
-#: noise is a drive's own (dead time, ripple) up to 1.4 % of its rms.
+#: noise is a drive's own (dead time, ripple) up to 1.4 % of its rms (see `make calibrate`).
 _UNEXPLAINED = (10.0, 200.0)
-#: A tick is unexplained above so many standard deviations of its mean square, or with so many outliers.
+#: A tick is unexplained above so many standard deviations of its mean square, or with so many outliers (see `make
+#: calibrate`).
 _UNEXPLAINED_NIS = 7.0
 _FEWEST_GATED, _GATED_SHARE = 3, 0.03
 

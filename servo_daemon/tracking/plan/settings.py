@@ -13,7 +13,7 @@ Message = tuple[str, str, Mapping[str, float | int | str | None]]
 #: magnets and bearings take their time, inertia changes with what is mounted.
 _DRIFT_PER_SQRT_MIN = {"R": 0.03, "L": 0.006, "K": 0.01, "J": 0.015, "B": 0.03}
 _DRIFT_OTHER_PER_SQRT_MIN = 0.02
-#: An offset of a sensor or a hanging cable moves slowly, over its scale.
+#: An offset of a sensor or a hanging cable moves slowly, over its scale (decision 16).
 _OFFSET_DRIFT_PER_SQRT_MIN = 0.003
 
 

@@ -19,9 +19,10 @@ from servo_daemon.tracking.noise.setting import NoiseSetting
 from servo_daemon.tracking.noise.watch import WHITE_IN
 from servo_daemon.tracking.plan.parameter_masks import Mask, ParameterMasks
 from servo_daemon.tracking.restart.simplex import SimplexSearch
-from servo_daemon.tracking.samples.filtering import Filtering, Fit
+from servo_daemon.tracking.samples.filtering import SETTLED_SHARE, SETTLED_STDS, Filtering, Fit
 
-#: Values have jumped that have moved by more than this, a share of one unit; then the derivatives were others'.
+#: Values have jumped that have moved by more than this, a share of one unit; then the derivatives were others'
+#: (decision 33).
 MOVED = 0.1
 #: The values have not settled after so many passes.
 _PASSES = 8
@@ -32,15 +33,14 @@ WIDEST_STD = 0.2
 #: A pass along the instrumental trajectory fits as well as one without it, if its cost is no larger than by this; by
 #: the second where one has been no better before.
 _AS_GOOD, _TRIED = 20.0, 3.0
-#: A pass that moves nothing by more than these, in standard deviations and as a share of one unit, was the last.
-_SETTLED_STDS, _SETTLED_SHARE = 0.5, 0.01
 #: Values that a pass moves by less than this are good enough for the instrumental trajectory to follow.
 _FOLLOWS_SHARE = 0.05
-#: The search for the likeliest variances: first step and accuracy of their logarithms, of −2 log p, and passes.
+#: The search for the likeliest variances: first step and accuracy of their logarithms, of −2 log p, and passes
+#: (decision 34).
 _NOISE_STEP, _NOISE_EXACT, _NOISE_COST, _NOISE_PASSES = 1.5, 0.3, 3.0, 25
 #: Of fewer samples the values, which are fitted as well, leave too little of the noise.
 _FEWEST = 300
-#: Innovations are explained below this mean of ν²/s.
+#: Innovations are explained below this mean of ν²/s (see `make calibrate`).
 _AS_EXPECTED = 1.3
 
 
@@ -139,7 +139,7 @@ class BatchPasses:
 
     def _allowed(self) -> F64:
         """By how much the last pass may move each coordinate, shape (n,)."""
-        return _SETTLED_STDS * self._ekf.coordinate_std + _SETTLED_SHARE
+        return SETTLED_STDS * self._ekf.coordinate_std + SETTLED_SHARE
 
     def _learn_noise(self, batch: Batch) -> Iterator[None]:
         """Noise of the current's sensor and of the voltage as the samples are likeliest with, at the values that were

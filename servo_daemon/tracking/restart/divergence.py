@@ -12,7 +12,8 @@ from servo_daemon.tracking.validity.cross_check import on_one_line
 from servo_daemon.tracking.validity.gates import QUALIFIED
 from servo_daemon.tracking.validity.validity_gate import ValidityGate
 
-#: Diverged: innovations this many times larger than they should be, for as many ticks, while the regression is well.
+#: Diverged: innovations this many times larger than they should be, for as many ticks, while the regression is well
+#: (see `make calibrate`).
 _DIVERGED_NIS, _DIVERGED_TICKS = 6.0, 20
 #: A filter that started from little has this long to find out for itself, ticks.
 _TICKS_TO_BEGIN_BETTER = 50
@@ -40,7 +41,8 @@ class DivergenceMonitor:
         self.suspicious_ticks = 0
 
     def has_diverged(self, nis: float) -> bool:
-        """After each tick: whether the filter no longer fits its data while the regression does.
+        """After each tick: whether the filter no longer fits its data while the regression does (without it
+        `test_a_filter_that_no_longer_fits_begins_again_where_the_regression_does` fails).
 
         Args:
             nis: of the tick's innovations, the worst channel's.
@@ -50,7 +52,7 @@ class DivergenceMonitor:
 
     def could_begin_better(self, tick: int) -> bool:
         """Each time that the regressions are worked off: whether the filter had to start from little and still does not
-        know what the regression knows by now.
+        know what the regression knows by now (without it `test_a_filter_that_started_from_little_begins_better` fails).
 
         Args:
             tick: number of the running filter's.

@@ -32,16 +32,13 @@ from servo_daemon.tracking.noise.levels import LEAST_VAR
 from servo_daemon.tracking.noise.setting import NoiseSetting
 from servo_daemon.tracking.plan.parameter_masks import ParameterMasks
 from servo_daemon.tracking.restart.divergence import DivergenceMonitor
-from servo_daemon.tracking.restart.relinearisation import STEPS_A_TICK
-from servo_daemon.tracking.samples.filtering import Filtering, Fit
+from servo_daemon.tracking.restart.relinearisation import FOUND_TICK, STEPS_A_TICK
+from servo_daemon.tracking.samples.filtering import MOST_SAMPLES, Filtering, Fit
 
-#: From this tick on the filter has found its values, or is suspected of having diverged.
-_FIRST_TICK = 40
 #: After so many ticks of the filter the samples since its start are asked, and once more with those up to then
 #: (decision 36: where slow reversals had left K 4.2 σ off).
 _TICKS = (100, 155)
-#: No more samples than these are kept: a pass over them takes 20 ms.
-_MOST_SAMPLES = 20_000
+#: A search that has not settled after so many iterations is given up.
 _MOST_ITERATIONS = 15
 #: Steps of the differences: of one unit of a coordinate, of a variance's logarithm.
 _DIFFERENCE, _NOISE_DIFFERENCE = 1e-4, 0.05
@@ -54,7 +51,7 @@ _DAMPING, _LEAST_NOISE = 1.0, -8.0
 _SETTLED = 0.3
 #: What is found must be known as well as this, 1 σ of a logarithm; an inductance need not, few motions show it well.
 _KNOWN_STD = 0.05
-#: The innovations then: lag-1 correlation at most, and mean of ν²/s around one.
+#: The innovations then: lag-1 correlation at most, and mean of ν²/s around one (see `make calibrate`).
 _WHITE, _AS_EXPECTED = 0.1, 0.15
 
 
@@ -133,15 +130,15 @@ class MaximumLikelihoodRestart:
             scales: one unit of each coordinate, shape (n,).
             monitor: of what the filter has found.
         """
-        if not self._waits or tick < _FIRST_TICK:
+        if not self._waits or tick < FOUND_TICK:
             return False
         searches = self._iteration is not None
-        if not monitor.of_its_start or (not searches and self._filtering.kept > _MOST_SAMPLES):
+        if not monitor.of_its_start or (not searches and self._filtering.kept > MOST_SAMPLES):
             self.end()
             return False
         if not self._compares:
             self._compares, self._filtering.own = True, Fit()
-        if tick in _TICKS and self._filtering.kept <= _MOST_SAMPLES:
+        if tick in _TICKS and self._filtering.kept <= MOST_SAMPLES:
             self._begin_search(scales)
         if self._iteration is None:
             return False
@@ -175,7 +172,11 @@ class MaximumLikelihoodRestart:
         before, constants = self._ekf.snapshot(), self._ekf.constants
         found = False
         for _ in range(self._passes):
-            if iteration.take(self._predicted(iteration.next)):
+            there = self._predicted(iteration.next)
+            if not there.possible:  # so far off that the filter overflows: nothing leads back from there
+                self._iterations = _MOST_ITERATIONS
+                break
+            if iteration.take(there):
                 found = self._iterated(iteration, scales)
                 break
         if not found:

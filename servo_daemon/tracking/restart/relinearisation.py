@@ -13,7 +13,8 @@ voltage are taken as the samples are likeliest with.
 
 What the first samples did not show (an inertia on a motion that hardly accelerates) the filter meets at its guess later
 on, and everything else pays for the jump that it makes then: whenever a guessed parameter has jumped, the samples since
-the start are filtered once more.
+the start are filtered once more (without that `test_after_a_constant_speed_a_datasheet_five_times_off_is_overcome`
+fails).
 """
 
 from __future__ import annotations
@@ -30,19 +31,19 @@ from servo_daemon.tracking.noise.setting import NoiseSetting
 from servo_daemon.tracking.noise.watch import WatchMark
 from servo_daemon.tracking.plan.parameter_masks import Mask, ParameterMasks
 from servo_daemon.tracking.restart.batch_passes import MOVED, WIDEST_STD, Batch, BatchPasses
-from servo_daemon.tracking.samples.filtering import Filtering
+from servo_daemon.tracking.samples.filtering import MOST_SAMPLES, Filtering
 from servo_daemon.tracking.start.starter import Start
 from servo_daemon.tracking.validity.validity_gate import ValidityGate
 
 #: Begun with a larger 1 σ than this a parameter's derivatives may be wrong.
 _VAGUE_STD = 0.1
+#: From this tick on the filter has found its values, or is suspected of having diverged (decision 33: 4 s).
+FOUND_TICK = 40
 #: After so many ticks (decision 33) the first samples are filtered again, and after the first when a parameter has
 #: moved by `MOVED` from where the last time has left it.
-_TICKS = 10, 40
+_TICKS = 10, FOUND_TICK
 #: After so many jumps of a parameter the second time is waited for.
 _MOST_MOVES = 4
-#: More samples than these are not filtered again.
-_MOST_SAMPLES = 20_000
 #: A parameter of which the samples leave more than this share of it was not seen.
 _UNSEEN_SHARE = 0.7
 #: In a tick at most so many steps of the filter go over samples again, which takes 50 ms of its 100; the rest of it in
@@ -156,7 +157,7 @@ class BatchRelinearisation:
         walk = self._validity.walk(self._masks.free)
         batch = Batch(start, self._index(start), self._vague(start), walk, period_s)
         samples = self._filtering.kept
-        usable = samples <= _MOST_SAMPLES
+        usable = samples <= MOST_SAMPLES
         if usable:
             self._filtering.begin_batch()
         work = self._passes.filter_again(batch, white) if usable else _nothing()

@@ -24,7 +24,7 @@ _NOMINAL_STD = 0.7
 #: A guess from the regression's error alone, or an effect's start value: 1 σ of its logarithm, a factor of 4.5 (the
 #: benchmark `starts` is up to five times off).
 _GUESS_STD = 1.5
-#: A nominal value further from the regression than this many σ is not believed.
+#: A nominal value further from the regression than this many σ is not believed (decision 32).
 _IMPLAUSIBLE = 4.0
 
 

@@ -18,9 +18,9 @@ import numpy as np
 
 from servo_daemon.regression.estimate import RegressionEstimate
 
-#: Errors of two parameters go together from this correlation on.
+#: Errors of two parameters go together from this correlation on (decision 30).
 _ONE_LINE = 0.9
-#: Near: by no more than this, and so many of the filter's standard deviations; of a logarithm.
+#: Near: by no more than this, and so many of the filter's standard deviations; of a logarithm (decision 30).
 _NEAR, _STDS = 0.03, 2.0
 #: What may lie on the line with K.
 _BESIDE = ("R", "J", "B")

@@ -20,7 +20,7 @@ Status = Literal["estimating", "tracking", "unexcited", "at_bound", "fixed", "in
 
 #: A held value further than so many standard deviations from the running filter's is not held any longer.
 EXCLUDED_STDS = 4.0
-#: A regression agrees with a value within this share of it and 3 σ.
+#: A regression agrees with a value within this share of it and 3 σ (see `make calibrate`).
 AGREES = 0.15
 
 

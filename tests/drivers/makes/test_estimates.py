@@ -60,7 +60,7 @@ def _monitor(decoder: Any, device: SimpleFocMonitor, clock: Clock, period_s: flo
 def test_simplefoc_tells_everything_but_the_inductance() -> None:
     clock, driver = Clock(), closed("simplefoc", period_s=2e-3, pole_pairs=7)
     device = SimpleFocMonitor(_motor(clock), period_s=2e-3)
-    blocks = _monitor(driver._decoder, device, clock, 2e-3, 7500)
+    blocks = _monitor(driver._decoder, device, clock, 2e-3, 5000)
     _check(driver, blocks, TRUTH, {"R": 0.01, "K": 0.01, "J": 0.02, "B": 0.03})
 
 
@@ -90,7 +90,7 @@ def test_a_brushed_servo_tells_everything_but_the_inductance(kind: str) -> None:
     driver._place.model = 1020
     motor = MovingMotor(SimulatedDrive(make_settings(rate_hz=1000.0, supply_V=12.0)), clock)
     device = DynamixelChain({1: motor}) if kind == "dynamixel" else FeetechChain({1: motor})
-    blocks = polled(driver, _OneServo(driver._family), device, clock, 500.0, 15_000)
+    blocks = polled(driver, _OneServo(driver._family), device, clock, 500.0, 10_000)
     _check(driver, blocks, PAPER_MOTOR, {"R": 0.03, "K": 0.02, "J": 0.05, "B": 0.05})
 
 

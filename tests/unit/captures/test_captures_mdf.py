@@ -202,7 +202,7 @@ def test_cut_off_anywhere_is_one_line_and_nothing_else(
 ) -> None:
     whole = plain(tmp_path / "a.mf4", version=version).read_bytes()
     hook = sys.unraisablehook
-    for part in range(1, 20, 4):
+    for part in (1, 9, 19):
         path = tmp_path / "cut.mf4"
         path.write_bytes(whole[: len(whole) * part // 20])
         with pytest.raises(CaptureError, match="not a usable MDF file, or cut off: ") as caught:

@@ -7,6 +7,7 @@ import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -14,12 +15,16 @@ import numpy as np
 import pytest
 
 from servo_daemon.api.app import create_app
-from servo_daemon.client import AsyncClient, Client, DaemonError, UnreachableError
+from servo_daemon.api.documents import encode, estimates_document
+from servo_daemon.api.stream import frame
+from servo_daemon.client import AsyncClient, Client, DaemonError, Estimates, UnreachableError
 from servo_daemon.client import steps as steps_module
+from servo_daemon.published.archive import KeptCapture
 from servo_daemon.published.diagnosis_state import Diagnosis
 from servo_daemon.published.snapshot import Event
 from servo_daemon.published.view import ModelChange
-from tests.fake_daemon import RUNNING, T0, FakeDaemon, fake_daemon, make_snapshot
+from servo_daemon.samples import make_block
+from tests.fake_daemon import RUNNING, T0, FakeCaptures, FakeDaemon, fake_daemon, make_snapshot
 from tests.http_rig import BASE
 
 
@@ -157,3 +162,76 @@ def test_refusals_and_silence_are_told(both: Both) -> None:
         both.client.history("axis1")
     with Client("http://127.0.0.1:9", timeout_s=1.0) as nobody, pytest.raises(UnreachableError, match="no daemon"):
         nobody.drives()
+
+
+@pytest.fixture
+def kept(daemon: FakeDaemon, tmp_path: Path) -> FakeCaptures:
+    path = tmp_path / "20261121T120000000Z-60000ms-alarm.parquet"
+    path.write_bytes(b"samples")
+    daemon.captures = FakeCaptures([KeptCapture(path.name.partition(".")[0], "axis1", "alarm", T0, T0 + 60, 7, path)])
+    return daemon.captures
+
+
+def test_captures_are_listed_downloaded_and_made(kept: FakeCaptures, both: Both) -> None:
+    (capture,) = both.captures("axis1")
+    assert (capture.kind, capture.size) == ("alarm", 7) and (capture.end - capture.start).total_seconds() == 60
+    assert capture.file == f"axis1-{kept.captures[0].path.name}"
+    assert both.capture("axis1", capture) == both.capture("axis1", capture.id) == b"samples"
+    assert both.record("axis1", 12) == capture and kept.asked == [12.0] * 2
+    with pytest.raises(DaemonError, match="no capture 'no-such'") as refused:
+        both.client.capture("axis1", "no-such")
+    assert refused.value.code == "unknown_capture"
+
+
+def test_samples_as_arrays(both: Both, daemon: FakeDaemon) -> None:
+    time_s = np.arange(100) / 100
+    daemon.drives["axis1"].ring.append(make_block(time_s, current_A=np.sin(9 * time_s)))
+    found = both.samples("axis1", 0.5, trigger="current_A", level=0.5, before=0.1)
+    assert found["current_A"].shape == found.time_s.shape and 10 < len(found.time_s) <= 51
+    assert found.trigger_s is not None and np.interp(found.trigger_s, found.time_s, found["current_A"]) >= 0.5
+    assert both.samples("axis 2").time_s.shape == (0,) and both.samples("axis 2").trigger_s is None
+
+
+def test_a_reset_and_a_report_that_is_not_there(both: Both, daemon: FakeDaemon) -> None:
+    assert both.reset("axis1") is None
+    with pytest.raises(DaemonError) as refused:
+        both.client.report("axis1")
+    assert refused.value.status == 404
+
+
+def test_the_stream_gives_estimates_until_it_ends() -> None:
+    drive = fake_daemon("axis1").drives["axis1"]
+    snapshots = [make_snapshot(t=2.0), make_snapshot(t=2.5)]
+    asked: list[httpx.Request] = []
+
+    def answer(request: httpx.Request) -> httpx.Response:
+        asked.append(request)
+        if request.url.path.endswith("/axis9/stream"):
+            return httpx.Response(404, json={"detail": "There is no drive 'axis9'.", "code": "unknown_drive"})
+        frames = [frame(s, encode(estimates_document(drive, s))) for s in snapshots]
+        return httpx.Response(200, content=b"retry: 2000\n\n" + b": still here\n\n".join(frames))
+
+    async def all_of(client: AsyncClient) -> list[Estimates]:
+        return [e async for e in client.stream("axis1")]
+
+    one = list(Client(BASE, transport=httpx.MockTransport(answer), token="secret").stream("axis1"))
+    other = asyncio.run(all_of(AsyncClient(BASE, transport=httpx.MockTransport(answer), token="secret")))
+    assert [e.time for e in one] == [datetime.fromtimestamp(T0 + t, UTC) for t in (2.0, 2.5)]
+    assert repr(one) == repr(other) and one[0]["R"].unit == "Ω"
+    assert {request.headers["authorization"] for request in asked} == {"Bearer secret"}
+    with pytest.raises(DaemonError, match="no drive 'axis9'"):
+        next(Client(BASE, transport=httpx.MockTransport(answer)).stream("axis9"))
+
+
+def test_every_route_is_within_reach(daemon: FakeDaemon) -> None:
+    """What has a document of its own is asked for by `get`; everything else needs a method."""
+    methods = {"reset", "model", "diagnosis", "captures", "captures/{capture}", "diagnosis/report", "stream"}
+    routes = create_app(daemon).openapi()["paths"]
+    other = {
+        path.partition("{drive}/")[2]
+        for path, operations in routes.items()
+        for verb, operation in operations.items()
+        if path.startswith("/api")
+        and (verb != "get" or "application/json" not in operation["responses"]["200"].get("content", {}))
+    }
+    assert other == methods

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import csv
 import gzip
 import io
 import json
+import socket
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,9 +17,14 @@ import pytest
 from rich.console import Console
 
 from servo_daemon import cli
+from servo_daemon.api.access.permission import Access
+from servo_daemon.api.access.tokens import TokenFile
 from servo_daemon.api.app import create_app
 from servo_daemon.commands import export_history
+from servo_daemon.commands.run.reload import Files
+from servo_daemon.commands.run.serve import SWITCH_S, serve
 from servo_daemon.commands.status import rendered, with_std
+from servo_daemon.config import Config
 from tests.fake_daemon import T0, fake_daemon
 from tests.http_rig import serving
 from tests.unit.history.world import World
@@ -68,6 +76,19 @@ def test_no_daemon_and_none_of_ours(capsys: pytest.CaptureFixture[str], url: str
     assert "There is no drive 'axis9'" in capsys.readouterr().err
 
 
+def test_a_token_comes_from_the_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "tokens"
+    assert cli.main(["token", "new", "wall", "--scope", "read", "--file", str(file)]) == 0
+    secret = capsys.readouterr().out.split()[-1]
+    with serving(create_app(fake_daemon(), access=Access(tokens=TokenFile(file)))) as closed:
+        assert cli.main(["status", closed]) == 1
+        assert "set SERVO_DAEMON_TOKEN" in capsys.readouterr().err
+        monkeypatch.setenv("SERVO_DAEMON_TOKEN", secret)
+        assert cli.main(["status", closed, "--json"]) == 0
+
+
 def test_the_history_as_files(
     url: str, world: World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -96,3 +117,23 @@ def test_the_level_that_suits_in_one_request(url: str, tmp_path: Path) -> None:
     assert cli.main(["export-history", url, "--window", "1y", "--out", str(out)]) == 0
     rows = list(csv.DictReader(io.StringIO(out.read_text())))
     assert {"R", "L_std", "B_status"} <= set(rows[0]) and len(rows) in {1, 2}
+
+
+def test_threads_of_a_daemon_let_each_other_on_sooner() -> None:
+    """Answers would wait 5 ms for every thread that computes, each time that they let go of the interpreter."""
+    before, found = sys.getswitchinterval(), []
+
+    class StartedError(Exception):
+        pass
+
+    class Daemon:
+        def start(self) -> None:
+            found.append(sys.getswitchinterval())
+            raise StartedError
+
+    try:
+        with socket.socket() as listener, pytest.raises(StartedError):
+            asyncio.run(serve(Daemon(), listener, Files(Config, lambda _: None), ()))  # type: ignore[arg-type]
+    finally:
+        sys.setswitchinterval(before)
+    assert found == [pytest.approx(SWITCH_S)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -50,6 +51,33 @@ def test_a_faulty_set_up_is_stopped_within_its_limits(seed: int, names: set[str]
     assert result.stop is not None and result.stop.reason in names
     assert motor.share_of(limits) <= 1.01
     assert abs(motor.state[1]) < 0.2 * limits.speed_rad_s  # it runs down: nothing drives it any more
+
+
+@pytest.mark.parametrize(
+    ("wrong", "reason", "said"),
+    [
+        ({"encoder_dies_s": 1.2}, "encoder_lost", "the motor turns"),
+        ({"encoder_dies_s": 1.2, "Tc": 0.003}, "encoder_lost", "the motor turns"),
+        ({"encoder_dies_s": 0.0}, "encoder_lost", "the motor turns"),
+        ({"locks_s": 1.2}, "hard_stop", "no back-EMF"),
+        ({"locked": True}, "no_motion", "winding at rest"),
+    ],
+    ids=["encoder dies", "and there is friction", "encoder never counts", "shaft gets stuck", "shaft is locked"],
+)
+def test_an_encoder_that_stands_before_the_motor_is_known(wrong: dict[str, Any], reason: str, said: str) -> None:
+    setup, limits = SMALL
+    motor = CommandedMotor(replace(setup, **wrong))
+    result = commission(motor, limits)
+    assert result.stop is not None and result.fit is None
+    assert result.stop.reason == reason and said in result.stop.text
+    assert motor.share_of(limits) <= 1.01
+
+
+def test_time_that_is_used_up_is_no_fault_of_the_shaft() -> None:
+    setup, limits = SMALL
+    result = commission(CommandedMotor(replace(setup, Tc=0.01)), replace(limits, seconds=0.5))
+    assert (result.outcome, result.stop) == ("not_known", None)
+    assert len(result.unknown) == 5
 
 
 def test_silence_and_the_user_stop_the_motor() -> None:

@@ -102,9 +102,9 @@ def test_an_unknown_key_is_refused_by_name_in_every_section(file: Path, section:
         ("colour = 1", "unknown key 'colour'"),
         ("[[drive]]\nnmae = 'x'\nname = 5", r"unknown key 'drive\[0\]\.nmae'"),
         ("[[drive]]\n[drive.limits]\nQ_max = 1", "unknown key 'Q_max'"),
-        ("[[drive]]\n[drive.limits]\nRmax = 1", r"unknown key 'Rmax' \(did you mean 'R_max'\?\)"),
-        ("[[drive]]\n[drive.nominal]\nKt = 1", r"unknown key 'Kt' \(did you mean 'K'\?\): parameters are"),
-        ("[[drive]]\n[drive.drift]\nk_e = '1 %/h'", r"unknown key 'k_e' \(did you mean 'K'\?\)"),
+        ("[[drive]]\n[drive.limits]\nRmax = 1", r"unknown key 'Rmax', line 3 \(did you mean 'R_max'\?\)"),
+        ("[[drive]]\n[drive.nominal]\nKt = 1", r"unknown key 'Kt', line 3 \(did you mean 'K'\?\): parameters are"),
+        ("[[drive]]\n[drive.drift]\nk_e = '1 %/h'", r"unknown key 'k_e', line 3 \(did you mean 'K'\?\)"),
         (
             "[[drive]]\nname = 'a'\n[drive.estimation] # a\nring_s = 1\n[[drive]]\n[drive.estimation]\nenigne = 1",
             r"unknown key 'drive\[1\]\.estimation\.enigne', line 7 \(did you mean 'engine'\?\)",

@@ -17,6 +17,7 @@ import pytest
 
 from drivers.base import OnboardEstimates
 from servo_daemon.config import parse_config
+from servo_daemon.daemon import slot as slot_module
 from servo_daemon.daemon import worker as worker_module
 from servo_daemon.daemon.daemon import Daemon
 from servo_daemon.daemon.lines import reader as reader_module
@@ -300,7 +301,7 @@ def test_wrong_options_keep_the_daemon_from_being_made() -> None:
 
 
 def test_a_worker_that_hangs_is_a_problem(start: Callable[..., Rig], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(worker_module, "STUCK_S", 0.2)
+    monkeypatch.setattr(slot_module, "STUCK_S", 0.2)
     rig = start()
     released = threading.Event()
     work = rig.runtime().work
@@ -373,15 +374,15 @@ def test_no_drive_is_turned_by_two_threads_at_once_and_a_quick_one_shares_again(
     for name in slots:
         monkeypatch.setattr(rig.runtime(name), "work", counted(rig.runtime(name).work, name, inside, threads, crossed))
     for k in range(1, 4):
-        monkeypatch.setattr(worker_module, "LONG_TURN_S", 0.0)
+        monkeypatch.setattr(slot_module, "LONG_TURN_S", 0.0)
         for _ in range(20):
             for name in slots:
                 rig.driver(name).feed(50)
-        rig.until(lambda: any(slot.owner is not None for slot in slots.values()), "one has a thread of its own")
+        rig.until(lambda: any(slot.takes_long for slot in slots.values()), "one has a thread of its own")
         for name in slots:
             rig.until_samples(k * 1000, name)
-        monkeypatch.setattr(worker_module, "LONG_TURN_S", 60.0)
-        rig.until(lambda: all(slot.owner is None for slot in slots.values()), "all share a thread again")
+        monkeypatch.setattr(slot_module, "LONG_TURN_S", 60.0)
+        rig.until(lambda: all(not slot.takes_long for slot in slots.values()), "all share a thread again")
     assert crossed == [] and len(threads) > 3
     assert all(rig.snapshot(name).counters["samples_lost"] == 0 for name in slots)
 
@@ -415,7 +416,7 @@ def test_an_estimator_in_the_making_is_no_problem_and_a_pipeline_that_hangs_is(
     start: Callable[..., Rig], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nor does the one keep the watchdog from being fed, as the other does."""
-    monkeypatch.setattr(worker_module, "STUCK_S", 0.2)
+    monkeypatch.setattr(slot_module, "STUCK_S", 0.2)
     supervisor = Supervisor(watchdog_s=0.02)
     rig = start(configuration("one", "two"), notifier=supervisor)
     slot = rig.daemon._slots["one"]

@@ -12,6 +12,7 @@ VALUES: dict[str, tuple[float, float | None, str]] = {
     "Tcog": (0.004, 1e-4, "N·m"), "n_cog": (12.0, None, "1"), "phi_cog": (0.4, 0.01, "rad"),
     "R_th": (5.0, 0.1, "K/W"), "C_th": (10.0, 0.1, "J/K"), "c2": (1e-5, 1e-7, "N·m·s²/rad²"), "Vb": (0.1, 0.01, "V"),
     "k_s": (2.0, 0.1, "N·m/rad"), "c_s": (1e-3, 1e-5, "N·m·s/rad"), "J_l": (3e-5, 1e-6, "kg·m²"),
+    "Tg": (0.02, 1e-4, "N·m"), "phi_g": (0.5, 0.01, "rad"),
 }  # fmt: skip
 #: `export` and what it says, as one call: (exit code, stderr).
 Exporting = Callable[..., tuple[int, str]]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from servo_daemon.export.balances import balances, expressible
 from servo_daemon.export.expressions import PYTHON
 from servo_daemon.export.model import ExportedModel, Value
 from servo_daemon.export.targets import NAMES, target
+from servo_daemon.export.words import identifier
 from servo_daemon.plant.effects import dry_frictions, effects_by_name
 from tests.unit.export.motor import Exporting, document
 
@@ -134,6 +134,13 @@ def test_a_configs_nominal_values_and_signals(tmp_path: Path, capsys: pytest.Cap
     assert "nominal, not estimated" in text
 
 
+@pytest.mark.parametrize(
+    ("name", "written"), [("axis 1", "axis_1"), ("end", "drive_end"), ("R", "drive_R"), ("2", "drive_2")]
+)
+def test_a_drives_name_is_one_that_every_language_takes(name: str, written: str) -> None:
+    assert identifier(name) == written
+
+
 def test_a_daemons_estimates(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = {n: {**row, "status": "tracking", "reason": None} for n, row in document()["parameters"].items()}
     rows["L"] |= {"value": 2e-3, "std": None, "status": "estimating"}
@@ -150,27 +157,3 @@ def test_a_daemons_estimates(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not model.gear_known
     with pytest.raises(BadInputError, match="needs B"):
         target("mujoco").write(model)
-
-
-def test_sdf_modelica_and_simulink_are_well_formed(tmp_path: Path, export: Exporting) -> None:
-    content = document("coulomb_friction", "cogging_torque", **COGGED)
-    out = tmp_path / "out"
-    for name in ("sdf", "modelica", "simulink"):
-        assert export(content, "--to", name, "--out", str(out), "--force")[0] == 0
-        text = out.read_text(encoding="utf-8")
-        if name == "sdf":
-            dynamics = ET.fromstring(text).find("model/joint/axis/dynamics")
-            assert dynamics is not None
-            assert float(dynamics.findtext("friction", "")) == pytest.approx(0.05)
-            assert float(dynamics.findtext("damping", "")) == pytest.approx(3e-5 * 25)
-            continue
-        mark = "//" if name == "modelica" else "%"
-        code = "\n".join(line.split(mark)[0] for line in text.splitlines())
-        for a, b in ("()", "[]"):
-            assert code.count(a) == code.count(b)
-        assert all(line.rstrip().endswith((";", "equation")) or line.startswith(("model ", "%")) or not line.strip()
-                   for line in code.splitlines()), code  # fmt: skip
-        if name == "modelica":
-            assert code.strip().startswith("model fit") and code.strip().endswith("end fit;")
-            assert "sin(n_cog * theta + phi_cog)" in code
-            assert "[0, 0.01; 1, 0.01]" in code

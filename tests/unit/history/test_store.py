@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -183,3 +185,17 @@ def test_an_older_schema_is_brought_up_to_date_and_a_newer_left_alone() -> None:
         assert connection.scalar(sa.text("SELECT value FROM meta WHERE key = 'schema'")) == "2"
         with pytest.raises(NewerSchemaError, match="schema is 2"):
             ensure_schema(connection, ())
+
+
+def test_a_commit_waits_for_no_checkpoint(tmp_path: Path) -> None:
+    """What is committed stays in the log until the writer, in a moment in which nobody waits for it, brings it over."""
+    world = World.in_folder(tmp_path)
+    world.turn()
+    assert world.database.path is not None
+    sizes: list[int] = []
+    for _ in range(7):
+        world.run(30.0)
+        sizes.append(world.database.path.stat().st_size)
+    assert sizes[0] == sizes[1] < sizes[3], sizes
+    with closing(sqlite3.connect(world.database.path)) as connection:
+        assert connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()[1] < 100, "the log began anew"

@@ -144,6 +144,25 @@ def test_compiled_and_filterpy_agree(effects: tuple[str, ...]) -> None:
         assert (excess <= 0).all(), (ours, theirs)
 
 
+@pytest.mark.parametrize("effects", [(), ("coulomb_friction",)])
+def test_with_parameters_that_are_known_the_short_step_says_the_same(effects: tuple[str, ...]) -> None:
+    """In pieces as in one, and the filter's state after it is the one that the whole step leaves."""
+    ekf, data = started(build_plant(effects), wrong=0.01), rows(record(2.0))
+    n = len(ekf.plant.parameters)
+    ekf.start(Gaussian(ekf.plant.parameter_names, ekf.coordinates, np.zeros((n, n))))
+    ekf.set_active(np.zeros(n), np.zeros(n))
+    begin = ekf.snapshot()
+    whole = ekf.update(data, again=True)
+    x, var = ekf.x, ekf.state_var
+    ekf.restore(begin)
+    pieces = [ekf.predict_held(np.ascontiguousarray(part)) for part in np.split(data, [7, 1200])]
+    for name in ("innovation", "variance", "gated"):
+        found = np.concatenate([getattr(piece, name) for piece in pieces])
+        np.testing.assert_allclose(found, getattr(whole, name), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(ekf.x, x, rtol=1e-9)
+    np.testing.assert_allclose(ekf.state_var, var, rtol=1e-9)
+
+
 def test_a_held_parameter_does_not_move_but_still_shows_what_it_could_learn() -> None:
     ekf = started()
     active = np.array([1.0, 1.0, 1.0, 0.0, 1.0])

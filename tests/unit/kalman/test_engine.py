@@ -18,7 +18,7 @@ from servo_daemon.samples import F64, SampleBlock
 from servo_daemon.simulate import DEFAULT_NOMINAL, SimulatedDrive, make_settings
 
 #: Slow enough for filterpy, long enough for both looks at the start and for a step of R to be found, Hz and s.
-RATE_HZ, SECONDS, STEP_S = 200.0, 14.0, 8.0
+RATE_HZ, SECONDS, STEP_S = 200.0, 10.0, 6.5
 
 
 @cache

@@ -239,12 +239,9 @@ def test_measured_captures_join_the_training(windows: TrainingSet, model: Learne
 
 def test_over_its_file_a_model_says_the_same(model: LearnedModel, saved: Path, windows: TrainingSet) -> None:
     again = load_model(saved, DRIVE)
+    one, other = again.predict(windows.features), model.predict(windows.features)
     for name in ("value", "std", "low", "high", "familiarity"):
-        assert np.array_equal(
-            getattr(again.predict(windows.features), name),
-            getattr(model.predict(windows.features), name),
-            equal_nan=True,
-        )
+        assert np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True)
     assert again.spec == model.spec
     assert again.feature_names == model.feature_names
 

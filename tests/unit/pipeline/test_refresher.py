@@ -48,12 +48,18 @@ def run(model: LearnedModel | None, block: SampleBlock, size: int, drive: DriveC
     return out
 
 
-def test_the_same_however_samples_arrive(model: LearnedModel, recording: SampleBlock) -> None:
-    assert run(model, recording, 37) == run(model, recording, 5000)
+@pytest.fixture(scope="module")
+def estimates(model: LearnedModel, recording: SampleBlock) -> list[Estimate]:
+    return run(model, recording, 500)
 
 
-def test_what_is_published(model: LearnedModel, recording: SampleBlock) -> None:
-    estimates = run(model, recording, 500)
+def test_the_same_however_samples_arrive(
+    model: LearnedModel, recording: SampleBlock, estimates: list[Estimate]
+) -> None:
+    assert run(model, recording, 37) == estimates
+
+
+def test_what_is_published(estimates: list[Estimate]) -> None:
     first, last = estimates[0].estimators["grnn"], estimates[-1].estimators["grnn"]
     assert first.parameters == {}
     assert first.detail["mode"] == "shadow"
@@ -72,8 +78,8 @@ def test_what_is_published(model: LearnedModel, recording: SampleBlock) -> None:
     assert 0 < familiarity <= 1
 
 
-def test_a_filter_that_is_well_is_as_it_would_be_without(model: LearnedModel, recording: SampleBlock) -> None:
-    with_it, without = run(model, recording, 500)[-1], run(None, recording, 500)[-1]
+def test_a_filter_that_is_well_is_as_it_would_be_without(recording: SampleBlock, estimates: list[Estimate]) -> None:
+    with_it, without = estimates[-1], run(None, recording, 500)[-1]
     assert "grnn" not in without.estimators
     for p, q in zip(with_it.parameters, without.parameters, strict=True):
         assert p.value is not None

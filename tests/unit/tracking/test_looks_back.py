@@ -13,6 +13,7 @@ from servo_daemon.samples import F64, SampleBlock
 from servo_daemon.simulate import DEFAULT_NOMINAL, SimulatedDrive, make_settings
 from servo_daemon.tracking.restart import maximum_likelihood, relinearisation
 from servo_daemon.tracking.restart.simplex import SimplexSearch
+from servo_daemon.tracking.samples.filtering import Fit
 
 #: In a tick, of 200 Hz here: as many for each sample as at 1 kHz.
 STEPS = 10_000
@@ -34,13 +35,18 @@ def test_no_tick_takes_more_steps_than_its_share_and_blocks_do_not_matter(
     recording: SampleBlock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     steps: list[int] = []
-    update = Ekf.update
+    update, predict_held = Ekf.update, Ekf.predict_held
 
     def counted(self: Ekf, samples: F64, *, again: bool = False) -> Innovations:
         steps[-1] += len(samples) if again else 0
         return update(self, samples, again=again)
 
+    def counted_held(self: Ekf, samples: F64) -> Innovations:
+        steps[-1] += len(samples)
+        return predict_held(self, samples)
+
     monkeypatch.setattr(Ekf, "update", counted)
+    monkeypatch.setattr(Ekf, "predict_held", counted_held)
     for module in (maximum_likelihood, relinearisation):
         monkeypatch.setattr(module, "STEPS_A_TICK", STEPS)
     one, other, found, same = pipeline(), pipeline(), [], []
@@ -72,3 +78,19 @@ def test_the_simplex_stops_after_every_evaluation_and_comes_to_the_minimum() -> 
     assert np.abs(search.best - [1.0, -2.1]).max() < 1e-3
     few = SimplexSearch(cost, simplex, exact=1e-4, cost_exact=1e-6, most=10)
     assert sum(1 for _ in few.steps()) == 10
+
+
+def test_a_search_that_leads_where_no_filter_runs_is_given_up(
+    recording: SampleBlock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[int] = []
+
+    def overflown(*_: object, **__: object) -> Innovations:
+        asked.append(len(asked))
+        return Innovations(np.full((9, 2), np.nan), np.full((9, 2), -1.0), np.zeros((9, 2)))
+
+    monkeypatch.setattr(maximum_likelihood.MaximumLikelihoodRestart, "_predicted", overflown)
+    one = pipeline()
+    one.process(recording.slice(0, 3000), rows=False)
+    assert len(asked) == 1 and one.current() is not None
+    assert Fit(1.0).with_more(overflown()).cost == np.inf
