@@ -100,6 +100,7 @@ def options(words: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--file", type=Path, help="of the results (build/matrix-SEED.jsonl)")
     parser.add_argument("--repeats", type=int, default=1, help="rounds over causes, strengths and motors")
     parser.add_argument("--clean", type=int, default=400, help="captures with nothing hidden")
+    parser.add_argument("--most", type=int, help="captures drawn of these at most: a fair sample of all")
     parser.add_argument("--without-current", action="store_true", help="leave it out of every capture")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--table", action="store_true", help="only print what is in the file")
@@ -123,7 +124,7 @@ def main() -> int:
     print(f"draw {asked.seed}: go on with --seed {asked.seed}", file=sys.stderr)
     wanted = [replace(c, current=not asked.without_current) for c in cases(asked.seed, asked.repeats, asked.clean)]
     random.Random(asked.seed).shuffle(wanted)  # what is there when it is stopped is then a fair sample
-    rows = run(asked.file, wanted, judge, asked.workers)
+    rows = run(asked.file, wanted[: asked.most], judge, asked.workers)
     sys.stdout.write(f"draw {asked.seed}: {len(LISTED)} causes, {len(rows)} captures\n{table(rows)}\n")
     return 0
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from servo_daemon.captures import Capture
+from servo_daemon.captures.meaning import takes_no_power
 from servo_daemon.commands.fit.document import parameter_row
 from servo_daemon.commands.fit.notes import result_notes
 from servo_daemon.commands.fit.text import parameter_line
@@ -115,6 +116,21 @@ def test_the_drop_of_brushes_is_in_the_standard_deviation_of_r() -> None:
     assert off_by(honest, BELT_SERVO, "R") < 2.0
 
 
+def test_dry_friction_is_in_the_gain_of_voltage_and_speed() -> None:
+    """Noise that enters the motor explains it as well, and would leave the gain as narrow as it is wrong, by 8 %."""
+    hidden = typical("coulomb_friction", PAPER, 0.08)
+    made = generate(PAPER, Scenario("multisine", 4.0, rate_hz=500.0, effects=hidden, seed=5))
+    speed = made.truth.speed_rad_s
+    noise = 0.004 * np.ptp(speed) * np.random.default_rng(5).standard_normal(len(speed))
+    block = make_block(made.time_s, voltage_V=made.voltage_V, velocity_rad_s=speed + noise)
+    honest, blind = (fit_output_error([Recording("c", block)], (), FitOptions(misfit=m)) for m in (True, False))
+    gain = PAPER.K / (PAPER.B * PAPER.R + PAPER.K**2)
+    of = [next(c for c in fit.combinations if c.expression == "K/(B R + K²)") for fit in (blind, honest)]
+    off = [abs(c.value - gain) / c.std for c in of]
+    assert off[0] > 8.0  # that this test can fail
+    assert off[1] < 2.0
+
+
 @pytest.mark.parametrize("motor", [PAPER, RE40, GEAR_MOTOR], ids=lambda m: m.name)
 def test_where_the_model_is_right_nothing_is_widened(motor: Motor) -> None:
     made = capture(motor, Scenario("multisine", 3.0, seed=7))
@@ -135,6 +151,20 @@ def test_nothing_has_a_value_where_a_channel_is_not_explained() -> None:
     first = result_notes(fit, {}, capture=of)[0]
     assert 'current_A = { signal = "current_A", scale = -1 } }' in first
     assert "explains next to nothing of current_A" in first and "no parameter has a value" in first
+    right = result_notes(fit, {}, capture=replace(of, current_A=current))[0]  # as if a load were what is missing
+    assert "scale" not in right and "the model lacks what moves it" in right
+
+
+def test_a_weight_is_no_turned_sign() -> None:
+    """Lowered, a load drives the motor and its current is of one sign: that is right, and turning it would be wrong."""
+    held = 0.3 * GEAR_MOTOR.supply_V
+    rising = np.repeat([held + 2.0, held, held - 2.0, held], 100)
+    current = np.full(400, 1.3)
+    speed = np.repeat([1.0, 0.0, -1.0, 0.0], 100)
+    shown = Capture(Path("c.csv"), np.arange(400) * 1e-2, rising, current, None, speed)
+    assert not any(takes_no_power(shown, name) for name in ("current_A", "velocity_rad_s"))
+    assert takes_no_power(replace(shown, current_A=-current), "current_A")
+    assert takes_no_power(replace(shown, velocity_rad_s=-speed), "velocity_rad_s")
 
 
 # -- L without a current -----------------------------------------------------------------------------------------------

@@ -6,5 +6,15 @@ from servo_daemon.captures.meaning.finding import Finding
 from servo_daemon.captures.meaning.findings import findings, without_unusable
 from servo_daemon.captures.meaning.given import excluded_values
 from servo_daemon.captures.meaning.restored import SHOWS, Shown, restored_current
+from servo_daemon.captures.meaning.signs import takes_no_power
 
-__all__ = ["SHOWS", "Finding", "Shown", "excluded_values", "findings", "restored_current", "without_unusable"]
+__all__ = [
+    "SHOWS",
+    "Finding",
+    "Shown",
+    "excluded_values",
+    "findings",
+    "restored_current",
+    "takes_no_power",
+    "without_unusable",
+]

@@ -45,6 +45,21 @@ def sign_findings(capture: Capture) -> list[Finding]:
     return [Finding(field, text)]
 
 
+def takes_no_power(capture: Capture, field: str) -> bool:
+    """Whether a channel runs against the effort that it answers, on the whole: a motor with a turned current would feed
+    its supply, one with a turned angle would drive what pushes it. A load that is let down gives back less than lifting
+    it took.
+
+    Args:
+        field: a channel that answers: a current beside a voltage, or the motion.
+    """
+    effort = next(v for v in (capture.voltage_V, capture.current_A, capture.torque_Nm) if v is not None)
+    if field == "current_A" and capture.voltage_V is not None and capture.current_A is not None:
+        return float(capture.voltage_V @ capture.current_A) < 0.0
+    travel = travelled(capture)
+    return travel is not None and float(((effort[1:] + effort[:-1]) / 2) @ travel) < 0.0
+
+
 def _effort(capture: Capture) -> str | None:
     if capture.torque_Nm is not None:
         return "torque_Nm"

@@ -203,10 +203,8 @@ def _header(before: Sequence[tuple[int, str]], dialect: Dialect, width: int) -> 
         if any(n in KNOWN_COLUMNS or meaning(n) is not None for n in names):
             return number, names
         found = found or (number, names)
-    if found is None:  # names that are units only: "ms,mV,mA,counts"
-        found = next(
-            ((n, c) for n, raw in reversed(before) if (c := dialect.names(raw, width)) and _are_units(c)), None
-        )
+    if found is None:  # names that are units only, "ms,mV,mA,counts", or like units, "t,u,n", above a row of those
+        found = next(((n, c) for n, raw in before if (c := dialect.names(raw, width)) and _are_units(c)), None)
     return found
 
 

@@ -47,7 +47,11 @@ def fitted(arguments: argparse.Namespace) -> Fitted:
 
 def _fit(arguments: argparse.Namespace, inputs: Inputs) -> tuple[Identification, dict[str, Any]]:
     options = FitOptions(
-        nominal=inputs.nominal, fixed=inputs.fixed, robust=not arguments.no_robust, segment_s=arguments.segment
+        nominal=inputs.nominal,
+        fixed=inputs.fixed,
+        robust=not arguments.no_robust,
+        segment_s=arguments.segment,
+        holds_voltage=not inputs.meaning.measures_voltage and inputs.meaning.current != "mean",
     )
     result = identify(
         inputs.captures, inputs.validation, IdentifyOptions(inputs.effects, inputs.baseline, options, arguments.adapt)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 
 from servo_daemon.captures import Capture
+from servo_daemon.captures.meaning import takes_no_power
 from servo_daemon.captures.meaning.finding import mend
 from servo_daemon.commands.shared.units import shown_column, shown_unit
 from servo_daemon.identification.output_error import OutputErrorFit
@@ -62,19 +63,26 @@ def result_notes(
             f"the {what} is known at the samples and taken as straight between them; the standard deviations hold "
             "what that may be off by (half a sample's delay at the most)"
         )
-    if fit.problem.plant.drive == "current" and "R" not in nominal and not meaning.measures_voltage:
+    held = not meaning.measures_voltage and meaning.current != "mean"
+    if fit.problem.plant.drive == "current" and "R" not in nominal and held:
         lost, given_by = _held_voltage(fit)
         notes.append(
             f"if the drive holds its voltage for whole samples, J is too small by up to {lost}, which no residual "
-            f"shows and no standard deviation holds; `--fix {given_by}` puts it there"
+            f"shows; its standard deviation holds that of a usual motor, `--fix {given_by}` that of this one"
         )
     return notes
 
 
 def _unexplained(name: str, capture: Capture | None) -> str:
     text = f"the model explains next to nothing of {name}, and no parameter has a value"
-    turned = "" if capture is None else f" {mend(capture, name, {'scale': -1.0})} turns it"
-    return f"{text}: is its sign turned, or its unit wrong?{turned}"
+    if capture is None:
+        return f"{text}: is its sign turned, or its unit wrong?"
+    if takes_no_power(capture, name):
+        return f"{text}: its sign is turned. {mend(capture, name, {'scale': -1.0})} turns it"
+    return (
+        f"{text}: the model lacks what moves it, a load or a friction (`servo-daemon diagnose {capture.path}` looks "
+        "for it, `--effect NAME` adds it), or its unit is wrong"
+    )
 
 
 def _counts_hint(found: Mapping[str, float | None], nominal: Mapping[str, float]) -> list[str]:

@@ -18,7 +18,8 @@ def fit_lines(document: Mapping[str, Any]) -> list[str]:
     model = " + ".join(["linear motor", *document["model"]])
     lines = [f"{', '.join(document['captures'])}: {model}, {document['method']}", ""]
     lines += [
-        f"No values: the model explains next to nothing of {name} (is its sign turned, or its unit wrong?)."
+        f"No values: the model explains next to nothing of {name} "
+        "(a load or friction that the model lacks, a turned sign, or a wrong unit)."
         for name in document.get("unexplained", ())
     ]
     lines += [parameter_line(name, p) for name, p in document["parameters"].items()]

@@ -44,11 +44,12 @@ from servo_daemon.diagnosis.trial.model_discrepancy import longest_missing
 from servo_daemon.diagnosis.trial.noise_floor import measured_levels, noise_floor
 from servo_daemon.diagnosis.trial.split import CHOICE, shorter_s
 from servo_daemon.diagnosis.trial.trial import Trial, fit_trial
-from servo_daemon.diagnosis.verdict.determined import is_determined
+from servo_daemon.diagnosis.verdict.determined import is_determined, is_its_simpler
 from servo_daemon.diagnosis.verdict.other_captures import helps_no_other
 from servo_daemon.errors import NumericalError
 from servo_daemon.identification.output_error import OutputErrorFit
 from servo_daemon.identification.output_error.precision.parameters import FittedParameter
+from servo_daemon.plant.effects import effects_by_name
 
 #: What is left where the motor moves is no more than this share of what the effects explain (right names of the
 #: calibration set: at most 0.05, an eddy-current brake called Coulomb friction: 0.8), but for so many of the samples.
@@ -117,6 +118,9 @@ def believed(selection: Selection, full_fits: FullDataFits) -> Believed:
                 break
             selection = _without(selection, vague[0])
             continue
+        if richer := next((name for name in selection.added if is_its_simpler(name, shown)), None):
+            selection = _simpler(selection, richer)
+            continue
         return found
     return Believed(replace(selection, chosen=selection.base, added=(), equivalent={}), None, None, (), None)
 
@@ -130,6 +134,17 @@ def _without(selection: Selection, name: str) -> Selection:
     # What had its place beside it may have none now.
     chosen, kept = pruned(selection.data, without, others)
     return replace(selection, chosen=chosen, added=tuple(kept))
+
+
+def _simpler(selection: Selection, name: str) -> Selection:
+    """The search's result with what an effect contains in its place, fitted anew."""
+    (instead,) = effects_by_name()[name].simpler[0]
+    other = without_effect(selection.data, selection.chosen, name, instead=(instead,))
+    if other is None:
+        return _without(selection, name)
+    added = tuple(instead if a == name else a for a in selection.added)
+    equivalent = {n: tuple(e for e in ties if e not in added) for n, ties in selection.equivalent.items() if n != name}
+    return replace(selection, chosen=other, added=added, equivalent=equivalent)
 
 
 def _published(selection: Selection, levels: NoiseLevels) -> Believed:

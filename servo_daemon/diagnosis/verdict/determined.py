@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.stats import chi2
 
 from servo_daemon.identification.output_error import OutputErrorFit
 from servo_daemon.identification.output_error.precision.parameters import FittedParameter
@@ -13,6 +14,8 @@ from servo_daemon.plant.effects import effects_by_name
 _KNOWN, _KNOWN_PHASE_RAD = 0.5, 0.5
 #: Part of a gradient along a direction without a trace beyond which a combination is open.
 _LEAK = 1e-4
+#: Log ratios that are zero within their covariance: chance makes their squared distance larger once in 20 times.
+_CHANCE = 0.95
 #: What a torque, an inertia or a stiffness is compared with where its own unit is open: without a current (the voltage
 #: that overcomes it, N·m Ω/(N·m/A)), without a voltage (its current), without either (its acceleration).
 _RELATIVE_TO = ({"R": 1.0, "K": -1.0}, {"K": -1.0}, {"J": -1.0})
@@ -26,6 +29,24 @@ def is_determined(name: str, fit: OutputErrorFit) -> bool:
     """
     free = [p for p in effects_by_name()[name].parameters if p.held != "always" and p.name in fit.problem.free]
     return all(_known(fit.parameters[p.name]) or _known_relatively(p, fit) for p in free)
+
+
+def is_its_simpler(name: str, fit: OutputErrorFit) -> bool:
+    """Whether an effect's values are those of the one that it contains, as far as they are known: nothing speaks for
+    its name then.
+
+    Args:
+        fit: with the effect, as it is published.
+    """
+    info = fit.after
+    alike = effects_by_name()[name].alike
+    pairs = [(a, b) for a, b in alike.items() if {a, b} <= set(info.names)]
+    if not pairs or len(pairs) < len(alike):
+        return False
+    gradient = np.array([[float(n == a) - float(n == b) for n in info.names] for a, b in pairs])
+    apart = np.array([np.log(fit.values[a] / fit.values[b]) for a, b in pairs])
+    root = gradient @ info.root
+    return float(apart @ np.linalg.pinv(root @ root.T) @ apart) < float(chi2.ppf(_CHANCE, len(pairs)))
 
 
 def _known_relatively(p: Parameter, fit: OutputErrorFit) -> bool:

@@ -98,7 +98,7 @@ def fit_output_error(
     if problem.plant.drive != "voltage":
         shifted = make_problem(recordings, effects, options.fixed, segment_s=options.segment_s, input_share=SHIFTED)
         shifted = shifted if options.thorough else carrying(shifted, recordings)
-        given = {**options.nominal, **options.fixed}
+        given = {**options.nominal, **options.fixed} if options.holds_voltage else None
         after = with_input_error(after, recordings, (problem, shifted), solution.point, given)
     at_end = problem.coordinates(solution.point.unknowns, 0)
     answer = voltage_answer(problem.plant, at_end, after, scale)

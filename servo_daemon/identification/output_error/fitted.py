@@ -41,6 +41,8 @@ class FitOptions:
             is no better than what there is need not be exact.
         misfit: standard deviations hold what the model lacks, and nothing has a value where it explains nothing; see
             `misfit.py`.
+        holds_voltage: whether the drive may hold its voltage for whole samples where the voltage is not in the capture;
+            see `input_error.py`.
     """
 
     nominal: Mapping[str, float] = field(default_factory=dict)
@@ -51,6 +53,7 @@ class FitOptions:
     thorough: bool = True
     deviance_below: float = np.inf
     misfit: bool = True
+    holds_voltage: bool = True
 
 
 @dataclass(frozen=True)

@@ -91,6 +91,7 @@ EFFECT = Effect(
     as_simpler=_as_simpler,
     ladder=20,
     simpler=(("coulomb_friction",), ("coulomb_friction", "constant_load_torque")),
+    alike={"Tc_neg": "Tc", "B_neg": "B"},
     told_from={
         "constant_load_torque": "turn the axis round, or take the load off: a load keeps its direction in space, "
         "friction that of motion."

@@ -139,6 +139,7 @@ class Effect:
         further: the effect of which this is a further harmonic; "" if none.
         ladder: its place among the others, simpler causes first.
         simpler: what may stand in its place where a search ends, simplest first; it contains each single one of them.
+        alike: by a parameter of its own, the positive one that it equals where all there is is the first of `simpler`.
         told_from: by another effect's name, the experiment that tells the two apart, in words; one of the two has it.
         kind: what it is among others that one experiment tells apart ("": nothing of them).
         screening: its shapes in what a fit leaves, over a scan of what is not linear, with start values; None: those
@@ -167,6 +168,7 @@ class Effect:
     further: str = ""
     ladder: int = 1_000
     simpler: tuple[tuple[str, ...], ...] = ()
+    alike: Mapping[str, str] = field(default_factory=dict)
     told_from: Mapping[str, str] = field(default_factory=dict)
     kind: Literal["", "friction", "angle", "event"] = ""
     screening: Family | None = None

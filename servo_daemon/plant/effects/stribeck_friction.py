@@ -88,5 +88,6 @@ EFFECT = Effect(
     true_to_name=lambda value: value["Ts"] >= _AT_REST * value["Tc"],
     ladder=30,
     simpler=(("coulomb_friction",),),
+    alike={"Ts": "Tc"},
     substeps=4,
 )

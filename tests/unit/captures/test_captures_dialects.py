@@ -47,6 +47,10 @@ DIALECTS: dict[str, tuple[str | bytes, str]] = {
     "preamble": ("LOG 3\nDate\t2024\n***End***\n\n" + table(VIX, OURS.replace(",", "\t"), "\t"), "3 lines before the"),
     "slashes": ("// logger 1.2\n// motor: a\n" + table(VIX, OURS), ""),
     "units row": (table(VIX, OURS + "\ns,V,A,rad"), "a row of units, 600 rows at 500.0 Hz"),
+    "units row under names like units": (
+        table((M.t, M.v, M.i, DEG), "t\tu\ti\tphi\ns\tV\tA\tdeg", "\t"),
+        "a row of units, 600 rows at 500.0 Hz, t → time_s, u → voltage_V, i → current_A, phi → position_rad",
+    ),
     "units row that scales": (
         table((1e3 * M.t, M.v, M.i, DEG), "Time;Voltage;Current;Angle\n(ms);(V);(A);(deg)", ";", decimal=","),
         "a row of units, 600 rows at 500.0 Hz, Time → time_s, Voltage → voltage_V, Current → current_A, Angle → posi",

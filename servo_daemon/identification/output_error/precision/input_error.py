@@ -16,7 +16,7 @@ samples are where it has fallen most. The mean is larger by (a − 1/2) h (K/R) 
     δJ = −(a − 1/2) h K²/R,
 
 half a sample over the mechanical time constant R J/K² at the most (2 % for an RE 40 at 1 kHz, whatever its motion).
-That shows in no residual; where R is known it is another column, for J alone.
+That shows in no residual; it is another column, for J alone. Where R is not known a usual time constant stands in.
 
 In neither is the input's own noise, which an angle adds up twice: B of a motion with little speed is off by up to 2 %
 where 0.3 to 1 % are claimed. Its rounding is, see `rounding.py`.
@@ -41,6 +41,11 @@ from servo_daemon.samples import F64
 SHIFTED = STRAIGHT + 0.1
 #: Of a number between 0 and 1.
 SHARE_STD = 1.0 / np.sqrt(12.0)
+#: Mechanical time constant of a motor with its load where R is not known, s: motors of catalogues have 3 ms (coreless)
+#: to 30 ms without a load. The fastest one's J is then off by 4 standard deviations, one of 12 ms by 1.
+USUAL_S = 12e-3
+#: A voltage is held for no longer than the loops of slow firmware take, 200 Hz, however seldom it is logged.
+LONGEST_HOLD_S = 5e-3
 #: Keeps a direction that the data do not show where it is, in units of what each unknown is known by.
 _RIDGE = 1e-10
 
@@ -50,7 +55,7 @@ def with_input_error(
     recordings: Sequence[Recording],
     problems: tuple[Problem, Problem],
     point: Point,
-    known: Mapping[str, float],
+    known: Mapping[str, float] | None,
 ) -> Information:
     """The same with the columns of both, and of the input's rounding.
 
@@ -58,11 +63,11 @@ def with_input_error(
         recordings: of the problem.
         problems: it, and the same problem with `input_share=SHIFTED`.
         point: where it is estimated.
-        known: values that are given, by name.
+        known: values that are given, by name; None: the drive holds no voltage for whole samples.
     """
     problem, shifted = problems
     share = SHARE_STD / (SHIFTED - STRAIGHT) * _shifts(problem, [shifted], point)
-    held = _shift_by_held_voltage(problem, point, known)
+    held = np.zeros(len(info.names)) if known is None else _shift_by_held_voltage(problem, point, known)
     rounding = _shifts(problem, rounded_otherwise(problem, recordings), point) / np.sqrt(DRAWS)
     return replace(info, root=np.column_stack([info.root, share, held, rounding]))
 
@@ -98,17 +103,19 @@ def _share_settled(period_s: float, values: Mapping[str, float]) -> float:
 
 
 def _shift_by_held_voltage(problem: Problem, point: Point, known: Mapping[str, float]) -> F64:
-    """1 σ of the parameters' coordinates from not knowing whether the drive held its voltage, shape (k,); zero where R
-    is not known.
+    """1 σ of the parameters' coordinates from not knowing whether the drive held its voltage, shape (k,).
 
     Args:
         known: values that are given, by name.
     """
     names = problem.parameter_of_column
     out = np.zeros(len(names))
-    if problem.plant.drive == "current" and "R" in known and "J" in names:
-        q = dict(zip(problem.plant.parameter_names, problem.coordinates(point.unknowns, 0), strict=True))
+    if problem.plant.drive == "current" and "J" in names:
         h = problem.sample_period_s
-        delta = (_share_settled(h, known) - 0.5) * h * np.exp(2 * q["K"]) / known["R"]
-        out[names.index("J")] = delta / np.exp(q["J"])
+        if "R" in known:
+            q = dict(zip(problem.plant.parameter_names, problem.coordinates(point.unknowns, 0), strict=True))
+            share = (_share_settled(h, known) - 0.5) * h * np.exp(2 * q["K"] - q["J"]) / known["R"]
+        else:
+            share = 0.5 * min(h, LONGEST_HOLD_S) / USUAL_S
+        out[names.index("J")] = share
     return out
