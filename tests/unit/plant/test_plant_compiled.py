@@ -277,7 +277,7 @@ def test_a_damaged_cache_file_is_compiled_again(
     own_cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     function = step_function((), gain=2.0)
-    SampleLoop(function, paced_by=1)
+    SampleLoop(function)
     (library,) = own_cache.iterdir()
     other = tmp_path / "other" / "servo-daemon"  # another path: the loader knows the first one as loaded already
     other.mkdir(parents=True)

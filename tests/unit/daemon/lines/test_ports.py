@@ -15,6 +15,7 @@ from benchmarks.feeder import frames
 from drivers.serial.line import SerialDriver
 from servo_daemon.daemon.lines.ports import Ports
 from servo_daemon.daemon.lines.reader import Reader
+from servo_daemon.samples import SampleBlock
 
 
 class Line:
@@ -69,13 +70,13 @@ def test_a_serial_port_is_read_by_whoever_reads_the_ports_and_its_own_thread_see
     master, path = terminal
     ports, said, readers = Ports(), [], []
     reader = Reader(SerialDriver("axis1", {"port": str(path)}), lambda: None, lambda *told: said.append(told), ports)
-    wait = reader.driver._wait_and_read  # type: ignore[attr-defined]
+    read = reader.driver._read
 
-    def noted(deadline: float) -> bytes | None:
+    def noted(timeout_s: float) -> SampleBlock | None:
         readers.append(threading.current_thread())
-        return wait(deadline)
+        return read(timeout_s)
 
-    reader.driver._wait_and_read = noted  # type: ignore[attr-defined]
+    reader.driver._read = noted  # type: ignore[method-assign]
     reader.start()
     try:
         until(lambda: len(ports) == 1)
