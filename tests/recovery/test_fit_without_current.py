@@ -40,7 +40,8 @@ def test_the_answer_to_the_voltage_is_known_and_the_parameters_are_not(motor: Mo
     found = {c.expression: c for c in fit.combinations}
     assert found.keys() >= truth.keys()
     # The time constant is up to 0.64 % off, 1.7 of its std at most: the hidden noise of the voltage is not white in it.
-    for (name, value), largest in zip(truth.items(), (3e-4, 1e-2, 0.5), strict=True):
+    # The gain's std is 0.03 %, and up to 0.1 % where a dry friction explains what that noise does in these 5 s, too.
+    for (name, value), largest in zip(truth.items(), (1.5e-3, 1e-2, 0.5), strict=True):
         assert found[name].std < largest * value
         assert abs(found[name].value - value) < 4 * found[name].std
     assert fit.answer is not None

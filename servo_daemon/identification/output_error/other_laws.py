@@ -29,15 +29,20 @@ _OTHERS = (
 _NEEDS = {"brush_voltage_drop": "current_A", "speed_filter": "velocity_rad_s"}
 
 
-def by_other_laws(fit: OutputErrorFit, again: Refit) -> F64 | None:
+def by_other_laws(fit: OutputErrorFit, again: Refit, *, dry: bool = False) -> F64 | None:
     """By how much the coordinates of the free parameters may be off, in one direction, where something follows another
-    law: 1 σ, shape (k,). None: the model has these laws, or they explain no more."""
+    law: 1 σ, shape (k,). None: the model has these laws, or they explain no more.
+
+    Args:
+        dry: dry friction alone is asked for.
+    """
     problem = fit.problem
     values = natural_values(problem.plant.parameters, problem.coordinates(fit.solution.point.unknowns, 0))
     held = _held(fit)
     found = [
         again((*problem.plant.effects, name), halved_lag(values, "t_f") if name == "speed_filter" else values, held)
         for name in _missing(fit)
+        if not dry or name == "coulomb_friction"
     ]
     best = min((f for f in found if f is not None), key=lambda f: f.solution.point.value, default=None)
     if best is None or best.solution.point.value > fit.plain.point.value - WORTH:

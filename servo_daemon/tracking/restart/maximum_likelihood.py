@@ -191,7 +191,8 @@ class MaximumLikelihoodRestart:
         self._iterations += 1
         assert iteration.base is not None
         step, covariance = self._step(iteration, iteration.base)
-        known = bool(np.all(np.sqrt(covariance.diagonal())[self._asked] < _KNOWN_STD))
+        var = covariance.diagonal()[self._asked]  # below zero by rounding where nothing is known along some direction
+        known = bool(np.all((var > 0.0) & (var < _KNOWN_STD**2)))
         n = len(self._free)
         length = step[:n] @ np.linalg.pinv(covariance, hermitian=True) @ step[:n]
         if known and 0.0 <= length < _SETTLED**2 and self._explains(iteration.base) and self._goes_on_from(covariance):
