@@ -136,8 +136,10 @@ class Workers:
                 elif not self._is_back_after(slot):
                     self._work_for_long(slot)
                     return
+        with self._lock:
+            waiting = tuple(self._waiting)
         for slot in self.slots:
-            if not slot.takes_long:
+            if not slot.takes_long or slot in waiting:  # the others are offered by the threads that turn them
                 slot.offer()
 
     def _round(self) -> Iterator[DriveSlot]:

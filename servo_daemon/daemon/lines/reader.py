@@ -132,6 +132,7 @@ class Reader:
         self.queue = BlockQueue()
         self.reconnects = 0
         self.last_sample: float | None = None  # host monotonic, s
+        self._looked_s = self._empty_s = 0.0  # the line was last read, and found to have nothing; host monotonic
         self._wake, self._report, self._ports = wake, report, ports
         self._released = threading.Event()  # the ports do not read this line any more
         self._error: Exception | None = None  # why they do not
@@ -165,13 +166,15 @@ class Reader:
 
     @property
     def link(self) -> Link:
-        """State of the line: an open one is connected from its first sample on, and silent when none come."""
+        """State of the line: an open one is connected from its first sample on, and silent when none come. (Where this
+        process gets no time to read, that there are none is not known.)"""
         link, last = self._link, self.last_sample
         if link.connection != "connected":
             return link
         fresh = last is not None and last >= link.changed  # since it was opened
-        since = time.monotonic() - (last if last is not None and fresh else link.changed)
-        if since > SILENT_AFTER_S:
+        before = last if last is not None and fresh else link.changed
+        since = time.monotonic() - before
+        if since > SILENT_AFTER_S and self._empty_s - before > SILENT_AFTER_S:
             return Link("silent", f"open, but no samples for {since:.1f} s", link.changed)
         return link if fresh else Link("connecting", "open, waiting for the first samples", link.changed)
 
@@ -205,9 +208,7 @@ class Reader:
                 if self.driver.can_wait and self.queue.samples > _AHEAD_SAMPLES:
                     self._stop.wait(_LOOK_AGAIN_S)
                     continue
-                block = self.driver.read(READ_TIMEOUT_S)
-                if block is not None:
-                    self._take(block)
+                self._take(self.driver.read(READ_TIMEOUT_S))
         except EndOfStreamError as end:
             self._set("ended", self._text(end))
             self._report("ended", self._text(end))
@@ -251,21 +252,30 @@ class Reader:
             self._error = error
             self._released.set()
             return False
-        if block is not None:
-            self._take(block)
+        self._take(block, self._looked_s or None)
         return True
 
     def _opened(self) -> None:
         self._set("connected", None)
+        self._looked_s = 0.0
         self.reconnects += self._was_open
         # A device that opens and fails again and again without a sample is not back: its first sample says so.
         if not self._barren:
             self._say_up()
         self._was_open = self._barren = True
 
-    def _take(self, block: SampleBlock) -> None:
-        self.last_sample = time.monotonic()
-        self.queue.put(block, self.last_sample)
+    def _take(self, block: SampleBlock | None, since_s: float | None = None) -> None:
+        """
+        Args:
+            block: None: there was nothing.
+            since_s: the line was last read then: the first of its samples may have waited in it since; None: now.
+        """
+        self._looked_s = time.monotonic()
+        if block is None:
+            self._empty_s = self._looked_s
+            return
+        self.last_sample = self._looked_s
+        self.queue.put(block, self.last_sample if since_s is None else since_s)
         self._brought, self._barren = True, False
         self._wake()
         if not self._said_up:

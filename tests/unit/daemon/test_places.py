@@ -28,6 +28,7 @@ class Starting:
         self.reader = SimpleNamespace(queue=SimpleNamespace(samples=1))
         self.go_on, self.begun = threading.Event(), threading.Event()
         self.waited_behind: list[int] = []
+        self.offered = 0
         self.preparing = self.others_start = False
         self.starts = True
 
@@ -45,7 +46,7 @@ class Starting:
         self.waited_behind.append(before)
 
     def offer_state(self) -> None:
-        pass
+        self.offered += 1
 
 
 @pytest.fixture
@@ -114,6 +115,19 @@ def test_a_turn_that_only_waits_gives_its_place_to_the_next(
 
     until(both)
     assert sorted(inside)[:2] == ["a", "b"] and not slots[0].runtime.go_on.is_set()
+
+
+def test_what_a_drive_that_waits_knows_is_kept_at_the_end(
+    begun: Callable[..., tuple[Workers, list[Any], list[str]]],
+) -> None:
+    workers, slots, inside = begun("ab", places=1)
+    until(lambda: inside == ["a"] and slots[1].runtime.waited_behind)
+    workers._stop.set()
+    workers.call()
+    until(lambda: slots[1].runtime.offered == 1)
+    assert slots[0].runtime.offered == 0  # it is in its turn still
+    slots[0].runtime.go_on.set()
+    until(lambda: slots[0].runtime.offered)
 
 
 def test_a_drive_that_waits_for_its_start_loses_nothing_and_says_so() -> None:

@@ -233,6 +233,23 @@ def test_an_open_line_without_samples_is_silent(start: Callable[..., Watched], m
     assert str(w.reader.link.reason).startswith("open, but no samples for ")
 
 
+def test_a_line_that_nobody_has_read_is_not_silent_and_its_samples_have_waited(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A process that gets no processor for seconds knows nothing of the drive, and is late."""
+    now = [100.0]
+    monkeypatch.setattr(reader_module.time, "monotonic", lambda: now[0])
+    reader = Reader(Scripted([]), lambda: None, lambda *_: None)
+    reader._set("connected", None)
+    reader._take(block(0))
+    now[0] += 5.0
+    assert reader.link.connection == "connected"
+    reader._take(block(1), reader._looked_s)
+    reader.queue.take(10)
+    assert reader.queue.waited_s(now[0]) == 5.0
+    now[0] += 5.0
+    reader._take(None)
+    assert reader.link.connection == "silent"
+
+
 def test_a_reopened_line_is_connected_from_its_first_sample_on(start: Callable[..., Watched]) -> None:
     w = start([block(0), lost()], [])
     w.until(lambda: w.reader.reconnects == 1, "open again")
