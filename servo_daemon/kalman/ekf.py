@@ -54,9 +54,7 @@ class Ekf:
         self._state = np.zeros(layout.n_state)
         self._constants = np.zeros(layout.n_constants)
         self.use_instrumental_trajectory(True)
-        rows, columns = np.tril_indices(layout.n_z)
-        order = np.lexsort((rows, columns))  # by columns, as the step packs it
-        self._rows, self._columns = rows[order], columns[order]
+        self._rows, self._columns = layout.triangle
         # Where each element of P is in the state, shape (n_z, n_z), and of the parameters' part alone.
         self._elements = np.empty((layout.n_z, layout.n_z), dtype=np.intp)
         self._elements[self._rows, self._columns] = np.arange(layout.tri.start, layout.tri.stop)

@@ -43,9 +43,7 @@ class FilterpyLoop:
         self._predict = _prediction(plant)
         self._follow = _following(plant)
         self._shown = [_shown(plant, channel) for channel in channels]
-        rows, columns = np.tril_indices(self._lay.n_z)
-        order = np.lexsort((rows, columns))
-        self._rows, self._columns = rows[order], columns[order]
+        self._rows, self._columns = self._lay.triangle
         self._low, self._high = (np.array([bound(p) for p in plant.parameters]) for bound in (_low, _high))
 
     def run(self, state: F64, constants: F64, samples: F64) -> F64:

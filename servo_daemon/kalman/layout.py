@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+from numpy.typing import NDArray
+
 from servo_daemon.plant.build import PlantModel
 
 #: Sums over the samples since they were last taken, kept beside the state so that nothing walks over them again: how
@@ -88,10 +91,16 @@ class EkfLayout:
         return slice(self.n_z, self.n_z + self.n_tri)
 
     @cached_property
+    def triangle(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Row and column of each element of P that is kept: its lower triangle by columns, as the step packs it."""
+        columns, rows = np.triu_indices(self.n_z)
+        return rows, columns
+
+    @cached_property
     def state_covariance(self) -> tuple[int, ...]:
         """The elements of P's part of x, its lower triangle by columns."""
-        starts = [self.n_z + column * self.n_z - column * (column - 1) // 2 - column for column in range(self.n_x)]
-        return tuple(starts[column] + row for column in range(self.n_x) for row in range(column, self.n_x))
+        rows, _ = self.triangle
+        return tuple((self.tri.start + np.flatnonzero(rows < self.n_x)).tolist())
 
     @cached_property
     def held_input(self) -> int:
