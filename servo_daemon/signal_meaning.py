@@ -89,6 +89,12 @@ class SignalMeaning:
         return self.voltage != "held"
 
     @property
+    def may_hold_voltage(self) -> bool:
+        """Whether the drive may hold a voltage that is not in its samples for whole ones: neither its voltage nor its
+        current is measured as that of a control loop which is faster."""
+        return not self.measures_voltage and self.current != "mean"
+
+    @property
     def words(self) -> str:
         """What the voltage is, for a reason."""
         return {"held": "held", "instant": "an instant's", "mean": "a mean"}[self.voltage]

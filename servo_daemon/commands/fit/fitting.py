@@ -51,7 +51,7 @@ def _fit(arguments: argparse.Namespace, inputs: Inputs) -> tuple[Identification,
         fixed=inputs.fixed,
         robust=not arguments.no_robust,
         segment_s=arguments.segment,
-        holds_voltage=not inputs.meaning.measures_voltage and inputs.meaning.current != "mean",
+        holds_voltage=inputs.meaning.may_hold_voltage,
     )
     result = identify(
         inputs.captures, inputs.validation, IdentifyOptions(inputs.effects, inputs.baseline, options, arguments.adapt)

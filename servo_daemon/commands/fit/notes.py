@@ -63,8 +63,7 @@ def result_notes(
             f"the {what} is known at the samples and taken as straight between them; the standard deviations hold "
             "what that may be off by (half a sample's delay at the most)"
         )
-    held = not meaning.measures_voltage and meaning.current != "mean"
-    if fit.problem.plant.drive == "current" and "R" not in nominal and held:
+    if fit.problem.plant.drive == "current" and "R" not in nominal and meaning.may_hold_voltage:
         lost, given_by = _held_voltage(fit)
         notes.append(
             f"if the drive holds its voltage for whole samples, J is too small by up to {lost}, which no residual "

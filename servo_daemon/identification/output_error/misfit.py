@@ -99,7 +99,8 @@ def _discrepancy(fit: OutputErrorFit, scale: F64, again: Refit, square: float, l
     parts = [np.zeros((k, 0))]
     if square:
         parts.append(math.sqrt(_ALONG * square) * information(fit.problem, fit.solution.point, scale).root)
-    if square or likelier is not None:  # noise that enters the motor explains dry friction, too; and drag explains it
+    # Noise that enters the motor passes for dry friction and the other way round; drag explains it by chance.
+    if square or likelier is not None:
         laws = by_other_laws(fit, again, dry=not square)
         parts += [] if laws is None else [laws[:, None]]
     # Along a null direction it says nothing how far the two estimates are apart.
