@@ -252,12 +252,12 @@ class Reader:
             self._error = error
             self._released.set()
             return False
-        self._take(block, self._looked_s or None)
+        self._take(block, since_s=self._looked_s)
         return True
 
     def _opened(self) -> None:
         self._set("connected", None)
-        self._looked_s = 0.0
+        self._looked_s = time.monotonic()
         self.reconnects += self._was_open
         # A device that opens and fails again and again without a sample is not back: its first sample says so.
         if not self._barren:
@@ -265,11 +265,7 @@ class Reader:
         self._was_open = self._barren = True
 
     def _take(self, block: SampleBlock | None, since_s: float | None = None) -> None:
-        """
-        Args:
-            block: None: there was nothing.
-            since_s: the line was last read then: the first of its samples may have waited in it since; None: now.
-        """
+        """What a reading has brought, None: nothing; the first of it may have waited in the line since then."""
         self._looked_s = time.monotonic()
         if block is None:
             self._empty_s = self._looked_s
