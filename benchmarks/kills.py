@@ -90,8 +90,10 @@ def live(config: Path, state: Path, rng: np.random.Generator, in_write: bool, fo
     return up_s, killed_s
 
 
-def compare(file: Path, before: dict[str, list[float]], up_s: float, killed_s: float, found: Found) -> None:
-    """What a kill has cost. Reading recovers the database as the next start would."""
+def compare(
+    file: Path, before: dict[str, list[float]], up_s: float, killed_s: float, found: Found
+) -> dict[str, list[float]]:
+    """What a kill has cost; the rows that are there now. Reading recovers the database as the next start would."""
     now = times_of_rows(file)
     found.lost_s.append(max(killed_s - max([up_s, *now[drive]]) for drive in DRIVES))
     found.gone += sum(len(set(before[drive]) - set(now[drive])) for drive in DRIVES)
@@ -100,6 +102,7 @@ def compare(file: Path, before: dict[str, list[float]], up_s: float, killed_s: f
     with contextlib.closing(sqlite3.connect(file)) as connection:
         (verdict,) = connection.execute("PRAGMA integrity_check").fetchone()
     found.broken += [] if verdict == "ok" else [str(verdict)]
+    return now
 
 
 def lives(folder: Path, kills: int, seed: int) -> Found:
@@ -111,8 +114,7 @@ def lives(folder: Path, kills: int, seed: int) -> Found:
     before = times_of_rows(state / FILE)
     for k in range(kills):
         up_s, killed_s = live(config, state, rng, k % 2 == 1, found)
-        compare(state / FILE, before, up_s, killed_s, found)
-        before = times_of_rows(state / FILE)
+        before = compare(state / FILE, before, up_s, killed_s, found)
         print(f"kill {k + 1} of {kills}: {found.lost_s[-1]:.1f} s lost", file=sys.stderr, flush=True)
     program = DaemonProgram("--config", config, "--state-dir", state)
     try:
