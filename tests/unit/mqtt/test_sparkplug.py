@@ -38,35 +38,37 @@ def test_births_data_by_alias_and_deaths(broker: Broker) -> None:
     known = (*parameters_at(1.0)[:4], *parameters_at(1.0, "unexcited")[4:])
     estimate = make_estimate(parameters=known, health={"alarms": None})
     drive.publish(make_snapshot(estimate=estimate))
-    with Listener(broker.port) as ear, publishing(broker, [drive], encoding="sparkplug"):
-        (node,), (device,) = (list(map(read, ear.wait(topic))) for topic in (NBIRTH, DBIRTH))
-        assert (node["seq"], device["seq"]) == (0, 1)
-        metrics = by_name(node)
-        assert (metrics["bdSeq"]["value"], metrics["bdSeq"]["datatype"]) == (0, 8)
-        rebirth = metrics["Node Control/Rebirth"]
-        assert (rebirth["value"], rebirth["datatype"], "alias" in rebirth) == (0, 11, False)
-        born = by_name(device)
-        R, B = born["parameters/R/value"], born["parameters/B/value"]
-        assert (R["value"], R["datatype"], R["properties"]) == (known[0].value, 10, {"engUnit": "Ω"})
-        assert (B["is_null"], "value" in B, born["parameters/B/status"]["value"]) == (1, False, "unexcited")
-        assert (born["alarms/R_max"]["value"], born["connection"]["value"]) == (0, "connected")
-        assert R["timestamp"] == round((T0 + 1.0) * 1e3)
-        aliases = [m["alias"] for p in (node, device) for m in p["metrics"] if "alias" in m]
-        assert len(set(aliases)) == len(aliases) == len(device["metrics"]) + 1
+    with Listener(broker.port) as ear:
+        with publishing(broker, [drive], encoding="sparkplug"):
+            (node,), (device,) = (list(map(read, ear.wait(topic))) for topic in (NBIRTH, DBIRTH))
+            assert (node["seq"], device["seq"]) == (0, 1)
+            metrics = by_name(node)
+            assert (metrics["bdSeq"]["value"], metrics["bdSeq"]["datatype"]) == (0, 8)
+            rebirth = metrics["Node Control/Rebirth"]
+            assert (rebirth["value"], rebirth["datatype"], "alias" in rebirth) == (0, 11, False)
+            born = by_name(device)
+            R, B = born["parameters/R/value"], born["parameters/B/value"]
+            assert (R["value"], R["datatype"], R["properties"]) == (known[0].value, 10, {"engUnit": "Ω"})
+            assert (B["is_null"], "value" in B, born["parameters/B/status"]["value"]) == (1, False, "unexcited")
+            assert (born["alarms/R_max"]["value"], born["connection"]["value"]) == (0, "connected")
+            assert R["timestamp"] == round((T0 + 1.0) * 1e3)
+            aliases = [m["alias"] for p in (node, device) for m in p["metrics"] if "alias" in m]
+            assert len(set(aliases)) == len(aliases) == len(device["metrics"]) + 1
 
-        rings = make_estimate(parameters=known, health={"alarms": "R_max"})
-        drive.publish(make_snapshot(estimate=rings))
-        data = read(ear.wait(DDATA)[0])
-        assert [(m["alias"], m["value"], "name" in m) for m in data["metrics"]] == [
-            (born["alarms/R_max"]["alias"], 1, False)
-        ]
-        drive.log.add("alarm", "R is high")
-        event = read(ear.wait(NDATA)[0])["metrics"][0]
-        assert (event["alias"], json.loads(event["value"])["message"]) == (metrics["event"]["alias"], "R is high")
-        drive.lose("down", "unplugged")
-        ear.wait(DDEATH)
-        drive.publish(make_snapshot())
-        ear.wait(DBIRTH, 2)
+            rings = make_estimate(parameters=known, health={"alarms": "R_max"})
+            drive.publish(make_snapshot(estimate=rings))
+            data = read(ear.wait(DDATA)[0])
+            assert [(m["alias"], m["value"], "name" in m) for m in data["metrics"]] == [
+                (born["alarms/R_max"]["alias"], 1, False)
+            ]
+            drive.log.add("alarm", "R is high")
+            event = read(ear.wait(NDATA)[0])["metrics"][0]
+            assert (event["alias"], json.loads(event["value"])["message"]) == (metrics["event"]["alias"], "R is high")
+            drive.lose("down", "unplugged")
+            ear.wait(DDEATH)
+            drive.publish(make_snapshot())
+            ear.wait(DBIRTH, 2)
+        ear.wait(NDEATH)  # it is on its way when the sink has ended
     assert kinds(ear)[-2:] == ["DDEATH", "NDEATH"]
     death = read(ear.of(NDEATH)[-1])
     assert ("seq" in death, by_name(death).keys(), by_name(death)["bdSeq"]["value"]) == (False, {"bdSeq"}, 0)
