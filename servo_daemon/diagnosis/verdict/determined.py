@@ -6,7 +6,6 @@ import numpy as np
 from scipy.stats import chi2
 
 from servo_daemon.identification.output_error import OutputErrorFit
-from servo_daemon.identification.output_error.precision.parameters import FittedParameter
 from servo_daemon.parameters import Parameter
 from servo_daemon.plant.effects import effects_by_name
 
@@ -28,7 +27,7 @@ def is_determined(name: str, fit: OutputErrorFit) -> bool:
         fit: with the effect, as it is published.
     """
     free = [p for p in effects_by_name()[name].parameters if p.held != "always" and p.name in fit.problem.free]
-    return all(_known(fit.parameters[p.name]) or _known_relatively(p, fit) for p in free)
+    return all(_known(p, fit) for p in free)
 
 
 def is_its_simpler(name: str, fit: OutputErrorFit) -> bool:
@@ -49,6 +48,14 @@ def is_its_simpler(name: str, fit: OutputErrorFit) -> bool:
     return float(apart @ np.linalg.pinv(root @ root.T) @ apart) < float(chi2.ppf(_CHANCE, len(pairs)))
 
 
+def _known(p: Parameter, fit: OutputErrorFit) -> bool:
+    """Itself; where no value can be given because a unit is open, as a multiple."""
+    found = fit.parameters[p.name]
+    if found.status != "estimated" or found.value is None or not found.std:
+        return _known_relatively(p, fit)
+    return found.std < (_KNOWN_PHASE_RAD if found.unit == "rad" else _KNOWN * abs(found.value))
+
+
 def _known_relatively(p: Parameter, fit: OutputErrorFit) -> bool:
     """Of a positive parameter: logarithms add up."""
     info = fit.after
@@ -59,9 +66,3 @@ def _known_relatively(p: Parameter, fit: OutputErrorFit) -> bool:
         if leak <= _LEAK * float(np.linalg.norm(gradient)) and float(np.linalg.norm(gradient @ info.root)) < _KNOWN:
             return True
     return False
-
-
-def _known(p: FittedParameter) -> bool:
-    if p.status != "estimated" or p.value is None or not p.std:
-        return False
-    return p.std < (_KNOWN_PHASE_RAD if p.unit == "rad" else _KNOWN * abs(p.value))

@@ -4,8 +4,8 @@ Noise that enters the motor adds up along a free run, until after half a second 
 winding that warms up makes. A fit that knows of such noise predicts each sample from those before it, and there
 nothing adds up: on clean captures the deviances (−2 log p) with and without an effect differ as chance has it, by −2 to
 4, with one that is there by 100 to 2,000. An effect is named if the data are white with it and far likelier than
-without, and if it predicts the times that decide better where neither fit has seen them. The gain is that of the times
-held out, of which none of this has seen anything.
+without, if it predicts the times that decide better where neither fit has seen them, and if its parameters are known.
+The gain is that of the times held out, of which none of this has seen anything.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from servo_daemon.diagnosis.trial.likelihood import far_below, far_likelier
 from servo_daemon.diagnosis.trial.model_discrepancy import longest_missing
 from servo_daemon.diagnosis.trial.scored import Scored
 from servo_daemon.diagnosis.trial.trial import Trial, fit_trial, model_exists
+from servo_daemon.diagnosis.verdict.determined import is_determined
 from servo_daemon.diagnosis.verdict.predicted import predictions_of_both
 from servo_daemon.diagnosis.verdict.result import CandidateScore, Finding, HeldOut, NamedEffect
 from servo_daemon.identification.output_error import OutputErrorFit, Recording
@@ -73,6 +74,8 @@ def found_by_predictions(
     if both is None:
         return None
     published = _fitted(FullDataFits(data.full), best) or full
+    if not is_determined(best.name, published):
+        return None
     before, after = both
     removed, ci95 = error_removed(before.errors, after.errors, after.expected)
     richer = (best.name, *CONTAINED.get(best.name, ()))
