@@ -6,10 +6,11 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from sklearn.ensemble import RandomForestRegressor
 
 from servo_daemon.errors import BadInputError
 from servo_daemon.learning.learners.grnn import GRNN
-from servo_daemon.learning.learners.screening import forest
+from servo_daemon.learning.learners.screening import forest, forest_prediction
 from servo_daemon.learning.learners.trees import boosted_trees
 from servo_daemon.samples import F64
 
@@ -22,7 +23,7 @@ _MAX_WINDOWS, _MAX_ITER = 2000, 60
 _TREES = 100
 
 
-def make_learner(name: str, *, jobs: int = -1, seed: int = 0, windows: int = _MAX_WINDOWS) -> Any:
+def make_learner(name: str, *, seed: int = 0, windows: int = _MAX_WINDOWS) -> Any:
     """An estimator with `fit(X, y)` and `predict(X)`.
 
     Args:
@@ -34,7 +35,7 @@ def make_learner(name: str, *, jobs: int = -1, seed: int = 0, windows: int = _MA
     if name == "grnn":
         return GRNN(n_prototypes=PROTOTYPES, max_windows=windows, max_iter=_MAX_ITER, random_state=seed)
     if name == "forest":
-        return forest(_TREES, jobs, seed)
+        return forest(_TREES, seed)
     if name == "boosting":
         from sklearn.ensemble import HistGradientBoostingRegressor
         from sklearn.multioutput import MultiOutputRegressor
@@ -64,5 +65,6 @@ def predict(learner: Any, X: F64) -> tuple[F64, F64]:
     """Outputs and their std by the learner's own idea (1 for one that has none), both of shape (n, m)."""
     if isinstance(learner, GRNN):
         return learner.answer(X)
-    value = np.asarray(learner.predict(X), dtype=np.float64)
+    is_forest = isinstance(learner, RandomForestRegressor)
+    value = forest_prediction(learner, X) if is_forest else np.asarray(learner.predict(X), dtype=np.float64)
     return value, np.ones_like(value)

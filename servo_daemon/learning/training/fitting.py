@@ -64,14 +64,12 @@ def train_model(
     *,
     target: Target = "correction",
     learner: Learner = "grnn",
-    jobs: int = -1,
     say: Say | None = None,
 ) -> LearnedModel:
     """Screen, fit, calibrate.
 
     Args:
         windows: simulated ones of this spec, novel ones among them, and measured ones.
-        jobs: cores.
         say: told what is being done.
 
     Raises:
@@ -85,10 +83,10 @@ def train_model(
     preparation = Preparation().fit(fit.windows.features)
     X = preparation.transform(fit.windows.features)
     y = bounded(target, fit.wanted)  # where the regression is useless, it is not to rule
-    screening = screen(X, y, fit.role == "screen", jobs=jobs, seed=spec.seed)
+    screening = screen(X, y, fit.role == "screen", seed=spec.seed)
     tell("fitting")
     kept = screening.kept
-    fitted = fit_learner(make_learner(learner, jobs=jobs, seed=spec.seed), X[:, kept], y, fit.windows.motor)
+    fitted = fit_learner(make_learner(learner, seed=spec.seed), X[:, kept], y, fit.windows.motor)
     tell("calibrating")
     predicted = predict(fitted, preparation.transform(held.windows.features)[:, kept])
     intervals = _intervals(held, predicted, held.role == "calibrate")

@@ -56,6 +56,6 @@ def train(
     simulated_s = time.perf_counter() - began
     if job.measured is not None:
         windows = windows.joined(job.measured)
-    model = train_model(spec, windows, target=job.target, learner=job.learner, jobs=job.jobs, say=say)
+    model = train_model(spec, windows, target=job.target, learner=job.learner, say=say)
     facts = dict(model.facts) | {"motors_drawn": job.motors, "windows": len(windows), "simulation_s": simulated_s}
     return replace(model, facts=facts)

@@ -38,7 +38,7 @@ def start(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callable[
 
 @pytest.fixture(scope="module")
 def model() -> LearnedModel:
-    return train_model(SPEC, simulate_motors(SPEC, range(130), draw_parameters(SPEC, 130), novel=True), jobs=1)
+    return train_model(SPEC, simulate_motors(SPEC, range(130), draw_parameters(SPEC, 130), novel=True))
 
 
 def config(*, nominal: dict[str, float] | None = None, refresh: bool = True, **learning: Any) -> Any:
