@@ -22,7 +22,7 @@ from servo_daemon.errors import NumericalError
 from servo_daemon.pipeline.drive_warnings import DriveWarnings
 from servo_daemon.pipeline.event_log import EventLog
 from servo_daemon.pipeline.model_change import ModelRequest, change_message, describe_model
-from servo_daemon.pipeline.pipeline import Pipeline, all_finite
+from servo_daemon.pipeline.pipeline import Pipeline
 from servo_daemon.pipeline.publish import SavedState
 from servo_daemon.pipeline.ring import SampleRing
 from servo_daemon.pipeline.views import with_onboard
@@ -152,7 +152,7 @@ class Estimation:
             self.worked_s += float(run[-1].time_s[-1] - run[0].time_s[0])
         self.repeated += pipeline.samples_repeated - repeated
         estimate = pipeline.current()
-        if estimate is not None and not all_finite(estimate):
+        if estimate is not None and not estimate.is_finite:
             raise NumericalError("an estimate is not a number")
         self._events.tell(pipeline.messages)
         pipeline.messages.clear()

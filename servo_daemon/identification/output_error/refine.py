@@ -33,7 +33,7 @@ from servo_daemon.identification.output_error.noise.noise import (
 )
 from servo_daemon.identification.output_error.noise.whitening import channel_weights, moving, tangents
 from servo_daemon.identification.output_error.problem.event_times import event_times_of, profile
-from servo_daemon.identification.output_error.problem.lazy import linearise
+from servo_daemon.identification.output_error.problem.linearisation import linearise
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.solver.solver import Point, normal_equations, point_of, within
 from servo_daemon.identification.output_error.whitened_point import whiten_point, whitened_value

@@ -12,7 +12,7 @@ import pytest
 from servo_daemon.errors import BadInputError
 from servo_daemon.identification.output_error import FitOptions, Recording, fit_output_error
 from servo_daemon.identification.output_error.problem import lazy
-from servo_daemon.identification.output_error.problem.lazy import linearise
+from servo_daemon.identification.output_error.problem.linearisation import linearise
 from servo_daemon.identification.output_error.problem.rollout import free_run, simulate, simulate_many
 from servo_daemon.identification.output_error.problem.score import measured_speed, score
 from servo_daemon.identification.output_error.problem.setup import make_problem

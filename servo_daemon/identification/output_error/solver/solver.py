@@ -18,8 +18,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_daemon.identification.output_error.problem.lazy import linearise
-from servo_daemon.identification.output_error.problem.problem import Linearised, Problem
+from servo_daemon.identification.output_error.problem.linearisation import Linearised, linearise
+from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.solver.bordered import solve_bordered
 from servo_daemon.identification.output_error.solver.robust import sample_weights
 from servo_daemon.samples import F64
