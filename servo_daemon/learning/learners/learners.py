@@ -23,17 +23,14 @@ _MAX_WINDOWS, _MAX_ITER = 2000, 60
 _TREES = 100
 
 
-def make_learner(name: str, *, seed: int = 0, windows: int = _MAX_WINDOWS) -> Any:
+def make_learner(name: str, *, seed: int = 0) -> Any:
     """An estimator with `fit(X, y)` and `predict(X)`.
-
-    Args:
-        windows: on how many the GRNN's bandwidths are fitted at most.
 
     Raises:
         BadInputError: no such learner.
     """
     if name == "grnn":
-        return GRNN(n_prototypes=PROTOTYPES, max_windows=windows, max_iter=_MAX_ITER, random_state=seed)
+        return GRNN(n_prototypes=PROTOTYPES, max_windows=_MAX_WINDOWS, max_iter=_MAX_ITER, random_state=seed)
     if name == "forest":
         return forest(_TREES, seed)
     if name == "boosting":

@@ -23,7 +23,7 @@ _ALIKE = 0.9
 #: them, but a GRNN, which has a bandwidth for each, is 5 % better with two fifths and gains nothing by more.
 _SHARES = (0.4, 0.5)
 _MOST_LOSS = 0.02
-_REPEATS = 3
+_TREES, _REPEATS = 60, 3
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def forest_prediction(fitted: RandomForestRegressor, X: F64) -> F64:
     return np.asarray(np.mean([tree.predict(rows, check_input=False) for tree in fitted.estimators_], axis=0))
 
 
-def screen(X: F64, y: F64, held_out: NDArray[np.bool_], *, trees: int = 60, seed: int = 0) -> Screening:
+def screen(X: F64, y: F64, held_out: NDArray[np.bool_], *, seed: int = 0) -> Screening:
     """Screen prepared features.
 
     Args:
@@ -70,7 +70,7 @@ def screen(X: F64, y: F64, held_out: NDArray[np.bool_], *, trees: int = 60, seed
         held_out: shape (n,): windows of motors that the forest is not to see.
     """
     train, y_test, X_test = ~held_out, y[held_out], X[held_out]
-    fitted = forest(trees, seed).fit(X[train], y[train])
+    fitted = forest(_TREES, seed).fit(X[train], y[train])
     base = _error(forest_prediction(fitted, X_test), y_test)
     group = correlated_groups(X[train])
     importance = _importance(fitted, X_test, y_test, base, group, np.random.default_rng(seed))
@@ -78,7 +78,7 @@ def screen(X: F64, y: F64, held_out: NDArray[np.bool_], *, trees: int = 60, seed
     sizes = sorted({max(1, int(share * X.shape[1])) for share in _SHARES})
     for size in sizes:
         kept = _within_groups(order, group, size)
-        with_kept = forest(trees, seed).fit(X[train][:, kept], y[train])
+        with_kept = forest(_TREES, seed).fit(X[train][:, kept], y[train])
         error = _error(forest_prediction(with_kept, X_test[:, kept]), y_test)
         if error <= (1.0 + _MOST_LOSS) * base or size == sizes[-1]:
             return Screening(kept, importance, group, base, error)
