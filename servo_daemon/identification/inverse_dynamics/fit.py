@@ -23,14 +23,11 @@ from servo_daemon.identification.inverse_dynamics.filter import Filter, FilterCh
 from servo_daemon.identification.inverse_dynamics.integral import moves_of, rows_in_windows
 from servo_daemon.identification.inverse_dynamics.result import Found, as_estimates, sorted_out
 from servo_daemon.identification.inverse_dynamics.shaft import check_effects, has_dry_friction, kinematics, rows
-from servo_daemon.identification.inverse_dynamics.signals import EvenStretch, even_stretch, pieces
+from servo_daemon.identification.inverse_dynamics.signals import FEWEST, EvenStretch, even_stretch, pieces
 from servo_daemon.identification.inverse_dynamics.solve import MakeRows, blurred, solve_shaft
 from servo_daemon.numerics import sample_period
 from servo_daemon.regression.linear_regression import ROBUST, autocorrelation
 from servo_daemon.samples import F64, SampleBlock
-
-#: Shorter pieces between gaps are left out.
-_FEWEST = 50
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,13 +109,13 @@ def identify_inverse_dynamics(
     given = dict(fixed or {})
     channels = _check_signals(blocks, effects, given)
     period = float(np.median(np.concatenate([np.diff(b.time_s) for b in blocks])))
-    whole = [piece for block in blocks for piece in pieces(block) if len(piece) >= _FEWEST]
+    whole = [piece for block in blocks for piece in pieces(block) if len(piece) >= FEWEST]
     moves = None
     if choice is None and has_dry_friction(effects):
         moves = moves_of(blocks, sum(map(len, whole)))
     choice = choice or FilterChoice()
     if not whole and moves is None:
-        raise BadInputError(f"no {_FEWEST} samples without a gap: nothing can be filtered and differentiated")
+        raise BadInputError(f"no {FEWEST} samples without a gap: nothing can be filtered and differentiated")
     notes: list[str] = []
     armature, filters = None, dict[str, Filter]()
     if {"voltage_V", "current_A"} <= channels and "torque_Nm" not in channels:
@@ -156,7 +153,7 @@ def _note_on_lost(whole: Sequence[SampleBlock], blocks: Sequence[SampleBlock]) -
     lost = n - sum(map(len, whole))
     if not lost:
         return []
-    return [f"{lost} of {n} samples are not used: fewer than {_FEWEST} in a row between gaps cannot be filtered"]
+    return [f"{lost} of {n} samples are not used: fewer than {FEWEST} in a row between gaps cannot be filtered"]
 
 
 def _inductances(armature: ArmatureFit | None, given: Mapping[str, float]) -> tuple[float, ...]:
