@@ -54,9 +54,12 @@ def cached_model(spec: TrainingSpec, motors: int, learner: str | None = None) ->
 def kept_model(wanted: TrainingSpec, learner: str) -> LearnedModel | None:
     """The newest kept model of this learner that can be asked about this drive's windows, whoever trained it and with
     how many motors; None: there is none."""
+    paths = sorted(_directory().glob("*.model"), key=_changed, reverse=True)
+    if not paths:  # what follows loads scikit-learn: a second of CPU
+        return None
     from servo_daemon.learning.model.model_file import load_model, trained_as
 
-    for path in sorted(_directory().glob("*.model"), key=_changed, reverse=True):
+    for path in paths:
         try:
             spec, trained = trained_as(path)
             if trained == learner and serves(spec, wanted):
