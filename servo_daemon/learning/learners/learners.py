@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.ensemble import RandomForestRegressor
 
 from servo_daemon.errors import BadInputError
+from servo_daemon.learning import LEARNERS
 from servo_daemon.learning.learners.grnn import GRNN
 from servo_daemon.learning.learners.screening import forest, forest_prediction
 from servo_daemon.learning.learners.trees import boosted_trees
 from servo_daemon.samples import F64
 
-Learner = Literal["grnn", "forest", "boosting", "ridge", "neighbours"]
-LEARNERS: tuple[Learner, ...] = get_args(Learner)
 #: Of the GRNN: bounds a prediction's time and the model's size. Fewer prototypes than windows cost accuracy (a quarter
 #: of 4,000: 5 %), and 6,000 a prediction only 0.2 ms.
 PROTOTYPES = 6000

@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.errors import BadInputError
+from servo_daemon.learning import Learner
 from servo_daemon.learning.examples.drawing import TrainingSpec
 from servo_daemon.learning.examples.targets import Baseline, Target, baseline, bounded, coordinate_scale, encode
 from servo_daemon.learning.examples.training import FAULTY, FOREIGN, HEALTHY, TARGETS, TrainingSet
 from servo_daemon.learning.features.preparation import Preparation
 from servo_daemon.learning.learners.conformal import FEWEST_CALIBRATED, Intervals, calibrate
 from servo_daemon.learning.learners.familiarity import Familiarity
-from servo_daemon.learning.learners.learners import Learner, fit_learner, make_learner, predict
+from servo_daemon.learning.learners.learners import fit_learner, make_learner, predict
 from servo_daemon.learning.learners.screening import Screening, screen
 from servo_daemon.learning.model.model import LearnedModel
 from servo_daemon.learning.model.novelty import Looks, Novelty

@@ -6,11 +6,10 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from servo_daemon.learning import DEFAULT_MOTORS
+from servo_daemon.learning import DEFAULT_MOTORS, Learner
 from servo_daemon.learning.examples.drawing import TrainingSpec
 from servo_daemon.learning.examples.targets import Target
 from servo_daemon.learning.examples.training import TrainingSet, simulate_training
-from servo_daemon.learning.learners.learners import Learner
 from servo_daemon.learning.model.model import LearnedModel
 from servo_daemon.learning.training.fitting import train_model
 

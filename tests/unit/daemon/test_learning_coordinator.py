@@ -109,10 +109,15 @@ def training(monkeypatch: pytest.MonkeyPatch) -> type[Trained]:
     return Trained
 
 
-def test_where_none_is_kept_scikit_learn_is_not_loaded_for_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_for_a_model_of_another_drive_scikit_learn_is_not_loaded(
+    model: LearnedModel, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    save_model(model, tmp_path / "other.model")
     monkeypatch.setattr(cache, "_directory", lambda: tmp_path)
     monkeypatch.setitem(sys.modules, "servo_daemon.learning.model.model_file", None)
-    assert cache.kept_model(SPEC, "grnn") is None
+    assert cache.kept_model(replace(SPEC, effects=("coulomb_friction",)), "grnn") is None
+    with pytest.raises(ImportError):
+        cache.kept_model(SPEC, "grnn")
 
 
 def test_a_kept_model_is_taken(start: Callable[..., Rig], model: LearnedModel, training: type[Trained]) -> None:
