@@ -30,7 +30,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from servo_daemon.identification.output_error import FitOptions, OutputErrorFit, Recording, fit_output_error
-from servo_daemon.identification.output_error.problem.lazy import linearise
+from servo_daemon.identification.output_error.problem.linearisation import linearise
 from servo_daemon.plant import equations
 from servo_daemon.samples import F64, SampleBlock, make_block
 from tests.recovery.generator import PAPER, Scenario, Sensors, generate

@@ -49,9 +49,9 @@ def main() -> None:
     arguments = _arguments()
     spec = TrainingSpec(dict(PAPER_MOTOR))
     began, cpu = time.perf_counter(), _cpu_s()
-    train = simulate_training(spec, arguments.motors, novel=True, jobs=arguments.jobs)
+    train = simulate_training(spec, arguments.motors, novel=True)
     simulated = time.perf_counter() - began
-    model = train_model(spec, train, jobs=arguments.jobs)
+    model = train_model(spec, train)
     whole = time.perf_counter() - began
     _workers_done()
     print(
@@ -66,14 +66,14 @@ def main() -> None:
     if arguments.times:
         _times(spec, model)
         return
-    test = simulate_training(TrainingSpec(dict(PAPER_MOTOR), seed=1), arguments.test, jobs=arguments.jobs)
+    test = simulate_training(TrainingSpec(dict(PAPER_MOTOR), seed=1), arguments.test)
     other = _generated(spec, arguments.generated)
     _coverage(model, test, "own simulation")
     _coverage(model, other, "generator")
     abstention(spec, model, test, arguments.faulty)
     _times(spec, model)
     tests = {"own simulation": test, "generator": other}
-    compare_learners(spec, model, train.only(train.kind == HEALTHY), tests, arguments.jobs)
+    compare_learners(spec, model, train.only(train.kind == HEALTHY), tests)
     _classic(spec, model, arguments.classic)
 
 
@@ -85,7 +85,6 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--classic", type=int, default=150, help="windows for the filter and output error")
     parser.add_argument("--faulty", type=int, default=1200, help="windows of each fault and of each distance outside")
     parser.add_argument("--times", action="store_true", help="only time and memory")
-    parser.add_argument("--jobs", type=int, default=-1)
     return parser.parse_args()
 
 

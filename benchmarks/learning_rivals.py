@@ -35,7 +35,7 @@ def _grnn_settings(X: F64, y: F64) -> list[Fit]:
     return [_estimator(lambda s=s: GRNN(bandwidth=s * h, random_state=0)) for s in (0.9, 1.0, 1.1, 1.25)]  # type: ignore[misc]
 
 
-def _settings(name: str, X: F64, y: F64, jobs: int) -> list[Fit]:
+def _settings(name: str, X: F64, y: F64) -> list[Fit]:
     from sklearn.ensemble import HistGradientBoostingRegressor
     from sklearn.linear_model import Ridge
     from sklearn.multioutput import MultiOutputRegressor
@@ -44,7 +44,7 @@ def _settings(name: str, X: F64, y: F64, jobs: int) -> list[Fit]:
     if name == "grnn":
         return _grnn_settings(X, y)
     if name == "forest":
-        return [_estimator(lambda k=k: forest(100, jobs, 0).set_params(min_samples_leaf=k)) for k in (1, 3, 8, 20)]  # type: ignore[misc]
+        return [_estimator(lambda k=k: forest(100, 0).set_params(min_samples_leaf=k)) for k in (1, 3, 8, 20)]  # type: ignore[misc]
     if name == "neighbours":
         return [_estimator(lambda k=k: KNeighborsRegressor(k, weights="distance")) for k in (4, 8, 16, 32)]  # type: ignore[misc]
     if name == "ridge":
@@ -61,7 +61,7 @@ def _settings(name: str, X: F64, y: F64, jobs: int) -> list[Fit]:
 
 
 def compare_learners(
-    spec: TrainingSpec, model: LearnedModel, train: TrainingSet, tests: Mapping[str, TrainingSet], jobs: int
+    spec: TrainingSpec, model: LearnedModel, train: TrainingSet, tests: Mapping[str, TrainingSet]
 ) -> None:
     """Prints a table; train: healthy windows; tests: those of held-out motors, by name."""
     base = baseline(train.features, spec.nominal, spec.spread)
@@ -88,7 +88,7 @@ def compare_learners(
     )
     for title, name, target, columns in rows:
         began = time.perf_counter()
-        predictor = _tuned(spec, name, target, train, prepared, columns, held, jobs)
+        predictor = _tuned(spec, name, target, train, prepared, columns, held)
         found = {}
         for key, t in known.items():
             b = baseline(t.features, spec.nominal, spec.spread)
@@ -106,13 +106,12 @@ def _tuned(
     prepared: Preparation,
     columns: Any,
     held: Any,
-    jobs: int,
 ) -> Callable[[F64], F64]:
     """The best of four settings on the held-out motors, fitted on all."""
     b = baseline(train.features, spec.nominal, spec.spread)
     y = bounded(target, encode(target, train.truth, b, spec.nominal))
     X = prepared.transform(train.features)[:, columns]
-    settings = _settings(name, X[~held], y[~held], jobs)
+    settings = _settings(name, X[~held], y[~held])
     errors = [float(np.median(np.abs(s(X[~held], y[~held])(X[held]) - y[held]))) for s in settings]
     return settings[int(np.argmin(errors))](X, y)
 

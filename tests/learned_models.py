@@ -31,5 +31,5 @@ def small_windows(once: Once) -> TrainingSet:
 
 def small_model(once: Once) -> LearnedModel:
     """Trained on `small_windows`."""
-    model: LearnedModel = once("model", lambda: train_model(SPEC, small_windows(once), jobs=1))
+    model: LearnedModel = once("model", lambda: train_model(SPEC, small_windows(once)))
     return model

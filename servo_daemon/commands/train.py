@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from servo_daemon.errors import BadInputError
-    from servo_daemon.learning.learners.learners import LEARNERS
+    from servo_daemon.learning import LEARNERS
     from servo_daemon.learning.model.cache import model_path
     from servo_daemon.learning.model.model_file import save_model
     from servo_daemon.learning.training.run import Job

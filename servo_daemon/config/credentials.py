@@ -35,14 +35,14 @@ def file_of(text: str, key: str, environ: Mapping[str, str] = os.environ) -> Pat
     return path
 
 
-def tokens_of(text: str | None, environ: Mapping[str, str] = os.environ) -> Path | None:
+def tokens_of(text: str | None) -> Path | None:
     """The file of `[api] tokens_file`; without one the credential `servo-daemon.tokens`, if there is one.
 
     Raises:
         ConfigError: see `file_of`.
     """
     if text is not None:
-        return file_of(text, "[api] tokens_file", environ)
-    folder = environ.get("CREDENTIALS_DIRECTORY")
+        return file_of(text, "[api] tokens_file")
+    folder = os.environ.get("CREDENTIALS_DIRECTORY")
     path = None if not folder else Path(folder, TOKENS)
     return path if path is not None and path.is_file() else None

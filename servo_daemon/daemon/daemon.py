@@ -23,6 +23,7 @@ from servo_daemon.daemon.lines.ports import Ports
 from servo_daemon.daemon.notify import Notifier
 from servo_daemon.daemon.slot import DriveSlot
 from servo_daemon.daemon.state_lock import StateLocks
+from servo_daemon.daemon.supervision import Supervision
 from servo_daemon.daemon.trends.coordinator import TrendCoordinator
 from servo_daemon.daemon.worker import Workers
 from servo_daemon.published.sinks import SinkState
@@ -36,8 +37,6 @@ log = logging.getLogger(__name__)
 
 #: The workers are looked after this often, s.
 _WATCH_S = 0.02
-#: READY is told to systemd after the first fresh samples, or this long after the start, s.
-START_TIMEOUT_S = 10.0
 #: A stop waits so long for threads that are busy (with the first model's equations, say), s: of the 2 s that a stop may
 #: take the end of the server and of the interpreter need 0.5 on a slow machine.
 _STOP_S = 1.2
@@ -71,7 +70,7 @@ class Daemon:
         self._stop = threading.Event()
         self._save_now = threading.Event()
         self._notifier = Notifier.from_environment() if notifier is None else notifier
-        self._ready, self._said, self._told = False, "", time.monotonic()
+        self._supervision = Supervision(self._notifier, time.monotonic())
         d = config.diagnosis
         home = None if state_dir is None else state_dir / "diagnosis"
         self._diagnoses = DiagnosisRunner(d.command, d.budget_s, d.time_limit_s, d.nice, home)
@@ -83,6 +82,8 @@ class Daemon:
         self._sinks = sinks_of(config, tuple(slot.runtime for slot in self._slots.values()), state_dir)
         self._trends = TrendCoordinator(self.archive, [slot.runtime for slot in self._slots.values()])
         self.captures = self._kept_captures(state_dir)
+        beside = (self._trends, self.captures, self._recording, *self._sinks)
+        self._beside = [b for b in beside if b is not None]
         self._watcher = threading.Thread(target=self._watch, name="watch", daemon=True)
         self._saver = threading.Thread(target=self._save, name="saver", daemon=True)
 
@@ -144,13 +145,8 @@ class Daemon:
         self._watcher.start()
         self._saver.start()
         self._learning.start()
-        if self._recording is not None:
-            self._recording.start()
-        self._trends.start()
-        if self.captures is not None:
-            self.captures.start()
-        for sink in self._sinks:
-            sink.start()
+        for other in self._beside:
+            other.start()
         for runtime in self.drives.values():
             runtime.reader.start()
 
@@ -161,11 +157,9 @@ class Daemon:
             self._stop.set()
             self._diagnoses.kill()
             self._learning.begin_stop()
-            self._trends.begin_stop()
-            if self.captures is not None:
-                self.captures.begin_stop()
-            for sink in self._sinks:
-                sink.begin_stop()
+            for other in self._beside:
+                if other is not self._recording:  # that ends after the workers: with their last rows
+                    other.begin_stop()
             for slot in self._slots.values():
                 slot.runtime.reader.request_stop()
                 slot.call()
@@ -179,15 +173,8 @@ class Daemon:
         for thread in (self._workers, self._watcher, self._saver):
             if thread.is_alive():
                 thread.join(max(0.05, deadline - time.monotonic()))
-        self._trends.stop(max(0.05, deadline - time.monotonic()))
-        if self.captures is not None:
-            self.captures.stop(max(0.05, deadline - time.monotonic()))
-        if self._recording is not None:  # after the workers: with their last rows
-            self._recording.stop(max(0.05, deadline - time.monotonic()))
-        for sink in self._sinks:
-            sink.stop(max(0.05, deadline - time.monotonic()))
-        self._diagnoses.stop(max(0.05, deadline - time.monotonic()))
-        self._learning.stop(max(0.05, deadline - time.monotonic()))
+        for other in (*self._beside, self._diagnoses, self._learning):
+            other.stop(max(0.05, deadline - time.monotonic()))
 
     # -- another configuration -------------------------------------------------------------------------------
 
@@ -226,13 +213,8 @@ class Daemon:
         """Tell everybody who works for them all."""
         runtimes = list(self.drives.values())
         self._workers.slots = tuple(self._slots.values())
-        if self._recording is not None:
-            self._recording.follow(runtimes)
-        self._trends.follow(runtimes)
-        for sink in self._sinks:
-            sink.follow(runtimes)
-        if self.captures is not None:
-            self.captures.follow(runtimes)
+        for other in self._beside:
+            other.follow(runtimes)
         self._learning.start()
 
     def _dismiss(self, slots: Sequence[DriveSlot]) -> None:
@@ -261,13 +243,12 @@ class Daemon:
 
     def begin_reload(self) -> None:
         """Tell systemd that the configuration is being read again; `end_reload` must follow."""
-        if self._ready:
-            self._notifier.reloading()
+        self._supervision.reloading()
 
     def end_reload(self) -> None:
         """That is over."""
-        if self._ready and not self._stop.is_set():
-            self._notifier.ready(self._summary())
+        if not self._stop.is_set():
+            self._supervision.reloaded(tuple(self._slots.values()))
 
     # -- threads ---------------------------------------------------------------------------------------------
 
@@ -281,34 +262,9 @@ class Daemon:
                 runtime.save_offered()
 
     def _watch(self) -> None:
-        began = time.monotonic()
         while not self._stop.wait(_WATCH_S):
             self._workers.look()
-            now, fresh = time.monotonic(), any(slot.has_worked for slot in self._slots.values())
-            if not self._ready and (fresh or now - began > START_TIMEOUT_S):
-                self._ready = True
-                self._notifier.ready(self._summary())
-            if now - self._told >= min(1.0, self._notifier.watchdog_interval_s or 1.0):
-                self._tell_systemd(now)
-
-    def _tell_systemd(self, now: float) -> None:
-        """That all drives turn, and how the drives are. (One that is overloaded turns; a restart would not help.)"""
-        if all(slot.has_turned_since(self._told) for slot in self._slots.values()):
-            self._told = now
-            self._notifier.watchdog()
-        if (summary := self._summary()) != self._said:
-            self._said = summary
-            self._notifier.status(summary)
-
-    def _summary(self) -> str:
-        """One line for `systemctl status`."""
-        parts = []
-        for name, runtime in self.drives.items():
-            snapshot = runtime.snapshot()
-            parameters = snapshot.estimate.parameters if snapshot.estimate is not None else ()
-            tracking = sum(p.status == "tracking" for p in parameters)
-            parts.append(f"{name} {snapshot.connection}, {tracking} of {len(parameters)} parameters tracking")
-        return "; ".join(parts)
+            self._supervision.look(tuple(self._slots.values()))
 
 
 def _driver_for(config: DriveConfig) -> Driver:

@@ -12,6 +12,7 @@ log = logging.getLogger(__name__)
 _OWN, _A_DRIVE = 96, 8
 #: So many are asked for where the system gives more than it gives unasked.
 _WANTED = 4096
+#: Connections that are taken whatever the system gives: a browser opens six to one host.
 _FEWEST = 8
 
 

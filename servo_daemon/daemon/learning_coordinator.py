@@ -7,11 +7,11 @@ scikit-learn (a second) and training are the coordinator's thread's and its proc
 from __future__ import annotations
 
 import logging
-import threading
 import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from servo_daemon.background import Background
 from servo_daemon.config import DriveConfig, LearningConfig
 from servo_daemon.config.changes import looked_up
 from servo_daemon.errors import ServoDaemonError
@@ -87,21 +87,20 @@ class Subscription:
         self.view = EstimatorView({}, {"mode": mode, **detail})
 
 
-class LearningCoordinator:
-    """Finds or trains the models of all subscriptions in a thread of its own. `start` and `stop` once each.
+class LearningCoordinator(Background):
+    """Finds or trains the models of all subscriptions in a thread of its own.
 
     Args:
         config: how to train.
     """
 
     def __init__(self, config: LearningConfig) -> None:
+        super().__init__("learning")
         self._config = config
         self._subscriptions: list[Subscription] = []
-        self._stop = threading.Event()
         self._training: BackgroundTraining | None = None
         self._for: tuple[Subscription, _Wanted] | None = None
         self._looked: dict[str, _Wanted] = {}  # for which the files have been looked through, by drive
-        self._thread = threading.Thread(target=self._work, name="learning", daemon=True)
 
     def subscribe(self, drive: str) -> Subscription:
         """The subscription of a drive; any time."""
@@ -116,21 +115,11 @@ class LearningCoordinator:
     def start(self) -> None:
         """Again where the first subscriptions have come since."""
         if self._subscriptions and not self._thread.is_alive():
-            self._thread.start()
-
-    def begin_stop(self) -> None:
-        """Ask it to end without waiting."""
-        self._stop.set()
-
-    def stop(self, timeout_s: float = 1.0) -> None:
-        """End the thread and the training. Idempotent."""
-        self._stop.set()
-        if self._thread.is_alive():
-            self._thread.join(timeout_s)
+            super().start()
 
     # -- the coordinator's thread -----------------------------------------------------------------------------------
 
-    def _work(self) -> None:
+    def _run(self) -> None:
         try:
             while not self._stop.wait(_TURN_S):
                 try:

@@ -35,10 +35,10 @@ class Noise:
     std: F64
 
 
-def rows_of(voltage: F64, rate_hz: float, begin: int = 0) -> F64:
-    """As `rollout` takes them, shape (n, 3); sample `begin` of the plan is the first."""
+def rows_of(voltage: F64, rate_hz: float) -> F64:
+    """As `rollout` takes them, shape (n, 3)."""
     rows = np.empty((len(voltage), 3))
-    rows[:, TIME] = (begin + np.arange(len(voltage))) / rate_hz
+    rows[:, TIME] = np.arange(len(voltage)) / rate_hz
     rows[:, STEP] = 1.0 / rate_hz
     rows[:, INPUT] = voltage
     return rows

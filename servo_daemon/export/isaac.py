@@ -49,4 +49,4 @@ def write(model: ExportedModel) -> Export:
     return Export("\n".join(lines).encode(), tuple(notes))
 
 
-TARGET = Target("isaac", ".py", "Isaac Lab", write)
+TARGET = Target("isaac", ".py", write)

@@ -47,4 +47,4 @@ def write(model: ExportedModel) -> Export:
     return Export((json.dumps(document, ensure_ascii=False, allow_nan=False, indent=1) + "\n").encode(), tuple(notes))
 
 
-TARGET = Target("json", ".json", "any program", write)
+TARGET = Target("json", ".json", write)

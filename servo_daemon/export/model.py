@@ -107,11 +107,9 @@ class Target:
 
     Attributes:
         suffix: what its name ends in.
-        tool: which loads it, in words.
         write: makes it. Raises BadInputError: the model lacks a parameter that it needs.
     """
 
     name: str
     suffix: str
-    tool: str
     write: Callable[[ExportedModel], Export]

@@ -86,4 +86,4 @@ def _table(model: ExportedModel) -> str:
     return "[" + "; ".join(f"{number(w)}, {number(level)}" for w, level in rows) + "]"
 
 
-TARGET = Target("modelica", ".mo", "OpenModelica, Dymola", write)
+TARGET = Target("modelica", ".mo", write)

@@ -149,4 +149,4 @@ def _general(model: ExportedModel, v: dict[str, float]) -> str:
     return f'<general name="{name}_motor" joint="{name}" gear="{number(model.gear)}" gainprm="{gain}" biastype="none"/>'
 
 
-TARGET = Target("mujoco", ".xml", "MuJoCo", write)
+TARGET = Target("mujoco", ".xml", write)

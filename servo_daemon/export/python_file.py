@@ -132,4 +132,4 @@ def _substep_s(v: dict[str, float]) -> float:
     return 1.0 / (_PER_CONSTANT * fastest)
 
 
-TARGET = Target("python", ".py", "Python with NumPy", write)
+TARGET = Target("python", ".py", write)

@@ -53,4 +53,4 @@ def write(model: ExportedModel) -> Export:
     return Export("\n".join(lines).encode(), tuple(notes))
 
 
-TARGET = Target("sdf", ".sdf", "Gazebo", write)
+TARGET = Target("sdf", ".sdf", write)

@@ -50,4 +50,4 @@ def write(model: ExportedModel) -> Export:
     return Export("\n".join(lines).encode(), tuple(notes))
 
 
-TARGET = Target("simulink", ".m", "MATLAB and Simulink", write)
+TARGET = Target("simulink", ".m", write)

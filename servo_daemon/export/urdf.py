@@ -60,4 +60,4 @@ def write(model: ExportedModel) -> Export:
     return Export("\n".join(lines).encode(), tuple(notes))
 
 
-TARGET = Target("urdf", ".urdf", "ROS, MuJoCo, Gazebo", write)
+TARGET = Target("urdf", ".urdf", write)

@@ -110,10 +110,10 @@ def not_expressed(model: ExportedModel, expressed: Collection[str], why: Mapping
     return notes
 
 
-def xml_comment(lines: Sequence[str], indent: str = "") -> str:
+def xml_comment(lines: Sequence[str]) -> str:
     """XML knows no two hyphens within a comment."""
-    body = "\n".join(f"{indent}  {line}" for line in lines).replace("--", "- -")
-    return f"{indent}<!--\n{body}\n{indent}-->"
+    body = "\n".join(f"  {line}" for line in lines).replace("--", "- -")
+    return f"<!--\n{body}\n-->"
 
 
 def line_comments(lines: Sequence[str], mark: str) -> str:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import logging
 import random
-import threading
 import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
+from servo_daemon.background import Background
 from servo_daemon.config.credentials import file_of
 from servo_daemon.config.sinks import MqttConfig
 from servo_daemon.errors import ConfigError, ServoDaemonError
@@ -39,8 +39,8 @@ class _LostError(Exception):
     """There is no connection (any more); the text says why."""
 
 
-class Link:
-    """`start` and `stop` once each.
+class Link(Background):
+    """Publishes what the encoding makes of the outbox; at the stop, that it ends.
 
     Args:
         client_id: of MQTT, the daemon's own on the broker.
@@ -50,9 +50,8 @@ class Link:
     """
 
     def __init__(self, config: MqttConfig, client_id: str, encoding: Encoding, outbox: Outbox) -> None:
+        super().__init__("mqtt")
         self._config, self._client_id, self._encoding, self._outbox = config, client_id, encoding, outbox
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="mqtt", daemon=True)
         self._under_way: list[tuple[MQTTMessageInfo, Sequence[Report]]] = []
         self._batch_end = 0  # number of the last item of the queue that is under way; 0: none is
         self._refusal: str | None = None
@@ -61,18 +60,6 @@ class Link:
         self.reason: str | None = None
         self.sent = self.connections = 0
         self._client(Message("servo-daemon", b""))  # what is wrong with the configuration is told at the start
-
-    def start(self) -> None:
-        self._thread.start()
-
-    def begin_stop(self) -> None:
-        self._stop.set()
-
-    def stop(self, timeout_s: float) -> None:
-        """Publish that it ends, and close. Idempotent."""
-        self._stop.set()
-        if self._thread.is_alive():
-            self._thread.join(timeout_s)
 
     def _client(self, will: Message) -> Client:
         """A client as configured; its files are read now, so that new ones are taken up."""

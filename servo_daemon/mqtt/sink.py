@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import logging
-import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+from servo_daemon.background import Background
 from servo_daemon.config.sinks import MqttConfig
 from servo_daemon.disk_queue import DiskQueue
 from servo_daemon.mqtt.encoding import Encoding
@@ -21,13 +20,11 @@ from servo_daemon.mqtt.sparkplug import Sparkplug
 from servo_daemon.published.sinks import Followed, SinkState, event_body
 from servo_daemon.published.snapshot import Snapshot
 
-log = logging.getLogger(__name__)
-
 FILE: Final = "mqtt.sqlite"
 
 
-class MqttSink:
-    """`start` and `stop` once each. Two threads: this one reads what is published, `Link` has the network; no drive
+class MqttSink(Background):
+    """Two threads: this one reads what is published, `Link` has the network; no drive
     waits for either.
 
     Args:
@@ -38,13 +35,12 @@ class MqttSink:
     """
 
     def __init__(self, config: MqttConfig, sources: Sequence[Source], state_dir: Path | None) -> None:
+        super().__init__("mqtt-collect")
         queue = DiskQueue(None if state_dir is None else state_dir / FILE, config.buffer_MB * 1e6)
         self._outbox = Outbox(queue)
         self._link = Link(config, f"servo-daemon-{config.node_name}", encoding_of(config), self._outbox)
         self._drives, self._interval_s = Followed(sources), config.interval_s
         self._told: dict[str, Snapshot] = {}
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="mqtt-collect", daemon=True)
 
     @property
     def state(self) -> SinkState:
@@ -55,7 +51,7 @@ class MqttSink:
         )
 
     def start(self) -> None:
-        self._thread.start()
+        super().start()
         self._link.start()
 
     def follow(self, sources: Sequence[Source]) -> None:
@@ -64,28 +60,19 @@ class MqttSink:
 
     def begin_stop(self) -> None:
         """Ask both threads to end without waiting."""
-        self._stop.set()
+        super().begin_stop()
         self._link.begin_stop()
 
     def stop(self, timeout_s: float) -> None:
         """End. Idempotent."""
         deadline = time.monotonic() + timeout_s
-        self.begin_stop()
-        if self._thread.is_alive():
-            self._thread.join(timeout_s)
+        super().stop(timeout_s)
         self._link.stop(max(0.05, deadline - time.monotonic()))
         self._outbox.flush()
         self._outbox.queue.close()
 
     def _run(self) -> None:
-        last = False
-        while not last:
-            last = self._stop.is_set()
-            try:
-                self.collect(time.time())
-            except Exception:  # an error in the program must end neither the thread nor the daemon
-                log.exception("mqtt: what is published cannot be collected")
-            self._stop.wait(self._interval_s)
+        self._go_round(lambda _: self.collect(time.time()), self._interval_s)
 
     def collect(self, now: float) -> None:
         """Take up what is new.

@@ -15,6 +15,7 @@ from servo_daemon.tracking.plan.settings import Message
 
 log = logging.getLogger(__name__)
 
+#: In memory; the history keeps all.
 _EVENTS_KEPT: Final = 1000
 #: Events that a user should be warned of; the others are information.
 _WARNINGS: Final = (

@@ -17,6 +17,7 @@ from servo_daemon.tracking.plan.settings import Message
 from servo_daemon.tuning.knowledge import NEEDED
 from servo_daemon.tuning.margins import Margins
 
+#: Between two computations, device time, s: parameters age over minutes.
 EVERY_S: Final = 5.0
 #: By this share margins must be better than where the warning began before it ends.
 RELIEF: Final = 0.1

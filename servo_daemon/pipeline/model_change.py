@@ -76,10 +76,7 @@ def change_message(before: Sequence[str], now: Sequence[str]) -> Message:
     return "model_changed", text, {"model": ",".join(now), "before": ",".join(before)}
 
 
-def checked_request(
-    effects: Sequence[str], start: Mapping[str, tuple[float | str, float | None]], *, origin_s: float | None = None,
-    by: str = "request",
-) -> ModelRequest:  # fmt: skip
+def checked_request(effects: Sequence[str], start: Mapping[str, tuple[float | str, float | None]]) -> ModelRequest:
     """The request, if a drive can have this model.
 
     Args:
@@ -103,7 +100,7 @@ def checked_request(
             names = tuple(table)
             raise ModelError(f"parameters.{name}", f"this model has {', '.join(names)}, and no {name!r}", names)
         checked[name] = _checked(table[name], value, std)
-    return ModelRequest(tuple(effects), checked, origin_s, by)
+    return ModelRequest(tuple(effects), checked)
 
 
 def _checked(p: Parameter, value: float | str, std: float | None) -> StartValue:

@@ -7,7 +7,6 @@ blocks (see `pipeline/stream.py`).
 from __future__ import annotations
 
 import logging
-import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -45,6 +44,13 @@ class Pipeline:
         saved: knowledge from an earlier run, already checked.
         ring: where the samples of every tick are kept for a while, in a DC motor's units.
         meaning: of the drive's signals; None: as the configuration has it.
+
+    Attributes:
+        config: with the model as it is now; may be exchanged for one that is the same to the estimators.
+        channels: of the last samples; empty before the first.
+        samples_repeated: those without a time of their own.
+        preparing: a tracker is being made.
+        messages: what there is to tell; whoever tells it clears them.
     """
 
     def __init__(
@@ -58,9 +64,9 @@ class Pipeline:
         self.meaning = meaning or config.signals.meaning()
         self._link: MeasuredLink | None = None
         self._timing: CurrentTiming | None = None
-        self._config, self._info, self._saved, self._ring = config, info, saved, ring
+        self.config, self._info, self._saved, self._ring = config, info, saved, ring
         self._tracker: Tracker | None = None
-        self._channels: tuple[str, ...] = ()
+        self.channels: tuple[str, ...] = ()
         self._cutter = TickCutter()
         self._tick: list[SampleBlock] = []
         self._driven: list[SampleBlock] = []  # the same as the trackers take them, where that is not the same
@@ -72,24 +78,9 @@ class Pipeline:
         self._samples = 0
         self._last_s = 0.0  # of the last sample
         self._temperature_C: float | None = None  # the last that was measured
-        self.samples_repeated = 0  # those without a time of their own
-        self.preparing = False  # a tracker is being made
+        self.samples_repeated = 0
+        self.preparing = False
         self.messages: list[Message] = []
-
-    @property
-    def config(self) -> DriveConfig:
-        """The drive's configuration with the model as it is now."""
-        return self._config
-
-    @config.setter
-    def config(self, config: DriveConfig) -> None:
-        """Another one that is the same to the estimators."""
-        self._config = config
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Of the last samples; empty before the first."""
-        return self._channels
 
     @property
     def sample_period_s(self) -> float | None:
@@ -105,9 +96,9 @@ class Pipeline:
     def _begin_refresher(self) -> None:
         model = self._learned
         # (A learned model's features are those of a held voltage.)
-        fits = model is not None and model.spec.effects == self._config.model and not self.meaning.measures_voltage
-        names = publish.published_names(self._config)
-        every_s = self._config.estimation.refresh_every_s
+        fits = model is not None and model.spec.effects == self.config.model and not self.meaning.measures_voltage
+        names = publish.published_names(self.config)
+        every_s = self.config.estimation.refresh_every_s
         self._refresher = Refresher(model, names, every_s) if model is not None and fits else None
         self._published = None
 
@@ -122,16 +113,13 @@ class Pipeline:
         self._saved = None
         self._handover.clear()
         self._tracker = None
-        self._channels = ()
-        self._published = None
-        self._cutter = TickCutter()
-        self._tick, self._driven, self._link = [], [], None
-        self._begin_refresher()
+        self.channels = ()
+        self._tick = []
 
     def prepare(self, config: DriveConfig) -> Tracker | None:
         """A tracker for `change_model`, its plant compiled; None while the channels are not known. Any thread, and this
         one may take ten seconds."""
-        return self._tracker_for(config) if self._channels else None
+        return self._tracker_for(config) if self.channels else None
 
     def change_model(self, request: ModelRequest, config: DriveConfig, prepared: Tracker | None) -> None:
         """Go over to another model: from the next tick on a filter with it runs beside the present one, begins with
@@ -142,7 +130,7 @@ class Pipeline:
             prepared: by `prepare`; None: made here.
         """
         if self._tracker is None:
-            self.messages.append(change_message(self._config.model, config.model))
+            self.messages.append(change_message(self.config.model, config.model))
             self._configure(config)
             self._saved = None
         else:
@@ -152,7 +140,7 @@ class Pipeline:
         """The driver has found out more (a description frame): used from the next start of the filter on."""
         self._info = info
         if self._tracker is not None:
-            self._tracker.resolutions = publish.resolutions(self._config, info)
+            self._tracker.resolutions = publish.resolutions(self.config, info)
 
     def process(self, block: SampleBlock, *, rows: bool = True) -> list[Estimate]:
         """Take samples; returns one estimate per tick that they completed, in order.
@@ -161,7 +149,7 @@ class Pipeline:
             rows: False: return nothing. The live daemon asks for `current` instead and saves the work.
         """
         block = self.meaning.converted(block)
-        if block.channels != self._channels:
+        if block.channels != self.channels:
             self._begin(block.channels)
         estimates = []
         restarts, repeated = self._cutter.restarts, self._cutter.repeated
@@ -218,20 +206,21 @@ class Pipeline:
         if kept is None:
             return None
         covariance = tuple(tuple(float(c) for c in row) for row in kept.covariance)
-        return SavedState(self._config.model, kept.names, tuple(float(v) for v in kept.mean), covariance)
+        return SavedState(self.config.model, kept.names, tuple(float(v) for v in kept.mean), covariance)
 
     def _begin(self, channels: tuple[str, ...]) -> None:
         if self._tracker is not None:
-            log.warning("drive %s: channels changed to %s: starting over", self._config.name, ", ".join(channels))
-        self._channels = channels
+            log.warning("drive %s: channels changed to %s: starting over", self.config.name, ", ".join(channels))
+        self.channels = channels
         self._published = None
         self._tick, self._driven = [], []
         self._cutter = TickCutter()
-        self._link = MeasuredLink(self._config, self.meaning) if self._is_measured else None
-        self._timing = CurrentTiming(self.meaning) if self.meaning.measures_voltage else None
+        measured = self.meaning.measures_voltage
+        self._link = MeasuredLink(self.config, self.meaning) if measured and "voltage_V" in channels else None
+        self._timing = CurrentTiming(self.meaning) if measured else None
         self.preparing = True
         try:
-            self._tracker = self._tracker_for(self._config, self._saved)
+            self._tracker = self._tracker_for(self.config, self._saved)
         finally:
             self.preparing = False
         self._begin_refresher()
@@ -239,7 +228,7 @@ class Pipeline:
             self._take_over(Successor(config, self._tracker_for(config)))
 
     def _tracker_for(self, config: DriveConfig, saved: SavedState | None = None) -> Tracker:
-        channels = self._channels
+        channels = self.channels
         if self._link is not None:
             channels = tuple(c for c in channels if c != "voltage_V")
             config = self._link.filter_config(config)
@@ -251,13 +240,8 @@ class Pipeline:
             publish.prior(config, saved),
         )
 
-    @property
-    def _is_measured(self) -> bool:
-        """Whether the drive's voltage is a measurement of its winding's balance."""
-        return self.meaning.measures_voltage and "voltage_V" in self._channels
-
     def _configure(self, config: DriveConfig) -> None:
-        self._config, self._publisher, self._published = config, Publisher(config), None
+        self.config, self._publisher, self._published = config, Publisher(config), None
         self._begin_refresher()
 
     def _close_tick(self) -> None:
@@ -281,7 +265,7 @@ class Pipeline:
         if self._timing is not None:
             self._timing.take(tick)
         if self._link is not None and self._link.close_tick(tick):
-            self._tracker = self._tracker_for(self._config, self._saved)  # K is known: the filter can begin
+            self._tracker = self._tracker_for(self.config, self._saved)  # K is known: the filter can begin
         if (successor := self._handover.begin(self._tracker)) is not None:
             self._take_over(successor)
 
@@ -290,7 +274,7 @@ class Pipeline:
         tracker = successor.tracker
         tracker.watch.gated += self._tracker.watch.gated
         tracker.restarts += self._tracker.restarts
-        before, self._tracker = self._config, tracker
+        before, self._tracker = self.config, tracker
         self._handover.clear()
         self._configure(successor.config)
         self.messages += [change_message(before.model, successor.config.model), *successor.told]
@@ -308,10 +292,3 @@ class Pipeline:
         elif self._published.time_s != self._last_s:
             self._published = publish.moved_on(self._published, self._tracker, self._last_s, self._samples)
         return with_temperature(self._published, self._temperature_C)
-
-
-def all_finite(estimate: Estimate) -> bool:
-    """Whether every published number is a number: the service's last line of defence, and the tests'."""
-    numbers = [v for p in estimate.parameters for v in (p.value, p.std) if v is not None]
-    numbers += [v for v in estimate.state.values() if v is not None]
-    return all(map(math.isfinite, numbers))

@@ -1,5 +1,5 @@
-"""What is published beside the parameters: what each estimator says, the drive's state and temperature, the
-filter's health."""
+"""What is published beside the parameters: what each estimator says, the drive's own among them, state and
+temperature, the filter's health."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from drivers.base import OnboardEstimates
 from servo_daemon.kalman.gaussian import Gaussian, from_coordinate
 from servo_daemon.plant.effects import parameter_table
 from servo_daemon.published.snapshot import Estimate, EstimatorView, finite_or_none
@@ -15,6 +16,10 @@ from servo_daemon.regression.estimate import KNOWS, RegressionEstimate
 from servo_daemon.samples import SampleBlock
 from servo_daemon.tracking.tracker import Tracker
 
+#: A drive that has not told its estimates for so long, s, has stopped doing so.
+_OLD_S = 10.0
+#: Statuses of the drive's own estimates whose numbers are not to be used.
+_NO_VALUE = ("starting", "invalid")
 #: Parameter -> (value, std), natural units.
 Values = Mapping[str, tuple[float | None, float | None]]
 
@@ -97,3 +102,17 @@ def with_temperature(estimate: Estimate, temperature_C: float | None) -> Estimat
     if temperature_C is None or estimate.state.get("temperature_C") == temperature_C:
         return estimate
     return replace(estimate, state={**estimate.state, "temperature_C": temperature_C})
+
+
+def with_onboard(estimate: Estimate | None, told: OnboardEstimates | None, now_s: float) -> Estimate | None:
+    """The estimate with `estimators.onboard`: of the model's parameters, none where the drive has no value yet.
+
+    Args:
+        now_s: on the monotonic clock.
+    """
+    if estimate is None or told is None or now_s - told.heard_s > _OLD_S:
+        return estimate
+    names = [p.name for p in estimate.parameters if p.name in told.values]
+    values = {name: (None, None) if told.status in _NO_VALUE else told.values[name] for name in names}
+    view = EstimatorView(values, {"status": told.status, "age_s": round(now_s - told.heard_s, 3)})
+    return replace(estimate, estimators={**estimate.estimators, "onboard": view})

@@ -90,6 +90,12 @@ class Estimate:
     covariance: Covariance | None = None
     equivalents: Mapping[str, Mapping[str, tuple[float | None, float | None]]] = field(default_factory=dict)
 
+    @property
+    def is_finite(self) -> bool:
+        """Whether every number is one: the daemon's last line of defence, and the tests'."""
+        numbers = [v for p in self.parameters for v in (p.value, p.std)] + [*self.state.values()]
+        return all(math.isfinite(v) for v in numbers if v is not None)
+
 
 @dataclass(frozen=True, slots=True)
 class Event:

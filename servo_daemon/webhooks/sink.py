@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import logging
 import random
-import threading
 import time
 import uuid
 from collections.abc import Sequence
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import urlsplit
 
+from servo_daemon.background import Background
 from servo_daemon.config.sinks import WebhookConfig
 from servo_daemon.disk_queue import DiskQueue
 from servo_daemon.errors import ConfigError
@@ -29,8 +29,8 @@ _RETRY_S: Final = (1.0, 300.0)
 _MOST_BYTES: Final = 5e6
 
 
-class WebhookSink:
-    """`start` and `stop` once each.
+class WebhookSink(Background):
+    """One receiver; events up to the stop are kept for the next run if they cannot be sent.
 
     Args:
         name: among the sinks.
@@ -41,6 +41,7 @@ class WebhookSink:
     """
 
     def __init__(self, config: WebhookConfig, name: str, sources: Sequence[HasEvents], state_dir: Path | None) -> None:
+        super().__init__(name)
         if config.secret_file is not None:
             read_secret(config.secret_file)
         self._config, self._name = config, name
@@ -51,8 +52,6 @@ class WebhookSink:
         self._reason: str | None = None
         self._sent = self._refused = self._reconnects = 0
         self._again_at, self._pause = 0.0, _RETRY_S[0]
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     @property
     def state(self) -> SinkState:
@@ -62,33 +61,21 @@ class WebhookSink:
             self._reason, queue.problem,
         )  # fmt: skip
 
-    def start(self) -> None:
-        self._thread.start()
-
     def follow(self, sources: Sequence[HasEvents]) -> None:
         """These are the drives from now on."""
         self._drives.wanted = sources
 
-    def begin_stop(self) -> None:
-        """Ask it to end without waiting."""
-        self._stop.set()
-
     def stop(self, timeout_s: float) -> None:
-        """End; events up to now are kept for the next run if they cannot be sent. Idempotent."""
-        self._stop.set()
-        if self._thread.is_alive():
-            self._thread.join(timeout_s)
+        super().stop(timeout_s)
         self._queue.close()
 
     def _run(self) -> None:
-        while not self._stop.wait(_EVERY_S):
-            try:
-                self._collect()
-                while not self._stop.is_set() and time.monotonic() >= self._again_at and self._send_one():
-                    pass
-            except Exception:  # an error in the program must end neither the thread nor the daemon
-                log.exception("%s: a turn failed", self._name)
+        self._go_round(self._turn, _EVERY_S)
+
+    def _turn(self, _: bool) -> None:
         self._collect()
+        while not self._stop.is_set() and time.monotonic() >= self._again_at and self._send_one():
+            pass
 
     def _collect(self) -> None:
         wanted = [(name, event) for name, event in self._drives.take() if self._wants(name, event.kind)]

@@ -32,6 +32,7 @@ from servo_daemon.captures import read_capture
 from servo_daemon.config import load_config
 from servo_daemon.daemon.persist import StateFile
 from servo_daemon.errors import ServoDaemonError
+from servo_daemon.learning.model import manifest as manifest_module
 from servo_daemon.learning.model import model_file
 from servo_daemon.samples import SampleBlock
 from tests.can_tools import RampSource, batch, frames_of
@@ -253,7 +254,7 @@ def model(random: Random, folder: Path) -> Step:
     """Files whose hashes are right, made by somebody who wants them loaded."""
     path = folder / "m.model"
     model_file.save_model(small_model(150), path)
-    manifest, numbers = model_file._unpacked(path, own=False)
+    manifest, numbers = manifest_module.unpacked(path, own=False)
     manifest.pop("manifest_sha256", None)
     whole = json.dumps(manifest)
 
@@ -265,7 +266,7 @@ def model(random: Random, folder: Path) -> Step:
         new = spoilt_bytes(random, numbers) if random.randrange(2) else numbers
         if isinstance(content, dict):
             content["model_sha256"] = hashlib.sha256(new).hexdigest()
-            content["manifest_sha256"] = model_file._hash(content)
+            content["manifest_sha256"] = manifest_module.content_hash(content)
         path.write_bytes(model_file._packed(content, new))
         with refused():
             model_file.load_model(path)

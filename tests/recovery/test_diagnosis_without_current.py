@@ -55,7 +55,7 @@ def test_a_late_angle_is_named_beside_dry_friction(tmp_path: Path) -> None:
     assert late.std < 0.2 * _LATE_S
 
 
-@pytest.mark.first_is_fast
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effects", "names"), [({}, []), (_DRY, ["coulomb_friction"])], ids=["nothing", "dry friction"]
 )

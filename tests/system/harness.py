@@ -230,10 +230,12 @@ def write_config(path: Path, *drives: str, head: str = "") -> Path:
 
 
 def nominal_table() -> str:
-    """`[drive.nominal]` of the motor of the demonstration: a good third off."""
+    """`[drive.nominal]` of the motor of the demonstration: a good third off. Without a learned model: one that somebody
+    has trained on this machine must not take part unasked."""
     from servo_daemon.simulate import DEFAULT_NOMINAL
 
-    return "[drive.nominal]\n" + "".join(f"{name} = {value!r}\n" for name, value in DEFAULT_NOMINAL.items())
+    values = "".join(f"{name} = {value!r}\n" for name, value in DEFAULT_NOMINAL.items())
+    return f"[drive.estimation]\nrefresh = false\n[drive.nominal]\n{values}"
 
 
 def statuses(document: Mapping[str, Any]) -> set[str]:

@@ -22,7 +22,7 @@ CLIENTS = 1300
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[DaemonProgram, Path]]:
     folder = tmp_path_factory.mktemp("clients")
     # No learned model: its libraries are imported some time after the start, and take 50 MB.
-    drive = nominal_table() + "[drive.estimation]\nrefresh = false\n"
+    drive = nominal_table()
     config = write_config(folder / "c.toml", drive, head="[storage]\nsave_interval_s = 0.5\n")
     state = folder / "state"
     with daemon("--config", config, "--state-dir", state) as program:

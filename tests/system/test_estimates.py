@@ -107,9 +107,7 @@ def test_estimates_follow_a_motor_that_ages_fast(tmp_path: Path) -> None:
     """40 % more resistance within 30 s, with the drift that is assumed when nobody says anything."""
     config = write_config(
         tmp_path / "c.toml",
-        # No training of a learned model beside it: a look back at the start takes a second, and two beside that.
-        f'{nominal_table()}[drive.options]\nJ_m = 0.0081\nageing = {{ R = "+40%/30s" }}\n'
-        "[drive.estimation]\nrefresh = false",
+        f'{nominal_table()}[drive.options]\nJ_m = 0.0081\nageing = {{ R = "+40%/30s" }}\n',
     )
     with daemon("--config", config, "--state-dir", tmp_path / "state") as program:
         program.until(all_tracking, "every parameter is tracking")

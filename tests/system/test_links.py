@@ -184,6 +184,7 @@ def test_every_fault_of_an_slcan_adapter(tmp_path: Path) -> None:
         assert not [line for line in program.log if " WARNING " in line or " ERROR " in line]
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("wire", ["serial", "slcan"])
 def test_a_device_that_restarts_keeps_its_parameters(tmp_path: Path, wire: str) -> None:
     """Time and numbering begin anew: counted, told once, and the filter goes on with what it knows."""

@@ -19,7 +19,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from servo_daemon.config import DriveConfig
-from servo_daemon.pipeline.pipeline import Pipeline, all_finite
+from servo_daemon.pipeline.pipeline import Pipeline
 from servo_daemon.plant.compiled import SampleLoop
 from servo_daemon.published.snapshot import Estimate
 from servo_daemon.samples import Quality, SampleBlock, concatenate, make_block
@@ -62,7 +62,7 @@ def _settled() -> Pipeline:
 def current(pipeline: Pipeline) -> Estimate:
     estimate = pipeline.current()
     assert estimate is not None
-    assert all_finite(estimate)
+    assert estimate.is_finite
     for view in estimate.estimators.values():
         for pair in view.parameters.values():
             assert all(x is None or np.isfinite(x) for x in pair)
@@ -303,7 +303,7 @@ def test_any_samples_are_survived(
             block = replace(block, **{without: None})
         fed += len(block)
         for estimate in pipeline.process(block):
-            assert all_finite(estimate)
+            assert estimate.is_finite
         estimate = current(pipeline)
         assert estimate.samples + pipeline.samples_repeated == fed
         state = pipeline.save()

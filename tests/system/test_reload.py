@@ -29,7 +29,7 @@ def test_everything_is_read_again(tmp_path: Path, program: Callable[..., str]) -
     head = (
         f'[api]\nport = 1\ntokens_file = "credential:tokens"\ncertificate = "{files[0]}"\nprivate_key = "{files[1]}"\n'
     )
-    drive = f'name = "a"\n{nominal_table()}[drive.estimation]\nrefresh = false\n'
+    drive = f'name = "a"\n{nominal_table()}'
     config = write_config(tmp_path / "c.toml", drive, head=head)
     env = environment(CREDENTIALS_DIRECTORY=str(tmp_path))
     with daemon("--config", config, "--state-dir", tmp_path / "state", env=env) as running:

@@ -43,6 +43,7 @@ def test_a_network_without_tokens() -> None:
     assert_refused("run", "--host", "0.0.0.0", "--port", "0", code=2, says=("0.0.0.0", "tokens_file", "behind_proxy"))
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize(
     ("text", "says"),
     [

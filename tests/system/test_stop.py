@@ -14,7 +14,16 @@ from pathlib import Path
 import httpx
 import pytest
 
-from tests.system.harness import STOP_S, Program, all_tracking, daemon, nominal_table, wait_for, write_config
+from tests.system.harness import (
+    STOP_S,
+    Program,
+    all_tracking,
+    daemon,
+    environment,
+    nominal_table,
+    wait_for,
+    write_config,
+)
 
 SIGNALS = [signal.SIGTERM, signal.SIGINT]
 
@@ -70,6 +79,7 @@ def test_a_stop_does_not_wait_for_what_is_computed(tmp_path: Path) -> None:
             assert program.stop() < STOP_S, program.log
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("number", SIGNALS, ids=lambda n: n.name)
 def test_stop_during_start_up(tmp_path: Path, number: signal.Signals) -> None:
     """The configuration is a pipe: once it can be opened for writing, the program is waiting for it to be written."""
@@ -102,11 +112,14 @@ def test_stop_during_start_up(tmp_path: Path, number: signal.Signals) -> None:
 
 
 def test_stop_while_the_model_is_being_compiled(tmp_path: Path) -> None:
-    """With an empty cache the first samples meet the C compiler; nobody waits for it."""
-    config = write_config(tmp_path / "c.toml", f'model = ["winding_heating", "gravity_load"]\n{nominal_table()}')
-    environment = dict(os.environ, XDG_CACHE_HOME=str(tmp_path / "cache"), PYTHONUNBUFFERED="1")
-    with daemon("--config", config, "--state-dir", tmp_path / "state", env=environment) as program:
-        program.until(lambda d: d["health"]["samples"] > 0, "samples come")
+    """With an empty cache the first samples meet the C compiler, here one that is slow; nobody waits for it."""
+    compiler, at_work = tmp_path / "cc", tmp_path / "at work"
+    compiler.write_text(f'#!/bin/sh\n[ "$1" = --version ] && exit\ntouch "{at_work}"\nexec sleep 5\n')
+    compiler.chmod(0o700)
+    env = environment(XDG_CACHE_HOME=str(tmp_path / "cache"), SERVO_DAEMON_CC=str(compiler))
+    config = write_config(tmp_path / "c.toml", nominal_table())
+    with daemon("--config", config, "--state-dir", tmp_path / "state", env=env) as program:
+        wait_for(at_work.exists, "it compiles")
         assert program.stop() < STOP_S, program.log
 
 

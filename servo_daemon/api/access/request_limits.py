@@ -32,13 +32,13 @@ _TOKEN: Final = re.compile(rb'"(?:[^"\\]|\\.)*"?|[\[\]{}]', re.DOTALL)
 _Refusal = tuple[int, str, str]
 
 
-def too_deep(body: bytes, limit: int = MAX_DEPTH) -> bool:
-    """Whether arrays and objects of this JSON text stand in each other more than `limit` deep. Linear in its length."""
+def too_deep(body: bytes) -> bool:
+    """Whether arrays and objects of this JSON text stand too deep in each other. Linear in its length."""
     depth = 0
     for match in _TOKEN.finditer(body):
         first = match[0][:1]
         depth += (first in b"[{") - (first in b"]}")
-        if depth > limit:
+        if depth > MAX_DEPTH:
             return True
     return False
 

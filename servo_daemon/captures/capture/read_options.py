@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, Literal, get_args
+from typing import Literal
 
 from servo_daemon.errors import BadInputError
 
 Effort = Literal["current", "torque", "force"]
-EFFORTS: Final[tuple[Effort, ...]] = get_args(Effort)
 
 
 @dataclass(frozen=True, slots=True)

@@ -75,14 +75,14 @@ def _verdict(document: Mapping[str, Any]) -> Verdict:
     )
 
 
-def parameter_table(parameters: Mapping[str, Mapping[str, Any]], caption: str = "Parameters") -> Table:
+def parameter_table(parameters: Mapping[str, Mapping[str, Any]]) -> Table:
     """Values with their standard deviations."""
     columns = (Column("parameter", text=True), Column("value ± std"), Column("unit", text=True), Column("", text=True))
     rows = []
     for name, p in parameters.items():
         std = np.inf if p["status"] == "undetermined" else p["std"]
         rows.append((name, Measured(p["value"], std), p["unit"], parameter_remark(p)))
-    return Table(caption, columns, tuple(rows))
+    return Table("Parameters", columns, tuple(rows))
 
 
 def parameter_remark(p: Mapping[str, Any]) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import logging
 import queue
-import threading
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -15,6 +14,7 @@ from typing import Final, Protocol
 
 from drivers.base import DriveInfo
 from servo_daemon import __version__
+from servo_daemon.background import Background
 from servo_daemon.config import DriveConfig
 from servo_daemon.daemon.captures.folder import CaptureFolder
 from servo_daemon.daemon.diagnosis.files import capture_metadata
@@ -137,8 +137,8 @@ def _recorded(source: Source) -> _Recording:
     return _Recording(source.ring.blocks(), source.snapshot().time or time.time())
 
 
-class CaptureCoordinator:
-    """Keeps samples around events, in a thread of its own. `start` and `stop` once each.
+class CaptureCoordinator(Background):
+    """Keeps samples around events, in a thread of its own.
 
     Args:
         folder: where they are kept.
@@ -149,6 +149,7 @@ class CaptureCoordinator:
     """
 
     def __init__(self, folder: CaptureFolder, sources: Sequence[Source]) -> None:
+        super().__init__("captures")
         self.problem: str | None = None
         self._folder, self._sources = folder, {s.name: s for s in sources}
         self._seen: dict[str, tuple[Source, int]] = {}  # how many events of it
@@ -157,8 +158,6 @@ class CaptureCoordinator:
         self._retry_s = 0.0
         self._quiet_until: dict[tuple[str, str], float] = {}
         self._asked: queue.Queue[tuple[Source, _Recording, Future[KeptCapture]]] = queue.Queue(_MOST_REQUESTS)
-        self._stop, self._wake = threading.Event(), threading.Event()
-        self._thread = threading.Thread(target=self._run, name="captures", daemon=True)
 
     def of(self, drive: str) -> Sequence[KeptCapture]:
         """See `published.archive.Captures`."""
@@ -186,30 +185,8 @@ class CaptureCoordinator:
         """These are the drives from now on; of those that have gone what is pending is written with what there is."""
         self._sources = {s.name: s for s in sources}
 
-    def start(self) -> None:
-        self._thread.start()
-
-    def begin_stop(self) -> None:
-        self._stop.set()
-        self._wake.set()
-
-    def stop(self, timeout_s: float) -> None:
-        """What waits is written first: events of the last seconds with what there is of them."""
-        self.begin_stop()
-        if self._thread.is_alive():
-            self._thread.join(timeout_s)
-
     def _run(self) -> None:
-        last = False
-        while not last:
-            last = self._stop.is_set()
-            try:
-                self.turn(time.monotonic(), end=last)
-            except Exception:  # an error in the program must end neither the thread nor the daemon
-                log.exception("captures: a turn failed")
-            if not last:
-                self._wake.wait(_TURN_S)
-                self._wake.clear()
+        self._go_round(lambda last: self.turn(time.monotonic(), end=last), _TURN_S)
 
     def turn(self, now_s: float, *, end: bool = False) -> None:
         """Look at what has happened, and write what is due.

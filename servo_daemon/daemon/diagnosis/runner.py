@@ -46,6 +46,7 @@ log = logging.getLogger(__name__)
 OWN_COMMAND: Final = (sys.executable, "-m", "servo_daemon", "diagnose")
 #: What the daemon's service manager has told the daemon is not for its children.
 _NOT_FOR_CHILDREN: Final = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")
+#: Of what a failing diagnosis has said: its last lines, and characters of the reason (an event is read on one screen).
 _LINES_KEPT, _LONGEST_REASON = 20, 500
 _SCRATCH: Final = "run-"
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import logging
-import threading
 import time
 from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
+from servo_daemon.background import Background
 from servo_daemon.config import DriveConfig
 from servo_daemon.daemon.trends.watch import FAR, NEAR, already_told, find_trends, names_of, warnings
 from servo_daemon.pipeline.event_log import EventLog
@@ -39,8 +39,8 @@ class Source(Protocol):
     trends: DriveTrends
 
 
-class TrendCoordinator:
-    """Finds the trends of all drives in a thread of its own. `start` and `stop` once each.
+class TrendCoordinator(Background):
+    """Finds the trends of all drives in a thread of its own.
 
     Args:
         archive: None: no history is kept, and there are no trends.
@@ -50,11 +50,10 @@ class TrendCoordinator:
     def __init__(
         self, archive: Archive | None, sources: Sequence[Source], clock: Callable[[], float] = time.time
     ) -> None:
+        super().__init__("trends")
         self._archive, self._clock = archive, clock
         self._sources: Sequence[Source] = ()
         self._standing: dict[str, frozenset[str]] = {}
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="trends", daemon=True)
         self.follow(sources)
 
     def follow(self, sources: Sequence[Source]) -> None:
@@ -72,17 +71,7 @@ class TrendCoordinator:
 
     def start(self) -> None:
         if self._archive is not None:
-            self._thread.start()
-
-    def begin_stop(self) -> None:
-        """Ask it to end without waiting."""
-        self._stop.set()
-
-    def stop(self, timeout_s: float) -> None:
-        """End. Idempotent."""
-        self._stop.set()
-        if self._thread.is_alive():
-            self._thread.join(timeout_s)
+            super().start()
 
     def _run(self) -> None:
         pause = FIRST_S

@@ -18,15 +18,13 @@ from servo_daemon.diagnosis.missing.noise_levels import alive, resolution
 from servo_daemon.diagnosis.trial.data import Data
 from servo_daemon.identification.inverse_dynamics.filter import Filter, FilterChoice, choose, rests
 from servo_daemon.identification.inverse_dynamics.shaft import kinematics, speed_noise
-from servo_daemon.identification.inverse_dynamics.signals import EvenStretch, even_stretch, pieces
+from servo_daemon.identification.inverse_dynamics.signals import FEWEST, EvenStretch, even_stretch, pieces
 from servo_daemon.identification.output_error.problem.problem import Segment
 from servo_daemon.identification.output_error.problem.rollout import TIME
 from servo_daemon.numerics import sample_period
 from servo_daemon.plant.columns.screening import Motion
 from servo_daemon.samples import F64
 
-#: Shorter pieces between gaps are left out; see also `Filter.shortest`.
-_FEWEST = 50
 #: Below so many standard deviations of its own noise a speed is rest.
 _REST_SIGMA = 4.0
 #: Instants of each interval that the motion's formulas are taken at where the effort is its mean: of a wave of which it
@@ -140,7 +138,7 @@ def _pieces(data: Data) -> list[_Piece]:
         if (block.torque_Nm is None and block.current_A is None) or block.position_rad is None:
             return []
         period = sample_period(block.time_s)
-        for piece in (p for p in pieces(block) if len(p) >= _FEWEST):
+        for piece in (p for p in pieces(block) if len(p) >= FEWEST):
             effort = piece.torque_Nm if piece.torque_Nm is not None else piece.current_A
             assert effort is not None
             if piece.current_mean and piece.torque_Nm is None:  # each over the interval that ends at its sample

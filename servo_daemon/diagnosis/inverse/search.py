@@ -37,6 +37,7 @@ NAMED = (_WAVES, "gravity_load", "load_dependent_friction", "position_dependent_
 _USUAL = "coulomb_friction"
 #: Log of the squared error that a further harmonic must take, and the radians of one that an instant may pass.
 _HARMONIC_WORTH, _RESOLVED = 0.15, 1.5
+#: At most so many effects are taken: friction, a weight and cogging are what the drives of the field data have.
 _MOST_EFFECTS = 3
 
 

@@ -14,6 +14,7 @@ from servo_daemon.diagnosis.trial.scored import Scored
 from servo_daemon.diagnosis.trial.trial import Trial
 from servo_daemon.samples import F64
 
+#: Resamples: the 1 % quantile of a gain is the fifth of them, and known to within about half of it.
 _RESAMPLES = 500
 _SEED = 7
 

@@ -21,15 +21,16 @@ from servo_daemon.diagnosis.trial.scored import Scored, scored_states
 from servo_daemon.diagnosis.trial.trial import Trial
 from servo_daemon.identification.output_error.problem.rollout import INPUT, free_run
 from servo_daemon.identification.output_error.solver.solver import solve
+from servo_daemon.numerics import THIRD_DIFFERENCE_GAIN
 from servo_daemon.samples import F64
 
 _SEED = 11
 #: The noise is drawn so often for each free run: within one an input's noise adds up to a drift of a few degrees of
 #: freedom, and one draw of it is half of its mean square off.
 _DRAWS = 4
-#: Third differences of white noise have 20 times its variance. The largest twentieth of their squares, where the motion
-#: has edges, is left out, which leaves 75.9 % of the variance of Gaussian noise.
-_THIRD, _WITHOUT_EDGES, _LEFT = 20.0, 0.95, 0.7588
+#: Of squared third differences the largest twentieth, where the motion has edges, is left out, which leaves 75.9 % of
+#: the variance of Gaussian noise.
+_WITHOUT_EDGES, _LEFT = 0.95, 0.7588
 
 
 def measured_levels(missing: Missing) -> NoiseLevels:
@@ -60,7 +61,7 @@ def third_differences(parts: Sequence[F64]) -> float:
     squares = np.square(np.concatenate([np.diff(x, 3) for x in parts]))
     if len(squares) == 0:
         return float("inf")
-    return float(np.mean(squares[squares <= np.quantile(squares, _WITHOUT_EDGES)])) / (_THIRD * _LEFT)
+    return float(np.mean(squares[squares <= np.quantile(squares, _WITHOUT_EDGES)])) / (THIRD_DIFFERENCE_GAIN * _LEFT)
 
 
 def noise_floor(levels: NoiseLevels, trial: Trial, part: int) -> Scored:

@@ -27,6 +27,7 @@ from servo_daemon.numerics import sample_period
 _SHORTEST_S, _LONGEST_S, _WANTED = 0.4, 1.5, 48
 #: A free run has at least so many samples.
 _FEWEST = 40
+#: Runs that are shorter than the search's are so many times shorter.
 _SHORTER = 8.0
 _SEED = 20260
 TRAIN, CHOICE, HELD_OUT = 0, 1, 2

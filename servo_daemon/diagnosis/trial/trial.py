@@ -25,6 +25,7 @@ from servo_daemon.plant.effects import check_effects, effects_by_name
 from servo_daemon.plant.effects.base import LATE_STEPS, TWIST
 from servo_daemon.samples import F64
 
+#: Of a fit: from each of several starts, and from the best of these.
 _START_ITERATIONS, _MOST_ITERATIONS = 3, 25
 #: Samples of all free runs together: of longer captures each run is only begun, so that a search takes no longer; the
 #: fit that is published sees all of them. And the least of one run.

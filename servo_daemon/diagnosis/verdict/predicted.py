@@ -18,7 +18,7 @@ from servo_daemon.diagnosis.trial.split import CHOICE
 from servo_daemon.diagnosis.trial.trial import Trial
 from servo_daemon.identification.output_error import OutputErrorFit
 from servo_daemon.identification.output_error.noise.whitening import tangents, whiten
-from servo_daemon.identification.output_error.problem.lazy import linearise
+from servo_daemon.identification.output_error.problem.linearisation import linearise
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.samples import F64
 

@@ -113,4 +113,4 @@ def _filled(template: str, values: dict[str, str]) -> bytes:
     return text.encode()
 
 
-TARGET = Target("c", ".c", "a C99 compiler", write)
+TARGET = Target("c", ".c", write)

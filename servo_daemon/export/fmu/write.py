@@ -157,4 +157,4 @@ def _description(plant: PlantModel, model: ExportedModel, values: dict[str, floa
 """
 
 
-TARGET = Target("fmu", ".fmu", "FMI 2.0 tools", write)
+TARGET = Target("fmu", ".fmu", write)

@@ -23,16 +23,11 @@ from servo_daemon.identification.inverse_dynamics.filter import Filter, FilterCh
 from servo_daemon.identification.inverse_dynamics.integral import moves_of, rows_in_windows
 from servo_daemon.identification.inverse_dynamics.result import Found, as_estimates, sorted_out
 from servo_daemon.identification.inverse_dynamics.shaft import check_effects, has_dry_friction, kinematics, rows
-from servo_daemon.identification.inverse_dynamics.signals import EvenStretch, even_stretch, pieces
+from servo_daemon.identification.inverse_dynamics.signals import FEWEST, EvenStretch, even_stretch, pieces
 from servo_daemon.identification.inverse_dynamics.solve import MakeRows, blurred, solve_shaft
 from servo_daemon.numerics import sample_period
 from servo_daemon.regression.linear_regression import ROBUST, autocorrelation
 from servo_daemon.samples import F64, SampleBlock
-
-#: Shorter pieces between gaps are left out.
-_FEWEST = 50
-#: f of the armature is at most this part of the sampling rate: its balance holds for any frequency.
-_ARMATURE_OF_RATE = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +91,6 @@ def identify_inverse_dynamics(
     *,
     choice: FilterChoice | None = None,
     axis: Axis = "rotary",
-    torque_is_held: bool = False,
 ) -> InverseDynamics:
     """Identify from one or more captures of the same motor with the same signals.
 
@@ -106,8 +100,6 @@ def identify_inverse_dynamics(
         fixed: parameters that are known, in SI units.
         choice: frequencies of the filter; None, or a field that is None: from the data.
         axis: only the units' names depend on it.
-        torque_is_held: a torque (force) is what was commanded from each sample to the next, like a voltage, and no
-            measurement at the sample. The published EMPS results take it as one at the sample.
 
     Raises:
         ConfigError: an effect that is not linear in its parameters.
@@ -117,13 +109,13 @@ def identify_inverse_dynamics(
     given = dict(fixed or {})
     channels = _check_signals(blocks, effects, given)
     period = float(np.median(np.concatenate([np.diff(b.time_s) for b in blocks])))
-    whole = [piece for block in blocks for piece in pieces(block) if len(piece) >= _FEWEST]
+    whole = [piece for block in blocks for piece in pieces(block) if len(piece) >= FEWEST]
     moves = None
     if choice is None and has_dry_friction(effects):
         moves = moves_of(blocks, sum(map(len, whole)))
     choice = choice or FilterChoice()
     if not whole and moves is None:
-        raise BadInputError(f"no {_FEWEST} samples without a gap: nothing can be filtered and differentiated")
+        raise BadInputError(f"no {FEWEST} samples without a gap: nothing can be filtered and differentiated")
     notes: list[str] = []
     armature, filters = None, dict[str, Filter]()
     if {"voltage_V", "current_A"} <= channels and "torque_Nm" not in channels:
@@ -132,7 +124,7 @@ def identify_inverse_dynamics(
         notes.append("no current: it is what R, L and K as given make of the voltage")
     problems: list[MakeRows] = []
     for L in _inductances(armature, given):
-        make_effort = partial(_effort, armature=armature, given=given, L=L, torque_is_held=torque_is_held)
+        make_effort = partial(_effort, armature=armature, given=given, L=L)
         if moves is not None:
             make_rows, filters["shaft"] = rows_in_windows(moves, make_effort, effects, 1.0 / period)
             problems.append(make_rows)
@@ -161,7 +153,7 @@ def _note_on_lost(whole: Sequence[SampleBlock], blocks: Sequence[SampleBlock]) -
     lost = n - sum(map(len, whole))
     if not lost:
         return []
-    return [f"{lost} of {n} samples are not used: fewer than {_FEWEST} in a row between gaps cannot be filtered"]
+    return [f"{lost} of {n} samples are not used: fewer than {FEWEST} in a row between gaps cannot be filtered"]
 
 
 def _inductances(armature: ArmatureFit | None, given: Mapping[str, float]) -> tuple[float, ...]:
@@ -175,13 +167,11 @@ def _inductances(armature: ArmatureFit | None, given: Mapping[str, float]) -> tu
     return (max(L - std, 0.0), L + std)
 
 
-def _effort(
-    piece: SampleBlock, armature: ArmatureFit | None, given: Mapping[str, float], L: float, torque_is_held: bool
-) -> F64:
+def _effort(piece: SampleBlock, armature: ArmatureFit | None, given: Mapping[str, float], L: float) -> F64:
     """Torque or current at the samples, shape (n,), or, where it is known how it went on between them, its means over
     the intervals, shape (n − 1,)."""
     if piece.torque_Nm is not None:
-        return piece.torque_Nm[:-1] if torque_is_held else piece.torque_Nm
+        return piece.torque_Nm
     if piece.voltage_V is None:
         assert piece.current_A is not None
         return piece.current_A

@@ -9,6 +9,8 @@ import numpy as np
 
 from servo_daemon.samples import F64, Quality, SampleBlock
 
+#: Shorter pieces between gaps are left out: a filter settles over some tens of samples.
+FEWEST = 50
 #: Sampling instants that lie on an even grid to this part of the period are taken as they are.
 _EVEN = 2e-3
 

@@ -33,9 +33,9 @@ from servo_daemon.identification.output_error.noise.noise import (
 )
 from servo_daemon.identification.output_error.noise.whitening import channel_weights, moving, tangents
 from servo_daemon.identification.output_error.problem.event_times import event_times_of, profile
-from servo_daemon.identification.output_error.problem.lazy import linearise
+from servo_daemon.identification.output_error.problem.linearisation import linearise
 from servo_daemon.identification.output_error.problem.problem import Problem
-from servo_daemon.identification.output_error.solver.solver import Point, normal_equations, point_of, within
+from servo_daemon.identification.output_error.solver.solver import RIDGE, Point, normal_equations, point_of, within
 from servo_daemon.identification.output_error.whitened_point import whiten_point, whitened_value
 from servo_daemon.samples import F64
 
@@ -44,8 +44,6 @@ _STEPS, _HALVINGS = 30, 6
 #: A step left over that is not smaller than this share of the last one has gone too far: the next are halved, and at
 #: the least share of a step nothing will move any more.
 _PROGRESS, _LEAST_SHARE = 0.8, 1 / 256
-#: Keeps a direction that the data do not show where it is, in units of what each unknown is known by.
-_RIDGE = 1e-10
 #: Directions of which the data know less than this (1/σ², σ of three e-folds) stay: a friction near zero.
 _FAINT = 0.1
 #: No logarithm moves by more in one step, unless it grows from next to nothing: there the model is linear in the
@@ -236,7 +234,7 @@ def _step(problem: Problem, whitened: Point) -> tuple[F64, float]:
     H = H + np.diag(np.where(problem.logarithmic, _FAINT, 0.0))
     free = ~_held(problem, whitened.unknowns, g) & (np.diag(H) > 0)
     size = np.sqrt(np.diag(H)[free])
-    A = H[np.ix_(free, free)] / np.outer(size, size) + _RIDGE * np.eye(len(size))
+    A = H[np.ix_(free, free)] / np.outer(size, size) + RIDGE * np.eye(len(size))
     step = np.zeros(len(g))
     step[free] = np.linalg.solve(A, g[free] / size) / size
     return step, float(g @ step)

@@ -10,7 +10,7 @@ from servo_daemon.identification.output_error.fitted import OutputErrorFit
 from servo_daemon.identification.output_error.noise.residual import residual_tests
 from servo_daemon.identification.output_error.precision.information import Information
 from servo_daemon.identification.output_error.precision.parameters import correlation_of, fitted_parameters
-from servo_daemon.identification.output_error.problem.lazy import linearise
+from servo_daemon.identification.output_error.problem.linearisation import linearise
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.problem.setup import Recording, make_problem
 from servo_daemon.identification.output_error.solver.solver import point_of

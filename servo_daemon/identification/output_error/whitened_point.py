@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from servo_daemon.identification.output_error.noise.whitening import channel_weights, tangents, whiten
-from servo_daemon.identification.output_error.problem.problem import Linearisation, Problem
+from servo_daemon.identification.output_error.problem.linearisation import Linearisation
+from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.solver.solver import Point
 from servo_daemon.samples import F64
 

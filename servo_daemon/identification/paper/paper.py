@@ -14,7 +14,7 @@ from types import MappingProxyType
 import numpy as np
 
 from servo_daemon.identification.output_error import FitOptions, OutputErrorFit, Recording, fit_output_error
-from servo_daemon.identification.output_error.problem.lazy import linearise
+from servo_daemon.identification.output_error.problem.linearisation import linearise
 from servo_daemon.identification.paper.coefficients import PaperCoefficients, redo_paper
 from servo_daemon.identification.paper.position_experiment import PositionTest, position_test, product_for
 from servo_daemon.kalman.gaussian import to_coordinate

@@ -22,7 +22,7 @@ from servo_daemon.identification.inverse_dynamics.signals import pieces
 from servo_daemon.identification.paper.free_run import free_run
 from servo_daemon.numerics import sample_period
 from servo_daemon.plant.build import build_plant
-from servo_daemon.regression.linear_regression import ROBUST, LinearFit, autocorrelation, fit_linear
+from servo_daemon.regression.linear_regression import ROBUST, LinearFit, fit_linear
 from servo_daemon.samples import F64, SampleBlock
 
 _NAMES = ("gain", "sum", "product")
@@ -46,16 +46,12 @@ class ProcessModel:
     Attributes:
         gain: k, rad/s per V. sum_s: a₁, s. product_s2: a₂, s².
         covariance: of (k, a₁, a₂), shape (3, 3).
-        offset_V: constant that had to be added to the voltage.
-        residual_autocorrelation: of neighbouring whitened residuals: near 0 where the model explains the capture.
     """
 
     gain: float
     sum_s: float
     product_s2: float
     covariance: F64
-    offset_V: float
-    residual_autocorrelation: float
 
     @property
     def std(self) -> F64:
@@ -97,11 +93,11 @@ def fit_process_model(blocks: Sequence[SampleBlock]) -> ProcessModel:
     for _ in range(_WHITENINGS):
         x, fit, residuals = _gauss_newton(data, x, filters)
         filters = [_autoregression(r) for r in residuals]
-    x, fit, residuals = _gauss_newton(data, x, filters)
-    return _checked(x, fit, np.concatenate([_whitened(r, a) for r, a in zip(residuals, filters, strict=True)]))
+    x, fit, _ = _gauss_newton(data, x, filters)
+    return _checked(x, fit)
 
 
-def _checked(x: F64, fit: LinearFit, white: F64) -> ProcessModel:
+def _checked(x: F64, fit: LinearFit) -> ProcessModel:
     if not set(_NAMES) <= set(fit.names):
         raise BadInputError("this motion does not show gain and time constants: it needs steps of the voltage")
     at = [fit.names.index(n) for n in _NAMES]
@@ -114,8 +110,7 @@ def _checked(x: F64, fit: LinearFit, white: F64) -> ProcessModel:
             f"the time constants do not show in this motion (their sum is {sum_s:.3g} s ± {100 * spread:.0f} %): "
             "it needs steps of the voltage"
         )
-    offset = float(fit.value[fit.names.index("offset")]) if "offset" in fit.names else 0.0
-    return ProcessModel(gain, sum_s, product_s2, covariance, offset, autocorrelation(white))
+    return ProcessModel(gain, sum_s, product_s2, covariance)
 
 
 def _piece(block: SampleBlock) -> _Piece:

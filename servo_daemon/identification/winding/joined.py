@@ -15,15 +15,13 @@ import numpy as np
 from servo_daemon.captures import Capture
 from servo_daemon.captures.capture.model import capture_error
 from servo_daemon.identification.output_error import FittedParameter
+from servo_daemon.identification.output_error.precision.parameters import BETWEEN_SAMPLES
 from servo_daemon.parameters import MOTOR_NAMES, WINDING_NAMES
 from servo_daemon.plant.effects import parameter_table
 from servo_daemon.regression.winding.estimate import WindingEstimate, estimate_winding, without_hidden_inductance
 from servo_daemon.regression.winding.rows import winding_rows
 from servo_daemon.signal_meaning import SignalMeaning
 
-#: What the motion between samples is exact to where the current runs on between them (as `_BETWEEN_SAMPLES` of
-#: `output_error/precision/parameters.py`; a mean says nothing of when in its interval it flowed).
-_BETWEEN_SAMPLES = 1e-3
 #: Parameters of effects that the winding's balance can hold, by effect.
 _IN_BALANCE = {"brush_voltage_drop": "Vb", "voltage_sensor_offset": "v0"}
 
@@ -143,7 +141,8 @@ def _joined(name: str, fitted: FittedParameter | None, winding: Winding) -> Fitt
         return FittedParameter(None, None, unit, "undetermined", at_bound=False)
     if fitted.value is None or fitted.std is None or not is_torque(unit):
         return fitted
-    share = math.hypot(winding.K_relative_std, _BETWEEN_SAMPLES)
+    # (Of a mean current nobody knows when in its interval it flowed.)
+    share = math.hypot(winding.K_relative_std, BETWEEN_SAMPLES)
     return replace(fitted, std=math.hypot(fitted.std, fitted.value * share))
 
 

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from sklearn.ensemble import RandomForestRegressor
 
 from servo_daemon.errors import BadInputError
+from servo_daemon.learning import LEARNERS
 from servo_daemon.learning.learners.grnn import GRNN
-from servo_daemon.learning.learners.screening import forest
+from servo_daemon.learning.learners.screening import forest, forest_prediction
 from servo_daemon.learning.learners.trees import boosted_trees
 from servo_daemon.samples import F64
 
-Learner = Literal["grnn", "forest", "boosting", "ridge", "neighbours"]
-LEARNERS: tuple[Learner, ...] = get_args(Learner)
 #: Of the GRNN: bounds a prediction's time and the model's size. Fewer prototypes than windows cost accuracy (a quarter
 #: of 4,000: 5 %), and 6,000 a prediction only 0.2 ms.
 PROTOTYPES = 6000
@@ -22,19 +22,16 @@ _MAX_WINDOWS, _MAX_ITER = 2000, 60
 _TREES = 100
 
 
-def make_learner(name: str, *, jobs: int = -1, seed: int = 0, windows: int = _MAX_WINDOWS) -> Any:
+def make_learner(name: str, *, seed: int = 0) -> Any:
     """An estimator with `fit(X, y)` and `predict(X)`.
-
-    Args:
-        windows: on how many the GRNN's bandwidths are fitted at most.
 
     Raises:
         BadInputError: no such learner.
     """
     if name == "grnn":
-        return GRNN(n_prototypes=PROTOTYPES, max_windows=windows, max_iter=_MAX_ITER, random_state=seed)
+        return GRNN(n_prototypes=PROTOTYPES, max_windows=_MAX_WINDOWS, max_iter=_MAX_ITER, random_state=seed)
     if name == "forest":
-        return forest(_TREES, jobs, seed)
+        return forest(_TREES, seed)
     if name == "boosting":
         from sklearn.ensemble import HistGradientBoostingRegressor
         from sklearn.multioutput import MultiOutputRegressor
@@ -64,5 +61,6 @@ def predict(learner: Any, X: F64) -> tuple[F64, F64]:
     """Outputs and their std by the learner's own idea (1 for one that has none), both of shape (n, m)."""
     if isinstance(learner, GRNN):
         return learner.answer(X)
-    value = np.asarray(learner.predict(X), dtype=np.float64)
+    is_forest = isinstance(learner, RandomForestRegressor)
+    value = forest_prediction(learner, X) if is_forest else np.asarray(learner.predict(X), dtype=np.float64)
     return value, np.ones_like(value)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from servo_daemon.errors import BadInputError
 from servo_daemon.learning.examples.drawing import TrainingSpec
 from servo_daemon.learning.examples.drive import same_rate
+from servo_daemon.learning.model.manifest import trained_as
 from servo_daemon.plant.compiler import cache_directory
 
 if TYPE_CHECKING:
@@ -54,12 +55,12 @@ def cached_model(spec: TrainingSpec, motors: int, learner: str | None = None) ->
 def kept_model(wanted: TrainingSpec, learner: str) -> LearnedModel | None:
     """The newest kept model of this learner that can be asked about this drive's windows, whoever trained it and with
     how many motors; None: there is none."""
-    from servo_daemon.learning.model.model_file import load_model, trained_as
-
     for path in sorted(_directory().glob("*.model"), key=_changed, reverse=True):
         try:
             spec, trained = trained_as(path)
             if trained == learner and serves(spec, wanted):
+                from servo_daemon.learning.model.model_file import load_model  # takes a second: scikit-learn
+
                 return load_model(path, own=True)
         except BadInputError as error:
             log.info("%s", error)

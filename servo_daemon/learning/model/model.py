@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_daemon.learning import Learner
 from servo_daemon.learning.examples.drawing import TrainingSpec
 from servo_daemon.learning.examples.targets import Target, baseline, coordinate_scale, decode, natural
 from servo_daemon.learning.examples.training import FAULTY, TARGETS
@@ -16,7 +17,7 @@ from servo_daemon.learning.features import catalogue
 from servo_daemon.learning.features.preparation import Preparation
 from servo_daemon.learning.learners.conformal import Intervals
 from servo_daemon.learning.learners.familiarity import LEAST_FAMILIARITY, Familiarity
-from servo_daemon.learning.learners.learners import Learner, predict
+from servo_daemon.learning.learners.learners import predict
 from servo_daemon.learning.model.novelty import MOST_NOVEL, Looks, Novelty
 from servo_daemon.samples import F64
 

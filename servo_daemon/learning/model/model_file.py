@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import logging
 import os
 import tempfile
 import zipfile
@@ -21,29 +20,29 @@ from typing import Any
 
 import numpy as np
 
-from servo_daemon import __version__
 from servo_daemon.errors import BadInputError
 from servo_daemon.learning.examples.drawing import TrainingSpec
 from servo_daemon.learning.examples.drive import same_rate
-from servo_daemon.learning.examples.targets import TARGET_KINDS
 from servo_daemon.learning.examples.training import TARGETS
 from servo_daemon.learning.features import catalogue
 from servo_daemon.learning.learners.conformal import Intervals
-from servo_daemon.learning.learners.learners import LEARNERS
 from servo_daemon.learning.model.checked import check_parts
+from servo_daemon.learning.model.manifest import (
+    DIGITS,
+    KIND,
+    MANIFEST,
+    NUMBERS,
+    SCHEMA,
+    check_versions,
+    content_hash,
+    spec_of,
+    unpacked,
+    versions,
+)
 from servo_daemon.learning.model.model import LearnedModel
-from servo_daemon.learning.model.own_key import is_ours, mark
+from servo_daemon.learning.model.own_key import mark
 from servo_daemon.plant.build import build_plant
 
-log = logging.getLogger(__name__)
-
-SCHEMA = 5
-_KIND = "servo-daemon learned model"
-_MANIFEST, _MODEL = "manifest.json", "model.skops"
-#: No model is larger, bytes; a zip can promise anything.
-_LARGEST = 500_000_000
-#: Of a SHA-256 hash, as text.
-_DIGITS = 64
 #: Types a model may be made of, beside those that skops itself knows to be harmless.
 _TYPES = frozenset(
     {
@@ -106,10 +105,10 @@ def _packed(manifest: Mapping[str, Any], numbers: bytes) -> bytes:
     """The file: a zip whose comment is our mark and the hash of all bytes before them: none can change unnoticed."""
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr(_MANIFEST, json.dumps(manifest, indent=1, ensure_ascii=False))
-        archive.writestr(_MODEL, numbers)
-        archive.comment = bytes(2 * _DIGITS)
-    content = packed.getvalue()[: -2 * _DIGITS]
+        archive.writestr(MANIFEST, json.dumps(manifest, indent=1, ensure_ascii=False))
+        archive.writestr(NUMBERS, numbers)
+        archive.comment = bytes(2 * DIGITS)
+    content = packed.getvalue()[: -2 * DIGITS]
     content += mark(content)
     return content + hashlib.sha256(content).hexdigest().encode()
 
@@ -118,9 +117,9 @@ def _manifest(model: LearnedModel, numbers_sha256: str) -> dict[str, Any]:
     p, spec = model.preparation, model.spec
     names = [catalogue.NAMES[k] for k in p.used_]
     content: dict[str, Any] = {
-        "kind": _KIND,
+        "kind": KIND,
         "schema": SCHEMA,
-        "versions": _versions(),
+        "versions": versions(),
         "spec": asdict(spec) | {"nominal": dict(spec.nominal)},
         "plant": build_plant(spec.plant_effects).content_hash,
         "targets": list(TARGETS),
@@ -133,21 +132,7 @@ def _manifest(model: LearnedModel, numbers_sha256: str) -> dict[str, Any]:
         "facts": dict(model.facts),
         "model_sha256": numbers_sha256,
     }
-    return content | {"manifest_sha256": _hash(content)}
-
-
-def _versions() -> dict[str, str]:
-    import sklearn
-
-    return {
-        "servo_daemon": __version__,
-        "features": str(catalogue.VERSION),
-        "scikit-learn": ".".join(sklearn.__version__.split(".")[:2]),
-    }
-
-
-def _hash(content: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(content, sort_keys=True, ensure_ascii=False).encode()).hexdigest()
+    return content | {"manifest_sha256": content_hash(content)}
 
 
 def load_model(path: Path, drive: DriveIdentity | None = None, *, own: bool = False) -> LearnedModel:
@@ -162,9 +147,9 @@ def load_model(path: Path, drive: DriveIdentity | None = None, *, own: bool = Fa
             model is made of, was trained by other versions, for another drive, or (`own`) elsewhere; one line that
             says which.
     """
-    manifest, numbers = _unpacked(path, own)
-    _check_versions(path, manifest)
-    spec = _spec(path, manifest)
+    manifest, numbers = unpacked(path, own)
+    check_versions(path, manifest)
+    spec = spec_of(path, manifest)
     if drive is not None:
         _check_drive(path, spec, drive)
     parts = _built(path, numbers)
@@ -187,74 +172,6 @@ def load_model(path: Path, drive: DriveIdentity | None = None, *, own: bool = Fa
         )
     except (KeyError, TypeError) as error:
         raise BadInputError(f"{path}: a part of the model is missing: {error}") from error
-
-
-def trained_as(path: Path) -> tuple[TrainingSpec, str]:
-    """On what a model of our own was trained, and which learner it is; its numbers are not built.
-
-    Raises:
-        BadInputError: see `load_model`.
-    """
-    manifest, _ = _unpacked(path, own=True)
-    _check_versions(path, manifest)
-    return _spec(path, manifest), str(manifest["learner"])
-
-
-def _unpacked(path: Path, own: bool) -> tuple[dict[str, Any], bytes]:
-    try:
-        packed = path.read_bytes()
-    except OSError as error:
-        raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from error
-    try:
-        with zipfile.ZipFile(io.BytesIO(packed)) as archive:
-            if sum(i.file_size for i in archive.infolist()) > _LARGEST:
-                raise BadInputError(f"{path}: larger than any model")
-            manifest, numbers = json.loads(archive.read(_MANIFEST)), archive.read(_MODEL)
-    except BadInputError:
-        raise
-    except Exception as error:  # a byte that has changed leads anywhere: into zlib, a wrong offset, a password
-        raise BadInputError(f"{path}: not a model of servo-daemon, or damaged: {error}") from error
-    if not isinstance(manifest, dict) or manifest.get("kind") != _KIND:
-        raise BadInputError(f"{path}: not a model of servo-daemon")
-    if manifest.get("schema") != SCHEMA:
-        raise BadInputError(f"{path}: a model of schema {manifest.get('schema')}, here is {SCHEMA}: train it again")
-    content = {k: v for k, v in manifest.items() if k != "manifest_sha256"}
-    if manifest.get("manifest_sha256") != _hash(content):
-        raise BadInputError(f"{path}: its manifest has been altered: the content hash does not match")
-    if manifest.get("model_sha256") != hashlib.sha256(numbers).hexdigest():
-        raise BadInputError(f"{path}: the model has been altered: the content hash does not match")
-    if packed[-_DIGITS:] != hashlib.sha256(packed[:-_DIGITS]).hexdigest().encode():
-        raise BadInputError(f"{path}: the file has been altered: its hash does not match")
-    if not is_ours(packed[: -2 * _DIGITS], packed[-2 * _DIGITS : -_DIGITS]):
-        if own:
-            raise BadInputError(f"{path}: not made by this installation: not used unless it is named with --model")
-        log.info("%s: made by another installation: whether it is a model is checked, not who made it", path)
-    return manifest, numbers
-
-
-def _check_versions(path: Path, manifest: Mapping[str, Any]) -> None:
-    here, there = _versions(), manifest.get("versions", {})
-    # Another version of the program is fine as long as features and equations are the same.
-    for name in ("features", "scikit-learn"):
-        if there.get(name) != here[name]:
-            raise BadInputError(f"{path}: trained with {name} {there.get(name)}, here is {here[name]}: train it again")
-    if manifest.get("features") != list(catalogue.NAMES) or manifest.get("targets") != list(TARGETS):
-        raise BadInputError(f"{path}: trained on other features than this version computes: train it again")
-    if manifest.get("target") not in TARGET_KINDS or manifest.get("learner") not in LEARNERS:
-        raise BadInputError(f"{path}: its target or learner is none of this version's: train it again")
-
-
-def _spec(path: Path, manifest: Mapping[str, Any]) -> TrainingSpec:
-    try:
-        table = dict(manifest["spec"])
-        table |= {name: tuple(table[name]) for name in ("effects", "channels")}
-        spec = TrainingSpec(**table)
-        plant = build_plant(spec.plant_effects).content_hash
-    except (KeyError, TypeError, BadInputError) as error:
-        raise BadInputError(f"{path}: what it was trained on cannot be read: {error}") from error
-    if manifest.get("plant") != plant:
-        raise BadInputError(f"{path}: trained on other equations of the motor than this version's: train it again")
-    return spec
 
 
 def _check_drive(path: Path, spec: TrainingSpec, drive: DriveIdentity) -> None:

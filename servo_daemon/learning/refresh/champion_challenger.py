@@ -10,7 +10,6 @@ window ago and has found out is not.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,14 +28,6 @@ _REFUTED = (frozenset({"R", "L", "K", "J", "B", "Tc"}), frozenset({"J", "B", "Tc
 #: What is left of the armature's and of the shaft's balance.
 Left = tuple[float, float]
 Values = Mapping[str, float]
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """What the beliefs of the window before leave of this one's balances; None where there was none to judge."""
-
-    model: Left | None = None
-    filter: Left | None = None
 
 
 class ChampionChallengerTest:
@@ -61,22 +52,18 @@ class ChampionChallengerTest:
         """The next window is of another device, or of other signals."""
         self._before, self.refuted = None, frozenset()
 
-    def judge(self, window: Window, present: Values | None) -> Comparison:
+    def judge(self, window: Window, present: Values | None) -> None:
         """Hold both beliefs of the window before against this one.
 
         Args:
             present: the filter's values by now; None: it has none.
         """
         before, self.refuted = self._before, frozenset()
-        if before is None:
-            return Comparison()
-        model, filtered = before
-        ours, theirs = residual_shares(window, model), None if filtered is None else residual_shares(window, filtered)
-        if ours is None or theirs is None:
-            return Comparison(ours, theirs)
-        if self._count(ours, theirs) and present is not None:
+        if before is None or before[1] is None:
+            return
+        ours, theirs = residual_shares(window, before[0]), residual_shares(window, before[1])
+        if ours is not None and theirs is not None and self._count(ours, theirs) and present is not None:
             self.refuted = _refuted(ours, theirs, residual_shares(window, present))
-        return Comparison(ours, theirs)
 
     def _count(self, ours: Left, theirs: Left) -> bool:
         """Whether the model has won this time."""

@@ -68,8 +68,6 @@ class RefreshEstimate:
         pseudo: what is to be done with it; None: nothing.
         reason: why nothing is to be done, or why the filter is to be widened; "" else.
         distance: RMS distance from the filter's values in standard deviations; None without a filter.
-        residuals, filter_residuals: what the model's estimate of the window before, and the filter's values of that
-            time, leave of this window's balances (armature, shaft); None where there was none to judge.
     """
 
     time_s: float
@@ -81,8 +79,6 @@ class RefreshEstimate:
     pseudo: PseudoMeasurement | None = None
     reason: str = ""
     distance: float | None = None
-    residuals: tuple[float, float] | None = None
-    filter_residuals: tuple[float, float] | None = None
 
 
 class Refresh:
@@ -165,12 +161,12 @@ class Refresh:
         if declined:
             return RefreshEstimate(time_s, {}, {}, familiarity, declined, self.mode)
         filtered = _natural(estimate)
-        left = self._challenge.judge(window, filtered)
+        self._challenge.judge(window, filtered)
         value = dict(zip(TARGETS, p.value[0].tolist(), strict=True))
         std = dict(zip(TARGETS, p.std[0].tolist(), strict=True))
         self._challenge.believe(value, filtered)
         decided = self._compare(value, std, p.correlation, estimate)
-        return RefreshEstimate(time_s, value, std, familiarity, "", self.mode, *decided, left.model, left.filter)
+        return RefreshEstimate(time_s, value, std, familiarity, "", self.mode, *decided)
 
     def _compare(
         self, value: Mapping[str, float], std: Mapping[str, float], correlation: F64, estimate: Gaussian | None

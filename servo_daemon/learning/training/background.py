@@ -9,8 +9,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from servo_daemon.errors import BadInputError
+from servo_daemon.learning import Learner
 from servo_daemon.learning.examples.drawing import TrainingSpec
-from servo_daemon.learning.learners.learners import Learner
 from servo_daemon.learning.model.cache import cached_model, model_path
 from servo_daemon.learning.model.model import LearnedModel
 

@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.errors import BadInputError
+from servo_daemon.learning import Learner
 from servo_daemon.learning.examples.drawing import TrainingSpec
 from servo_daemon.learning.examples.targets import Baseline, Target, baseline, bounded, coordinate_scale, encode
 from servo_daemon.learning.examples.training import FAULTY, FOREIGN, HEALTHY, TARGETS, TrainingSet
 from servo_daemon.learning.features.preparation import Preparation
 from servo_daemon.learning.learners.conformal import FEWEST_CALIBRATED, Intervals, calibrate
 from servo_daemon.learning.learners.familiarity import Familiarity
-from servo_daemon.learning.learners.learners import Learner, fit_learner, make_learner, predict
+from servo_daemon.learning.learners.learners import fit_learner, make_learner, predict
 from servo_daemon.learning.learners.screening import Screening, screen
 from servo_daemon.learning.model.model import LearnedModel
 from servo_daemon.learning.model.novelty import Looks, Novelty
@@ -64,14 +65,12 @@ def train_model(
     *,
     target: Target = "correction",
     learner: Learner = "grnn",
-    jobs: int = -1,
     say: Say | None = None,
 ) -> LearnedModel:
     """Screen, fit, calibrate.
 
     Args:
         windows: simulated ones of this spec, novel ones among them, and measured ones.
-        jobs: cores.
         say: told what is being done.
 
     Raises:
@@ -85,10 +84,10 @@ def train_model(
     preparation = Preparation().fit(fit.windows.features)
     X = preparation.transform(fit.windows.features)
     y = bounded(target, fit.wanted)  # where the regression is useless, it is not to rule
-    screening = screen(X, y, fit.role == "screen", jobs=jobs, seed=spec.seed)
+    screening = screen(X, y, fit.role == "screen", seed=spec.seed)
     tell("fitting")
     kept = screening.kept
-    fitted = fit_learner(make_learner(learner, jobs=jobs, seed=spec.seed), X[:, kept], y, fit.windows.motor)
+    fitted = fit_learner(make_learner(learner, seed=spec.seed), X[:, kept], y, fit.windows.motor)
     tell("calibrating")
     predicted = predict(fitted, preparation.transform(held.windows.features)[:, kept])
     intervals = _intervals(held, predicted, held.role == "calibrate")

@@ -6,11 +6,10 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from servo_daemon.learning import DEFAULT_MOTORS
+from servo_daemon.learning import DEFAULT_MOTORS, Learner
 from servo_daemon.learning.examples.drawing import TrainingSpec
 from servo_daemon.learning.examples.targets import Target
 from servo_daemon.learning.examples.training import TrainingSet, simulate_training
-from servo_daemon.learning.learners.learners import Learner
 from servo_daemon.learning.model.model import LearnedModel
 from servo_daemon.learning.training.fitting import train_model
 
@@ -56,6 +55,6 @@ def train(
     simulated_s = time.perf_counter() - began
     if job.measured is not None:
         windows = windows.joined(job.measured)
-    model = train_model(spec, windows, target=job.target, learner=job.learner, jobs=job.jobs, say=say)
+    model = train_model(spec, windows, target=job.target, learner=job.learner, say=say)
     facts = dict(model.facts) | {"motors_drawn": job.motors, "windows": len(windows), "simulation_s": simulated_s}
     return replace(model, facts=facts)

@@ -46,7 +46,6 @@ class WindingEstimate:
         value: shape (n,), natural units.
         covariance: shape (n, n).
         window_s: over which rows were added up.
-        residual_V: RMS of what is left, over such windows.
         extra: what else the balance holds that was not asked for, in words; None: nothing that shows.
     """
 
@@ -54,7 +53,6 @@ class WindingEstimate:
     value: F64
     covariance: F64
     window_s: float
-    residual_V: float
     extra: str | None = None
 
     @property
@@ -140,8 +138,7 @@ def _at_length(
     if not known:
         return None
     found = tuple(names[free[k]] for k in known)
-    rms = float(np.sqrt(np.mean(fit.residual**2)))
-    return WindingEstimate(found, fit.value[known], covariance[np.ix_(known, known)], window_s, rms, extra)
+    return WindingEstimate(found, fit.value[known], covariance[np.ix_(known, known)], window_s, extra)
 
 
 def _is_known(name: str, value: float, variance: float) -> bool:

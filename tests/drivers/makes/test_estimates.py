@@ -84,6 +84,7 @@ class _OneServo:
         return [Reply(0, State(s.data, s.error)) for s in self._decoder.feed(data)]
 
 
+@pytest.mark.first_is_fast
 @pytest.mark.parametrize("kind", ["dynamixel", "feetech"])
 def test_a_brushed_servo_tells_everything_but_the_inductance(kind: str) -> None:
     clock, driver = Clock(), closed(kind, rate_hz=500.0)

@@ -145,27 +145,20 @@ def test_another_poller_is_noticed_and_its_averages_are_not_believed(tmp_path: P
     assert np.isfinite(block.position_rad).all()
 
 
-def test_without_an_encoder_the_pole_pairs_are_asked_for(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("motion", "encoder", "missing"),
+    [(None, False, "pole_pairs"), (Motion(()), True, "turn")],
+    ids=["no encoder", "at rest"],
+)
+def test_what_is_missing_is_told(tmp_path: Path, motion: Motion | None, encoder: bool, missing: str) -> None:
     with (
-        line(tmp_path / "vesc", vesc(encoder=False)),
+        line(tmp_path / "vesc", VescDevice(RunningFoc(FocDrive(motion=motion)), encoder=encoder)),
         make_driver("vesc", "axis1", {"port": str(tmp_path / "vesc")}) as driver,
     ):
         deadline = time.monotonic() + 30.0
-        while "pole_pairs" not in (driver.remark or ""):
+        while missing not in (driver.remark or ""):
             assert driver.read(0.1) is None
             assert time.monotonic() < deadline, driver.remark
-
-
-def test_a_motor_at_rest_says_what_is_missing(tmp_path: Path) -> None:
-    still = RunningFoc(FocDrive(motion=Motion(())))
-    with (
-        line(tmp_path / "vesc", VescDevice(still)),
-        make_driver("vesc", "axis1", {"port": str(tmp_path / "vesc")}) as driver,
-    ):
-        end = time.monotonic() + 0.5
-        while time.monotonic() < end:
-            assert driver.read(0.1) is None
-        assert driver.remark is not None and "turn" in driver.remark
 
 
 def test_a_port_without_a_vesc_is_told(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from drivers.polling.poller import Answer, Reply
 from drivers.registry import make_driver
 from servo_daemon.config import DriveConfig
 from servo_daemon.pipeline.pipeline import Pipeline
-from servo_daemon.samples import SampleBlock
+from servo_daemon.samples import SampleBlock, concatenate
 from servo_daemon.sim_drive.makes.foc import Pmsm
 from servo_daemon.sim_drive.makes.serve import Device
 
@@ -61,10 +61,22 @@ def exchanged(driver: Any, dialogue: Any, exchange: Exchange, clock: Clock, rate
                 yield block
 
 
+def joined(blocks: Iterable[SampleBlock], most: int = 40) -> Iterator[SampleBlock]:
+    """So many blocks in one, as they queue up for a worker; a pipeline says the same of them."""
+    waiting: list[SampleBlock] = []
+    for block in blocks:
+        if waiting and (len(waiting) == most or waiting[-1].channels != block.channels):
+            yield concatenate(waiting)
+            waiting = []
+        waiting.append(block)
+    if waiting:
+        yield concatenate(waiting)
+
+
 def claimed(driver: Driver, blocks: Iterable[SampleBlock]) -> dict[str, tuple[float, float]]:
     """What is tracked at the end: value and standard deviation by name."""
     pipeline = Pipeline(DriveConfig(), driver.info, meaning=driver.meaning)
-    for block in blocks:
+    for block in joined(blocks):
         pipeline.process(block, rows=False)
     estimate = pipeline.finish() or pipeline.current()
     assert estimate is not None

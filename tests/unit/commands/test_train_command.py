@@ -167,7 +167,7 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_windows_and_the_same_model
     alone = simulate_training(spec, 200, novel=True, jobs=1)
     for name in ("motor", "kind", "features", "truth"):
         assert np.array_equal(getattr(from_cluster, name), getattr(alone, name), equal_nan=True), name
-    ours, theirs = (train_model(spec, w, jobs=1).predict(alone.features) for w in (alone, from_cluster))
+    ours, theirs = (train_model(spec, w).predict(alone.features) for w in (alone, from_cluster))
     assert np.array_equal(ours.value, theirs.value, equal_nan=True)
     assert ours.declined == theirs.declined
 

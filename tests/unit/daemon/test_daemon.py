@@ -122,7 +122,7 @@ def test_a_failing_pipeline_starts_over_and_leaves_the_others_alone(
     for name in ("one", "two"):
         rig.driver(name).feed(2000)
         rig.until_samples(2000, name)
-    pipeline = rig.runtime("one")._pipeline
+    pipeline = rig.runtime("one")._estimation._pipeline
 
     def fail(*_block: SampleBlock, **_how: bool) -> Any:
         raise FloatingPointError("made up")
@@ -342,7 +342,7 @@ def test_what_takes_one_drive_long_holds_up_no_other(
     for name in ("one", "two", "three"):
         rig.driver(name).feed(500)
         rig.until_samples(500, name)
-    gates = [Gate(monkeypatch, rig.runtime(name)._pipeline, "process") for name in ("one", "two")]
+    gates = [Gate(monkeypatch, rig.runtime(name)._estimation._pipeline, "process") for name in ("one", "two")]
     try:
         for name in ("one", "two", "three"):
             rig.driver(name).feed(500)
@@ -434,7 +434,7 @@ def test_an_estimator_in_the_making_is_no_problem_and_a_pipeline_that_hangs_is(
     finally:
         making.opened.set()
     rig.until_samples(100, "one")
-    hangs = Gate(monkeypatch, rig.runtime("one")._pipeline, "process")
+    hangs = Gate(monkeypatch, rig.runtime("one")._estimation._pipeline, "process")
     try:
         rig.driver("one").feed(100)
         assert hangs.entered.wait(PATIENCE_S)

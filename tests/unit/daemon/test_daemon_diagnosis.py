@@ -249,13 +249,13 @@ def test_the_mismatch_watch_begins_one_and_does_not_repeat_itself(
     start: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rig = start(configured("found", diagnose="on_mismatch"))
-    pipeline_of = rig.runtime()._diagnoses.watch
+    pipeline_of = rig.runtime()._estimation.diagnoses.watch
 
     def unexplained(estimate: Any) -> None:
         estimate.health["innovation_white"] = False
         pipeline_of(estimate)
 
-    monkeypatch.setattr(rig.runtime()._diagnoses, "watch", unexplained)
+    monkeypatch.setattr(rig.runtime()._estimation.diagnoses, "watch", unexplained)
     for k in range(1, 70):
         rig.driver().feed(100)
         rig.until_samples(100 * k)

@@ -133,7 +133,10 @@ def test_a_reset_goes_back_to_the_configured_model(start: Start, tmp_path: Path)
 def test_a_reset_ends_a_change_that_waits(start: Start) -> None:
     rig = tracking(start())
     future = rig.runtime().request_model(FRICTION, {})
-    rig.until(lambda: (p := rig.runtime()._model_changes._pending) is not None and p.begun, "begun; no samples come")
+    rig.until(
+        lambda: (p := rig.runtime()._estimation._model_changes._pending) is not None and p.begun,
+        "begun; no samples come",
+    )
     rig.runtime().request_reset()
     with pytest.raises(ServoDaemonError, match="reset"):
         future.result(PATIENCE_S)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -12,16 +13,15 @@ import pytest
 from servo_daemon.config import parse_config
 from servo_daemon.daemon import learning_coordinator
 from servo_daemon.errors import BadInputError
-from servo_daemon.learning.examples.drawing import TrainingSpec, draw_parameters
-from servo_daemon.learning.examples.training import simulate_motors
+from servo_daemon.learning.examples.drawing import TrainingSpec
 from servo_daemon.learning.model import cache
 from servo_daemon.learning.model.model import LearnedModel
 from servo_daemon.learning.model.model_file import save_model
 from servo_daemon.learning.training import background
-from servo_daemon.learning.training.fitting import train_model
 from servo_daemon.published.snapshot import EstimatorView
 from servo_daemon.simulate import DEFAULT_NOMINAL
 from tests.daemon_rig import Rig, starter
+from tests.learned_models import Once, small_model
 
 NOMINAL = {n: v for n, v in DEFAULT_NOMINAL.items() if n != "J_m"}
 SPEC = TrainingSpec(NOMINAL, window_s=2.0, rate_hz=1000.0)
@@ -37,8 +37,9 @@ def start(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callable[
 
 
 @pytest.fixture(scope="module")
-def model() -> LearnedModel:
-    return train_model(SPEC, simulate_motors(SPEC, range(130), draw_parameters(SPEC, 130), novel=True), jobs=1)
+def model(once: Once) -> LearnedModel:
+    """Of another motor, whose windows are half as dense: what it says does not matter here."""
+    return replace(small_model(once), spec=SPEC)
 
 
 def config(*, nominal: dict[str, float] | None = None, refresh: bool = True, **learning: Any) -> Any:
@@ -106,6 +107,17 @@ def training(monkeypatch: pytest.MonkeyPatch) -> type[Trained]:
     monkeypatch.setattr(background, "BackgroundTraining", Trained)
     Trained.steps, Trained.begun, Trained.stopped = (), [], 0
     return Trained
+
+
+def test_for_a_model_of_another_drive_scikit_learn_is_not_loaded(
+    model: LearnedModel, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    save_model(model, tmp_path / "other.model")
+    monkeypatch.setattr(cache, "_directory", lambda: tmp_path)
+    monkeypatch.setitem(sys.modules, "servo_daemon.learning.model.model_file", None)
+    assert cache.kept_model(replace(SPEC, effects=("coulomb_friction",)), "grnn") is None
+    with pytest.raises(ImportError):
+        cache.kept_model(SPEC, "grnn")
 
 
 def test_a_kept_model_is_taken(start: Callable[..., Rig], model: LearnedModel, training: type[Trained]) -> None:

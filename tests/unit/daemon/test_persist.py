@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from servo_daemon.config import DriveConfig
 from servo_daemon.daemon.persist import SCHEMA_VERSION, StateFile
 from servo_daemon.daemon.state_keeper import StateKeeper
-from servo_daemon.pipeline.pipeline import Pipeline, all_finite
+from servo_daemon.pipeline.pipeline import Pipeline
 from servo_daemon.pipeline.publish import Adopted, SavedState
 from servo_daemon.simulate import DEFAULT_NOMINAL, PAPER_MOTOR, SimulatedDrive, make_settings
 
@@ -304,7 +304,7 @@ def test_a_state_of_other_parameters_does_not_start_a_filter() -> None:
     pipeline.process(drive.next_block(3000))
     assert [m[1] for m in pipeline.messages] == ["filter started from regression and nominal values"]
     estimate = pipeline.current()
-    assert estimate is not None and all_finite(estimate)
+    assert estimate is not None and estimate.is_finite
 
 
 def test_a_reset_forgets_the_saved_state() -> None:

@@ -64,7 +64,8 @@ def test_limits_and_gains_count_at_once_and_the_estimates_go_on(start: Callable[
     rig.until(lambda: "alarm" in rig.kinds("a"), "the new alarm rings")
     assert rig.runtime("a") is runtime and rig.kinds("a").count("filter_started") == 1
     assert runtime.loop.in_use is not None and runtime.diagnosis.allowed is False
-    assert runtime.estimate is not None and "controller_margin_low" in runtime.estimate.health
+    estimate = runtime.snapshot().estimate
+    assert estimate is not None and "controller_margin_low" in estimate.health
     assert rig.kinds("a").count("reloaded") == 1 and "reloaded" not in rig.kinds("b")
     follow(rig, config({"name": "a", "estimation": estimation}, {"name": "b"}))
     rig.driver("a").feed(500)
@@ -138,7 +139,7 @@ def test_what_cannot_be_is_refused_as_a_whole(
         with pytest.raises(ServoDaemonError, match="drive b"):
             follow(rig, config({"name": "a", "limits": {"R_max": 1.0}}, {"name": "b"}))
     assert list(rig.daemon.drives) == ["a"] and rig.runtime("a") is runtime
-    assert runtime.config.limits.alarms == {} and "reloaded" not in rig.kinds("a")
+    assert runtime.active.limits.alarms == {} and "reloaded" not in rig.kinds("a")
 
 
 def test_systemd_is_told(start: Callable[..., Rig], tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 from drivers.base import OnboardEstimates
 from drivers.serial.decoder import BinaryDecoder
 from drivers.serial.frame import encode_frame
-from servo_daemon.daemon.drive_parts import with_onboard
+from servo_daemon.pipeline.views import with_onboard
 from tests.fake_daemon import make_estimate
 from tests.unit.export.firmware import RAD_PER_COUNT, exported
 

@@ -11,8 +11,8 @@ import pytest
 
 from servo_daemon.errors import BadInputError
 from servo_daemon.identification.output_error import FitOptions, Recording, fit_output_error
-from servo_daemon.identification.output_error.problem import lazy
-from servo_daemon.identification.output_error.problem.lazy import linearise
+from servo_daemon.identification.output_error.problem import linearisation
+from servo_daemon.identification.output_error.problem.linearisation import linearise
 from servo_daemon.identification.output_error.problem.rollout import free_run, simulate, simulate_many
 from servo_daemon.identification.output_error.problem.score import measured_speed, score
 from servo_daemon.identification.output_error.problem.setup import make_problem
@@ -119,7 +119,7 @@ def test_derivatives_are_computed_only_where_a_search_goes_on_from(monkeypatch: 
         calls.append(arguments)
         return simulate_many(*arguments)
 
-    monkeypatch.setattr(lazy, "simulate_many", counted)
+    monkeypatch.setattr(linearisation, "simulate_many", counted)
     problem = make_problem([Recording("a", block_of(linear_recording(), *FULL))], (), {})
     far = {n: float(np.log(v * (5.0 if k % 2 else 0.2))) for k, (n, v) in enumerate(MOTOR.items())}
     solution = solve(problem, problem.start(far), robust=False)

@@ -17,7 +17,7 @@ from servo_daemon.identification.output_error.noise.whitening import (
     tangent,
     whiten,
 )
-from servo_daemon.identification.output_error.problem.lazy import linearise
+from servo_daemon.identification.output_error.problem.linearisation import linearise
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.problem.setup import make_problem
 from servo_daemon.identification.output_error.solver.solver import point_of

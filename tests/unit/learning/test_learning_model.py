@@ -38,8 +38,8 @@ from servo_daemon.learning.features import catalogue
 from servo_daemon.learning.features.features import transformed
 from servo_daemon.learning.features.preparation import Preparation
 from servo_daemon.learning.learners.familiarity import LEAST_FAMILIARITY
-from servo_daemon.learning.learners.learners import make_learner
-from servo_daemon.learning.learners.screening import correlated_groups, screen
+from servo_daemon.learning.learners.learners import make_learner, predict
+from servo_daemon.learning.learners.screening import correlated_groups, forest, screen
 from servo_daemon.learning.model.model import LearnedModel
 from servo_daemon.learning.model.model_file import DriveIdentity, load_model, save_model
 from servo_daemon.learning.model.novelty import Novelty
@@ -182,7 +182,7 @@ def test_novel_windows_of_other_motors_are_declined(model: LearnedModel) -> None
 
 def test_a_model_needs_windows_to_decline(windows: TrainingSet) -> None:
     with pytest.raises(BadInputError, match="novel=True"):
-        train_model(SPEC, windows.only(windows.kind == HEALTHY), jobs=1)
+        train_model(SPEC, windows.only(windows.kind == HEALTHY))
 
 
 def test_features_become_gaussian_between_their_quantiles_and_shared_values_their_middle() -> None:
@@ -203,7 +203,7 @@ def test_a_forest_finds_what_matters_and_groups_what_says_the_same() -> None:
     X = rng.normal(size=(600, 10))
     X[:, 9] = X[:, 0] ** 3
     y = np.column_stack([X[:, 0] + 0.5 * X[:, 1], X[:, 1]]) + 0.1 * rng.normal(size=(600, 2))
-    found = screen(X, y, np.arange(600) % 4 == 0, jobs=1)
+    found = screen(X, y, np.arange(600) % 4 == 0)
     assert found.group[9] == found.group[0] != found.group[1]
     assert {0, 1} <= {*found.kept.tolist()} | ({0} if 9 in found.kept else set())
     assert len(found.kept) <= 5
@@ -211,17 +211,31 @@ def test_a_forest_finds_what_matters_and_groups_what_says_the_same() -> None:
     assert len(set(correlated_groups(rng.normal(size=(300, 6))))) == 6
 
 
+def test_a_forest_predicts_without_the_filters_of_warnings(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(1)
+    X, y = rng.normal(size=(60, 3)), rng.normal(size=(60, 2))
+    grown = forest(5, 0).fit(X, y)
+    expected = grown.predict(X)
+
+    def reset() -> None:
+        raise AssertionError("other threads have these filters, too")
+
+    monkeypatch.setattr("warnings.resetwarnings", reset)
+    value, std = predict(grown, X)
+    assert np.array_equal(value, expected) and (std == 1.0).all()
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_the_same_windows_make_the_same_model(model: LearnedModel, windows: TrainingSet) -> None:
-    again = train_model(SPEC, windows, jobs=2)
+    again = train_model(SPEC, windows)
     assert again.feature_names == model.feature_names
     assert np.array_equal(again.predict(windows.features).value, model.predict(windows.features).value, equal_nan=True)
 
 
 def test_too_few_motors(windows: TrainingSet) -> None:
     with pytest.raises(BadInputError, match="100 at least"):
-        train_model(SPEC, windows.only(np.arange(60)), jobs=1)
+        train_model(SPEC, windows.only(np.arange(60)))
 
 
 @pytest.mark.slow
@@ -232,7 +246,7 @@ def test_measured_captures_join_the_training(windows: TrainingSet, model: Learne
     assert len(measured) == 4
     assert set(measured.motor) == {-1}
     joined = windows.joined(measured)
-    assert train_model(SPEC, joined, jobs=1).facts["motors"] == model.facts["motors"] + 1
+    assert train_model(SPEC, joined).facts["motors"] == model.facts["motors"] + 1
     with pytest.raises(BadInputError, match="J must be known"):
         measured_training([(block, {"R": 1, "L": 1, "K": 1, "B": 1})], 2.0)
 
@@ -249,7 +263,7 @@ def test_over_its_file_a_model_says_the_same(model: LearnedModel, saved: Path, w
 @pytest.mark.slow
 @pytest.mark.parametrize("learner", ["forest", "boosting", "ridge", "neighbours"])
 def test_every_learner_has_a_file(learner: Any, windows: TrainingSet, tmp_path: Path) -> None:
-    other = train_model(SPEC, windows, learner=learner, jobs=1)
+    other = train_model(SPEC, windows, learner=learner)
     save_model(other, tmp_path / "m")
     again = load_model(tmp_path / "m")
     assert again.predict(windows.features).value == pytest.approx(other.predict(windows.features).value, nan_ok=True)
@@ -378,7 +392,7 @@ def test_a_forest_and_neighbours_with_a_node_or_a_shape_of_their_own_are_refused
     X, y = rng.normal(size=(60, d)), rng.normal(size=(60, m))
 
     def spoilt(learner: str, spoil: Callable[[Any], None]) -> None:
-        fitted = make_learner(learner, jobs=1).fit(X, y)
+        fitted = make_learner(learner).fit(X, y)
         save_model(dataclasses.replace(model, learner=learner, estimator=fitted), path)
         assert load_model(path).learner == learner
         hostile(path, lambda parts: spoil(parts["estimator"]))

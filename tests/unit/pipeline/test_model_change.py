@@ -10,7 +10,7 @@ import pytest
 from servo_daemon.config import DriveConfig
 from servo_daemon.errors import ModelError
 from servo_daemon.pipeline.model_change import ModelRequest, adopted_effects, checked_request
-from servo_daemon.pipeline.pipeline import Pipeline, all_finite
+from servo_daemon.pipeline.pipeline import Pipeline
 from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.published.snapshot import Estimate, ParameterEstimate
 from servo_daemon.samples import SampleBlock, make_block
@@ -95,7 +95,7 @@ def rows(pipeline: Pipeline, drive: SimulatedDrive, seconds: float, size: int = 
     out: list[Estimate] = []
     for _ in range(round(seconds * 1000 / size)):
         out += pipeline.process(drive.next_block(size))
-    assert all(all_finite(e) for e in out)
+    assert all(e.is_finite for e in out)
     return out
 
 

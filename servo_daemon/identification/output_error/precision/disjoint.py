@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.identification.output_error.precision.information import reduced
-from servo_daemon.identification.output_error.problem.problem import Linearisation, Problem, Segment
+from servo_daemon.identification.output_error.problem.linearisation import Linearisation
+from servo_daemon.identification.output_error.problem.problem import Problem, Segment
 from servo_daemon.identification.output_error.solver.solver import Point, solve
 from servo_daemon.samples import F64
 

@@ -31,10 +31,10 @@ import numpy as np
 
 from servo_daemon.identification.output_error.precision.information import Information
 from servo_daemon.identification.output_error.precision.rounding import DRAWS, rounded_otherwise
-from servo_daemon.identification.output_error.problem.lazy import linearise
-from servo_daemon.identification.output_error.problem.problem import Linearisation, Problem
+from servo_daemon.identification.output_error.problem.linearisation import Linearisation, linearise
+from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.problem.setup import STRAIGHT, Recording
-from servo_daemon.identification.output_error.solver.solver import Point, normal_equations
+from servo_daemon.identification.output_error.solver.solver import RIDGE, Point, normal_equations
 from servo_daemon.samples import F64
 
 #: The share that the derivative by it is taken with.
@@ -46,8 +46,6 @@ SHARE_STD = 1.0 / np.sqrt(12.0)
 USUAL_S = 12e-3
 #: A voltage is held for no longer than the loops of slow firmware take, 200 Hz, however seldom it is logged.
 LONGEST_HOLD_S = 5e-3
-#: Keeps a direction that the data do not show where it is, in units of what each unknown is known by.
-_RIDGE = 1e-10
 
 
 def with_input_error(
@@ -83,7 +81,7 @@ def _shifts(problem: Problem, others: Iterable[Problem], point: Point) -> F64:
 
     H, at_rest = equations([np.zeros_like(r) for r in here])
     size = np.sqrt(np.maximum(np.diag(H), 1e-300))
-    A = H / np.outer(size, size) + _RIDGE * np.eye(len(size))
+    A = H / np.outer(size, size) + RIDGE * np.eye(len(size))
     columns = []
     for other in others:
         with np.errstate(over="ignore", invalid="ignore"):

@@ -24,7 +24,7 @@ _VISIBLE_FRICTION = 0.05
 _APART = 0.5
 #: What a simulation from sample to sample is exact to where friction or brushes switch between two of them: over eight
 #: captures R, L, K, J, B and the effect's own were 0.02 .. 0.10 % off together, with 1 σ of the noise 0.03 %.
-_BETWEEN_SAMPLES = 1e-3
+BETWEEN_SAMPLES = 1e-3
 #: A logarithm so near to a bound is at it.
 _AT_BOUND = 1e-3
 #: Units of what means nothing without a size.
@@ -67,7 +67,7 @@ def fitted_parameters(
     std = np.sqrt(np.maximum(np.diag(info.covariance), 0.0))
     lost, bounded = _lost(problem, info, std), at_bounds(problem, solution)
     if problem.plant.may_stick or "brush_voltage_drop" in problem.plant.effects:
-        std = np.hypot(std, [_BETWEEN_SAMPLES if table[n].transform == "log" else 0.0 for n in info.names])
+        std = np.hypot(std, [BETWEEN_SAMPLES if table[n].transform == "log" else 0.0 for n in info.names])
 
     def fitted(column: int) -> FittedParameter:
         p = table[info.names[column]]

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +27,6 @@ _STATE_PRIOR = 100.0
 #: No winding of a servo motor is slower, s: catalogues say L/R of 0.1 ms (coreless) to 50 ms (frameless torque motors).
 #: A slower one makes a spring of the winding (a torque −K²/L θ), which is the gravity of whatever the motor lifts.
 _SLOWEST_WINDING_S = 0.1
-
-
 #: What a motor whose shaft is held moves like: it turns by nothing, and nothing comes back. K²/B is 10⁻¹² Ω.
 HELD_SHAFT = {"K": 1e-5, "J": 1e2, "B": 1e2}
 #: States of the motor itself; the others are effects'.
@@ -57,37 +54,6 @@ class Segment:
     x0: F64
     x0_scale: F64
     begin: int = 0
-
-
-class Linearised(Protocol):
-    """Residuals and derivatives at one point; see `Linearisation`."""
-
-    @property
-    def residuals(self) -> tuple[F64, ...]:
-        """Per segment, shape (n, c)."""
-
-    @property
-    def jacobian(self) -> tuple[F64, ...]:
-        """Per segment, shape (n, c, k)."""
-
-    @property
-    def finite(self) -> bool:
-        """Whether the simulation stayed in range."""
-
-
-@dataclass(frozen=True, slots=True)
-class Linearisation:
-    """Residuals and derivatives at one point.
-
-    Attributes:
-        residuals: per segment, shape (n, c), measured − shown; 0 where not valid.
-        jacobian: per segment, shape (n, c, k), of what is shown by `columns` of that segment.
-        finite: whether the simulation stayed in range.
-    """
-
-    residuals: tuple[F64, ...]
-    jacobian: tuple[F64, ...]
-    finite: bool
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_daemon.identification.output_error.problem.lazy import linearise
-from servo_daemon.identification.output_error.problem.problem import Linearised, Problem
+from servo_daemon.identification.output_error.problem.linearisation import Linearised, linearise
+from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.solver.bordered import solve_bordered
 from servo_daemon.identification.output_error.solver.robust import sample_weights
 from servo_daemon.samples import F64
@@ -41,7 +41,10 @@ _AS_PROMISED = 0.7
 _MOST_CURVED = 0.375
 #: A step that promises less (in V) is short enough to be straight.
 _STRAIGHT = 1.0
+#: Of a step, as shares of the curvature: the least is rounding, beyond the most nothing moves.
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-13, 1e12
+#: Keeps a direction that the data do not show where it is, in units of what each unknown is known by.
+RIDGE = 1e-10
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,16 +9,48 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
-from servo_daemon.identification.output_error.problem.problem import Linearised, Problem
+from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.problem.rollout import free_runs, simulate_many
 from servo_daemon.plant.c_code.lanes import LANES
 from servo_daemon.samples import F64
 
 #: Forward differences: share of an unknown's size; a parameter that may be zero is at least so large.
 _DIFFERENCE, _LEAST_SIZE = 1e-5, 1e-3
+
+
+class Linearised(Protocol):
+    """Residuals and derivatives at one point; see `Linearisation`."""
+
+    @property
+    def residuals(self) -> tuple[F64, ...]:
+        """Per segment, shape (n, c)."""
+
+    @property
+    def jacobian(self) -> tuple[F64, ...]:
+        """Per segment, shape (n, c, k)."""
+
+    @property
+    def finite(self) -> bool:
+        """Whether the simulation stayed in range."""
+
+
+@dataclass(frozen=True, slots=True)
+class Linearisation:
+    """Residuals and derivatives at one point.
+
+    Attributes:
+        residuals: per segment, shape (n, c), measured − shown; 0 where not valid.
+        jacobian: per segment, shape (n, c, k), of what is shown by `columns` of that segment.
+        finite: whether the simulation stayed in range.
+    """
+
+    residuals: tuple[F64, ...]
+    jacobian: tuple[F64, ...]
+    finite: bool
 
 
 def linearise(problem: Problem, unknowns: F64) -> Linearised:
