@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from servo_daemon.kalman.ekf import Ekf
-from servo_daemon.kalman.model import GATE
+from servo_daemon.kalman.measurement import GATE
 from servo_daemon.kalman.records import ChannelStatistics
 from servo_daemon.samples import F64
 from servo_daemon.tracking.noise.levels import Whiteness

@@ -24,7 +24,7 @@ import numpy as np
 
 from servo_daemon.kalman.ekf import Ekf
 from servo_daemon.kalman.gaussian import Gaussian
-from servo_daemon.kalman.model import GATE
+from servo_daemon.kalman.measurement import GATE
 from servo_daemon.kalman.records import Innovations, NoiseLevels
 from servo_daemon.numerics import inverse_of_information, score_and_information
 from servo_daemon.samples import F64
