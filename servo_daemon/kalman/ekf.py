@@ -192,7 +192,7 @@ class Ekf:
 
     @property
     def mean(self) -> F64:
-        return self._moments.of(self._state)[0]
+        return self._state[self._lay.z].copy()
 
     @property
     def covariance(self) -> F64:

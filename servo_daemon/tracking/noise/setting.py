@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -44,11 +43,20 @@ class NoiseSetting:
         hidden = self._hidden_in_current(sampling, found)
         if found is not None and "current_A" in sampling.noise_var:
             self._watch.expect_sensor("current_A", found)
-            sampling = replace(sampling, noise_var=self._watch.least_noise_var)
+            sampling = self.sampling(sampling.period_s)
         var = max(self._rls.window.input_noise(self._value, sampling) or 0.0, hidden)
         self._watch.expect_input(var, self._signal_scales.input_square**0.5, self._input_lsb)
         self.set()
         return scales
+
+    def sampling(self, period_s: float) -> Sampling:
+        """Noise as it is known by now, and what else integrals over samples are off by.
+
+        Args:
+            period_s: usual distance of two samples.
+        """
+        signals = self._signal_scales
+        return Sampling(self._watch.least_noise_var, signals.current_step_square, period_s, signals.samples_per_count)
 
     def _hidden_in_current(self, sampling: Sampling, sensor_var: float | None) -> float:
         """Variance of a held voltage that makes the current's noise, as far as that is not its sensor's and the winding
