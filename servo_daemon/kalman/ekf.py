@@ -11,8 +11,9 @@ from servo_daemon.kalman.gaussian import Gaussian, completed
 from servo_daemon.kalman.held import build_held_step
 from servo_daemon.kalman.layout import STATISTICS, EkfLayout
 from servo_daemon.kalman.model import INSTRUMENT_S, NO_INSTRUMENT_S, build_ekf_step
-from servo_daemon.kalman.moments import Moments, conditioned, is_definite, set_apart
+from servo_daemon.kalman.moments import Moments, conditioned, set_apart
 from servo_daemon.kalman.records import ChannelStatistics, Innovations, NoiseLevels
+from servo_daemon.numerics import is_definite
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.plant.compiled import SampleLoop
 from servo_daemon.plant.effects.base import LATE
@@ -23,6 +24,8 @@ _UNKNOWN_STATE_STD = {"current_A": 100.0, "velocity_rad_s": 1000.0, "position_ra
 
 #: Variance of a parameter the filter must not move.
 _HELD_VARIANCE = 1e-18
+#: What rounding may take from an eigenvalue of a correlation matrix (n ε is 10⁻¹⁵).
+_ROUNDING = 1e-12
 _LAST = STATISTICS.index("last")
 
 
@@ -283,4 +286,8 @@ class Ekf:
 
     def is_sound(self) -> bool:
         """Plausible, and the covariance has a Cholesky factor."""
-        return self.is_plausible() and is_definite(self.covariance)
+        if not self.is_plausible():
+            return False
+        P = self.covariance
+        scale = np.sqrt(np.diag(P))
+        return is_definite(P / np.outer(scale, scale), beyond=-_ROUNDING)

@@ -63,13 +63,3 @@ def conditioned(z: F64, P: F64, at: NDArray[np.intp], mean: F64, covariance: F64
     left[:, at] -= gain
     after = left @ P @ left.T + gain @ covariance @ gain.T
     return z + gain @ (mean - z[at]), (after + after.T) / 2
-
-
-def is_definite(P: F64) -> bool:
-    """Whether a covariance whose variances are positive has a Cholesky factor, but for rounding."""
-    scale = np.sqrt(np.diag(P))
-    try:
-        np.linalg.cholesky(P / np.outer(scale, scale) + 1e-12 * np.eye(len(P)))
-    except np.linalg.LinAlgError:
-        return False
-    return True

@@ -1,10 +1,10 @@
-"""Mean and covariance of the filter: a measurement from elsewhere, what is known apart, whether it is a covariance."""
+"""Mean and covariance of the filter: a measurement from elsewhere, and what is known apart."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from servo_daemon.kalman.moments import conditioned, is_definite, set_apart
+from servo_daemon.kalman.moments import conditioned, set_apart
 
 
 def covariance(seed: int, n: int = 5) -> np.ndarray:
@@ -33,9 +33,3 @@ def test_what_is_set_apart_is_correlated_with_nothing_else() -> None:
     assert (P[np.ix_([1, 3], [1, 3])] == own).all()
     assert not P[np.ix_([1, 3], [0, 2, 4])].any()
     assert not P[np.ix_([0, 2, 4], [1, 3])].any()
-
-
-def test_variances_alone_do_not_make_a_covariance() -> None:
-    scale = np.diag([1e-6, 1.0, 1e6])
-    assert is_definite(scale @ np.array([[1, 0.9, 0], [0.9, 1, 0], [0, 0, 1]]) @ scale)
-    assert not is_definite(scale @ np.array([[1, 1.1, 0], [1.1, 1, 0], [0, 0, 1]]) @ scale)
