@@ -46,7 +46,7 @@ _TICKS = 10, FOUND_TICK
 _MOST_MOVES = 4
 #: A parameter of which the samples leave more than this share of it was not seen.
 _UNSEEN_SHARE = 0.7
-#: In a tick at most so many steps of the filter go over samples again, which takes 50 ms of its 100; the rest of it in
+#: In a tick at most so many steps of the filter go over samples again, which takes 40 ms of its 100; the rest of it in
 #: the next ones. At 1 kHz the first time takes one tick, the second three. (With 40,000 the second is taken over later,
 #: and a start under friction claims a K that is 4.3 standard deviations off.)
 STEPS_A_TICK = 60_000
