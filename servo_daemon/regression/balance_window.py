@@ -23,7 +23,7 @@ from servo_daemon.regression.balances import (
 )
 from servo_daemon.regression.columns.terms import armature_coefficient, coefficient, is_share
 from servo_daemon.regression.residual_analysis import MeanError, Residuals
-from servo_daemon.regression.rls_fit import OVERLAP
+from servo_daemon.regression.rls_fit import CHANCE_STDS, OVERLAP
 from servo_daemon.regression.sampling import WINDOW_S, Sampling, between_samples, blind_std, of_standing_counts
 from servo_daemon.samples import F64
 
@@ -37,8 +37,6 @@ _ROWS_PER_COLUMN = 6
 _COUNTS_IN_MARGIN = 4.0
 #: What the current does between samples, as a share of what a balance leaves: beyond, no noise can be told from it.
 _HIDES = 0.5
-#: A sum of squares that is larger than expected by no more than so many standard deviations is so by chance.
-_CHANCE_STDS = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,7 +238,7 @@ class BalanceWindow:
     def _by_chance(self, which: str, total: Sums) -> float:
         """By how much larger than expected a sum of squares is that is so by chance."""
         free = max(total.rows - len(self._columns[which]), 1)
-        return 1.0 + _CHANCE_STDS * math.sqrt(2.0 * OVERLAP / free)
+        return 1.0 + CHANCE_STDS * math.sqrt(2.0 * OVERLAP / free)
 
     def y_channel(self, which: str) -> str | None:
         """The noisy channel that a balance's y is ∫φ of, if it is one."""

@@ -31,7 +31,7 @@ from servo_daemon.regression.rls_fit import CLOSES, LEAST_SIGNAL, OVERLAP, SYSTE
 from servo_daemon.samples import F64
 
 #: Integrals over samples (trapezoids, jitter, what the current does between samples) are no more exact than this, 1 σ.
-_EXACT_STD = 0.01
+EXACT_STD = 0.01
 #: A difference of so many standard deviations (squared) is chance.
 _CHANCE = 4.0
 
@@ -140,7 +140,7 @@ def unexplained_var(error: float, var: float) -> float:
     Args:
         var: of the difference.
     """
-    return max(0.0, error**2 - _CHANCE * (var + _EXACT_STD**2))
+    return max(0.0, error**2 - _CHANCE * (var + EXACT_STD**2))
 
 
 def _scale(gram: F64) -> F64:

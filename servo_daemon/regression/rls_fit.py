@@ -33,7 +33,7 @@ LEAST_SIGNAL = 1e-8
 _ROWS_PER_COEFFICIENT = 2.0
 #: A sum of squares is larger than expected, and a window excluded, beyond so many standard deviations of what chance
 #: makes of it.
-_CHANCE_STDS = 4.0
+CHANCE_STDS = 4.0
 #: What the rows leave goes up and down with the motion by this factor (in squares; jitter, what the current does
 #: between samples): with 1 a steady motor's standard deviations were up to five times as large for no error.
 _LEVEL_VARIES = 2.0
@@ -103,7 +103,7 @@ class Fit:
     @property
     def chance(self) -> float:
         """By how much larger than expected, as a share, a sum of squares is by chance."""
-        return _CHANCE_STDS * math.sqrt(2.0 * OVERLAP / (self.rows - len(self.value)))
+        return CHANCE_STDS * math.sqrt(2.0 * OVERLAP / (self.rows - len(self.value)))
 
 
 def fitted(span_s: float, sums: Block) -> Fit | None:
@@ -148,7 +148,7 @@ def excludes(shortest: Fit, value: F64) -> bool:
     off = value - shortest.value
     cost = float(off @ shortest.information @ off)
     scale = OVERLAP * shortest.residual_var + SYSTEMATIC**2 * shortest.energy
-    return cost > scale * (n + _CHANCE_STDS * math.sqrt(2.0 * n))
+    return cost > scale * (n + CHANCE_STDS * math.sqrt(2.0 * n))
 
 
 def structure(fit: Fit, quiet: Fit) -> float:
@@ -168,7 +168,7 @@ def unexplained(newest: Block, value: F64, shortest: Fit, quiet: Fit) -> float:
     rows = newest.rows
     weights = np.append(-value, 1.0)
     left = float(weights @ newest.gram @ weights)
-    chance = _CHANCE_STDS * math.sqrt(2.0 * OVERLAP / rows)
+    chance = CHANCE_STDS * math.sqrt(2.0 * OVERLAP / rows)
     return max(0.0, left - _noise(rows, float(newest.gram[-1, -1]), quiet, chance)) * max(shortest.rows / rows, 1.0)
 
 

@@ -17,6 +17,8 @@ from servo_daemon.samples import F64
 
 #: No variance is smaller, in its unit squared: below any sensor's (1 nA, 1 nrad), and its logarithm is a number.
 LEAST_VAR = 1e-18
+#: Fewest samples, or innovations, from which noise is learned: a variance is known to 20 % by them.
+FEWEST_TO_LEARN = 50
 #: Time constant of the adaptation, s.
 _ADAPTATION_S = 5.0
 #: While the level is still a guess it may change fourfold at once.

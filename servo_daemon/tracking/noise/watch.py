@@ -10,8 +10,6 @@ from servo_daemon.kalman.records import ChannelStatistics, NoiseLevels
 from servo_daemon.tracking.noise import levels as noise
 from servo_daemon.tracking.noise.levels import ChannelNoise, ProcessNoise, Whiteness
 
-#: Fewest innovations from which noise and correlation are learned.
-_FEWEST_TO_LEARN = 50
 #: The correlation of the current's innovations with the motion's a sample later is small: averaged over so long, s, and
 #: weighted up; more so where the winding has settled between two samples and nothing else tells the two noises apart.
 _CROSS_MEMORY_S, _CROSS_WEIGHT, _CROSS_WEIGHT_SETTLED = 10.0, 4.0, 10.0
@@ -219,7 +217,7 @@ class InnovationWatch:
         for name, tick in statistics.items():
             pooled = self._pool.get(name)
             s, span_s = (tick, duration_s) if pooled is None else (pooled[0].joined(tick), pooled[1] + duration_s)
-            if s.count < _FEWEST_TO_LEARN:  # a slow drive: a tick is too small a sample
+            if s.count < noise.FEWEST_TO_LEARN:  # a slow drive: a tick is too small a sample
                 self._pool[name] = s, span_s
                 continue
             self._pool.pop(name, None)
