@@ -42,6 +42,17 @@ def white_noise_var(signal: F64) -> float:
     return sigma**2 / THIRD_DIFFERENCE_GAIN
 
 
+def is_definite(symmetric: F64, beyond: float = 0.0) -> bool:
+    """Whether all eigenvalues of a symmetric matrix, shape (n, n), are larger than this."""
+    shifted = symmetric.copy()
+    shifted.flat[:: len(symmetric) + 1] -= beyond
+    try:
+        np.linalg.cholesky(shifted)
+    except np.linalg.LinAlgError:
+        return False
+    return True
+
+
 def inverse_of_information(information: F64) -> F64:
     """Covariance of what has this information, in any units, shape (n, n); along what nothing is known of, zero."""
     size = np.sqrt(np.maximum(information.diagonal(), 1e-300))

@@ -11,7 +11,9 @@ from servo_daemon.kalman.gaussian import Gaussian, completed
 from servo_daemon.kalman.held import build_held_step
 from servo_daemon.kalman.layout import STATISTICS, EkfLayout
 from servo_daemon.kalman.model import INSTRUMENT_S, NO_INSTRUMENT_S, build_ekf_step
+from servo_daemon.kalman.moments import Moments, conditioned, set_apart
 from servo_daemon.kalman.records import ChannelStatistics, Innovations, NoiseLevels
+from servo_daemon.numerics import is_definite
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.plant.compiled import SampleLoop
 from servo_daemon.plant.effects.base import LATE
@@ -22,6 +24,8 @@ _UNKNOWN_STATE_STD = {"current_A": 100.0, "velocity_rad_s": 1000.0, "position_ra
 
 #: Variance of a parameter the filter must not move.
 _HELD_VARIANCE = 1e-18
+#: What rounding may take from an eigenvalue of a correlation matrix (n ε is 10⁻¹⁵).
+_ROUNDING = 1e-12
 _LAST = STATISTICS.index("last")
 
 
@@ -54,14 +58,7 @@ class Ekf:
         self._state = np.zeros(layout.n_state)
         self._constants = np.zeros(layout.n_constants)
         self.use_instrumental_trajectory(True)
-        self._rows, self._columns = layout.triangle
-        # Where each element of P is in the state, shape (n_z, n_z), and of the parameters' part alone.
-        self._elements = np.empty((layout.n_z, layout.n_z), dtype=np.intp)
-        self._elements[self._rows, self._columns] = np.arange(layout.tri.start, layout.tri.stop)
-        self._elements[self._columns, self._rows] = self._elements[self._rows, self._columns]
-        self._parameter_elements = self._elements[layout.q, layout.q].copy()
-        self._variances = self._elements.diagonal().copy()
-        self._parameter_variances = self._variances[layout.q].copy()
+        self._moments = Moments(layout)
         self.started = False
 
     @property
@@ -80,7 +77,7 @@ class Ekf:
         P[self._lay.q, self._lay.q] = covariance
         self._state[:] = 0.0
         self._state[self._lay.held_input], self._state[self._lay.held_variance] = held_input, held_var
-        self._put(z, P)
+        self._moments.put(self._state, z, P)
         self.forget_state(x)
         self.started = True
 
@@ -99,25 +96,19 @@ class Ekf:
         self._forget([k for k, s in enumerate(self.plant.states) if s.name in _UNKNOWN_STATE_STD or s in LATE], x)
 
     def _forget(self, which: list[int], x: F64) -> None:
-        z, P = self.mean, self.covariance
-        z[which] = x[which]
-        P[which, :] = 0.0
-        P[:, which] = 0.0
-        for k in which:
-            state = self.plant.states[k]
-            P[k, k] = _UNKNOWN_STATE_STD.get(state.name, 3 * state.scale) ** 2
-        self._put(z, P)
-        self._state[self._lay.trajectory] = z[self._lay.x]
+        states = [self.plant.states[k] for k in which]
+        self._know_states(which, x[which], [_UNKNOWN_STATE_STD.get(s.name, 3 * s.scale) ** 2 for s in states])
         self._state[-1] = 0.0
 
     def know_state(self, name: str, mean: float, var: float) -> None:
         """What is known of a state of the plant from elsewhere; it is correlated with nothing."""
-        z, P, k = self.mean, self.covariance, self.plant.state_names.index(name)
-        z[k] = mean
-        P[k, :] = 0.0
-        P[:, k] = 0.0
-        P[k, k] = var
-        self._put(z, P)
+        self._know_states([self.plant.state_names.index(name)], mean, [var])
+
+    def _know_states(self, which: list[int], mean: F64 | float, var: list[float]) -> None:
+        z, P = self._moments.of(self._state)
+        z[which] = mean
+        set_apart(P, which, np.diag(var))
+        self._moments.put(self._state, z, P)
         self._state[self._lay.trajectory] = z[self._lay.x]
 
     def set_noise(self, noise: NoiseLevels) -> None:
@@ -208,7 +199,7 @@ class Ekf:
 
     @property
     def covariance(self) -> F64:
-        return self._state[self._elements]
+        return self._moments.of(self._state)[1]
 
     @property
     def x(self) -> F64:
@@ -218,11 +209,10 @@ class Ekf:
     @property
     def state_var(self) -> F64:
         """Variances of the plant's states, shape (n_x,)."""
-        return self._state[self._variances[self._lay.x]]
+        return self._state[self._moments.variances[self._lay.x]]
 
     def estimate(self) -> Gaussian:
-        lay = self._lay
-        return Gaussian(self.plant.parameter_names, self._state[lay.q].copy(), self._state[self._parameter_elements])
+        return Gaussian(self.plant.parameter_names, *self.parameters_of(self._state))
 
     @property
     def coordinates(self) -> F64:
@@ -232,12 +222,13 @@ class Ekf:
     @property
     def coordinate_std(self) -> F64:
         """1 σ of the parameters' coordinates, shape (n_q,)."""
-        return np.asarray(np.sqrt(np.maximum(self._state[self._parameter_variances], 0.0)))
+        return np.asarray(np.sqrt(np.maximum(self._state[self._moments.parameter_variances], 0.0)))
 
     def correlation(self, k: int, j: int) -> float:
         """Of two coordinates' errors."""
-        variances = self._state[self._parameter_variances[k]] * self._state[self._parameter_variances[j]]
-        return float(self._state[self._parameter_elements[k, j]] / np.sqrt(max(variances, 1e-300)))
+        at = self._moments.parameters
+        variances = self._state[at[k, k]] * self._state[at[j, j]]
+        return float(self._state[at[k, j]] / np.sqrt(max(variances, 1e-300)))
 
     def snapshot(self) -> F64:
         """A copy of everything the filter carries, for `parameters_of`; cheap."""
@@ -249,11 +240,11 @@ class Ekf:
 
     def parameters_of(self, snapshot: F64) -> tuple[F64, F64]:
         """The parameters' coordinates (n_q,) and their covariance (n_q, n_q) in a snapshot."""
-        return snapshot[self._lay.q].copy(), snapshot[self._parameter_elements]
+        return snapshot[self._lay.q].copy(), snapshot[self._moments.parameters]
 
     def moments_of(self, snapshot: F64) -> tuple[F64, F64]:
         """The parameters' coordinates and their variances in a snapshot, shape (n_q,) each."""
-        return snapshot[self._lay.q], snapshot[self._parameter_variances]
+        return snapshot[self._lay.q], snapshot[self._moments.parameter_variances]
 
     def put_parameters(self, mean: F64, covariance: F64) -> None:
         """Replace what is known of the parameters; the plant's states stay and are no longer correlated with them.
@@ -262,12 +253,10 @@ class Ekf:
             mean: coordinates, shape (n_q,).
             covariance: shape (n_q, n_q).
         """
-        z, P = self.mean, self.covariance
+        z, P = self._moments.of(self._state)
         z[self._lay.q] = mean
-        P[self._lay.q, :] = 0.0
-        P[:, self._lay.q] = 0.0
-        P[self._lay.q, self._lay.q] = covariance
-        self._put(z, P)
+        set_apart(P, list(range(self._lay.n_x, self._lay.n_z)), covariance)
+        self._moments.put(self._state, z, P)
 
     def take_in(self, index: NDArray[np.intp], mean: F64, covariance: F64) -> None:
         """What is known of some coordinates from elsewhere, or was known of them before, as a measurement: states and
@@ -279,19 +268,12 @@ class Ekf:
         """
         if len(index) == 0:
             return
-        z, P, at = self.mean, self.covariance, self._lay.n_x + index
-        S = P[np.ix_(at, at)] + covariance
-        size = np.sqrt(np.diag(S))
-        gain = np.linalg.solve(S / np.outer(size, size), P[at] / size[:, None]).T / size
-        z = z + gain @ (mean - z[at])
-        left = np.eye(len(z))
-        left[:, at] -= gain
-        P = left @ P @ left.T + gain @ covariance @ gain.T
-        self._put(z, (P + P.T) / 2)
+        z, P = self._moments.of(self._state)
+        self._moments.put(self._state, *conditioned(z, P, self._lay.n_x + index, mean, covariance))
 
     def widen_parameters(self, var: F64) -> None:
         """Add to the variances of the coordinates, shape (n_q,)."""
-        self._state[self._parameter_variances] += var
+        self._state[self._moments.parameter_variances] += var
 
     def put_coordinate(self, k: int, coordinate: float) -> None:
         """Coordinate k is somewhere else; nothing else moves."""
@@ -299,9 +281,8 @@ class Ekf:
 
     def is_plausible(self) -> bool:
         """Everything finite and every variance positive; cheap."""
-        return bool(
-            np.logical_and.reduce(np.isfinite(self._state)) and np.minimum.reduce(self._state[self._variances]) > 0.0
-        )
+        variances = self._state[self._moments.variances]
+        return bool(np.logical_and.reduce(np.isfinite(self._state)) and np.minimum.reduce(variances) > 0.0)
 
     def is_sound(self) -> bool:
         """Plausible, and the covariance has a Cholesky factor."""
@@ -309,12 +290,4 @@ class Ekf:
             return False
         P = self.covariance
         scale = np.sqrt(np.diag(P))
-        try:
-            np.linalg.cholesky(P / np.outer(scale, scale) + 1e-12 * np.eye(len(P)))
-        except np.linalg.LinAlgError:
-            return False
-        return True
-
-    def _put(self, z: F64, P: F64) -> None:
-        self._state[self._lay.z] = z
-        self._state[self._lay.tri] = P[self._rows, self._columns]
+        return is_definite(P / np.outer(scale, scale), beyond=-_ROUNDING)

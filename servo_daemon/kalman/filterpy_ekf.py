@@ -13,15 +13,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from servo_daemon.kalman.expressions import natural
 from servo_daemon.kalman.layout import CLIP, MEASURABLE, SPIKE, STATISTICS, EkfLayout
+from servo_daemon.kalman.measurement import GATE, UNUSUAL_INPUT
 from servo_daemon.kalman.model import (
-    _SHORTEST_STEP_S,
     DOUBTFUL_INPUT,
-    GATE,
     SAMPLES_TO_FIND_SPEED,
-    UNUSUAL_INPUT,
+    SHORTEST_STEP_S,
     found_speed,
-    natural,
     predict,
     slowness,
     trajectory_after,
@@ -66,7 +65,7 @@ class FilterpyLoop:
             # Rounding leaves P a little asymmetric; carried on or not, that must not depend on where a run ends.
             ekf.P[self._columns, self._rows] = ekf.P[self._rows, self._columns]
             trusted = min(DOUBTFUL_INPUT * constants[0] / max(state[lay.held_variance], 1e-300), 1.0)
-            slowly = trusted * float(slowness(max(sample[1], _SHORTEST_STEP_S), state[-1], constants[-1]))
+            slowly = trusted * float(slowness(max(sample[1], SHORTEST_STEP_S), state[-1], constants[-1]))
             state[lay.trajectory] = self._follow(state[lay.trajectory], ekf.x[lay.x], slowly)
             age = state[-1] + sample[1]
             state[-1] = SAMPLES_TO_FIND_SPEED * sample[1] if outputs[row, 2::3].any() else age
@@ -76,7 +75,7 @@ class FilterpyLoop:
         return outputs
 
     def _time_update(self, ekf: Any, state: F64, constants: F64, sample: F64) -> None:
-        lay, h = self._lay, max(sample[1], _SHORTEST_STEP_S)
+        lay, h = self._lay, max(sample[1], SHORTEST_STEP_S)
         if lay.plant.drive == "voltage":
             state[lay.held_input] += sample[-1]
             state[lay.held_variance] += sample[-1] ** 2

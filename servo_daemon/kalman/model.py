@@ -1,21 +1,8 @@
 """The extended Kalman filter's step as one CasADi function over the plant, parameters included as states.
 
 State z = (x, q): the plant's states and the parameters, logarithms where they are positive. One step predicts over the
-sample period just passed, with the input that was held during it, then takes the sample's channels one after another.
-
-Covariance in Joseph's form with an arbitrary gain (Bucy & Joseph 1968; Bierman 1977, eq. II.6.8):
-
-    P⁺ = P − k (P Hᵀ)ᵀ − (P Hᵀ) kᵀ + s k kᵀ,   s = H P Hᵀ + r
-
-kept as its lower triangle, so that it is symmetric by construction. Because the form holds for any gain, a parameter
-whose motion says nothing can be held by zeroing its row of the gain (Schmidt's "considered" parameter) and a suspected
-outlier by enlarging r, both without P becoming a lie.
-
-An innovation beyond `GATE` standard deviations is not thrown away but weighted down to the weight it would have at the
-gate: a single wrong sample moves nothing much, a model that has gone wrong is never locked out of its data. The
-variance that this takes is given half to the sensor and half to the state it shows: the sample may lie, but the motor
-may also have been pushed by what is in no signal (a wrong voltage sample), and a state that then stays behind would
-make every sample after it an outlier.
+sample period just passed, with the input that was held during it, then takes the sample's channels one after another
+(`measurement`).
 
 The derivatives by the parameters are taken along an instrumental trajectory: the states as the model has them when it
 follows the filter only slowly. Along the filter's own states, which hold the last samples' noise, an EKF takes that
@@ -31,23 +18,18 @@ from functools import cache
 
 import casadi as ca
 
-from servo_daemon.kalman.gaussian import to_coordinate
-from servo_daemon.kalman.layout import CLIP, MEASURABLE, SPIKE, STATISTICS, EkfLayout
+from servo_daemon.kalman.expressions import natural, pack, unpack
+from servo_daemon.kalman.layout import MEASURABLE, EkfLayout
+from servo_daemon.kalman.measurement import measurement_update
 from servo_daemon.plant.build import PlantModel
 
-#: Standard deviations at which an innovation is weighted down: 1 in 1.7 million for a Gaussian.
-GATE = 5.0
-
 #: Shortest step, s: two samples with one time stamp must not divide by zero.
-_SHORTEST_STEP_S = 1e-9
+SHORTEST_STEP_S = 1e-9
 
 #: Time constants with which the instrumental trajectory follows the filter, s. Long against a sample, short against
 #: what a wrong model needs to run away; and at once, where the parameters are not known yet and the model would lead it
 #: astray.
 INSTRUMENT_S, NO_INSTRUMENT_S = 0.1, 1e-9
-#: Where the input is known this many times worse than usual (in variance), as after a missing sample, the innovations
-#: are no sample of the usual noise.
-UNUSUAL_INPUT = 30.0
 #: An input known this many times worse than usual (in variance) leads it astray.
 DOUBTFUL_INPUT = 100.0
 #: Its time constant is at most this share of its age.
@@ -55,32 +37,8 @@ _YOUTH = 0.1
 #: After so many samples a filter that knew nothing of the speed has found it. Until then derivatives by the parameters
 #: are of another motion, and what the speed does to the current would pass for L.
 SAMPLES_TO_FIND_SPEED = 3.0
-
-
 #: Of the speed's standard deviation: four fifths of a Gaussian are further from its mean.
 _TO_SLIDE = 0.25
-
-
-def natural(plant: PlantModel, q: ca.SX) -> ca.SX:
-    """Parameters in their units from what the filter estimates."""
-    parts = [ca.exp(q[k]) if p.transform == "log" else q[k] for k, p in enumerate(plant.parameters)]
-    return ca.vertcat(*parts)
-
-
-def pack(P: ca.SX) -> ca.SX:
-    """Lower triangle, column by column."""
-    n = P.size1()
-    return ca.vertcat(*[P[row, column] for column in range(n) for row in range(column, n)])
-
-
-def unpack(tri: ca.SX, n: int) -> ca.SX:
-    """The symmetric matrix of a lower triangle."""
-    P, k = ca.SX.zeros(n, n), 0
-    for column in range(n):
-        for row in range(column, n):
-            P[row, column] = P[column, row] = tri[k]
-            k += 1
-    return P
 
 
 @dataclass(frozen=True)
@@ -175,11 +133,11 @@ def build_ekf_step(
     sample = ca.SX.sym("sample", lay.n_sample)
     state = _corrected(lay, given, sample)
     z, P, modelled = _time_update(lay, state, const, sample, mean_input=mean_input)
-    z, P, sums, output = _measurement_update(lay, z, P, state, const, sample)
+    z, P, sums, output = measurement_update(lay, z, P, state, const, sample)
     held = ca.vertcat(sample[2], const[0] + sample[3])
     # Where the input was not known the model knows nothing; after an outlier, which may have been the input's, neither.
     trusted = ca.fmin(DOUBTFUL_INPUT * const[0] / ca.fmax(state[lay.held_variance], 1e-300), 1.0)
-    slowly = trusted * slowness(ca.fmax(sample[1], _SHORTEST_STEP_S), state[-1], const[-1])
+    slowly = trusted * slowness(ca.fmax(sample[1], SHORTEST_STEP_S), state[-1], const[-1])
     trajectory = trajectory_after(plant, modelled, z[lay.x], slowly)
     outlier = sum((output[3 * k + 2] for k in range(len(channels))), start=ca.SX(0)) > 0
     age = ca.if_else(outlier, SAMPLES_TO_FIND_SPEED * sample[1], state[-1] + sample[1])
@@ -224,7 +182,7 @@ def _time_update(
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
     n_x = lay.n_x
     x, q, P = state[lay.x], state[lay.q], unpack(state[lay.tri], lay.n_z)
-    h = ca.fmax(sample[1], _SHORTEST_STEP_S)
+    h = ca.fmax(sample[1], SHORTEST_STEP_S)
     u, var_u = state[lay.held_input], state[lay.held_variance]
     if mean_input:
         u, var_u = sample[2], const[0] + sample[3]
@@ -239,61 +197,3 @@ def _time_update(
     P_qq = P[n_x:, n_x:] + ca.diag(const[lay.walk] * h)
     P_next = ca.vertcat(ca.horzcat(P_xx, P_xq), ca.horzcat(P_xq.T, P_qq))
     return ca.vertcat(step.x, q), P_next, step.trajectory
-
-
-def _measurement_update(
-    lay: EkfLayout, z: ca.SX, P: ca.SX, state: ca.SX, const: ca.SX, sample: ca.SX
-) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-    n_x = lay.n_x
-    rows = ca.vertcat(ca.SX.ones(n_x), const[lay.active])
-    information, outputs, statistics = state[lay.information], [], []
-    for k, channel in enumerate(lay.channels):
-        y, valid, doubt = sample[4 + 3 * k], sample[5 + 3 * k], sample[6 + 3 * k]
-        r = const[lay.r][k] * doubt
-        shown, H = _shown(lay, channel)
-        predicted, H_here = ca.Function("shown", shown, [H[0], H[1]])(z, sample[0])
-        innovation = y - predicted
-        s0 = H_here @ P @ H_here.T + r
-        extra = valid * ca.fmax(innovation**2 / GATE**2 - s0, 0.0)
-        own = lay.plant.state_names.index(channel)
-        P[own, own] += extra / 2
-        PHt, s = P @ H_here.T, s0 + extra
-        gain = valid / s * rows * PHt
-        # What this sample would tell of each parameter if it were free: held ones must be able to wake up.
-        p_qq, seen = ca.diag(P)[n_x:], PHt[n_x:]
-        reduction = seen**2 / s
-        information = information + valid * reduction / (p_qq * (p_qq - reduction))
-        z = z + gain * innovation
-        P = P - gain @ PHt.T - PHt @ gain.T + s * (gain @ gain.T)
-        gated = ca.logic_or(extra > 0, doubt >= SPIKE)
-        if k == 0:  # a misread input is one, too
-            gated = ca.logic_or(gated, valid * sample[-1] != 0)
-        outputs += [valid * innovation, ca.if_else(valid > 0, s0, 1.0), gated]
-        counts = valid * (doubt <= 1.0) * (state[lay.held_variance] <= UNUSUAL_INPUT * const[0])
-        statistics.append(_counted(state[lay.statistics], k, innovation, s0, counts, gated))
-    bounds = [(to_coordinate(p, p.lower), to_coordinate(p, p.upper)) for p in lay.plant.parameters]
-    q = [ca.fmax(ca.fmin(z[n_x + k], high), low) for k, (low, high) in enumerate(bounds)]
-    return ca.vertcat(z[:n_x], *q), P, ca.vertcat(information, *statistics), ca.vertcat(*outputs)
-
-
-def _counted(before: ca.SX, k: int, innovation: ca.SX, s0: ca.SX, counts: ca.SX, outlier: ca.SX) -> ca.SX:
-    """Channel k's `STATISTICS` with one more sample, if it `counts`."""
-    n = len(STATISTICS)
-    count, nis, excess, lagged, last, gated, crossed = ca.vertsplit(before[k * n : (k + 1) * n])
-    normalised = innovation / ca.sqrt(s0)
-    return ca.vertcat(
-        count + counts,
-        nis + counts * normalised**2,
-        excess + counts * s0 * (ca.fmin(normalised**2, CLIP**2) - 1.0),
-        lagged + counts * normalised * last,
-        ca.if_else(counts > 0, normalised, last),
-        gated + outlier,
-        crossed + counts * normalised * before[STATISTICS.index("last")],
-    )
-
-
-def _shown(lay: EkfLayout, channel: str) -> tuple[list[ca.SX], tuple[ca.SX, ca.SX]]:
-    """What the channel's sensor shows and its derivative, as expressions in fresh symbols."""
-    z, t = ca.SX.sym("z", lay.n_z), ca.SX.sym("t")
-    value = lay.plant.sensed(z[: lay.n_x], natural(lay.plant, z[lay.n_x :]), t)[MEASURABLE.index(channel)]
-    return [z, t], (value, ca.jacobian(value, z))

@@ -11,7 +11,6 @@ import numpy as np
 
 from servo_daemon.regression import residual_analysis
 from servo_daemon.regression.balances import (
-    NOISE_KNOWN,
     GramWindow,
     Sums,
     armature_slopes,
@@ -23,7 +22,7 @@ from servo_daemon.regression.balances import (
 )
 from servo_daemon.regression.columns.terms import armature_coefficient, coefficient, is_share
 from servo_daemon.regression.residual_analysis import MeanError, Residuals
-from servo_daemon.regression.rls_fit import OVERLAP
+from servo_daemon.regression.rls_fit import CHANCE_STDS, OVERLAP
 from servo_daemon.regression.sampling import WINDOW_S, Sampling, between_samples, blind_std, of_standing_counts
 from servo_daemon.samples import F64
 
@@ -37,8 +36,6 @@ _ROWS_PER_COLUMN = 6
 _COUNTS_IN_MARGIN = 4.0
 #: What the current does between samples, as a share of what a balance leaves: beyond, no noise can be told from it.
 _HIDES = 0.5
-#: A sum of squares that is larger than expected by no more than so many standard deviations is so by chance.
-_CHANCE_STDS = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,16 +166,6 @@ class BalanceWindow:
         of_one = float(total.weight_squares[0]) / sampling.period_s
         return left * self._size("shaft", value) ** 2 / max(of_one, 1e-300)
 
-    def input_noise(self, value: Mapping[str, float], sampling: Sampling) -> float | None:
-        """Variance of what the winding gets beside the recorded voltage, V²: as white noise of each held piece, after
-        what the armature's balance leaves that is not noise of the other channels. None without that balance."""
-        total = self._grams["armature"].total(self._end_s)
-        if total is None:
-            return None
-        noise = self._noise("armature", total, value, sampling) / NOISE_KNOWN
-        left = residual_analysis.residual_square(total.gram) - noise
-        return max(left, 0.0) / max(float(total.weight_squares[0]), 1e-300)
-
     def current_noise(self, sampling: Sampling) -> float | None:
         """Variance of the current's sensor, A²: what the best fit of the shaft's balance leaves, as far as what the
         current does between samples does not explain it. A current that really flows moves the shaft, noise of its
@@ -240,7 +227,7 @@ class BalanceWindow:
     def _by_chance(self, which: str, total: Sums) -> float:
         """By how much larger than expected a sum of squares is that is so by chance."""
         free = max(total.rows - len(self._columns[which]), 1)
-        return 1.0 + _CHANCE_STDS * math.sqrt(2.0 * OVERLAP / free)
+        return 1.0 + CHANCE_STDS * math.sqrt(2.0 * OVERLAP / free)
 
     def y_channel(self, which: str) -> str | None:
         """The noisy channel that a balance's y is ∫φ of, if it is one."""

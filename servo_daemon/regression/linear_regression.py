@@ -15,11 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from servo_daemon.errors import BadInputError
+from servo_daemon.regression import rls_fit
 from servo_daemon.samples import F64
 
-#: Share of a balance by which a model may be wrong in the worst way.
-_MODEL_ERROR = 1e-3
-#: ... and by which filtering and interpolation are: this part of it is in the standard deviation.
+#: Share of a balance by which filtering and interpolation may be wrong: beside the model's (`rls_fit.SYSTEMATIC`) this
+#: is in the standard deviation.
 _METHOD_ERROR = 2e-4
 #: Rows of `covariances`.
 ROBUST, WHITE, SYSTEMATIC = range(3)
@@ -106,7 +106,7 @@ def fit_linear(names: Sequence[str], X: F64, y: F64, Z: F64 | None = None) -> Li
     white = s2 * inverse @ (W.T @ W) @ inverse.T
     robust = inverse @ long_run(W * residual[:, None]) @ inverse.T
     worst = float(y @ y) * inverse @ (W.T @ W) @ inverse.T
-    covariances = np.stack([robust + _METHOD_ERROR**2 * worst, white, _MODEL_ERROR**2 * worst])
+    covariances = np.stack([robust + _METHOD_ERROR**2 * worst, white, rls_fit.SYSTEMATIC**2 * worst])
     out = np.flatnonzero(keep[used])
     back = 1.0 / scale[used][out]
     return LinearFit(

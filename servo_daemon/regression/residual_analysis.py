@@ -25,13 +25,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from servo_daemon.numerics import is_definite
 from servo_daemon.regression.balances import Sums, added
-from servo_daemon.regression.rls_fit import CLOSES, OVERLAP, SYSTEMATIC
-from servo_daemon.regression.small_matrices import eigenvalues
+from servo_daemon.regression.rls_fit import CLOSES, LEAST_SIGNAL, OVERLAP, SYSTEMATIC
 from servo_daemon.samples import F64
 
 #: Integrals over samples (trapezoids, jitter, what the current does between samples) are no more exact than this, 1 σ.
-_EXACT_STD = 0.01
+EXACT_STD = 0.01
 #: A difference of so many standard deviations (squared) is chance.
 _CHANCE = 4.0
 
@@ -123,7 +123,7 @@ def mean_error(parts: list[Residuals]) -> MeanError | None:
     scale = _scale(sums.gram)
     square = scale[:, None] * scale
     signal = (sums.gram[:-1, :-1] - np.diag(added([p.noise for p in parts]))) / square
-    if sums.rows <= 2 * n or eigenvalues(signal)[0] < 1e-8:
+    if sums.rows <= 2 * n or not is_definite(signal, LEAST_SIGNAL):
         return None
     inverse = np.linalg.inv(signal) / square
     score = added([p.score for p in parts])
@@ -140,7 +140,7 @@ def unexplained_var(error: float, var: float) -> float:
     Args:
         var: of the difference.
     """
-    return max(0.0, error**2 - _CHANCE * (var + _EXACT_STD**2))
+    return max(0.0, error**2 - _CHANCE * (var + EXACT_STD**2))
 
 
 def _scale(gram: F64) -> F64:

@@ -19,7 +19,8 @@ from servo_daemon.tracking.changes.actions import JumpActions
 from servo_daemon.tracking.noise.watch import InnovationTest, InnovationWatch
 from servo_daemon.tracking.samples.signal_scales import SignalScales
 
-#: So many ticks of a calm drive are judged together.
+#: So many ticks of a calm drive are judged together: what is published of its parameters is half a second old at most
+#: (docs/performance.md).
 TOGETHER = 5
 #: A drive is calm after so many ticks to which there was nothing: as many as the balances look back over
 #: (`regression/sampling.WINDOW_S`), so that what they say is of a motor that does as it did before.

@@ -7,7 +7,6 @@ only ticks change anything but the filter's own recursion.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 
@@ -18,44 +17,25 @@ from servo_daemon.parameters import Parameter
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.regression.estimate import RegressionEstimate
 from servo_daemon.regression.motor_rls import MotorRls
-from servo_daemon.regression.sampling import Sampling
 from servo_daemon.regression.stretch import Stretch
 from servo_daemon.samples import F64, SampleBlock
-from servo_daemon.tracking.calm import CalmTicks, Taken
-from servo_daemon.tracking.changes import jumps
-from servo_daemon.tracking.changes.actions import JumpActions
-from servo_daemon.tracking.changes.search import JumpSearch
-from servo_daemon.tracking.noise.setting import NoiseSetting
-from servo_daemon.tracking.notifications import Notifications
 from servo_daemon.tracking.plan.parameter_masks import make_masks
 from servo_daemon.tracking.plan.settings import Message, Resolutions, TrackerSettings
 from servo_daemon.tracking.plan.signals import SignalPlan, plan_signals
 from servo_daemon.tracking.prior_transfer import PriorTransfer, trusted_mask
-from servo_daemon.tracking.restart.divergence import DivergenceMonitor
-from servo_daemon.tracking.restart.maximum_likelihood import MaximumLikelihoodRestart
-from servo_daemon.tracking.restart.relinearisation import FOUND_TICK, BatchRelinearisation
 from servo_daemon.tracking.samples.filtering import Filtering
 from servo_daemon.tracking.samples.signal_scales import SignalScales
 from servo_daemon.tracking.start.starter import Start, Starter
+from servo_daemon.tracking.supervision import Ended, FilterSupervision
 from servo_daemon.tracking.tracker import Tracker
 from servo_daemon.tracking.validity.excitation import Excitation
 from servo_daemon.tracking.validity.fusion import Trusted
 from servo_daemon.tracking.validity.gates import Qualification
-from servo_daemon.tracking.validity.tick import Tick
-from servo_daemon.tracking.validity.validity_gate import ValidityGate
 
-#: A saved state may be of yesterday's temperature and load: added 1 σ.
+#: A saved state may be of yesterday's temperature and load: added 1 σ (copper: 8 K at 0.39 %/K).
 _SAVED_STD = 0.03
-#: After so many ticks, no sooner than anything can be published, jumps are looked for; a Cholesky factor is tried this
-#: often.
-_TICKS_TO_WATCH, _SOUNDNESS_EVERY = 8, 20
 #: From then on a filter that took over from another may speak for the drive.
 _TICKS_TO_SETTLE = 10
-#: A step is one of a motor that the model has explained for so long before, s (a filter that has just started on data
-#: with 30 % of dry friction that its model lacks looked white for 2 s, and then "K stepped").
-_CALM_S = 2.5
-#: When the filter begins to use its instrumental trajectory, the covariance is widened once, 1 σ over the scales.
-_SECOND_START_STD = 0.1
 
 
 class PlantTracker(Tracker):
@@ -89,22 +69,13 @@ class PlantTracker(Tracker):
         sees_angle = "position_rad" in plan.measured
         self._rls = MotorRls(plant, plan.known, plan.biases, self.nominal, sees_angle=sees_angle)
         self._masks = make_masks(plan, settings, self._rls.in_regression)
-        self._validity = ValidityGate(self._masks, self._ekf, self._rls)
-        self._notifications = Notifications(self._masks, self._ekf, self.watch, lambda: self.excitation.scales)
         self._stretches = Stretches()
         self._starter = Starter(plan, self.nominal, self._rls.names)
         self._signal_scales = SignalScales(plant)
-        self._noise = NoiseSetting(self._masks, self._ekf, self._rls, self.watch, self._signal_scales)
         self._filtering = Filtering(self._ekf, self._signal_scales)
-        search = JumpSearch(self._masks, self._ekf, self._filtering, self._validity, self.watch)
-        self._jumps = JumpActions(self._masks, self._ekf, self._rls, self._validity, search)
-        self._relinearisation = BatchRelinearisation(
-            self._masks, self._ekf, self._filtering, self._validity, self._noise
+        self._supervision = FilterSupervision(
+            self._masks, self._ekf, self._rls, self.watch, self._filtering, self._signal_scales
         )
-        self._likelihood_restart = MaximumLikelihoodRestart(self._masks, self._ekf, self._filtering, self._noise)
-        self._divergence = DivergenceMonitor(self._masks, self._ekf, self._rls, self._validity, self.watch)
-        self._together = CalmTicks(self._ekf, self.watch, self._jumps, self._signal_scales)
-        self._ticks = 0
 
     @property
     def ekf(self) -> Ekf:
@@ -121,37 +92,37 @@ class PlantTracker(Tracker):
 
     @property
     def settled(self) -> bool:
-        return self._ekf.started and self._ticks > _TICKS_TO_SETTLE
+        return self._ekf.started and self._supervision.ticks > _TICKS_TO_SETTLE
 
     @property
     def is_calm(self) -> bool:
-        return self._together.calm
+        return self._supervision.together.calm
 
     @property
     def waits(self) -> bool:
-        return self._together.waiting > 0
+        return self._supervision.together.waiting > 0
 
     @property
     def excitation(self) -> Excitation:
         """What the motion says about each parameter."""
-        return self._validity.excitation
+        return self._supervision.validity.excitation
 
     @property
     def qualification(self) -> Qualification:
         """Which parameters are known."""
-        return self._validity.qualification
+        return self._supervision.validity.qualification
 
     @property
     def explained(self) -> bool:
-        return self._notifications.explained
+        return self._supervision.notifications.explained
 
     @property
     def examines_jump(self) -> bool:
-        return self._jumps.is_open
+        return self._supervision.jumps.is_open
 
     @property
     def jump_is_sudden(self) -> bool:
-        return self._jumps.watch.sudden
+        return self._supervision.jumps.watch.sudden
 
     def assimilate(self, known: Gaussian, widen_std: F64) -> None:
         """Take what is known from elsewhere as a measurement of some of the parameters. What was being examined as a
@@ -168,32 +139,30 @@ class PlantTracker(Tracker):
             var[at] = np.square(widen_std)
             self._ekf.widen_parameters(var)
         self._ekf.take_in(at[order], known.mean[order], known.covariance[np.ix_(order, order)])
+        jumps = self._supervision.jumps
         if self.examines_jump and widen_std.any():
-            self._jumps.reset()
-        self._jumps.search.clear()
-
-    @property
-    def _prior_is_whole(self) -> bool:
-        """What was known before this filter began is of all parameters."""
-        return self._prior is not None and {*self.plan.free} <= {*self._prior.names}
+            jumps.reset()
+        jumps.search.clear()
 
     @property
     def position_lsb_rad(self) -> float:
         return self._filtering.layout.position_lsb
 
     def published(self) -> Gaussian | None:
-        return self._jumps.published()
+        return self._supervision.jumps.published()
 
     @property
     def winding(self) -> RegressionEstimate | None:
         return self._rls.winding
 
     def last_known(self, name: str) -> Trusted | None:
-        return None if self.last_s is None else self._validity.last_known.of(self._masks.names.index(name), self.last_s)
+        if self.last_s is None:
+            return None
+        return self._supervision.validity.last_known.of(self._masks.names.index(name), self.last_s)
 
     @property
     def ages_s(self) -> list[float | None]:
-        return [] if self.last_s is None else self._validity.last_known.ages_s(self.last_s)
+        return [] if self.last_s is None else self._supervision.validity.last_known.ages_s(self.last_s)
 
     @property
     def free(self) -> tuple[Parameter, ...]:
@@ -212,12 +181,19 @@ class PlantTracker(Tracker):
             stretch, noise_var = self._stretch_of(tick)
             self._rls.update(self._signal_scales.without_spikes(stretch), noise_var)
             return self._try_start(tick)
-        taken = self._together.take(tick, self._tick_end_s, self.sample_period_s)
+        taken = self._supervision.together.take(tick, self._tick_end_s, self.sample_period_s)
         if taken is None:
             return []
         stretch, noise_var = self._stretch_of(taken.samples)
-        self._noise.take(stretch, self.sample_period_s or 0.0)
-        return self._watch(stretch, taken, noise_var)
+        assert self._tick_end_s is not None
+        alike = self._stretches.alike("current_A")
+        ended = Ended(stretch, noise_var, self._tick_end_s, self.sample_period_s or 0.0, alike)
+        judgement = self._supervision.judge(taken, ended)
+        if judgement.restart is not None:
+            return [*judgement.messages, *self._restart(judgement.restart)]
+        if judgement.begins_again:
+            self._begin_again()
+        return judgement.messages
 
     def _stretch_of(self, tick: SampleBlock) -> tuple[Stretch, Mapping[str, float]]:
         """Samples as the regressions take them, and variances of the measured channels, as far as known before."""
@@ -257,137 +233,16 @@ class PlantTracker(Tracker):
         self.watch.start(start.noise)
         self._filtering.layout.expect_steps(start.position_lsb, start.input_lsb)
         self._ekf.start(start.parameters, held_input=self._filtering.layout.last_input)
-        self._jumps.reset()
+        self._ekf.forget_state(self._filtering.first_state(start.last))
         saved = () if self._prior is None else (*self._prior.names, *self.plan.biases)
         trusted = trusted_mask(self._masks.names, self._transfer, saved)
-        self._validity.begin(trusted, self._tick_end_s or 0.0)
-        self._ticks = 0
-        self._together.begin()
-        self._filtering.forget_outliers()
-        self.excitation.scales = self._noise.begin(start.input_lsb, self._sampling())
-        free = self._masks.free
-        self._ekf.set_active(free, self._validity.walk(free))
-        self._ekf.forget_state(self._filtering.first_state(start.last))
+        whole = self._prior is not None and {*self.plan.free} <= {*self._prior.names}
+        sure = whole or self._transfer is not None
+        end_s, period_s = self._tick_end_s or 0.0, self.sample_period_s or 0.0
+        self._supervision.begin(start, trusted, end_s, period_s, sure=sure)
         if self._transfer is not None:
             self.qualification.qualified |= trusted
             self._transfer.hand_states_to(self._ekf)
-        sure = self._prior_is_whole or self._transfer is not None
-        self._relinearisation.begin(start, trusted=sure)
-        self._likelihood_restart.begin(asked=not sure)
-
-    def _watch(self, stretch: Stretch, taken: Taken, noise_var: Mapping[str, float]) -> list[Message]:
-        """Noise, whiteness, jumps, excitation, soundness: after each tick of the running filter, or several of them.
-
-        Args:
-            noise_var: of the measured channels, as far as it was known before.
-        """
-        looked_at, self._ticks = self._ticks // _SOUNDNESS_EVERY, self._ticks + taken.ticks
-        test = taken.test
-        if test is None or (self._ticks // _SOUNDNESS_EVERY > looked_at and not self._ekf.is_sound()):
-            return self._restart("its covariance or state is no longer sound")
-        period_s = self.sample_period_s or 0.0
-        duration_s, last_s = max(period_s * len(taken.samples), 1e-6), max(period_s * taken.last, 1e-6)
-        end_s, judged = self._tick_end_s or 0.0, self._ticks > _TICKS_TO_WATCH and stretch.complete
-        searched = self._may_search(stretch)
-        explained = self._notifications.explained and self._validity.calm_s > _CALM_S
-        action, messages = self._jumps.take(test, end_s, explained=explained, judged=judged, searched=searched)
-        if messages:  # a step was named
-            self._relinearisation.end()
-            self._likelihood_restart.end()
-        fresh = self._rls.update(self._believed(stretch, action), noise_var, self._sampling(), taken.ticks)
-        if action == "learn" and stretch.complete:
-            self.watch.learn(taken.statistics, last_s, rests=self._signal_scales.rests)
-        sampling = self._sampling()
-        if fresh:
-            self.excitation.scales = self._noise.rescale(sampling)
-            self._noise.learned(self.excitation.rate, sampling.period_s)
-        self._noise.set()
-        self._validity.update(duration_s, fresh, self._tick(sampling, fresh))
-        if self._validity.begins_to_follow and not self._prior_is_whole:
-            # What was learned without the instrumental trajectory (from a start that was guessed, partly from the
-            # colour of the noise) is taken for less.
-            self._ekf.widen_parameters(
-                np.where(self._masks.published, np.square(_SECOND_START_STD * self.excitation.scales), 0)
-            )
-        self._jumps.remember(end_s)
-        alike_s = self._stretches.alike("current_A") * period_s
-        if self._has_looked_again():
-            self._jumps.reset()
-            self.watch.learn_anew()
-        self._jumps.search.mark()
-        known = (self.qualification.qualified | self.excitation.excited)[self._masks.published]
-        # (Before that they are of a filter that is still finding its values and noise: they refute no model.)
-        seen = self._ticks >= FOUND_TICK and bool(known.any())
-        messages += self._notifications.whether_white(seen=seen) + self._notifications.whether_frozen(stretch, alike_s)
-        if self._divergence.has_diverged(test.nis):
-            messages += self._restart("its innovations do not fit while the regression does")
-        elif fresh and self._divergence.could_begin_better(self._ticks):
-            self._begin_again()
-        eventful = (
-            bool(messages) or test.unexplained or not stretch.complete or stretch.gap is not None or alike_s > 0.0
-        )
-        self._together.rest(self._ticks, eventful=eventful, certain=self._is_certain)
-        return messages
-
-    @property
-    def _is_certain(self) -> bool:
-        """Whether nothing is in doubt or about to change."""
-        shown = self._masks.published & self.excitation.excited & ~self.qualification.qualified
-        return (
-            self._ekf.started
-            and not self._relinearisation.is_open
-            and not self._likelihood_restart.is_open
-            and self._jumps.idle
-            and self.explained
-            and not np.count_nonzero(shown)
-        )
-
-    def _has_looked_again(self) -> bool:
-        """Whether the first samples have just been re-linearised, and the filter goes on from what that came to."""
-        if self._relinearisation.update(self._ticks, self.watch.white, self.sample_period_s or 0.0):
-            return True
-        if self._relinearisation.is_open:
-            return False
-        if not self._likelihood_restart.update(self._ticks, self.excitation.scales, self._divergence):
-            return False
-        self._validity.begin_anew(follows=True)
-        self._validity.waive_cross_check()
-        return True
-
-    def _may_search(self, stretch: Stretch) -> bool | None:
-        """Whether it may be looked for a parameter that has stepped; None: a sensor is frozen, and an offset would
-        explain that best."""
-        if self._stretches.alike("current_A"):
-            return None
-        settled = self._ticks >= FOUND_TICK and not self._relinearisation.is_open
-        return settled and stretch.complete and bool((self.qualification.qualified & self._masks.published).any())
-
-    def _believed(self, stretch: Stretch, action: jumps.Action) -> Stretch:
-        """What the filter does not believe, the regressions are not told either. Where that is the rule it is the model
-        that is not to be believed, and a balance without those samples would close."""
-        outliers = self._filtering.take_outliers()
-        if action == "undo":
-            return replace(stretch, usable=np.zeros_like(stretch.usable))
-        if outliers is None or not self._jumps.watch.calm:
-            return stretch
-        return replace(stretch, usable=stretch.usable & ~outliers)
-
-    def _tick(self, sampling: Sampling, fresh: bool) -> Tick:
-        return Tick(
-            settled=self._ticks >= _TICKS_TO_WATCH and not self._relinearisation.is_open,
-            open=self._jumps.is_open,
-            explained=self._jumps.watch.calm,
-            white=self.watch.white,
-            inductance_std=self._noise.inductance_std(sampling.period_s) if fresh else 0.0,
-            sampling=sampling,
-            end_s=self._tick_end_s or 0.0,
-        )
-
-    def _sampling(self) -> Sampling:
-        signals = self._signal_scales
-        return Sampling(
-            self._noise_var(), signals.current_step_square, self.sample_period_s or 0.0, signals.samples_per_count
-        )
 
     def _restart(self, why: str) -> list[Message]:
         """Something went wrong, and whoever watches the daemon is to know of it."""
@@ -400,14 +255,13 @@ class PlantTracker(Tracker):
         self._ekf.reset()
         self._starter.reset()
         self._prior = self._transfer = None
-        self._divergence.reset()
-        self._validity.reset()
+        self._supervision.reset()
 
     def worth_keeping(self) -> Gaussian | None:
-        if not self._ekf.started or not self._ekf.is_sound() or self._divergence.suspicious_ticks:
+        if not self._ekf.started or not self._ekf.is_sound() or self._supervision.suspicious:
             return None
         known = self._masks.published & self.qualification.qualified
-        if not self._jumps.quiet or not known.any():
+        if not self._supervision.jumps.quiet or not known.any():
             return None
         g, kept = self._ekf.estimate(), np.flatnonzero(known | ~self._masks.free)
         covariance = g.covariance + np.diag(np.square(_SAVED_STD * self.excitation.scales))

@@ -21,7 +21,13 @@ class Group:
 
 GROUPS: Mapping[str, Group] = {
     "kalman": Group(
-        ("servo_daemon/kalman/ekf.py", "servo_daemon/kalman/model.py", "servo_daemon/tracking/noise/levels.py"),
+        (
+            "servo_daemon/kalman/ekf.py",
+            "servo_daemon/kalman/moments.py",
+            "servo_daemon/kalman/model.py",
+            "servo_daemon/kalman/measurement.py",
+            "servo_daemon/tracking/noise/levels.py",
+        ),
         (
             "tests/unit/kalman/test_ekf.py",
             "tests/unit/tracking/test_noise.py",

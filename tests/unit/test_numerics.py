@@ -8,6 +8,7 @@ import pytest
 from servo_daemon.numerics import (
     STD_OF_MEDIAN,
     inverse_of_information,
+    is_definite,
     least_squares,
     median,
     sample_period,
@@ -82,3 +83,15 @@ def test_the_score_is_the_slope_of_the_likelihood_and_the_information_its_spread
     slopes = [(cost(a + h, c) - cost(a - h, c)) / (2 * h), (cost(a, c + h) - cost(a, c - h)) / (2 * h)]
     np.testing.assert_allclose(gradient, slopes, rtol=1e-3)
     np.testing.assert_allclose(information, len(nu) * np.diag([2 / np.exp(c), 1.0]), atol=1e-3 * len(nu))
+
+
+def test_a_matrix_is_definite_beyond_its_least_eigenvalue_and_no_further() -> None:
+    A = np.random.default_rng(4).normal(size=(5, 5))
+    symmetric = A @ A.T
+    least = float(np.linalg.eigvalsh(symmetric)[0])
+    kept = symmetric.copy()
+    assert is_definite(symmetric)
+    assert is_definite(symmetric, 0.999 * least)
+    assert not is_definite(symmetric, 1.001 * least)
+    assert not is_definite(-symmetric)
+    assert (symmetric == kept).all()

@@ -23,8 +23,8 @@ import casadi as ca
 import numpy as np
 
 from servo_daemon.identification.output_error.problem.rollout import STEP
+from servo_daemon.kalman.expressions import natural, pack, unpack
 from servo_daemon.kalman.layout import MEASURABLE
-from servo_daemon.kalman.model import natural, pack, unpack
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.plant.compiled import SampleLoop
 from servo_daemon.plant.effects.base import LATE

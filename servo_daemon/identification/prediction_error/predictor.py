@@ -18,8 +18,9 @@ import numpy as np
 
 from servo_daemon.identification.output_error.problem.problem import MOTOR_STATES, Problem
 from servo_daemon.identification.output_error.problem.rollout import INPUT, STEP, TIME
+from servo_daemon.kalman.expressions import natural, pack, unpack
 from servo_daemon.kalman.layout import MEASURABLE
-from servo_daemon.kalman.model import natural, pack, predict, unpack
+from servo_daemon.kalman.model import predict
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.plant.compiled import SampleLoop
 from servo_daemon.samples import F64

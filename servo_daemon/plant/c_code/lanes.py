@@ -115,17 +115,24 @@ enum { SD_LANES_ONCES = __COUNTER__ - SD_LANES_FIRST };
 """
 
 
+def body_of(source: str) -> list[str] | None:
+    """The lines of a step's body, from its declarations to its last brace; None: there is none that is known here."""
+    entry = _ENTRY.search(source)
+    if entry is None:
+        return None
+    body = source[source.index(f"static int {entry[1]}(") :]
+    return body[body.index("{\n") + 2 : body.index("\n}\n") + 2].splitlines()
+
+
 def in_lanes(source: str) -> str:
     """C code of the step for `LANES` runs at once (`sd_step_lanes`); empty: it has a statement that is not known here.
 
     Args:
         source: generated code with a function `step`, its calls written as `SD_ONCE`.
     """
-    entry = _ENTRY.search(source)
-    if entry is None:
+    lines = body_of(source)
+    if lines is None:
         return ""
-    body = source[source.index(f"static int {entry[1]}(") :]
-    lines = body[body.index("{\n") + 2 : body.index("\n}\n") + 2].splitlines()
     made = [_rewritten(line.strip()) for line in lines]
     return "" if None in made else _VECTORS + "\n".join(m for m in made if m is not None) + _AFTER
 

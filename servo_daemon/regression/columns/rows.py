@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +13,6 @@ from servo_daemon.regression.columns.of_model import ModelColumns
 from servo_daemon.regression.columns.terms import columns_of, shaft_signals
 from servo_daemon.regression.modulating import Windows, make_windows
 from servo_daemon.regression.sampling import FEWEST_SAMPLES, SPAN_S
-from servo_daemon.regression.small_matrices import in_columns
 from servo_daemon.regression.stretch import Stretch, motion
 from servo_daemon.samples import F64
 
@@ -93,7 +92,7 @@ class RowMaker:
         if "rip_sin" in self._columns.armature:
             columns += self._rippled_speed(w, s)
         columns += [w.integral(x) for d in self._columns.derived for x in d.signals("armature", s, self._taken_at)]
-        return ModelRows(in_columns(columns), w.held(s.voltage), w, s)
+        return ModelRows(_in_columns(columns), w.held(s.voltage), w, s)
 
     def shaft(self, s: Stretch, period_s: float, sag: float) -> ModelRows | None:
         """Rows of the shaft's balance, N·m or that over K; None where there are none."""
@@ -109,7 +108,7 @@ class RowMaker:
         for effect in self._columns.shaft_effects:
             columns += self._effect_columns(effect, w, s)
         y = self._driving_torque(w, s, speed, acceleration, sag)
-        return None if y is None else ModelRows(in_columns(columns), y, w, s)
+        return None if y is None else ModelRows(_in_columns(columns), y, w, s)
 
     def _effect_columns(self, effect: str, w: Windows, s: Stretch) -> list[F64]:
         if not columns_of(effect, self._columns.shaft_effects):
@@ -148,3 +147,11 @@ def _apart(first: NDArray[np.intp], hop: int) -> NDArray[np.intp]:
         if not taken or k - taken[-1] >= hop:
             taken.append(k)
     return np.array(taken, dtype=np.intp)
+
+
+def _in_columns(columns: Sequence[F64]) -> F64:
+    """Arrays of shape (m,) as the columns of one, shape (m, n)."""
+    out = np.empty((len(columns[0]), len(columns)))
+    for k, column in enumerate(columns):
+        out[:, k] = column
+    return out

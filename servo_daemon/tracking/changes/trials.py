@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from servo_daemon.kalman.ekf import Ekf
-from servo_daemon.kalman.model import GATE
+from servo_daemon.kalman.measurement import GATE
 from servo_daemon.kalman.records import ChannelStatistics
 from servo_daemon.samples import F64
 from servo_daemon.tracking.noise.levels import Whiteness
@@ -27,8 +27,8 @@ from servo_daemon.tracking.samples.filtering import SETTLED_SHARE, SETTLED_STDS,
 
 #: In place of a parameter's number: none has stepped, something has passed by; all are others.
 MOMENT, ALL = -1, -2
-#: 1 σ by which the parameter in question may have stepped, over its scale: a logarithm, a signed parameter. All
-#: parameters at once: so much of it.
+#: 1 σ by which the parameter in question may have stepped, over its scale: a logarithm (free within 0.15 ..
+#: 0.6, tried on three steps and eight starts), a signed parameter. All parameters at once: so much of it.
 _STEP_STD, _SIGNED_STEP_STD, _OF_ALL = 0.3, 1.0, 0.4
 #: Moments further and further off the likeliest, sections.
 _STEPS = (4, 2, 1)

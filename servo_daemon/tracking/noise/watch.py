@@ -10,8 +10,6 @@ from servo_daemon.kalman.records import ChannelStatistics, NoiseLevels
 from servo_daemon.tracking.noise import levels as noise
 from servo_daemon.tracking.noise.levels import ChannelNoise, ProcessNoise, Whiteness
 
-#: Fewest innovations from which noise and correlation are learned.
-_FEWEST_TO_LEARN = 50
 #: The correlation of the current's innovations with the motion's a sample later is small: averaged over so long, s, and
 #: weighted up; more so where the winding has settled between two samples and nothing else tells the two noises apart.
 _CROSS_MEMORY_S, _CROSS_WEIGHT, _CROSS_WEIGHT_SETTLED = 10.0, 4.0, 10.0
@@ -71,7 +69,6 @@ class WatchMark:
     whiteness: Mapping[str, Whiteness]
     updates: Mapping[str, int]
     crossed: float
-    too_much: bool
     white: bool
 
 
@@ -96,7 +93,6 @@ class InnovationWatch:
         self._pool: dict[str, tuple[ChannelStatistics, float]] = {}
         self._updates: dict[str, int] = {}
         self._crossed = 0.0
-        self._too_much = False
         self.whiteness: dict[str, Whiteness] = {}
         self.white = True
         self.gated = 0
@@ -108,7 +104,6 @@ class InnovationWatch:
         self._first_var = {name: c.var for name, c in channels.items()}
         self._process = {}
         self._pool, self._updates, self._crossed = {}, {}, 0.0
-        self._too_much = False
 
     def mark(self) -> WatchMark:
         """What has been learned, for `back_to`."""
@@ -119,7 +114,6 @@ class InnovationWatch:
             whiteness=dict(self.whiteness),
             updates=dict(self._updates),
             crossed=self._crossed,
-            too_much=self._too_much,
             white=self.white,
         )
 
@@ -127,7 +121,7 @@ class InnovationWatch:
         """Forget what has been learned since."""
         self._channel, self._process = dict(mark.channel), dict(mark.process)
         self._pool, self.whiteness, self._updates = dict(mark.pool), dict(mark.whiteness), dict(mark.updates)
-        self._crossed, self._too_much, self.white = mark.crossed, mark.too_much, mark.white
+        self._crossed, self.white = mark.crossed, mark.white
 
     def learn_anew(self) -> None:
         """The filter's values are others now: of a slow drive, whose first samples say little of its sensors, what the
@@ -178,7 +172,7 @@ class InnovationWatch:
         """
         name = self._measured[-1]
         factor = psd / noise.torque_intensity(torque_Nm)
-        if factor > self._of(name).factor and not self._too_much:
+        if factor > self._of(name).factor:
             self._process[name] = ProcessNoise(min(factor, noise.FACTOR_MOST))
 
     def expect_input(self, var: float, input_rms: float, input_lsb: float | None) -> None:
@@ -219,7 +213,7 @@ class InnovationWatch:
         for name, tick in statistics.items():
             pooled = self._pool.get(name)
             s, span_s = (tick, duration_s) if pooled is None else (pooled[0].joined(tick), pooled[1] + duration_s)
-            if s.count < _FEWEST_TO_LEARN:  # a slow drive: a tick is too small a sample
+            if s.count < noise.FEWEST_TO_LEARN:  # a slow drive: a tick is too small a sample
                 self._pool[name] = s, span_s
                 continue
             self._pool.pop(name, None)
@@ -231,29 +225,17 @@ class InnovationWatch:
                 # What moves the current really moves the shaft a sample later; where the winding is faster than the
                 # sampling this alone tells voltage noise from sensor noise.
                 follow = s.correlation + self._cross_weight() * self._crossed
-            self._process[name] = self._noise_after(name, s, follow)
+            self._process[name] = self._of(name).after(s.correlation, s.nis, follow)
             self.whiteness[name] = self.whiteness.get(name, Whiteness()).after(s.correlation, s.nis, span_s)
             if name == self._measured[-1]:
                 self._crossed += (1.0 - math.exp(-span_s / _CROSS_MEMORY_S)) * (s.crossed - self._crossed)
             self._updates[name] = self._updates.get(name, 0) + 1
-            nis = s.nis if pooled is not None else 1.0
-            self._channel[name] = noise.adapted(self._channel[name], s.excess, span_s, self._updates[name], nis)
+            self._channel[name] = noise.adapted(self._channel[name], s.excess, span_s, self._updates[name])
         if not rests:
             self._judge()
 
     def _cross_weight(self) -> float:
         return _CROSS_WEIGHT + (_CROSS_WEIGHT_SETTLED - _CROSS_WEIGHT) * self.settled**2
-
-    def _noise_after(self, name: str, s: ChannelStatistics, follow: float | None) -> ProcessNoise:
-        """A torque moves the current too. Innovations of the current that are too small beside a torque that was
-        raised say that the torque is too large, not the input."""
-        motion = self._measured[-1]
-        raised = name != motion and self._of(motion).factor > _UNEXPLAINED[False]
-        if name == "current_A":
-            self._too_much = raised and s.nis < noise.NIS_LOW
-            if self._too_much:
-                return self._of(name)
-        return self._of(name).after(s.correlation, s.nis, follow, too_much=name == motion and self._too_much)
 
     def _of(self, name: str) -> ProcessNoise:
         return self._process.get(name, _NONE)

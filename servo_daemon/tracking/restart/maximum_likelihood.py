@@ -24,7 +24,7 @@ import numpy as np
 
 from servo_daemon.kalman.ekf import Ekf
 from servo_daemon.kalman.gaussian import Gaussian
-from servo_daemon.kalman.model import GATE
+from servo_daemon.kalman.measurement import GATE
 from servo_daemon.kalman.records import Innovations, NoiseLevels
 from servo_daemon.numerics import inverse_of_information, score_and_information
 from servo_daemon.samples import F64
@@ -34,6 +34,7 @@ from servo_daemon.tracking.plan.parameter_masks import ParameterMasks
 from servo_daemon.tracking.restart.divergence import DivergenceMonitor
 from servo_daemon.tracking.restart.relinearisation import FOUND_TICK, STEPS_A_TICK
 from servo_daemon.tracking.samples.filtering import MOST_SAMPLES, Filtering, Fit
+from servo_daemon.tracking.validity.gates import QUALIFIED
 
 #: After so many ticks of the filter the samples since its start are asked, and once more with those up to then
 #: (decision 36: where slow reversals had left K 4.2 σ off).
@@ -49,8 +50,6 @@ _LONGEST, _LONGEST_NOISE = 0.5, 1.0
 _DAMPING, _LEAST_NOISE = 1.0, -8.0
 #: The last step, in standard deviations (the root of gᵀH⁻¹g over the parameters); samples are added meanwhile.
 _SETTLED = 0.3
-#: What is found must be known as well as this, 1 σ of a logarithm; an inductance need not, few motions show it well.
-_KNOWN_STD = 0.05
 #: The innovations then: lag-1 correlation at most, and mean of ν²/s around one (see `make calibrate`).
 _WHITE, _AS_EXPECTED = 0.1, 0.15
 
@@ -192,7 +191,7 @@ class MaximumLikelihoodRestart:
         assert iteration.base is not None
         step, covariance = self._step(iteration, iteration.base)
         var = covariance.diagonal()[self._asked]  # below zero by rounding where nothing is known along some direction
-        known = bool(np.all((var > 0.0) & (var < _KNOWN_STD**2)))
+        known = bool(np.all((var > 0.0) & (var < QUALIFIED**2)))
         n = len(self._free)
         length = step[:n] @ np.linalg.pinv(covariance, hermitian=True) @ step[:n]
         if known and 0.0 <= length < _SETTLED**2 and self._explains(iteration.base) and self._goes_on_from(covariance):

@@ -13,7 +13,7 @@ from servo_daemon.conditioning.gaps import breaks, gaps, is_whole
 from servo_daemon.conditioning.layout import Layout, Marked, Mask, channel
 from servo_daemon.kalman.ekf import Ekf
 from servo_daemon.kalman.gaussian import Gaussian
-from servo_daemon.kalman.model import GATE
+from servo_daemon.kalman.measurement import GATE
 from servo_daemon.kalman.records import Innovations
 from servo_daemon.samples import F64, SampleBlock
 from servo_daemon.tracking.samples.signal_scales import SignalScales

@@ -14,13 +14,11 @@ from servo_daemon.numerics import sample_period
 from servo_daemon.regression.estimate import RegressionEstimate
 from servo_daemon.samples import F64, SampleBlock, concatenate
 from servo_daemon.tracking.noise import levels as noise_levels
-from servo_daemon.tracking.noise.levels import ChannelNoise
+from servo_daemon.tracking.noise.levels import FEWEST_TO_LEARN, ChannelNoise
 from servo_daemon.tracking.plan.settings import Resolutions
 from servo_daemon.tracking.plan.signals import SignalPlan
 from servo_daemon.tracking.start.starting_point import starting_point, well_known
 
-#: Measurements of each channel that a start needs: its noise is judged by them.
-_FEWEST = 50
 #: The filter starts no sooner than this after the first sample, s, and waits no longer than that for the regression
 #: (decision 32).
 _EARLIEST_S, LATEST_S = 1.0, 3.0
@@ -83,7 +81,7 @@ class Starter:
             scales: typical sizes of the bias states.
         """
         self._early.append(tick)
-        enough = sum(len(b) for b in self._early) >= _FEWEST
+        enough = sum(len(b) for b in self._early) >= FEWEST_TO_LEARN
         if not enough or elapsed_s < (_EARLIEST_SAVED_S if prior is not None else _EARLIEST_S):
             return None
         recording = concatenate(self._early)
@@ -91,8 +89,8 @@ class Starter:
         measured = {name: _valid(recording, name) for name in self._plan.measured}
         known = self._known(elapsed_s, found, period_s, prior)
         parameters = None if known is None else self._with_offsets(known, scales)
-        if parameters is None or any(len(values) < _FEWEST for values in measured.values()):
-            while len(self._early) > _TICKS_KEPT and len(recording) > 8 * _FEWEST:
+        if parameters is None or any(len(values) < FEWEST_TO_LEARN for values in measured.values()):
+            while len(self._early) > _TICKS_KEPT and len(recording) > 8 * FEWEST_TO_LEARN:
                 recording = recording.slice(len(self._early.pop(0)), len(recording))
             return None
         self._early = []

@@ -9,6 +9,7 @@ import numpy as np
 from servo_daemon.kalman.gaussian import Gaussian, to_coordinate
 from servo_daemon.parameters import LINEAR, Parameter
 from servo_daemon.regression.estimate import RegressionEstimate
+from servo_daemon.regression.residual_analysis import EXACT_STD
 from servo_daemon.regression.sampling import BLIND_STD
 
 #: The regression's start is trusted this much less than it says: its noise is not quite white.
@@ -16,9 +17,7 @@ _INFLATION = 3.0
 #: The regression may start the filter at once when it knows every free parameter this well (1 σ, relative).
 GOOD_STD = 0.15
 #: Beyond this relative std a logarithm of the regression's value means little.
-_USABLE_STD = 0.5
-#: What a regression over samples may be off by in any case (trapezoids, jitter), 1 σ.
-_FLOOR_STD = 0.01
+USABLE_STD = 0.5
 #: A nominal value is a datasheet's, or a motor that has aged: 1 σ of its logarithm, a factor of two.
 _NOMINAL_STD = 0.7
 #: A guess from the regression's error alone, or an effect's start value: 1 σ of its logarithm, a factor of 4.5 (the
@@ -65,7 +64,7 @@ def _usable(p: Parameter, found: RegressionEstimate) -> bool:
     value, std = float(found.value[k]), float(found.std[k])
     if p.transform == "identity":
         return std < 0.1 * (p.upper - p.lower)
-    return p.lower < value < p.upper and std < _USABLE_STD * value
+    return p.lower < value < p.upper and std < USABLE_STD * value
 
 
 def _put_regression(
@@ -87,7 +86,7 @@ def _put_regression(
     mean[target] = [to_coordinate(p, float(v)) for p, v in zip(taken, value, strict=True)]
     part = found.covariance[np.ix_(source, source)] * np.outer(slope, slope) * _INFLATION**2
     blind = _between_samples(found, sample_period_s)
-    floor = [(_FLOOR_STD + BLIND_STD.get(p.name, 0.0) * blind) ** 2 if p.transform == "log" else 0.0 for p in taken]
+    floor = [(EXACT_STD + BLIND_STD.get(p.name, 0.0) * blind) ** 2 if p.transform == "log" else 0.0 for p in taken]
     bias = [part[k, k] ** 2 / 4.0 if p.transform == "log" else 0.0 for k, p in enumerate(taken)]
     cov[np.ix_(target, target)] = (part + part.T) / 2 + np.diag(floor) + np.diag(bias)
 

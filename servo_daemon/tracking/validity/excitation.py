@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.regression.sampling import WINDOW_S
-from servo_daemon.regression.small_matrices import eigen
 from servo_daemon.samples import F64
 
 ENTER, LEAVE = 0.10, 0.20
@@ -93,7 +92,7 @@ class Excitation:
         """
         index = np.flatnonzero(covered)
         scaled = (information * (self.scales[:, None] * self.scales))[index[:, None], index]
-        eigenvalues, vectors = eigen(scaled)
+        eigenvalues, vectors = np.linalg.eigh(scaled)
         eigenvalues = np.maximum(eigenvalues, 0.0) + _NOTHING_STD**-2  # rounding may leave a zero a little below
         squares = np.square(vectors)
         self._systematic_std = np.zeros(len(self.scales))

@@ -16,6 +16,7 @@ from servo_daemon.regression.sampling import blind_std
 from servo_daemon.samples import F64
 from servo_daemon.tracking.noise import quantised_input
 from servo_daemon.tracking.plan.parameter_masks import ParameterMasks
+from servo_daemon.tracking.start.starting_point import USABLE_STD
 from servo_daemon.tracking.validity.excitation import Excitation
 from servo_daemon.tracking.validity.gates import LOST
 from servo_daemon.tracking.validity.last_known import LastKnown
@@ -27,9 +28,6 @@ _DISCREPANCY_STD = 0.01
 #: What no balance over samples sees (a spring, a delay) is known no better than this, 1 σ of a logarithm: the filter
 #: alone takes what its model is off by for information.
 _ALONE_STD = 0.01
-#: A parameter that is known no better than this, 1 σ of its logarithm, is a guess.
-_GUESS_STD = 0.5
-#: Parameters of the armature's balance, which has its own say.
 #: Parameters that the balances judge by name (`BalanceWindow.mean_errors`).
 _JUDGED = (*WINDING_NAMES, "J", "B", "Tc")
 
@@ -87,7 +85,7 @@ class Mismatch:
         - L was never known: the filter holds it at a value that biases R, the regression has one of its own. (Less so
           where the current has settled by the next sample.)
         """
-        L_unknown = "L" in values and self._is_unknown("L", _GUESS_STD if tick.is_blind("L", values) else LOST)
+        L_unknown = "L" in values and self._is_unknown("L", USABLE_STD if tick.is_blind("L", values) else LOST)
         found = None if tick.white and not L_unknown else self._rls.estimate()
         if found is None:
             return {}

@@ -63,7 +63,7 @@ SPEAKS: Mapping[str, str] = {
     "tracking.changes.jumps._RULE": "above",
     "tracking.changes.actions._WANDERS": "above",
     "tracking.changes.actions._NOTICEABLE": "above",
-    "regression.balance_window._CHANCE_STDS": "above",
+    "regression.rls_fit.CHANCE_STDS": "above",
     "tracking.validity.excitation.SYSTEMATIC_LEAVE": "above",
     "tracking.restart.maximum_likelihood._WHITE": "above",
     "tracking.restart.maximum_likelihood._AS_EXPECTED": "above",

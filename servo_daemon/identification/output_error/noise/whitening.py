@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.problem.rollout import INPUT, STEP, TIME
+from servo_daemon.kalman.expressions import natural
 from servo_daemon.kalman.layout import MEASURABLE
-from servo_daemon.kalman.model import natural
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.plant.compiled import SampleLoop
 from servo_daemon.samples import F64

@@ -18,8 +18,8 @@ from functools import cache
 import casadi as ca
 import numpy as np
 
+from servo_daemon.kalman.expressions import natural
 from servo_daemon.kalman.layout import MEASURABLE
-from servo_daemon.kalman.model import natural
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.plant.compiled import SampleLoop
 from servo_daemon.samples import F64
