@@ -176,6 +176,14 @@ def meaning(name: str, unit: str = "") -> Meaning | None:
     if unit:
         known = unit_of(unit)
         return None if known is None else _with_unit(tokens, *known)
+    if (found := _named_by_unit(base, tokens)) is not None:
+        return found
+    quantity, certain = _quantity(tokens)
+    return replace(_made(quantity, 1.0), certain=certain, told=False) if quantity else None
+
+
+def _named_by_unit(base: str, tokens: list[str]) -> Meaning | None:
+    """What a name means that is a unit, or has one at its end; a speed's may be at its beginning: "rpm_filtered"."""
     if (known := unit_of(base)) is not None and (len(base) > 1 or base in "VA"):
         return _made(*known)
     for count in range(min(3, len(tokens) - 1), 0, -1):
@@ -183,10 +191,8 @@ def meaning(name: str, unit: str = "") -> Meaning | None:
         found = None if known is None else _with_unit(tokens[:-count], *known)
         if found is not None:
             return found
-    if (known := unit_of(tokens[0])) is not None and known[0] == "speed":  # "rpm_filtered"
-        return _made(*known)
-    quantity, certain = _quantity(tokens)
-    return replace(_made(quantity, 1.0), certain=certain, told=False) if quantity else None
+    first = unit_of(tokens[0])
+    return _made(*first) if first is not None and first[0] == "speed" else None
 
 
 def _made(quantity: str, scale: float) -> Meaning:

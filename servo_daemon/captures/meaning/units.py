@@ -115,9 +115,8 @@ def _by_supply(capture: Capture, full: float, limit_V: float | None) -> str:
 def _speed_against_position(capture: Capture) -> list[Finding]:
     """Both columns of one motion: their ratio is 1, or a unit's factor."""
     x, w = capture.position_rad, capture.velocity_rad_s
-    if x is None or w is None or len(x) < 50:
-        return []
-    ratio = common_factor(x, w, np.diff(capture.time_s))
+    moves = x is not None and w is not None and len(x) >= 50
+    ratio = common_factor(x, w, np.diff(capture.time_s)) if moves else None
     if ratio is None:
         return []
     name_x, name_w = column_name(capture, "position_rad"), column_name(capture, "velocity_rad_s")
@@ -134,12 +133,9 @@ def _speed_against_position(capture: Capture) -> list[Finding]:
             if abs(sign * ratio * factor - 1.0) < _RATIO:
                 text = f"column {name_x} is {1 / factor:.4g} times the integral of {name_w}: {unit}, not rad"
                 return [Finding("position_rad", f"{text}. {mend(capture, 'position_rad', {'scale': sign * factor})}")]
-    if abs(math.log(abs(ratio))) < math.log(_APART):
-        return []
     text = f"column {name_x} goes with the integral of {name_w}, but is {ratio:.4g} times as large"
-    return [
-        Finding("position_rad", f"{text}: the unit of one of them, or of both, is another one, or a gear is between")
-    ]
+    why = "the unit of one of them, or of both, is another one, or a gear is between"
+    return [Finding("position_rad", f"{text}: {why}")] if not 1 / _APART < abs(ratio) < _APART else []
 
 
 def common_factor(x: F64, w: F64, h: F64) -> float | None:

@@ -13,10 +13,16 @@ from servo_daemon.diagnosis.trial.split import TRAIN
 from servo_daemon.diagnosis.trial.trial import Trial, fit_trial, model_exists
 from servo_daemon.plant.effects import effects_by_name
 
+#: Of the three any two make the third: a constant torque is i0 = TL/K and v0 = R TL/K, which an offset of the current
+#: alone does not explain, so that a search that begins with it takes the voltage's next.
+_OFFSETS = ("constant_load_torque", "current_sensor_offset", "voltage_sensor_offset")
+
 
 def pruned(data: Data, current: Trial, added: Sequence[str]) -> tuple[Trial, list[str]]:
-    """Effects that a later one has made needless go, and what is richer than needed becomes what it contains."""
-    kept = list(added)
+    """Effects that a later one has made needless go, two offsets become the third where it explains as much, and what
+    is richer than needed becomes what it contains."""
+    current, kept = _one_offset(data, current, list(added))
+    added = list(kept)
     for name in list(added):
         for instead in ((),) * (len(added) > 1) + effects_by_name()[name].simpler:
             without = without_effect(data, current, name, instead=instead)
@@ -27,6 +33,25 @@ def pruned(data: Data, current: Trial, added: Sequence[str]) -> tuple[Trial, lis
                 current = without
                 break
     return current, kept
+
+
+def _one_offset(data: Data, current: Trial, kept: list[str]) -> tuple[Trial, list[str]]:
+    """One offset for two, where that explains as much."""
+    two = [name for name in kept if name in _OFFSETS]
+    if len(two) < 2:
+        return current, kept
+    others = tuple(e for e in current.effects if e not in two)
+    nothing = {p.name: p.nominal for name in _OFFSETS for p in effects_by_name()[name].parameters}
+    each = {name: fit_trial(data, (*others, name), {**nothing, **current.values}, like=current) for name in _OFFSETS}
+    enough = {
+        name: trial
+        for name, trial in each.items()
+        if trial is not None and np.isfinite(trial.choice.squares).all() and needless(advantage(trial, current))
+    }
+    if not enough:
+        return current, kept
+    one = min(enough, key=lambda name: enough[name].choice.nrmse)
+    return enough[one], [one if name == two[0] else name for name in kept if name not in two[1:]]
 
 
 def without_effect(
