@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from servo_daemon.diagnosis.search.evidence import needless
+from servo_daemon.diagnosis.search.evidence import needless, no_worse
 from servo_daemon.diagnosis.trial.compare import advantage
 from servo_daemon.diagnosis.trial.data import Data
 from servo_daemon.diagnosis.trial.split import TRAIN
@@ -41,8 +41,9 @@ def _one_offset(data: Data, current: Trial, kept: list[str]) -> tuple[Trial, lis
     if len(two) < 2:
         return current, kept
     others = tuple(e for e in current.effects if e not in two)
+    # The currents that the runs begin with are others, and start as measured.
     nothing = {p.name: p.nominal for name in _OFFSETS for p in effects_by_name()[name].parameters}
-    each = {name: fit_trial(data, (*others, name), {**nothing, **current.values}, like=current) for name in _OFFSETS}
+    each = {name: fit_trial(data, (*others, name), {**nothing, **current.values}) for name in _OFFSETS}
     enough = {
         name: trial
         for name, trial in each.items()
@@ -52,6 +53,22 @@ def _one_offset(data: Data, current: Trial, kept: list[str]) -> tuple[Trial, lis
         return current, kept
     one = min(enough, key=lambda name: enough[name].choice.nrmse)
     return enough[one], [one if name == two[0] else name for name in kept if name not in two[1:]]
+
+
+def offsets_alike(data: Data, chosen: Trial, added: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Where two offsets are needed: by each name the third one, if it does as well in its place."""
+    two = [name for name in added if name in _OFFSETS]
+    rest = [name for name in _OFFSETS if name not in chosen.effects]
+    if len(two) != 2 or len(rest) != 1:
+        return {}
+    out, third = dict[str, tuple[str, ...]](), rest[0]
+    for name in two:
+        nothing = {p.name: p.nominal for p in effects_by_name()[third].parameters}
+        effects = tuple(third if e == name else e for e in chosen.effects)
+        other = fit_trial(data, effects, {**nothing, **chosen.values})
+        if other is not None and no_worse(other, chosen):
+            out[name] = (third,)
+    return out
 
 
 def without_effect(

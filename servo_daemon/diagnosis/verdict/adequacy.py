@@ -26,7 +26,7 @@ from servo_daemon.diagnosis.search.evidence import (
     noticeable,
     working_shares,
 )
-from servo_daemon.diagnosis.search.pruning import pruned, without_effect
+from servo_daemon.diagnosis.search.pruning import offsets_alike, pruned, without_effect
 from servo_daemon.diagnosis.search.select import Selection
 from servo_daemon.diagnosis.trial.cuts import mean_over_cuts
 from servo_daemon.diagnosis.trial.data import Data
@@ -156,6 +156,8 @@ def _published(selection: Selection, levels: NoiseLevels) -> Believed:
     better = by_predictions(data, extended)
     if better is not extended:
         extended, missing, depends = better, longest_missing(data, better), ()
+    alike = offsets_alike(selection.data, trial, selection.added)
+    selection = replace(selection, equivalent={**selection.equivalent, **alike})
     return Believed(selection, over_a_gap(data, extended, trial.values), missing, depends, levels)
 
 
