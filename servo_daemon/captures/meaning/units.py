@@ -27,6 +27,8 @@ _ANGLES = {"degrees": math.pi / 180, "turns": TURN}
 _SPEEDS = {"rpm": RPM, "degrees a second": math.pi / 180, "turns a second": TURN}
 #: A ratio of two columns is a unit's factor if it comes so near.
 _RATIO = 0.03
+#: Fewer samples tell no factor.
+_FEW = 50
 #: Of no unit, but larger than what a tachometer's scale is off by.
 _APART = 1.5
 #: Angle and integral of the speed go together if so little (power) stands apart.
@@ -115,9 +117,7 @@ def _by_supply(capture: Capture, full: float, limit_V: float | None) -> str:
 def _speed_against_position(capture: Capture) -> list[Finding]:
     """Both columns of one motion: their ratio is 1, or a unit's factor."""
     x, w = capture.position_rad, capture.velocity_rad_s
-    moves = x is not None and w is not None and len(x) >= 50
-    ratio = common_factor(x, w, np.diff(capture.time_s)) if moves else None
-    if ratio is None:
+    if x is None or w is None or len(x) < _FEW or (ratio := common_factor(x, w, np.diff(capture.time_s))) is None:
         return []
     name_x, name_w = column_name(capture, "position_rad"), column_name(capture, "velocity_rad_s")
     if abs(ratio + 1.0) < _RATIO:
