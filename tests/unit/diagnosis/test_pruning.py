@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servo_daemon.diagnosis.search.pruning import offsets_alike, pruned
+from servo_daemon.diagnosis.search.pruning import are_a_load, offsets_alike, pruned
 from servo_daemon.diagnosis.trial.data import Data
 from servo_daemon.diagnosis.trial.trial import fit_trial
 from servo_daemon.identification.output_error import Recording
@@ -58,3 +58,10 @@ def test_two_offsets_that_are_there_stay_with_the_third_beside_them() -> None:
     chosen, kept = pruned(data, trial, two)
     assert kept == list(two)
     assert offsets_alike(data, chosen, kept) == dict.fromkeys(two, ("voltage_sensor_offset",))
+
+
+def test_offsets_of_current_and_voltage_that_are_a_load_s_have_no_name() -> None:
+    added = ["current_sensor_offset", "voltage_sensor_offset", "coulomb_friction"]
+    assert are_a_load(added, {"R": 0.47, "i0": 3.31, "v0": 1.55})
+    assert not are_a_load(added, {"R": 0.47, "i0": 3.31, "v0": -1.55})
+    assert not are_a_load(added[:1], {"R": 0.47, "i0": 3.31})
