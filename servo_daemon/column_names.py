@@ -97,10 +97,11 @@ _WORDS: tuple[tuple[str, bool, frozenset[str]], ...] = (
         _set("i current currents strom courant curr amp amps ampere iq im ia iarm imot imotor"),
     ),
     ("torque", True, _set("torque tau drehmoment moment couple tq")),
+    ("torque", False, _set("effort")),  # ROS: N·m by its convention, of servos often a current
     ("force", True, _set("force kraft")),
     ("temperature", False, _set("temp temperature temperatur")),
-    ("speed", True, _set("omega w ω thetadot dtheta qdot dq")),
-    ("speed", False, _set("speed vel velocity drehzahl geschwindigkeit vitesse")),
+    ("speed", True, _set("omega w wm ω thetadot dtheta qdot dq")),
+    ("speed", False, _set("speed vel velocity drehzahl geschwindigkeit vitesse tach tacho tachometer")),
     ("counts", True, _set("counts count cnt ticks tick pulses enc encoder quad qei inkremente")),
     ("angle", True, _set("theta phi θ φ q")),
     ("angle", False, _set("angle pos position winkel angolo")),
@@ -128,9 +129,13 @@ _FITS: dict[tuple[str, bool], frozenset[str]] = {
     ("angle", False): frozenset({"counts", "length"}),  # "position_mm"
     ("counts", True): frozenset({"angle", "length", "speed", "time"}),  # "enc_deg", "tick_ms"
     ("speed", False): frozenset({"linear speed", "erpm"}),
+    ("torque", False): frozenset({"current"}),
 }
 #: A unit at the end of a name: "U [V]", "U (V)", "t/ms", "Zeit in s".
 _TAIL = re.compile(r"(?:[\[({]\s*([^\[\](){}]*?)\s*[\])}]|(?<=[^\W\d_])\s*/\s*([^/]+)|\s+in\s+(\S+))\s*$")
+#: What says nothing: of a signal that depends on time, "u(t)", "millis()"; a unit of what has none.
+_ARGUMENT = re.compile(r"\(\s*[tk]?\s*\)\s*$")
+_NO_UNIT = ("-", "–", "1", "none")
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
 
 
@@ -158,7 +163,8 @@ def unit_of(text: str) -> tuple[str, float] | None:
 
 def meaning(name: str, unit: str = "") -> Meaning | None:
     """What a column is by its name, and by the unit that stands beside it where there is one; None: nothing known."""
-    base = name.strip().strip("\"'")
+    base = _ARGUMENT.sub("", name.strip().strip("\"'"))
+    unit = "" if unit.strip(" []()").lower() in _NO_UNIT else unit
     if unit_of(base) is None:
         base, unit = _without_unit(base, unit)
     base = re.split(r"[.:\\]", base)[-1].strip() or base
@@ -170,6 +176,14 @@ def meaning(name: str, unit: str = "") -> Meaning | None:
     if unit:
         known = unit_of(unit)
         return None if known is None else _with_unit(tokens, *known)
+    if (found := _named_by_unit(base, tokens)) is not None:
+        return found
+    quantity, certain = _quantity(tokens)
+    return replace(_made(quantity, 1.0), certain=certain, told=False) if quantity else None
+
+
+def _named_by_unit(base: str, tokens: list[str]) -> Meaning | None:
+    """What a name means that is a unit, or has one at its end; a speed's may be at its beginning: "rpm_filtered"."""
     if (known := unit_of(base)) is not None and (len(base) > 1 or base in "VA"):
         return _made(*known)
     for count in range(min(3, len(tokens) - 1), 0, -1):
@@ -177,8 +191,8 @@ def meaning(name: str, unit: str = "") -> Meaning | None:
         found = None if known is None else _with_unit(tokens[:-count], *known)
         if found is not None:
             return found
-    quantity, certain = _quantity(tokens)
-    return replace(_made(quantity, 1.0), certain=certain, told=False) if quantity else None
+    first = unit_of(tokens[0])
+    return _made(*first) if first is not None and first[0] == "speed" else None
 
 
 def _made(quantity: str, scale: float) -> Meaning:
@@ -231,7 +245,7 @@ def _quantity(words: list[str]) -> tuple[str, bool]:
         lower = [w for w in lower if w not in ("encoder", "enc")]
     for quantity, certain, known in _WORDS:
         if known.intersection(lower):
-            return quantity, certain
+            return "speed" if quantity == "angle" and "dot" in lower else quantity, certain
     for word in lower:
         for end, quantity in _ENDS:
             if word.endswith(end):

@@ -22,6 +22,8 @@ UNITS_ASKED: Mapping[str, tuple[str, ...]] = {
     "time_s": ("ms", "us"),
     "torque_Nm": ("mNm", "Nm"),
 }
+#: Of a torque that is called effort, as ROS does.
+EFFORT_UNITS = ("Nm", "mNm", "A", "mA")
 #: A table with more columns is asked about by a map, not by naming them all.
 _MOST_NAMED = 16
 

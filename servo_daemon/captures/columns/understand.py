@@ -12,8 +12,9 @@ from servo_daemon.captures.capture.model import LINEAR_COLUMNS, capture_error
 from servo_daemon.captures.capture.read_options import ReadOptions
 from servo_daemon.captures.columns.foreign import Recording
 from servo_daemon.captures.columns.held import HeldSignal
+from servo_daemon.captures.columns.motion_units import match_motion
 from servo_daemon.captures.columns.program_logs import ProgramLog, program_log
-from servo_daemon.captures.columns.questions import UNITS_ASKED, not_understood
+from servo_daemon.captures.columns.questions import EFFORT_UNITS, UNITS_ASKED, not_understood
 from servo_daemon.captures.columns.signal_map import COUNTS, MappedColumn, SignalRef
 from servo_daemon.captures.columns.signal_values import (
     Values,
@@ -59,6 +60,7 @@ def understand(recording: Recording, options: ReadOptions) -> Understood:
         reader.take_formulas(log)
     reader.take_duty()
     reader.take_electrical_speed()
+    match_motion(recording, found)
     if options.rate_hz is not None:
         found.columns.pop("time_s", None)
     timed = recording.timed or options.rate_hz is not None
@@ -152,7 +154,8 @@ class _Reader:
         return Values(self._recording.read(SignalRef("value", signal.name)).values)
 
     def _ask_unit(self, signal: HeldSignal, column: str, why: str = "its unit is not in its name") -> None:
-        if units := UNITS_ASKED.get(column):
+        effort = column == "torque_Nm" and "effort" in signal.short.lower()
+        if units := EFFORT_UNITS if effort else UNITS_ASKED.get(column):
             self._found.ask(signal.name, column, f"{signal.name}: {why}", units)
 
     def _take_plain(self, signal: HeldSignal, what: Meaning) -> None:

@@ -27,6 +27,10 @@ _ANGLES = {"degrees": math.pi / 180, "turns": TURN}
 _SPEEDS = {"rpm": RPM, "degrees a second": math.pi / 180, "turns a second": TURN}
 #: A ratio of two columns is a unit's factor if it comes so near.
 _RATIO = 0.03
+#: Fewer samples tell no factor.
+_FEW = 50
+#: Of no unit, but larger than what a tachometer's scale is off by.
+_APART = 1.5
 #: Angle and integral of the speed go together if so little (power) stands apart.
 _TOGETHER = 0.05
 #: An encoder's step is taken for one of 360/2^n degrees or 1/2^n turns if it comes so near.
@@ -113,10 +117,7 @@ def _by_supply(capture: Capture, full: float, limit_V: float | None) -> str:
 def _speed_against_position(capture: Capture) -> list[Finding]:
     """Both columns of one motion: their ratio is 1, or a unit's factor."""
     x, w = capture.position_rad, capture.velocity_rad_s
-    if x is None or w is None or len(x) < 50:
-        return []
-    ratio = _common_factor(x, w, np.diff(capture.time_s))
-    if ratio is None:
+    if x is None or w is None or len(x) < _FEW or (ratio := common_factor(x, w, np.diff(capture.time_s))) is None:
         return []
     name_x, name_w = column_name(capture, "position_rad"), column_name(capture, "velocity_rad_s")
     if abs(ratio + 1.0) < _RATIO:
@@ -132,11 +133,18 @@ def _speed_against_position(capture: Capture) -> list[Finding]:
             if abs(sign * ratio * factor - 1.0) < _RATIO:
                 text = f"column {name_x} is {1 / factor:.4g} times the integral of {name_w}: {unit}, not rad"
                 return [Finding("position_rad", f"{text}. {mend(capture, 'position_rad', {'scale': sign * factor})}")]
-    return []
+    text = f"column {name_x} goes with the integral of {name_w}, but is {ratio:.4g} times as large"
+    why = "the unit of one of them, or of both, is another one, or a gear is between"
+    return [Finding("position_rad", f"{text}: {why}")] if not 1 / _APART < abs(ratio) < _APART else []
 
 
-def _common_factor(x: F64, w: F64, h: F64) -> float | None:
-    """Angle over the speed's integral, if they go together; None: they do not, or nothing moves."""
+def common_factor(x: F64, w: F64, h: F64) -> float | None:
+    """Angle over the speed's integral, if they go together; None: they do not, or nothing moves.
+
+    Args:
+        x, w: shape (n,).
+        h: shape (n − 1,), s between them.
+    """
     way = np.cumsum((w[1:] + w[:-1]) / 2 * h)
     turned = x[1:] - x[0]
     way, turned = way - way.mean(), turned - turned.mean()

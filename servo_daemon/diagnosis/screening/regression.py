@@ -17,6 +17,8 @@ from servo_daemon.samples import F64
 #: Time blocks, and folds of the cross-validation: fold f holds out blocks f, f + FOLDS, …, so that a step or a slow
 #: drift has both sides in every part.
 BLOCKS, FOLDS = 20, 5
+#: A trace beyond it has no sum of squares.
+_LARGEST = 1e100
 #: See `Regression`.
 MOST_CHANGE = 0.3
 
@@ -53,7 +55,7 @@ class Regression:
         # denominator) explains nothing.
         columns = smoothed(missing, traces)
         for shown in columns.values():
-            shown[:, ~np.isfinite(shown).all(axis=0)] = 0.0
+            shown[:, ~(np.abs(shown) < _LARGEST).all(axis=0)] = 0.0
         edges = np.linspace(0, len(motion.t), BLOCKS + 1).astype(int)
         XX, Xy, yy = np.zeros((BLOCKS, len(traces), len(traces))), np.zeros((BLOCKS, len(traces))), np.zeros(BLOCKS)
         unknown, moving = 0.0, ~motion.rest & missing.seen

@@ -32,7 +32,7 @@ from servo_daemon.diagnosis.search.evidence import (
     worth_a_name,
 )
 from servo_daemon.diagnosis.search.fitting import COLOURED, Candidate, best_of, closer, fitted, ties
-from servo_daemon.diagnosis.search.pruning import pruned
+from servo_daemon.diagnosis.search.pruning import one_offset, pruned
 from servo_daemon.diagnosis.trial.compare import advantage
 from servo_daemon.diagnosis.trial.data import Data
 from servo_daemon.diagnosis.trial.likelihood import Whole, needs_no_effect
@@ -109,7 +109,8 @@ def select(data: Data, base: Trial, progress: Progress, whole: Whole, effort: Ef
         # Of two at once neither has been tried against others in its place.
         search.equivalent |= {name: ties(best, candidates) if len(names) == 1 else () for name in names}
         search.added = [*(a for a in search.added if a in best.trial.effects), *names]
-        search.current = closer(search.data, best.trial)
+        # Before anything is searched beside a load that passes for two offsets.
+        search.current, search.added = one_offset(search.data, closer(search.data, best.trial), search.added)
     chosen, added = pruned(search.data, search.current, search.added)
     return Selection(search.data, search.base, chosen, tuple(added), tuple(search.rounds), search.equivalent)
 

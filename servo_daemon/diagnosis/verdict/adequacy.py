@@ -26,7 +26,7 @@ from servo_daemon.diagnosis.search.evidence import (
     noticeable,
     working_shares,
 )
-from servo_daemon.diagnosis.search.pruning import pruned, without_effect
+from servo_daemon.diagnosis.search.pruning import are_a_load, offsets_alike, pruned, without_effect
 from servo_daemon.diagnosis.search.select import Selection
 from servo_daemon.diagnosis.trial.cuts import mean_over_cuts
 from servo_daemon.diagnosis.trial.data import Data
@@ -112,6 +112,8 @@ def believed(selection: Selection, full_fits: FullDataFits) -> Believed:
         assert found.extended is not None
         # Of what is published: the only thing that everything has a say in, and only to take a name away.
         shown = found.extended
+        if are_a_load(selection.added, shown.values):
+            break
         known = [n for n in selection.added if noticeable(n, shown, missing) and is_determined(n, shown)]
         if vague := [name for name in selection.added if name not in known]:
             if len(vague) == len(selection.added):
@@ -156,6 +158,8 @@ def _published(selection: Selection, levels: NoiseLevels) -> Believed:
     better = by_predictions(data, extended)
     if better is not extended:
         extended, missing, depends = better, longest_missing(data, better), ()
+    alike = offsets_alike(selection.data, trial, selection.added)
+    selection = replace(selection, equivalent={**selection.equivalent, **alike})
     return Believed(selection, over_a_gap(data, extended, trial.values), missing, depends, levels)
 
 

@@ -13,10 +13,7 @@ from servo_daemon.errors import BadInputError, NumericalError
 from servo_daemon.identification.output_error.fitted import FitOptions, OutputErrorFit
 from servo_daemon.identification.output_error.misfit import with_misfit
 from servo_daemon.identification.output_error.outcome import conclude
-from servo_daemon.identification.output_error.precision.combinations import (
-    determined_combinations,
-    voltage_answer,
-)
+from servo_daemon.identification.output_error.precision.combinations import determined_combinations, voltage_answer
 from servo_daemon.identification.output_error.precision.information import information
 from servo_daemon.identification.output_error.precision.input_error import SHIFTED, with_input_error
 from servo_daemon.identification.output_error.precision.parameters import (
@@ -26,6 +23,7 @@ from servo_daemon.identification.output_error.precision.parameters import (
     seen_with_friction,
     with_nulls_of,
 )
+from servo_daemon.identification.output_error.precision.voltage_noise import with_voltage_noise
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.problem.setup import (
     Recording,
@@ -84,6 +82,8 @@ def fit_output_error(
         shifted = shifted if options.thorough else carrying(shifted, recordings)
         given = {**options.nominal, **options.fixed} if options.holds_voltage else None
         after = with_input_error(after, recordings, (problem, shifted), solution.point, given)
+    elif options.thorough:
+        after = with_voltage_noise(after, problem, solution.point, outcome.as_weighed(problem))
     at_end = problem.coordinates(solution.point.unknowns, 0)
     answer = voltage_answer(problem.plant, at_end, after, scale)
     with_friction = seen_with_friction(problem, solution.point, scale)

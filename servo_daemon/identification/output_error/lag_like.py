@@ -24,7 +24,9 @@ from servo_daemon.samples import F64
 _LAG = "drive_lag"
 LAGS = tuple(name for name, effect in effects_by_name().items() if effect.late)
 #: Of a share between zero and one that nothing is known of, root of the mean square.
-_SHARE = 1.0 / np.sqrt(3.0)
+SHARE = 1.0 / np.sqrt(3.0)
+#: 2 log-likelihood by which two values are told apart, 3 σ squared.
+_TOLD = 9.0
 #: No logarithm is moved by more.
 _AT_MOST = 3.0
 
@@ -60,17 +62,40 @@ def by_other_lags(fit: OutputErrorFit, again: Refit) -> F64 | None:
     problem = fit.problem
     if not leaves_the_trace_of_l(problem):
         return None
-    values = natural_values(problem.plant.parameters, problem.coordinates(fit.solution.point.unknowns, 0))
+    values = values_of(fit)
     names, column = problem.parameter_of_column, np.zeros(len(problem.parameter_of_column))
     poles = _poles(values)
     if poles is not None:
         fast, slow = poles
         for name, change in (("L", 1.0), ("J", fast / (fast + slow))):
             if name in names:
-                column[names.index(name)] = _SHARE * change
+                column[names.index(name)] = SHARE * change
         return column
     other = again((*problem.plant.effects, _LAG), halved_lag(values, "t_lag"))
     return None if other is None else moved_to(other, fit)
+
+
+def with_more_inductance(fit: OutputErrorFit, again: Refit) -> OutputErrorFit | None:
+    """A motor whose winding is as slow as all of it seems, where the data do not tell it from one with next to no L:
+    beside that the derivative by L's logarithm is none, and shows nothing of what L could do. None: they tell it.
+
+    Where the lag is over within a sample a single pole of 12 ms and two that sum to 22 ms are one to them.
+    """
+    problem = fit.problem
+    values = values_of(fit)
+    if not leaves_the_trace_of_l(problem) or fit.parameters["L"].value is not None:
+        return None
+    braking = values["B"] * values["R"] + values["K"] ** 2
+    slow = (values["J"] * values["R"] + values["L"] * values["B"]) / braking
+    other = again(problem.plant.effects, {**values, "L": values["R"] * slow}, ("R", "L"))
+    if other is None or other.solution.point.value > fit.plain.point.value + _TOLD:
+        return None
+    return other
+
+
+def values_of(fit: OutputErrorFit) -> dict[str, float]:
+    """Natural values of all parameters where the fit has ended, of what is not determined as well."""
+    return natural_values(fit.problem.plant.parameters, fit.problem.coordinates(fit.solution.point.unknowns, 0))
 
 
 def halved_lag(values: Mapping[str, float], name: str) -> Mapping[str, float]:

@@ -21,7 +21,15 @@ from dataclasses import replace
 import numpy as np
 
 from servo_daemon.identification.output_error.fitted import OutputErrorFit
-from servo_daemon.identification.output_error.lag_like import Refit, bounded_move, by_other_lags
+from servo_daemon.identification.output_error.lag_like import (
+    SHARE,
+    Refit,
+    bounded_move,
+    by_other_lags,
+    moved_to,
+    values_of,
+    with_more_inductance,
+)
 from servo_daemon.identification.output_error.noise.noise import WORTH, resolution
 from servo_daemon.identification.output_error.noise.residual import ResidualTest, innovation_tests
 from servo_daemon.identification.output_error.noise.whitening import moving
@@ -66,7 +74,8 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
     likelier = None if square else _likelier(fit)
     names = problem.parameter_of_column
     inside, lag = _discrepancy(fit, scale, again, square, likelier), by_other_lags(fit, again)
-    added = inside if lag is None else np.column_stack([inside, lag])
+    seen, slower = inside if lag is None else np.column_stack([inside, lag]), with_more_inductance(fit, again)
+    added = seen if slower is None else np.column_stack([seen, SHARE * moved_to(slower, fit)])
     if not names or not (added.size or likelier is not None):
         return fit
     parameters = dict(fit.parameters)
@@ -78,11 +87,13 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
     after = replace(fit.after, root=root, undetermined=fit.after.undetermined | lost)
     at_end, bounded = problem.coordinates(fit.solution.point.unknowns, 0), at_bounds(problem, fit.solution)
     # The lag is all in the answer of a motor that an encoder shows; the sensor of a speed has one of its own.
-    more = added if "velocity_rad_s" in problem.channels else inside
+    more = seen if "velocity_rad_s" in problem.channels else inside
     answer = wider_answer(fit.answer, problem.plant, at_end, (names, scale), more) if more.size else fit.answer
     if likelier is not None:
         there = natural_values(problem.plant.parameters, problem.coordinates(likelier, 0))
-        answer = answer_between(answer, natural_values(problem.plant.parameters, at_end), there)
+        answer = answer_between(answer, values_of(fit), there)
+    if slower is not None:
+        answer = answer_between(answer, values_of(fit), values_of(slower), SHARE)
     return replace(
         fit,
         parameters=parameters,

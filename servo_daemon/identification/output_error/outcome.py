@@ -15,7 +15,7 @@ voltage, where noise of the input cannot be told from a torque.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Literal
@@ -32,7 +32,7 @@ from servo_daemon.identification.output_error.precision.information import (
 )
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.refine import Refined, refine, with_lost_seen
-from servo_daemon.identification.output_error.solver.solver import Solution
+from servo_daemon.identification.output_error.solver.solver import Point, Solution
 from servo_daemon.identification.output_error.whitened_point import whiten_point
 from servo_daemon.samples import F64
 
@@ -59,6 +59,11 @@ class Outcome:
     noise: NoiseModel | None
     refined: Refined | None
     unsettled: Refined | None = None
+
+    def as_weighed(self, problem: Problem) -> Callable[[Point], Point]:
+        """What makes of a free run what the estimate was made of: its innovations, where noise is modelled."""
+        noise = self.refined.log_variance if self.refined is not None and self.noise is not None else None
+        return lambda point: point if noise is None else whiten_point(problem, point, noise)[0]
 
 
 def conclude(

@@ -15,6 +15,7 @@ import pytest
 from servo_daemon.captures import read_capture
 from servo_daemon.captures.capture import bounded
 from servo_daemon.captures.capture.read_options import ReadOptions, parse_supply
+from servo_daemon.captures.meaning import findings
 from servo_daemon.column_names import meaning
 from servo_daemon.errors import BadInputError, CaptureError
 from tests.field_motion import COUNTS_PER_REV, motion, table
@@ -45,7 +46,9 @@ def written(folder: Path, content: str, name: str = "log.csv") -> Path:
         ("q_V", "voltage_V", 1.0), ("U [mV]", "voltage_V", 1e-3), ("Ankerspannung", "voltage_V", 1.0),
         ("duty", "duty", 1.0), ("pwm", "duty", 1.0), ("vbus", "supply", 1.0), ("supply_V", "supply", 1.0),
         ("position_mm", "position_m", 1e-3), ("speed_mm_s", "velocity_m_s", 1e-3),
-        ("n [1/min]", "velocity_rad_s", math.pi / 30),
+        ("n [1/min]", "velocity_rad_s", math.pi / 30), ("rpm_filtered", "velocity_rad_s", math.pi / 30),
+        ("theta_dot", "velocity_rad_s", 1.0), ("omega(t)", "velocity_rad_s", 1.0), ("u(t)", "voltage_V", 1.0),
+        ("millis()", "time_s", 1e-3), ("effort_A", "current_A", 1.0),
     ],
 )  # fmt: skip
 def test_names_that_are_certain(name: str, column: str, scale: float) -> None:
@@ -54,14 +57,29 @@ def test_names_that_are_certain(name: str, column: str, scale: float) -> None:
     assert (found.column, found.scale) == (column, pytest.approx(scale))
 
 
-@pytest.mark.parametrize("name", ["speed", "velocity", "position", "angle", "encoder_position", "vin"])
+@pytest.mark.parametrize(
+    "name", ["speed", "velocity", "position", "angle", "encoder_position", "vin", "tacho", "effort"]
+)
 def test_names_whose_unit_nobody_knows_are_guesses(name: str) -> None:
     found = meaning(name)
     assert found is not None and not found.certain
 
 
 @pytest.mark.parametrize(
-    "name", ["target_speed", "pos_ref", "d_A", "current_in", "I1", "dt_us", "sample_count", "temp_mos_max", "foo", "n"]
+    "name",
+    [
+        "target_speed",
+        "pos_ref",
+        "d_A",
+        "current_in",
+        "I1",
+        "dt_us",
+        "sample_count",
+        "temp_mos_max",
+        "foo",
+        "n",
+        "tach (V)",
+    ],
 )
 def test_names_that_are_no_measurement_of_the_motor(name: str) -> None:
     assert meaning(name) is None
@@ -104,6 +122,14 @@ def test_what_is_understood_is_the_motion_and_is_told(tmp_path: Path, name: str)
 ASKED = {
     "speed": (table((M.t, M.v, M.i, RPM), "time_s,voltage_V,current_A,speed"), "speed: its unit is not in its name"),
     "position": (table((M.t, M.v, M.i, DEG), "t,v,i,position"), "position: its unit is not in its name"),
+    "a joint": (
+        table((M.t, M.v, M.i, M.x, M.w), "t,v,i,position,velocity"),
+        "position and velocity: their values fit rad with rad_s or deg with deg_s",
+    ),
+    "turns": (
+        table((M.t, M.v, M.i, TURNS, RPM), "t,v,i,position,velocity", digits=".9f"),
+        "their values fit turns with rpm",
+    ),
     "time": (table((MS, M.v, M.i, M.x), "Time,v,i,theta"), "Time: in seconds it is no drive's time"),
     "whole numbers": (table((M.t, M.v, M.i, np.rint(DEG)), "t,v,i,theta"), "theta: whole numbers, and no unit"),
 }
@@ -165,6 +191,13 @@ def test_a_supply_without_the_full_scale_of_a_pwm_code_is_asked_about(tmp_path: 
         read_capture(path, options=ReadOptions(supply_V=12.0))
     capture = read_capture(path, options=ReadOptions(supply_V=12.0, full_duty=255.0))
     np.testing.assert_allclose(capture.voltage_V, codes * 12 / 255, atol=1e-6)
+
+
+def test_an_angle_and_a_speed_of_which_neither_unit_is_right_are_told(tmp_path: Path) -> None:
+    """As degrees and rpm, a joint in rad and rad/s has an inertia 3,283 times too large."""
+    path = written(tmp_path, table((M.t, M.v, M.i, M.x, M.w), "t,v,i,position_deg,velocity_rpm"))
+    (told,) = findings(read_capture(path))
+    assert "is 0.1667 times as large" in told.text
 
 
 def test_counts_are_never_suggested_as_radians(tmp_path: Path) -> None:

@@ -105,16 +105,19 @@ def voltage_answer(plant: PlantModel, q: F64, info: Information, scale: F64) -> 
     return VoltageAnswer(coefficients, np.asarray(root @ root.T))
 
 
-def answer_between(answer: VoltageAnswer | None, here: _Values, there: _Values) -> VoltageAnswer | None:
+def answer_between(
+    answer: VoltageAnswer | None, here: _Values, there: _Values, share: float = 1.0
+) -> VoltageAnswer | None:
     """The same as little known as two estimates of the same data are apart; None where there is none.
 
     Args:
         here, there: natural values of all parameters at both.
+        share: of the way between them, 1 σ.
     """
     if answer is None:
         return None
     functions = [candidate[3] for candidate in _CANDIDATES[:_ANSWER]]
-    return _with_more(answer, np.array([[f(there) / f(here) - 1.0] for f in functions]))
+    return _with_more(answer, share * np.array([[f(there) / f(here) - 1.0] for f in functions]))
 
 
 def wider_answer(
