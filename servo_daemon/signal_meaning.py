@@ -29,6 +29,8 @@ VOLTAGES = ("held", "instant", "mean")
 CURRENTS = ("instant", "mean")
 CONVENTIONS = ("dc", "dq")
 PUBLISHED = ("phase", "line", "kt")
+#: Fields that are numbers from 0 on.
+_FROM_ZERO = ("truncated_A", "truncated_V", "current_late_s", "voltage_scale_std")
 _CHOICES = {"voltage": VOLTAGES, "current": CURRENTS, "convention": CONVENTIONS, "publish": PUBLISHED}
 
 #: Factors of the q axis's voltage and current by what is published: their product is the 1.5 of the dq frame's power.
@@ -54,6 +56,8 @@ class SignalMeaning:
         truncated_A, truncated_V: steps in which current and voltage are cut off toward zero, as the drive reports them;
             0: they are not. A value is then on average half a step further from zero than it says.
         current_late_s: how far the current is behind angle and speed, s: the delay of a filter in the drive.
+        voltage_scale_std: 1 σ of one factor that the voltage as a whole may be off by, a share: of a voltage that is a
+            share of the supply, as far as the supply is known.
 
     Raises:
         BadInputError: a value is none of these; the text names the field.
@@ -68,6 +72,7 @@ class SignalMeaning:
     truncated_A: float = 0.0
     truncated_V: float = 0.0
     current_late_s: float = 0.0
+    voltage_scale_std: float = 0.0
 
     def __post_init__(self) -> None:
         for name, known in _CHOICES.items():
@@ -78,7 +83,7 @@ class SignalMeaning:
             raise BadInputError(f"pole_pairs = {self.pole_pairs!r} must be a whole number from 1 on")
         if not (isinstance(self.gear_ratio, int | float) and math.isfinite(self.gear_ratio) and self.gear_ratio > 0.0):
             raise BadInputError(f"gear_ratio = {self.gear_ratio!r} must be a number greater than 0")
-        for name in ("truncated_A", "truncated_V", "current_late_s"):
+        for name in _FROM_ZERO:
             step = getattr(self, name)
             if not (isinstance(step, int | float) and math.isfinite(step) and step >= 0.0):
                 raise BadInputError(f"{name} = {step!r} must be a number from 0 on")
@@ -172,7 +177,7 @@ def keys_of_texts(texts: Mapping[str, str]) -> dict[str, Any]:
         if key in given and given[key][:1] in "0123456789.+-":
             del given[key]
     readers: dict[str, Callable[[str], float]] = {"pole_pairs": _whole}
-    for key in ("pole_pairs", "gear_ratio", "truncated_A", "truncated_V", "current_late_s"):
+    for key in ("pole_pairs", "gear_ratio", *_FROM_ZERO):
         if key in given:
             try:
                 given[key] = readers.get(key, float)(given[key])
@@ -200,4 +205,6 @@ def told(meaning: SignalMeaning) -> str:
         parts.append("cut off toward zero: half a step is added")
     if meaning.current_late_s:
         parts.append(f"current {1e3 * meaning.current_late_s:g} ms late")
+    if meaning.voltage_scale_std:
+        parts.append(f"voltage known to {100.0 * meaning.voltage_scale_std:.2g} %")
     return ", ".join(parts)

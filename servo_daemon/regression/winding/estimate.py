@@ -13,6 +13,7 @@ from servo_daemon.regression.linear_regression import long_run
 from servo_daemon.regression.sampling import settles_between
 from servo_daemon.regression.winding.rows import RESOLVED, Rows, added_up, unresolved
 from servo_daemon.samples import F64
+from servo_daemon.signal_meaning import SignalMeaning
 
 NAMES = WINDING_NAMES
 #: Windows that are tried, s; beyond, what the shaft does between their ends is averaged away.
@@ -93,6 +94,19 @@ def estimate_winding(
     found = [_at_length(recordings, window_s, dict(held or {}), tuple(added)) for window_s in windows_s]
     good = [f for f in found if f is not None]
     return min(good, key=lambda f: f.badness) if good else None
+
+
+def as_meant(found: WindingEstimate, meaning: SignalMeaning, period_s: float) -> WindingEstimate:
+    """The estimate with what no row can show of signals of this meaning: a factor of the whole voltage, which is one of
+    R, L and K, and an inductance between instants.
+
+    Args:
+        period_s: usual distance of two samples.
+    """
+    if meaning.voltage == "instant":
+        found = without_hidden_inductance(found, period_s)
+    scaled = found.value * [name in NAMES for name in found.names]
+    return replace(found, covariance=found.covariance + meaning.voltage_scale_std**2 * np.outer(scaled, scaled))
 
 
 def without_hidden_inductance(found: WindingEstimate, period_s: float) -> WindingEstimate:
