@@ -29,8 +29,10 @@ VOLTAGES = ("held", "instant", "mean")
 CURRENTS = ("instant", "mean")
 CONVENTIONS = ("dc", "dq")
 PUBLISHED = ("phase", "line", "kt")
+#: A period at 20 kHz: drives under FOC run at 8 to 40 kHz.
+CONTROL_PERIOD_S = 5e-5
 #: Fields that are numbers from 0 on.
-_FROM_ZERO = ("truncated_A", "truncated_V", "current_late_s", "voltage_scale_std")
+_FROM_ZERO = ("truncated_A", "truncated_V", "current_late_s", "voltage_scale_std", "control_period_s")
 _CHOICES = {"voltage": VOLTAGES, "current": CURRENTS, "convention": CONVENTIONS, "publish": PUBLISHED}
 
 #: Factors of the q axis's voltage and current by what is published: their product is the 1.5 of the dq frame's power.
@@ -58,6 +60,8 @@ class SignalMeaning:
         current_late_s: how far the current is behind angle and speed, s: the delay of a filter in the drive.
         voltage_scale_std: 1 σ of one factor that the voltage as a whole may be off by, a share: of a voltage that is a
             share of the supply, as far as the supply is known.
+        control_period_s: for how long the drive's control holds a voltage, s: so far apart may be the moments that
+            voltage and current are of.
 
     Raises:
         BadInputError: a value is none of these; the text names the field.
@@ -73,6 +77,7 @@ class SignalMeaning:
     truncated_V: float = 0.0
     current_late_s: float = 0.0
     voltage_scale_std: float = 0.0
+    control_period_s: float = CONTROL_PERIOD_S
 
     def __post_init__(self) -> None:
         for name, known in _CHOICES.items():
@@ -205,6 +210,8 @@ def told(meaning: SignalMeaning) -> str:
         parts.append("cut off toward zero: half a step is added")
     if meaning.current_late_s:
         parts.append(f"current {1e3 * meaning.current_late_s:g} ms late")
+    if meaning.control_period_s > CONTROL_PERIOD_S:
+        parts.append(f"voltage held for {1e3 * meaning.control_period_s:g} ms")
     if meaning.voltage_scale_std:
         parts.append(f"voltage known to {100.0 * meaning.voltage_scale_std:.2g} %")
     return ", ".join(parts)

@@ -37,6 +37,8 @@ from servo_daemon.signal_meaning import SignalMeaning
 _TIMEOUT_S = 0.05
 #: Below this share of the supply the motor's current does not follow from that of the supply.
 _LEAST_DUTY = 0.05
+#: Of the servos' control. No manual says it; a kilohertz is what such controllers run at.
+CONTROL_PERIOD_S = 1e-3
 #: The supply's voltage comes in such steps: one factor of every voltage that is a share of it.
 SUPPLY_STEP_V = 0.1
 #: Position counters: 32 bits of Dynamixel, one turn of an STS (several turns in its multi-turn mode).
@@ -81,7 +83,9 @@ class _ServoDriver(Driver):
 
     @property
     def meaning(self) -> SignalMeaning:
-        return SignalMeaning("instant", "instant", "dc", voltage_scale_std=self._supply_std)
+        return SignalMeaning(
+            "instant", "instant", "dc", voltage_scale_std=self._supply_std, control_period_s=CONTROL_PERIOD_S
+        )
 
     @property
     def _model(self) -> Model:

@@ -13,18 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.samples import F64
-from servo_daemon.signal_meaning import SignalMeaning
+from servo_daemon.signal_meaning import CONTROL_PERIOD_S, SignalMeaning
 
-#: 1 σ of the time between a drive's current and its angle, s: a control period at 20 kHz, for one may be of the
-#: period's beginning and the other of its end. Drives that run at 8 to 40 kHz are within a factor of 2.5.
-_PERIOD_S = 5e-5
 #: 1 σ of a filter's delay, share of it: VESC's goes with its control rate, 20 to 30 kHz (foc_f_zv; 25 by default).
 _DELAY = 0.15
 
 
 def moment_std_s(meaning: SignalMeaning) -> float:
-    """1 σ of the time between current and angle, s, beside what `current_late_s` says."""
-    return math.hypot(_PERIOD_S, _DELAY * meaning.current_late_s)
+    """1 σ of the time between current and angle, s, beside what `current_late_s` says: a control period, for one may be
+    of the period's beginning and the other of its end."""
+    return math.hypot(CONTROL_PERIOD_S, _DELAY * meaning.current_late_s)
 
 
 def earlier(time_s: F64, values: F64, by_s: float) -> F64:

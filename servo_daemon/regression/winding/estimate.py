@@ -16,6 +16,8 @@ from servo_daemon.samples import F64
 from servo_daemon.signal_meaning import SignalMeaning
 
 NAMES = WINDING_NAMES
+#: The column of the current's rate.
+_RATE = NAMES.index("L")
 #: Windows that are tried, s; beyond, what the shaft does between their ends is averaged away.
 WINDOWS_S = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
 #: Fewest rows for each column.
@@ -34,8 +36,6 @@ _EXTRAS = {"Vb": "a voltage against the current's direction", "v0": "a constant 
 _SEEN = 3.0
 #: Samples within L/R that follow the current.
 _FOLLOWED = 4.0
-#: Of which moment of a control period a value is no drive says: within ± 50 µs (a period at 20 kHz), 1 σ.
-_SKEW_S = 5e-5 / np.sqrt(3.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +133,7 @@ def _at_length(
     sums = [added_up(r, length) for r, length in zip(recordings, lengths, strict=True)]
     names = (*NAMES, *added)
     X, other = (_with_added(np.concatenate(c), added) for c in ([s.X for s in sums], [s.other for s in sums]))
-    y, y_rate = (np.concatenate(c) for c in ([s.y for s in sums], [s.y_rate for s in sums]))
+    y, y_rate, bend = (np.concatenate([getattr(s, name) for s in sums]) for name in ("y", "y_rate", "bend"))
     if len(y) < _ROWS_PER_COLUMN * len(names):
         return None
     current = X[:, 0]
@@ -144,7 +144,9 @@ def _at_length(
     fit = _Fit.of(X[:, free], y)
     finer = min(1.0, _FINER + (unresolved(recordings) / RESOLVED) ** 2)
     covariance = fit.covariance + fit.pulled() + fit.moved_by(finer * (other - X)[:, free] @ fit.value)
-    covariance += fit.moved_by(_SKEW_S * y_rate)
+    covariance += fit.moved_by(_UNIFORM * max(r.skew_s for r in recordings) * y_rate)
+    if _RATE in free:
+        covariance += fit.moved_by(_UNIFORM * fit.value[free.index(_RATE)] * bend)
     extra = None
     for name, words in _EXTRAS.items():
         if name not in added and (change := fit.beside(_column(name, current), y)) is not None:
