@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from servo_daemon.captures import Capture, in_canonical_order
 from servo_daemon.captures.capture.model import capture_error
@@ -114,7 +115,7 @@ def gather(
 
 def _driven(capture: Capture, meaning: SignalMeaning) -> Capture:
     """Without its voltage, and with its motion of the current's moment: the current drives it."""
-    moved = {
+    moved: dict[str, Any] = {
         name: earlier(capture.time_s, values, meaning.current_late_s)
         for name in ("position_rad", "velocity_rad_s")
         if meaning.current_late_s and (values := getattr(capture, name)) is not None

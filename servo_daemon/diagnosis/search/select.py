@@ -36,7 +36,7 @@ from servo_daemon.diagnosis.search.pruning import pruned
 from servo_daemon.diagnosis.trial.compare import advantage
 from servo_daemon.diagnosis.trial.data import Data
 from servo_daemon.diagnosis.trial.likelihood import Whole, needs_no_effect
-from servo_daemon.diagnosis.trial.model_discrepancy import leaves, leaves_less, seen_missing
+from servo_daemon.diagnosis.trial.model_discrepancy import leaves, leaves_less, seen_missing, shows_in_balance
 from servo_daemon.diagnosis.trial.split import shorter_s
 from servo_daemon.diagnosis.trial.trial import Trial, fit_trial
 from servo_daemon.errors import NumericalError
@@ -101,6 +101,8 @@ def select(data: Data, base: Trial, progress: Progress, whole: Whole, effort: Ef
             break  # the model before could be looked at, this one cannot: it is the last
         search, candidates, best = _round(search, missing, _after(progress, share), effort)
         if best is not None and not search.added and needs_no_effect(search.base, best.trial, whole):
+            best = None
+        if best is not None and search.added and not shows_in_balance(search.data, best.trial, missing):
             best = None
         search.rounds.append(tuple(replace(c, taken=c is best) for c in candidates))
         if best is None:

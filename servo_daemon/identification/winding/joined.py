@@ -164,9 +164,8 @@ def _joined(name: str, fitted: FittedParameter | None, winding: Winding, open_st
         return FittedParameter(None, None, unit, "undetermined", at_bound=False)
     if fitted.value is None or fitted.std is None or not is_torque(unit):
         return fitted
-    fitted = replace(fitted, std=math.hypot(fitted.std, open_std))
     share = math.hypot(winding.K_relative_std, _BETWEEN_SAMPLES)
-    return replace(fitted, std=math.hypot(fitted.std, fitted.value * share))
+    return replace(fitted, std=math.hypot(fitted.std, open_std, fitted.value * share))
 
 
 def is_torque(unit: str) -> bool:

@@ -10,6 +10,7 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -246,7 +247,7 @@ def _earlier(block: SampleBlock, before: SampleBlock | None, by_s: float) -> Sam
     """Position and speed as they were a while before each sample, on the line from the sample before it. The first one
     of all stays: how samples are cut into blocks must not show."""
     whole = block if before is None else concatenate([before, block])
-    moved = {
+    moved: dict[str, Any] = {
         name: earlier(whole.time_s, values, by_s)[len(whole) - len(block) :]
         for name in ("position_rad", "velocity_rad_s")
         if (values := getattr(whole, name)) is not None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
@@ -77,6 +78,7 @@ def test_a_brushed_servo_tells_everything_but_the_inductance(kind: str) -> None:
     device = DynamixelChain({1: motor}) if kind == "dynamixel" else FeetechChain({1: motor})
     blocks = polled(driver, OneServo(driver._family), device, clock, 500.0, 10_000)
     _check(driver, blocks, PAPER_MOTOR, {"R": 0.03, "K": 0.02, "J": 0.05, "B": 0.05})
+    assert driver.meaning.voltage_scale_std == pytest.approx(0.1 / math.sqrt(12.0) / 12.0)
 
 
 def _frames(decoder: Any, node: Any, clock: Clock, period_s: float, n: int) -> Iterator[SampleBlock]:
