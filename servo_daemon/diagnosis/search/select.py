@@ -31,12 +31,12 @@ from servo_daemon.diagnosis.search.evidence import (
     speaks_against_screening,
     worth_a_name,
 )
-from servo_daemon.diagnosis.search.fitting import COLOURED, Candidate, best_of, closer, fitted, ties
+from servo_daemon.diagnosis.search.fitting import COLOURED, Candidate, best_of, closer, fitted, seen_enough, ties
 from servo_daemon.diagnosis.search.pruning import pruned
 from servo_daemon.diagnosis.trial.compare import advantage
 from servo_daemon.diagnosis.trial.data import Data
 from servo_daemon.diagnosis.trial.likelihood import Whole, needs_no_effect
-from servo_daemon.diagnosis.trial.model_discrepancy import leaves, leaves_less, seen_missing, shows_in_balance
+from servo_daemon.diagnosis.trial.model_discrepancy import leaves, leaves_less, seen_missing
 from servo_daemon.diagnosis.trial.split import shorter_s
 from servo_daemon.diagnosis.trial.trial import Trial, fit_trial
 from servo_daemon.errors import NumericalError
@@ -102,8 +102,6 @@ def select(data: Data, base: Trial, progress: Progress, whole: Whole, effort: Ef
         search, candidates, best = _round(search, missing, _after(progress, share), effort)
         if best is not None and not search.added and needs_no_effect(search.base, best.trial, whole):
             best = None
-        if best is not None and search.added and not shows_in_balance(search.data, best.trial, missing):
-            best = None
         search.rounds.append(tuple(replace(c, taken=c is best) for c in candidates))
         if best is None:
             break
@@ -141,7 +139,8 @@ def _round(search: _Search, missing: Missing, progress: Progress, effort: Effort
     screened = screen(current, missing)
     proposed = proposals(current, screened, missing, given=search.data.fixed)
     progress(0.1, "fitting " + ", ".join(p.name for p in proposed))
-    found = _against_the_best_chance(search, _worthy(search, missing, proposed, effort))
+    worthy = _worthy(search, missing, proposed, effort)
+    found = _against_the_best_chance(search, seen_enough(worthy, screened) if search.added else worthy)
     if has_found_states(current.fitted):  # what is left is how the load went on within the runs
         return found
     if found[2] is None and (rest := _thought_little_of(current, screened, missing, proposed)):

@@ -71,23 +71,6 @@ def leaves(data: Data, trial: Trial, before: Missing) -> float:
         return math.inf
 
 
-def shows_in_balance(data: Data, trial: Trial, before: Missing) -> bool:
-    """Whether a model leaves less missing than there was without it, the noise being what it was taken for then. What
-    only follows how a free run drifts off (a ripple of any number a turn) adds a torque to the balance that is not
-    there.
-
-    Args:
-        before: of `seen_missing`.
-    """
-    number = data.longest
-    recording = data.recordings[number]
-    try:
-        after = missing_inputs(trial, recording.block, recording=number, levels=before.levels, seen=recording.seen)
-    except NumericalError:
-        return True  # it says nothing
-    return _size(after) < _size(before)
-
-
 def leaves_less(data: Data, trial: Trial, other_data: Data, other: Trial) -> bool:
     """Whether one model has a smaller discrepancy than another."""
     try:
