@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from servo_daemon.diagnosis.screening.screen import ScreenedCandidate
 from servo_daemon.diagnosis.search.candidates import CONTAINED, NESTED, Proposal, has_no_current
 from servo_daemon.diagnosis.search.effort import Effort, model_key
-from servo_daemon.diagnosis.screening.screen import ScreenedCandidate
 from servo_daemon.diagnosis.search.evidence import (
     LEAST_BIC,
     NESTED_GAIN,
@@ -64,7 +64,7 @@ class Candidate:
 
 def seen_enough(candidates: Sequence[Candidate], screened: Sequence[ScreenedCandidate]) -> tuple[Candidate, ...]:
     """Of candidates beside an effect that was taken, those of which the balances show something, or that are far too
-    good for chance: what is left of a free run is how it drifts off, and a ripple of some number a turn follows that."""
+    good for chance: what is left of a free run is its drift, and a ripple of some number a turn can follow it."""
     share = {s.effect: s.heldout_share for s in screened}
     known = effects_by_name()
 
