@@ -27,6 +27,8 @@ from servo_daemon.samples import F64
 #: So many lengths of the free runs, from that of the search to so many times it. Longer ones hold the slow part of an
 #: error, which short runs take for a part of their initial states.
 _CUTS, _LONGER = 5, 4.0
+#: … and err by no more than so many times what a constant torque adds up to (cogging on samples of 200 Hz: 5 to 10).
+_RUN_AWAY = 2.0
 #: No longer than this, s: a run of many seconds with dry friction has valleys of its own.
 _LONGEST_S = 4.0
 
@@ -66,7 +68,7 @@ def _estimates(data: Data, trial: Trial, fit: OutputErrorFit) -> list[F64]:
             cut = fit_runs(data, trial, begin, length)
             error = np.sqrt(cut.solution.point.sse)
             least = error if least is None else least
-            if cut.problem.free == fit.problem.free and np.all(error <= (length / shortest) ** 2 * least):
+            if cut.problem.free == fit.problem.free and np.all(error <= _RUN_AWAY * (length / shortest) ** 2 * least):
                 found = cut.solution.point.unknowns[:n]
                 turns = np.where(phases, np.round((found - here) / (2.0 * np.pi)), 0.0)
                 out.append(found - 2.0 * np.pi * turns)

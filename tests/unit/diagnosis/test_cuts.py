@@ -17,9 +17,8 @@ HERE = (-4.0, 0.4)
 
 def fit_of(unknowns: tuple[float, ...], rms: float) -> Any:
     problem = SimpleNamespace(n_shared=2, free=("Tcog", "phi_cog"), is_phase=np.array([False, True]))
-    return SimpleNamespace(
-        problem=problem, values={}, solution=SimpleNamespace(point=SimpleNamespace(unknowns=np.array(unknowns), sse=np.array([rms**2])))
-    )  # fmt: skip
+    point = SimpleNamespace(unknowns=np.array(unknowns), sse=np.array([rms**2]))
+    return SimpleNamespace(problem=problem, values={}, solution=SimpleNamespace(point=point))
 
 
 def estimates(monkeypatch: pytest.MonkeyPatch, found: list[tuple[tuple[float, ...], float]]) -> list[np.ndarray]:
@@ -37,6 +36,6 @@ def test_a_phase_is_that_of_the_same_turn(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_runs_in_which_the_motor_has_run_away_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Lengths grow by √2: errors may grow twofold each time, as cogging on samples of 200 Hz did not."""
+    """Lengths grow by √2, and what a constant torque adds up to twofold: cogging on samples of 200 Hz grew faster."""
     found = [(HERE, 1.0), ((-3.76, 0.56), 19.5), ((-3.9, 0.42), 1.4), ((-3.85, 2.8), 83.0), ((-3.86, 0.8), 15.0)]
     assert [x[1] for x in estimates(monkeypatch, found)] == pytest.approx([0.4, 0.42, 0.8])
