@@ -100,12 +100,13 @@ def gather(
     if meaning != SignalMeaning():
         notes.append(f"signals: {told(meaning)}")
     if meaning.measures_voltage:
-        winding = winding_of(captures, meaning, effects, fixed)
+        if any(c.voltage_V is not None for c in captures):
+            winding = winding_of(captures, meaning, effects, fixed)
+            fixed |= {"K": K[0]} if "K" not in fixed and (K := winding.of("K")) is not None else {}
+            notes += winding.notes
         captures, validation = (tuple(_driven(c, meaning) for c in cs) for cs in (captures, validation))
-        fixed |= {"K": K[0]} if "K" not in fixed and (K := winding.of("K")) is not None else {}
         nominal = {k: v for k, v in nominal.items() if k not in ("R", "L")}  # which the motion knows nothing of
         fixed = {k: v for k, v in fixed.items() if k not in ("R", "L")}
-        notes += winding.notes
     weight = known_weight(drive, captures[0])
     if (searches or "gravity_load" in effects) and weight is not None and "Tg" not in fixed:
         fixed["Tg"] = weight

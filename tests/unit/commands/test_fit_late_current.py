@@ -1,4 +1,4 @@
-"""`fit` of a drive whose current is behind its angle, by a filter that is known."""
+"""`fit` of a drive whose current is behind its angle, by a filter that is known; and of one that tells no voltage."""
 
 from __future__ import annotations
 
@@ -56,3 +56,14 @@ def test_b_is_not_what_the_filter_feigns_and_says_how_far_it_is_open(tmp_path: P
             for n, v in fitted.items()}  # fmt: skip
     std = joined_parameters(rows, inputs.winding)["B"].std
     assert std == pytest.approx(J * np.hypot(5e-5, 0.15 * LATE_S) * squares[1] / squares[0], rel=0.15)
+
+
+def test_a_drive_without_a_voltage_has_no_balance_of_it(tmp_path: Path) -> None:
+    """As `record` writes an ODrive's: its signals have a meaning, and no voltage is among them."""
+    path = tmp_path / "odrive.csv"
+    rows = "\n".join(f"{t:.3f},{np.sin(t):.6f},{np.cos(t):.6f}" for t in T[:100])
+    path.write_text(f"# voltage: instant\n# convention: dq\ntime_s,current_A,position_rad\n{rows}\n", encoding="utf-8")
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    inputs = gather(parser.parse_args([str(path), "--fix", "K=0.1"]), [path])
+    assert inputs.winding is None and not any("winding" in note for note in inputs.notes)
