@@ -16,7 +16,7 @@ p pole pairs, λ the rotor's flux. J, B and every torque are the same in all thr
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -197,9 +197,14 @@ def as_texts(meaning: SignalMeaning) -> dict[str, str]:
     return {k: f"{v!r}" if isinstance(v := getattr(meaning, k), float) else str(v) for k in KEYS}
 
 
-def told(meaning: SignalMeaning) -> str:
-    """In one line, for the user."""
-    parts = [f"voltage {meaning.voltage}", f"current {meaning.current}"]
+def told(meaning: SignalMeaning, channels: Collection[str] = ("voltage_V", "current_A")) -> str:
+    """In one line, for the user.
+
+    Args:
+        channels: that the drive has: of others nothing is said.
+    """
+    kinds = {"voltage_V": f"voltage {meaning.voltage}", "current_A": f"current {meaning.current}"}
+    parts = [text for name, text in kinds.items() if name in channels]
     if meaning.convention == "dq":
         v, i = meaning.factors
         pairs = f"{meaning.pole_pairs} pole pairs"

@@ -98,7 +98,7 @@ def gather(
     notes += lost
     winding = None
     if meaning != SignalMeaning():
-        notes.append(f"signals: {told(meaning)}")
+        notes.append(f"signals: {told(meaning, {c for one in captures for c in one.channels})}")
     if meaning.measures_voltage:
         if any(c.voltage_V is not None for c in captures):
             winding = winding_of(captures, meaning, effects, fixed)
