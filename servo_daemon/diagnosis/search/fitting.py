@@ -63,14 +63,17 @@ class Candidate:
 
 
 def seen_enough(candidates: Sequence[Candidate], screened: Sequence[ScreenedCandidate]) -> tuple[Candidate, ...]:
-    """Of candidates beside an effect that was taken, those of which the balances show something, or that are far too
-    good for chance: what is left of a free run is its drift, and a ripple of some number a turn can follow it."""
+    """Of candidates beside an effect that was taken, without the waves of which the balances show next to nothing, if
+    they are not far too good for chance: what is left of free runs is their drift, and of many numbers of periods a
+    turn there is one that follows it."""
     share = {s.effect: s.heldout_share for s in screened}
     known = effects_by_name()
 
     def seen(c: Candidate) -> bool:
-        effect = known[c.name].further or c.name if c.name in known else c.name
-        return share.get(effect, 1.0) > _LITTLE_SEEN or speaks_against_screening(c.against)
+        effect = known.get(c.name)
+        if effect is None or not any(p.name.startswith("n_") for p in effect.parameters):
+            return True
+        return share.get(effect.further or c.name, 1.0) > _LITTLE_SEEN or speaks_against_screening(c.against)
 
     return tuple(c for c in candidates if seen(c))
 
