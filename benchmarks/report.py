@@ -46,6 +46,7 @@ COMMANDS: Mapping[str, tuple[str, ...]] = {
     "identification-montecarlo": ("-m", "benchmarks.identification_montecarlo", *_MONTE_CARLO),
     "real": ("-m", "benchmarks.real"),
     "diagnosis": ("-m", "benchmarks.diagnosis"),
+    "drives": ("-m", "benchmarks.drives", "--runs", "1"),
     "drive-effects": ("-m", "benchmarks.drive_effects"),
     "fleet": ("-m", "benchmarks.fleet", "--seconds", "0.3"),
     "commission": ("-m", "benchmarks.commission"),

@@ -16,7 +16,7 @@ p pole pairs, λ the rotor's flux. J, B and every torque are the same in all thr
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -29,6 +29,10 @@ VOLTAGES = ("held", "instant", "mean")
 CURRENTS = ("instant", "mean")
 CONVENTIONS = ("dc", "dq")
 PUBLISHED = ("phase", "line", "kt")
+#: A period at 20 kHz: drives under FOC run at 8 to 40 kHz.
+CONTROL_PERIOD_S = 5e-5
+#: Fields that are numbers from 0 on.
+_FROM_ZERO = ("truncated_A", "truncated_V", "current_late_s", "voltage_scale_std", "control_period_s")
 _CHOICES = {"voltage": VOLTAGES, "current": CURRENTS, "convention": CONVENTIONS, "publish": PUBLISHED}
 
 #: Factors of the q axis's voltage and current by what is published: their product is the 1.5 of the dq frame's power.
@@ -54,6 +58,10 @@ class SignalMeaning:
         truncated_A, truncated_V: steps in which current and voltage are cut off toward zero, as the drive reports them;
             0: they are not. A value is then on average half a step further from zero than it says.
         current_late_s: how far the current is behind angle and speed, s: the delay of a filter in the drive.
+        voltage_scale_std: 1 σ of one factor that the voltage as a whole may be off by, a share: of a voltage that is a
+            share of the supply, as far as the supply is known.
+        control_period_s: for how long the drive's control holds a voltage, s: so far apart may be the moments that
+            voltage and current are of.
 
     Raises:
         BadInputError: a value is none of these; the text names the field.
@@ -68,6 +76,8 @@ class SignalMeaning:
     truncated_A: float = 0.0
     truncated_V: float = 0.0
     current_late_s: float = 0.0
+    voltage_scale_std: float = 0.0
+    control_period_s: float = CONTROL_PERIOD_S
 
     def __post_init__(self) -> None:
         for name, known in _CHOICES.items():
@@ -78,7 +88,7 @@ class SignalMeaning:
             raise BadInputError(f"pole_pairs = {self.pole_pairs!r} must be a whole number from 1 on")
         if not (isinstance(self.gear_ratio, int | float) and math.isfinite(self.gear_ratio) and self.gear_ratio > 0.0):
             raise BadInputError(f"gear_ratio = {self.gear_ratio!r} must be a number greater than 0")
-        for name in ("truncated_A", "truncated_V", "current_late_s"):
+        for name in _FROM_ZERO:
             step = getattr(self, name)
             if not (isinstance(step, int | float) and math.isfinite(step) and step >= 0.0):
                 raise BadInputError(f"{name} = {step!r} must be a number from 0 on")
@@ -172,7 +182,7 @@ def keys_of_texts(texts: Mapping[str, str]) -> dict[str, Any]:
         if key in given and given[key][:1] in "0123456789.+-":
             del given[key]
     readers: dict[str, Callable[[str], float]] = {"pole_pairs": _whole}
-    for key in ("pole_pairs", "gear_ratio", "truncated_A", "truncated_V", "current_late_s"):
+    for key in ("pole_pairs", "gear_ratio", *_FROM_ZERO):
         if key in given:
             try:
                 given[key] = readers.get(key, float)(given[key])
@@ -187,9 +197,14 @@ def as_texts(meaning: SignalMeaning) -> dict[str, str]:
     return {k: f"{v!r}" if isinstance(v := getattr(meaning, k), float) else str(v) for k in KEYS}
 
 
-def told(meaning: SignalMeaning) -> str:
-    """In one line, for the user."""
-    parts = [f"voltage {meaning.voltage}", f"current {meaning.current}"]
+def told(meaning: SignalMeaning, channels: Collection[str] = ("voltage_V", "current_A")) -> str:
+    """In one line, for the user.
+
+    Args:
+        channels: that the drive has: of others nothing is said.
+    """
+    kinds = {"voltage_V": f"voltage {meaning.voltage}", "current_A": f"current {meaning.current}"}
+    parts = [text for name, text in kinds.items() if name in channels]
     if meaning.convention == "dq":
         v, i = meaning.factors
         pairs = f"{meaning.pole_pairs} pole pairs"
@@ -200,4 +215,8 @@ def told(meaning: SignalMeaning) -> str:
         parts.append("cut off toward zero: half a step is added")
     if meaning.current_late_s:
         parts.append(f"current {1e3 * meaning.current_late_s:g} ms late")
+    if meaning.control_period_s > CONTROL_PERIOD_S:
+        parts.append(f"voltage held for {1e3 * meaning.control_period_s:g} ms")
+    if meaning.voltage_scale_std:
+        parts.append(f"voltage known to {100.0 * meaning.voltage_scale_std:.2g} %")
     return ", ".join(parts)

@@ -19,7 +19,6 @@ import math
 import threading
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, ClassVar
 
 import can
@@ -30,7 +29,8 @@ from drivers.can.listener import BusListener, FrameDecoder
 from drivers.can.map import COUNTS
 from drivers.can.unwrap import WrappedPosition
 from drivers.can.vendor import VendorDecoder
-from drivers.cia402.objects import STANDARD, VOLTAGES, Object, Scales, eds_pdos, named, pdo_map, usable
+from drivers.cia402.objects import STANDARD, VOLTAGES, Object, Scales, pdo_map, usable
+from drivers.cia402.options import OPTIONS, node_id_of, pdos_of, voltage_of
 from drivers.cia402.sdo import ANSWER_ID, Uploads, upload
 from drivers.polling.can_link import CanLink, Frame
 from drivers.polling.driver import PollingDriver
@@ -43,12 +43,6 @@ from servo_daemon.signal_meaning import SignalMeaning
 
 #: SYNC (CiA 301): its default identifier, no data.
 SYNC = Frame(0x80, b"")
-MOST_NODE = 127
-
-_OPTIONS = (
-    "node_id", "pdo", "eds", "sync_s", "counts_per_rev", "rated_current_A", "rated_torque_Nm", "velocity_unit",
-    "voltage", "rate_hz", "period_s",
-)  # fmt: skip
 
 
 def may_send(node_id: int, objects: Sequence[Object]) -> frozenset[Frame]:
@@ -62,8 +56,8 @@ class _Listening(BusListener):
     kind = "cia402"
 
     def __init__(self, name: str, options: dict[str, Any]) -> None:
-        super().__init__(name, options, _OPTIONS)
-        self.pdos = _read_options(self)
+        super().__init__(name, options, OPTIONS)
+        self.pdos = pdos_of(options, self._where)
         self._sync_s = self._positive("sync_s")
         counts = self._positive("counts_per_rev")
         period_s = self._positive("period_s") or self._sync_s
@@ -110,66 +104,6 @@ class _Listening(BusListener):
         super()._close()
 
 
-def _read_options(driver: _Listening) -> dict[int, list[Object]] | None:
-    """The PDOs that `pdo` or `eds` tell; None: neither is given."""
-    options, where = driver.options, f"drive {driver.name}"
-    voltage = _voltage(options, where)
-    if "pdo" in options and "eds" in options:
-        raise DriverConfigError(f"{where}: 'pdo' or 'eds' says what the PDOs hold, not both")
-    if "eds" in options:
-        path = Path(str(options["eds"])).expanduser()
-        try:
-            text = path.read_text(encoding="utf-8", errors="replace")
-        except OSError as error:
-            raise DriverConfigError(f"{where}: eds {path}: cannot be read: {error.strerror or error}") from error
-        return eds_pdos(text, node_id_of(options, where), voltage, f"{where}: {path}")
-    table = options.get("pdo")
-    if table is None:
-        return None
-    if not isinstance(table, dict) or not table:
-        raise DriverConfigError(f"{where}: pdo must be a table, identifier = [names of objects]")
-    pdos = {}
-    for key, names in table.items():
-        try:
-            cob_id = int(key, 0)
-        except ValueError:
-            cob_id = -1
-        if not 0 < cob_id <= 0x7FF or not isinstance(names, list) or not all(isinstance(n, str) for n in names):
-            raise DriverConfigError(f'{where}: pdo: {key!r} is not of the form "0x181" = ["position", "torque"]')
-        pdos[cob_id] = [named(n, voltage, f"{where}: pdo {key}") for n in names]
-    return pdos
-
-
-def _voltage(options: dict[str, Any], where: str) -> Object | None:
-    given = options.get("voltage")
-    if given is None:
-        return None
-    if isinstance(given, str) and given in VOLTAGES:
-        return VOLTAGES[given]
-    keys = {"index", "sub", "bits"}
-    if isinstance(given, dict) and keys <= set(given) <= {*keys, "signed", "real", "unit_V"}:
-        numbers = [given[k] for k in sorted(keys)] + [given.get("unit_V", 1.0)]
-        if all(isinstance(n, int | float) and not isinstance(n, bool) for n in numbers) and given["bits"] in (16, 32):
-            index, sub, bits = int(given["index"]), int(given["sub"]), int(given["bits"])
-            signed, real = bool(given.get("signed", True)), bool(given.get("real", False))
-            return Object(index, sub, "voltage_V", bits, signed, real, float(given.get("unit_V", 1.0)))
-    raise DriverConfigError(
-        f"{where}: voltage must be one of {', '.join(VOLTAGES)}, or {{index = …, sub = …, bits = 16 or 32, unit_V = …}}"
-    )
-
-
-def node_id_of(options: dict[str, Any], where: str) -> int:
-    """The drive's number on the bus.
-
-    Raises:
-        DriverConfigError: it is no number 1 .. 127.
-    """
-    value = options.get("node_id", 1)
-    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= MOST_NODE:
-        raise DriverConfigError(f"{where}: node_id must be a whole number 1 .. {MOST_NODE}, not {value!r}")
-    return value
-
-
 class _Asking(PollingDriver[float]):
     """Objects read by SDO; every round of them is a sample, at the time of its first request."""
 
@@ -181,7 +115,7 @@ class _Asking(PollingDriver[float]):
         self._node_id = node_id_of(checked.options, where)
         self._counts_per_rev = checked._positive("counts_per_rev")
         self._rate_hz = checked._positive("rate_hz") or 100.0
-        scales, voltage = checked.scales, _voltage(checked.options, where)
+        scales, voltage = checked.scales, voltage_of(checked.options, where)
         wanted = [STANDARD[n] for n in ("position", "torque", "current", "velocity")] + ([voltage] if voltage else [])
         self.objects = [o for o in wanted if scales.of(o) is not None]
         if {"torque_Nm", "current_A"} <= {o.channel for o in self.objects} and voltage is None:
@@ -276,7 +210,7 @@ class Cia402Driver(Driver):
         if listening._positive("counts_per_rev") is None:
             raise DriverConfigError(f"drive {name}: counts_per_rev is needed: counts of 0x6064 for one turn")
         self._inner: _Listening | _Asking = _Asking(listening) if listening.pdos is None else listening
-        self._voltage = _voltage(options, f"drive {name}")
+        self._voltage = voltage_of(options, f"drive {name}")
         self.counters = self._inner.counters
 
     @property

@@ -54,7 +54,11 @@ class Told:
 
 
 class OdriveDialogue:
-    """The questions of one axis and the lines that answer them."""
+    """The questions of one axis and the lines that answer them.
+
+    Attributes:
+        refused: the last line that was none of the answers, if no answer has come since.
+    """
 
     def __init__(self, axis: int, counters: DriverCounters) -> None:
         self._request, self._counters = Request(MAY_SEND[axis]), counters
@@ -80,7 +84,7 @@ class OdriveDialogue:
                 self._counters.frames += 1
                 position, velocity = self._feedback
                 replies.append(Reply(0, Told(position, velocity, numbers[0])))
-                self._feedback = None
+                self._feedback = self.refused = None
         return replies
 
 

@@ -6,17 +6,15 @@ NumPy array, so the cost per sample is that of arithmetic on arrays (see `benchm
 
 from __future__ import annotations
 
-from binascii import crc_hqx
 from collections import deque
 from typing import Any
 
 import numpy as np
-from cobs import cobs
 from numpy.typing import NDArray
 
 from drivers.base import DriverCounters, OnboardEstimates
 from drivers.serial.counts import CountUnwrapper
-from drivers.serial.frame import CRC_INIT, CRC_SIZE, DELIMITER, MAX_ENCODED
+from drivers.serial.frame import CRC_SIZE, FrameReader
 from drivers.serial.onboard import decode_onboard
 from drivers.serial.timeline import Placement, Timeline
 from drivers.serial.wire import (
@@ -75,10 +73,8 @@ class BinaryDecoder:
         self._forget_line()
 
     def _forget_line(self) -> None:
-        self._carry = b""
+        self._frames = FrameReader(self.counters)
         self.onboard: OnboardEstimates | None = None
-        self._in_step = False  # whether a delimiter has been seen: what comes before the first is half a frame
-        self._discarding = False  # inside an over-long run that has been counted already
         self.description = None
         self._description_payload = b""
         self._waiting: deque[bytes] = deque()
@@ -111,40 +107,10 @@ class BinaryDecoder:
         samples with the new ones are kept for the next call, since a block has one set of channels.
         """
         self._host_time_s = host_time_s
-        *frames, self._carry = (self._carry + data).split(DELIMITER)
-        for encoded in frames:
-            if encoded or self._discarding:
-                payload = self._unstuff(encoded)
-                if payload is not None:
-                    self.counters.frames += 1
-                    self._take(payload)
-            else:
-                self._in_step = True
-        if len(self._carry) > MAX_ENCODED:
-            self.counters.framing_errors += not self._discarding
-            self._carry, self._discarding = b"", True
+        for payload in self._frames.feed(data):
+            self._take(payload)
         self._finish_run()
         return self._next_block()
-
-    def _unstuff(self, encoded: bytes) -> bytes | None:
-        """Payload with CRC of what stood between two delimiters; None, and counted, if it is no frame."""
-        was_in_step, self._in_step = self._in_step, True
-        if self._discarding or len(encoded) > MAX_ENCODED:
-            self.counters.framing_errors += not self._discarding
-            self._discarding = False
-            return None
-        try:
-            payload: bytes = cobs.decode(encoded)
-        except cobs.DecodeError:
-            self.counters.framing_errors += was_in_step
-            return None
-        if crc_hqx(payload, CRC_INIT):
-            self.counters.crc_errors += was_in_step
-            return None
-        if len(payload) <= CRC_SIZE:
-            self.counters.framing_errors += was_in_step
-            return None
-        return payload
 
     def _take(self, payload: bytes) -> None:
         """A good frame: most continue the run of frames like the one before."""

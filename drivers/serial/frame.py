@@ -9,9 +9,11 @@ standard library, Hamming distance 4 up to 4 kB. It is sent high byte first, so 
 from __future__ import annotations
 
 from binascii import crc_hqx
+from collections.abc import Iterator
 
 from cobs import cobs
 
+from drivers.base import DriverCounters
 from servo_daemon.errors import WireError
 
 CRC_INIT = 0xFFFF
@@ -50,3 +52,52 @@ def decode_frame(encoded: bytes) -> bytes:
     if crc_hqx(payload, CRC_INIT):
         raise WireError("wrong CRC")
     return payload[:-CRC_SIZE]
+
+
+class FrameReader:
+    """A stream of bytes to payloads. Any bytes may come in; nothing is raised, everything is counted.
+
+    Args:
+        counters: `frames`, `framing_errors` and `crc_errors` are counted up here.
+    """
+
+    def __init__(self, counters: DriverCounters) -> None:
+        self._counters = counters
+        self._carry = b""
+        self._in_step = False  # whether a delimiter has been seen: what comes before the first is half a frame
+        self._discarding = False  # inside an over-long run that has been counted already
+
+    def feed(self, data: bytes) -> Iterator[bytes]:
+        """Payloads, with their CRC, of the frames that these bytes complete; to be gone through to its end."""
+        *frames, self._carry = (self._carry + data).split(DELIMITER)
+        for encoded in frames:
+            if encoded or self._discarding:
+                payload = self._unstuffed(encoded)
+                if payload is not None:
+                    self._counters.frames += 1
+                    yield payload
+            else:
+                self._in_step = True
+        if len(self._carry) > MAX_ENCODED:
+            self._counters.framing_errors += not self._discarding
+            self._carry, self._discarding = b"", True
+
+    def _unstuffed(self, encoded: bytes) -> bytes | None:
+        """Payload with CRC of what stood between two delimiters; None, and counted, if it is no frame."""
+        was_in_step, self._in_step = self._in_step, True
+        if self._discarding or len(encoded) > MAX_ENCODED:
+            self._counters.framing_errors += not self._discarding
+            self._discarding = False
+            return None
+        try:
+            payload = bytes(cobs.decode(encoded))
+        except cobs.DecodeError:
+            self._counters.framing_errors += was_in_step
+            return None
+        if crc_hqx(payload, CRC_INIT):
+            self._counters.crc_errors += was_in_step
+            return None
+        if len(payload) <= CRC_SIZE:
+            self._counters.framing_errors += was_in_step
+            return None
+        return payload

@@ -37,6 +37,10 @@ from servo_daemon.signal_meaning import SignalMeaning
 _TIMEOUT_S = 0.05
 #: Below this share of the supply the motor's current does not follow from that of the supply.
 _LEAST_DUTY = 0.05
+#: Of the servos' control. No manual says it; a kilohertz is what such controllers run at.
+CONTROL_PERIOD_S = 1e-3
+#: The supply's voltage comes in such steps: one factor of every voltage that is a share of it.
+SUPPLY_STEP_V = 0.1
 #: Position counters: 32 bits of Dynamixel, one turn of an STS (several turns in its multi-turn mode).
 _TURNS = {"dynamixel": 1 << 32, "feetech": COUNTS_PER_REV}
 
@@ -72,13 +76,16 @@ class _ServoDriver(Driver):
         self._placing = Placing(self.counters)
         self._unwrapper = CountUnwrapper(_TURNS[self.kind])
         self._chain: Chain | None = None
+        self._supply_std = 0.0  # share of the supply that its step leaves open
 
     def _make_family(self) -> Family:
         raise NotImplementedError
 
     @property
     def meaning(self) -> SignalMeaning:
-        return SignalMeaning("instant", "instant", "dc")
+        return SignalMeaning(
+            "instant", "instant", "dc", voltage_scale_std=self._supply_std, control_period_s=CONTROL_PERIOD_S
+        )
 
     @property
     def _model(self) -> Model:
@@ -163,6 +170,7 @@ class _ServoDriver(Driver):
         if current is not None:
             quality[~np.isfinite(current)] |= np.uint8(Quality.CURRENT_INVALID)
         counts = self._unwrapper.unwrap(shown.counts)
+        self._supply_std = SUPPLY_STEP_V / math.sqrt(12.0) / max(float(np.median(shown.supply_V)), SUPPLY_STEP_V)
         return make_block(
             time_s, sequence=number, quality=quality, host_time_s=answers[-1].received_s,
             voltage_V=shown.duty * shown.supply_V,

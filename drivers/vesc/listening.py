@@ -29,6 +29,9 @@ MAY_SEND: frozenset[bytes] = frozenset()
 #: (`iq_filter`) puts 9 cycles behind: 0.36 ms at 25 kHz, the default, 0.45 ms at 20.
 LISTENED = SignalMeaning(voltage="instant", current="instant", convention="dq", current_late_s=4e-4)
 
+#: The supply's voltage comes in such steps: one factor of every voltage that is a share of it.
+SUPPLY_STEP_V = 0.1
+
 #: Message numbers: CAN_PACKET_STATUS, _2 … _6 of the firmware's datatypes.h.
 STATUS_1, STATUS_4, STATUS_5 = 9, 16, 27
 MESSAGES = (STATUS_1, 14, 15, STATUS_4, STATUS_5, 58)
@@ -55,7 +58,7 @@ def fields_of(vesc_id: int) -> dict[str, Field]:
         "duty": _field(STATUS_1, vesc_id, "duty", 48, 16, 0.001),
         "pid_pos": _field(STATUS_4, vesc_id, "pid_pos", 48, 16, 0.02),
         "tachometer": _field(STATUS_5, vesc_id, "tachometer", 0, 32, 1.0),
-        "v_in": _field(STATUS_5, vesc_id, "v_in", 32, 16, 0.1),
+        "v_in": _field(STATUS_5, vesc_id, "v_in", 32, 16, SUPPLY_STEP_V),
     }
 
 
@@ -67,6 +70,7 @@ class ListenedVesc(LearningListener):
 
     def __init__(self, name: str, options: dict[str, Any]) -> None:
         super().__init__(name, options, ("can_id", "pole_pairs", "position", "encoder_inverted"))
+        self._supply_std = 0.0  # share of the supply that its step leaves open
         self._can_id = self._whole("can_id", 0, 255)
         self._pole_pairs = self._whole("pole_pairs", 1, 100)
         self._position = options.get("position", "auto")
@@ -80,7 +84,7 @@ class ListenedVesc(LearningListener):
 
     @property
     def meaning(self) -> SignalMeaning:
-        return replace(LISTENED, pole_pairs=self._pole_pairs or 1)
+        return replace(LISTENED, pole_pairs=self._pole_pairs or 1, voltage_scale_std=self._supply_std)
 
     def _choose(self, heard: dict[int, Heard]) -> Choice:
         """What to make of the messages of the drive."""
@@ -95,6 +99,9 @@ class ListenedVesc(LearningListener):
         if isinstance(position, str):
             return Choice(remark=position)
         channels = (*_electrical(heard, fields), position)
+        if fields["v_in"].key in heard:
+            supply_V = float(np.median(fields["v_in"].physical(heard[fields["v_in"].key].data)))
+            self._supply_std = SUPPLY_STEP_V / math.sqrt(12.0) / max(supply_V, SUPPLY_STEP_V)
         used = {o.field.key for c in channels for o in c.operands}
         last = last_of_burst(heard, [key for key in burst if key in used])
         trigger = next(o.field for c in channels for o in c.operands if o.field.key == last)
@@ -138,7 +145,7 @@ def _electrical(heard: dict[int, Heard], fields: dict[str, Field]) -> list[Mappe
     supply = fields["v_in"]
     if supply.key not in heard:
         return [current]
-    slow = Operand("Vin", supply, 1.0, 0.05, _STALE_PERIODS * heard[supply.key].period_s)
+    slow = Operand("Vin", supply, 1.0, 0.5 * SUPPLY_STEP_V, _STALE_PERIODS * heard[supply.key].period_s)
     formula = f"(Duty + 0.0005 * sign(Duty)) * Vin * {1.0 / math.sqrt(3.0)!r}"
     return [channel("voltage_V", formula, Duty=fields["duty"], Vin=slow), current]
 

@@ -102,7 +102,8 @@ def _look(drive: DriveConfig, driver: Driver, listen_s: float) -> dict[str, Any]
         "samples_lost": counters.samples_lost,
         "crc_errors": counters.crc_errors,
         "framing_errors": counters.framing_errors,
-        "assumes": _assumptions(driver, drive, channels) + ([] if meaning == SignalMeaning() else [told(meaning)]),
+        "assumes": _assumptions(driver, drive, channels)
+        + ([] if meaning == SignalMeaning() else [told(meaning, channels)]),
         "remarks": _remarks(driver, settled, last, remark),
         "sample_rate_hz": None if span <= 0 else (counters.samples - 1) / span,
         "estimated": [] if plan is None else list(plan.free),

@@ -95,6 +95,8 @@ class SignalsConfig(Section):
     truncated_A: float | None = Field(None, ge=0)
     truncated_V: float | None = Field(None, ge=0)
     current_late_s: float | None = Field(None, ge=0)
+    voltage_scale_std: float | None = Field(None, ge=0)
+    control_period_s: float | None = Field(None, ge=0)
     temperature: Literal["winding", "elsewhere"] = "elsewhere"  # what the drive's temperature is of
 
     def meaning(self, otherwise: SignalMeaning | None = None) -> SignalMeaning:

@@ -18,7 +18,7 @@ from servo_daemon.errors import BadInputError, CaptureError, ConfigError
 from servo_daemon.pipeline.pipeline import Pipeline
 from servo_daemon.pipeline.ring import SampleRing
 from servo_daemon.samples import concatenate, make_block
-from servo_daemon.signal_meaning import SignalMeaning, as_texts, keys_of_texts
+from servo_daemon.signal_meaning import SignalMeaning, as_texts, keys_of_texts, told
 
 #: The q axis of a motor of 0.05 Ω and 20 µH a phase, 7 pole pairs, 2 mWb.
 R, L, FLUX, POLES = 0.05, 20e-6, 2e-3, 7
@@ -175,3 +175,9 @@ def test_a_ring_holds_what_was_converted_and_its_capture_says_so() -> None:
     said = SignalMeaning(**keys_of_texts(texts))
     assert said == meaning.as_dc and said.factors == (1.0, 1.0) and said.voltage == "mean"
     assert "voltage" not in capture_metadata(DriveConfig(), DriveInfo("x"), "0", SignalMeaning())
+
+
+def test_of_a_voltage_that_a_drive_does_not_have_nothing_is_said() -> None:
+    odrive = SignalMeaning("instant", "instant", "dq", "kt")
+    assert told(odrive).startswith("voltage instant, current instant, dq")
+    assert told(odrive, ("current_A", "position_rad")).startswith("current instant, dq")

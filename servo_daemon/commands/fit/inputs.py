@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from servo_daemon.captures import Capture, in_canonical_order
 from servo_daemon.captures.capture.model import capture_error
 from servo_daemon.captures.columns.plausible import check_time_unit, plausibility_notes
 from servo_daemon.captures.meaning import excluded_values, findings, without_unusable
 from servo_daemon.commands.shared import common
+from servo_daemon.conditioning.current_moment import earlier
 from servo_daemon.config import DriveConfig
 from servo_daemon.errors import BadInputError
 from servo_daemon.identification.output_error.problem.setup import FEWEST_SAMPLES, choose_signals
@@ -96,19 +98,30 @@ def gather(
     notes += lost
     winding = None
     if meaning != SignalMeaning():
-        notes.append(f"signals: {told(meaning)}")
+        notes.append(f"signals: {told(meaning, {c for one in captures for c in one.channels})}")
     if meaning.measures_voltage:
-        winding = winding_of(captures, meaning, effects, fixed)
-        captures, validation = (tuple(c.without_voltage() for c in cs) for cs in (captures, validation))
-        fixed |= {"K": K[0]} if "K" not in fixed and (K := winding.of("K")) is not None else {}
+        if any(c.voltage_V is not None for c in captures):
+            winding = winding_of(captures, meaning, effects, fixed)
+            fixed |= {"K": K[0]} if "K" not in fixed and (K := winding.of("K")) is not None else {}
+            notes += winding.notes
+        captures, validation = (tuple(_driven(c, meaning) for c in cs) for cs in (captures, validation))
         nominal = {k: v for k, v in nominal.items() if k not in ("R", "L")}  # which the motion knows nothing of
         fixed = {k: v for k, v in fixed.items() if k not in ("R", "L")}
-        notes += winding.notes
     weight = known_weight(drive, captures[0])
     if (searches or "gravity_load" in effects) and weight is not None and "Tg" not in fixed:
         fixed["Tg"] = weight
         notes.append(f"gravity_load: Tg = {weight:.6g} N·m is held, from the known mass and arm length")
     return Inputs(drive, captures, validation, effects, drive.model, nominal, fixed, tuple(notes), winding, meaning)
+
+
+def _driven(capture: Capture, meaning: SignalMeaning) -> Capture:
+    """Without its voltage, and with its motion of the current's moment: the current drives it."""
+    moved: dict[str, Any] = {
+        name: earlier(capture.time_s, values, meaning.current_late_s)
+        for name in ("position_rad", "velocity_rad_s")
+        if meaning.current_late_s and (values := getattr(capture, name)) is not None
+    }
+    return replace(capture.without_voltage(), **moved)
 
 
 def _as_meant(captures: Sequence[Capture], drive: DriveConfig) -> tuple[tuple[Capture, ...], list[str]]:

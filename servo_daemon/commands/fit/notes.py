@@ -60,7 +60,7 @@ def result_notes(
     if fit.problem.plant.drive != "voltage" and meaning.current != "mean":
         what = "current" if fit.problem.plant.drive == "current" else "torque"
         notes.append(
-            f"the {what} is known at the samples and taken as straight between them; the standard deviations hold "
+            f"the {what} is known at the samples and taken as smooth between them; the standard deviations hold "
             "what that may be off by (half a sample's delay at the most)"
         )
     if fit.problem.plant.drive == "current" and "R" not in nominal and meaning.may_hold_voltage:

@@ -31,7 +31,7 @@ from servo_daemon.diagnosis.search.evidence import (
     speaks_against_screening,
     worth_a_name,
 )
-from servo_daemon.diagnosis.search.fitting import COLOURED, Candidate, best_of, closer, fitted, ties
+from servo_daemon.diagnosis.search.fitting import COLOURED, Candidate, best_of, closer, fitted, seen_enough, ties
 from servo_daemon.diagnosis.search.pruning import one_offset, pruned
 from servo_daemon.diagnosis.trial.compare import advantage
 from servo_daemon.diagnosis.trial.data import Data
@@ -140,7 +140,8 @@ def _round(search: _Search, missing: Missing, progress: Progress, effort: Effort
     screened = screen(current, missing)
     proposed = proposals(current, screened, missing, given=search.data.fixed)
     progress(0.1, "fitting " + ", ".join(p.name for p in proposed))
-    found = _against_the_best_chance(search, _worthy(search, missing, proposed, effort))
+    worthy = _worthy(search, missing, proposed, effort)
+    found = _against_the_best_chance(search, seen_enough(worthy, screened) if search.added else worthy)
     if has_found_states(current.fitted):  # what is left is how the load went on within the runs
         return found
     if found[2] is None and (rest := _thought_little_of(current, screened, missing, proposed)):

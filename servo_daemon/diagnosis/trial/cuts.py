@@ -4,6 +4,9 @@ Where the torque itself is given there is no noise of a supply that adds up alon
 model's own errors, and how much they bias a parameter depends on where the runs happen to begin. On the EMPS axis cuts
 of 0.5 and 0.52 s put the moving mass at 94.3 and 95.1 kg, each with 0.2 kg of standard deviation. The mean over several
 lengths has less of that, and how far they lie apart is what a single one leaves unsaid.
+
+A constant error of the torque adds up with the square of the time. Where longer runs err by more than that the motor
+has run away from the simulation (over another detent of its cogging), and what is fitted to them follows that.
 """
 
 from __future__ import annotations
@@ -24,6 +27,8 @@ from servo_daemon.samples import F64
 #: So many lengths of the free runs, from that of the search to so many times it. Longer ones hold the slow part of an
 #: error, which short runs take for a part of their initial states.
 _CUTS, _LONGER = 5, 4.0
+#: … and err by no more than so many times what a constant torque adds up to (cogging on samples of 200 Hz: 5 to 10).
+_RUN_AWAY = 2.0
 #: No longer than this, s: a run of many seconds with dry friction has valleys of its own.
 _LONGEST_S = 4.0
 
@@ -52,12 +57,19 @@ def mean_over_cuts(data: Data, trial: Trial, fit: OutputErrorFit) -> OutputError
 
 
 def _estimates(data: Data, trial: Trial, fit: OutputErrorFit) -> list[F64]:
-    """Shape (n_shared,) each, of the lengths that could be fitted."""
+    """Shape (n_shared,) each, of the lengths that could be fitted; phases less than half a turn from the fit's."""
+    n = fit.problem.n_shared
+    here, phases = fit.solution.point.unknowns[:n], fit.problem.is_phase[:n]
     begin, shortest = {**trial.values, **fit.values}, data.split.segment_s
-    out = []
+    out: list[F64] = []
+    least: F64 | None = None  # error of the shortest runs
     for length in np.geomspace(shortest, max(shortest, min(_LONGER * shortest, _LONGEST_S)), _CUTS).tolist():
         with suppress(NumericalError):
             cut = fit_runs(data, trial, begin, length)
-            if cut.problem.free == fit.problem.free:
-                out.append(cut.solution.point.unknowns[: fit.problem.n_shared])
+            error = np.sqrt(cut.solution.point.sse)
+            least = error if least is None else least
+            if cut.problem.free == fit.problem.free and np.all(error <= _RUN_AWAY * (length / shortest) ** 2 * least):
+                found = cut.solution.point.unknowns[:n]
+                turns = np.where(phases, np.round((found - here) / (2.0 * np.pi)), 0.0)
+                out.append(found - 2.0 * np.pi * turns)
     return out

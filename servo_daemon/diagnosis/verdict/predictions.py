@@ -71,10 +71,8 @@ def found_by_predictions(
     if full is None or not full.white:
         return None
     both = predictions_of_both(few, (base, whole), (best.trial, extended))
-    if both is None:
-        return None
     published = _fitted(FullDataFits(data.full), best) or full
-    if not is_determined(best.name, published):
+    if both is None or not is_determined(best.name, published):
         return None
     before, after = both
     removed, ci95 = error_removed(before.errors, after.errors, after.expected)

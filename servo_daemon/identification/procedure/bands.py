@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.identification.output_error import OutputErrorFit, Recording
+from servo_daemon.identification.output_error.problem.inputs import input_rows
 from servo_daemon.identification.output_error.problem.rollout import simulate
 from servo_daemon.identification.output_error.problem.score import Interval, measured_start, score
-from servo_daemon.identification.output_error.problem.setup import input_rows
 from servo_daemon.identification.procedure.settle import DRY, VISCOUS
 from servo_daemon.samples import F64, SampleBlock
 

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from servo_daemon.identification.output_error.problem.inputs import input_rows
 from servo_daemon.identification.output_error.problem.rollout import simulate_many
 from servo_daemon.identification.output_error.problem.score import SHORT_S, Errors, errors, measured_start
-from servo_daemon.identification.output_error.problem.setup import OFFSETS, input_rows
+from servo_daemon.identification.output_error.problem.setup import OFFSETS
 from servo_daemon.kalman.gaussian import natural_values
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.samples import F64, SampleBlock

@@ -14,14 +14,17 @@ import numpy as np
 
 from servo_daemon.captures import Capture
 from servo_daemon.captures.capture.model import capture_error
+from servo_daemon.conditioning.current_moment import moment_std_s, motion_squares
 from servo_daemon.identification.output_error import FittedParameter
 from servo_daemon.identification.output_error.precision.parameters import BETWEEN_SAMPLES
 from servo_daemon.parameters import MOTOR_NAMES, WINDING_NAMES
 from servo_daemon.plant.effects import parameter_table
-from servo_daemon.regression.winding.estimate import WindingEstimate, estimate_winding, without_hidden_inductance
+from servo_daemon.regression.winding.estimate import WindingEstimate, as_meant, estimate_winding
 from servo_daemon.regression.winding.rows import winding_rows
 from servo_daemon.signal_meaning import SignalMeaning
 
+#: Speeds are means over so long, s: an encoder's steps are then no acceleration (as live, a fifth of a tick).
+_SPEED_OVER_S = 0.02
 #: Parameters of effects that the winding's balance can hold, by effect.
 _IN_BALANCE = {"brush_voltage_drop": "Vb", "voltage_sensor_offset": "v0"}
 
@@ -33,10 +36,12 @@ class Winding:
     Attributes:
         estimate: None where nothing is determined.
         given: of R, L, K those that the user holds.
+        B_per_J: 1 σ of B for a J of 1, 1/s: what the moment of the current leaves open.
     """
 
     estimate: WindingEstimate | None
     given: Mapping[str, float]
+    B_per_J: float = 0.0
 
     def of(self, name: str) -> tuple[float, float] | None:
         """Value and 1 σ; None where it is not determined."""
@@ -99,9 +104,18 @@ def winding_of(
         found = estimate_winding(whole, given, added) if whole else None
         if found is not None and (best is None or found.badness < best.badness):
             best = found
-    if best is not None and meaning.voltage == "instant":
-        best = without_hidden_inductance(best, max(c.sample_period_s for c in captures))
-    return Winding(best, given)
+    if best is not None:
+        best = as_meant(best, meaning, max(c.sample_period_s for c in captures))
+    return Winding(best, given, max(_open_friction(c, meaning) for c in captures))
+
+
+def _open_friction(capture: Capture, meaning: SignalMeaning) -> float:
+    """1 σ of B for a J of 1, 1/s (`conditioning/current_moment.py`)."""
+    at = np.arange(0, len(capture), max(1, round(_SPEED_OVER_S / capture.sample_period_s)))
+    squares = motion_squares(capture.time_s, capture.position_rad, capture.velocity_rad_s, at)
+    if squares is None or squares[0] <= 0.0:
+        return 0.0
+    return moment_std_s(meaning) * float(squares[1] / squares[0])
 
 
 def one_meaning(captures: Sequence[Capture], otherwise: SignalMeaning) -> SignalMeaning:
@@ -127,10 +141,17 @@ def joined_parameters(fitted: Mapping[str, FittedParameter], winding: Winding | 
     if winding is None:
         return dict(fitted)
     names = [*MOTOR_NAMES, *(n for n in fitted if n not in MOTOR_NAMES)]
-    return {name: _joined(name, fitted.get(name), winding) for name in names}
+    open_std = {"B": _open_std(fitted, winding)}
+    return {name: _joined(name, fitted.get(name), winding, open_std.get(name, 0.0)) for name in names}
 
 
-def _joined(name: str, fitted: FittedParameter | None, winding: Winding) -> FittedParameter:
+def _open_std(fitted: Mapping[str, FittedParameter], winding: Winding) -> float:
+    """Of B, beside what the fit says."""
+    J = fitted["J"].value if "J" in fitted else None
+    return winding.B_per_J * (J or 0.0)
+
+
+def _joined(name: str, fitted: FittedParameter | None, winding: Winding, open_std: float) -> FittedParameter:
     unit = parameter_table()[name].unit
     if name in winding.given:
         return FittedParameter(winding.given[name], None, unit, "fixed", at_bound=False)
@@ -143,7 +164,7 @@ def _joined(name: str, fitted: FittedParameter | None, winding: Winding) -> Fitt
         return fitted
     # (Of a mean current nobody knows when in its interval it flowed.)
     share = math.hypot(winding.K_relative_std, BETWEEN_SAMPLES)
-    return replace(fitted, std=math.hypot(fitted.std, fitted.value * share))
+    return replace(fitted, std=math.hypot(fitted.std, open_std, fitted.value * share))
 
 
 def is_torque(unit: str) -> bool:
@@ -171,6 +192,9 @@ def joined_correlation(
     covariance[:n, :n] = estimate.covariance
     std = np.array([fitted[name].std or 0.0 for name in motion])
     covariance[n:, n:] = np.outer(std, std) * [[correlation[a][b] for b in motion] for a in motion]
+    if "B" in motion:
+        B = n + motion.index("B")
+        covariance[B, B] += _open_std(fitted, winding) ** 2
     if "K" in estimate.names:
         K = estimate.names.index("K")
         slope = np.array([(fitted[x].value or 0.0) / estimate.value[K] * is_torque(fitted[x].unit) for x in motion])

@@ -1,9 +1,4 @@
-"""What the moment of a drive's current means for B, where the current drives the filter.
-
-A current that is δ late against the angle adds −J δ dα/dt to the balance of torques (α the acceleration). Of motion
-about one frequency dα/dt is −Ω² ω, Ω² = ⟨α²⟩/⟨ω²⟩: it is a B that is J Ω² δ too large, and no amount of data tells the
-two apart.
-"""
+"""What the moment of a drive's current means for B, live (`conditioning/current_moment.py`)."""
 
 from __future__ import annotations
 
@@ -12,17 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from servo_daemon.conditioning.current_moment import moment_std_s, motion_squares
 from servo_daemon.pipeline.stream import TICK_S
 from servo_daemon.plant.effects import parameter_table
 from servo_daemon.published.snapshot import Covariance, Estimate
 from servo_daemon.samples import SampleBlock
 from servo_daemon.signal_meaning import SignalMeaning
 
-#: 1 σ of the time between a drive's current and its angle, s: a control period at 20 kHz, for one may be of the
-#: period's beginning and the other of its end. Drives that run at 8 to 40 kHz are within a factor of 2.5.
-_PERIOD_S = 5e-5
-#: 1 σ of a filter's delay, share of it: VESC's goes with its control rate, 20 to 30 kHz (foc_f_zv; 25 by default).
-_DELAY = 0.15
 #: Speeds are means over a fifth of a tick, so that an encoder's steps are no acceleration.
 _PARTS = 5
 #: How far back the motion is looked at, s, and least speed that there is something to divide by, rad/s.
@@ -37,24 +28,16 @@ class CurrentTiming:
     """
 
     def __init__(self, meaning: SignalMeaning) -> None:
-        self._std_s = math.hypot(_PERIOD_S, _DELAY * meaning.current_late_s)
+        self._std_s = moment_std_s(meaning)
         self._squares = np.zeros(2)  # of speed and of acceleration, summed
 
     def take(self, tick: SampleBlock) -> None:
         """What a tick's motion is."""
         t = tick.time_s
         at = np.unique(np.linspace(0, len(t) - 1, _PARTS + 1).astype(int))
-        if tick.position_rad is not None:
-            speed = np.diff(tick.position_rad[at]) / np.diff(t[at])
-            moment = 0.5 * (t[at[1:]] + t[at[:-1]])
-        elif tick.velocity_rad_s is not None:
-            speed, moment = tick.velocity_rad_s[at], t[at]
-        else:
-            return
-        if len(speed) > 1:
-            found = np.array([np.mean(speed**2), np.mean((np.diff(speed) / np.diff(moment)) ** 2)])
-            if np.isfinite(found).all():
-                self._squares = self._squares * math.exp(-TICK_S / _SPAN_S) + found
+        found = motion_squares(t, tick.position_rad, tick.velocity_rad_s, at)
+        if found is not None:
+            self._squares = self._squares * math.exp(-TICK_S / _SPAN_S) + found
 
     def widened(self, estimate: Estimate) -> Estimate:
         """The record with this in B's standard deviation and variance."""

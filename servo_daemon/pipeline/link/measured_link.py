@@ -10,9 +10,11 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
+from servo_daemon.conditioning.current_moment import earlier
 from servo_daemon.config import DriveConfig
 from servo_daemon.parameters import WINDING_NAMES
 from servo_daemon.plant.effects import parameter_table
@@ -20,8 +22,8 @@ from servo_daemon.published.snapshot import Covariance, Estimate, EstimatorView,
 from servo_daemon.regression.winding.estimate import (
     WINDOWS_S,
     WindingEstimate,
+    as_meant,
     estimate_winding,
-    without_hidden_inductance,
 )
 from servo_daemon.regression.winding.rows import FINE, RESOLVED, Rows, joined, unresolved, winding_rows
 from servo_daemon.samples import F64, Quality, SampleBlock, concatenate
@@ -127,8 +129,8 @@ class MeasuredLink:
         self._count += 1
         lengths = WINDOWS_S if every or self._estimate is None else (self._estimate.window_s,)
         found = estimate_winding([rows], windows_s=lengths)
-        if found is not None and self.meaning.voltage == "instant":
-            found = without_hidden_inductance(found, rows.step_s)
+        if found is not None:
+            found = as_meant(found, self.meaning, rows.step_s)
         self._estimate = found
         for name in found.names if found is not None else ():
             pair = found.of(name) if found is not None else None
@@ -188,7 +190,8 @@ class MeasuredLink:
         return replace(old, value=known.value, std=known.std, status=status, reason=silent, age_s=age_s)
 
     def _motion(self, p: ParameterEstimate, scale: float, K_std: float, *, white: bool) -> ParameterEstimate:
-        if "K" not in self._known and p.status == "tracking":
+        unknown = self.K is None and is_torque(p.name) and p.status == "estimating"
+        if "K" not in self._known and (p.status == "tracking" or unknown):
             why = f"{self.link}: its balance does not determine K, without which no torque is known"
             return replace(p, status="estimating", reason=why)
         if is_torque(p.name) and p.value is not None:
@@ -244,11 +247,11 @@ def _earlier(block: SampleBlock, before: SampleBlock | None, by_s: float) -> Sam
     """Position and speed as they were a while before each sample, on the line from the sample before it. The first one
     of all stays: how samples are cut into blocks must not show."""
     whole = block if before is None else concatenate([before, block])
-    moved = {}
-    for name in ("position_rad", "velocity_rad_s"):
-        if (values := getattr(whole, name)) is not None:
-            rates = np.concatenate([[0.0], np.diff(values) / np.diff(whole.time_s)])
-            moved[name] = getattr(block, name) - by_s * rates[len(whole) - len(block) :]
+    moved: dict[str, Any] = {
+        name: earlier(whole.time_s, values, by_s)[len(whole) - len(block) :]
+        for name in ("position_rad", "velocity_rad_s")
+        if (values := getattr(whole, name)) is not None
+    }
     return replace(block, **moved)
 
 

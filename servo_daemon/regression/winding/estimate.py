@@ -13,8 +13,11 @@ from servo_daemon.regression.linear_regression import long_run
 from servo_daemon.regression.sampling import settles_between
 from servo_daemon.regression.winding.rows import RESOLVED, Rows, added_up, unresolved
 from servo_daemon.samples import F64
+from servo_daemon.signal_meaning import SignalMeaning
 
 NAMES = WINDING_NAMES
+#: The column of the current's rate.
+_RATE = NAMES.index("L")
 #: Windows that are tried, s; beyond, what the shaft does between their ends is averaged away.
 WINDOWS_S = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
 #: Fewest rows for each column.
@@ -33,8 +36,6 @@ _EXTRAS = {"Vb": "a voltage against the current's direction", "v0": "a constant 
 _SEEN = 3.0
 #: Samples within L/R that follow the current.
 _FOLLOWED = 4.0
-#: Of which moment of a control period a value is no drive says: within ± 50 µs (a period at 20 kHz), 1 σ.
-_SKEW_S = 5e-5 / np.sqrt(3.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +94,19 @@ def estimate_winding(
     return min(good, key=lambda f: f.badness) if good else None
 
 
+def as_meant(found: WindingEstimate, meaning: SignalMeaning, period_s: float) -> WindingEstimate:
+    """The estimate with what no row can show of signals of this meaning: a factor of the whole voltage, which is one of
+    R, L and K, and an inductance between instants.
+
+    Args:
+        period_s: usual distance of two samples.
+    """
+    if meaning.voltage == "instant":
+        found = without_hidden_inductance(found, period_s)
+    scaled = found.value * [name in NAMES for name in found.names]
+    return replace(found, covariance=found.covariance + meaning.voltage_scale_std**2 * np.outer(scaled, scaled))
+
+
 def without_hidden_inductance(found: WindingEstimate, period_s: float) -> WindingEstimate:
     """The same without L where instants are further apart than a quarter of what the current of such a winding takes:
     what the voltage did for it meanwhile no sample shows.
@@ -117,7 +131,7 @@ def _at_length(
     sums = [added_up(r, length) for r, length in zip(recordings, lengths, strict=True)]
     names = (*NAMES, *added)
     X, other = (_with_added(np.concatenate(c), added) for c in ([s.X for s in sums], [s.other for s in sums]))
-    y, y_rate = (np.concatenate(c) for c in ([s.y for s in sums], [s.y_rate for s in sums]))
+    y, y_rate, bend = (np.concatenate([getattr(s, name) for s in sums]) for name in ("y", "y_rate", "bend"))
     if len(y) < _ROWS_PER_COLUMN * len(names):
         return None
     current = X[:, 0]
@@ -128,7 +142,9 @@ def _at_length(
     fit = _Fit.of(X[:, free], y)
     finer = min(1.0, _FINER + (unresolved(recordings) / RESOLVED) ** 2)
     covariance = fit.covariance + fit.pulled() + fit.moved_by(finer * (other - X)[:, free] @ fit.value)
-    covariance += fit.moved_by(_SKEW_S * y_rate)
+    covariance += fit.moved_by(_UNIFORM * max(r.skew_s for r in recordings) * y_rate)
+    if _RATE in free:
+        covariance += fit.moved_by(_UNIFORM * fit.value[free.index(_RATE)] * bend)
     extra = None
     for name, words in _EXTRAS.items():
         if name not in added and (change := fit.beside(_column(name, current), y)) is not None:

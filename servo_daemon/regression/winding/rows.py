@@ -40,7 +40,10 @@ class Rows:
         voltage, current, speed, current_rate: shape (n,), of the row's instant or interval.
         voltage_rate: shape (n,), V/s: what a voltage of another moment would be off by.
         other_speed, other_rate: the same by a coarser derivative: what the two differ by is what sampling hides.
+        bend: shape (n,), A/s: how much more the current changes in the interval after the row's instant than about it.
+            A drive whose commands come in step with its samples shows the voltage of that change, or of the one before.
         time_s, step_s: shape (n,), the instant (or the interval's end) and the usual distance of rows.
+        skew_s: so far apart may be the moments of a row's voltage and current.
         whole: shape (n,): nothing is missing before it.
     """
 
@@ -53,7 +56,9 @@ class Rows:
     other_speed: F64
     other_rate: F64
     voltage_rate: F64
+    bend: F64
     whole: NDArray[np.bool_]
+    skew_s: float
 
 
 def winding_rows(block: SampleBlock, meaning: SignalMeaning, *, by_position: bool = True) -> Rows | None:
@@ -82,8 +87,13 @@ def winding_rows(block: SampleBlock, meaning: SignalMeaning, *, by_position: boo
         assert omega is not None
         speed = other = omega
     whole = whole & np.roll(whole, -1) & np.roll(whole, -2) & np.roll(whole, 1)
-    parts = (v, i, speed, fine.of(i), other, coarse.of(i), fine.of(v))
-    return _rows(t, parts, whole, sample_period(t))
+    parts = (v, i, speed, fine.of(i), other, coarse.of(i), fine.of(v), _bend(t, i))
+    return _rows(t, parts, whole, sample_period(t), meaning.control_period_s)
+
+
+def _bend(t: F64, i: F64) -> F64:
+    slopes = np.diff(i) / np.diff(t)
+    return np.concatenate([[0.0], 0.5 * np.diff(slopes), [0.0]])
 
 
 def _whole(block: SampleBlock) -> NDArray[np.bool_]:
@@ -112,19 +122,19 @@ def _of_means(
     else:
         current = 0.5 * (i[1:] + i[:-1]) - step / 12.0 * np.diff(fine.of(i))
         rate = coarse = np.diff(i) / step
-    parts = (v[1:], current, speed, rate, other, coarse, fine.of(v)[1:])
+    parts = (v[1:], current, speed, rate, other, coarse, fine.of(v)[1:], np.zeros(len(step)))
     ahead = whole & np.roll(whole, -1) & np.roll(whole, -2)
-    return _rows(t[1:], parts, ahead[1:], float(np.median(step)))
+    return _rows(t[1:], parts, ahead[1:], float(np.median(step)), meaning.control_period_s)
 
 
-def _rows(t: F64, parts: tuple[F64, ...], whole: NDArray[np.bool_], step_s: float) -> Rows:
+def _rows(t: F64, parts: tuple[F64, ...], whole: NDArray[np.bool_], step_s: float, skew_s: float) -> Rows:
     """Without the ends, whose derivatives are of their neighbours; parts in the order of `Rows`. Where a part is no
     number (a sample that was not measured reaches into its neighbours' derivatives) the row is none either."""
     known = np.isfinite(parts).all(axis=0)
     whole, parts = whole & known, tuple(np.where(known, p, 0.0) for p in parts)
-    v, i, speed, rate, other_speed, other_rate, v_rate = (p[FINE : len(t) - FINE] for p in parts)
     cut = slice(FINE, len(t) - FINE)
-    return Rows(t[cut], step_s, v, i, speed, rate, other_speed, other_rate, v_rate, whole[cut])
+    v, i, speed, rate, other_speed, other_rate, v_rate, bend = (p[cut] for p in parts)
+    return Rows(t[cut], step_s, v, i, speed, rate, other_speed, other_rate, v_rate, bend, whole[cut], skew_s)
 
 
 class _Rates:
@@ -158,8 +168,10 @@ def unresolved(parts: Sequence[Rows]) -> float:
 
 def joined(parts: Sequence[Rows]) -> Rows:
     """Rows that follow on each other; at least one part."""
-    arrays = {f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Rows) if f.name != "step_s"}
-    return Rows(step_s=float(np.median([p.step_s for p in parts])), **arrays)
+    one = ("step_s", "skew_s")
+    arrays = {f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Rows) if f.name not in one}
+    step_s, skew_s = float(np.median([p.step_s for p in parts])), max(p.skew_s for p in parts)
+    return Rows(step_s=step_s, skew_s=skew_s, **arrays)
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,6 +181,7 @@ class Sums:
     Attributes:
         X, other: shape (w, 3): current, current's rate, speed; and by the coarser derivatives.
         y, y_rate: shape (w,): voltage, and its rate.
+        bend: shape (w,): of the current.
         last: shape (w,), the last row of each window.
     """
 
@@ -176,6 +189,7 @@ class Sums:
     other: F64
     y: F64
     y_rate: F64
+    bend: F64
     last: NDArray[np.intp]
 
 
@@ -184,12 +198,12 @@ def added_up(rows: Rows, length: int) -> Sums:
     phi = np.hanning(length + 2)[1:-1] if length > 1 else np.ones(1)
     phi /= phi.sum()
     parts = (rows.current, rows.current_rate, rows.speed, rows.other_rate, rows.other_speed)
-    signals = np.stack([*parts, rows.voltage, rows.voltage_rate], axis=1)
+    signals = np.stack([*parts, rows.voltage, rows.voltage_rate, rows.bend], axis=1)
     first = np.arange(0, len(signals) - length + 1, max(1, length // 2), dtype=np.intp)
     if len(first):
         lost = np.concatenate([[0], np.cumsum(~rows.whole)])
         first = first[lost[first + length] == lost[first]]
-    sums = np.empty((0, 7))
+    sums = np.empty((0, 8))
     if len(first):
         sums = sliding_window_view(signals, length, axis=0)[first] @ phi
-    return Sums(sums[:, :3], sums[:, [0, 3, 4]], sums[:, 5], sums[:, 6], first + length - 1)
+    return Sums(sums[:, :3], sums[:, [0, 3, 4]], sums[:, 5], sums[:, 6], sums[:, 7], first + length - 1)

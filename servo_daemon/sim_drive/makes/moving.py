@@ -14,6 +14,8 @@ from servo_daemon.sim_drive.source import SampleSource
 DQ_VOLTAGE = 1.5
 #: A host that stood still longer than this continues from now instead of catching up.
 _MAX_BEHIND_S = 1.0
+#: A sample whose time has come counts, whatever the rounding of that time.
+_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +71,7 @@ class MovingMotor:
         now_s = self._clock()
         if self._start_s is None or now_s - self._start_s - self._taken * self._period_s > _MAX_BEHIND_S:
             self._start_s = now_s - (self._taken + 1) * self._period_s
-        due = int((now_s - self._start_s) / self._period_s) - self._taken
+        due = int((now_s - self._start_s) / self._period_s + _ROUNDING) - self._taken
         if due > 0:
             self._advance(due)
         return self._shown

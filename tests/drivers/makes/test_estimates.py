@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
@@ -9,9 +10,6 @@ import pytest
 
 from drivers.base import Driver
 from drivers.cia402.drive import Cia402Driver
-from drivers.polling.poller import Reply, Request
-from drivers.servo_bus.chain import State
-from drivers.servo_bus.families import Family
 from servo_daemon.samples import SampleBlock
 from servo_daemon.sim_drive.makes.catalogue import ACTUATOR, SLOW
 from servo_daemon.sim_drive.makes.cia402 import Cia402Node
@@ -25,6 +23,7 @@ from servo_daemon.simulate import SimulatedDrive, make_settings
 from servo_daemon.simulate.settings import PAPER_MOTOR
 from tests.drivers.makes.can_rig import batch
 from tests.recovery.foc.lockstep import Clock, claimed, closed, closed_can, polled
+from tests.recovery.foc.played import OneServo
 
 MOTOR = Pmsm()
 TRUTH = {"R": MOTOR.R, "K": MOTOR.K_phase, "J": MOTOR.J, "B": MOTOR.B}
@@ -71,19 +70,6 @@ def test_moteus_tells_the_mechanics_by_its_torque() -> None:
     _check(driver, blocks, TRUTH, {"J": 0.02, "B": 0.03})
 
 
-class _OneServo:
-    """Reads of the registers of servo 1."""
-
-    def __init__(self, family: Family) -> None:
-        self._family, self._decoder = family, family.decoder()
-
-    def next_request(self) -> Request:
-        return Request(self._family.read(1, self._family.address, self._family.length))
-
-    def feed(self, data: bytes) -> list[Reply[State]]:
-        return [Reply(0, State(s.data, s.error)) for s in self._decoder.feed(data)]
-
-
 @pytest.mark.first_is_fast
 @pytest.mark.parametrize("kind", ["dynamixel", "feetech"])
 def test_a_brushed_servo_tells_everything_but_the_inductance(kind: str) -> None:
@@ -91,8 +77,9 @@ def test_a_brushed_servo_tells_everything_but_the_inductance(kind: str) -> None:
     driver._place.model = 1020
     motor = MovingMotor(SimulatedDrive(make_settings(rate_hz=1000.0, supply_V=12.0)), clock)
     device = DynamixelChain({1: motor}) if kind == "dynamixel" else FeetechChain({1: motor})
-    blocks = polled(driver, _OneServo(driver._family), device, clock, 500.0, 10_000)
+    blocks = polled(driver, OneServo(driver._family), device, clock, 500.0, 10_000)
     _check(driver, blocks, PAPER_MOTOR, {"R": 0.03, "K": 0.02, "J": 0.05, "B": 0.05})
+    assert driver.meaning.voltage_scale_std == pytest.approx(0.1 / math.sqrt(12.0) / 12.0)
 
 
 def _frames(decoder: Any, node: Any, clock: Clock, period_s: float, n: int) -> Iterator[SampleBlock]:

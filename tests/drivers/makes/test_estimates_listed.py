@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-import can
 import pytest
 
-from drivers.can.decode import batch_of
 from servo_daemon.config import parse_config
 from servo_daemon.pipeline.pipeline import Pipeline
 from servo_daemon.samples import SampleBlock
@@ -16,27 +14,10 @@ from servo_daemon.sim_drive.makes.foc import FocDrive, Pmsm, RunningFoc
 from servo_daemon.sim_drive.makes.odrive import OdriveNode
 from servo_daemon.sim_drive.makes.vesc import VescDevice, VescNode
 from tests.recovery.foc.lockstep import Clock, closed, closed_can, joined, polled
+from tests.recovery.foc.played import bursts
 
 MOTOR = Pmsm()
 TRUTH = {"R": MOTOR.R, "L": MOTOR.L, "K": MOTOR.K_phase, "J": MOTOR.J, "B": MOTOR.B}
-#: From one frame of a burst to the next on a bus of 500 kbit/s.
-FRAME_S = 2.6e-4
-
-
-def bursts(driver: Any, node: Any, clock: Clock, n: int) -> Iterator[SampleBlock]:
-    """What a node sends by itself, a batch a burst."""
-    for k in range(n):
-        clock.now_s = k * node.period_s
-        messages = [
-            can.Message(
-                timestamp=clock.now_s + j * FRAME_S,
-                arbitration_id=f.frame_id,
-                data=f.data,
-                is_extended_id=f.extended,
-            )
-            for j, f in enumerate(node.due())
-        ]
-        yield from driver._frames.feed(batch_of(messages, clock.now_s + 2e-3, 1e9 + clock.now_s))
 
 
 def estimated(driver: Any, blocks: Iterator[SampleBlock], nominal: Mapping[str, float] | None = None) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from drivers.can.decode import EXTENDED
 from drivers.moteus import fdcanusb, query, telemetry
 from drivers.moteus.drive import MoteusDriver
 from drivers.moteus.voltage import VoltageQuery, may_send, voltages
+from drivers.polling.can_link import Frame, pack, padded, unpack
 from drivers.polling.poller import Reply
 from drivers.registry import make_driver
 from servo_daemon.errors import WireError
@@ -56,6 +57,21 @@ def test_the_voltage_tells_r_and_k() -> None:
         return replies
 
     assert_told_by_its_voltage(motor, driver, exchanged(driver, dialogue, exchange, clock, 200.0, 2400))
+
+
+def test_on_a_bus_only_its_reads_are_sent() -> None:
+    device, dialogue = Moteus(Looks(), torque_constant=1.0), VoltageQuery(1, text=False)
+    allowed = {Frame(f.key, padded(f.data, query.NOP)) for f in may_send(1)}
+    rounds = 0
+    for _ in range(20):
+        request = dialogue.next_request()
+        assert request is not None
+        for frame in unpack(request.data):
+            assert frame in allowed
+            answer = device.answer(frame.key & ~EXTENDED, frame.data)
+            if answer is not None:
+                rounds += sum(bool(r.value) for r in dialogue.feed(pack(Frame(answer[0] | EXTENDED, answer[1]))))
+    assert rounds > 10
 
 
 class Late(Fdcanusb):

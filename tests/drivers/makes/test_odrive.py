@@ -154,8 +154,10 @@ def test_only_the_two_reads_leave_the_port(tmp_path: Path) -> None:
 
 def test_a_firmware_without_the_text_protocol_is_told() -> None:
     dialogue = OdriveDialogue(0, DriverCounters())
-    assert dialogue.feed(b"unknown command\r\n1.0 2.0\r\n-3.0\r\n")[0].value.iq_A == -3.0
+    assert dialogue.feed(b"unknown command\r\n1.0 2.0\r\n") == []
     assert dialogue.refused == "unknown command"
+    assert dialogue.feed(b"-3.0\r\n")[0].value.iq_A == -3.0
+    assert dialogue.refused is None  # the answer was to what somebody else had asked before
 
 
 def fuzz(seed: int, inputs: int) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -196,6 +197,7 @@ def test_status_messages_are_the_motors(tmp_path: Path, encoder: bool) -> None:
         block = concatenate(read_until(driver, 1500))
         assert driver.info.identity.endswith(":7")
         assert driver.meaning is not None and driver.meaning.voltage == "instant"
+        assert driver.meaning.voltage_scale_std == pytest.approx(0.1 / math.sqrt(12.0) / FocDrive().motor.supply_V)
     good = np.isfinite(block.current_A) & np.isfinite(block.voltage_V)
     assert good.any()
     if encoder:  # how exact its angle and times are is tested in lockstep (test_estimates_listed.py)

@@ -50,12 +50,15 @@ SMALL = FocMotor(2.6, 1.2e-3, 5.5e-3, 7, 2.0e-5, 6e-5, bus_V=12.0, current_limit
 
 @dataclass(frozen=True)
 class Trace:
-    """At every control period's beginning: q current as measured, q voltage applied from then on, speed, angle."""
+    """At every control period's beginning: q current as measured, q voltage applied from then on, speed, angle; d
+    voltage, and the integral part of the q voltage."""
 
     i: np.ndarray
     v: np.ndarray
     w: np.ndarray
     th: np.ndarray
+    vd: np.ndarray
+    vq_integral: np.ndarray
 
 
 def multisine(size: float, seed: int = 1) -> Callable[[float], float]:
@@ -104,7 +107,7 @@ def run(
     kps, kis = ws * J / kt, ws * ws * J / kt / 4
     limit, imax = motor.bus_V / math.sqrt(3), motor.current_limit_A
     noise = np.random.default_rng(seed).normal(0.0, 1.0, n) * noise_A
-    out = np.empty((4, n))
+    out = np.empty((6, n))
     idd = iq = w = th = 0.0
     zd = zq = zs = 0.0
     want = 0.0
@@ -126,7 +129,7 @@ def run(
         else:
             zd += ki * ed * dt
             zq += ki * eq * dt
-        out[0, k], out[1, k], out[2, k], out[3, k] = measured, vq, w, th
+        out[:, k] = measured, vq, w, th, vd, zq
         held = load(th, w)
         for _ in range(_SUBSTEPS):
             pw = p * w

@@ -17,7 +17,7 @@ from servo_daemon.identification.output_error.problem.rollout import free_run, s
 from servo_daemon.identification.output_error.problem.score import measured_speed, score
 from servo_daemon.identification.output_error.problem.setup import make_problem
 from servo_daemon.identification.output_error.solver.robust import sample_weights
-from servo_daemon.identification.output_error.solver.solver import solve
+from servo_daemon.identification.output_error.solver.solver import solve, within
 from servo_daemon.plant.build import build_plant
 from servo_daemon.plant.linear import linear_step
 from servo_daemon.samples import F64, SampleBlock, make_block
@@ -356,3 +356,13 @@ def test_with_every_parameter_given_only_states_are_fitted() -> None:
     assert {name: p.value for name, p in fit.parameters.items()} == MOTOR  # to the last digit
     assert fit.white
     assert fit.null_directions == ()
+
+
+def test_a_phase_is_turned_back_and_not_held_at_a_bound() -> None:
+    block = block_of(linear_recording(0.2), *FULL)
+    problem = make_problem([Recording("test", block)], ("cogging_torque",), {"n_cog": 7.0})
+    at = problem.free.index("phi_cog")
+    for phase, same in ((6.7, 6.7 - 2 * np.pi), (-6.7, 2 * np.pi - 6.7), (6.4, 6.4)):
+        unknowns = np.zeros(problem.n_unknowns)
+        unknowns[at] = phase
+        assert within(problem, unknowns)[at] == pytest.approx(same)

@@ -31,9 +31,10 @@ import numpy as np
 
 from servo_daemon.identification.output_error.precision.information import Information
 from servo_daemon.identification.output_error.precision.rounding import DRAWS, rounded_otherwise
+from servo_daemon.identification.output_error.problem.inputs import STRAIGHT
 from servo_daemon.identification.output_error.problem.linearisation import Linearisation, linearise
 from servo_daemon.identification.output_error.problem.problem import Problem
-from servo_daemon.identification.output_error.problem.setup import STRAIGHT, Recording
+from servo_daemon.identification.output_error.problem.setup import Recording
 from servo_daemon.identification.output_error.solver.solver import RIDGE, Point, normal_equations
 from servo_daemon.samples import F64
 

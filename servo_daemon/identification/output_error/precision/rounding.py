@@ -20,9 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.conditioning.layout import INPUT
+from servo_daemon.identification.output_error.problem.inputs import input_rows
 from servo_daemon.identification.output_error.problem.problem import Problem, Segment
 from servo_daemon.identification.output_error.problem.rollout import INPUT as INPUT_COLUMN
-from servo_daemon.identification.output_error.problem.setup import Recording, input_rows
+from servo_daemon.identification.output_error.problem.setup import Recording
 from servo_daemon.samples import F64
 
 #: Draws: a standard deviation from so many is itself known to 1/√(2 n), 18 %.

@@ -22,7 +22,7 @@ from dataclasses import replace
 import numpy as np
 
 from servo_daemon.identification.output_error.precision.information import Information
-from servo_daemon.identification.output_error.problem.lazy import linearise
+from servo_daemon.identification.output_error.problem.linearisation import linearise
 from servo_daemon.identification.output_error.problem.problem import Problem, Segment
 from servo_daemon.identification.output_error.problem.rollout import INPUT
 from servo_daemon.identification.output_error.solver.solver import Point, normal_equations, within

@@ -106,6 +106,12 @@ class Problem:
             low[k], high[k] = (np.log(p.lower), np.log(p.upper)) if p.transform == "log" else (p.lower, p.upper)
         return low, high
 
+    @cached_property
+    def is_phase(self) -> NDArray[np.bool_]:
+        """Shape (unknowns,): angles that an effect's wave begins at."""
+        phases = [name.startswith("phi_") for name in self.parameter_of_column]
+        return np.array(phases + [False] * (self.n_unknowns - len(phases)))
+
     def bounds_at(self, unknowns: F64) -> tuple[F64, F64]:
         """The bounds with these unknowns: without a measured current, L's upper one follows R."""
         low, high = self.bounds

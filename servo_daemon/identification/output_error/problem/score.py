@@ -8,8 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from servo_daemon.identification.output_error.problem.inputs import input_rows
 from servo_daemon.identification.output_error.problem.rollout import free_run
-from servo_daemon.identification.output_error.problem.setup import input_rows
 from servo_daemon.numerics import sample_period
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.samples import F64, SampleBlock

@@ -10,11 +10,10 @@ from math import isfinite
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_daemon.conditioning.layout import INPUT, INVALID_BIT
+from servo_daemon.conditioning.layout import INVALID_BIT
 from servo_daemon.errors import BadInputError
+from servo_daemon.identification.output_error.problem.inputs import STRAIGHT, input_rows
 from servo_daemon.identification.output_error.problem.problem import Problem, Segment
-from servo_daemon.identification.output_error.problem.rollout import INPUT as INPUT_COLUMN
-from servo_daemon.identification.output_error.problem.rollout import STEP, TIME
 from servo_daemon.identification.output_error.problem.still import has_held_shaft, moves
 from servo_daemon.kalman.gaussian import to_coordinate
 from servo_daemon.plant.build import PlantModel, build_plant
@@ -28,8 +27,6 @@ OFFSETS = ("TL", "i0", "v0")
 _LONG_GAP_PERIODS, _LONG_GAP_S = 10.0, 0.1
 #: Fewest samples in a segment: each brings three unknown initial values along.
 FEWEST_SAMPLES = 10
-#: Where the mean of a signal that runs straight between two samples lies.
-STRAIGHT = 0.5
 #: A speed below this share of its size is none; and what is left of the current's size at a standstill.
 _STANDS, _NO_CURRENT = 0.05, 1e-6
 #: Samples over which the speed at the beginning of a segment is guessed.
@@ -176,24 +173,6 @@ def _is_measured(block: SampleBlock, name: str) -> NDArray[np.bool_]:
 def _channel(block: SampleBlock, name: str) -> F64:
     values: F64 = getattr(block, name)
     return values
-
-
-def input_rows(block: SampleBlock, drive: Drive, share: float = STRAIGHT) -> F64:
-    """Shape (n, 3): time, step, input. A voltage is held from its sample on (the capture contract); a measured current
-    or torque is a sample of a continuous signal, whose mean over the step lies at `share` of the way between them. A
-    current that is a mean over the interval that ends at its sample is that mean."""
-    if drive == "current" and block.current_mean:
-        share = 1.0
-    time = block.time_s - block.time_s[0]
-    rows = np.empty((len(time), 3))
-    rows[:, TIME] = time
-    rows[:-1, STEP] = np.diff(time)
-    rows[-1, STEP] = np.median(rows[:-1, STEP])
-    u = _channel(block, INPUT[drive])
-    rows[:, INPUT_COLUMN] = u
-    if drive != "voltage":
-        rows[:-1, INPUT_COLUMN] = (1.0 - share) * u[:-1] + share * u[1:]
-    return rows
 
 
 def _cuts(time: F64, segment_s: float | None) -> list[tuple[int, int]]:

@@ -139,9 +139,11 @@ def solve(
 
 
 def within(problem: Problem, unknowns: F64) -> F64:
-    """The unknowns, clipped to their bounds."""
+    """The unknowns, clipped to their bounds; a phase is turned back instead: whole turns further it is the same."""
     low, high = problem.bounds
-    clipped = np.clip(unknowns, low, high)
+    turns = np.round(unknowns / (2.0 * np.pi))
+    beyond = problem.is_phase & ((unknowns < low) | (unknowns > high))
+    clipped = np.clip(np.where(beyond, unknowns - 2.0 * np.pi * turns, unknowns), low, high)
     return np.asarray(np.minimum(clipped, problem.bounds_at(clipped)[1]))
 
 
