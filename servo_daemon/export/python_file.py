@@ -119,7 +119,8 @@ def _code(model: ExportedModel, b: Balances, u: F64, period: float, run: Run) ->
     return _STEP.format(
         input=f"{model.drive} of the DC motor",
         unpack=unpack, rates=", ".join(rates), w=len(core) - 2,
-        drop=", drop=0.0" if blocks else "", passed=", drop" if blocks else "", advance="blocked" if blocks else "smooth",
+        drop=", drop=0.0" if blocks else "", passed=", drop" if blocks else "",
+        advance="blocked" if blocks else "smooth",
         flow=_FLOW.format(unpack=unpack, level=b.text(b.dry_drop, PYTHON)) if blocks else "",
         forward=b.text(b.forward, PYTHON), backward=b.text(b.backward, PYTHON),
         **dict(zip(("current", "speed", "angle"), b.shown(model.drive, PYTHON), strict=True)),
