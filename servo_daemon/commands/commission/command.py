@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
     tuning = output.tuned(drive, driver.info, result, diagnosis)
     document = output.document(drive, limits, ask, result, diagnosis, tuning)
     if arguments.out is not None:
-        output.write(arguments.out, capture, document, result, tuning)
+        output.write(arguments.out, capture, document, tuning)
     if arguments.json:
         common.print_json(document)
     else:
@@ -133,10 +133,12 @@ def _is_unexplained(result: Commissioning) -> bool:
 
 
 def _diagnosed(capture: Capture, drive: DriveConfig, budget_s: float) -> Diagnosis | None:
+    from servo_daemon.commands.diagnose.progress import progress_told
     from servo_daemon.diagnosis.diagnose import DiagnoseOptions, diagnose
 
     try:
-        return diagnose([capture], (), DiagnoseOptions(drive.model, budget_s=budget_s))
+        with progress_told(as_json=False) as told:
+            return diagnose([capture], (), DiagnoseOptions(drive.model, budget_s=budget_s), told)
     except ServoDaemonError as error:
         common.note(f"no diagnosis: {error}")
         return None
