@@ -68,6 +68,7 @@ def cluster(address: str | None, workers: int | None = None) -> Iterator[Client]
             threads_per_worker=1,
             host="127.0.0.1",
             dashboard_address=None,
+            silence_logs=logging.ERROR,  # workers that are interrupted warn of every task
         ) as local,
         Client(local, set_as_default=False) as client,  # type: ignore[no-untyped-call]
     ):
