@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import signal
 import subprocess
@@ -19,6 +20,7 @@ from drivers.serial.command import decode_command
 from drivers.serial.commander import CommandedSerialDriver
 from drivers.serial.frame import decode_frame
 from drivers.serial.line import SerialDriver
+from servo_daemon.cli import main
 from servo_daemon.commissioning import Commissioning, commission
 from servo_daemon.errors import DriverConfigError, DriverError
 from servo_daemon.sim_drive.transmitter import Transmitter
@@ -74,13 +76,32 @@ def test_a_motor_is_known_over_the_wire_and_nothing_but_commands_is_sent(
     assert max(c.valid_ms for c in commands) <= 50
 
 
-def test_a_wrong_sign_is_named_over_the_wire(tmp_path: Path) -> None:
-    source = Wired(CommandedMotor(replace(SETUP, encoder_sign=-1.0)))
+@pytest.mark.parametrize(
+    ("wrong", "named", "code", "said"),
+    [
+        ({"encoder_sign": -1.0}, "encoder_sign", 1, "the encoder has the wrong sign"),
+        pytest.param(
+            {"Tc": 0.01}, "coulomb_friction", 0, "found: coulomb_friction: Dry friction", marks=pytest.mark.slow
+        ),
+    ],
+    ids=["wrong sign", "friction"],
+)
+def test_the_command_names_what_hides_in_the_drive(
+    wrong: dict[str, float], named: str, code: int, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = Wired(CommandedMotor(replace(SETUP, **wrong)))
+    limits = (LIMITS.voltage_V, LIMITS.current_A, LIMITS.speed_rad_s, LIMITS.travel_rad, LIMITS.seconds)
+    config, out = write_config(tmp_path / "servo.toml", tmp_path / "servo", limits), tmp_path / "out"
     with drive(tmp_path / "servo", source):
-        result = commissioned(tmp_path / "servo")
-    assert result.stop is not None and result.stop.reason == "encoder_sign"
+        assert main(["commission", "--config", str(config), "--out", str(out), "--budget", "120"]) == code
+    document = json.loads((out / "commission.json").read_text())
+    assert named in ([document["stop"]["reason"]] if code else document["diagnosis"]["effects"])
+    assert said in capsys.readouterr().out
+    assert said in (out / "commission.toml").read_text()
     assert source.motor.share_of(LIMITS) <= 1.01
-    assert source.voltages[-1] == 0.0
+    if not code:
+        assert document["outcome"] == "known"
+        assert document["parameters"]["Tc"]["value"] == pytest.approx(0.01, rel=0.02)
 
 
 def test_a_lost_port_is_a_stop(tmp_path: Path) -> None:

@@ -145,9 +145,11 @@ def _diagnosed(capture: Capture, drive: DriveConfig, budget_s: float) -> Diagnos
 
 
 def _with_found(result: Commissioning, diagnosis: Diagnosis | None, accuracy: float) -> Commissioning:
-    """The values of the extended model, where a cause was found."""
+    """The values of the extended model, where a cause was found: with it all may be known."""
     from servo_daemon.commissioning import unknown_in
 
     if diagnosis is None or diagnosis.extended is None:
         return result
-    return replace(result, fit=diagnosis.extended, unknown=unknown_in(diagnosis.extended, accuracy))
+    unknown = unknown_in(diagnosis.extended, accuracy)
+    outcome = "known" if result.stop is None and not unknown else result.outcome
+    return replace(result, outcome=outcome, fit=diagnosis.extended, unknown=unknown)
