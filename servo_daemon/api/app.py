@@ -14,6 +14,7 @@ from servo_daemon.api.access.request_limits import RequestLimits
 from servo_daemon.api.answers import NO_STORE
 from servo_daemon.api.computing import Computer, ProcessComputer
 from servo_daemon.api.head import Head
+from servo_daemon.api.problems import PREFIX
 from servo_daemon.api.reference import reference_page
 from servo_daemon.api.routes import api_router, metrics_router
 from servo_daemon.api.schemas import diagnosis as diagnosis_schemas
@@ -23,8 +24,6 @@ from servo_daemon.api.schemas import past as past_schemas
 from servo_daemon.api.schemas import recorded as recorded_schemas
 from servo_daemon.api.schemas import trend as trend_schemas
 from servo_daemon.published.view import DaemonView
-
-PREFIX: Final = "/api/v1"
 
 _DESCRIPTION: Final = """
 Electrical and mechanical parameters of live DC servo drives, each with a standard deviation and a status.

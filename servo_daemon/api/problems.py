@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import difflib
 import json
 from collections.abc import Iterable, Mapping
 from http import HTTPStatus
@@ -19,6 +20,10 @@ from starlette.routing import Match
 
 MEDIA_TYPE: Final = "application/problem+json"
 
+#: All but the metrics stands under it.
+PREFIX: Final = "/api/v1"
+#: Looking for what is like a path takes its length squared; the longest of the API with a drive's name has 100.
+_LONGEST_MEANT: Final = 200
 _METHODS: Final = ("GET", "POST", "PUT", "PATCH", "DELETE")
 _NO_TEXT: Final = {"location": "body", "parameter": "", "detail": "not JSON in UTF-8"}
 _CODES: Final = {404: "unknown_path", 405: "method_not_allowed", 422: "invalid_request"}
@@ -95,17 +100,36 @@ async def _on_http(request: Request, error: Exception) -> Response:
     path = request.url.path
     if error.status_code == 400:  # FastAPI could not make text of the body
         return refusal(path, 422, "invalid_parameter", "body: not JSON in UTF-8", errors=[_NO_TEXT])
-    code = _CODES.get(error.status_code, "http_error")
-    detail = {
-        404: f"There is nothing at {path}; the API is described at /openapi.json.",
-        405: f"{path} cannot be used with {request.method}.",
-    }.get(error.status_code, str(error.detail))
+    code, detail = _CODES.get(error.status_code, "http_error"), str(error.detail)
+    if error.status_code == 404:
+        meant = _meant(path, request.app.openapi()["paths"])
+        detail = f"There is nothing at {path}{meant}; the API is described at /openapi.json."
+    elif error.status_code == 405:
+        detail = f"{path} cannot be used with {request.method}."
     headers = (
         {"Allow": ", ".join(_methods(request)).replace("GET", "GET, HEAD")}
         if error.status_code == 405
         else error.headers
     )
     return refusal(path, error.status_code, code, detail, headers)
+
+
+def _meant(path: str, templates: Iterable[str]) -> str:
+    """ " (did you mean /api/v1/fleet?)": the path of the API that is most like one; empty where none is.
+
+    Args:
+        templates: the API's paths, names in braces.
+    """
+    if len(path) > _LONGEST_MEANT:
+        return ""
+    words = (("" if path.startswith("/api/") else PREFIX) + path.rstrip("/")).split("/")
+    known = set[str]()
+    for parts in (template.split("/") for template in templates):
+        if len(parts) == len(words):
+            # Names stay as they were asked for.
+            known.add("/".join(w if p.startswith("{") else p for p, w in zip(parts, words, strict=True)))
+    like = difflib.get_close_matches("/".join(words), known, 1, cutoff=0.8)
+    return f" (did you mean {like[0]}?)" if like else ""
 
 
 def _methods(request: Request) -> list[str]:

@@ -63,38 +63,57 @@ def rendered(fleet: Mapping[str, Any], now_s: float) -> RenderableType:
     from rich.text import Text
 
     parts: list[RenderableType] = [Text(f"problem: {p}", style="bold red") for p in fleet["problems"]]
-    parts.append(_overview(fleet, now_s))
+    parts += [_overview(fleet, now_s), _in_words(fleet, now_s)]
     if len(fleet["drives"]) <= _IN_FULL:
         parts += [_parameters(d) for d in fleet["drives"]]
     return Group(*parts)
 
 
 def _overview(fleet: Mapping[str, Any], now_s: float) -> Table:
-    from rich.table import Table
     from rich.text import Text
 
-    table = Table("drive", "connection", "last sample", "parameters", "look at", "alarms", "last event")
+    table = _table("drive", "connection", "sample", "known", "alarms")
     for d in fleet["drives"]:
-        worst, event = d["worst"], d["last_event"]
         tracking = sum(n for status, n in d["statuses"].items() if status in ("tracking", "unexcited", "fixed"))
         table.add_row(
             Text(d["name"] + (" (simulated)" if d["simulated"] else "")),
             Text(d["connection"], style=_COLOURS.get(d["connection"], "")),
             Text(_ago(d["time"], now_s)),
-            Text(f"{tracking} of {sum(d['statuses'].values())} known"),
-            Text(f"{worst['parameter']}: {worst['why']}" if worst else ""),
+            Text(f"{tracking} of {sum(d['statuses'].values())}"),
             Text(", ".join(d["alarms"]), style="bold red"),
-            Text(f"{event['message']} ({_ago(event['time'], now_s)})" if event else ""),
         )
     return table
 
 
-def _parameters(drive: Mapping[str, Any]) -> Table:
+def _in_words(fleet: Mapping[str, Any], now_s: float) -> Table:
+    """What to look at and the last events. Under the overview and not in it: sentences need the terminal's width."""
+    from rich.text import Text
+
+    table = _table("drive", "when", "what")
+    for d in fleet["drives"]:
+        if worst := d["worst"]:
+            table.add_row(Text(d["name"]), Text("now"), Text(f"{worst['parameter']}: {worst['why']}", style="yellow"))
+        if event := d["last_event"]:
+            table.add_row(Text(d["name"]), Text(_ago(event["time"], now_s)), Text(event["message"]))
+    return table
+
+
+def _table(*columns: str, title: str | None = None) -> Table:
+    """Narrow: no lines between columns. The last column takes what is left of the width, the others are not broken."""
+    from rich.box import SIMPLE_HEAD
     from rich.table import Table
+
+    table = Table(box=SIMPLE_HEAD, title=title, title_justify="left", pad_edge=False, padding=(0, 1, 0, 0))
+    for name in columns:
+        table.add_column(name, no_wrap=name != columns[-1])
+    return table
+
+
+def _parameters(drive: Mapping[str, Any]) -> Table:
     from rich.text import Text
 
     model = ", ".join(drive["model"]) or "the linear motor"
-    table = Table("", "value ± 1 σ", "unit", "from nominal", "status", title=f"{drive['name']}: {model}")
+    table = _table("", "value ± 1 σ", "unit", "from nominal", "status", title=f"{drive['name']}: {model}")
     for name, p in drive["parameters"].items():
         change = p["change_percent"]
         table.add_row(

@@ -43,6 +43,15 @@ def test_unknown_path(client: Client, path: str) -> None:
     assert path in document["detail"]
 
 
+@pytest.mark.parametrize(
+    ("path", "meant"),
+    [("/fleet", "/api/v1/fleet"), ("/drives/axis1/trend", AXIS1 + "/trend"), (AXIS1 + "/histroy", AXIS1 + "/history"),
+     (AXIS1 + "/", AXIS1)],
+)  # fmt: skip
+def test_the_path_that_was_meant_is_named(client: Client, path: str, meant: str) -> None:
+    assert f"(did you mean {meant}?)" in problem(client.get(path), 404)["detail"]
+
+
 @pytest.mark.parametrize("path", ["", "/estimates", "/history?parameter=R", "/events", "/stream"])
 def test_unknown_drive_names_the_drives_there_are(client: Client, path: str) -> None:
     document = problem(client.get("/api/v1/drives/axis9" + path), 404)
