@@ -10,6 +10,7 @@ import numpy as np
 
 from servo_daemon.commands.fleet.analysis import Fleet
 from servo_daemon.commands.fleet.report import (
+    counted_drives,
     drift_text,
     drifting,
     repeated,
@@ -59,7 +60,7 @@ def fleet_document(fleet: Fleet, asked: str) -> dict[str, Any]:
 
 def print_fleet(document: Mapping[str, Any]) -> None:
     """On stdout."""
-    print(f"{document['drives']} drives, {len(document['failed'])} without a result")
+    print(f"{counted_drives(document['drives'])}, {len(document['failed'])} without a result")
     for row in document["common"]:
         spread = f"{row['spread']:.1%}" if row["logarithmic"] else f"{row['spread']:.3g} {row['unit']}"
         print(f"  {row['parameter']:4s} {row['value']:.5g} {row['unit']}, drives differ by {spread} (1 σ)")

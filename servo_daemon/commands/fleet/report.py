@@ -24,7 +24,7 @@ def fleet_report(fleet: Fleet, provenance: Provenance) -> Report:
     sections = [Section("Result", (_verdict(fleet), *_summary(fleet)))]
     if fleet.pooled is not None:
         sections.append(Section("Distributions", tuple(_distribution(fleet, j) for j in range(len(fleet.names)))))
-    return Report("Fleet", f"{len(fleet.documents)} drives", tuple(sections), provenance)
+    return Report("Fleet", counted_drives(len(fleet.documents)), tuple(sections), provenance)
 
 
 def _verdict(fleet: Fleet) -> Verdict:
@@ -41,10 +41,16 @@ def _verdict(fleet: Fleet) -> Verdict:
         return Verdict("bad", "No drive gave a result", lines)
     if fleet.types:
         more = "a mean between them is no motor: run fleet on the captures of each type"
-        return Verdict("warn", f"{len(fleet.documents)} drives of {len(fleet.types)} types", (more, *lines))
+        return Verdict("warn", f"{counted_drives(len(fleet.documents))} of {len(fleet.types)} types", (more, *lines))
     if fleet.pooled is None:
-        return Verdict("warn", f"{len(fleet.documents)} drives: too few to tell what they have in common", lines)
+        return Verdict(
+            "warn", f"{counted_drives(len(fleet.documents))}: too few to tell what they have in common", lines
+        )
     return Verdict("warn" if lines else "good", f"{len(fleet.documents)} drives of one type", lines)
+
+
+def counted_drives(n: int) -> str:
+    return "1 drive" if n == 1 else f"{n} drives"
 
 
 def _counted(n: int, one: str, many: str) -> str:
