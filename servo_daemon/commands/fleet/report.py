@@ -37,16 +37,15 @@ def _verdict(fleet: Fleet) -> Verdict:
         )
         if line
     )
+    many = counted_drives(len(fleet.documents))
     if not fleet.documents:
         return Verdict("bad", "No drive gave a result", lines)
     if fleet.types:
         more = "a mean between them is no motor: run fleet on the captures of each type"
-        return Verdict("warn", f"{counted_drives(len(fleet.documents))} of {len(fleet.types)} types", (more, *lines))
+        return Verdict("warn", f"{many} of {len(fleet.types)} types", (more, *lines))
     if fleet.pooled is None:
-        return Verdict(
-            "warn", f"{counted_drives(len(fleet.documents))}: too few to tell what they have in common", lines
-        )
-    return Verdict("warn" if lines else "good", f"{len(fleet.documents)} drives of one type", lines)
+        return Verdict("warn", f"{many}: too few to tell what they have in common", lines)
+    return Verdict("warn" if lines else "good", f"{many} of one type", lines)
 
 
 def counted_drives(n: int) -> str:
