@@ -72,12 +72,12 @@ def test_few_drives_have_their_own_values_only() -> None:
 
 
 def test_two_types_are_told_and_not_pooled() -> None:
-    others = [drive(k, 0.9 * float(np.exp(0.05 * RNG.normal())), K=0.1) for k in range(20, 26)]
+    others = [drive(k, 0.9 + 0.01 * k, K=0.1) for k in range(20, 26)]
     fleet = analyse([*make_fleet(), *others])
     told = fleet_document(fleet, "fit")
     assert fleet.pooled is None and told["common"] == []
     assert [len(row["drives"]) for row in told["types"]] == [20, 6]
-    assert told["types"][1]["text"].startswith("6 drives: R 0.9")
+    assert told["types"][1]["text"].startswith("6 drives: R 1.12 Ω, K 0.1 N·m/A; axis20, axis21")
     assert "2 types" in fleet_report(fleet, make_provenance([])).sections[0].blocks[0].headline
     assert not analyse([*make_fleet(), *others[:2]]).types  # strangers
 
