@@ -93,7 +93,7 @@ def test_the_command_names_what_hides_in_the_drive(
     limits = (LIMITS.voltage_V, LIMITS.current_A, LIMITS.speed_rad_s, LIMITS.travel_rad, LIMITS.seconds)
     config, out = write_config(tmp_path / "servo.toml", tmp_path / "servo", limits), tmp_path / "out"
     with drive(tmp_path / "servo", source):
-        assert main(["commission", "--config", str(config), "--out", str(out), "--budget", "120"]) == code
+        assert main(["commission", "--config", str(config), "--out", str(out), "--budget", "10"]) == code
     document = json.loads((out / "commission.json").read_text())
     assert named in ([document["stop"]["reason"]] if code else document["diagnosis"]["effects"])
     assert said in capsys.readouterr().out
