@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from types import FrameType
 
+from servo_daemon.commands.run.heap import share_one_heap
 from servo_daemon.commands.run.listener import listen
 from servo_daemon.commands.shared import common
 from servo_daemon.commands.shared.exposure import check_exposure
@@ -35,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     faulthandler.enable()  # systemd's watchdog ends a hung daemon with SIGABRT: the journal then shows every stack
+    share_one_heap()
     hangups: list[int] = []
     try:
         with _stop_during_start_up(hangups):

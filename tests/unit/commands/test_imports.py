@@ -32,7 +32,12 @@ _MODEL = {"numpy", "casadi", "pydantic"}
 
 @pytest.mark.parametrize(
     ("words", "loaded"),
-    [("--version", set()), ("check --config drive.toml", _MODEL | {"scipy.linalg"}), ("fit short.csv", _MODEL)],
+    [
+        ("--version", set()),
+        ("check --config drive.toml", _MODEL | {"scipy.linalg"}),
+        ("fit short.csv", _MODEL),
+        ("simulate --out short.parquet --seconds 2 --seed 1", _MODEL | {"scipy.linalg"}),
+    ],
 )
 def test_a_command_loads_what_it_uses(
     words: str, loaded: set[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
