@@ -44,8 +44,8 @@ _STOPPING = 1.5
 _ROUNDS = 2
 #: Shortest stretch of samples without a gap that is fitted, s; shortest round, s.
 _STRETCH_S, _SHORTEST_S = 0.5, 2.0
-#: The end of a first look, s: twice the time in which its wave grows e-fold, and the pause after it.
-_MOVING_S = 2 * GROWTH_S + _PAUSE_S
+#: The end of a first look, s: the time in which its wave grows e-fold, and the pause after it.
+_MOVING_S = GROWTH_S + _PAUSE_S
 
 Outcome = Literal["known", "stopped", "unexplained", "not_known"]
 Progress = Callable[[float, str], None]
@@ -198,16 +198,17 @@ class _Run:
         """
         recordings = stretches(self.session.block(), self.session.period_s)
         self.fit = _fitted(recordings, self._ask.effects)
-        self._working = {} if self.fit is None else self.fit.values
+        before, self._working = self._working, {} if self.fit is None else self.fit.values
         if not recordings:
             text = f"samples are lost all the time: there are no {_STRETCH_S:g} s without a gap"
             raise StoppedError(Stop("data_missing", text, float(self.session.block().time_s[-1])))
-        if {"coulomb_friction", *_DRY} & set(self._ask.effects):
-            return
-        for part in (recordings, _ends(recordings)):
-            if not self._enough_to_plan():
-                rough = _fitted(part, (*self._ask.effects, "coulomb_friction"))
-                self._working = {} if rough is None else rough.values
+        if not {"coulomb_friction", *_DRY} & set(self._ask.effects):
+            for part in (recordings, _ends(recordings)):
+                if not self._enough_to_plan():
+                    rough = _fitted(part, (*self._ask.effects, "coulomb_friction"))
+                    self._working = {} if rough is None else rough.values
+        if not self._enough_to_plan():
+            self._working = before or self._working  # a motor is what it was
 
     def _enough_to_plan(self) -> bool:
         return all(name in self._working for name in _PLANNED_WITH)
