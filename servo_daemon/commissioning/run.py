@@ -171,7 +171,7 @@ class _Run:
         found = self._working
         if missing := [name for name in _PLANNED_WITH if name not in found]:
             last = self.session.supervisor.last
-            text = f"the first look does not show {', '.join(missing)}: the shaft sticks, is stopped, or samples are lost"
+            text = f"the first look does not show {', '.join(missing)}: it sticks, is stopped, or samples are lost"
             raise StoppedError(Stop("innovations", text, 0.0 if last is None else last.time_s))
         out = {name: value for name, value in found.items() if name in MOTOR_NAMES}
         out.setdefault("L", _INDUCTANCE * self.session.period_s * out["R"])
