@@ -122,6 +122,11 @@ class SignalMeaning:
         others = {name: _FACTORS[name] for name in PUBLISHED if name != self.publish}
         return {n: {"R": (a / b) / (v / i), "L": (a / b) / (v / i), "K": a / v} for n, (a, b) in others.items()}
 
+    @property
+    def document(self) -> dict[str, Any]:
+        """What published values are of, as JSON documents have it: the DC motor at the motor's shaft."""
+        return {key: getattr(self, key) for key in ("convention", "publish", "pole_pairs", "gear_ratio")}
+
     def converted(self, block: SampleBlock) -> SampleBlock:
         """The block with the DC motor's voltage and current, and position, speed and torque of the motor's shaft.
 

@@ -31,6 +31,7 @@ from servo_daemon.published.snapshot import (
 from servo_daemon.published.trends import DriveTrends
 from servo_daemon.published.view import ModelChange, StartValues, initial_parameters
 from servo_daemon.samples import SampleBlock
+from servo_daemon.signal_meaning import SignalMeaning
 
 #: A fixed moment, so that answers can be compared as text: 2026-11-21T12:00:00Z.
 T0 = 1_795_262_400.0
@@ -105,6 +106,7 @@ class FakeDrive:
     name: str = "axis1"
     driver: str = "simulated"
     model: tuple[str, ...] = ()
+    meaning: SignalMeaning = field(default_factory=SignalMeaning)
     history: HistoryRing = field(default_factory=HistoryRing)
     current: Snapshot | None = None
     log: deque[Event] = field(default_factory=lambda: deque(maxlen=100))

@@ -155,6 +155,7 @@ def drive_document(drive: DriveView) -> Document:
         **drive_summary(drive),
         "nominal": {p.name: scalar(p.nominal) for p in parameters},
         "units": {p.name: p.unit for p in parameters},
+        "signals": drive.meaning.document,
         "limits": [
             {"name": a.name, "parameter": a.parameter, "value": scalar(a.value), "is_upper": a.is_upper}
             for a in drive.limits

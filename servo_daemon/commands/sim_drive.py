@@ -6,17 +6,24 @@ import argparse
 import signal
 import threading
 from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 from servo_daemon.commands import sim_makes
 from servo_daemon.commands.shared import common
 from servo_daemon.commands.shared.effect_flag import add_effect
 from servo_daemon.commands.shared.numbers import positive
 
+if TYPE_CHECKING:
+    from servo_daemon.sim_drive.source import Drive
+
 HELP = "a simulated drive that speaks the real wire on a pseudo-terminal, until it is stopped"
 EXAMPLE = """  servo-daemon sim-drive --serial /tmp/servo0    # then: driver = "serial", port = "/tmp/servo0"
   servo-daemon sim-drive --slcan /tmp/can0       # then: driver = "can", interface = "slcan", channel = "/tmp/can0"
   servo-daemon sim-drive --vesc /tmp/vesc0       # then: driver = "vesc", port = "/tmp/vesc0"
   servo-daemon sim-drive --odrive 0.6 /tmp/can0  # then: driver = "odrive", interface and channel as above"""
+
+
+_REVERSED: dict[str, Literal["current_A", "position_rad"]] = {"current": "current_A", "encoder": "position_rad"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,6 +44,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="take commands of `commission` over the serial line; stands still until one comes, and does not age",
     )
+    parser.add_argument(
+        "--reversed",
+        choices=sorted(_REVERSED),
+        default=None,
+        help="a sensor that was wired the wrong way round (--serial, --slcan)",
+    )
     parser.add_argument("--seconds", type=positive, default=None, help="stop after this long (default: never)")
 
 
@@ -55,7 +68,11 @@ def run(arguments: argparse.Namespace) -> int:
     rate_hz = 1000.0 if arguments.rate is None else arguments.rate
     if arguments.commands and arguments.ageing is None:
         arguments.ageing = []
-    source = sim_makes.brushed_motor(arguments)
+    from servo_daemon.sim_drive.source import Reversed
+
+    source: Drive = sim_makes.brushed_motor(arguments)
+    if arguments.reversed is not None:
+        source = Reversed(source, _REVERSED[arguments.reversed])
     link = arguments.serial or arguments.slcan
     common.note(f"{link}: drive {arguments.drive_id}, {rate_hz:g} samples a second; Ctrl-C ends it")
     if arguments.serial is not None:
@@ -92,5 +109,7 @@ def _check(arguments: argparse.Namespace) -> None:
         raise BadInputError(f"--drive-id {arguments.drive_id} is outside {lowest} .. {highest}")
     if arguments.commands and (arguments.serial is None or arguments.wire != "binary"):
         raise BadInputError("--commands is for --serial with the binary wire: the others only tell")
+    if arguments.reversed is not None and arguments.serial is None and arguments.slcan is None:
+        raise BadInputError("--reversed is for --serial and --slcan")
     if arguments.seconds is not None and arguments.seconds > threading.TIMEOUT_MAX:
         raise BadInputError(f"--seconds must be at most {threading.TIMEOUT_MAX:g}, not {arguments.seconds:g}")

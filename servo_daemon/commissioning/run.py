@@ -16,7 +16,7 @@ from servo_daemon.commissioning.prediction import Prediction
 from servo_daemon.commissioning.rounds import SHARES, planned
 from servo_daemon.commissioning.session import Session
 from servo_daemon.commissioning.stop import Stop, StoppedError
-from servo_daemon.commissioning.waves import growing
+from servo_daemon.commissioning.waves import GROWTH_S, growing
 from servo_daemon.errors import BadInputError, NumericalError
 from servo_daemon.identification.output_error import OutputErrorFit, Recording, fit_output_error
 from servo_daemon.parameters import MOTOR_NAMES
@@ -44,6 +44,8 @@ _STOPPING = 1.5
 _ROUNDS = 2
 #: Shortest stretch of samples without a gap that is fitted, s; shortest round, s.
 _STRETCH_S, _SHORTEST_S = 0.5, 2.0
+#: The end of a first look, s: the time in which its wave grows e-fold, and the pause after it.
+_MOVING_S = GROWTH_S + _PAUSE_S
 
 Outcome = Literal["known", "stopped", "unexplained", "not_known"]
 Progress = Callable[[float, str], None]
@@ -169,7 +171,7 @@ class _Run:
         found = self._working
         if missing := [name for name in _PLANNED_WITH if name not in found]:
             last = self.session.supervisor.last
-            text = f"the first look does not show {', '.join(missing)}"
+            text = f"the first look does not show {', '.join(missing)}: it sticks, is stopped, or samples are lost"
             raise StoppedError(Stop("innovations", text, 0.0 if last is None else last.time_s))
         out = {name: value for name, value in found.items() if name in MOTOR_NAMES}
         out.setdefault("L", _INDUCTANCE * self.session.period_s * out["R"])
@@ -188,16 +190,37 @@ class _Run:
 
     def _learn(self) -> None:
         """A fit of all samples so far; none where they tell too little. Where the model asked for leaves the motor
-        open, dry friction, the commonest cause, gives values to plan with: they need not explain everything."""
+        open, dry friction, the commonest cause, gives values to plan with: they need not explain everything, and the
+        end, where the shaft moves most, may tell more than all the time in which it stuck.
+
+        Raises:
+            StoppedError: there are gaps everywhere.
+        """
         recordings = stretches(self.session.block(), self.session.period_s)
         self.fit = _fitted(recordings, self._ask.effects)
-        self._working = {} if self.fit is None else self.fit.values
-        if not self._enough_to_plan() and not {"coulomb_friction", *_DRY} & set(self._ask.effects):
-            rough = _fitted(recordings, (*self._ask.effects, "coulomb_friction"))
-            self._working = {} if rough is None else rough.values
+        before, self._working = self._working, {} if self.fit is None else self.fit.values
+        if not recordings:
+            text = f"samples are lost all the time: there are no {_STRETCH_S:g} s without a gap"
+            raise StoppedError(Stop("data_missing", text, float(self.session.block().time_s[-1])))
+        if not {"coulomb_friction", *_DRY} & set(self._ask.effects):
+            for part in (recordings, _ends(recordings)):
+                if not self._enough_to_plan():
+                    rough = _fitted(part, (*self._ask.effects, "coulomb_friction"))
+                    self._working = {} if rough is None else rough.values
+        if not self._enough_to_plan():
+            self._working = before or self._working  # a motor is what it was
 
     def _enough_to_plan(self) -> bool:
         return all(name in self._working for name in _PLANNED_WITH)
+
+
+def _ends(recordings: list[Recording]) -> list[Recording]:
+    """The last `_MOVING_S` of each."""
+    blocks = [(r.name, r.block) for r in recordings]
+    return [
+        Recording(name, block.slice(int(np.searchsorted(block.time_s, block.time_s[-1] - _MOVING_S)), len(block)))
+        for name, block in blocks
+    ]
 
 
 def _fitted(recordings: list[Recording], effects: tuple[str, ...]) -> OutputErrorFit | None:

@@ -30,6 +30,7 @@ _ARM_S = 0.5
 _FIRST_S = 3.0
 #: Recorded after a stop, s: the motor runs down.
 _AFTER_S = 0.2
+_SLOW = " (the line, or this machine: it must have the time to answer)"
 _INVALID = int(Quality.VOLTAGE_INVALID | Quality.CURRENT_INVALID | Quality.POSITION_INVALID | Quality.TIME_RESTART)
 
 
@@ -179,7 +180,7 @@ class Session:
         self._follows = not math.isnan(volts[-1])
         self.supervisor.latency_s = max(self._drive.latency_s, self.period_s)
         if self.supervisor.driven and np.isnan(volts).any():
-            text = f"the drive went to 0 V by itself: no command that it follows came for {1e3 * self._valid_s:.0f} ms"
+            text = f"the drive went to 0 V by itself: no command came in time for {1e3 * self._valid_s:.0f} ms{_SLOW}"
             raise StoppedError(Stop("command_lost", text, float(block.time_s[-1])))
         return [0.0 if math.isnan(v) else v for v in volts.tolist()]
 
@@ -190,7 +191,8 @@ class Session:
             if self._interrupted():
                 raise StoppedError(Stop("interrupted", "stopped by the user", self._now()))
             if time.monotonic() - began > self._silence_s:
-                raise StoppedError(Stop("data_missing", f"no sample for {1e3 * self._silence_s:g} ms", self._now()))
+                text = f"no sample for {1e3 * self._silence_s:g} ms{_SLOW}"
+                raise StoppedError(Stop("data_missing", text, self._now()))
         if self._interrupted():
             raise StoppedError(Stop("interrupted", "stopped by the user", self._now()))
         self._keep(block)

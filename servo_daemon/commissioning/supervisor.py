@@ -19,12 +19,16 @@ _REACHED = 0.95
 _LATE = 2
 #: Samples over which a speed is taken.
 _WINDOW = 4
+#: Standard deviations of the current by which two samples differ without a rise: three of a difference.
+_NO_RISE = 4.2
 #: A sum is negative beyond noise at so many standard deviations.
 _SIGMA = 8.0
 #: The shaft moves when it has gone so many counts; at rest it stays within them.
 _COUNTS = 6
 #: A locked shaft takes this share of the greatest current; without any current this share of the voltage.
 _LOCKED, _OPEN = 0.6, 0.1
+#: A delay of the line that is told beside a limit, in samples.
+_LATE_SAMPLES = 20.0
 #: A shaft that was seen to move and does not for so long, s, with so many times the current that moved it first.
 _STUCK_S, _STUCK = 0.15, 3.0
 #: No current is taken for less noisy than this share of its limit: σ of a step of a converter of twelve bits.
@@ -184,15 +188,25 @@ class Supervisor:
         self._mechanical_dx += dx * dx
         electrical_std = math.sqrt(self._electrical_var)
         if self._electrical < -_SIGMA * electrical_std:
-            self._stop("current_sign", "the current flows against the voltage: its sensor has the wrong sign", r)
+            text = "the current flows against the voltage: its sensor has the wrong sign"
+            self._stop("current_sign", text, r)
         mechanical_std = math.sqrt(self._count**2 / 12 * self._mechanical_di + noise**2 * self._mechanical_dx)
         if self._electrical > _SIGMA * electrical_std and self._mechanical < -_SIGMA * mechanical_std:
-            self._stop("encoder_sign", "the shaft turns against the torque: the encoder has the wrong sign", r)
+            text = (
+                "the shaft turns against the torque: the encoder has the wrong sign (or the motor's wires are swapped)"
+            )
+            self._stop("encoder_sign", text, r)
 
     def _check_limits(self, r: Reading, last: Reading | None) -> None:
         lim, ahead = self._limits, self.latency_s / self._period_s
-        rise = 0.0 if last is None or self.bounded_current else max(0.0, abs(r.current_A) - abs(last.current_A))
-        gain = max(0.0, abs(self._speeds[-1]) - abs(self._speeds[0])) / max(1, len(self._speeds) - 1)
+        rise = gain = 0.0
+        if self.driven:  # what nothing drives does not rise; and noise and one count are no rise
+            noise = _NO_RISE * self.current_noise_A
+            if last is not None and not self.bounded_current:
+                rise = max(0.0, abs(r.current_A) - abs(last.current_A) - noise)
+            count = self._count / (_WINDOW * self._period_s)
+            faster = abs(self._speeds[-1]) - abs(self._speeds[0]) - count
+            gain = max(0.0, faster) / max(1, len(self._speeds) - 1)
         outward = max(0.0, math.copysign(1.0, r.position_rad) * self.speed_rad_s)
         reached = (
             ("current", abs(r.current_A) + ahead * rise, lim.current_A, "A"),
@@ -206,7 +220,8 @@ class Supervisor:
         )
         for name, value, limit, unit in reached:
             if value > _REACHED * limit:
-                self._stop("limit", f"{name} is about to pass its limit of {limit:g} {unit}", r)
+                late = f" (commands act {1e3 * self.latency_s:.0f} ms late)" if ahead > _LATE_SAMPLES else ""
+                self._stop("limit", f"{name} is about to pass its limit of {limit:g} {unit}{late}", r)
         if lim.temperature_C is not None and r.temperature_C is not None and r.temperature_C > lim.temperature_C:
             self._stop("limit", f"temperature has passed its limit of {lim.temperature_C:g} °C", r)
 

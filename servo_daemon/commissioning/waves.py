@@ -13,14 +13,14 @@ from servo_daemon.samples import F64
 _LOWEST_HZ, _HIGHEST_SHARE, _LINES = 2.0, 0.2, 14
 #: The first voltage, as a share of the limit, and the time in which it grows e-fold, s: two periods of the slowest
 #: line, so that one swing shows what the next will reach.
-_FIRST, _GROWTH_S = 0.002, 0.8
+_FIRST, GROWTH_S = 0.002, 0.8
 #: No first voltage goes beyond this share of the limit.
 _MOST = 0.6
 
 
 def growing(rate_hz: float, voltage_V: float, seed: int = 0) -> F64:
     """Shape (n,), V: a multisine whose peak grows from 0.2 % to 60 % of `voltage_V`."""
-    seconds = _GROWTH_S * math.log(_MOST / _FIRST)
+    seconds = GROWTH_S * math.log(_MOST / _FIRST)
     t = np.arange(round(seconds * rate_hz)) / rate_hz
     lines = np.geomspace(_LOWEST_HZ, max(2 * _LOWEST_HZ, _HIGHEST_SHARE * rate_hz), _LINES)
     phases = np.random.default_rng(seed).uniform(0.0, 2 * math.pi, _LINES)
@@ -29,4 +29,4 @@ def growing(rate_hz: float, voltage_V: float, seed: int = 0) -> F64:
         (np.sin(2 * math.pi * f * t + p) / math.sqrt(f) for f, p in zip(lines, phases, strict=True)), np.zeros(1)
     )
     unit = wave / np.abs(wave).max()
-    return np.asarray(voltage_V * _FIRST * np.exp(t / _GROWTH_S) * unit)
+    return np.asarray(voltage_V * _FIRST * np.exp(t / GROWTH_S) * unit)

@@ -12,6 +12,7 @@ from servo_daemon.export.expressions import Language, as_text
 from servo_daemon.export.model import CORE, ExportedModel, Value
 from servo_daemon.parameters import LINEAR
 from servo_daemon.plant import equations
+from servo_daemon.plant.core import Drive
 from servo_daemon.plant.dry import dry_levels
 from servo_daemon.plant.effects import Signals, effects_by_name, event_times
 from servo_daemon.plant.effects.base import probe
@@ -65,6 +66,14 @@ class Balances:
 
     def text(self, expression: ca.SX | None, language: Language) -> str:
         return as_text(ca.SX(0) if expression is None else expression, self.symbols, language)
+
+    def shown(self, drive: Drive, language: Language) -> tuple[str, str, str]:
+        """What the sensors at the motor show of current, speed and angle."""
+        current = {"voltage": "i", "current": "u", "torque": "0"}[drive]
+        motor = {"current_A": current, "velocity_rad_s": "omega", "position_rad": "theta"}
+        at = self.sensed
+        told = [f"({me} + {self.text(at[c], language)})" if c in at else me for c, me in motor.items()]
+        return told[0], told[1], told[2]
 
 
 def balances(model: ExportedModel) -> Balances:

@@ -20,16 +20,25 @@ _TOLERANCE = 0.01
 
 _STEP = '''
 
-def rates(t, x, u):
+def rates(t, x, u{drop}):
     """d/dt of the states without dry friction; u: {input}."""
     {unpack} = x
     return np.array([{rates}])
 
 
+def smooth(t, x, u, d{drop}):
+    """States after d seconds without dry friction: Runge and Kutta."""
+    a = rates(t, x, u{passed})
+    b = rates(t + d / 2, x + d / 2 * a, u{passed})
+    c = rates(t + d / 2, x + d / 2 * b, u{passed})
+    e = rates(t + d, x + d * c, u{passed})
+    return x + d / 6 * (a + 2 * b + 2 * c + e)
+
+{flow}
 def dry(t, x, u, h):
-    """Dry friction and brush drop over h: they stop and never drive."""
+    """Dry friction over h: it stops and never drives."""
     {unpack} = x
-{blocks}    forward, backward = {forward}, {backward}
+    forward, backward = {forward}, {backward}
     x[{w}] -= h / J * np.clip(omega * J / h, -backward, forward)
     return x
 
@@ -39,12 +48,8 @@ def step(t, x, u, h):
     n = max(1, int(np.ceil(h / SUBSTEP)))
     d = h / n
     for _ in range(n):
-        x = dry(t, np.array(x, float), u, d / 2)
-        a = rates(t, x, u)
-        b = rates(t + d / 2, x + d / 2 * a, u)
-        c = rates(t + d / 2, x + d / 2 * b, u)
-        e = rates(t + d, x + d * c, u)
-        t, x = t + d, dry(t + d, x + d / 6 * (a + 2 * b + 2 * c + e), u, d / 2)
+        x = {advance}(t, dry(t, np.array(x, float), u, d / 2), u, d)
+        t, x = t + d, dry(t + d, x, u, d / 2)
     return x
 
 
@@ -58,9 +63,7 @@ if __name__ == "__main__":  # the same motion as servo-daemon's own simulation h
     H = {period}
     U = np.repeat({inputs}, {each})
     EXPECTED = np.array({expected})
-    x, worst = np.zeros({n}), 0.0
-    x[:] = X0
-    rows = []
+    x, rows = np.array(X0), []
     for k, u in enumerate(U):
         x = step(k * H, x, u, H)
         if (k + 1) % {every} == 0:
@@ -68,6 +71,17 @@ if __name__ == "__main__":  # the same motion as servo-daemon's own simulation h
     worst = np.max(np.abs(np.array(rows) - EXPECTED) / np.ptp(EXPECTED, axis=0).clip(1e-12))
     print(f"self-test: at most {{100 * worst:.3g}} % of each state's range off")
     assert worst < {tolerance}, "the twin does not follow servo-daemon's simulation"
+'''
+
+#: Where a voltage opposes the current whatever its size: it stops the current and never drives it.
+_FLOW = '''
+def blocked(t, x, u, d):
+    """The same with a voltage against the current: what would stop it, and no more than there is."""
+    {unpack} = x
+    most = {level}
+    free, probe = smooth(t, x, u, d)[0], smooth(t, x, u, d, 1.0)[0]
+    return smooth(t, x, u, d, np.clip(free / (free - probe), -most, most))
+
 '''
 
 
@@ -96,32 +110,24 @@ def write(model: ExportedModel) -> Export:
 def _code(model: ExportedModel, b: Balances, u: F64, period: float, run: Run) -> str:
     """Functions and self-test."""
     core = ["i", "omega", "theta"] if model.drive == "voltage" else ["omega", "theta"]
-    rates = ([b.text(b.current_rate, PYTHON)] if model.drive == "voltage" else []) + [
+    blocks, unpack = not b.dry_drop.is_zero(), ", ".join([*core, *b.states])
+    against = " - drop / L" if blocks else ""
+    rates = ([b.text(b.current_rate, PYTHON) + against] if model.drive == "voltage" else []) + [
         b.text(b.speed_rate, PYTHON), "omega", *(b.text(rate, PYTHON) for rate in b.states.values())
     ]  # fmt: skip
     shown = run.x[_EVERY::_EVERY, : len(core)]
     return _STEP.format(
         input=f"{model.drive} of the DC motor",
-        unpack=", ".join([*core, *b.states]),
-        rates=", ".join(rates), blocks=_blocks(b), w=len(core) - 2,
+        unpack=unpack, rates=", ".join(rates), w=len(core) - 2,
+        drop=", drop=0.0" if blocks else "", passed=", drop" if blocks else "",
+        advance="blocked" if blocks else "smooth",
+        flow=_FLOW.format(unpack=unpack, level=b.text(b.dry_drop, PYTHON)) if blocks else "",
         forward=b.text(b.forward, PYTHON), backward=b.text(b.backward, PYTHON),
-        current=_shown(b, "current_A", {"voltage": "i", "current": "u", "torque": "0.0"}[model.drive]),
-        speed=_shown(b, "velocity_rad_s", "omega"), angle=_shown(b, "position_rad", "theta"),
-        period=repr(period), inputs=u[:: _SAMPLES // PHASES].tolist(), each=_SAMPLES // PHASES, n=run.x.shape[1],
+        **dict(zip(("current", "speed", "angle"), b.shown(model.drive, PYTHON), strict=True)),
+        period=repr(period), inputs=u[:: _SAMPLES // PHASES].tolist(), each=_SAMPLES // PHASES,
         every=_EVERY, tolerance=_TOLERANCE,
         expected=[[float(f"{x:.9g}") for x in row] for row in shown.tolist()],
     )  # fmt: skip
-
-
-def _shown(b: Balances, channel: str, itself: str) -> str:
-    return f"({itself} + {b.text(b.sensed[channel], PYTHON)})" if channel in b.sensed else itself
-
-
-def _blocks(b: Balances) -> str:
-    if b.dry_drop.is_zero():
-        return ""
-    level = b.text(b.dry_drop, PYTHON)
-    return f"    drop = {level}\n    x[0] -= h / L * np.clip(i * L / h, -drop, drop)\n"
 
 
 def _substep_s(v: dict[str, float]) -> float:

@@ -32,6 +32,8 @@ def write(model: ExportedModel) -> Export:
         b.text(b.speed_rate, MATLAB), "omega", *(b.text(rate, MATLAB) for rate in b.states.values())
     ]  # fmt: skip
     arguments = ", ".join(["t", "u", *at])
+    current, speed, angle = b.shown(model.drive, MATLAB)
+    i, gear = model.meaning.factors[1], number(model.gear)
     lines = [
         line_comments(header(model, notes), "%"),
         *(f"{name}.{n} = {number(v.value)};  % {with_std(v)}" for n, v in model.values.items()),
@@ -41,9 +43,13 @@ def write(model: ExportedModel) -> Export:
         f"%   Gear Box: Gear ratio: {name}.gear",
         f"% states: {', '.join(at)}; u: {model.drive} of the DC motor",
         *(f"{n} = {name}.{n};" for n in b.used if n in model.values),
-        f"rates = @({arguments}) [" + "; ".join(rates) + "];  % without dry friction",
+        f"rates = @({arguments}) [" + "; ".join(rates) + "];  % without dry friction and dry drop",
         f"{name}.rates = @(t, x, u) rates(t, u, {', '.join(at.values())});",
+        "% torque against the motion, and voltage against the current: they stop and never drive",
         f"{name}.dry_friction = @({arguments}) [{b.text(b.forward, MATLAB)}, {b.text(b.backward, MATLAB)}];",
+        f"{name}.dry_drop = @({arguments}) {b.text(b.dry_drop, MATLAB)};",
+        "% current, speed and angle as the drive's sensors show them",
+        f"{name}.sensed = @({arguments}) [{current} / {i!r}; {speed} / {gear}; {angle} / {gear}];",
         f"clear rates {' '.join(n for n in b.used if n in model.values)};",
         "",
     ]

@@ -32,11 +32,13 @@ def scheduler(address: str, timeout_s: float = _CONNECT_S) -> Client:
         BadInputError: none answers there in that time.
     """
     from distributed import Client
+    from distributed.comm.addressing import get_address_host_port
 
     try:
+        get_address_host_port(address)  # a client of what is no address is left half open
         return Client(address, timeout=timeout_s, set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as error:
-        raise BadInputError(f"--dask {address}: no scheduler answers there: {error}") from error
+        raise BadInputError(f"--dask {address}: no scheduler answers there (tcp://host:8786): {error}") from error
 
 
 @contextmanager
@@ -66,6 +68,7 @@ def cluster(address: str | None, workers: int | None = None) -> Iterator[Client]
             threads_per_worker=1,
             host="127.0.0.1",
             dashboard_address=None,
+            silence_logs=logging.ERROR,  # workers that are interrupted warn of every task
         ) as local,
         Client(local, set_as_default=False) as client,  # type: ignore[no-untyped-call]
     ):

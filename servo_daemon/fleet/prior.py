@@ -87,11 +87,12 @@ def pool(y: F64, S: F64) -> Pooled | None:
     if np.count_nonzero(~stranger) < FEWEST:
         return None
     prior = _prior(y[~stranger], S[~stranger])
-    gain = prior.between @ np.linalg.inv(prior.between + S)
-    kept = np.eye(p) - gain
+    inverse = np.linalg.inv(prior.between + S)
+    gain, kept = prior.between @ inverse, S @ inverse
     own = stranger[:, None]
     pooled = prior.mean + np.einsum("ijk,ik->ij", gain, y - prior.mean)
-    cov = kept @ prior.between + kept @ prior.mean_cov @ kept.transpose(0, 2, 1)
+    # Joseph's form: where drives differ by far more than each is known to, I - gain is rounding.
+    cov = kept @ (prior.between + prior.mean_cov) @ kept.transpose(0, 2, 1) + gain @ S @ gain.transpose(0, 2, 1)
     return Pooled(
         prior,
         np.where(own, y, pooled),

@@ -20,6 +20,7 @@ from servo_daemon.published.sinks import SinkState
 from servo_daemon.published.snapshot import AlarmLimit, Event, ParameterEstimate, Snapshot
 from servo_daemon.published.trends import DriveTrends
 from servo_daemon.samples import SampleBlock
+from servo_daemon.signal_meaning import SignalMeaning
 
 #: Value (a choice by its name) and 1 σ (None: not known) of parameters, in their units.
 StartValues = Mapping[str, tuple[float | str, float | None]]
@@ -52,6 +53,10 @@ class DriveView(Protocol):
     @property
     def model(self) -> tuple[str, ...]:
         """Names of the effects on top of the linear motor as they are now."""
+
+    @property
+    def meaning(self) -> SignalMeaning:
+        """What its signals mean."""
 
     @property
     def initial_parameters(self) -> Sequence[ParameterEstimate]:

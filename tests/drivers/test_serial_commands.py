@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import signal
 import subprocess
@@ -19,6 +20,7 @@ from drivers.serial.command import decode_command
 from drivers.serial.commander import CommandedSerialDriver
 from drivers.serial.frame import decode_frame
 from drivers.serial.line import SerialDriver
+from servo_daemon.cli import main
 from servo_daemon.commissioning import Commissioning, commission
 from servo_daemon.errors import DriverConfigError, DriverError
 from servo_daemon.sim_drive.transmitter import Transmitter
@@ -74,11 +76,15 @@ def test_a_motor_is_known_over_the_wire_and_nothing_but_commands_is_sent(
     assert max(c.valid_ms for c in commands) <= 50
 
 
-def test_a_wrong_sign_is_named_over_the_wire(tmp_path: Path) -> None:
+def test_the_command_names_a_wrong_sign(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source = Wired(CommandedMotor(replace(SETUP, encoder_sign=-1.0)))
+    limits = (LIMITS.voltage_V, LIMITS.current_A, LIMITS.speed_rad_s, LIMITS.travel_rad, LIMITS.seconds)
+    config, out = write_config(tmp_path / "servo.toml", tmp_path / "servo", limits), tmp_path / "out"
     with drive(tmp_path / "servo", source):
-        result = commissioned(tmp_path / "servo")
-    assert result.stop is not None and result.stop.reason == "encoder_sign"
+        assert main(["commission", "--config", str(config), "--out", str(out)]) == 1
+    assert json.loads((out / "commission.json").read_text())["stop"]["reason"] == "encoder_sign"
+    for told in (capsys.readouterr().out, (out / "commission.toml").read_text()):
+        assert "the encoder has the wrong sign" in told
     assert source.motor.share_of(LIMITS) <= 1.01
     assert source.voltages[-1] == 0.0
 

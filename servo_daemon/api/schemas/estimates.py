@@ -169,11 +169,21 @@ class LimitDocument(Closed):
     is_upper: bool
 
 
+class SignalsDocument(Closed):
+    """Which DC motor the parameters are of, and how the drive's own signals become that motor's."""
+
+    convention: Literal["dc", "dq"]
+    publish: Literal["phase", "line", "kt"] = Field(description="With `dq`: which equivalent R, L and K are in.")
+    pole_pairs: int
+    gear_ratio: float = Field(description="Turns of the motor for one of what the position is measured at.")
+
+
 class DriveDocument(DriveSummaryDocument):
     """One drive in full."""
 
     nominal: dict[str, float | None] = Field(description="Configured values, in the units of `units`.")
     units: dict[str, str]
+    signals: SignalsDocument
     limits: list[LimitDocument]
     counters: dict[str, int] = Field(description="Totals of driver and queue since the start.")
     history: HistoryInfoDocument

@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
     tuning = output.tuned(drive, driver.info, result, diagnosis)
     document = output.document(drive, limits, ask, result, diagnosis, tuning)
     if arguments.out is not None:
-        output.write(arguments.out, capture, document, result, tuning)
+        output.write(arguments.out, capture, document, tuning)
     if arguments.json:
         common.print_json(document)
     else:
@@ -133,19 +133,23 @@ def _is_unexplained(result: Commissioning) -> bool:
 
 
 def _diagnosed(capture: Capture, drive: DriveConfig, budget_s: float) -> Diagnosis | None:
+    from servo_daemon.commands.diagnose.progress import progress_told
     from servo_daemon.diagnosis.diagnose import DiagnoseOptions, diagnose
 
     try:
-        return diagnose([capture], (), DiagnoseOptions(drive.model, budget_s=budget_s))
+        with progress_told(as_json=False) as told:
+            return diagnose([capture], (), DiagnoseOptions(drive.model, budget_s=budget_s), told)
     except ServoDaemonError as error:
         common.note(f"no diagnosis: {error}")
         return None
 
 
 def _with_found(result: Commissioning, diagnosis: Diagnosis | None, accuracy: float) -> Commissioning:
-    """The values of the extended model, where a cause was found."""
+    """The values of the extended model, where a cause was found: with it all may be known."""
     from servo_daemon.commissioning import unknown_in
 
     if diagnosis is None or diagnosis.extended is None:
         return result
-    return replace(result, fit=diagnosis.extended, unknown=unknown_in(diagnosis.extended, accuracy))
+    unknown = unknown_in(diagnosis.extended, accuracy)
+    outcome = "known" if result.stop is None and not unknown else result.outcome
+    return replace(result, outcome=outcome, fit=diagnosis.extended, unknown=unknown)

@@ -20,11 +20,13 @@ from servo_daemon.diagnosis.verdict.result import Diagnosis
 from servo_daemon.errors import TuningError
 from servo_daemon.files import AtomicFile
 from servo_daemon.pipeline.controller import loop_facts
+from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.samples import Quality
 from servo_daemon.tuning.document import document as tuning_document
 from servo_daemon.tuning.report import Tuning, tune
 
-_FILES = ("capture.csv.gz", "commission.json", "commission.toml", "tuning.json", "controller.toml")
+_GAINS = ("tuning.json", "controller.toml")
+_FILES = ("capture.csv.gz", "commission.json", "commission.toml", *_GAINS)
 _INVALID = int(Quality.VOLTAGE_INVALID | Quality.CURRENT_INVALID | Quality.POSITION_INVALID)
 
 
@@ -84,21 +86,50 @@ def document(
         "parameters": {
             name: {"value": p.value, "std": p.std, "unit": p.unit, "status": p.status} for name, p in parameters.items()
         },
-        "diagnosis": None
-        if diagnosis is None
-        else {"verdict": diagnosis.verdict, "effects": [e.name for e in diagnosis.effects]},
+        "diagnosis": None if diagnosis is None else _diagnosis_row(diagnosis),
         "tuning": None if tuning is None else tuning_document(tuning),
     }
 
 
-def write(out: Path, capture: Capture, report: Mapping[str, Any], result: Commissioning, tuning: Tuning | None) -> None:
+def _diagnosis_row(d: Diagnosis) -> dict[str, Any]:
+    names = [e.name for e in d.effects]
+    return {
+        "verdict": d.verdict,
+        "effects": names,
+        "causes": {name: effects_by_name()[name].cause for name in names},
+        "equivalent": {e.name: list(e.equivalent) for e in d.effects},
+        "depends_on": list(dict.fromkeys(x.on for x in d.depends_on)),
+        "not_tried": [] if d.unfinished is None else list(d.unfinished.not_tried),
+    }
+
+
+def findings(report: Mapping[str, Any]) -> list[str]:
+    """What stopped the run, and what a diagnosis found, a line each."""
+    lines = [] if report["stop"] is None else [f"stopped: {report['stop']['text']}"]
+    if (d := report["diagnosis"]) is None:
+        return lines
+    for name in d["effects"]:
+        ties = "".join(f" (or {other})" for other in d["equivalent"][name])
+        lines.append(f"found: {name}{ties}: {d['causes'][name]}")
+    if d["verdict"] == "none":
+        lines.append("a diagnosis finds nothing that the model lacks")
+    elif not d["effects"]:
+        follows = f"; what is left follows {', '.join(d['depends_on'])}" if d["depends_on"] else ""
+        lines.append(f"a diagnosis names no cause{follows}")
+    if d["not_tried"]:
+        lines.append(f"its --budget was used up before {', '.join(d['not_tried'])} could be tried")
+    return lines
+
+
+def write(out: Path, capture: Capture, report: Mapping[str, Any], tuning: Tuning | None) -> None:
     """All files of `--out`."""
     folder = OutputFolder(out)
     write_capture(out / _FILES[0], capture.block(), metadata=capture.metadata)
     folder.write_json("commission.json", report)
-    if result.fit is not None:
-        with AtomicFile(out / "commission.toml") as file:
-            file.write(toml(report).encode())
+    with AtomicFile(out / "commission.toml") as file:
+        file.write(toml(report).encode())
+    for name in _GAINS:  # those of an earlier run are not this motor's
+        (out / name).unlink(missing_ok=True)
     if tuning is not None:
         tune_output.write(out, tuning, {"drive": report["drive"], "capture": _FILES[0], **tuning_document(tuning)})
 
@@ -110,7 +141,8 @@ def toml(report: Mapping[str, Any]) -> str:
     }
     limits = report["limits"]
     model = ", ".join(f'"{name}"' for name in report["model"])
-    lines = [f"# {report['outcome']} after {report['motion_s']:g} s of motion", f"model = [{model}]", "[drive.nominal]"]
+    told = [f"{report['outcome']} after {report['motion_s']:g} s of motion", *findings(report)]
+    lines = [*(f"# {line}" for line in told), f"model = [{model}]", "[drive.nominal]"]
     for name, p in known.items():
         std = "" if p["std"] is None else f"  # ± {p['std']:.2g} {p['unit']}"
         lines.append(f"{name} = {p['value']:.6g}{std}")
@@ -126,12 +158,8 @@ def toml(report: Mapping[str, Any]) -> str:
 
 def text(report: Mapping[str, Any], tuning: Tuning | None) -> str:
     """For a person."""
-    stop = report["stop"]
     lines = [f"drive {report['drive']}: {_OUTCOMES[report['outcome']]}, {report['motion_s']:.1f} s of motion"]
-    if stop is not None:
-        lines.append(f"stopped: {stop['text']}")
-    if (d := report["diagnosis"]) is not None:
-        lines.append(f"diagnosis: {', '.join(d['effects']) or d['verdict']}")
+    lines += findings(report)
     for name, p in report["parameters"].items():
         if p["value"] is not None and p["std"] is not None:
             lines.append(f"  {name} = {p['value']:.5g} ± {p['std']:.2g} {p['unit']}")

@@ -17,7 +17,6 @@ from servo_daemon.commands.fit.document import (
     null_row,
     parameter_row,
     score_row,
-    signals_row,
     validation_row,
 )
 from servo_daemon.commands.fit.inputs import Inputs
@@ -67,7 +66,7 @@ def diagnosis_document(d: Diagnosis, inputs: Inputs, evidence: Evidence) -> dict
         "drive": inputs.drive.name,
         "input": final.problem.plant.drive,
         "measured": [shown_column(c, linear=linear) for c in final.problem.channels],
-        "signals": signals_row(inputs.meaning),
+        "signals": inputs.meaning.document,
         "missing": _missing_rows(d, evidence, linear=linear),
         "differences": [_difference_row(s, linear=linear) for s in d.differences],
         "own_models": [_own_row(m, linear=linear) for m in d.own_models],

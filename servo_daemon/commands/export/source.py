@@ -20,7 +20,6 @@ from servo_daemon.signal_meaning import SignalMeaning
 
 #: Statuses of parameters that no number may be taken from.
 _UNUSABLE = {"invalid": "do not use: the estimate is invalid", "undetermined": "these data do not determine it"}
-_MEANING = ("convention", "publish", "pole_pairs", "gear_ratio")
 
 
 def from_document(path: Path, drive: DriveConfig | None) -> ExportedModel:
@@ -37,7 +36,10 @@ def from_document(path: Path, drive: DriveConfig | None) -> ExportedModel:
     except OSError as error:
         raise BadInputError(f"{path}: {error.strerror or error}") from None
     except (ValueError, RecursionError) as error:
-        raise BadInputError(f"{path}: no JSON document: {error}") from None
+        raise BadInputError(
+            f"{path}: no JSON document ({error}): name the fit.json of `fit --out`, the diagnosis.json of `diagnose`, "
+            "a daemon's address, or a configuration with --config"
+        ) from None
     if not isinstance(document, Mapping):
         raise BadInputError(f"{path}: neither a fit.json nor a diagnosis.json")
     found: Any
@@ -74,7 +76,9 @@ def from_daemon(url: str, name: str | None, drive: DriveConfig | None) -> Export
     source = f"{url}, drive {name}, {document['time'] or 'before the first sample'}"
     model = _checked(name, source, _input(rows), document["model"], rows, url, linear=False)
     rate = document.get("sample_rate_hz")
-    return replace(_with_drive(model, drive, None), sample_period_s=1.0 / rate if rate else None)
+    signals = daemon_http.document(url, f"/drives/{quote(name, safe='')}").get("signals")
+    meaning = _meaning(signals, url) if isinstance(signals, Mapping) else None
+    return replace(_with_drive(model, drive, meaning), sample_period_s=1.0 / rate if rate else None)
 
 
 def from_config(drive: DriveConfig, path: Path) -> ExportedModel:
@@ -148,7 +152,7 @@ def _value(name: str, row: Mapping[str, Any]) -> tuple[Value | None, str]:
 
 def _meaning(signals: Mapping[str, Any], place: str) -> SignalMeaning:
     try:
-        return SignalMeaning(**{key: signals[key] for key in _MEANING if key in signals})
+        return SignalMeaning(**{key: signals[key] for key in SignalMeaning().document if key in signals})
     except (BadInputError, TypeError) as error:
         raise BadInputError(f"{place}: signals: {error}") from None
 

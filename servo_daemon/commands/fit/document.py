@@ -36,7 +36,7 @@ def fit_document(
         "model": list(fit.problem.plant.effects),
         "input": fit.problem.plant.drive,
         "measured": [shown_column(c, linear=linear) for c in fit.problem.channels],
-        "signals": signals_row(meaning or SignalMeaning()),
+        "signals": (meaning or SignalMeaning()).document,
         "parameters": {name: parameter_row(p, linear=linear) for name, p in parameters.items()},
         "equivalents": equivalents_of(parameters, meaning or SignalMeaning()),
         "offsets": [{name: parameter_row(p, linear=linear) for name, p in o.items()} for o in fit.offsets],
@@ -53,11 +53,6 @@ def fit_document(
         "validation": [validation_row(v) for v in result.validation],
         "seconds": fit.seconds,
     }
-
-
-def signals_row(meaning: SignalMeaning) -> dict[str, Any]:
-    """How the drive's own signals became those of the motor that the parameters are of."""
-    return {key: getattr(meaning, key) for key in ("convention", "publish", "pole_pairs", "gear_ratio")}
 
 
 def parameter_row(p: FittedParameter, *, linear: bool) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.stats import norm
 
 from servo_daemon.fleet.prior import FEWEST, UNKNOWN, Pooled, pool
+from servo_daemon.fleet.types import Group, types_of
 from servo_daemon.plant.effects import parameter_table
 from servo_daemon.samples import F64
 
@@ -47,7 +48,8 @@ class Fleet:
         names: parameters that enough drives determine to be pooled.
         logarithmic: shape (p,): pooled as logarithms.
         own, own_cov: coordinates of each drive's own values and their covariances, shape (n, p) and (n, p, p).
-        pooled: None where there are too few drives.
+        types: numbers of the drives of each type, the largest first; none where they are of one.
+        pooled: None where there are too few drives, or several types: a mean between them is no motor.
         drifts: of each drive.
         causes: how many drives have each effect, of those diagnosed.
         failed: documents without a result.
@@ -58,6 +60,7 @@ class Fleet:
     logarithmic: tuple[bool, ...]
     own: F64
     own_cov: F64
+    types: tuple[Group, ...]
     pooled: Pooled | None
     drifts: tuple[tuple[Drift, ...], ...]
     causes: Mapping[str, int]
@@ -97,6 +100,7 @@ def effects_in(document: Document) -> tuple[str, ...]:
 
 def analyse(documents: Sequence[Document]) -> Fleet:
     """Pool what is determined, find what drifts and what is common."""
+    documents = _without_repeated(documents)
     good = tuple(d for d in documents if "error" not in d)
     names = _pooled_names(good)
     logs = tuple(parameter_table()[n].transform == "log" for n in names)
@@ -104,17 +108,32 @@ def analyse(documents: Sequence[Document]) -> Fleet:
     own = np.array([y for y, _ in coordinates]).reshape(len(good), len(names))
     cov = np.array([S for _, S in coordinates]).reshape(len(good), len(names), len(names))
     own = _filled(own, cov)
+    types = types_of(own, cov, logs)
     return Fleet(
         good,
         names,
         logs,
         own,
         cov,
-        pool(own, cov) if names else None,
+        types,
+        pool(own, cov) if names and not types else None,
         _drifts(good),
         Counter(e for d in good for e in effects_in(d)),
         tuple(d for d in documents if "error" in d),
     )
+
+
+def _without_repeated(documents: Sequence[Document]) -> list[Document]:
+    """With an error for each drive whose captures are all those of another one: counted twice it would make the fleet
+    surer than it is."""
+    first: dict[tuple[str, ...], str] = {}
+    out: list[Document] = []
+    for d in documents:
+        digests = tuple(sorted(d.get("digests", ())))
+        same = first.setdefault(digests, d["drive"]) if digests else d["drive"]
+        told = {key: d[key] for key in ("drive", "captures", "seconds")}
+        out.append(d if same == d["drive"] else {**told, "error": f"the same capture as that of {same}: left out"})
+    return out
 
 
 def _known(row: Mapping[str, Any]) -> bool:

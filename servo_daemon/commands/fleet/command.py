@@ -67,6 +67,8 @@ def run(arguments: argparse.Namespace) -> int:
     document = fleet_document(fleet, asked)
     _write(arguments, fleet, document)
     if arguments.what == "train":
+        if fleet.types:
+            raise BadInputError(f"these captures are of {len(fleet.types)} types of motor: train on those of one")
         document["model"] = _train(arguments)
     if arguments.json:
         common.print_json(document)

@@ -9,7 +9,15 @@ from typing import Any
 import numpy as np
 
 from servo_daemon.commands.fleet.analysis import Fleet
-from servo_daemon.commands.fleet.report import drift_text, drifting, stranger_text, strangers
+from servo_daemon.commands.fleet.report import (
+    counted_drives,
+    drift_text,
+    drifting,
+    repeated,
+    stranger_text,
+    strangers,
+    type_text,
+)
 from servo_daemon.commands.fleet.tables import prior_rows
 
 SCHEMA = 1
@@ -26,6 +34,11 @@ def fleet_document(fleet: Fleet, asked: str) -> dict[str, Any]:
         "asked": asked,
         "drives": len(fleet.documents),
         "failed": [{"drive": d["drive"], "error": d["error"]} for d in fleet.failed],
+        "types": [
+            {"text": type_text(fleet, group.tolist()), "drives": [fleet.documents[k]["drive"] for k in group]}
+            for group in fleet.types
+        ],
+        "repeated": repeated(fleet),
         "common": [asdict(row) for row in prior_rows(fleet)],
         "causes": dict(sorted(fleet.causes.items(), key=lambda c: -c[1])) if fleet.diagnosed else None,
         "strangers": [
@@ -47,17 +60,23 @@ def fleet_document(fleet: Fleet, asked: str) -> dict[str, Any]:
 
 def print_fleet(document: Mapping[str, Any]) -> None:
     """On stdout."""
-    print(f"{document['drives']} drives, {len(document['failed'])} without a result")
+    print(f"{counted_drives(document['drives'])}, {len(document['failed'])} without a result")
     for row in document["common"]:
         spread = f"{row['spread']:.1%}" if row["logarithmic"] else f"{row['spread']:.3g} {row['unit']}"
         print(f"  {row['parameter']:4s} {row['value']:.5g} {row['unit']}, drives differ by {spread} (1 σ)")
-    if not document["common"]:
+    for row in document["types"]:
+        print(f"  a type of its own: {row['text']}")
+    if document["types"]:
+        print("  a mean between types is no motor: run fleet on the captures of each")
+    elif not document["common"]:
         print("  too few drives with values to tell what they have in common")
     for name, n in (document["causes"] or {}).items():
         print(f"  {name} in {n} of {document['drives']} drives")
     for title in ("strangers", "drifting"):
         for row in document[title]:
             print(f"  {'not like the others' if title == 'strangers' else 'drifts'}: {row['text']}")
+    for text in document["repeated"]:
+        print(f"  left out: {text}")
     for row in document["failed"]:
         print(f"  no result: {row['drive']}: {row['error']}")
     if "model" in document:

@@ -24,7 +24,7 @@ def fleet_report(fleet: Fleet, provenance: Provenance) -> Report:
     sections = [Section("Result", (_verdict(fleet), *_summary(fleet)))]
     if fleet.pooled is not None:
         sections.append(Section("Distributions", tuple(_distribution(fleet, j) for j in range(len(fleet.names)))))
-    return Report("Fleet", f"{len(fleet.documents)} drives", tuple(sections), provenance)
+    return Report("Fleet", counted_drives(len(fleet.documents)), tuple(sections), provenance)
 
 
 def _verdict(fleet: Fleet) -> Verdict:
@@ -37,11 +37,19 @@ def _verdict(fleet: Fleet) -> Verdict:
         )
         if line
     )
+    many = counted_drives(len(fleet.documents))
     if not fleet.documents:
         return Verdict("bad", "No drive gave a result", lines)
+    if fleet.types:
+        more = "a mean between them is no motor: run fleet on the captures of each type"
+        return Verdict("warn", f"{many} of {len(fleet.types)} types", (more, *lines))
     if fleet.pooled is None:
-        return Verdict("warn", f"{len(fleet.documents)} drives: too few to tell what they have in common", lines)
-    return Verdict("warn" if lines else "good", f"{len(fleet.documents)} drives of one type", lines)
+        return Verdict("warn", f"{many}: too few to tell what they have in common", lines)
+    return Verdict("warn" if lines else "good", f"{many} of one type", lines)
+
+
+def counted_drives(n: int) -> str:
+    return "1 drive" if n == 1 else f"{n} drives"
 
 
 def _counted(n: int, one: str, many: str) -> str:
@@ -100,15 +108,35 @@ def _summary(fleet: Fleet) -> list[Block]:
         headings = tuple(Column(name, text=True) for name in ("effect", "cause", "drives"))
         blocks.append(Table("Effects that were named", headings, share))
     lists: list[tuple[str, list[str]]] = [
+        ("Types", type_texts(fleet)),
         ("Not like the others", [stranger_text(fleet, k) for k in strangers(fleet)]),
         ("What drifts", [drift_text(fleet, k, d) for k, d in drifting(fleet)]),
         ("No result", [f"{d['drive']}: {d['error']}" for d in fleet.failed]),
+        ("Left out", repeated(fleet)),
     ]
     for title, lines in lists:
         if lines:
             more = [f"and {len(lines) - _MOST_LINES} more"] if len(lines) > _MOST_LINES else []
             blocks += [Text(title), Items(tuple(lines[:_MOST_LINES] + more))]
     return blocks
+
+
+def type_texts(fleet: Fleet) -> list[str]:
+    """'8 drives: R 0.52 Ω, K 0.3 N·m/A; axis1, axis2, …' of each type; none where there is one."""
+    return [type_text(fleet, group.tolist()) for group in fleet.types]
+
+
+def type_text(fleet: Fleet, group: list[int]) -> str:
+    medians = np.median(fleet.own[group], axis=0)
+    back = [float(np.exp(m)) if log else float(m) for m, log in zip(medians, fleet.logarithmic, strict=True)]
+    units = [parameter_table()[name].unit for name in fleet.names]
+    values = ", ".join(f"{n} {v:.3g} {u}" for n, v, u in zip(fleet.names, back, units, strict=True))
+    return f"{len(group)} drives: {values}; {_named([fleet.documents[k]['drive'] for k in group])}"
+
+
+def repeated(fleet: Fleet) -> list[str]:
+    """Captures that are others of the same drive once more."""
+    return [f"{c}: the same as another capture of {d['drive']}" for d in fleet.documents for c in d.get("repeated", ())]
 
 
 def ranked_causes(fleet: Fleet) -> list[str]:
@@ -119,8 +147,12 @@ def ranked_causes(fleet: Fleet) -> list[str]:
 def drives_with(fleet: Fleet, effect: str) -> str:
     """'2 of 6: axis1, axis4'."""
     names = [d["drive"] for k, d in enumerate(fleet.documents) if effect in fleet.effects_of(k)]
+    return f"{len(names)} of {len(fleet.documents)}: {_named(names)}"
+
+
+def _named(names: list[str]) -> str:
     more = [f"and {len(names) - _MOST_NAMES} more"] if len(names) > _MOST_NAMES else []
-    return f"{len(names)} of {len(fleet.documents)}: {', '.join(names[:_MOST_NAMES] + more)}"
+    return ", ".join(names[:_MOST_NAMES] + more)
 
 
 def _each(fleet: Fleet) -> list[Block]:

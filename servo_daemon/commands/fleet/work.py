@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import hashlib
 import io
 import tempfile
 import time
@@ -38,7 +39,10 @@ def _told(unit: Unit, work: Any) -> dict[str, Any]:
     began, document = time.perf_counter(), {}
     try:
         with _local(unit.captures) as paths, contextlib.redirect_stderr(io.StringIO()):
-            document = work(paths)
+            different = _different(paths)
+            document = work(list(different.values())) | {"digests": list(different)}
+            if repeated := [c for c, p in zip(unit.captures, paths, strict=True) if p not in different.values()]:
+                document["repeated"] = repeated
     except ServoDaemonError as error:
         document = {"error": str(error)}
     return {"drive": unit.name, "captures": list(unit.captures), "seconds": time.perf_counter() - began, **document}
@@ -61,6 +65,22 @@ def _local(captures: Sequence[str]) -> Iterator[list[Path]]:
                 raise BadInputError(f"{url}: cannot be read: {error}") from error
             paths.append(path)
         yield paths
+
+
+def _different(paths: Sequence[Path]) -> dict[str, Path]:
+    """By its content the first of each: a capture that is there twice would be believed twice.
+
+    Raises:
+        BadInputError: one cannot be read.
+    """
+    out: dict[str, Path] = {}
+    for path in paths:
+        try:
+            with path.open("rb") as file:
+                out.setdefault(hashlib.file_digest(file, "sha256").hexdigest(), path)
+        except OSError as error:
+            raise BadInputError(f"{path}: {error.strerror or error}") from error
+    return out
 
 
 def _fitted(paths: Sequence[Path], flags: Sequence[str]) -> dict[str, Any]:

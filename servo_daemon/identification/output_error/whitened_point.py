@@ -7,7 +7,7 @@ import numpy as np
 from servo_daemon.identification.output_error.noise.whitening import channel_weights, tangents, whiten
 from servo_daemon.identification.output_error.problem.linearisation import Linearisation
 from servo_daemon.identification.output_error.problem.problem import Problem
-from servo_daemon.identification.output_error.solver.solver import Point
+from servo_daemon.identification.output_error.solver.solver import Point, mean_squares
 from servo_daemon.samples import F64
 
 
@@ -49,7 +49,7 @@ def whiten_point(problem: Problem, point: Point, log_variance: F64) -> tuple[Poi
     linear = Linearisation(tuple(residuals), tuple(jacobians), True)
     value = _value(problem, point, sse, logs)
     whitened = Point(point.unknowns, linear, ones, sse, np.ones(len(problem.channels)), value)
-    return whitened, np.sqrt(squares / problem.counts)
+    return whitened, np.sqrt(mean_squares(problem, squares))
 
 
 def _value(problem: Problem, point: Point, sse: F64, logs: float) -> float:

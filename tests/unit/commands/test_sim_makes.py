@@ -12,6 +12,7 @@ import pytest
 from drivers.registry import make_driver
 from servo_daemon.commands import sim_drive, sim_makes
 from servo_daemon.errors import BadInputError
+from servo_daemon.sim_drive.source import Reversed
 from tests.drivers.conformance import read_until
 
 ON_CAN = {"interface": "slcan", "bitrate": 1_000_000}
@@ -55,3 +56,13 @@ def test_its_driver_reads_it(make: str, tmp_path: Path) -> None:
 def test_effects_are_for_the_brushed_ones(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match="--effect"):
         sim_makes.serve(_arguments("--moteus", str(tmp_path / "x"), "--effect", "coulomb_friction"), threading.Event())
+
+
+def test_a_sensor_may_be_the_wrong_way_round(tmp_path: Path) -> None:
+    drives = [sim_makes.brushed_motor(_arguments("--serial", "x")) for _ in range(2)]
+    right, turned = drives[0].next_block(500), Reversed(drives[1], "position_rad").next_block(500)
+    assert right.position_rad is not None and turned.position_rad is not None
+    assert right.position_rad.any() and (turned.position_rad == -right.position_rad).all()
+    assert (turned.current_A == right.current_A).all()
+    with pytest.raises(BadInputError, match="--reversed is for"):
+        sim_drive.run(_arguments("--moteus", str(tmp_path / "x"), "--reversed", "encoder"))

@@ -85,9 +85,8 @@ def test_the_text_and_measured_captures(tmp_path: Path, monkeypatch: pytest.Monk
         (("--motors", "0"), "--motors must be at least 1"),
         (("--learner", "magic"), "none of grnn"),
         (("--window", "1"), "2 to 10 s"),
-        pytest.param(
-            ("--motors", "25", "--dask", "tcp://127.0.0.1:1"), "no scheduler answers there", marks=pytest.mark.slow
-        ),
+        pytest.param(("--dask", "tcp://127.0.0.1:1"), "no scheduler answers there", marks=pytest.mark.slow),
+        pytest.param(("--dask", "nonsense"), "(tcp://host:8786): missing port", marks=pytest.mark.slow),
         (("--measured", "/nowhere.csv"), "/nowhere.csv"),
     ],
 )

@@ -39,7 +39,7 @@ FAULTY = (
     (2, {"no_motion"}),
     (5, {"hard_stop", "motion_ended"}),
     (7, {"encoder_lost"}),
-    (14, {"data_missing"}),
+    (30, {"data_missing"}),
 )
 
 
@@ -51,6 +51,21 @@ def test_a_faulty_set_up_is_stopped_within_its_limits(seed: int, names: set[str]
     assert result.stop is not None and result.stop.reason in names
     assert motor.share_of(limits) <= 1.01
     assert abs(motor.state[1]) < 0.2 * limits.speed_rad_s  # it runs down: nothing drives it any more
+
+
+@pytest.mark.slow
+def test_a_shaft_that_sticks_most_of_the_time_is_known_well_enough_for_a_round() -> None:
+    """Of 4 s of a first look it moves in the last."""
+    setup, limits, fault = drawn(43)
+    steps: list[str] = []
+    result = commission(
+        CommandedMotor(setup),
+        limits,
+        interrupted=lambda: any(step.startswith("round") for step in steps),
+        progress=lambda _seconds, step: steps.append(step),
+    )
+    assert fault == "friction"
+    assert result.stop is not None and result.stop.reason == "interrupted"
 
 
 @pytest.mark.parametrize(

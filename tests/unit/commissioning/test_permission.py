@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,13 @@ import pytest
 from drivers.commanding import COMMANDING, LONGEST_COMMAND_S, make_commanding
 from drivers.registry import BUILT_IN, driver_class
 from servo_daemon.cli import main
+from servo_daemon.commands.commission import command
 from servo_daemon.commands.commission.command import parse_accuracy
 from servo_daemon.config import parse_config
 from servo_daemon.errors import BadInputError, ConfigError, DriverConfigError, DriverError
 from servo_daemon.simulate.driver import SimulatedDriver
+from tests.commanded_motor import HEALTHY, CommandedMotor
+from tests.commissioning_rig import write_config
 
 ALLOWED = """
 [[drive]]
@@ -89,16 +93,33 @@ def test_accuracy_is_a_share() -> None:
             parse_accuracy(text)
 
 
+class Plugged(CommandedMotor):
+    """A motor that the command opens."""
+
+    def __enter__(self) -> Plugged:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """It stays."""
+
+
 @pytest.mark.slow
-def test_the_command_writes_what_it_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path, out = tmp_path / "servo.toml", tmp_path / "out"
-    path.write_text(ALLOWED)
-    code = main(["commission", "--config", str(path), "--accuracy", "5%", "--budget", "0", "--out", str(out), "--json"])
-    document = json.loads(capsys.readouterr().out)
-    assert code == 0 and document["outcome"] == "known"
-    assert document["parameters"]["R"]["value"] == pytest.approx(0.5, rel=0.02)
-    assert document["tuning"] is not None
+def test_the_command_names_hidden_friction_and_writes_what_it_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    setup, limits = HEALTHY["small"]
+    motor = Plugged(replace(setup, Tc=0.01))
+    monkeypatch.setattr(command, "commanding_driver", lambda _drive: (motor, motor))
+    config, out = write_config(tmp_path / "c.toml", tmp_path / "x", (12.0, 6.0, 150.0, 30.0, 60.0)), tmp_path / "out"
+    assert main(["commission", "--config", str(config), "--out", str(out), "--budget", "8"]) == 0
+    document = json.loads((out / "commission.json").read_text())
+    assert (document["outcome"], document["model"]) == ("known", ["coulomb_friction"])
+    assert document["parameters"]["Tc"]["value"] == pytest.approx(0.01, rel=0.02)
+    for told in (capsys.readouterr().out, (out / "commission.toml").read_text()):
+        assert "found: coulomb_friction: Dry friction" in told
+    assert motor.share_of(limits) <= 1.01
     names = {p.name for p in out.iterdir()}
+    assert document["tuning"] is not None
     assert {"capture.csv.gz", "commission.json", "commission.toml", "tuning.json", "controller.toml"} <= names
     # The lines are configuration.
     written = tmp_path / "next.toml"

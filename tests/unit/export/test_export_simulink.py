@@ -38,7 +38,9 @@ def test_octave_computes_the_plants_rates(tmp_path: Path, program: Callable[...,
         values = {n: v.value for n, v in simulink.rigid(model).values.items()}
         at = {"t": 0.3, "u": 2.0} | {n: float(rng.uniform(-2.0, 2.0)) for n in ("i", "omega", "theta", *shown.states)}
         rates = ca.vertcat(shown.current_rate, shown.speed_rate, at["omega"], *shown.states.values())
-        f = ca.Function("f", [ca.vertcat(*shown.symbols)], [ca.vertcat(rates, shown.forward, shown.backward)])
+        f = ca.Function(
+            "f", [ca.vertcat(*shown.symbols)], [ca.vertcat(rates, shown.forward, shown.backward, shown.dry_drop)]
+        )
         told = f([{**values, **at}[str(s.name())] for s in shown.symbols])
         expected.append([*np.asarray(told).ravel(), values["R"]])
         (tmp_path / f"{model.name}.m").write_bytes(simulink.write(model).content)
@@ -47,7 +49,8 @@ def test_octave_computes_the_plants_rates(tmp_path: Path, program: Callable[...,
         arguments = ", ".join(map(repr, (0.3, 2.0, *states)))
         lines += [
             f'source("{tmp_path / model.name}.m");',
-            f"y = [{model.name}.rates(0.3, [{column}], 2.0); {model.name}.dry_friction({arguments})'; {model.name}.R];",
+            f"y = [{model.name}.rates(0.3, [{column}], 2.0); {model.name}.dry_friction({arguments})'; "
+            f"{model.name}.dry_drop({arguments}); {model.name}.R];",
             'printf("%.12g ", y); printf("\\n");',
         ]
     script = tmp_path / "all.m"

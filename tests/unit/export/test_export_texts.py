@@ -22,6 +22,7 @@ from servo_daemon.export.model import ExportedModel, Value
 from servo_daemon.export.targets import NAMES, target
 from servo_daemon.export.words import identifier
 from servo_daemon.plant.effects import dry_frictions, effects_by_name
+from servo_daemon.signal_meaning import SignalMeaning
 from tests.unit.export.motor import Exporting, document
 
 COGGED = {"names": ("Tc", "Tcog", "n_cog", "phi_cog")}
@@ -47,7 +48,7 @@ def test_every_effects_terms_read_the_same_in_python() -> None:
 
 def test_the_python_twin_runs_its_self_test_and_fails_it_with_another_motor(tmp_path: Path, export: Exporting) -> None:
     out = tmp_path / "twin.py"
-    content = document("coulomb_friction", "cogging_torque", **COGGED)
+    content = document("coulomb_friction", "cogging_torque", "freewheel_drive", **COGGED)
     assert export(content, "--to", "python", "--out", str(out))[0] == 0
     text = out.read_text()
     good = subprocess.run([sys.executable, out], capture_output=True, text=True, check=False)
@@ -147,6 +148,7 @@ def test_a_daemons_estimates(monkeypatch: pytest.MonkeyPatch) -> None:
     rows["B"] |= {"status": "invalid"}
     answers = {
         "/drives": {"drives": [{"name": "axis1"}]},
+        "/drives/axis1": {"signals": {"convention": "dq", "publish": "line", "pole_pairs": 7, "gear_ratio": 3.0}},
         "/drives/axis1/estimates": {"time": "2026-11-21T12:45:21.103Z", "model": [], "parameters": rows},
     }
     monkeypatch.setattr(daemon_http, "document", lambda url, path: answers[path])
@@ -154,6 +156,7 @@ def test_a_daemons_estimates(monkeypatch: pytest.MonkeyPatch) -> None:
     assert model.values["R"] == Value(1.1, 0.01, "Ω", "tracking")
     assert model.values["L"] == Value(2e-3, None, "H", "nominal, not estimated")
     assert "B" in model.missing
-    assert not model.gear_known
+    assert model.gear_known
+    assert model.meaning == SignalMeaning(convention="dq", publish="line", pole_pairs=7, gear_ratio=3.0)
     with pytest.raises(BadInputError, match="needs B"):
         target("mujoco").write(model)

@@ -41,6 +41,15 @@ def test_drives_that_are_well_known_keep_their_values() -> None:
     assert np.max(np.abs(pooled.mean - own)) < 1e-4
 
 
+def test_no_variance_is_wrong_where_drives_differ_by_far_more_than_they_are_known_to() -> None:
+    """And all parameters differ together."""
+    rng = np.random.default_rng(9)
+    own = np.outer(rng.normal(size=13), [0.7, 0.06, 0.6, 2.0, 3.0]) + 1e-4 * rng.normal(size=(13, 5))
+    pooled = pool(own, np.broadcast_to(1e-10 * np.eye(5), (13, 5, 5)))
+    assert pooled is not None
+    assert np.einsum("ikk->ik", pooled.cov) == pytest.approx(1e-10, rel=0.2)
+
+
 def test_a_parameter_that_a_drive_does_not_determine_is_taken_from_the_others() -> None:
     truth, own, S = fleet(60, 3, noise=0.02)
     own[0, 2], S[0, 2, 2] = 40.0, UNKNOWN

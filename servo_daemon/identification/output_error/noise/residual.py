@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.problem.rollout import INPUT
-from servo_daemon.identification.output_error.solver.solver import Point
+from servo_daemon.identification.output_error.solver.solver import Point, mean_squares
 from servo_daemon.samples import F64
 
 #: Lags that are looked at, samples.
@@ -49,16 +49,15 @@ def white_below(n: int) -> float:
 
 def residual_tests(problem: Problem, point: Point) -> dict[str, ResidualTest]:
     """One test for each channel."""
-    out = {}
+    out, rms = {}, np.sqrt(mean_squares(problem, point.sse))
     for c, name in enumerate(problem.channels):
         parts = [r[:, c] * np.sqrt(w[:, c]) for r, w in zip(point.linearisation.residuals, point.weights, strict=True)]
         inputs = [s.rows[:, INPUT] for s in problem.segments]
         there = [s.valid[:, c] for s in problem.segments]
         auto, cross, n = _autocorrelation(parts), _input_correlation(parts, inputs, there), sum(map(len, parts))
         limit = white_below(n)
-        rmse = float(np.sqrt(point.sse[c] / problem.counts[c]))
         outliers = int(sum((w[:, c] < 1.0).sum() for w in point.weights))
-        out[name] = ResidualTest(rmse, auto, cross, max(abs(auto), abs(cross)) < limit, outliers)
+        out[name] = ResidualTest(float(rms[c]), auto, cross, max(abs(auto), abs(cross)) < limit, outliers)
     return out
 
 

@@ -268,9 +268,11 @@ class Problem:
 
     @cached_property
     def spread(self) -> F64:
-        """RMS of each measured channel about its mean, shape (c,): what a model that explains nothing leaves."""
+        """RMS of each measured channel about its mean, shape (c,): what a model that explains nothing leaves; 1 where
+        there is no sample."""
         out = []
         for k in range(len(self.channels)):
             values = np.concatenate([s.measured[s.valid[:, k], k] for s in self.segments])
-            out.append(max(float(np.std(values)), 1e-12 * float(np.max(np.abs(values), initial=0.0)), 1e-9))
+            least = 1e-12 * float(np.max(np.abs(values), initial=0.0))
+            out.append(max(float(np.std(values)), least, 1e-9) if len(values) else 1.0)
         return np.array(out)

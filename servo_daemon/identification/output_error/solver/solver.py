@@ -200,10 +200,16 @@ def _reweigh(problem: Problem, point: Point) -> Point:
     return point_of(problem, point.unknowns, point.linearisation, sample_weights(point.linearisation.residuals))
 
 
+def mean_squares(problem: Problem, sums: F64) -> F64:
+    """Sums of squares over each channel's samples, shape (c,); a channel without any is left as it is: in the beginning
+    of a run all samples may be held out."""
+    return sums / np.maximum(problem.counts, 1.0)
+
+
 def point_of(problem: Problem, unknowns: F64, linearisation: Linearised, weights: tuple[F64, ...]) -> Point:
     sse = np.sum([(w * r * r).sum(axis=0) for w, r in zip(weights, linearisation.residuals, strict=True)], axis=0)
     floor = (_FINEST * problem.spread) ** 2
-    variance = sse / problem.counts + floor
+    variance = mean_squares(problem, sse) + floor
     mean, prior = problem.state_prior
     value = float(problem.counts @ np.log(variance) + prior @ (unknowns - mean) ** 2)
     return Point(unknowns, linearisation, weights, sse, np.sqrt(variance), value)

@@ -71,6 +71,25 @@ def test_few_drives_have_their_own_values_only() -> None:
     assert fleet_document(analyse([]), "fit")["drives"] == 0
 
 
+def test_two_types_are_told_and_not_pooled() -> None:
+    others = [drive(k, 0.9 + 0.01 * k, K=0.1) for k in range(20, 26)]
+    fleet = analyse([*make_fleet(), *others])
+    told = fleet_document(fleet, "fit")
+    assert fleet.pooled is None and told["common"] == []
+    assert [len(row["drives"]) for row in told["types"]] == [20, 6]
+    assert told["types"][1]["text"].startswith("6 drives: R 1.12 Ω, K 0.1 N·m/A; axis20, axis21")
+    assert "2 types" in fleet_report(fleet, make_provenance([])).sections[0].blocks[0].headline
+    assert not analyse([*make_fleet(), *others[:2]]).types  # strangers
+
+
+def test_a_capture_that_is_there_twice_counts_once() -> None:
+    documents = [row | {"digests": [row["drive"]]} for row in make_fleet(9)]
+    again = drive(9, 2.0) | {"digests": ["axis3"]}
+    fleet = analyse([*documents, again])
+    assert len(fleet.documents) == 9
+    assert [d["error"] for d in fleet.failed] == ["the same capture as that of axis3: left out"]
+
+
 def test_an_effect_of_few_drives_is_told_beside_a_stranger() -> None:
     documents = make_fleet()
     for document in documents:
