@@ -43,10 +43,8 @@ def channel(block: SampleBlock, name: str) -> tuple[F64, NDArray[np.bool_] | Non
     """Values (0 where they are no measurement) and validity of a channel; None where all are valid."""
     values: F64 = getattr(block, name)
     limit = _IMPOSSIBLE[name]
-    # The usual cases; a NaN compares to nothing. The sum of squares is told sooner, and no square is larger.
-    if block.all_good and (
-        values @ values < 0.5 * limit**2 or (np.maximum.reduce(values) <= limit and np.minimum.reduce(values) >= -limit)
-    ):
+    # The usual case; a NaN compares to nothing.
+    if block.all_good and np.maximum.reduce(values) <= limit and np.minimum.reduce(values) >= -limit:
         return values, None
     valid = np.abs(values) <= limit
     valid &= (block.quality & INVALID_BIT[name]) == 0

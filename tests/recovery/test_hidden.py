@@ -64,14 +64,6 @@ def test_what_noise_hides_from_free_runs_is_seen_by_predictions(
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_what_predictions_show_and_do_not_know_has_no_name() -> None:
-    """A sensor's gain is in R, L, J and B. Nine per cent of the little that predictions err were a load-dependent
-    friction of 0.20 ± 0.11."""
-    assert judge(Case("current_sensor_gain", "clear", "paper", "steps", 1744265222256)).found == ()
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(900)
 def test_a_brake_by_eddy_currents_is_no_stribeck_friction() -> None:
     """Its torque rises and falls with speed: the same three values fit it, with less friction at rest than at speed."""
     judgement = judge(Case("eddy_brake", "clear", "paper", "multisine", 7), seconds=15.0)

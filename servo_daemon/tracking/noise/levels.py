@@ -106,13 +106,18 @@ class ProcessNoise:
 
     factor: float = 1.0
 
-    def after(self, correlation: float, nis: float, follow: float | None = None) -> ProcessNoise:
+    def after(
+        self, correlation: float, nis: float, follow: float | None = None, too_much: bool = False
+    ) -> ProcessNoise:
         """The level after a tick with this lag-1 correlation and normalised innovation squared.
 
         Args:
             follow: a correlation to be steered to zero at any size of the innovations. The channel's own noise is
                 adapted beside it, so a wrong share between the two shows in correlations only.
+            too_much: innovations of another channel that this noise moves are smaller than they should be.
         """
+        if too_much:
+            return ProcessNoise(max(self.factor * math.exp(-_RECEDE), 1.0))
         if nis > _NIS_HIGH and correlation > _CORRELATED:
             return self.risen(correlation, nis)
         if follow is not None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from servo_daemon.conditioning.layout import Layout
+from servo_daemon.conditioning.layout import Layout, channel
 from servo_daemon.kalman.layout import SPIKE
 from servo_daemon.samples import Quality, make_block
 
@@ -28,6 +28,16 @@ def rows_of(counts: Sequence[int] | np.ndarray, cuts: tuple[int, ...] = ()) -> n
 def doubts(counts: list[int], cuts: tuple[int, ...] = ()) -> np.ndarray:
     """Factors on the encoder's variance."""
     return np.asarray(rows_of(counts, cuts)[:, 9])
+
+
+def test_what_no_drive_measures_is_no_measurement() -> None:
+    """Squares of it overflow: that is no warning either."""
+    voltage = np.array([1.0, 1e300, -1e300, np.nan, -2.0])
+    values, valid = channel(make_block(np.arange(5) * 1e-3, voltage_V=voltage), "voltage_V")
+    np.testing.assert_array_equal(values, [1.0, 0.0, 0.0, 0.0, -2.0])
+    assert valid is not None
+    np.testing.assert_array_equal(valid, [True, False, False, False, True])
+    assert channel(make_block(np.arange(2) * 1e-3, voltage_V=voltage[:1].repeat(2)), "voltage_V")[1] is None
 
 
 def test_a_moving_encoder_is_believed() -> None:

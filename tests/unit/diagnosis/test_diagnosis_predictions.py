@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 
 from servo_daemon.diagnosis.search.fitting import Candidate
+from servo_daemon.diagnosis.search.select import Selection
 from servo_daemon.diagnosis.trial.data import Data
+from servo_daemon.diagnosis.trial.full_data_fit import FullDataFits
 from servo_daemon.diagnosis.trial.split import HELD_OUT
+from servo_daemon.diagnosis.verdict import predictions
 from servo_daemon.diagnosis.verdict.predicted import times_of
 from servo_daemon.diagnosis.verdict.predictions import _MOST_SAMPLES, _begun, _simplest
 from servo_daemon.identification.output_error import OutputErrorFit, Recording
@@ -73,3 +76,31 @@ def test_of_two_that_contain_each_other_the_simpler_one(richer_by: float, taken:
         (cast(Candidate, SimpleNamespace(name=name)), cast(OutputErrorFit, cast(object, fit))) for name, fit in pairs
     ]
     assert _simplest(likely)[0].name == taken
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_what_is_far_likelier_and_not_known_has_no_name(monkeypatch: pytest.MonkeyPatch, known: bool) -> None:
+    """A sensor's gain of 1.2 made 0.20 ± 0.11 of a load-dependent friction likelier by 198."""
+    fit = SimpleNamespace(white=True, deviance=-1000.0, deviance_at_best=0.0, problem=SimpleNamespace(channels=()))
+    best = SimpleNamespace(name="load_dependent_friction", trial=None, start={})
+    errors = SimpleNamespace(errors=None, expected=SimpleNamespace(nrmse=0.0))
+    replaced = {
+        "_begun": lambda data, _effects: data,
+        "FullDataFits": lambda _data: SimpleNamespace(of=lambda _trial: fit),
+        "_likely": lambda *_: [(best, fit)],
+        "_fitted": lambda *_: fit,
+        "predictions_of_both": lambda *_: (errors, errors),
+        "error_removed": lambda *_: (0.09, (0.07, 0.12)),
+        "_score": lambda *_: None,
+        "_marked": lambda *_: (),
+        "longest_missing": lambda *_: None,
+        "is_determined": lambda _name, _fit: known,
+    }
+    for name, value in replaced.items():
+        monkeypatch.setattr(predictions, name, value)
+    base = SimpleNamespace(effects=(), problem=SimpleNamespace(plant=SimpleNamespace(drive="voltage")))
+    data, fits = SimpleNamespace(full=None), SimpleNamespace(of=lambda _trial: fit)
+    finding = predictions.found_by_predictions(
+        cast(Data, data), cast(Selection, SimpleNamespace(base=base)), (), cast(FullDataFits, fits)
+    )
+    assert (finding is not None) == known

@@ -14,6 +14,7 @@ from servo_daemon.regression.plausible import Plausible
 from servo_daemon.regression.residual_analysis import Residuals, mean_error, structure, unexplained_var
 from servo_daemon.regression.rls_fit import SYSTEMATIC
 from servo_daemon.samples import F64
+from servo_daemon.tracking.noise.levels import ProcessNoise
 from servo_daemon.tracking.noise.quantised_input import QuantisedInput, along
 
 N = 2000
@@ -162,7 +163,7 @@ def test_what_goes_with_L_is_off_with_it() -> None:
     np.testing.assert_allclose(along(covariance, 0, 0.2), [0.2, 0.05, 0.0])
 
 
-# -- spoilt rows -----------------------------------------------------------------------------------------------------
+# -- spoilt rows, too much noise --------------------------------------------------------------------------------------
 
 
 def test_a_few_rows_far_off_are_left_out_and_many_are_not() -> None:
@@ -175,3 +176,10 @@ def test_a_few_rows_far_off_are_left_out_and_many_are_not() -> None:
     for _ in range(4):  # now it is the model
         kept = plausible.rows(np.where(np.arange(50) % 4 == 0, 5.0, residual), y)
     assert kept.all()
+
+
+def test_noise_that_makes_another_channel_too_quiet_recedes() -> None:
+    large = ProcessNoise(1e4)
+    assert large.after(0.5, 2.0).factor > 1e4
+    assert large.after(0.5, 2.0, too_much=True).factor < 1e4
+    assert ProcessNoise(1.0).after(0.5, 2.0, too_much=True).factor == 1.0
