@@ -71,8 +71,7 @@ def found_by_predictions(
     if full is None or not full.white:
         return None
     both = predictions_of_both(few, (base, whole), (best.trial, extended))
-    published = _fitted(FullDataFits(data.full), best) or full
-    if both is None or not is_determined(best.name, published):
+    if both is None or not is_determined(best.name, published := _fitted(FullDataFits(data.full), best) or full):
         return None
     before, after = both
     removed, ci95 = error_removed(before.errors, after.errors, after.expected)
