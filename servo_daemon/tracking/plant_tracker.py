@@ -239,7 +239,7 @@ class PlantTracker(Tracker):
         whole = self._prior is not None and {*self.plan.free} <= {*self._prior.names}
         sure = whole or self._transfer is not None
         end_s, period_s = self._tick_end_s or 0.0, self.sample_period_s or 0.0
-        self._supervision.begin(start, trusted, end_s, period_s, sure=sure)
+        self._supervision.begin(start, trusted, end_s, period_s, whole=whole, sure=sure)
         if self._transfer is not None:
             self.qualification.qualified |= trusted
             self._transfer.hand_states_to(self._ekf)

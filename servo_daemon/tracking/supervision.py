@@ -35,6 +35,8 @@ _TICKS_TO_WATCH, _SOUNDNESS_EVERY = 8, 20
 #: A step is one of a motor that the model has explained for so long before, s (a filter that has just started on data
 #: with 30 % of dry friction that its model lacks looked white for 2 s, and then "K stepped").
 _CALM_S = 2.5
+#: When the filter begins to use its instrumental trajectory, the covariance is widened once, 1 σ over the scales.
+_SECOND_START_STD = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +103,7 @@ class FilterSupervision:
         self._likelihood_restart = MaximumLikelihoodRestart(masks, ekf, filtering, self._noise)
         self._divergence = DivergenceMonitor(masks, ekf, rls, self.validity, watch)
         self.together = CalmTicks(ekf, watch, self.jumps, signal_scales)
+        self._guessed = False
         self.ticks = 0
 
     @property
@@ -108,16 +111,17 @@ class FilterSupervision:
         """Whether the last innovations were far too large."""
         return self._divergence.suspicious_ticks > 0
 
-    def begin(self, start: Start, trusted: Mask, end_s: float, period_s: float, *, sure: bool) -> None:
+    def begin(self, start: Start, trusted: Mask, end_s: float, period_s: float, *, whole: bool, sure: bool) -> None:
         """A filter has started.
 
         Args:
             trusted: parameters that are known from before, shape (n,).
             end_s: device time.
             period_s: usual distance of two samples.
+            whole: all parameters were known before.
             sure: what was known before is not to be found anew from the first samples.
         """
-        self.ticks = 0
+        self.ticks, self._guessed = 0, not whole
         self.jumps.reset()
         self.validity.begin(trusted, end_s)
         self.together.begin()
@@ -192,6 +196,12 @@ class FilterSupervision:
             self._noise.learned(excitation.rate, period_s)
         self._noise.set()
         self.validity.update(duration_s, fresh, self._tick(sampling, ended.end_s, fresh=fresh))
+        if self.validity.begins_to_follow and self._guessed:
+            # What was learned without the instrumental trajectory (from a start that was guessed, partly from the
+            # colour of the noise) is taken for less.
+            self._ekf.widen_parameters(
+                np.where(self._masks.published, np.square(_SECOND_START_STD * excitation.scales), 0)
+            )
         return fresh
 
     def _believed(self, stretch: Stretch, action: jumps.Action) -> Stretch:

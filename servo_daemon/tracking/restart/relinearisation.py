@@ -30,7 +30,7 @@ from servo_daemon.samples import F64
 from servo_daemon.tracking.noise.setting import NoiseSetting
 from servo_daemon.tracking.noise.watch import WatchMark
 from servo_daemon.tracking.plan.parameter_masks import Mask, ParameterMasks
-from servo_daemon.tracking.restart.batch_passes import MOVED, Batch, BatchPasses
+from servo_daemon.tracking.restart.batch_passes import MOVED, WIDEST_STD, Batch, BatchPasses
 from servo_daemon.tracking.samples.filtering import MOST_SAMPLES, Filtering
 from servo_daemon.tracking.start.starter import Start
 from servo_daemon.tracking.validity.validity_gate import ValidityGate
@@ -44,6 +44,8 @@ FOUND_TICK = 40
 _TICKS = 10, FOUND_TICK
 #: After so many jumps of a parameter the second time is waited for.
 _MOST_MOVES = 4
+#: A parameter of which the samples leave more than this share of it was not seen.
+_UNSEEN_SHARE = 0.7
 #: In a tick at most so many steps of the filter go over samples again, which takes 40 ms of its 100; the rest of it in
 #: the next ones. At 1 kHz the first time takes one tick, the second three. (With 40,000 the second is taken over later,
 #: and a start under friction claims a K that is 4.3 standard deviations off.)
@@ -70,6 +72,7 @@ class _UnderWay:
         passes: a tick's.
         work: what is left of it, a pass at a time.
         at: where it has left filter and noise.
+        doubt: 1 σ that the balances left open before, (n,).
     """
 
     batch: Batch
@@ -78,6 +81,7 @@ class _UnderWay:
     passes: int
     work: Generator[None, None, bool | None]
     at: _Filter
+    doubt: F64
 
 
 class BatchRelinearisation:
@@ -158,7 +162,11 @@ class BatchRelinearisation:
             self._filtering.begin_batch()
         work = self._passes.filter_again(batch, white) if usable else _nothing()
         passes = max(1, STEPS_A_TICK // max(samples, 1))
-        return _UnderWay(batch, tick >= _TICKS[-1], white and usable, passes, work, self._here())
+        doubt = self._validity.mismatch.std
+        now = _UnderWay(batch, tick >= _TICKS[-1], white and usable, passes, work, self._here(), doubt)
+        if not self.pending:
+            self._widen_moved(batch)
+        return now
 
     def _go_on(self, now: _UnderWay) -> bool:
         """A tick's share of the passes. Returns whether they are done, and the filter goes on from their result."""
@@ -180,7 +188,7 @@ class BatchRelinearisation:
             filter_: as it was meanwhile.
             follows: as `BatchPasses.filter_again` returns it.
         """
-        self.pending, self._under_way = False, None
+        first, self.pending, self._under_way = self.pending, False, None
         noise = self._noise.of_current
         if follows is None:
             self._put(filter_)
@@ -190,6 +198,11 @@ class BatchRelinearisation:
             self._noise.watch_back_to(filter_.noise)
         if noise is not None and (follows is not None or now.white):
             self._noise.put_of_current(*noise)
+        if follows is not None:
+            self._widen(now.batch)
+        if not first:
+            moved = np.abs(self._ekf.coordinates - self._ekf.parameters_of(filter_.state)[0])
+            self._validity.doubt(np.maximum(now.doubt, moved))
         self._left_at = self._ekf.coordinates.copy()
         if now.last:
             self._start = None
@@ -216,6 +229,23 @@ class BatchRelinearisation:
         index = np.array(self._index(start))[self._vague(start)]
         moved = (np.abs(self._ekf.coordinates - self._left_at) > MOVED) & (self._ekf.coordinate_std < _VAGUE_STD)
         return bool(moved[index].any())
+
+    def _widen_moved(self, batch: Batch) -> None:
+        """Until the samples have been filtered again, and if they cannot be: what has jumped did so along derivatives
+        that were taken at other values, and is known no better than by as much. Until then all the rest pays for it."""
+        moved = np.minimum(np.abs(self._ekf.coordinates - self._left_at), WIDEST_STD)
+        vague = np.zeros(len(moved), dtype=bool)
+        vague[batch.index] = batch.vague
+        moved = np.where(vague & (moved > MOVED), moved, 0.0)
+        self._ekf.widen_parameters(np.square(moved))
+        self._validity.doubt(np.maximum(self._validity.mismatch.std, moved.max()))
+
+    def _widen(self, batch: Batch) -> None:
+        """What the samples have not shown is known no better than at the start."""
+        before = np.zeros(len(self._masks.names))
+        before[batch.index] = batch.start.std
+        unseen = (before > WIDEST_STD) & (self._ekf.coordinate_std > _UNSEEN_SHARE * WIDEST_STD)
+        self._ekf.widen_parameters(np.where(unseen, np.square(before), 0.0))
 
     def _index(self, start: Gaussian) -> list[int]:
         return [self._masks.names.index(name) for name in start.names]

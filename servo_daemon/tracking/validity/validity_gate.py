@@ -37,6 +37,7 @@ class ValidityGate:
         excitation, qualification: per parameter.
         confirmation: for which the regressions speak.
         mismatch: by how much they may be off because the balances do not close.
+        begins_to_follow: the filter uses its instrumental trajectory for the first time.
         last_known: each parameter as it was when it was last known.
         calm_s: for how long the filter's innovations have been as they should be.
     """
@@ -53,7 +54,7 @@ class ValidityGate:
         self.calm_s = 0.0
         self._trusted: Mask = np.zeros(n, dtype=bool)
         self.confirmation = Confirmation(masks, ekf, rls, self._trusted)
-        self._follows = False
+        self._follows = self._followed = self.begins_to_follow = False
         self._moves: tuple[Mask, F64] = self._trusted, np.zeros(n)  # which may, and their process noise
 
     def begin(self, trusted: Mask, time_s: float) -> None:
@@ -68,7 +69,7 @@ class ValidityGate:
         self.calm_s = 0.0
         self._trusted = trusted
         self.confirmation = Confirmation(self._masks, self._ekf, self._rls, trusted)
-        self._follows = False
+        self._follows = self._followed = self.begins_to_follow = False
 
     def begin_anew(self, follows: bool) -> None:
         """The first samples have been re-linearised: what was seen with the values of then is forgotten.
@@ -76,12 +77,17 @@ class ValidityGate:
         Args:
             follows: along the instrumental trajectory.
         """
-        self._follows = follows
+        self._follows = self._followed = follows
         self._rls.window.pass_over()
         self._rls.window.forget_values()
         self._unjudged = True
         self.excitation.forget()
         self._ekf.use_instrumental_trajectory(follows)
+
+    def doubt(self, std: F64) -> None:
+        """Widen what is positive and published to this 1 σ of the coordinates (n,), until the balances judge it."""
+        at = self._masks.published & self._masks.logarithmic
+        self.mismatch.std = np.where(at, std, self.mismatch.std)
 
     def waive_cross_check(self) -> None:
         """The filter's values are those of the greatest likelihood: no regression need speak for them."""
@@ -154,7 +160,10 @@ class ValidityGate:
         """Whether derivatives are taken along the instrumental trajectory from now on: where all that is needed is
         known."""
         limit = _LED_ASTRAY_STD if self._follows else QUALIFIED
-        self._follows = settled and not np.count_nonzero(needed & ~(std < limit))
+        follows = settled and not np.count_nonzero(needed & ~(std < limit))
+        self.begins_to_follow = follows and not self._follows and not self._followed
+        self._followed |= follows
+        self._follows = follows
 
     def stepped(self, k: int) -> None:
         """Parameter k is another one: what it was when it was last known it is no more."""
