@@ -36,6 +36,7 @@ _TICKS_TO_WATCH, _SOUNDNESS_EVERY = 8, 20
 #: with 30 % of dry friction that its model lacks looked white for 2 s, and then "K stepped").
 _CALM_S = 2.5
 #: When the filter begins to use its instrumental trajectory, the covariance is widened once, 1 σ over the scales.
+#: (`test_spikes_of_the_current_bend_no_inductance` and `test_found_beside_every_motor` fail without it.)
 _SECOND_START_STD = 0.1
 
 
