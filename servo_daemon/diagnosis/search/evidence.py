@@ -43,7 +43,7 @@ NESTED_GAIN = 0.02
 #: leave a thousandth of it), and the gain that must come with it.
 OVERWHELMING_BIC, _CLEARLY = -1000.0, 0.1
 #: Lower end of a gain that needs no other evidence.
-_PLAINLY = 0.2
+PLAINLY = 0.2
 #: What is late is so by this share of a sample, at least: L takes what is less.
 _LEAST_LATE = 0.1
 _SERIES = {"N·m": "torque", "V": "voltage"}
@@ -87,7 +87,7 @@ def overwhelming(a: Advantage) -> bool:
     """Better where it decides, and far better where it was fitted, though a few free runs may be none the better for
     it: of a motor with a gap those that begin within it. Or better by so much where it decides that the fitted part,
     whose residuals may be one slow drift and count as a handful of samples, need not say so, too."""
-    return (a.gain > _CLEARLY and a.delta_bic < OVERWHELMING_BIC) or a.low > _PLAINLY
+    return (a.gain > _CLEARLY and a.delta_bic < OVERWHELMING_BIC) or a.low > PLAINLY
 
 
 def at_odds(a: Advantage) -> bool:
