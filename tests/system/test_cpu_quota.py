@@ -70,10 +70,10 @@ def test_a_starved_daemon_keeps_its_samples_and_says_so(missing: Callable[[str],
             feeder.tell("go")
             program.until(lambda d: d["samples"] > 5000, "the start, with its looks back, is over")
             assert short(program, feeder) == 0, "with half a core nothing is lost"
-            for percent in (4, 2, 1):  # how little is too little depends on the machine
+            for percent, within_s in ((4, 15.0), (2, 15.0), (1, 60.0)):  # how little is too little: the machine's
                 allow(percent)
                 with contextlib.suppress(AssertionError):
-                    wait_for(lambda: "behind" in program.events(), "it says that it is behind", 15.0, every_s=1.0)
+                    wait_for(lambda: "behind" in program.events(), "it says that it is behind", within_s, every_s=1.0)
                     break
             assert "behind" in program.events()
             allow(50)

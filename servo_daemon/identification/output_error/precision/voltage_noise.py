@@ -24,13 +24,16 @@ import numpy as np
 from servo_daemon.identification.output_error.precision.information import Information
 from servo_daemon.identification.output_error.problem.linearisation import linearise
 from servo_daemon.identification.output_error.problem.problem import Problem, Segment
-from servo_daemon.identification.output_error.problem.rollout import INPUT
+from servo_daemon.identification.output_error.problem.rollout import INPUT, STEP
 from servo_daemon.identification.output_error.solver.solver import Point, normal_equations, within
 from servo_daemon.samples import F64
 
 #: Share of the second differences, the smallest, that noise alone makes: those across a step of the voltage are not
 #: among them. And the mean square of that share of a normal distribution's values.
 _WITHOUT_STEPS, _MEAN_SQUARE = 0.75, 0.368
+#: A winding slower than so many samples lets less than a quarter of the noise's power through, and what one draw of it
+#: says of a motor with a poorly known direction would be chance.
+_SLOW = 2.0
 #: Samples that the noise is averaged over; fewer are drawn anew.
 _SAMPLES = 4000
 #: Steps to where g = b, the longest of one (an L that the data do not show runs away), and one of this many standard
@@ -43,21 +46,25 @@ _RIDGE = 1e-10
 def with_voltage_noise(
     info: Information, problem: Problem, point: Point, whiten: Callable[[Point], Point]
 ) -> Information:
-    """The same with the column of the voltage's noise; as it is where the voltage has none, or no current answers it.
+    """The same with the column of the voltage's noise; as it is where the voltage has none, no current answers it, L
+    is not estimated or the winding slow.
 
     Args:
         point: where the parameters are estimated, as a free run.
         whiten: makes of a free run what the estimate is weighed by.
     """
-    if problem.plant.drive != "voltage" or "current_A" not in problem.channels or not info.names:
+    if problem.plant.drive != "voltage" or "current_A" not in problem.channels or "L" not in info.names:
         return info
     q = dict(zip(problem.plant.parameter_names, problem.coordinates(point.unknowns, 0), strict=True))
+    period_s = float(np.median(np.concatenate([s.rows[:, STEP] for s in problem.segments])))
+    if np.exp(q["L"] - q["R"]) > _SLOW * period_s:
+        return info
     room = float(point.sigma[problem.channels.index("current_A")]) * np.exp(q["R"])
     sizes = [min(roughness(s.rows[:, INPUT]), room) for s in problem.segments]
     if not any(sizes):
         return info
     noisy = _noisy(problem, sizes)
-    unknowns, n = point.unknowns, len(info.names)
+    unknowns, n, at = point.unknowns, len(info.names), info.names.index("L")
     for _ in range(_STEPS):
         found = _equations(problem, replace(point, unknowns=unknowns), noisy, whiten)
         if found is None:
@@ -65,7 +72,9 @@ def with_voltage_noise(
         H, g = found
         size = np.sqrt(np.maximum(np.diag(H), 1e-300))
         inverse = np.linalg.inv(H / np.outer(size, size) + _RIDGE * np.eye(len(size)))
-        step = np.clip(inverse @ (g / size) / size, -_LONGEST, _LONGEST)
+        # L and what goes with it; along a direction that is known poorly b is chance.
+        share = float(inverse[at] @ (g / size)) / float(inverse[at, at])
+        step = np.clip(share * inverse[:, at] / size, -_LONGEST, _LONGEST)
         unknowns = within(problem, unknowns + step)
         if (np.abs(step[:n]) < _LAST * np.sqrt(np.diag(inverse)[:n]) / size[:n]).all():
             break
