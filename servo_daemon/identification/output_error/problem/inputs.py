@@ -13,12 +13,16 @@ from servo_daemon.samples import F64, SampleBlock
 
 #: Where the mean of a signal that runs straight between two samples lies.
 STRAIGHT = 0.5
+#: In shorter steps, s, a signal runs straight: of a motion of 5 Hz the bend is less than 0.1 % of it, (ω h)²/12, and a
+#: command that a controller holds for each of its samples has none (on EMPS, at 1 kHz, it cost an eighth of the error).
+_BENDS_S = 3e-3
 
 
 def input_rows(block: SampleBlock, drive: Drive, share: float = STRAIGHT) -> F64:
     """Shape (n, 3): time, step, input. A voltage is held from its sample on (the capture contract); a measured current
     or torque is a sample of a continuous signal, whose mean over the step lies at `share` of the way between them, and
-    off that line by how it bends. A current that is a mean over the interval that ends at its sample is that mean."""
+    off that line by how it bends in a long step. A current that is a mean over the interval that ends at its sample is
+    that mean."""
     mean = drive == "current" and block.current_mean
     if mean:
         share = 1.0
@@ -31,7 +35,7 @@ def input_rows(block: SampleBlock, drive: Drive, share: float = STRAIGHT) -> F64
     rows[:, INPUT_COLUMN] = u
     if drive != "voltage":
         rows[:-1, INPUT_COLUMN] = (1.0 - share) * u[:-1] + share * u[1:]
-        if not mean:
+        if not mean and rows[-1, STEP] > _BENDS_S:
             rows[:-1, INPUT_COLUMN] += _off_the_line(u, rows[:, STEP])
     return rows
 
