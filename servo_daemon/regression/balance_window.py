@@ -11,6 +11,7 @@ import numpy as np
 
 from servo_daemon.regression import residual_analysis
 from servo_daemon.regression.balances import (
+    NOISE_KNOWN,
     GramWindow,
     Sums,
     armature_slopes,
@@ -165,6 +166,16 @@ class BalanceWindow:
         # White noise of intensity S adds S ∫φ² to the square of ∫φ τ; Σ (φ h)² = h ∫φ².
         of_one = float(total.weight_squares[0]) / sampling.period_s
         return left * self._size("shaft", value) ** 2 / max(of_one, 1e-300)
+
+    def input_noise(self, value: Mapping[str, float], sampling: Sampling) -> float | None:
+        """Variance of what the winding gets beside the recorded voltage, V²: as white noise of each held piece, after
+        what the armature's balance leaves that is not noise of the other channels. None without that balance."""
+        total = self._grams["armature"].total(self._end_s)
+        if total is None:
+            return None
+        noise = self._noise("armature", total, value, sampling) / NOISE_KNOWN
+        left = residual_analysis.residual_square(total.gram) - noise
+        return max(left, 0.0) / max(float(total.weight_squares[0]), 1e-300)
 
     def current_noise(self, sampling: Sampling) -> float | None:
         """Variance of the current's sensor, A²: what the best fit of the shaft's balance leaves, as far as what the

@@ -23,6 +23,8 @@ FEWEST_TO_LEARN = 50
 _ADAPTATION_S = 5.0
 #: While the level is still a guess it may change fourfold at once.
 _FIRST_UPDATES = 5
+#: Later it falls by this share of what is wanted at once where innovations are smaller than that.
+_SETTLED_UPDATES, _FAR_NIS, _FAR_SHARE = 10, 0.6, 0.3
 #: A drive's voltage is not what it says, if only by dead time and ripple: 1 σ as a share of its rms.
 _INPUT_SHARE = 1e-3
 #: Unmodelled torque, 1 σ over a millisecond as a share of the rms motor torque.
@@ -69,15 +71,21 @@ def initial_noise(signal: F64, lsb: float | None) -> ChannelNoise:
     return ChannelNoise(max(white_noise_var(signal), floor), floor)
 
 
-def adapted(noise: ChannelNoise, excess: float, duration_s: float, update: int = 1_000_000) -> ChannelNoise:
+def adapted(
+    noise: ChannelNoise, excess: float, duration_s: float, update: int = 1_000_000, nis: float = 1.0
+) -> ChannelNoise:
     """Move a channel's variance towards what its innovations show: E ν² = s₀ + r (innovation-based adaptive estimation,
     Mehra, *IEEE Trans. Autom. Control* 15, 1970).
 
     Args:
         excess: mean of ν² − s over the tick, outliers clipped (`kalman.layout.CLIP`).
         update: how many there have been, this one included: the first ones count as much as all before them.
+        nis: mean of ν²/s of a slow drive. Far below one, in a filter that has settled, the level is still that of the
+            first samples, where its motion passes for noise.
     """
     share = max(1.0 - math.exp(-duration_s / _ADAPTATION_S), 1.0 / update)
+    if nis < _FAR_NIS and update > _SETTLED_UPDATES:
+        share = max(share, _FAR_SHARE)
     # Never more than halve or double at once, later on: a tick is a small sample.
     most = 2.0 if update > _FIRST_UPDATES else 4.0
     wanted = min(max(noise.var + excess, noise.var / most), most * noise.var)

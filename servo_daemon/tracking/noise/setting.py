@@ -19,12 +19,8 @@ from servo_daemon.tracking.samples.signal_scales import SignalScales
 
 class NoiseSetting:
     """Sets the noise of one filter. A filter whose noise is set too low learns the wrong thing for certain, and what it
-    learned stays: the torque's begins with what the shaft's balance leaves unexplained before it starts, the current's
-    and the voltage's with what the shaft tells of the two.
-
-    (Without `expect_sensor` in it `test_a_real_current_is_not_taken_for_noise_of_its_sensor` fails, without
-    `expect_input` `test_the_first_samples_tell_noise_of_the_sensor_from_noise_of_the_voltage`.)
-    """
+    learned stays: torque and voltage noise begin with what the regressions' balances leave unexplained before it
+        starts."""
 
     def __init__(
         self, masks: ParameterMasks, ekf: Ekf, rls: MotorRls, watch: InnovationWatch, signal_scales: SignalScales
@@ -47,7 +43,9 @@ class NoiseSetting:
         hidden = self._hidden_in_current(sampling, found)
         if found is not None and "current_A" in sampling.noise_var:
             self._watch.expect_sensor("current_A", found)
-        self._watch.expect_input(hidden, self._signal_scales.input_square**0.5, self._input_lsb)
+            sampling = self.sampling(sampling.period_s)
+        var = max(self._rls.window.input_noise(self._value, sampling) or 0.0, hidden)
+        self._watch.expect_input(var, self._signal_scales.input_square**0.5, self._input_lsb)
         self.set()
         return scales
 

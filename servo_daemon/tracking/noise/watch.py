@@ -234,7 +234,8 @@ class InnovationWatch:
             if name == self._measured[-1]:
                 self._crossed += (1.0 - math.exp(-span_s / _CROSS_MEMORY_S)) * (s.crossed - self._crossed)
             self._updates[name] = self._updates.get(name, 0) + 1
-            self._channel[name] = noise.adapted(self._channel[name], s.excess, span_s, self._updates[name])
+            nis = s.nis if pooled is not None else 1.0
+            self._channel[name] = noise.adapted(self._channel[name], s.excess, span_s, self._updates[name], nis)
         if not rests:
             self._judge()
 

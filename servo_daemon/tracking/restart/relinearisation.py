@@ -44,6 +44,8 @@ FOUND_TICK = 40
 _TICKS = 10, FOUND_TICK
 #: After so many jumps of a parameter the second time is waited for.
 _MOST_MOVES = 4
+#: A parameter of which the samples leave more than this share of it was not seen.
+_UNSEEN_SHARE = 0.7
 #: In a tick at most so many steps of the filter go over samples again, which takes 40 ms of its 100; the rest of it in
 #: the next ones. At 1 kHz the first time takes one tick, the second three. (With 40,000 the second is taken over later,
 #: and a start under friction claims a K that is 4.3 standard deviations off.)
@@ -196,6 +198,8 @@ class BatchRelinearisation:
             self._noise.watch_back_to(filter_.noise)
         if noise is not None and (follows is not None or now.white):
             self._noise.put_of_current(*noise)
+        if follows is not None:
+            self._widen(now.batch)
         if not first:
             moved = np.abs(self._ekf.coordinates - self._ekf.parameters_of(filter_.state)[0])
             self._validity.doubt(np.maximum(now.doubt, moved))
@@ -236,6 +240,13 @@ class BatchRelinearisation:
         moved = np.where(vague & (moved > MOVED), moved, 0.0)
         self._ekf.widen_parameters(np.square(moved))
         self._validity.doubt(np.maximum(self._validity.mismatch.std, moved.max()))
+
+    def _widen(self, batch: Batch) -> None:
+        """What the samples have not shown is known no better than at the start."""
+        before = np.zeros(len(self._masks.names))
+        before[batch.index] = batch.start.std
+        unseen = (before > WIDEST_STD) & (self._ekf.coordinate_std > _UNSEEN_SHARE * WIDEST_STD)
+        self._ekf.widen_parameters(np.where(unseen, np.square(before), 0.0))
 
     def _index(self, start: Gaussian) -> list[int]:
         return [self._masks.names.index(name) for name in start.names]

@@ -187,7 +187,7 @@ class TestVescOnCan(OnABus):
             yield {"interface": "slcan", "channel": str(tmp_path / "can0"), "position": "encoder"}
 
 
-@pytest.mark.first_is_fast
+@pytest.mark.slow
 @pytest.mark.parametrize("encoder", [True, False])
 def test_status_messages_are_the_motors(tmp_path: Path, encoder: bool) -> None:
     """v = R iq + K ω of one instant, with the sign that the current of message 1 does not have."""

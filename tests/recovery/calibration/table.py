@@ -29,7 +29,7 @@ SPEAKS: Mapping[str, str] = {
     f"{_EVIDENCE}.OVERWHELMING_BIC": "below",
     f"{_EVIDENCE}._UNSEEN_BIC": "below",
     f"{_EVIDENCE}._CLEARLY": "above",
-    f"{_EVIDENCE}._PLAINLY": "above",
+    f"{_EVIDENCE}.PLAINLY": "above",
     f"{_EVIDENCE}._LITTLE_LOST": "above",
     f"{_EVIDENCE}._LEAST_OF_ALL": "above",
     f"{_ADEQUACY}._LEFT": "above",

@@ -77,6 +77,7 @@ def test_without_ask_nothing_is_sent_and_it_says_so(tmp_path: Path, capsys: pyte
     assert "--ask" in document["remarks"][0] and str(port) in document["remarks"][0]
 
 
+@pytest.mark.slow
 def test_an_odrive_on_a_port_is_found_with_reads_only(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     port = tmp_path / "odrive"
     with line(port, OdriveText(motor())) as rig:
@@ -163,7 +164,7 @@ def test_a_canopen_node_is_heard_and_says_the_rest_when_asked(
     assert {(f.frame_id, f.data) for f in bus.heard} <= reads
 
 
-@pytest.mark.first_is_fast
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("node", "driver", "option", "signals"),
     [
@@ -190,6 +191,7 @@ def test_what_is_heard_on_a_bus(
     assert bus.heard == []
 
 
+@pytest.mark.slow
 def test_our_own_frames_are_no_odrives(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with slcan_drive(tmp_path / "can0"):
         _, document = scan(capsys, "--can", f"slcan:{tmp_path / 'can0'}", "--seconds", "2")
