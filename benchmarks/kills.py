@@ -31,7 +31,7 @@ DRIVES = ("axis1", "axis2")
 LIFE_S = (0.5, 6.0)
 #: After the database has been written to, s: in the middle of a turn, or just after it.
 AFTER_WRITE_S = 0.01
-PLAIN = 'driver = "simulated"\n[drive.estimation]\nrefresh = false\n'
+PLAIN = 'driver = "simulated"\n'
 
 
 @dataclass

@@ -143,7 +143,7 @@ def test_a_life_over_a_kill(
     live(store, time.time())
     monkeypatch.setattr(harness, "command", lambda *words: [sys.executable, "-c", _QUICK, *map(str, words)])
     text = (
-        f"{nominal_table()}{LIMITS}[drive.estimation]\nrefresh = false\n[drive.options]\nseed = 1\n[history]\n{line}\n"
+        f"{nominal_table()}{LIMITS}[drive.options]\nseed = 1\n[history]\n{line}\n"
     )
     config = write_config(tmp_path / "c.toml", 'name = "axis1"\n' + text)
     arguments = ("--config", config, "--state-dir", tmp_path / "state")
