@@ -142,9 +142,7 @@ def test_a_life_over_a_kill(
     store, line = database
     live(store, time.time())
     monkeypatch.setattr(harness, "command", lambda *words: [sys.executable, "-c", _QUICK, *map(str, words)])
-    text = (
-        f"{nominal_table()}{LIMITS}[drive.options]\nseed = 1\n[history]\n{line}\n"
-    )
+    text = f"{nominal_table()}{LIMITS}[drive.options]\nseed = 1\n[history]\n{line}\n"
     config = write_config(tmp_path / "c.toml", 'name = "axis1"\n' + text)
     arguments = ("--config", config, "--state-dir", tmp_path / "state")
     with daemon(*arguments) as program:
