@@ -78,7 +78,7 @@ def found_by_predictions(
     published = _fitted(FullDataFits(data.full), best) or full
     before, after = both
     removed, ci95 = error_removed(before.errors, after.errors, after.expected)
-    known = ci95[0] > PLAINLY or is_determined(best.name, published)
+    known = (ci95 is not None and ci95[0] > PLAINLY) or is_determined(best.name, published)
     richer = (best.name, *CONTAINED.get(best.name, ()))
     ties = tuple(c.name for c, fit in likely if c.name not in richer and not far_likelier(extended, fit))
     finding = Finding(
