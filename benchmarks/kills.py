@@ -24,6 +24,7 @@ import numpy as np
 
 from servo_daemon.daemon.recording import FILE
 from servo_daemon.history.codec import unpack
+from servo_daemon.numerics import milliseconds
 from tests.system.harness import DaemonProgram, nominal_table, wait_for, write_config
 
 DRIVES = ("axis1", "axis2")
@@ -62,8 +63,8 @@ def times_of_rows(file: Path) -> dict[str, list[float]]:
     with contextlib.closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True)) as connection:
         query = "SELECT name, data FROM block JOIN drive ON drive.id = block.drive WHERE level = 0"
         for name, data in connection.execute(query):
-            # Halves go up, as where single rows are packed: one of 8,000 times is a half.
-            found[name] += np.floor(unpack(data).time_s * 1e3 + 0.5).tolist()
+            # As where single rows are packed: one of 8,000 times is a half.
+            found[name] += milliseconds(unpack(data).time_s).tolist()
     return found
 
 

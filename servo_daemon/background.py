@@ -44,14 +44,13 @@ class Background:
             turn: told whether it is the last; returns True for another one at once.
             every_s: from the end of a turn to the next, unless `_wake` is set.
         """
-        last = again = False
+        last = False
         while not last:
-            last = self._stop.is_set()
+            last, again = self._stop.is_set(), False
             try:
                 again = bool(turn(last))
             except Exception:  # an error in the program must end neither the thread nor the daemon
                 log.exception("%s: a turn failed", self._thread.name)
-                again = False
             if not (again or last):
                 self._wake.wait(every_s)
                 self._wake.clear()

@@ -1,4 +1,4 @@
-"""Medians, white noise and least squares, as every room takes them."""
+"""Medians, white noise, least squares and rounded times, as every room takes them."""
 
 from __future__ import annotations
 
@@ -30,6 +30,11 @@ def upper_median(values: F64) -> float:
 def sample_period(time_s: F64) -> float:
     """Usual distance of two samples, s: what gaps do not move."""
     return float(np.median(np.diff(time_s)))
+
+
+def milliseconds(time_s: F64) -> F64:
+    """Whole ones, halves up: as times are shown, and as single rows of the history are kept."""
+    return np.asarray(np.floor(time_s * 1e3 + 0.5))
 
 
 def white_noise_var(signal: F64) -> float:

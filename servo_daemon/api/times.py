@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from servo_daemon.numerics import milliseconds
 from servo_daemon.samples import F64
 
 _RELATIVE: Final = re.compile(r"-\s*(\d+(?:\.\d+)?)\s*(ms|s|min|h|d)")
@@ -25,8 +26,8 @@ DURATIONS: Final = "a number with its unit such as 30min or 1y (s, min, h, d, w,
 
 def iso_utc_list(epoch_s: F64) -> list[str]:
     """The same for an array of finite times, shape (n,)."""
-    milliseconds = np.floor(epoch_s * 1e3 + 0.5).astype("datetime64[ms]")
-    return [text + "Z" for text in np.datetime_as_string(milliseconds).tolist()]
+    shown_ms = milliseconds(epoch_s).astype("datetime64[ms]")
+    return [text + "Z" for text in np.datetime_as_string(shown_ms).tolist()]
 
 
 def parse_duration(text: str) -> float:

@@ -19,6 +19,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_daemon.numerics import milliseconds
 from servo_daemon.published.buckets import STATUSES, Buckets
 from servo_daemon.samples import F64
 
@@ -63,8 +64,8 @@ def _code(rows: Buckets) -> NDArray[np.int8]:
 def pack(rows: Buckets) -> bytes:
     """Buckets, or single rows, small."""
     raw = rows.period_s == 0
-    # Halves go up, as where the API writes times: a row's does not change by being packed.
-    ticks = np.floor(rows.time_s * 1000.0 + 0.5) if raw else np.rint(rows.time_s / rows.period_s)
+    # As where the API writes times: a row's does not change by being packed.
+    ticks = milliseconds(rows.time_s) if raw else np.rint(rows.time_s / rows.period_s)
     bodies = [_squeeze(_differences(ticks.astype(np.int64)))]
     series: list[dict[str, Any]] = []
     for k, name in enumerate(rows.names):

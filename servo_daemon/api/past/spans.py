@@ -6,13 +6,12 @@ import io
 from collections.abc import Collection, Sequence
 from typing import Any, Final, Literal
 
-import numpy as np
-
 from servo_daemon.api.past.documents import column, dominant
 from servo_daemon.api.problems import ProblemError
 from servo_daemon.api.times import iso_utc_list
 from servo_daemon.errors import BadInputError
 from servo_daemon.extras import require_pyarrow
+from servo_daemon.numerics import milliseconds
 from servo_daemon.published.archive import Span
 
 Kind = Literal["json", "csv", "parquet"]
@@ -101,8 +100,8 @@ def _text(value: object) -> str:
 
 def _parquet(span: Span, columns: dict[str, list[Any]]) -> bytes:
     arrow, parquet = require_pyarrow()
-    milliseconds = np.floor(span.buckets.time_s * 1e3 + 0.5).astype("int64")
-    arrays = {"time": arrow.array(milliseconds, type=arrow.timestamp("ms", tz="UTC"))}
+    shown_ms = milliseconds(span.buckets.time_s).astype("int64")
+    arrays = {"time": arrow.array(shown_ms, type=arrow.timestamp("ms", tz="UTC"))}
     for name, values in columns.items():
         texts, whole = name.endswith("_status"), name.endswith("_count")
         arrays[name] = arrow.array(

@@ -35,7 +35,13 @@ from servo_daemon.identification.output_error.noise.whitening import channel_wei
 from servo_daemon.identification.output_error.problem.event_times import event_times_of, profile
 from servo_daemon.identification.output_error.problem.linearisation import linearise
 from servo_daemon.identification.output_error.problem.problem import Problem
-from servo_daemon.identification.output_error.solver.solver import RIDGE, Point, normal_equations, point_of, within
+from servo_daemon.identification.output_error.solver.solver import (
+    Point,
+    in_units_of_each,
+    normal_equations,
+    point_of,
+    within,
+)
 from servo_daemon.identification.output_error.whitened_point import whiten_point, whitened_value
 from servo_daemon.samples import F64
 
@@ -233,8 +239,7 @@ def _step(problem: Problem, whitened: Point) -> tuple[F64, float]:
     H, g = normal_equations(problem, whitened)
     H = H + np.diag(np.where(problem.logarithmic, _FAINT, 0.0))
     free = ~_held(problem, whitened.unknowns, g) & (np.diag(H) > 0)
-    size = np.sqrt(np.diag(H)[free])
-    A = H[np.ix_(free, free)] / np.outer(size, size) + RIDGE * np.eye(len(size))
+    A, size = in_units_of_each(H[np.ix_(free, free)])
     step = np.zeros(len(g))
     step[free] = np.linalg.solve(A, g[free] / size) / size
     return step, float(g @ step)

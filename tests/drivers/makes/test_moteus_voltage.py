@@ -16,7 +16,6 @@ from drivers.moteus import fdcanusb, query, telemetry
 from drivers.moteus.drive import MoteusDriver
 from drivers.moteus.voltage import VoltageQuery, may_send, voltages
 from drivers.polling.can_link import Frame, pack, padded, unpack
-from drivers.polling.poller import Reply
 from drivers.registry import make_driver
 from servo_daemon.errors import WireError
 from servo_daemon.sim_drive.makes.foc import FocDrive, Pmsm, RunningFoc
@@ -24,10 +23,7 @@ from servo_daemon.sim_drive.makes.moteus import Fdcanusb, Moteus
 from servo_daemon.sim_drive.makes.moving import DQ_VOLTAGE, FocMotor, Shown
 from tests.drivers.makes.conformance import OnAPort
 from tests.drivers.makes.rig import line, sine_motor
-from tests.recovery.foc.lockstep import Clock, assert_told_by_its_voltage, exchanged
-
-#: From one frame to the next, CAN FD at 1 and 5 Mbit/s behind USB.
-FRAME_S = 2.5e-4
+from tests.recovery.foc.lockstep import Clock, assert_told_by_its_voltage, by_lines, exchanged
 
 
 class TestMoteusVoltage(OnAPort):
@@ -48,14 +44,7 @@ def test_the_voltage_tells_r_and_k() -> None:
     assert isinstance(driver, MoteusDriver)
     device = Fdcanusb(Moteus(FocMotor(RunningFoc(FocDrive(motor), clock)), torque_constant=motor.Kt))
     dialogue = driver._new_dialogue()
-
-    def exchange(data: bytes) -> list[Reply[Any]]:
-        replies: list[Reply[Any]] = []
-        for command in data.splitlines(keepends=True):  # every frame takes its time
-            clock.now_s += FRAME_S
-            replies += dialogue.feed(device.receive(command))
-        return replies
-
+    exchange = by_lines(dialogue, device, clock)
     assert_told_by_its_voltage(motor, driver, exchanged(driver, dialogue, exchange, clock, 200.0, 2400))
 
 

@@ -18,6 +18,8 @@ from servo_daemon.sim_drive.makes.serve import Device
 
 #: From the request to the answer.
 TRIP_S = 2e-4
+#: From one frame to the next, CAN FD at 1 and 5 Mbit/s behind USB.
+FD_FRAME_S = 2.5e-4
 
 
 @dataclass
@@ -43,6 +45,19 @@ def polled(driver: Any, dialogue: Any, device: Device, clock: Clock, rate_hz: fl
         return replies
 
     return exchanged(driver, dialogue, exchange, clock, rate_hz, n)
+
+
+def by_lines(dialogue: Any, device: Any, clock: Clock) -> Exchange:
+    """Of a device that takes frames as lines of text, each of which takes its time."""
+
+    def exchange(data: bytes) -> list[Reply[Any]]:
+        replies: list[Reply[Any]] = []
+        for command in data.splitlines(keepends=True):
+            clock.now_s += FD_FRAME_S
+            replies += dialogue.feed(device.receive(command))
+        return replies
+
+    return exchange
 
 
 def exchanged(driver: Any, dialogue: Any, exchange: Exchange, clock: Clock, rate_hz: float, n: int) -> Iterator[Any]:

@@ -33,12 +33,12 @@ from servo_daemon.sim_drive.makes.servos import DynamixelChain, FeetechChain
 from servo_daemon.sim_drive.makes.simplefoc import SimpleFocMonitor
 from servo_daemon.sim_drive.makes.vesc import VescDevice, VescNode
 from servo_daemon.sim_drive.slcan_adapter import BusFrame
-from tests.recovery.foc.lockstep import Clock, closed, closed_can, exchanged, polled
+from tests.recovery.foc.lockstep import Clock, by_lines, closed, closed_can, exchanged, polled
 from tests.recovery.foc.motor import CONTROL_HZ, FocMotor, Trace
 from tests.recovery.generator import Recording
 
-#: From one frame to the next on a bus of 500 kbit/s; of CAN FD behind USB.
-FRAME_S, FD_FRAME_S = 2.6e-4, 2.5e-4
+#: From one frame to the next on a bus of 500 kbit/s.
+FRAME_S = 2.6e-4
 #: Of an encoder of 14 bits.
 _COUNT_RAD = 2.0 * math.pi / 16384
 #: A share of a control period at which its values are there to be read.
@@ -203,14 +203,7 @@ def moteus(motor: FocMotor, trace: Trace, after_s: float, hz: float, seconds: fl
     driver = closed("moteus", signal=signal, pole_pairs=motor.pole_pairs, rate_hz=float(hz))
     device = Fdcanusb(Moteus(ShownMotor(running), torque_constant=running.now().motor.Kt))
     dialogue = driver._new_dialogue()
-
-    def exchange(data: bytes) -> list[Reply[Any]]:
-        replies: list[Reply[Any]] = []
-        for command in data.splitlines(keepends=True):  # every frame takes its time
-            clock.now_s += FD_FRAME_S
-            replies += dialogue.feed(device.receive(command))
-        return replies
-
+    exchange = by_lines(dialogue, device, clock)
     return Read(driver, exchanged(driver, dialogue, exchange, clock, hz, round(seconds * hz)))
 
 

@@ -35,7 +35,7 @@ from servo_daemon.identification.output_error.problem.inputs import STRAIGHT
 from servo_daemon.identification.output_error.problem.linearisation import Linearisation, linearise
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.problem.setup import Recording
-from servo_daemon.identification.output_error.solver.solver import RIDGE, Point, normal_equations
+from servo_daemon.identification.output_error.solver.solver import Point, in_units_of_each, normal_equations
 from servo_daemon.samples import F64
 
 #: The share that the derivative by it is taken with.
@@ -81,8 +81,7 @@ def _shifts(problem: Problem, others: Iterable[Problem], point: Point) -> F64:
         return normal_equations(problem, replace(point, linearisation=Linearisation(tuple(moved), J, True)))
 
     H, at_rest = equations([np.zeros_like(r) for r in here])
-    size = np.sqrt(np.maximum(np.diag(H), 1e-300))
-    A = H / np.outer(size, size) + RIDGE * np.eye(len(size))
+    A, size = in_units_of_each(H)
     columns = []
     for other in others:
         with np.errstate(over="ignore", invalid="ignore"):

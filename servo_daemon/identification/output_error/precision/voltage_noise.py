@@ -24,8 +24,9 @@ import numpy as np
 from servo_daemon.identification.output_error.precision.information import Information
 from servo_daemon.identification.output_error.problem.linearisation import linearise
 from servo_daemon.identification.output_error.problem.problem import Problem, Segment
-from servo_daemon.identification.output_error.problem.rollout import INPUT, STEP
-from servo_daemon.identification.output_error.solver.solver import Point, normal_equations, within
+from servo_daemon.identification.output_error.problem.rollout import INPUT
+from servo_daemon.identification.output_error.solver.solver import Point, in_units_of_each, normal_equations, within
+from servo_daemon.kalman.gaussian import natural_values
 from servo_daemon.samples import F64
 
 #: Share of the second differences, the smallest, that noise alone makes: those across a step of the voltage are not
@@ -39,8 +40,6 @@ _SAMPLES = 4000
 #: Steps to where g = b, the longest of one (an L that the data do not show runs away), and one of this many standard
 #: deviations is the last.
 _STEPS, _LONGEST, _LAST = 6, 0.5, 0.3
-#: Keeps a direction that the data do not show where it is, in units of what each unknown is known by.
-_RIDGE = 1e-10
 
 
 def with_voltage_noise(
@@ -55,11 +54,10 @@ def with_voltage_noise(
     """
     if problem.plant.drive != "voltage" or "current_A" not in problem.channels or "L" not in info.names:
         return info
-    q = dict(zip(problem.plant.parameter_names, problem.coordinates(point.unknowns, 0), strict=True))
-    period_s = float(np.median(np.concatenate([s.rows[:, STEP] for s in problem.segments])))
-    if np.exp(q["L"] - q["R"]) > _SLOW * period_s:
+    at_end = natural_values(problem.plant.parameters, problem.coordinates(point.unknowns, 0))
+    if at_end["L"] / at_end["R"] > _SLOW * problem.sample_period_s:
         return info
-    room = float(point.sigma[problem.channels.index("current_A")]) * np.exp(q["R"])
+    room = float(point.sigma[problem.channels.index("current_A")]) * at_end["R"]
     sizes = [min(roughness(s.rows[:, INPUT]), room) for s in problem.segments]
     if not any(sizes):
         return info
@@ -70,8 +68,8 @@ def with_voltage_noise(
         if found is None:
             break
         H, g = found
-        size = np.sqrt(np.maximum(np.diag(H), 1e-300))
-        inverse = np.linalg.inv(H / np.outer(size, size) + _RIDGE * np.eye(len(size)))
+        A, size = in_units_of_each(H)
+        inverse = np.linalg.inv(A)
         # L and what goes with it; along a direction that is known poorly b is chance.
         share = float(inverse[at] @ (g / size)) / float(inverse[at, at])
         step = np.clip(share * inverse[:, at] / size, -_LONGEST, _LONGEST)

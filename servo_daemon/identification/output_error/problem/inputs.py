@@ -36,18 +36,15 @@ def input_rows(block: SampleBlock, drive: Drive, share: float = STRAIGHT) -> F64
     if drive != "voltage":
         rows[:-1, INPUT_COLUMN] = (1.0 - share) * u[:-1] + share * u[1:]
         if not mean and rows[-1, STEP] > _BENDS_S:
-            rows[:-1, INPUT_COLUMN] += _off_the_line(u, rows[:, STEP])
+            rows[:-1, INPUT_COLUMN] += _off_the_line(u, time)
     return rows
 
 
-def _off_the_line(u: F64, step_s: F64) -> F64:
+def _off_the_line(u: F64, time_s: F64) -> F64:
     """Shape (n − 1,): mean of a signal between two samples less that of the line between them (Euler–Maclaurin, second
     term with differences); 0 beside gaps and at the ends."""
-    h = step_s[:-1]
-    slopes = np.diff(u) / h
-    rate = np.zeros(len(u))
-    rate[1:-1] = (h[:-1] * slopes[1:] + h[1:] * slopes[:-1]) / (h[:-1] + h[1:])
-    out = -h / 12.0 * np.diff(rate)
+    h = np.diff(time_s)
+    out = -h / 12.0 * np.diff(np.gradient(u, time_s))
     alike = h < GAP_FACTOR * np.median(h)
     alike[1:-1] &= alike[:-2] & alike[2:]
     alike[[0, -1]] = False

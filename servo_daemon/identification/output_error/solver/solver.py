@@ -200,6 +200,12 @@ def _reweigh(problem: Problem, point: Point) -> Point:
     return point_of(problem, point.unknowns, point.linearisation, sample_weights(point.linearisation.residuals))
 
 
+def in_units_of_each(H: F64) -> tuple[F64, F64]:
+    """Normal equations' matrix in units of what each unknown is known by, with `RIDGE`, and those units' inverses."""
+    size = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    return H / np.outer(size, size) + RIDGE * np.eye(len(size)), size
+
+
 def mean_squares(problem: Problem, sums: F64) -> F64:
     """Sums of squares over each channel's samples, shape (c,); a channel without any is left as it is: in the beginning
     of a run all samples may be held out."""
