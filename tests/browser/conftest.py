@@ -21,12 +21,14 @@ PAST_S = 40.0
 
 
 class LiveServer:
-    """Two drives that publish, a server that can be stopped and started again, and a list of what was asked."""
+    """Two drives that publish, a server that can be stopped and started again, and a list of what was asked
+    and how many streams are open."""
 
     def __init__(self) -> None:
         self.started = time.time() - PAST_S
         self.daemon = FakeDaemon({"axis1": FakeDrive("axis1"), "axis2": FakeDrive("axis2")})
         self.asked: list[str] = []
+        self.streams = 0
         self.paused: set[str] = set()
         self._end = threading.Event()
         self._stack = ExitStack()
@@ -57,7 +59,12 @@ class LiveServer:
             if scope["type"] == "http":
                 query = scope["query_string"].decode()
                 self.asked.append(scope["path"] + (f"?{query}" if query else ""))
-            await app(scope, receive, send)
+            stream = scope.get("path", "").endswith("/stream")
+            self.streams += stream
+            try:
+                await app(scope, receive, send)
+            finally:
+                self.streams -= stream
 
         port = int(self.address.rsplit(":", 1)[1]) if self.address else 0
         self.address = self._stack.enter_context(serving(recorded, port))
@@ -92,9 +99,10 @@ def open_page(browser: Browser, server: LiveServer) -> Iterator[Callable[..., Pa
     """`open_page(width=1280, dark=False)`: the dashboard, its charts drawn. Closed at the end."""
     pages = []
 
-    def opened(width: int = 1280, fragment: str = "#axis1", **look: Any) -> Page:
+    def opened(width: int = 1280, fragment: str = "#axis1", before: str = "", **look: Any) -> Page:
         page = Page(browser)
         pages.append(page)
+        page.command("Page.addScriptToEvaluateOnNewDocument", {"source": before})
         page.look(width, 900, **look)
         page.open(server.address + "/" + fragment)
         page.until("document.querySelectorAll('#parameters .card').length == 5")

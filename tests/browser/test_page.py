@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
@@ -128,6 +129,42 @@ def test_a_lost_daemon_is_said_and_the_gap_filled_afterwards(open_page: OpenPage
     refills = [path for path in server.asked if "/history?parameter=R&" in path]
     assert refills
     assert "start=20" in refills[0], "only what was missed is asked for"
+
+
+#: Each tab a window of its own that is seen: headless Chromium draws only the newest.
+SEEN = """Object.defineProperty(Document.prototype, 'hidden', { get: () => window.put_away === true });
+window.requestAnimationFrame = (draw) => setTimeout(() => draw(performance.now()), 50);"""
+PUT_AWAY = "(() => { window.put_away = %s; document.dispatchEvent(new Event('visibilitychange')); })()"
+
+
+def until(condition: Callable[[], bool], what: str) -> None:
+    deadline = time.monotonic() + 10
+    while not condition():
+        assert time.monotonic() < deadline, what
+        time.sleep(0.05)
+
+
+def goes_on(page: Page, seconds: float) -> None:
+    """Until its curve is so much longer."""
+    page.until((TIMES % "R") + f".then((times) => times.at(-1) > {page.evaluate(TIMES % 'R')[-1] + seconds})")
+
+
+def test_more_windows_than_a_browser_has_connections(open_page: OpenPage, server: LiveServer) -> None:
+    """Chromium and Firefox open six to one host, all tabs together."""
+    pages = [open_page(before=SEEN) for _ in range(8)]
+    for page in pages:
+        goes_on(page, 1)
+    until(lambda: server.streams == 4, "the others ask once a second")
+    asked = len(server.asked)
+    pages[0].evaluate(PUT_AWAY % "true")
+    until(lambda: any(path.endswith("/stream") for path in server.asked[asked:]), "the next in the row has its place")
+    until(lambda: server.streams == 4, "a hidden tab has none")
+    pages[0].evaluate(PUT_AWAY % "false")
+    goes_on(pages[0], 3)
+    gaps = [b - a for a, b in pairwise(pages[0].evaluate(TIMES % "R"))]
+    assert max(gaps) < 3, "what was missed is there: a gap of 3 s would be shown as one"
+    assert server.streams == 4, "it stands at the end of the row"
+    assert all(page.errors() == [] for page in pages)
 
 
 def test_the_other_drive(open_page: OpenPage, server: LiveServer) -> None:

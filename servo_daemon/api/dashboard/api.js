@@ -1,7 +1,6 @@
-// Talking to the daemon: documents by fetch, the estimates by server-sent events that never give up.
+// Talking to the daemon: documents by fetch.
 
-const PREFIX = "api/v1";
-const AGAIN_MS = 2000;
+export const PREFIX = "api/v1";
 const TIMEOUT_MS = 5000;
 const DOWNLOAD_TIMEOUT_MS = 30_000; // of a year of curves from a slow disk
 
@@ -34,35 +33,3 @@ async function answer(path, options, timeoutMs) {
 }
 
 export const drivePath = (name) => `/drives/${encodeURIComponent(name)}`;
-
-/** Follows one drive's stream. */
-export class Stream {
-  /**
-   * @param {string} drive
-   * @param {{opened: () => void, estimates: (document: object) => void, lost: () => void}} listener
-   */
-  constructor(drive, listener) {
-    this.url = `${PREFIX}${drivePath(drive)}/stream`;
-    this.listener = listener;
-    this.closed = false;
-    this.#connect();
-  }
-
-  #connect() {
-    if (this.closed) return;
-    this.source = new EventSource(this.url);
-    this.source.addEventListener("open", () => this.listener.opened());
-    this.source.addEventListener("estimates", (event) => this.listener.estimates(JSON.parse(event.data)));
-    this.source.addEventListener("error", () => {
-      this.listener.lost();
-      // The browser tries again by itself after a broken connection, but not after an answer it did not like.
-      if (this.source.readyState === EventSource.CLOSED) this.timer = setTimeout(() => this.#connect(), AGAIN_MS);
-    });
-  }
-
-  close() {
-    this.closed = true;
-    clearTimeout(this.timer);
-    this.source.close();
-  }
-}

@@ -1,12 +1,13 @@
 // One drive on the page: loads its history, follows its stream, fills the gap after a lost connection, and draws.
 
-import { Stream, drivePath, get } from "./api.js";
+import { drivePath, get } from "./api.js";
 import { renderAlarms, ringing } from "./alarms.js";
 import { ParameterCard, StateCard } from "./cards.js";
 import { DiagnosisPanel } from "./diagnosis.js";
 import { Recordings } from "./captures.js";
 import { openEvent, renderEvents, renderFacts, renderNote } from "./facts.js";
 import { Scope } from "./scope.js";
+import { Stream } from "./stream.js";
 import { TrendCard } from "./trend.js";
 import { POINTS, Zoom } from "./zoom.js";
 
