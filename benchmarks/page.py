@@ -71,6 +71,7 @@ def tabs(browser: Browser, urls: Sequence[str], there: str) -> Iterator[None]:
     try:
         for page, url in zip(pages, urls, strict=True):
             page.look(1440, 900)
+            page.be_seen()
             page.open(url)
         for page in pages:
             page.until(there)

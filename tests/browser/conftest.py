@@ -99,10 +99,11 @@ def open_page(browser: Browser, server: LiveServer) -> Iterator[Callable[..., Pa
     """`open_page(width=1280, dark=False)`: the dashboard, its charts drawn. Closed at the end."""
     pages = []
 
-    def opened(width: int = 1280, fragment: str = "#axis1", before: str = "", **look: Any) -> Page:
+    def opened(width: int = 1280, fragment: str = "#axis1", seen: bool = False, **look: Any) -> Page:
         page = Page(browser)
         pages.append(page)
-        page.command("Page.addScriptToEvaluateOnNewDocument", {"source": before})
+        if seen:
+            page.be_seen()
         page.look(width, 900, **look)
         page.open(server.address + "/" + fragment)
         page.until("document.querySelectorAll('#parameters .card').length == 5")

@@ -40,6 +40,10 @@ FLAGS = (
 TIMEOUT_S = 30.0
 
 
+_SEEN = """Object.defineProperty(Document.prototype, 'hidden', { get: () => window.put_away === true });
+window.requestAnimationFrame = (draw) => setTimeout(() => draw(performance.now()), 50);"""
+
+
 class Page:
     """One page of the browser."""
 
@@ -64,6 +68,11 @@ class Page:
         self.command("Emulation.setDeviceMetricsOverride", size)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.command("Emulation.setEmulatedMedia", {"features": [scheme]})
+
+    def be_seen(self) -> None:
+        """A window of its own that is seen until its `put_away` is true: of several headless Chromium draws only the
+        newest."""
+        self.command("Page.addScriptToEvaluateOnNewDocument", {"source": _SEEN})
 
     def open(self, url: str) -> None:
         """Goes there and waits until the document and its scripts are loaded."""

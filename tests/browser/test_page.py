@@ -131,9 +131,6 @@ def test_a_lost_daemon_is_said_and_the_gap_filled_afterwards(open_page: OpenPage
     assert "start=20" in refills[0], "only what was missed is asked for"
 
 
-#: Each tab a window of its own that is seen: headless Chromium draws only the newest.
-SEEN = """Object.defineProperty(Document.prototype, 'hidden', { get: () => window.put_away === true });
-window.requestAnimationFrame = (draw) => setTimeout(() => draw(performance.now()), 50);"""
 PUT_AWAY = "(() => { window.put_away = %s; document.dispatchEvent(new Event('visibilitychange')); })()"
 
 
@@ -151,7 +148,7 @@ def goes_on(page: Page, seconds: float) -> None:
 
 def test_more_windows_than_a_browser_has_connections(open_page: OpenPage, server: LiveServer) -> None:
     """Chromium and Firefox open six to one host, all tabs together."""
-    pages = [open_page(before=SEEN) for _ in range(8)]
+    pages = [open_page(seen=True) for _ in range(8)]
     for page in pages:
         goes_on(page, 1)
     until(lambda: server.streams == 4, "the others ask once a second")
