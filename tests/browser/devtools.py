@@ -34,6 +34,9 @@ FLAGS = (
     "--disable-component-update",
     "--disable-sync",
     "--disable-extensions",
+    # Pages that only this program's `be_seen` calls seen are not held back as those behind others are.
+    "--disable-background-timer-throttling",
+    "--disable-renderer-backgrounding",
     "--hide-scrollbars",
     "--remote-debugging-pipe",
 )
