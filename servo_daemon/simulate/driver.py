@@ -92,6 +92,7 @@ class SimulatedDriver(Driver):
         self._anchor_sample = 0
         self._has_failed = False
         self._command: tuple[float, int] | None = None  # V, and the first sample for which it is no longer valid
+        self._acting = np.zeros(0)  # of the last block: the voltage commanded; not a number: none is valid
 
     @property
     def can_wait(self) -> bool:
@@ -119,7 +120,7 @@ class SimulatedDriver(Driver):
         return 1.0 / self._settings.rate_hz
 
     def acting_V(self, block: SampleBlock) -> F64:
-        return np.full(len(block), 0.0 if self._command is None else self._command[0])
+        return self._acting[: len(block)]
 
     def _open(self) -> None:
         self._command = None
@@ -179,8 +180,8 @@ class SimulatedDriver(Driver):
             block = drive.next_block(n)
         else:
             voltage, until = self._command
-            samples = np.arange(self._delivered, self._delivered + n)
-            block = drive.commanded_block(np.where(samples < until, voltage, 0.0))
+            self._acting = np.where(np.arange(self._delivered, self._delivered + n) < until, voltage, np.nan)
+            block = drive.commanded_block(np.nan_to_num(self._acting))
         self._delivered += n
         self.counters.frames += 1
         return replace(block, host_time_s=time.monotonic())
