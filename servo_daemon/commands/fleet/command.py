@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import shlex
 import sys
@@ -82,7 +83,9 @@ def _asked(arguments: argparse.Namespace) -> str:
     from servo_daemon import __version__
 
     work = "diagnose" if arguments.what == "diagnose" else "fit"
-    return shlex.join([work, __version__, *_flags(arguments)])
+    told = [path.read_bytes() for path in (arguments.config, arguments.signals) if path is not None and path.is_file()]
+    content = [hashlib.sha256(b"\n".join(told)).hexdigest()[:12]] if told else []  # of the files that the flags name
+    return shlex.join([work, __version__, *_flags(arguments), *content])
 
 
 def _check_folder(arguments: argparse.Namespace, asked: str) -> None:

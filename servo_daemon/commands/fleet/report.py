@@ -32,6 +32,7 @@ def _verdict(fleet: Fleet) -> Verdict:
         line
         for line in (
             _counted(len(fleet.failed), "drive gave no result", "drives gave no result"),
+            _counted(len(unread(fleet)), "capture cannot be read", "captures cannot be read"),
             _counted(len(strangers(fleet)), "drive is not like the others", "drives are not like the others"),
             _counted(sum(map(bool, fleet.drifts)), "drive drifts", "drives drift"),
         )
@@ -112,7 +113,7 @@ def _summary(fleet: Fleet) -> list[Block]:
         ("Not like the others", [stranger_text(fleet, k) for k in strangers(fleet)]),
         ("What drifts", [drift_text(fleet, k, d) for k, d in drifting(fleet)]),
         ("No result", [f"{d['drive']}: {d['error']}" for d in fleet.failed]),
-        ("Left out", repeated(fleet)),
+        ("Left out", [*unread(fleet), *repeated(fleet)]),
     ]
     for title, lines in lists:
         if lines:
@@ -132,6 +133,11 @@ def type_text(fleet: Fleet, group: list[int]) -> str:
     units = [parameter_table()[name].unit for name in fleet.names]
     values = ", ".join(f"{n} {v:.3g} {u}" for n, v, u in zip(fleet.names, back, units, strict=True))
     return f"{len(group)} drives: {values}; {_named([fleet.documents[k]['drive'] for k in group])}"
+
+
+def unread(fleet: Fleet) -> list[str]:
+    """What is wrong with captures that a drive with others was told without."""
+    return [f"{d['drive']}: {text}" for d in fleet.documents for text in d.get("unread", ())]
 
 
 def repeated(fleet: Fleet) -> list[str]:
