@@ -139,13 +139,17 @@ def _documents(arguments: argparse.Namespace, units: Sequence[Unit], asked: str)
     left = [unit for unit in units if unit not in found]
     with common.progress(len(units), "drive", arguments.what) as bar:
         bar.update(len(found))
-        if left:
-            with cluster(arguments.dask, arguments.workers) as client:
-                for unit, document in results(client, left, work, _flags(arguments)):
-                    whole = {"drive": unit.name, "captures": list(unit.captures), "seconds": 0.0, **document}
-                    kept.put(unit, whole)
-                    found[unit] = whole
-                    bar.update(1)
+        try:
+            if left:
+                with cluster(arguments.dask, arguments.workers) as client:
+                    for unit, document in results(client, left, work, _flags(arguments)):
+                        whole = {"drive": unit.name, "captures": list(unit.captures), "seconds": 0.0, **document}
+                        kept.put(unit, whole)
+                        found[unit] = whole
+                        bar.update(1)
+        except KeyboardInterrupt:
+            common.note(f"{len(found)} of {len(units)} drives are done: the same command goes on from there")
+            raise
     return [found[unit] for unit in units]
 
 

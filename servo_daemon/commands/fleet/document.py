@@ -18,6 +18,7 @@ from servo_daemon.commands.fleet.report import (
     strangers,
     type_text,
     unread,
+    untold,
 )
 from servo_daemon.commands.fleet.tables import prior_rows
 
@@ -39,6 +40,7 @@ def fleet_document(fleet: Fleet, asked: str) -> dict[str, Any]:
             {"text": type_text(fleet, group.tolist()), "drives": [fleet.documents[k]["drive"] for k in group]}
             for group in fleet.types
         ],
+        "untold": untold(fleet),
         "unread": unread(fleet),
         "repeated": repeated(fleet),
         "common": [asdict(row) for row in prior_rows(fleet)],
@@ -77,6 +79,8 @@ def print_fleet(document: Mapping[str, Any]) -> None:
     for title in ("strangers", "drifting"):
         for row in document[title]:
             print(f"  {'not like the others' if title == 'strangers' else 'drifts'}: {row['text']}")
+    for text in document["untold"]:
+        print(f"  with care: {text}")
     for text in (*document["unread"], *document["repeated"]):
         print(f"  left out: {text}")
     for row in document["failed"]:

@@ -112,6 +112,7 @@ def _summary(fleet: Fleet) -> list[Block]:
         ("Types", type_texts(fleet)),
         ("Not like the others", [stranger_text(fleet, k) for k in strangers(fleet)]),
         ("What drifts", [drift_text(fleet, k, d) for k, d in drifting(fleet)]),
+        ("Told with care", untold(fleet)),
         ("No result", [f"{d['drive']}: {d['error']}" for d in fleet.failed]),
         ("Left out", [*unread(fleet), *repeated(fleet)]),
     ]
@@ -133,6 +134,18 @@ def type_text(fleet: Fleet, group: list[int]) -> str:
     units = [parameter_table()[name].unit for name in fleet.names]
     values = ", ".join(f"{n} {v:.3g} {u}" for n, v, u in zip(fleet.names, back, units, strict=True))
     return f"{len(group)} drives: {values}; {_named([fleet.documents[k]['drive'] for k in group])}"
+
+
+def untold(fleet: Fleet) -> list[str]:
+    """Drives whose captures say less than a result seems to: no value at all, or more than the model explains."""
+    lines = []
+    for d in fleet.documents:
+        rows = d["fit"]["parameters"]
+        if all(row["value"] is None for row in rows.values()):
+            lines.append(f"{d['drive']}: its captures determine none of {', '.join(rows)}")
+        elif d["fit"].get("residual", {}).get("white") is False:
+            lines.append(f"{d['drive']}: the model leaves more than noise; `fleet diagnose` looks for what it lacks")
+    return lines
 
 
 def unread(fleet: Fleet) -> list[str]:
@@ -174,7 +187,7 @@ def _each(fleet: Fleet) -> list[Block]:
 
 def _own(row: Any) -> Measured | str:
     if row is None or row["value"] is None:
-        return ""
+        return "–"
     return Measured(row["value"], row["std"])
 
 
