@@ -16,6 +16,8 @@ from servo_daemon.fleet.units import Unit
 if TYPE_CHECKING:
     from distributed import Client
 
+log = logging.getLogger(__name__)
+
 #: Units sent ahead for each thread of the cluster: a worker that is done has the next one already, and a million units
 #: are not a million tasks in the scheduler's memory.
 _AHEAD = 4
@@ -60,6 +62,8 @@ def cluster(address: str | None, workers: int | None = None) -> Iterator[Client]
     logging.getLogger("distributed").setLevel(logging.WARNING)  # it tells of every connection
     if address is not None:
         with scheduler(address) as client:
+            if not client.nthreads():  # type: ignore[no-untyped-call]
+                log.warning("the scheduler at %s has no worker yet: waiting for the first", address)
             yield client
         return
     logging.getLogger("distributed").setLevel(logging.ERROR)  # workers that are ended in the middle of their work
