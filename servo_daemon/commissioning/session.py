@@ -207,7 +207,7 @@ class Session:
         silent, volts = np.isnan(volts), np.nan_to_num(volts)
         self._follows = not silent[-1]
         if not s.driven:
-            acts = np.flatnonzero(volts) if self._moving else []
+            acts = np.flatnonzero(volts) if self._moving else np.zeros(0, dtype=np.intp)
             s.driven, silent = len(acts) > 0, silent[acts[0] :] if len(acts) else silent
         if s.driven and silent.any():
             raise StoppedError(Stop("command_lost", self._lost, float(block.time_s[-1])))

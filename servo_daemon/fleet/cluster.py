@@ -62,7 +62,7 @@ def cluster(address: str | None, workers: int | None = None) -> Iterator[Client]
     logging.getLogger("distributed").setLevel(logging.WARNING)  # it tells of every connection
     if address is not None:
         with scheduler(address) as client:
-            if not client.nthreads():  # type: ignore[no-untyped-call]
+            if not client.nthreads():
                 log.warning("the scheduler at %s has no worker yet: waiting for the first", address)
             yield client
         return

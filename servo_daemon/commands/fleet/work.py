@@ -38,7 +38,8 @@ def diagnose_unit(unit: Unit, flags: tuple[str, ...]) -> dict[str, Any]:
 
 def _told(unit: Unit, flags: tuple[str, ...], work: _Work) -> dict[str, Any]:
     """With what went wrong, in words; only what is wrong with the input is caught."""
-    began, document = time.perf_counter(), {}
+    began = time.perf_counter()
+    document: dict[str, Any]
     try:
         with _local(unit.captures) as paths, contextlib.redirect_stderr(io.StringIO()):
             different, called = _different(paths), dict(zip(paths, unit.captures, strict=True))
