@@ -173,6 +173,7 @@ def _train(arguments: argparse.Namespace) -> dict[str, Any]:
         BadInputError: the fleet does not determine R, L, K, J and B.
     """
     from servo_daemon.commands.train import drive_spec, model_document, train_with_bar
+    from servo_daemon.fleet.prior import FEWEST
     from servo_daemon.fleet.prior_file import nominal_of, read_prior, spread_of
     from servo_daemon.learning import DEFAULT_MOTORS
     from servo_daemon.learning.model.model_file import save_model
@@ -180,6 +181,8 @@ def _train(arguments: argparse.Namespace) -> dict[str, Any]:
 
     path = arguments.out / "fleet.parquet"
     prior = read_prior(path) if path.is_file() else ()
+    if not prior:
+        common.note(f"fewer than {FEWEST} drives tell what the type is: the nominal values of --config are taken")
     drive = common.offline_drive(arguments)
     drive = drive.model_copy(update={"nominal": {**drive.nominal, **nominal_of(prior)}})
     model = train_with_bar(drive_spec(drive, spread=spread_of(prior)), Job(arguments.motors or DEFAULT_MOTORS))
