@@ -15,8 +15,8 @@ from servo_daemon.report.figures import Line, Mark
 
 #: Lines of a list before it says how many more there are; all of them are in the tables.
 _MOST_LINES = 50
-#: Names of drives in one cell.
-_MOST_NAMES = 8
+#: Names of drives in one cell, and below a plot of all.
+_MOST_NAMES, _MOST_NUMBERED = 8, 30
 
 
 def fleet_report(fleet: Fleet, provenance: Provenance) -> Report:
@@ -199,7 +199,9 @@ def _distribution(fleet: Fleet, j: int) -> Plot:
     back: Any = np.exp if log else (lambda x: x)
     own, pooled = fleet.own[order, j], fleet.pooled.mean[order, j]
     half = 1.96 * np.sqrt(fleet.pooled.cov[order, j, j])
-    lowest, highest = (fleet.documents[k]["drive"] for k in (order[0], order[-1]))
+    names = [fleet.documents[k]["drive"] for k in order]
+    numbered = ", ".join(f"{k} {drive}" for k, drive in enumerate(names, start=1))
+    told = numbered if len(names) <= _MOST_NUMBERED else f"from {names[0]} to {names[-1]}"
     mean = float(back(fleet.pooled.prior.mean[j]))
     return Plot(
         f"{name} over the fleet",
@@ -209,7 +211,7 @@ def _distribution(fleet: Fleet, j: int) -> Plot:
             Line("with the other drives", back(pooled), back(pooled - half), back(pooled + half)),
         ),
         Axis(name, parameter_table()[name].unit),
-        caption=f"Drives in the order of their values, from {lowest} to {highest}; the band is the 95 % interval.",
+        caption=f"The band is the 95 % interval; drives in the order of their values: {told}.",
         x_axis=Axis("drive"),
         levels=(Mark(mean, "mean"),),
         group="drives",

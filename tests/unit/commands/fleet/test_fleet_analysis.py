@@ -97,6 +97,12 @@ def test_what_a_result_does_not_say_is_told() -> None:
     assert "1 capture cannot be read" in verdict.lines
 
 
+def test_a_plot_of_few_drives_names_each_by_its_number() -> None:
+    fleet = analyse([drive(k, 2.0 - 0.01 * k) for k in range(9)])
+    plot = fleet_report(fleet, make_provenance([])).sections[1].blocks[0]
+    assert "1 axis8, 2 axis7" in plot.caption and plot.caption.endswith("9 axis0.")
+
+
 def test_a_capture_that_is_there_twice_counts_once() -> None:
     documents = [row | {"digests": [row["drive"]]} for row in make_fleet(9)]
     again = drive(9, 2.0) | {"digests": ["axis3"]}
