@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import itertools
 from collections.abc import Callable
 
@@ -108,6 +109,22 @@ def test_in_the_middle_of_a_motion_it_is_a_stop() -> None:
         session.play(WAVE)
     assert told.value.stop.reason == "command_lost"
     assert motor.commanded_V == 0.0
+
+
+def test_no_garbage_is_collected_while_a_motor_is_driven() -> None:
+    motor = Late(Setup())
+    session = at_rest(motor)
+    collected: list[bool] = []
+
+    def asked() -> bool:
+        collected.append(gc.isenabled())
+        return len(collected) == 150
+
+    motor.late = asked
+    with pytest.raises(StoppedError):
+        session.play(WAVE)
+    assert len(collected) == 150 and not any(collected)
+    assert gc.isenabled()
 
 
 def test_a_drive_that_is_silent_after_a_plan_is_waited_for() -> None:
