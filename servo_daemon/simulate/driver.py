@@ -50,6 +50,8 @@ _NUMBERS = {"rate_hz", "supply_V", "J_m", "peak_speed_rad_s", "dither_rms_V"}
 _PACING = {"realtime", "speed", "block_s", "duration_s", "fail_after_s"}
 _FAST_BLOCK = 1000  # samples a read where nothing is paced
 _LONGEST_LAG_S = 1.0  # behind the clock by more: the process stood still, and so did the motor
+#: The same while it is commanded: half of what a command is valid for, so that none runs out because a reader is late.
+_LONGEST_LAG_COMMANDED_S = 0.01
 _LONGEST_BURST_S = 0.25  # most that one read catches up
 
 
@@ -146,8 +148,9 @@ class SimulatedDriver(Driver):
         if wait_s > 0 and (self._closing.wait(min(wait_s, max(timeout_s, 0.0))) or wait_s > timeout_s):
             return None
         now = time.monotonic()
-        if now - due_s > _LONGEST_LAG_S:
-            log.info("drive %s: stood still for %.1f s, and the simulated motor with it", self.name, now - due_s)
+        if now - due_s > (_LONGEST_LAG_COMMANDED_S if self._command else _LONGEST_LAG_S):
+            if now - due_s > _LONGEST_LAG_S:
+                log.info("drive %s: stood still for %.1f s, and the simulated motor with it", self.name, now - due_s)
             block = self._deliver(drive, wanted)
             self._set_clock(now)
             return block
