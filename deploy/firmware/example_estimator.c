@@ -61,7 +61,11 @@ int main(void) {
     wire.session = 1;
     wire.sample_period_ns = 1000000;
     memcpy(wire.identity, "EXAMPLE-0002", 12);
+#if SERVO_LINEAR
     servo_estimator_start_unknown(&estimator, &noise, 0);
+#else /* an exported model with friction or a load starts from its values: `motor` must be the exported one */
+    servo_estimator_start(&estimator, &noise, 0, 3.0f);
+#endif
 
     for (uint32_t k = 0; k < SAMPLES; k++) {
         const float volts = command(k);

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from drivers.commanding import Commanding
+from servo_daemon.commissioning import ends
 from servo_daemon.commissioning.envelope import Envelope
 from servo_daemon.commissioning.limits import MotionLimits
 from servo_daemon.commissioning.prediction import Prediction
@@ -170,9 +171,11 @@ class _Run:
         """All five as far as they are known."""
         found = self._working
         if missing := [name for name in _PLANNED_WITH if name not in found]:
-            last = self.session.supervisor.last
-            text = f"the first look does not show {', '.join(missing)}: it sticks, is stopped, or samples are lost"
-            raise StoppedError(Stop("innovations", text, 0.0 if last is None else last.time_s))
+            told = f"the first look does not show {', '.join(missing)}"
+            if at := self.session.ends():
+                raise StoppedError(Stop("hard_stop", f"{ends.words(at)}; {told}", self.session.now_s))
+            text = f"{told}: it sticks, is stopped, or samples are lost"
+            raise StoppedError(Stop("innovations", text, self.session.now_s))
         out = {name: value for name, value in found.items() if name in MOTOR_NAMES}
         out.setdefault("L", _INDUCTANCE * self.session.period_s * out["R"])
         out.setdefault("B", _FRICTION * out["K"] ** 2 / out["R"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import math
 import time
 from collections.abc import Callable
@@ -10,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from drivers.commanding import LONGEST_COMMAND_S, Commanding
-from servo_daemon.commissioning import standing
+from servo_daemon.commissioning import ends, standing
 from servo_daemon.commissioning.envelope import Envelope
 from servo_daemon.commissioning.limits import MotionLimits
 from servo_daemon.commissioning.prediction import Prediction
@@ -26,8 +27,11 @@ _VALID_SAMPLES = 5
 _READ_S = 0.005
 #: Longest time until a drive follows the first command, s: many times what any command may take.
 _ARM_S = 0.5
-#: Longest time until the first sample, s: a drive on a wire describes itself once a second.
+#: Longest time until the first sample, s: a drive on a wire describes itself once a second. So long may it also be
+#: silent while nothing is commanded.
 _FIRST_S = 3.0
+#: Starts of a motion that come to nothing because this machine was late, and nothing has moved yet.
+_STARTS = 5
 #: Recorded after a stop, s: the motor runs down.
 _AFTER_S = 0.2
 _SLOW = " (the line, or this machine: it must have the time to answer)"
@@ -62,6 +66,7 @@ class Session:
         assert first.position_rad is not None
         self._origin = float(first.position_rad[0])
         self._follows = False  # whether it has shown that a command acts, and none has run out since
+        self._moving = False  # whether what is commanded is to move it
         self.envelope: Envelope | None = None
         self.prediction: Prediction | None = None
         self.centring_V_rad = 0.0
@@ -71,6 +76,20 @@ class Session:
     def time_left_s(self) -> float:
         """Of motion."""
         return self._limits.seconds - self.motion_s
+
+    @property
+    def now_s(self) -> float:
+        """Device time of the last sample."""
+        return float(self._blocks[-1].time_s[-1])
+
+    def ends(self) -> list[float]:
+        """Where the shaft stands against a stop, rad from where it began."""
+        s, block = self.supervisor, self.block()
+        if s.moving_A is None:
+            return []
+        assert block.position_rad is not None and block.current_A is not None
+        current = block.current_A - s.offset_A
+        return ends.stops(block.time_s, block.position_rad - self._origin, current, s.moving_A, self.count_rad)
 
     def block(self) -> SampleBlock:
         """All samples so far."""
@@ -95,6 +114,8 @@ class Session:
         Raises:
             StoppedError: the supervisor or the user stops the run.
         """
+        collects = gc.isenabled()
+        gc.disable()  # over all that is loaded it takes 0.1 s and more: longer than a command is valid
         try:
             self._play(wave, enough)
         except StoppedError:
@@ -103,6 +124,8 @@ class Session:
             raise
         finally:
             self._halt()
+            if collects:
+                gc.enable()
 
     def named(self, stop: Stop) -> Stop:
         """A stop because the encoder stands, by its cause."""
@@ -119,38 +142,46 @@ class Session:
         """After a time in which samples went by unseen and nothing was commanded: goes on from the newest."""
         if self._drive.can_wait:
             return
-        self.supervisor.driven = False
+        self.supervisor.driven = self._moving = False
         while self._received(0.0) is not None:
             pass  # what waited in the line is old, and where that was full the newest are lost
-        newest = self._received(self._silence_s)
-        if newest is not None:
-            self._acting(newest)
-            self._keep(newest.slice(len(newest) - 1, len(newest)))
-            self.supervisor.skip(self._readings(newest)[-1][0])
+        newest = self._awaited()
+        self._acting(newest)
+        self._keep(newest.slice(len(newest) - 1, len(newest)))
+        self.supervisor.skip(self._readings(newest)[-1][0])
 
-    def _arm(self) -> None:
-        """0 V until the drive follows."""
-        until = self._now() + _ARM_S
+    def _armed(self) -> float:
+        """0 V until the drive follows; device time then, s."""
+        self.supervisor.driven = self._moving = False
+        until = self.now_s + _ARM_S
         while not self._follows:
             self._send(0.0)
             self._read()
-            if self._now() > until:
-                raise StoppedError(Stop("command_lost", "the drive does not follow commands", self._now()))
+            if self.now_s > until:
+                raise StoppedError(Stop("command_lost", "the drive does not follow commands", self.now_s))
+        return self.now_s
 
     def _play(self, wave: F64, enough: Callable[[], bool]) -> None:
-        self.supervisor.driven = False
-        self._arm()
-        began = last = self._now()
-        n, moving = len(wave), bool(np.any(wave))
-        values, self.supervisor.driven = wave.tolist(), moving
+        began = last = self._armed()
+        n, moving, starts = len(wave), bool(np.any(wave)), 1
+        values, self._moving = wave.tolist(), moving
         while (k := round((last - began) / self.period_s) + 1) < n and not enough():
             if moving and self.time_left_s <= 0.0:
                 return
             self._command(values[k])
             now = self._read()
-            if moving:
+            if moving and not self._follows:  # late, and no voltage of the wave has acted yet: it begins anew
+                if starts == _STARTS:
+                    raise StoppedError(Stop("command_lost", f"{starts} starts came to nothing: {self._lost}", now))
+                began = last = now = self._armed()
+                starts, self._moving = starts + 1, True
+            elif moving:
                 self.motion_s += now - last
             last = now
+
+    @property
+    def _lost(self) -> str:
+        return f"the drive went to 0 V by itself: no command came in time for {1e3 * self._valid_s:.0f} ms{_SLOW}"
 
     def _command(self, wanted_V: float) -> None:
         s = self.supervisor
@@ -166,35 +197,31 @@ class Session:
         try:
             self._drive.command(voltage_V, self._valid_s)
         except DriverDisconnectedError as error:
-            raise StoppedError(Stop("port_lost", str(error), self._now())) from error
+            raise StoppedError(Stop("port_lost", str(error), self.now_s)) from error
 
     def _received(self, timeout_s: float) -> SampleBlock | None:
         try:
             return self._drive.read(timeout_s)
         except DriverDisconnectedError as error:
-            raise StoppedError(Stop("port_lost", str(error), self._now())) from error
+            raise StoppedError(Stop("port_lost", str(error), self.now_s)) from error
 
     def _acting(self, block: SampleBlock) -> list[float]:
         """Voltages that should act, V; 0 where none is commanded."""
-        volts = self._drive.acting_V(block)
-        self._follows = not math.isnan(volts[-1])
-        self.supervisor.latency_s = max(self._drive.latency_s, self.period_s)
-        if self.supervisor.driven and np.isnan(volts).any():
-            text = f"the drive went to 0 V by itself: no command came in time for {1e3 * self._valid_s:.0f} ms{_SLOW}"
-            raise StoppedError(Stop("command_lost", text, float(block.time_s[-1])))
-        return [0.0 if math.isnan(v) else v for v in volts.tolist()]
+        volts, s = self._drive.acting_V(block), self.supervisor
+        s.latency_s = max(self._drive.latency_s, self.period_s)
+        silent, volts = np.isnan(volts), np.nan_to_num(volts)
+        self._follows = not silent[-1]
+        if not s.driven:
+            acts = np.flatnonzero(volts) if self._moving else np.zeros(0, dtype=np.intp)
+            s.driven, silent = len(acts) > 0, silent[acts[0] :] if len(acts) else silent
+        if s.driven and silent.any():
+            raise StoppedError(Stop("command_lost", self._lost, float(block.time_s[-1])))
+        out: list[float] = volts.tolist()
+        return out
 
     def _read(self) -> float:
         """Checks what has come; device time of the last sample, s."""
-        began = time.monotonic()
-        while (block := self._received(_READ_S)) is None:
-            if self._interrupted():
-                raise StoppedError(Stop("interrupted", "stopped by the user", self._now()))
-            if time.monotonic() - began > self._silence_s:
-                text = f"no sample for {1e3 * self._silence_s:g} ms{_SLOW}"
-                raise StoppedError(Stop("data_missing", text, self._now()))
-        if self._interrupted():
-            raise StoppedError(Stop("interrupted", "stopped by the user", self._now()))
+        block = self._awaited()
         self._keep(block)
         for (r, good), volts in zip(self._readings(block), self._acting(block), strict=True):
             try:
@@ -204,6 +231,19 @@ class Session:
             if self.prediction is not None:
                 self.prediction.check(r)
         return float(block.time_s[-1])
+
+    def _awaited(self) -> SampleBlock:
+        """The next samples; while nothing is commanded there is time."""
+        began, longest_s = time.monotonic(), self._silence_s if self.supervisor.driven else _FIRST_S
+        while True:
+            block = self._received(_READ_S)
+            if self._interrupted():
+                raise StoppedError(Stop("interrupted", "stopped by the user", self.now_s))
+            if block is not None:
+                return block
+            if time.monotonic() - began > longest_s:
+                text = f"no sample for {1e3 * longest_s:g} ms{_SLOW}"
+                raise StoppedError(Stop("data_missing", text, self.now_s))
 
     def _readings(self, block: SampleBlock) -> list[tuple[Reading, bool]]:
         v, i, x, temperature = block.voltage_V, block.current_A, block.position_rad, block.temperature_C
@@ -220,9 +260,6 @@ class Session:
         if block.channels != self._blocks[-1].channels:
             raise DriverError("the drive reports other channels than before")
         self._blocks.append(block)
-
-    def _now(self) -> float:
-        return float(self._blocks[-1].time_s[-1])
 
     def _first(self) -> SampleBlock:
         until = time.monotonic() + _FIRST_S
@@ -245,8 +282,8 @@ class Session:
     def _run_down(self) -> None:
         """Records how the motor comes to rest; nothing is commanded any more."""
         until = time.monotonic() + _AFTER_S
-        end = self._now() + _AFTER_S
-        while self._now() < end and time.monotonic() < until:
+        end = self.now_s + _AFTER_S
+        while self.now_s < end and time.monotonic() < until:
             with contextlib.suppress(DriverDisconnectedError):
                 if (block := self._drive.read(_READ_S)) is not None:
                     self._keep(block)

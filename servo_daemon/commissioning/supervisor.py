@@ -57,13 +57,14 @@ class Supervisor:
         limits: of the run.
         period_s: of the samples.
         count_rad: one encoder count.
-        watchdog_s: time without a sample that ends the run.
+        watchdog_s: time without a sample that ends the run while it is driven.
 
     Attributes:
         stopping_s: a shaft at 0 V goes on by its speed times this; set anew when the motor is known better.
         resting: nothing has been commanded yet.
-        driven: something is commanded now.
+        driven: a voltage acts that is to move the motor.
         latency_s: from a sample until the command that answers it acts.
+        moving_A: the greatest current until the shaft moved first; None: it has not yet.
         bounded_current: the command is such that even a stalled motor stays within the limit.
     """
 
@@ -83,7 +84,7 @@ class Supervisor:
         self._electrical = self._electrical_var = 0.0
         self._mechanical = self._mechanical_di = self._mechanical_dx = 0.0
         self._differs = 0
-        self._moving_A: float | None = None  # what moved the shaft first
+        self.moving_A: float | None = None
         self._stuck_at, self._stuck_since, self._stuck_A = 0.0, 0.0, 0.0
 
     @property
@@ -132,6 +133,9 @@ class Supervisor:
             StoppedError: there is a doubt.
         """
         last = self._last
+        if last is not None and not self.driven and r.time_s - last.time_s > self._watchdog_s:
+            self.skip(r)  # samples are lost while nothing acts: there is nothing to stop
+            return
         self._check_data(r, last, commanded_V)
         self._take(r)
         self._last = r
@@ -237,13 +241,13 @@ class Supervisor:
 
     def _check_stuck(self, r: Reading) -> None:
         """An encoder that dies, or a shaft that gets stuck, after it has moved."""
-        if self._moving_A is None and self.has_moved:
-            self._moving_A = self.peak_current_A
+        if self.moving_A is None and self.has_moved:
+            self.moving_A = self.peak_current_A
         if not self.driven or abs(r.position_rad - self._stuck_at) > 1.5 * self._count:
             self._stuck_at, self._stuck_since, self._stuck_A = r.position_rad, r.time_s, 0.0
         self._stuck_A = max(self._stuck_A, abs(r.current_A - self.offset_A))
         long = r.time_s - self._stuck_since > _STUCK_S
-        if self._moving_A is not None and long and self._stuck_A > _STUCK * self._moving_A:
+        if self.moving_A is not None and long and self._stuck_A > _STUCK * self.moving_A:
             text = "the shaft moved and now does not: the encoder has died, or the shaft is stuck or at a stop"
             self._stop("motion_ended", text, r)
 

@@ -27,12 +27,16 @@ def expressible(name: str) -> bool:
     return terms.shaft is None and terms.lag_s is None and terms.delay is None
 
 
-def rigid(model: ExportedModel) -> ExportedModel:
+def rigid(model: ExportedModel, target: str) -> ExportedModel:
     """The model as it moves where its shaft is stiff: for targets that have one inertia. The effect stays among the
-    effects, so that it is told."""
+    effects, so that it is told.
+
+    Raises:
+        BadInputError: one of the two inertias is not known.
+    """
     if all(probe(effects_by_name()[name])[1].shaft is None for name in model.effects):
         return model
-    v = model.require(("J", "J_l"), "a target with one inertia")
+    v = model.require(("J", "J_l"), target)
     both = Value(v["J"] + v["J_l"], None, model.values["J"].unit, "J + J_l, as if the shaft were stiff")
     return replace(model, values={**model.values, "J": both})
 

@@ -10,7 +10,7 @@ from servo_daemon.export.words import header, identifier, line_comments, number
 
 def write(model: ExportedModel) -> Export:
     """Raises BadInputError: neither inertia nor friction is known."""
-    model = rigid(model)
+    model = rigid(model, "isaac")
     joint, name = joint_of(model, "isaac"), identifier(model.name)
     notes = joint_notes(model, joint, ("coulomb_friction", "stribeck_friction"))
     if "stribeck_friction" in model.effects:

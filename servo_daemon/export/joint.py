@@ -36,7 +36,7 @@ def joint_of(model: ExportedModel, target: str) -> Joint:
     """Raises BadInputError: neither inertia nor friction is known."""
     n, v = model.gear, {name: value.value for name, value in model.values.items()}
     if not {"J", "B", "Tc"} & set(v):
-        model.require(("B",), target)
+        raise model.lacking([name for name in ("J", "B", "Tc") if name in model.needed], "J, B or Tc", target)
 
     def times(name: str, factor: float) -> float | None:
         return v[name] * factor if name in v else None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from servo_daemon.errors import BadInputError
@@ -76,14 +76,20 @@ class ExportedModel:
             BadInputError: one is not known; nothing is put in its place.
         """
         names = tuple(names)
-        lost = [name for name in names if name not in self.values]
-        if lost:
-            why = "; ".join(f"{name}: {self.missing.get(name, 'not in the model')}" for name in lost)
-            raise BadInputError(
-                f"--to {target} needs {', '.join(lost)}, which {self.source} does not tell ({why}): "
-                f"give what you know with --fix {lost[0]}=…, or choose another target"
-            )
+        if lost := [name for name in names if name not in self.values]:
+            raise self.lacking(lost, ", ".join(lost), target)
         return {name: self.values[name].value for name in names}
+
+    def lacking(self, lost: Sequence[str], needed: str, target: str) -> BadInputError:
+        """What a target needs, why the source does not tell it, and what to do."""
+        by_reason: dict[str, list[str]] = {}
+        for name in lost:
+            by_reason.setdefault(self.missing.get(name, "not in the model"), []).append(name)
+        why = "; ".join(f"{', '.join(names)}: {reason}" for reason, names in by_reason.items())
+        return BadInputError(
+            f"--to {target} needs {needed}, which {self.source} does not tell ({why}): give what you know with "
+            f"--fix {lost[0]}=…, to `fit` if others can follow from it, or choose another target"
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ _POINTS, _UP_TO = 17, 4.0
 
 def write(model: ExportedModel) -> Export:
     """Raises BadInputError: a parameter is not known."""
-    model = rigid(model)
+    model = rigid(model, "modelica")
     model.require(model.needed, "modelica")
     b, name = balances(model), identifier(model.name)
     expressed = [n for n in model.effects if expressible(n) and n not in _NO_TABLE]

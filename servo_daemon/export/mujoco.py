@@ -35,7 +35,7 @@ _EXPRESSED = ("coulomb_friction", "stribeck_friction", "cogging_torque", "windin
 
 def write(model: ExportedModel) -> Export:
     """Raises BadInputError: J, B, or (with voltage or current as input) K is not known."""
-    model = rigid(model)
+    model = rigid(model, "mujoco")
     winding = "R" in model.values and "K" in model.values
     core = ("R", "K", "J", "B") if winding else (("J", "B") if model.drive == "torque" else ("K", "J", "B"))
     own = [p.name for n in model.effects if n in _EXPRESSED for p in effects_by_name()[n].parameters]

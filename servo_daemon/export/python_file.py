@@ -87,7 +87,7 @@ def blocked(t, x, u, d):
 
 def write(model: ExportedModel) -> Export:
     """Raises BadInputError: a parameter is not known."""
-    model = rigid(model)
+    model = rigid(model, "python")
     values = model.require(model.needed, "python")
     b = balances(model)
     why = dict.fromkeys(model.effects, "is more than a term in a balance, and left out of the twin")

@@ -10,7 +10,7 @@ from servo_daemon.export.words import header, identifier, number, xml_comment
 
 def write(model: ExportedModel) -> Export:
     """Raises BadInputError: neither inertia nor friction is known."""
-    model = rigid(model)
+    model = rigid(model, "sdf")
     joint, name = joint_of(model, "sdf"), identifier(model.name)
     notes = joint_notes(model, joint)
     values = {"damping": joint.damping, "friction": joint.friction}

@@ -22,7 +22,7 @@ _BLOCKS = (
 
 def write(model: ExportedModel) -> Export:
     """Raises BadInputError: a parameter is not known."""
-    model = rigid(model)
+    model = rigid(model, "simulink")
     model.require(model.needed, "simulink")
     b, name = balances(model), identifier(model.name)
     notes = [*common_notes(model), *not_expressed(model, [n for n in model.effects if expressible(n)])]

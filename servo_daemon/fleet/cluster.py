@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
 from servo_daemon.errors import BadInputError, ServoDaemonError
@@ -13,6 +15,8 @@ from servo_daemon.fleet.units import Unit
 
 if TYPE_CHECKING:
     from distributed import Client
+
+log = logging.getLogger(__name__)
 
 #: Units sent ahead for each thread of the cluster: a worker that is done has the next one already, and a million units
 #: are not a million tasks in the scheduler's memory.
@@ -58,21 +62,37 @@ def cluster(address: str | None, workers: int | None = None) -> Iterator[Client]
     logging.getLogger("distributed").setLevel(logging.WARNING)  # it tells of every connection
     if address is not None:
         with scheduler(address) as client:
+            if not client.nthreads():
+                log.warning("the scheduler at %s has no worker yet: waiting for the first", address)
             yield client
         return
+    logging.getLogger("distributed").setLevel(logging.ERROR)  # workers that are ended in the middle of their work
     # Estimation computes in one thread; several that share a core wait for each other.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    with (
-        LocalCluster(  # type: ignore[no-untyped-call]
-            n_workers=workers or os.cpu_count() or 1,
-            threads_per_worker=1,
-            host="127.0.0.1",
-            dashboard_address=None,
-            silence_logs=logging.ERROR,  # workers that are interrupted warn of every task
-        ) as local,
-        Client(local, set_as_default=False) as client,  # type: ignore[no-untyped-call]
-    ):
-        yield client
+    with ExitStack() as stack:
+        with _interrupts_ignored():
+            local = LocalCluster(  # type: ignore[no-untyped-call]
+                n_workers=workers or os.cpu_count() or 1,
+                threads_per_worker=1,
+                host="127.0.0.1",
+                dashboard_address=None,
+                silence_logs=logging.ERROR,  # workers that are interrupted warn of every task
+            )
+            stack.enter_context(local)
+        yield stack.enter_context(Client(local, set_as_default=False))  # type: ignore[no-untyped-call]
+
+
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """Processes that begin now leave Ctrl-C, which a terminal sends to all, to this one, which ends them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def results(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -18,15 +18,16 @@ ENDINGS = (".csv", ".txt", ".log", ".tsv", ".jsonl", ".parquet", ".mat", ".mf4",
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """One drive: its name, its captures (paths or URLs, sorted), and their sizes in bytes."""
+    """One drive: its name, its captures (paths or URLs, sorted), and what each of them changes with: its size in bytes
+    and, where it is known, when it was written."""
 
     name: str
     captures: tuple[str, ...]
-    sizes: tuple[int, ...]
+    versions: tuple[str, ...]
 
     def key(self, asked: str) -> str:
         """The same for the same captures and the same question (`asked`), and for no other."""
-        text = "\n".join([asked, self.name, *self.captures, *map(str, self.sizes)])
+        text = "\n".join([asked, self.name, *self.captures, *self.versions])
         return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
 
 
@@ -45,14 +46,14 @@ def find_units(places: Sequence[str], drive_from: str | None = None) -> tuple[Un
         ServoDaemonError: a URL without fsspec.
     """
     pattern = _compiled(drive_from)
-    found: dict[str, list[tuple[str, int]]] = {}
+    found: dict[str, list[tuple[str, str]]] = {}
     for place in places:
-        for path, name, size in _captures_of(place):
-            found.setdefault(name if pattern is None else _named(pattern, path), []).append((path, size))
+        for path, name, version in _captures_of(place):
+            found.setdefault(name if pattern is None else _named(pattern, path), []).append((path, version))
     units = []
     for name, several in sorted(found.items()):
         files = sorted(set(several))
-        units.append(Unit(name, tuple(path for path, _ in files), tuple(size for _, size in files)))
+        units.append(Unit(name, tuple(path for path, _ in files), tuple(version for _, version in files)))
     return tuple(units)
 
 
@@ -75,32 +76,45 @@ def _named(pattern: re.Pattern[str], path: str) -> str:
     return match.group(1)
 
 
-def _captures_of(place: str) -> Iterator[tuple[str, str, int]]:
-    """Path, drive and size in bytes of the captures at a place."""
+def _captures_of(place: str) -> Iterator[tuple[str, str, str]]:
+    """Path, drive and version of the captures at a place."""
     if "://" in place:
         yield from _of_url(place)
         return
     root = Path(place)
     if root.is_file():
-        yield place, _stem(root.name), root.stat().st_size
+        yield place, _stem(root.name), _version_of(root)
         return
     if not root.is_dir():
         raise BadInputError(f"{place}: there is no such file or folder")
-    yield from _in_folder(place, ((str(p), p.stat().st_size) for p in root.rglob("*") if p.is_file()))
+    yield from _in_folder(place, ((str(p), _version_of(p)) for p in root.rglob("*") if p.is_file()))
 
 
-def _of_url(url: str) -> Iterator[tuple[str, str, int]]:
+def _version_of(path: Path) -> str:
+    stat = path.stat()
+    return f"{stat.st_size} {stat.st_mtime_ns}"
+
+
+#: Under these names file systems tell when a file was written, or which version of it this is.
+_WRITTEN = ("ETag", "LastModified", "last_modified", "mtime", "created")
+
+
+def _version_told(about: Mapping[str, Any]) -> str:
+    written = next((about[key] for key in _WRITTEN if about.get(key)), "")
+    return f"{int(about['size'])} {written}"
+
+
+def _of_url(url: str) -> Iterator[tuple[str, str, str]]:
     fs, root = filesystem_of(url)
     try:
         if fs.isfile(root):
-            yield fs.unstrip_protocol(root), _stem(PurePosixPath(root).name), int(fs.size(root))
+            yield fs.unstrip_protocol(root), _stem(PurePosixPath(root).name), _version_told(fs.info(root))
             return
-        files = {path: int(about["size"]) for path, about in fs.find(root, detail=True).items()}
+        files = {path: _version_told(about) for path, about in fs.find(root, detail=True).items()}
     except OSError as error:
         raise BadInputError(f"{url}: cannot be read: {error}") from error
-    plain = ((path, size) for path, size in files.items())
-    for path, name, size in _in_folder(root, plain, url):
-        yield fs.unstrip_protocol(path), name, size
+    for path, name, version in _in_folder(root, files.items(), url):
+        yield fs.unstrip_protocol(path), name, version
 
 
 def filesystem_of(url: str) -> tuple[Any, str]:
@@ -118,15 +132,15 @@ def filesystem_of(url: str) -> tuple[Any, str]:
     return fs, str(path)
 
 
-def _in_folder(root: str, files: Iterable[tuple[str, int]], told: str | None = None) -> Iterator[tuple[str, str, int]]:
+def _in_folder(root: str, files: Iterable[tuple[str, str]], told: str | None = None) -> Iterator[tuple[str, str, str]]:
     """Raises BadInputError where no file of the folder is a capture by its name."""
     none = True
-    for path, size in sorted(files):
+    for path, version in sorted(files):
         inside = PurePosixPath(path).relative_to(PurePosixPath(root))
         if _is_capture(inside.name):
             none = False
             folder = inside.parent.as_posix()
-            yield path, _stem(inside.name) if folder == "." else folder, size
+            yield path, _stem(inside.name) if folder == "." else folder, version
     if none:
         raise BadInputError(f"{told or root}: holds no capture ({', '.join(ENDINGS)})")
 

@@ -50,6 +50,8 @@ _NUMBERS = {"rate_hz", "supply_V", "J_m", "peak_speed_rad_s", "dither_rms_V"}
 _PACING = {"realtime", "speed", "block_s", "duration_s", "fail_after_s"}
 _FAST_BLOCK = 1000  # samples a read where nothing is paced
 _LONGEST_LAG_S = 1.0  # behind the clock by more: the process stood still, and so did the motor
+#: The same while it is commanded: half of what a command is valid for, so that none runs out because a reader is late.
+_LONGEST_LAG_COMMANDED_S = 0.01
 _LONGEST_BURST_S = 0.25  # most that one read catches up
 
 
@@ -92,6 +94,7 @@ class SimulatedDriver(Driver):
         self._anchor_sample = 0
         self._has_failed = False
         self._command: tuple[float, int] | None = None  # V, and the first sample for which it is no longer valid
+        self._acting = np.zeros(0)  # of the last block: the voltage commanded; not a number: none is valid
 
     @property
     def can_wait(self) -> bool:
@@ -119,7 +122,7 @@ class SimulatedDriver(Driver):
         return 1.0 / self._settings.rate_hz
 
     def acting_V(self, block: SampleBlock) -> F64:
-        return np.full(len(block), 0.0 if self._command is None else self._command[0])
+        return self._acting[: len(block)]
 
     def _open(self) -> None:
         self._command = None
@@ -145,8 +148,9 @@ class SimulatedDriver(Driver):
         if wait_s > 0 and (self._closing.wait(min(wait_s, max(timeout_s, 0.0))) or wait_s > timeout_s):
             return None
         now = time.monotonic()
-        if now - due_s > _LONGEST_LAG_S:
-            log.info("drive %s: stood still for %.1f s, and the simulated motor with it", self.name, now - due_s)
+        if now - due_s > (_LONGEST_LAG_COMMANDED_S if self._command else _LONGEST_LAG_S):
+            if now - due_s > _LONGEST_LAG_S:
+                log.info("drive %s: stood still for %.1f s, and the simulated motor with it", self.name, now - due_s)
             block = self._deliver(drive, wanted)
             self._set_clock(now)
             return block
@@ -179,8 +183,8 @@ class SimulatedDriver(Driver):
             block = drive.next_block(n)
         else:
             voltage, until = self._command
-            samples = np.arange(self._delivered, self._delivered + n)
-            block = drive.commanded_block(np.where(samples < until, voltage, 0.0))
+            self._acting = np.where(np.arange(self._delivered, self._delivered + n) < until, voltage, np.nan)
+            block = drive.commanded_block(np.nan_to_num(self._acting))
         self._delivered += n
         self.counters.frames += 1
         return replace(block, host_time_s=time.monotonic())

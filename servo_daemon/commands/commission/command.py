@@ -129,7 +129,11 @@ def commanding_driver(drive: DriveConfig) -> tuple[Driver, Commanding]:
 
 
 def _is_unexplained(result: Commissioning) -> bool:
-    return result.outcome == "unexplained" or (result.stop is not None and result.stop.reason in _UNEXPLAINED)
+    if result.stop is None:
+        return result.outcome == "unexplained"
+    if result.stop.reason == "hard_stop" and (result.fit is None or "J" not in result.fit.values):
+        return False  # it stands in the way from the beginning: the samples are the stop's
+    return result.stop.reason in _UNEXPLAINED
 
 
 def _diagnosed(capture: Capture, drive: DriveConfig, budget_s: float) -> Diagnosis | None:

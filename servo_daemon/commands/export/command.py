@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from servo_daemon.commands.shared import common
+from servo_daemon.config import load_config
 from servo_daemon.errors import BadInputError
 from servo_daemon.export.targets import NAMES
 
@@ -64,16 +65,20 @@ def read(arguments: argparse.Namespace) -> ExportedModel:
     from servo_daemon.commands.export import source
 
     given: str | None = arguments.source
-    drive = common.offline_drive(arguments) if arguments.config is not None else None
-    if given is None and drive is None:
+    config = load_config(arguments.config) if arguments.config is not None else None
+    if given is None and config is None:
         raise BadInputError("nothing to export: name a fit.json, a diagnosis.json or a daemon's address, or --config")
     if given is None:
-        assert drive is not None
-        model = source.from_config(drive, arguments.config)
+        assert config is not None
+        model = source.from_config(config.drive_named(arguments.drive), arguments.config)
     elif given.startswith(("http://", "https://")):
-        model = source.from_daemon(given, arguments.drive, drive)
+        model = source.from_daemon(given, arguments.drive, config)
+    elif arguments.drive is not None and config is None:
+        raise BadInputError(
+            f"--drive {arguments.drive}: {given} is of one drive; it chooses among those of --config or of a daemon"
+        )
     else:
-        model = source.from_document(Path(given), drive)
+        model = source.from_document(Path(given), arguments.drive, config)
     model = source.with_fixed(model, common.parse_fix(",".join(arguments.fix)))
     if (ratio := arguments.gear_ratio) is not None:
         try:

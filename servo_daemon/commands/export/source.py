@@ -11,7 +11,7 @@ from urllib.parse import quote
 
 from servo_daemon.captures.capture.model import LINEAR_COLUMNS
 from servo_daemon.commands.shared import daemon_http
-from servo_daemon.config import DriveConfig
+from servo_daemon.config import Config, DriveConfig
 from servo_daemon.errors import BadInputError
 from servo_daemon.export.model import CORE, ExportedModel, Value
 from servo_daemon.plant.core import Drive
@@ -22,19 +22,22 @@ from servo_daemon.signal_meaning import SignalMeaning
 _UNUSABLE = {"invalid": "do not use: the estimate is invalid", "undetermined": "these data do not determine it"}
 
 
-def from_document(path: Path, drive: DriveConfig | None) -> ExportedModel:
+def from_document(path: Path, name: str | None = None, config: Config | None = None) -> ExportedModel:
     """The model of a `fit.json` or `diagnosis.json`.
 
     Args:
-        drive: what a configuration says besides: limits, signals.
+        name: of the configuration's drive; None: the one that the document names, or the first.
+        config: what it says besides: limits, signals.
 
     Raises:
         BadInputError: it is no such document.
+        ConfigError: there is no such drive.
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise BadInputError(f"{path}: {error.strerror or error}") from None
+        address = " (a daemon's address begins with http://)" if ":" in str(path) else ""
+        raise BadInputError(f"{path}: {error.strerror or error}{address}") from None
     except (ValueError, RecursionError) as error:
         raise BadInputError(
             f"{path}: no JSON document ({error}): name the fit.json of `fit --out`, the diagnosis.json of `diagnose`, "
@@ -56,18 +59,28 @@ def from_document(path: Path, drive: DriveConfig | None) -> ExportedModel:
         raise BadInputError(
             f"{path}: neither a fit.json nor a diagnosis.json: it has no model and parameters"
         ) from None
-    name = document.get("drive") or (drive.name if drive is not None else path.stem)
+    own, drive = document.get("drive"), None
+    if config is not None:
+        if name is None and any(d.name == own for d in config.drive):
+            name = own
+        drive = config.drive_named(name)
+    called = name or own or (drive.name if drive is not None else path.stem)
     signals = document.get("signals")
-    model = _checked(str(name), what, input_, effects, rows, str(path), linear=linear)
+    model = _checked(str(called), what, input_, effects, rows, str(path), linear=linear)
     meaning = _meaning(signals, str(path)) if isinstance(signals, Mapping) else None
     return _with_drive(model, drive, meaning)
 
 
-def from_daemon(url: str, name: str | None, drive: DriveConfig | None) -> ExportedModel:
+def from_daemon(url: str, name: str | None, config: Config | None) -> ExportedModel:
     """What a running daemon says of a drive now.
+
+    Args:
+        name: of its drive; None: its first.
+        config: what it says besides of the drive of that name: limits, signals.
 
     Raises:
         BadInputError, ServoDaemonError: as `daemon_http.get`.
+        ConfigError: the configuration has no such drive.
     """
     drives = [d["name"] for d in daemon_http.document(url, "/drives")["drives"]]
     name = drives[0] if name is None else name
@@ -75,6 +88,7 @@ def from_daemon(url: str, name: str | None, drive: DriveConfig | None) -> Export
     rows = document["parameters"]
     source = f"{url}, drive {name}, {document['time'] or 'before the first sample'}"
     model = _checked(name, source, _input(rows), document["model"], rows, url, linear=False)
+    drive = None if config is None else config.drive_named(name)
     rate = document.get("sample_rate_hz")
     signals = daemon_http.document(url, f"/drives/{quote(name, safe='')}").get("signals")
     meaning = _meaning(signals, url) if isinstance(signals, Mapping) else None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import shlex
 import sys
@@ -82,7 +83,9 @@ def _asked(arguments: argparse.Namespace) -> str:
     from servo_daemon import __version__
 
     work = "diagnose" if arguments.what == "diagnose" else "fit"
-    return shlex.join([work, __version__, *_flags(arguments)])
+    told = [path.read_bytes() for path in (arguments.config, arguments.signals) if path is not None and path.is_file()]
+    content = [hashlib.sha256(b"\n".join(told)).hexdigest()[:12]] if told else []  # of the files that the flags name
+    return shlex.join([work, __version__, *_flags(arguments), *content])
 
 
 def _check_folder(arguments: argparse.Namespace, asked: str) -> None:
@@ -136,13 +139,17 @@ def _documents(arguments: argparse.Namespace, units: Sequence[Unit], asked: str)
     left = [unit for unit in units if unit not in found]
     with common.progress(len(units), "drive", arguments.what) as bar:
         bar.update(len(found))
-        if left:
-            with cluster(arguments.dask, arguments.workers) as client:
-                for unit, document in results(client, left, work, _flags(arguments)):
-                    whole = {"drive": unit.name, "captures": list(unit.captures), "seconds": 0.0, **document}
-                    kept.put(unit, whole)
-                    found[unit] = whole
-                    bar.update(1)
+        try:
+            if left:
+                with cluster(arguments.dask, arguments.workers) as client:
+                    for unit, document in results(client, left, work, _flags(arguments)):
+                        whole = {"drive": unit.name, "captures": list(unit.captures), "seconds": 0.0, **document}
+                        kept.put(unit, whole)
+                        found[unit] = whole
+                        bar.update(1)
+        except KeyboardInterrupt:
+            common.note(f"{len(found)} of {len(units)} drives are done: the same command goes on from there")
+            raise
     return [found[unit] for unit in units]
 
 
@@ -166,6 +173,7 @@ def _train(arguments: argparse.Namespace) -> dict[str, Any]:
         BadInputError: the fleet does not determine R, L, K, J and B.
     """
     from servo_daemon.commands.train import drive_spec, model_document, train_with_bar
+    from servo_daemon.fleet.prior import FEWEST
     from servo_daemon.fleet.prior_file import nominal_of, read_prior, spread_of
     from servo_daemon.learning import DEFAULT_MOTORS
     from servo_daemon.learning.model.model_file import save_model
@@ -173,6 +181,8 @@ def _train(arguments: argparse.Namespace) -> dict[str, Any]:
 
     path = arguments.out / "fleet.parquet"
     prior = read_prior(path) if path.is_file() else ()
+    if not prior:
+        common.note(f"fewer than {FEWEST} drives tell what the type is: the nominal values of --config are taken")
     drive = common.offline_drive(arguments)
     drive = drive.model_copy(update={"nominal": {**drive.nominal, **nominal_of(prior)}})
     model = train_with_bar(drive_spec(drive, spread=spread_of(prior)), Job(arguments.motors or DEFAULT_MOTORS))

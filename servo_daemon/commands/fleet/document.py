@@ -17,6 +17,8 @@ from servo_daemon.commands.fleet.report import (
     stranger_text,
     strangers,
     type_text,
+    unread,
+    untold,
 )
 from servo_daemon.commands.fleet.tables import prior_rows
 
@@ -38,6 +40,8 @@ def fleet_document(fleet: Fleet, asked: str) -> dict[str, Any]:
             {"text": type_text(fleet, group.tolist()), "drives": [fleet.documents[k]["drive"] for k in group]}
             for group in fleet.types
         ],
+        "untold": untold(fleet),
+        "unread": unread(fleet),
         "repeated": repeated(fleet),
         "common": [asdict(row) for row in prior_rows(fleet)],
         "causes": dict(sorted(fleet.causes.items(), key=lambda c: -c[1])) if fleet.diagnosed else None,
@@ -75,7 +79,9 @@ def print_fleet(document: Mapping[str, Any]) -> None:
     for title in ("strangers", "drifting"):
         for row in document[title]:
             print(f"  {'not like the others' if title == 'strangers' else 'drifts'}: {row['text']}")
-    for text in document["repeated"]:
+    for text in document["untold"]:
+        print(f"  with care: {text}")
+    for text in (*document["unread"], *document["repeated"]):
         print(f"  left out: {text}")
     for row in document["failed"]:
         print(f"  no result: {row['drive']}: {row['error']}")

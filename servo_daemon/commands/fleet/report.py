@@ -15,8 +15,8 @@ from servo_daemon.report.figures import Line, Mark
 
 #: Lines of a list before it says how many more there are; all of them are in the tables.
 _MOST_LINES = 50
-#: Names of drives in one cell.
-_MOST_NAMES = 8
+#: Names of drives in one cell, and below a plot of all.
+_MOST_NAMES, _MOST_NUMBERED = 8, 30
 
 
 def fleet_report(fleet: Fleet, provenance: Provenance) -> Report:
@@ -32,6 +32,7 @@ def _verdict(fleet: Fleet) -> Verdict:
         line
         for line in (
             _counted(len(fleet.failed), "drive gave no result", "drives gave no result"),
+            _counted(len(unread(fleet)), "capture cannot be read", "captures cannot be read"),
             _counted(len(strangers(fleet)), "drive is not like the others", "drives are not like the others"),
             _counted(sum(map(bool, fleet.drifts)), "drive drifts", "drives drift"),
         )
@@ -111,8 +112,9 @@ def _summary(fleet: Fleet) -> list[Block]:
         ("Types", type_texts(fleet)),
         ("Not like the others", [stranger_text(fleet, k) for k in strangers(fleet)]),
         ("What drifts", [drift_text(fleet, k, d) for k, d in drifting(fleet)]),
+        ("Told with care", untold(fleet)),
         ("No result", [f"{d['drive']}: {d['error']}" for d in fleet.failed]),
-        ("Left out", repeated(fleet)),
+        ("Left out", [*unread(fleet), *repeated(fleet)]),
     ]
     for title, lines in lists:
         if lines:
@@ -132,6 +134,23 @@ def type_text(fleet: Fleet, group: list[int]) -> str:
     units = [parameter_table()[name].unit for name in fleet.names]
     values = ", ".join(f"{n} {v:.3g} {u}" for n, v, u in zip(fleet.names, back, units, strict=True))
     return f"{len(group)} drives: {values}; {_named([fleet.documents[k]['drive'] for k in group])}"
+
+
+def untold(fleet: Fleet) -> list[str]:
+    """Drives whose captures say less than a result seems to: no value at all, or more than the model explains."""
+    lines = []
+    for d in fleet.documents:
+        rows = d["fit"]["parameters"]
+        if all(row["value"] is None for row in rows.values()):
+            lines.append(f"{d['drive']}: its captures determine none of {', '.join(rows)}")
+        elif d["fit"].get("residual", {}).get("white") is False:
+            lines.append(f"{d['drive']}: the model leaves more than noise; `fleet diagnose` looks for what it lacks")
+    return lines
+
+
+def unread(fleet: Fleet) -> list[str]:
+    """What is wrong with captures that a drive with others was told without."""
+    return [f"{d['drive']}: {text}" for d in fleet.documents for text in d.get("unread", ())]
 
 
 def repeated(fleet: Fleet) -> list[str]:
@@ -168,7 +187,7 @@ def _each(fleet: Fleet) -> list[Block]:
 
 def _own(row: Any) -> Measured | str:
     if row is None or row["value"] is None:
-        return ""
+        return "–"
     return Measured(row["value"], row["std"])
 
 
@@ -180,7 +199,9 @@ def _distribution(fleet: Fleet, j: int) -> Plot:
     back: Any = np.exp if log else (lambda x: x)
     own, pooled = fleet.own[order, j], fleet.pooled.mean[order, j]
     half = 1.96 * np.sqrt(fleet.pooled.cov[order, j, j])
-    lowest, highest = (fleet.documents[k]["drive"] for k in (order[0], order[-1]))
+    names = [fleet.documents[k]["drive"] for k in order]
+    numbered = ", ".join(f"{k} {drive}" for k, drive in enumerate(names, start=1))
+    told = numbered if len(names) <= _MOST_NUMBERED else f"from {names[0]} to {names[-1]}"
     mean = float(back(fleet.pooled.prior.mean[j]))
     return Plot(
         f"{name} over the fleet",
@@ -190,7 +211,7 @@ def _distribution(fleet: Fleet, j: int) -> Plot:
             Line("with the other drives", back(pooled), back(pooled - half), back(pooled + half)),
         ),
         Axis(name, parameter_table()[name].unit),
-        caption=f"Drives in the order of their values, from {lowest} to {highest}; the band is the 95 % interval.",
+        caption=f"The band is the 95 % interval; drives in the order of their values: {told}.",
         x_axis=Axis("drive"),
         levels=(Mark(mean, "mean"),),
         group="drives",

@@ -8,13 +8,15 @@ import hashlib
 import io
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from servo_daemon.errors import BadInputError, ServoDaemonError
 from servo_daemon.fleet.units import Unit, filesystem_of
+
+_Work = Callable[[Sequence[Path], tuple[str, ...]], dict[str, Any]]
 
 
 def fit_unit(unit: Unit, flags: tuple[str, ...]) -> dict[str, Any]:
@@ -26,26 +28,58 @@ def fit_unit(unit: Unit, flags: tuple[str, ...]) -> dict[str, Any]:
     Returns:
         drive, seconds and fit, each (a document and a capture, or None), or error.
     """
-    return _told(unit, lambda paths: _fitted(paths, flags))
+    return _told(unit, flags, _fitted)
 
 
 def diagnose_unit(unit: Unit, flags: tuple[str, ...]) -> dict[str, Any]:
     """The same for `servo-daemon diagnose`: its document stands under `diagnosis`, its final model under `fit`."""
-    return _told(unit, lambda paths: _diagnosed(paths, flags))
+    return _told(unit, flags, _diagnosed)
 
 
-def _told(unit: Unit, work: Any) -> dict[str, Any]:
+def _told(unit: Unit, flags: tuple[str, ...], work: _Work) -> dict[str, Any]:
     """With what went wrong, in words; only what is wrong with the input is caught."""
-    began, document = time.perf_counter(), {}
+    began = time.perf_counter()
+    document: dict[str, Any]
     try:
         with _local(unit.captures) as paths, contextlib.redirect_stderr(io.StringIO()):
-            different = _different(paths)
-            document = work(list(different.values())) | {"digests": list(different)}
-            if repeated := [c for c, p in zip(unit.captures, paths, strict=True) if p not in different.values()]:
+            different, called = _different(paths), dict(zip(paths, unit.captures, strict=True))
+            document, unread = _of_readable(list(different.values()), flags, work)
+            document["digests"] = [digest for digest, path in different.items() if path not in unread]
+            if repeated := [c for path, c in called.items() if path not in different.values()]:
                 document["repeated"] = repeated
+            if unread:
+                document["unread"] = [text.replace(str(path), called[path]) for path, text in unread.items()]
     except ServoDaemonError as error:
         document = {"error": str(error)}
     return {"drive": unit.name, "captures": list(unit.captures), "seconds": time.perf_counter() - began, **document}
+
+
+def _of_readable(
+    paths: list[Path], flags: tuple[str, ...], work: _Work
+) -> tuple[dict[str, Any], dict[Path, str]]:  # fmt: skip
+    """What came of the captures that can be read, and what is wrong with each of the others: a file that is broken
+    costs a drive no other."""
+    try:
+        return work(paths, flags), {}
+    except BadInputError:
+        unread = _unread(paths, flags)
+        if not unread or len(unread) == len(paths):
+            raise
+    return work([path for path in paths if path not in unread], flags), unread
+
+
+def _unread(paths: Sequence[Path], flags: tuple[str, ...]) -> dict[Path, str]:
+    from servo_daemon.commands.diagnose.command import add_arguments
+    from servo_daemon.commands.shared import common
+
+    parser, unread = argparse.ArgumentParser(add_help=False), {}
+    add_arguments(parser)  # of all that `fit` is told, and --budget
+    for path in paths:
+        try:
+            common.read_captures([path], parser.parse_args([str(path), *flags]))
+        except BadInputError as error:
+            unread[path] = str(error)
+    return unread
 
 
 @contextmanager

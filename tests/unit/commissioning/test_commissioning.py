@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from servo_daemon.commissioning import MotionLimits, commission
+from servo_daemon.commissioning.ends import stops
 from servo_daemon.commissioning.envelope import Envelope
 from servo_daemon.samples import SampleBlock
 from tests.commanded_motor import HEALTHY, CommandedMotor, Setup, drawn
@@ -86,6 +89,28 @@ def test_an_encoder_that_stands_before_the_motor_is_known(wrong: dict[str, Any],
     assert result.stop is not None and result.fit is None
     assert result.stop.reason == reason and said in result.stop.text
     assert motor.share_of(limits) <= 1.01
+
+
+@pytest.mark.parametrize("seed", [13, 45])
+def test_stops_too_near_for_a_first_look_are_named_with_their_places(seed: int) -> None:
+    setup, limits, fault = drawn(seed)
+    motor = CommandedMotor(setup)
+    result = commission(motor, limits)
+    assert fault == "hard_stop"
+    assert result.stop is not None and result.stop.reason == "hard_stop"
+    places = [float(x) for x in re.findall(r"at (-?[\d.]+)", result.stop.text)]
+    assert places
+    for place in places:
+        assert abs(place) == pytest.approx(setup.stop_rad, abs=0.01)
+    assert motor.share_of(limits) <= 1.01
+
+
+def test_a_shaft_that_sticks_or_turns_round_by_itself_is_at_no_stop() -> None:
+    time_s = 1e-3 * np.arange(3000)
+    swing = np.exp(time_s) * np.sin(2 * np.pi * 2.0 * time_s)
+    assert stops(time_s, swing, -swing, 0.1, 1e-3) == []
+    assert stops(time_s, np.clip(swing, -1.0, 2.0), swing, 0.1, 1e-3) == pytest.approx([-1.0, 2.0])
+    assert stops(time_s, np.clip(swing, -1.0, 2.0), swing, 10.0, 1e-3) == []  # less than what moved it first
 
 
 def test_time_that_is_used_up_is_no_fault_of_the_shaft() -> None:

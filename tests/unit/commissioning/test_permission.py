@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from servo_daemon.commands.commission import command
 from servo_daemon.commands.commission.command import parse_accuracy
 from servo_daemon.config import parse_config
 from servo_daemon.errors import BadInputError, ConfigError, DriverConfigError, DriverError
+from servo_daemon.simulate import driver as simulated_driver
 from servo_daemon.simulate.driver import SimulatedDriver
 from tests.commanded_motor import HEALTHY, CommandedMotor
 from tests.commissioning_rig import write_config
@@ -58,6 +60,20 @@ def test_a_simulated_drive_stops_by_itself() -> None:
         assert all(len(b) == 1 for b in blocks)
         with pytest.raises(DriverError, match="no command"):
             driver.command(float("nan"), 0.01)
+
+
+def test_a_commanded_simulated_drive_stands_still_while_its_process_is_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 100.0
+    monkeypatch.setattr(simulated_driver, "time", SimpleNamespace(monotonic=lambda: now))
+    with SimulatedDriver("axis1", {}) as driver:
+        lengths = []
+        for late_s in (0.0011, 0.008, 0.5, 0.0011):
+            driver.command(0.0, 0.02)
+            now += late_s
+            block = driver.read(0.0)
+            assert block is not None and not np.isnan(driver.acting_V(block)).any()
+            lengths.append(len(block))
+    assert lengths == [1, 8, 1, 1]
 
 
 @pytest.mark.parametrize(

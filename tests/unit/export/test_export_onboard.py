@@ -20,16 +20,27 @@ from tests.unit.export.firmware import RAD_PER_COUNT, exported
 TRUE = {"R": 1.2, "K": 0.057, "J": 5.5e-5}
 
 
-@pytest.fixture(scope="module")
-def line(program: Callable[..., str], repo_root: Path, tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """What the example sends."""
-    folder, firmware = tmp_path_factory.mktemp("firmware"), repo_root / "deploy" / "firmware"
-    exported(folder)
-    command = [program("gcc", "cc"), "-std=c99", "-Wall", "-Wextra", "-Werror", "-O2", f"-I{folder}", f"-I{firmware}",
+def built(folder: Path, compiler: str, firmware: Path, *effects: str) -> bytes:
+    """What the example sends with the estimator of this model."""
+    exported(folder, *effects)
+    command = [compiler, "-std=c99", "-Wall", "-Wextra", "-Werror", "-O2", f"-I{folder}", f"-I{firmware}",
                f"-DSERVO_RAD_PER_COUNT={RAD_PER_COUNT:.9g}f", str(firmware / "example_estimator.c"),
                str(folder / "estimator.c"), "-o", str(folder / "example"), "-lm"]  # fmt: skip
     subprocess.run(command, check=True)
     return subprocess.run([str(folder / "example")], capture_output=True, check=True).stdout
+
+
+@pytest.fixture(scope="module")
+def line(program: Callable[..., str], repo_root: Path, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """What the example sends."""
+    return built(tmp_path_factory.mktemp("firmware"), program("gcc", "cc"), repo_root / "deploy" / "firmware")
+
+
+def test_the_example_takes_a_model_with_friction(program: Callable[..., str], repo_root: Path, tmp_path: Path) -> None:
+    decoder = BinaryDecoder()
+    decoder.feed(built(tmp_path, program("gcc", "cc"), repo_root / "deploy" / "firmware", "coulomb_friction"), 0.0)
+    assert decoder.onboard is not None
+    assert list(decoder.onboard.values) == ["R", "K", "J", "B", "Tc"]
 
 
 def test_what_the_drive_estimates_comes_over_the_wire(line: bytes) -> None:

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from servo_daemon.cli import main
-from servo_daemon.commands.export.source import from_daemon
+from servo_daemon.commands.export.source import from_daemon, from_document
 from servo_daemon.commands.shared import daemon_http
+from servo_daemon.config import load_config
 from servo_daemon.errors import BadInputError
 from servo_daemon.export.balances import balances, expressible
 from servo_daemon.export.expressions import PYTHON
@@ -133,6 +134,39 @@ def test_a_configs_nominal_values_and_signals(tmp_path: Path, capsys: pytest.Cap
     assert scope["DC_MOTOR"]["saturation_effort"] == pytest.approx(0.06 * 24 / 1.1 * 8)
     assert f"{np.sqrt(3):.9g} x v_q" in text
     assert "nominal, not estimated" in text
+
+
+CONFIG = """
+[[drive]]
+name = "a"
+[drive.limits]
+current_A = 3.0
+[[drive]]
+name = "b"
+[drive.limits]
+current_A = 10.0
+"""
+
+
+def test_the_drive_of_the_config_is_the_one_that_the_source_names(
+    tmp_path: Path, export: Exporting, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "c.toml").write_text(CONFIG)
+    config = load_config(tmp_path / "c.toml")
+    named = tmp_path / "named.json"
+    named.write_text(json.dumps(document() | {"drive": "b"}))
+    assert from_document(named, None, config).limits == {"current_A": 10.0}
+    assert from_document(named, "a", config).limits == {"current_A": 3.0}
+    code, told = export(document(), "--to", "json", "--drive", "b")
+    assert code == 2
+    assert "--drive b: " in told and "is of one drive" in told
+    answers = {
+        "/drives": {"drives": [{"name": "b"}]},
+        "/drives/b": {},
+        "/drives/b/estimates": {"time": None, "model": [], "parameters": document()["parameters"]},
+    }
+    monkeypatch.setattr(daemon_http, "document", lambda url, path: answers[path])
+    assert from_daemon("http://127.0.0.1:8077", None, config).limits == {"current_A": 10.0}
 
 
 @pytest.mark.parametrize(

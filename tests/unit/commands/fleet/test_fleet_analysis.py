@@ -82,6 +82,27 @@ def test_two_types_are_told_and_not_pooled() -> None:
     assert not analyse([*make_fleet(), *others[:2]]).types  # strangers
 
 
+def test_what_a_result_does_not_say_is_told() -> None:
+    documents = make_fleet(3)
+    documents[0]["fit"]["residual"]["white"] = False
+    for row in documents[1]["fit"]["parameters"].values():
+        row |= {"value": None, "std": None, "status": "undetermined"}
+    documents[2]["unread"] = ["c.csv: the file is empty"]
+    fleet = analyse(documents)
+    told = fleet_document(fleet, "fit")
+    assert told["untold"][0].startswith("axis0: the model leaves more than noise")
+    assert told["untold"][1] == "axis1: its captures determine none of R, K"
+    assert told["unread"] == ["axis2: c.csv: the file is empty"]
+    verdict = fleet_report(fleet, make_provenance([])).sections[0].blocks[0]
+    assert "1 capture cannot be read" in verdict.lines
+
+
+def test_a_plot_of_few_drives_names_each_by_its_number() -> None:
+    fleet = analyse([drive(k, 2.0 - 0.01 * k) for k in range(9)])
+    plot = fleet_report(fleet, make_provenance([])).sections[1].blocks[0]
+    assert "1 axis8, 2 axis7" in plot.caption and plot.caption.endswith("9 axis0.")
+
+
 def test_a_capture_that_is_there_twice_counts_once() -> None:
     documents = [row | {"digests": [row["drive"]]} for row in make_fleet(9)]
     again = drive(9, 2.0) | {"digests": ["axis3"]}
