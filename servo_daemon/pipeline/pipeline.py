@@ -153,7 +153,7 @@ class Pipeline:
             self._begin(block.channels)
         estimates = []
         restarts, repeated = self._cutter.restarts, self._cutter.repeated
-        segments = tuple(self._cutter.cut(block))
+        segments = self._cutter.cut(block)
         last = max((k for k, segment in enumerate(segments) if segment.closes_tick), default=-1)
         for k, segment in enumerate(segments):
             if segment.closes_tick and self._tick:
