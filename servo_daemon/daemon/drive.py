@@ -82,6 +82,7 @@ class DriveRuntime:
         self.history = HistoryRing()
         self.log = EventLog(config.name)
         self.reader = Reader(driver, wake, self.log.add, ports)
+        self._ports = ports
         runner = runner or DiagnosisRunner()
         self._estimation = Estimation(config, driver, state_dir, self.log, wake, runner, subscription)
         self.trends = DriveTrends()  # written by the coordinator of trends
@@ -133,7 +134,13 @@ class DriveRuntime:
         return self._estimation.warnings.limits
 
     def snapshot(self) -> Snapshot:
-        """The last published state; immutable. It is made when somebody asks for it: 25 a second, most for nobody."""
+        """The last published state; immutable. Whoever asks finds it fresher the next time (`Ports`)."""
+        if self._ports is not None:
+            self._ports.ask()
+        return self.last_snapshot()
+
+    def last_snapshot(self) -> Snapshot:
+        """The same for the daemon itself. It is made when it is first asked for: of most nobody does."""
         published = self._published
         made = published.made
         if made is None:
@@ -241,7 +248,7 @@ class DriveRuntime:
             self._link = link
             self._published = self._publish()
             if self._sample_time is not None and self.history.is_due(self._sample_time):
-                self.history.append(self.snapshot())
+                self.history.append(self.last_snapshot())
 
     def _publish(self) -> _Published:
         behind_s = self.reader.queue.waited_s(time.monotonic()) if self._load.behind else 0.0
