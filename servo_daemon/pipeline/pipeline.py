@@ -161,12 +161,10 @@ class Pipeline:
                 # At the tick's end, before the filter takes what came with it in one block: what is published must not
                 # depend on how the samples came.
                 # (Nor may what the next ticks keep of it.)
-                tracker = self._tracker
-                if tracker is not None and tracker.last_s is not None:
-                    if rows:
-                        estimates.append(self._publish())
-                    elif k == last or tracker.is_calm:
-                        self._of_tick()
+                if rows:
+                    estimates += [record for record in (self.current(),) if record is not None]
+                elif self._tracker is not None and (k == last or self._tracker.is_calm):
+                    self.now()
             self._take(segment.block)
             self._samples += len(segment.block)
         self.samples_repeated += self._cutter.repeated - repeated
@@ -192,7 +190,7 @@ class Pipeline:
         if not self._tick:
             return None
         self._close_tick()
-        return self._publish()
+        return self.current()
 
     def current(self) -> Estimate | None:
         """The record after the very last sample, between ticks too; None before the first sample. Time, state and
@@ -204,9 +202,7 @@ class Pipeline:
         """What `current` is made from."""
         if self._tracker is None or self._tracker.last_s is None:
             return None
-        return Moment(
-            self._of_tick(), self._last_s, self._samples, State.of(self._tracker), self._temperature_C
-        )
+        return Moment(self._of_tick(), self._last_s, self._samples, State.of(self._tracker), self._temperature_C)
 
     def save(self) -> SavedState | None:
         """What is worth keeping over a restart; None unless the filter is well."""
@@ -288,11 +284,6 @@ class Pipeline:
         self._handover.clear()
         self._configure(successor.config)
         self.messages += [change_message(before.model, successor.config.model), *successor.told]
-
-    def _publish(self) -> Estimate:
-        now = self.now()
-        assert now is not None
-        return now.estimate()
 
     def _of_tick(self) -> Estimate:
         """The record of the last tick that was judged, as of when it was first asked for."""

@@ -84,7 +84,9 @@ class State:
     @classmethod
     def of(cls, tracker: Tracker) -> State:
         ekf, measured = tracker.ekf, tracker.measured_state.copy()
-        return cls(measured, (), _NONE) if ekf is None or not ekf.started else cls(measured, ekf.plant.state_names, ekf.x)
+        return (
+            cls(measured, (), _NONE) if ekf is None or not ekf.started else cls(measured, ekf.plant.state_names, ekf.x)
+        )
 
     def published(self) -> dict[str, float | None]:
         """What the filter says, else what is measured."""

@@ -16,7 +16,7 @@ from typing import Protocol
 #: From one reading to the next, s: with few drives as `drivers.serial.listener` has it, with many as long as they need
 #: for their turns (0.5 ms of each in 40 ms), so that the next one gathers more of each.
 _EVERY_S, _EVERY_OF_EACH_S = 0.04, 0.9e-3
-#: The same while nobody asks for what comes of it, s: a tick (decision 87). Somebody asks for so long after a question, s.
+#: The same while nobody asks for what comes of it, s: a tick (decision 87). Who has asked asks for so long after it, s.
 UNASKED_EVERY_S, ASKED_FOR_S = 0.1, 3.0
 #: Nor does reading take more than one part in this many of the time.
 _EVERY_OF_READING = 3.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -19,7 +21,7 @@ def test_parts_and_what_they_make_are_whole_where_no_sample_is_missing(seed: int
     block = make_block(np.cumsum(steps), quality=quality, voltage_V=rng.standard_normal(60))
     assert block.steps_within(1.0) and not block.steps_within(1e-6) and block.all_good == (not quality.any())
     cuts = [0, *sorted(rng.choice(np.arange(1, 60), 8, replace=False).tolist()), 60]
-    parts = [block.slice(a, b) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
+    parts = [block.slice(a, b) for a, b in pairwise(cuts)]
     for k, size in ((k, size) for k in range(len(parts)) for size in range(1, 4)):
         joined = concatenate(parts[k : k + size])
         fresh = make_block(joined.time_s.copy(), quality=joined.quality.copy(), voltage_V=joined.voltage_V)

@@ -32,7 +32,12 @@ def test_while_nobody_asks_they_are_read_once_a_tick() -> None:
     ports = Ports(lambda: now[0])
     ports.add(Line())
     waits = []
-    for now[0], asks in ((100.0, False), (200.0, True), (200.0 + ASKED_FOR_S - 0.1, False), (200.0 + ASKED_FOR_S, False)):
+    for now[0], asks in (
+        (100.0, False),
+        (200.0, True),
+        (200.0 + ASKED_FOR_S - 0.1, False),
+        (200.0 + ASKED_FOR_S, False),
+    ):
         if asks:
             ports.ask()
         ports.read()
