@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import IntFlag
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -71,7 +73,9 @@ class SampleBlock:
     # Asked for several times of each block; looked up once.
     _all_good: bool | None = field(default=None, init=False, repr=False, compare=False)
     _channels: tuple[str, ...] | None = field(default=None, init=False, repr=False, compare=False)
-    _longest_step_s: float | None = field(default=None, init=False, repr=False, compare=False)
+    _steps_s: tuple[float, float] | None = field(default=None, init=False, repr=False, compare=False)
+    # No step is longer: of a part of a block that is known of the whole.
+    _most_s: float = field(default=math.inf, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         n = self.time_s.shape[0]
@@ -91,16 +95,23 @@ class SampleBlock:
     def all_good(self) -> bool:
         """Whether no sample has any flag: the usual case."""
         if self._all_good is None:
-            object.__setattr__(self, "_all_good", not self.quality.any())
+            object.__setattr__(self, "_all_good", not np.logical_or.reduce(self.quality))
         return bool(self._all_good)
 
     @property
-    def longest_step_s(self) -> float:
-        """The largest distance from one sample to the next; 0 of a single sample."""
-        if self._longest_step_s is None:
-            steps = self.time_s[1:] - self.time_s[:-1]
-            object.__setattr__(self, "_longest_step_s", float(steps.max()) if len(steps) else 0.0)
-        return self._longest_step_s or 0.0
+    def steps_s(self) -> tuple[float, float]:
+        """The least and the largest distance from one sample to the next; infinity and 0 of a single sample."""
+        if self._steps_s is None:
+            steps, found = self.time_s[1:] - self.time_s[:-1], (math.inf, 0.0)
+            if len(steps):
+                found = float(np.minimum.reduce(steps)), float(np.maximum.reduce(steps))
+            object.__setattr__(self, "_steps_s", found)
+            object.__setattr__(self, "_most_s", found[1] if found[1] == found[1] else math.inf)
+        return self._steps_s or (math.inf, 0.0)
+
+    def steps_within(self, most_s: float) -> bool:
+        """Whether no sample is further from the one before it."""
+        return self._most_s <= most_s or self.steps_s[1] <= most_s
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -119,7 +130,15 @@ class SampleBlock:
         """Samples start..stop-1 as a block of their own (views, no copy)."""
         if start == 0 and stop >= len(self):
             return self
-        return self._with(lambda values: values[start:stop])
+        part = self._with(lambda values: values[start:stop])
+        return part._knowing(self._all_good or None, self.channels, self._most_s)
+
+    def _knowing(self, all_good: bool | None, channels: tuple[str, ...], most_s: float) -> SampleBlock:
+        """The same block, of which so much is known without looking."""
+        object.__setattr__(self, "_all_good", all_good)
+        object.__setattr__(self, "_channels", channels)
+        object.__setattr__(self, "_most_s", most_s)
+        return self
 
     def select(self, keep: NDArray[np.bool_]) -> SampleBlock:
         """The samples for which `keep`, shape (n,), is true; possibly none (a copy)."""
@@ -163,19 +182,12 @@ def concatenate(blocks: Sequence[SampleBlock]) -> SampleBlock:
         raise ValueError("no blocks to concatenate")
     if len(blocks) == 1:
         return blocks[0]
-    channels: dict[str, F64] = {}
-    for name in CHANNELS:
-        arrays = [getattr(b, name) for b in blocks]
-        known = [a for a in arrays if a is not None]
-        if known and len(known) < len(arrays):
-            raise ValueError(f"blocks carry different channels: {sorted({b.channels for b in blocks})}")
-        if known:
-            channels[name] = np.concatenate(known)
-    return SampleBlock(
-        time_s=np.concatenate([b.time_s for b in blocks]),
-        sequence=np.concatenate([b.sequence for b in blocks]),
-        quality=np.concatenate([b.quality for b in blocks]),
-        host_time_s=blocks[-1].host_time_s,
-        current_mean=blocks[-1].current_mean,
-        **channels,
-    )
+    channels, last = blocks[0].channels, blocks[-1]
+    if any(b.channels != channels for b in blocks):
+        raise ValueError(f"blocks carry different channels: {sorted({b.channels for b in blocks})}")
+    joined = {n: np.concatenate([getattr(b, n) for b in blocks]) for n in ("time_s", "sequence", "quality", *channels)}
+    block = SampleBlock(**joined, host_time_s=last.host_time_s, current_mean=last.current_mean)
+    steps = [float(b.time_s[0]) - float(a.time_s[-1]) for a, b in pairwise(blocks)]
+    steps += [b._most_s for b in blocks]
+    most_s = max(steps) if math.isfinite(sum(steps)) else math.inf
+    return block._knowing(all(b._all_good for b in blocks) or None, channels, most_s)

@@ -35,6 +35,8 @@ CONTROL_PERIOD_S = 5e-5
 _FROM_ZERO = ("truncated_A", "truncated_V", "current_late_s", "voltage_scale_std", "control_period_s")
 _CHOICES = {"voltage": VOLTAGES, "current": CURRENTS, "convention": CONVENTIONS, "publish": PUBLISHED}
 
+#: Factors, gear, steps and current of samples that are a DC motor's already.
+_AS_IT_IS = (1.0, 1.0, 1.0, 0.0, 0.0, "instant")
 #: Factors of the q axis's voltage and current by what is published: their product is the 1.5 of the dq frame's power.
 _FACTORS: Mapping[str, tuple[float, float]] = {
     "phase": (math.sqrt(1.5), math.sqrt(1.5)),
@@ -134,6 +136,8 @@ class SignalMeaning:
         """
         v, i = self.factors
         n = self.gear_ratio
+        if (v, i, n, self.truncated_V, self.truncated_A, self.current) == _AS_IT_IS:
+            return block
         factors = {"voltage_V": v, "current_A": i, "position_rad": n, "velocity_rad_s": n, "torque_Nm": 1.0 / n}
         steps = {"voltage_V": self.truncated_V, "current_A": self.truncated_A}
         changed: dict[str, Any] = {

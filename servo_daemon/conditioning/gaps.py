@@ -24,21 +24,21 @@ def distances(time_s: F64, last_s: float) -> F64:
     return out
 
 
-def _longest_distance(block: SampleBlock, last_s: float | None) -> float:
-    """Of a sample from the one before it, s."""
-    return block.longest_step_s if last_s is None else max(float(block.time_s[0]) - last_s, block.longest_step_s)
+def _within(block: SampleBlock, last_s: float | None, most_s: float) -> bool:
+    """Whether no sample is further from the one before it, s."""
+    return (last_s is None or float(block.time_s[0]) - last_s <= most_s) and block.steps_within(most_s)
 
 
 def is_whole(block: SampleBlock, last_s: float | None, period_s: float | None) -> bool:
     """Whether there is nothing for `breaks` and `gaps` to find: the usual case, told by one look."""
     if period_s is None or not block.all_good:
         return False
-    return _longest_distance(block, last_s) <= min(LONG_GAP_S, _GAP_PERIODS * period_s)
+    return _within(block, last_s, min(LONG_GAP_S, _GAP_PERIODS * period_s))
 
 
 def breaks(block: SampleBlock, last_s: float | None) -> list[int]:
     """Indices of samples before which the plant's state is lost: restarts and long gaps."""
-    if block.all_good and _longest_distance(block, last_s) <= LONG_GAP_S:
+    if block.all_good and _within(block, last_s, LONG_GAP_S):
         return []  # the usual case, without looking closer
     previous = np.concatenate([[block.time_s[0] if last_s is None else last_s], block.time_s[:-1]])
     lost = (block.time_s - previous > LONG_GAP_S) | ((block.quality & RESTART) != 0)
@@ -55,7 +55,7 @@ def gaps(block: SampleBlock, last_s: float | None, period_s: float | None) -> di
     """
     if period_s is None:
         return dict.fromkeys(np.flatnonzero(block.quality & GAP).tolist(), False)
-    if block.all_good and _longest_distance(block, last_s) <= _GAP_PERIODS * period_s:
+    if block.all_good and _within(block, last_s, _GAP_PERIODS * period_s):
         return {}  # the usual case
     distance = distances(block.time_s, float(block.time_s[0]) if last_s is None else last_s)
     missing = ((block.quality & GAP) != 0) | (distance > _GAP_PERIODS * period_s)

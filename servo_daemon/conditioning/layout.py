@@ -178,7 +178,7 @@ class Layout:
             spike_limit: the largest change by which the input goes and comes back in a sample; beyond, it was misread.
             current_spike_limit: the same of a measured current.
         """
-        samples = np.ones((len(block), self._lay.n_sample))
+        samples = self._loop.room(len(block))  # every value valid
         samples[:, 0] = block.time_s
         for k, name in enumerate(self._names):
             samples[:, 1 + 2 * k] = getattr(block, name)
@@ -193,6 +193,8 @@ class Layout:
         if self._current is not None:
             self._constants[self._current] = current_spike_limit
         out = self._loop.run(self._state, self._constants, samples)
+        if not block.all_good or new is not None:
+            samples[:, 2::2] = 1.0
         if new is not None:
             out[new, 3] += new_var
         self.last_s = float(block.time_s[-1])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from drivers.base import DriveInfo, Driver
@@ -22,6 +22,7 @@ from servo_daemon.pipeline.event_log import EventLog
 from servo_daemon.pipeline.model_change import checked_request
 from servo_daemon.pipeline.publish import published_parameters
 from servo_daemon.pipeline.ring import SampleRing
+from servo_daemon.pipeline.views import Moment
 from servo_daemon.published.diagnosis_state import DiagnosisView
 from servo_daemon.published.history import HistoryRing
 from servo_daemon.published.knowledge import LoopFacts
@@ -38,6 +39,18 @@ _ROUND_SAMPLES = 500
 #: So much of its samples, s, a drive starts: the last look back at its first samples ends by then
 #: (`tracking/restart/maximum_likelihood.py`).
 _START_S = 20.0
+
+
+@dataclass(slots=True)
+class _Published:
+    """What a snapshot is made from, and the snapshot once somebody has asked for it."""
+
+    sample_time: float | None
+    link: Link
+    now: Moment | None
+    overloaded: bool
+    behind_s: float
+    made: Snapshot | None = None
 
 
 class DriveRuntime:
@@ -69,6 +82,7 @@ class DriveRuntime:
         self.history = HistoryRing()
         self.log = EventLog(config.name)
         self.reader = Reader(driver, wake, self.log.add, ports)
+        self._ports = ports
         runner = runner or DiagnosisRunner()
         self._estimation = Estimation(config, driver, state_dir, self.log, wake, runner, subscription)
         self.trends = DriveTrends()  # written by the coordinator of trends
@@ -77,7 +91,7 @@ class DriveRuntime:
         self._was_silent = False
         self._link: Link = self.reader.link
         self._load = LoadWatch()
-        self._snapshot = self._make_snapshot()
+        self._published = self._publish()
 
     @property
     def active(self) -> DriveConfig:
@@ -120,8 +134,18 @@ class DriveRuntime:
         return self._estimation.warnings.limits
 
     def snapshot(self) -> Snapshot:
-        """The last published state; immutable."""
-        return self._snapshot
+        """The last published state; immutable. Whoever asks finds it fresher the next time (`Ports`)."""
+        if self._ports is not None:
+            self._ports.ask()
+        return self.last_snapshot()
+
+    def last_snapshot(self) -> Snapshot:
+        """The same for the daemon itself. It is made when it is first asked for: of most nobody does."""
+        published = self._published
+        made = published.made
+        if made is None:
+            made = published.made = self._snapshot_of(published)
+        return made
 
     def events(self) -> Sequence[Event]:
         """The last events, oldest first."""
@@ -194,7 +218,7 @@ class DriveRuntime:
         """
         if told := self._load.wait(self.reader.queue, time.monotonic(), before):
             self.log.tell(told)
-            self._snapshot = self._make_snapshot()
+            self._published = self._publish()
 
     def offer_state(self) -> None:
         """Lay out what is worth keeping for `save_offered`, if the drive is well and there is something. Worker thread:
@@ -222,24 +246,29 @@ class DriveRuntime:
         self._was_silent = silent or (self._was_silent and link.connection != "connected")
         if changed or link != self._link:
             self._link = link
-            self._snapshot = self._make_snapshot()
-            self.history.append(self._snapshot)
+            self._published = self._publish()
+            if self._sample_time is not None and self.history.is_due(self._sample_time):
+                self.history.append(self.last_snapshot())
 
-    def _make_snapshot(self) -> Snapshot:
-        estimate = self._estimation.estimate
-        if estimate is not None and self._link.connection != "connected":
-            estimate = _stale(estimate, self._link)
+    def _publish(self) -> _Published:
+        behind_s = self.reader.queue.waited_s(time.monotonic()) if self._load.behind else 0.0
+        return _Published(self._sample_time, self._link, self._estimation.now, self._load.overloaded, behind_s)
+
+    def _snapshot_of(self, published: _Published) -> Snapshot:
+        estimate, link = self._estimation.record(published.now), published.link
+        if estimate is not None and link.connection != "connected":
+            estimate = _stale(estimate, link)
         return Snapshot(
             drive=self.name,
             driver=self.driver,
-            time=self._sample_time,
-            connection=self._link.connection,
-            reason=self._link.reason,
+            time=published.sample_time,
+            connection=link.connection,
+            reason=link.reason,
             estimate=estimate,
             counters=self._counters(),
             truth=self.reader.driver.truth(),
-            overloaded=self._load.overloaded,
-            behind_s=self.reader.queue.waited_s(time.monotonic()) if self._load.behind else 0.0,
+            overloaded=published.overloaded,
+            behind_s=published.behind_s,
         )
 
     def _counters(self) -> dict[str, int]:

@@ -25,7 +25,7 @@ from servo_daemon.pipeline.model_change import ModelRequest, change_message, des
 from servo_daemon.pipeline.pipeline import Pipeline
 from servo_daemon.pipeline.publish import SavedState
 from servo_daemon.pipeline.ring import SampleRing
-from servo_daemon.pipeline.views import with_onboard
+from servo_daemon.pipeline.views import Moment, with_onboard
 from servo_daemon.published.snapshot import Estimate
 from servo_daemon.published.view import ModelChange
 from servo_daemon.samples import SampleBlock, concatenate
@@ -53,7 +53,7 @@ class Estimation:
     Attributes:
         config: as the user wrote it; `active` with the model as it is now.
         info: of the device whose samples came last.
-        estimate: the last one; None before the first samples, and after a reset or a failure.
+        now: the last moment, of which `record` makes an estimate.
         failures: of the pipeline; `repeated` the samples that it left out because they came twice.
         worked_s: so much of the drive's samples, device time.
     """
@@ -70,7 +70,8 @@ class Estimation:
     ) -> None:
         self.config = self.active = config
         self.info: DriveInfo = driver.info
-        self.estimate: Estimate | None = None
+        self.now: Moment | None = None
+        self._judged: tuple[Estimate, Estimate] | None = None  # the last tick's record, and with what warns of it
         self.ring = SampleRing(config.estimation.ring_s)
         self.keeper = StateKeeper(state_dir, config)
         self.warnings = DriveWarnings(config)
@@ -90,6 +91,20 @@ class Estimation:
     def meaning(self) -> SignalMeaning:
         """Of the drive's signals: as configured, and else as the driver says."""
         return self.config.signals.meaning(self._driver.meaning)
+
+    @property
+    def estimate(self) -> Estimate | None:
+        """The last one; None before the first samples, and after a reset or a failure."""
+        return self.record(self.now)
+
+    def record(self, now: Moment | None) -> Estimate | None:
+        """The estimate of a moment, with what the drive itself and the learning say beside it."""
+        if now is None:
+            return None
+        estimate = now.estimate()
+        if self._subscription is not None and "grnn" not in estimate.estimators:
+            estimate = replace(estimate, estimators={**estimate.estimators, "grnn": self._subscription.view})
+        return with_onboard(estimate, self._driver.onboard, time.monotonic())
 
     @property
     def preparing(self) -> bool:
@@ -151,8 +166,9 @@ class Estimation:
             pipeline.process(concatenate(run), rows=False)
             self.worked_s += float(run[-1].time_s[-1] - run[0].time_s[0])
         self.repeated += pipeline.samples_repeated - repeated
-        estimate = pipeline.current()
-        if estimate is not None and not estimate.is_finite:
+        now = pipeline.now()
+        fresh = now is not None and (self._judged is None or self._judged[0] is not now.tick)
+        if now is not None and fresh and not now.tick.is_finite:
             raise NumericalError("an estimate is not a number")
         self._events.tell(pipeline.messages)
         pipeline.messages.clear()
@@ -160,24 +176,22 @@ class Estimation:
             self._activate(pipeline.config)
             self._changed = True
         if self._subscription is not None:
-            estimate = self._learn(self._subscription, pipeline, estimate)
-        if estimate is not None:
-            estimate, told = self.warnings.update(estimate)
+            self._learn(self._subscription, pipeline)
+        if now is not None and fresh:
+            estimate, told = self.warnings.update(now.estimate())
             self._events.tell(told)
             self.diagnoses.watch(estimate)
-        self.estimate = with_onboard(estimate, self._driver.onboard, time.monotonic())
+            self._judged = now.tick, estimate
+        self.now = now if now is None or self._judged is None else replace(now, tick=self._judged[1])
 
-    def _learn(self, subscription: Subscription, pipeline: Pipeline, estimate: Estimate | None) -> Estimate | None:
-        """Tell the coordinator what is needed, take what has come; the estimate with what is published until then."""
+    def _learn(self, subscription: Subscription, pipeline: Pipeline) -> None:
+        """Tell the coordinator what is needed, take what has come."""
         subscription.follow(self.active, pipeline.channels, pipeline.sample_period_s)
         model = subscription.take()
         if model is not None:
             pipeline.use_learned(model)
             text = f"RF+GRNN model of {model.facts.get('motors')} simulated motors at work, in the shadow first"
             self._events.add("model_learned", text)
-        if estimate is None or "grnn" in estimate.estimators:
-            return estimate
-        return replace(estimate, estimators={**estimate.estimators, "grnn": subscription.view})
 
     def _pipeline_for_device(self) -> Pipeline:
         """The pipeline of the device that is attached now; a new device starts from what is known of it."""
@@ -246,6 +260,7 @@ class Estimation:
         if self._pipeline is not None:
             self._pipeline.config = self.active
         self._events.tell(self.warnings.reconfigure(self.active))
+        self._judged = None
 
     def _fail(self) -> None:
         self.failures += 1
@@ -258,7 +273,7 @@ class Estimation:
         if self._pipeline is not None:
             self._pipeline.reset()
         self._model_changes.fail("the pipeline failed and starts over")
-        self.estimate = None
+        self.now = self._judged = None
 
     def _reset(self) -> None:
         self._reset_wanted = False
@@ -267,7 +282,7 @@ class Estimation:
             self._pipeline.reset(self.config)
         self._model_changes.fail("the estimates were reset")
         self._activate(self.config)
-        self.estimate = None
+        self.now = self._judged = None
         self._events.add("reset", "estimates reset by request")
         self._events.tell(self.warnings.forget("estimates were reset"))
 

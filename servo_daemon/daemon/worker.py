@@ -105,6 +105,7 @@ class Workers:
                 return
             turn.slot.takes_long, self._turn = True, None
             self._taken += 1
+            self._under_way.add(turn)
             self._replace_shared()
 
     # -- the shared thread -----------------------------------------------------------------------------------
@@ -152,10 +153,13 @@ class Workers:
 
     def _is_back_after(self, slot: DriveSlot) -> bool:
         """Turn a drive. Returns whether this is the shared thread still."""
-        self._turn = Turn.begun(slot)
+        self._turn = turn = Turn.begun(slot)
         slot.turn()
         with self._lock:
-            self._turn = None if not slot.takes_long else self._turn
+            if slot.takes_long:
+                self._end(turn)
+            else:
+                self._turn = None
             return not slot.takes_long
 
     def _others_start(self) -> bool:
@@ -239,12 +243,16 @@ class Workers:
                 self._under_way.add(turn)
             slot.turn()
             with self._lock:
-                self._taken += turn not in self._under_way  # its place was given away: this thread takes one again
-                self._under_way.discard(turn)
+                self._end(turn)
             if turn.is_long:
                 slot.last_long = slot.turned
             if not slot.wake.is_set() or slot.turned - began >= _SLICE_S:
                 return
+
+    def _end(self, turn: Turn) -> None:
+        """A turn that took long is over: where its place was given away this thread takes one again. Under the lock."""
+        self._taken += turn not in self._under_way
+        self._under_way.discard(turn)
 
     def _give_away_places(self) -> None:
         with self._lock:

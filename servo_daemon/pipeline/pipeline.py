@@ -21,7 +21,7 @@ from servo_daemon.pipeline.publish import Publisher, SavedState
 from servo_daemon.pipeline.refresher import Refresher
 from servo_daemon.pipeline.ring import SampleRing
 from servo_daemon.pipeline.stream import TickCutter
-from servo_daemon.pipeline.views import last_temperature, with_temperature
+from servo_daemon.pipeline.views import Moment, State, last_temperature
 from servo_daemon.published.snapshot import Estimate
 from servo_daemon.samples import SampleBlock, concatenate
 from servo_daemon.signal_meaning import SignalMeaning
@@ -146,14 +146,14 @@ class Pipeline:
         """Take samples; returns one estimate per tick that they completed, in order.
 
         Args:
-            rows: False: return nothing. The live daemon asks for `current` instead and saves the work.
+            rows: False: return nothing. The live daemon asks for `now` instead and saves the work.
         """
         block = self.meaning.converted(block)
         if block.channels != self.channels:
             self._begin(block.channels)
         estimates = []
         restarts, repeated = self._cutter.restarts, self._cutter.repeated
-        segments = tuple(self._cutter.cut(block))
+        segments = self._cutter.cut(block)
         last = max((k for k, segment in enumerate(segments) if segment.closes_tick), default=-1)
         for k, segment in enumerate(segments):
             if segment.closes_tick and self._tick:
@@ -161,9 +161,10 @@ class Pipeline:
                 # At the tick's end, before the filter takes what came with it in one block: what is published must not
                 # depend on how the samples came.
                 # (Nor may what the next ticks keep of it.)
-                tracker = self._tracker
-                if tracker is not None and tracker.last_s is not None and (rows or k == last or tracker.is_calm):
-                    estimates.append(self._publish())
+                if rows:
+                    estimates += [record for record in (self.current(),) if record is not None]
+                elif self._tracker is not None and (k == last or self._tracker.is_calm):
+                    self.now()
             self._take(segment.block)
             self._samples += len(segment.block)
         self.samples_repeated += self._cutter.repeated - repeated
@@ -189,14 +190,19 @@ class Pipeline:
         if not self._tick:
             return None
         self._close_tick()
-        return self._publish()
+        return self.current()
 
     def current(self) -> Estimate | None:
         """The record after the very last sample, between ticks too; None before the first sample. Time, state and
         count are of that sample, the parameters of the last tick."""
+        now = self.now()
+        return None if now is None else now.estimate()
+
+    def now(self) -> Moment | None:
+        """What `current` is made from."""
         if self._tracker is None or self._tracker.last_s is None:
             return None
-        return self._publish()
+        return Moment(self._of_tick(), self._last_s, self._samples, State.of(self._tracker), self._temperature_C)
 
     def save(self) -> SavedState | None:
         """What is worth keeping over a restart; None unless the filter is well."""
@@ -279,7 +285,8 @@ class Pipeline:
         self._configure(successor.config)
         self.messages += [change_message(before.model, successor.config.model), *successor.told]
 
-    def _publish(self) -> Estimate:
+    def _of_tick(self) -> Estimate:
+        """The record of the last tick that was judged, as of when it was first asked for."""
         assert self._tracker is not None
         if self._published is None:
             self._published = self._publisher.estimate(self._tracker, self._samples, self._refresher)
@@ -289,6 +296,4 @@ class Pipeline:
                 self._published = self._timing.widened(self._published)
             self._published = publish.with_equivalents(self._published, self.meaning)
             self._published = replace(self._published, time_s=self._last_s)
-        elif self._published.time_s != self._last_s:
-            self._published = publish.moved_on(self._published, self._tracker, self._last_s, self._samples)
-        return with_temperature(self._published, self._temperature_C)
+        return self._published

@@ -13,7 +13,7 @@ from servo_daemon.config import DriveConfig
 from servo_daemon.kalman.gaussian import Gaussian, from_coordinate
 from servo_daemon.parameters import J_D, LINEAR, Parameter
 from servo_daemon.pipeline.refresher import Refresher
-from servo_daemon.pipeline.views import Views, health_of, state_of
+from servo_daemon.pipeline.views import State, Views, health_of
 from servo_daemon.plant.effects import effects_by_name, parameter_table
 from servo_daemon.published.snapshot import Covariance, Estimate, ParameterEstimate, finite_or_none
 from servo_daemon.regression.columns.terms import waves_per_turn
@@ -126,7 +126,7 @@ class Publisher:
             sample_rate_hz=None if not period else finite_or_none(1.0 / period),
             model=self._config.model,
             parameters=parameters,
-            state=state_of(tracker),
+            state=State.of(tracker).published(),
             estimators=self._views.of(tracker) | ({} if refresher is None else {"grnn": refresher.view}),
             health=health_of(tracker),
             covariance=self._covariance(tracker, gaussian, parameters, learned),
@@ -274,11 +274,6 @@ def with_equivalents(estimate: Estimate, meaning: SignalMeaning) -> Estimate:
         for choice, factors in by_choice.items()
     }
     return replace(estimate, equivalents=equivalents)
-
-
-def moved_on(last: Estimate, tracker: Tracker, time_s: float, samples: int) -> Estimate:
-    """The record between two ticks: time, state and count are of now, the parameters (ten times a second) stay."""
-    return replace(last, time_s=time_s, samples=samples, state=state_of(tracker))
 
 
 def _load_inertia(config: DriveConfig, J: ParameterEstimate) -> ParameterEstimate:

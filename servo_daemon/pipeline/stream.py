@@ -47,26 +47,27 @@ class TickCutter:
         self._offset_s = 0.0
         self._period_s = 1e-3
 
-    def cut(self, block: SampleBlock) -> Iterator[Segment]:
+    def cut(self, block: SampleBlock) -> list[Segment]:
         """Segments in order; each lies inside one tick."""
-        for part in self._increasing(block):
-            yield from self._cut(self._continued(part))
+        return [segment for part in self._increasing(block) for segment in self._cut(self._continued(part))]
 
-    def _cut(self, block: SampleBlock) -> Iterator[Segment]:
+    def _cut(self, block: SampleBlock) -> list[Segment]:
         """A block whose time goes on from the last one's."""
-        if np.count_nonzero(block.quality):
+        if not block.all_good:
             self.restarts += int(np.count_nonzero(block.quality & Quality.TIME_RESTART))
         if self.start_s is None:
             self.start_s = float(block.time_s[0])
+        segments = []
         for a, b in pairwise(self._bounds(block.time_s)):
             tick = self._tick_of(float(block.time_s[a]))
-            yield Segment(block.slice(a, b), closes_tick=tick > self._tick)
+            segments.append(Segment(block.slice(a, b), closes_tick=tick > self._tick))
             self._tick = tick
         # Of the stream's last two samples, whether or not they came in one block.
         before = float(block.time_s[-2]) if len(block) > 1 else self._last_s
         if math.isfinite(before):
             self._period_s = float(block.time_s[-1]) - before
         self._last_s = float(block.time_s[-1])
+        return segments
 
     def _tick_of(self, time_s: float) -> int:
         assert self.start_s is not None
@@ -91,8 +92,7 @@ class TickCutter:
         if len(block) == 0:
             return
         first, last = float(time_s[0]), float(time_s[-1])
-        increasing = first > self._raw_last_s and bool(np.logical_and.reduce(time_s[1:] > time_s[:-1]))
-        if increasing and math.isfinite(last):
+        if first > self._raw_last_s and block.steps_s[0] > 0.0 and math.isfinite(last):
             yield block
         else:
             before = np.concatenate([[self._raw_last_s], time_s[:-1]])

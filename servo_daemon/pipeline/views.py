@@ -4,7 +4,7 @@ temperature, the filter's health."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,13 +13,14 @@ from servo_daemon.kalman.gaussian import Gaussian, from_coordinate
 from servo_daemon.plant.effects import parameter_table
 from servo_daemon.published.snapshot import Estimate, EstimatorView, finite_or_none
 from servo_daemon.regression.estimate import KNOWS, RegressionEstimate
-from servo_daemon.samples import SampleBlock
+from servo_daemon.samples import F64, SampleBlock
 from servo_daemon.tracking.tracker import Tracker
 
 #: A drive that has not told its estimates for so long, s, has stopped doing so.
 _OLD_S = 10.0
 #: Statuses of the drive's own estimates whose numbers are not to be used.
 _NO_VALUE = ("starting", "invalid")
+_NONE = np.empty(0)
 #: Parameter -> (value, std), natural units.
 Values = Mapping[str, tuple[float | None, float | None]]
 
@@ -67,13 +68,56 @@ class Views:
         return {name: (finite_or_none(value), finite_or_none(std)) for name, (value, std) in pairs}
 
 
-def state_of(tracker: Tracker) -> dict[str, float | None]:
-    state: dict[str, float | None] = dict.fromkeys(("current_A", "velocity_rad_s", "position_rad"))
-    state.update({name: finite_or_none(value) for name, value in tracker.measured_state.items()})
-    if tracker.ekf is not None and tracker.ekf.started:
-        for name, value in zip(tracker.ekf.plant.state_names, tracker.ekf.x.tolist(), strict=True):
-            state[name] = finite_or_none(value)
-    return state
+@dataclass(frozen=True, slots=True)
+class State:
+    """A drive's state after a sample, as a tracker has it.
+
+    Attributes:
+        measured: by channel.
+        names, x: of the plant's states, shape (n_x,); none before the filter runs.
+    """
+
+    measured: Mapping[str, float | None]
+    names: tuple[str, ...]
+    x: F64
+
+    @classmethod
+    def of(cls, tracker: Tracker) -> State:
+        ekf, measured = tracker.ekf, tracker.measured_state.copy()
+        return (
+            cls(measured, (), _NONE) if ekf is None or not ekf.started else cls(measured, ekf.plant.state_names, ekf.x)
+        )
+
+    def published(self) -> dict[str, float | None]:
+        """What the filter says, else what is measured."""
+        state: dict[str, float | None] = dict.fromkeys(("current_A", "velocity_rad_s", "position_rad"))
+        state.update(self.measured)
+        state.update(zip(self.names, self.x.tolist(), strict=True))
+        return {name: finite_or_none(value) for name, value in state.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """The record after the very last sample, from which it is made when it is asked for: of most nobody does.
+
+    Attributes:
+        tick: the last tick's record, whose parameters are those of now.
+        time_s, samples: of now.
+        temperature_C: the last that was measured.
+    """
+
+    tick: Estimate
+    time_s: float
+    samples: int
+    state: State
+    temperature_C: float | None
+
+    def estimate(self) -> Estimate:
+        """The record."""
+        now = self.tick
+        if now.time_s != self.time_s:
+            now = replace(now, time_s=self.time_s, samples=self.samples, state=self.state.published())
+        return with_temperature(now, self.temperature_C)
 
 
 def health_of(tracker: Tracker) -> dict[str, float | int | bool | str | None]:

@@ -24,6 +24,8 @@ from servo_daemon.samples import F64
 
 log = logging.getLogger(__name__)
 
+#: Samples that there is room for from the start: a tick at 2 kHz.
+_ROOM = 200
 #: Runs of fewer samples in all are not worth a second thread: 40 to 500 ns each, and to hand them over takes 100 µs.
 _WORTH_A_THREAD = 8_000
 
@@ -90,10 +92,21 @@ class SampleLoop:
             log.info("no C compiler found: using CasADi's virtual machine (about 5 x slower, same numbers)")
         self._machines: dict[int, _MachineBlock] = {}
         self._known: tuple[F64, F64, int, int] | None = None  # state and constants of the last call, and where they are
+        self._make_room(_ROOM)
 
     @property
     def backend(self) -> str:
         return "c" if self._library is not None else "vm"
+
+    def _make_room(self, n: int) -> None:
+        self._room = np.ones((n, self._n_sample))
+        self._room_at = _address(self._room)
+
+    def room(self, n: int) -> F64:
+        """Where the samples of the next `run` may be laid out, shape (n, ni): ones, or what was left there."""
+        if n > len(self._room):
+            self._make_room(2 * n)
+        return self._room[:n]
 
     def run(self, state: F64, constants: F64, samples: F64) -> F64:
         """Advance `state` in place over all samples.
@@ -115,10 +128,13 @@ class SampleLoop:
             self._check(constants, (self._n_constants,), "constants")
             self._known = known = state, constants, _address(state), _address(constants)
         n = samples.shape[0]
-        self._check(samples, (n, self._n_sample), "samples")
+        own = samples.base is self._room
+        if not own:
+            self._check(samples, (n, self._n_sample), "samples")
         outputs = np.empty((n, self._n_output))
         if self._library is not None:
-            failed = self._call(n, known[2], known[3], _address(samples), _address(outputs))
+            at = self._room_at if own else _address(samples)
+            failed = self._call(n, known[2], known[3], at, _address(outputs))
             if failed:
                 raise RuntimeError("the compiled step reported an error")
         else:

@@ -132,8 +132,9 @@ class HistoryRing:
             False where it was passed over: no samples yet, nothing new since the last row, or sooner than the rate.
         """
         time, estimate = snapshot.time, snapshot.estimate
-        if time is None or estimate is None or not self._is_due(time):
+        if time is None or estimate is None or not self.is_due(time):
             return False
+        self._schedule(time)
         with self._lock:
             slot = self._rows % self.capacity
             self._time[slot] = time
@@ -147,19 +148,16 @@ class HistoryRing:
                 del self._columns[name]
         return True
 
-    def _is_due(self, time: float) -> bool:
-        """Pacing by a schedule instead of by the distance to the last row, so that 10 Hz with jitter stays 10 Hz.
+    def is_due(self, time: float) -> bool:
+        """Whether a snapshot of this time would be kept. A wall clock that was set back starts a new schedule."""
+        return time < self._last_time or (time != self._last_time and time >= self._due - 0.5 / self.rate_hz)
 
-        A wall clock that was set back starts a new schedule.
-        """
+    def _schedule(self, time: float) -> None:
+        """Pacing by a schedule instead of by the distance to the last row, so that 10 Hz with jitter stays 10 Hz."""
         period = 1.0 / self.rate_hz
-        if time < self._last_time:
-            self._due = -math.inf
-        if time == self._last_time or time < self._due - 0.5 * period:
-            return False
-        self._due = self._due + period if time < self._due + period else time + period
+        due = -math.inf if time < self._last_time else self._due
+        self._due = due + period if time < due + period else time + period
         self._last_time = time
-        return True
 
     def _write(self, slot: int, estimate: Estimate, snapshot: Snapshot) -> None:
         for p in estimate.parameters:

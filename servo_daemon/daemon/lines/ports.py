@@ -7,6 +7,7 @@ turns the drives reads them all, decodes, and goes on to the turns; each port's 
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -15,6 +16,8 @@ from typing import Protocol
 #: From one reading to the next, s: with few drives as `drivers.serial.listener` has it, with many as long as they need
 #: for their turns (0.5 ms of each in 40 ms), so that the next one gathers more of each.
 _EVERY_S, _EVERY_OF_EACH_S = 0.04, 0.9e-3
+#: The same while nobody asks for what comes of it, s: a tick (decision 87). Who has asked asks for so long after it, s.
+UNASKED_EVERY_S, ASKED_FOR_S = 0.1, 3.0
 #: Nor does reading take more than one part in this many of the time.
 _EVERY_OF_READING = 3.0
 
@@ -33,7 +36,7 @@ class Ports:
         self._clock = clock
         self._lines: tuple[Line, ...] = ()  # replaced as a whole, under the lock
         self._lock = threading.Lock()
-        self._due_s = 0.0
+        self._due_s, self._asked_s = 0.0, -math.inf
 
     def __len__(self) -> int:
         return len(self._lines)
@@ -47,6 +50,10 @@ class Ports:
         """It is read no more, but for a reading that is under way; does nothing where it was not read."""
         with self._lock:
             self._lines = tuple(other for other in self._lines if other is not line)
+
+    def ask(self) -> None:
+        """Somebody asks for a drive's state. Any thread."""
+        self._asked_s = self._clock()
 
     def wait_s(self, longest_s: float) -> float:
         """How long until they are to be read, at most so long."""
@@ -62,4 +69,5 @@ class Ports:
             if not line.poll():
                 self.remove(line)
         took_s = self._clock() - began_s
-        self._due_s = began_s + max(_EVERY_S, _EVERY_OF_EACH_S * len(lines), _EVERY_OF_READING * took_s)
+        every_s = _EVERY_S if began_s - self._asked_s < ASKED_FOR_S else UNASKED_EVERY_S
+        self._due_s = began_s + max(every_s, _EVERY_OF_EACH_S * len(lines), _EVERY_OF_READING * took_s)

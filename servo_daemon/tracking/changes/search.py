@@ -117,7 +117,7 @@ class JumpSearch:
         """Forget what was kept: it is of another filter."""
         self._filtering.take_passed()
         self._count = self._looked_at = 0
-        self._ticks: list[_Tick] = []
+        self._keep([])
         self._begins: tuple[F64, F64, WatchMark] | None = None
         self._rest = 0
         self._end()
@@ -130,6 +130,10 @@ class JumpSearch:
         self._best: dict[int, Trial] = {}
         self._due = False
         self._work: Generator[int, None, tuple[Found | None, bool]] | None = None  # what is left of a look
+
+    def _keep(self, ticks: list[_Tick]) -> None:
+        """Of those that were kept these, and how many samples they have."""
+        self._ticks, self._samples = ticks, sum([t.samples for t in ticks])
 
     def mark(self) -> None:
         """Keep the filter's state at the beginning of a tick."""
@@ -145,11 +149,12 @@ class JumpSearch:
         if self._begins is None:
             return
         self._count += 1
-        samples = sum(0 if isinstance(p, Forget) else len(p) for p in pieces)
+        samples = sum([0 if isinstance(p, Forget) else len(p) for p in pieces])
+        self._samples += samples
         self._ticks.append(_Tick(*self._begins, tuple(pieces), samples, end_s))
         if not self.running:
-            while len(self._ticks) > _TICKS or sum([t.samples for t in self._ticks]) > MOST_SAMPLES:
-                del self._ticks[0]
+            while len(self._ticks) > _TICKS or self._samples > MOST_SAMPLES:
+                self._samples -= self._ticks.pop(0).samples
 
     def look(self, unexplained: bool, may_begin: bool) -> Found | None:
         """Go on with the search after a tick.
@@ -179,7 +184,7 @@ class JumpSearch:
 
     def _begin(self, *, slow: bool) -> Trials:
         self._end()
-        self._ticks = self._ticks[-(_BACK_SLOW if slow else _BACK_SUDDEN) - 1 :]
+        self._keep(self._ticks[-(_BACK_SLOW if slow else _BACK_SUDDEN) - 1 :])
         last = len(self._ticks) - 1
         for number, tick in enumerate(self._ticks):
             fine = _PARTS if number >= last - 1 and not slow else 1
@@ -215,12 +220,12 @@ class JumpSearch:
     def _conclude(self, found: Found | None, passed_by: bool) -> Found | None:
         """What follows from a look."""
         self._work = None
-        too_many = sum(t.samples for t in self._ticks) > MOST_SAMPLES
+        too_many = self._samples > MOST_SAMPLES
         if found is not None or passed_by:  # from here on another motor is seen, or the same one
             if found is not None:
                 self._watch.back_to(self._ticks[0].noise)
             self._end()
-            self._ticks = []
+            self._keep([])
         elif (self._age >= _LOOKS[-1] and not self._due) or too_many or self._is_hopeless():
             self._end()
             self._rest = _REST

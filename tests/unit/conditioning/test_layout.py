@@ -40,6 +40,16 @@ def test_what_no_drive_measures_is_no_measurement() -> None:
     assert channel(make_block(np.arange(2) * 1e-3, voltage_V=voltage[:1].repeat(2)), "voltage_V")[1] is None
 
 
+def test_what_was_no_measurement_in_one_block_is_one_in_the_next() -> None:
+    one, other = Layout("voltage", ("current_A",)), Layout("voltage", ("current_A",))
+    t, good = np.arange(4) * 1e-3, np.arange(4.0)
+    bad = np.full(4, int(Quality.CURRENT_INVALID | Quality.VOLTAGE_INVALID), dtype=np.uint8)
+    one.rows(make_block(t - 4e-3, voltage_V=good, current_A=good, quality=bad), 0.0)
+    other.rows(make_block(t - 4e-3, voltage_V=good, current_A=good), 0.0)
+    block = make_block(t, voltage_V=good, current_A=good)
+    assert one.rows(block, 0.0)[:, 5].tolist() == other.rows(block, 0.0)[:, 5].tolist() == [1.0] * 4
+
+
 def test_a_moving_encoder_is_believed() -> None:
     np.testing.assert_array_equal(doubts([0, 1, 2, 3, 5, 4]), np.ones(6))
 

@@ -334,10 +334,13 @@ class Gate:
         monkeypatch.setattr(owner, name, held)
 
 
+@pytest.mark.parametrize("quick_s", [0.0, 1e3])
 def test_what_takes_one_drive_long_holds_up_no_other(
-    start: Callable[..., Rig], monkeypatch: pytest.MonkeyPatch
+    start: Callable[..., Rig], monkeypatch: pytest.MonkeyPatch, quick_s: float
 ) -> None:
-    """As long as the test likes: the neighbours work off all that comes, and both go on afterwards."""
+    """As long as the test likes, whether it happens in the thread that all share or in one of those that take long: the
+    neighbours work off all that comes, and both go on afterwards."""
+    monkeypatch.setattr(worker_module, "_QUICK_S", quick_s)
     rig = start(configuration("one", "two", "three"))
     for name in ("one", "two", "three"):
         rig.driver(name).feed(500)
@@ -348,6 +351,8 @@ def test_what_takes_one_drive_long_holds_up_no_other(
             rig.driver(name).feed(500)
         for gate in gates:
             assert gate.entered.wait(PATIENCE_S), "the second one is not held up by the first"
+        monkeypatch.setattr(slot_module, "LONG_TURN_S", 0.0)  # the third one's turns take long, too
+        monkeypatch.setattr(worker_module, "_QUICK_S", 1e3)
         for _ in range(30):
             rig.driver("three").feed(100)
         rig.until_samples(4000, "three")

@@ -102,6 +102,14 @@ def test_a_sample_that_is_no_measurement_ends_the_wait(recording: SampleBlock) -
     assert run(t, replace(recording.slice(k, k + TICK), quality=quality)).waits == [False]
 
 
+def test_a_record_is_of_its_moment_whenever_it_is_made(recording: SampleBlock) -> None:
+    pipeline = Pipeline(DriveConfig(driver="simulated", nominal=dict(DEFAULT_NOMINAL)))
+    pipeline.process(recording.slice(0, 3_050), rows=False)
+    now, then = pipeline.now(), pipeline.current()
+    pipeline.process(recording.slice(3_050, 3_500), rows=False)
+    assert now is not None and now.estimate() == then != pipeline.current()
+
+
 def test_what_is_published_does_not_depend_on_blocks(recording: SampleBlock) -> None:
     one, other = (Pipeline(DriveConfig(nominal=dict(DEFAULT_NOMINAL))) for _ in range(2))
     rows = one.process(recording)

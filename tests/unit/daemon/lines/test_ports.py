@@ -13,7 +13,7 @@ import pytest
 
 from benchmarks.feeder import frames
 from drivers.serial.line import SerialDriver
-from servo_daemon.daemon.lines.ports import Ports
+from servo_daemon.daemon.lines.ports import ASKED_FOR_S, UNASKED_EVERY_S, Ports
 from servo_daemon.daemon.lines.reader import Reader
 from servo_daemon.samples import SampleBlock
 
@@ -27,9 +27,28 @@ class Line:
         return self.goes_on
 
 
+def test_while_nobody_asks_they_are_read_once_a_tick() -> None:
+    now = [100.0]
+    ports = Ports(lambda: now[0])
+    ports.add(Line())
+    waits = []
+    for now[0], asks in (
+        (100.0, False),
+        (200.0, True),
+        (200.0 + ASKED_FOR_S - 0.1, False),
+        (200.0 + ASKED_FOR_S, False),
+    ):
+        if asks:
+            ports.ask()
+        ports.read()
+        waits.append(round(ports.wait_s(1.0), 9))
+    assert waits == [UNASKED_EVERY_S, 0.04, 0.04, UNASKED_EVERY_S]
+
+
 def test_all_are_read_once_in_40_ms_and_seldomer_where_they_are_many() -> None:
     now = [100.0]
     ports = Ports(lambda: now[0])
+    ports.ask()
     assert ports.wait_s(0.1) == 0.1
     lines = [Line() for _ in range(10)]
     for line in lines:
