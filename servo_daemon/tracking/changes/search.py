@@ -21,17 +21,17 @@ from servo_daemon.samples import F64
 from servo_daemon.tracking.changes.trials import ALL, MOMENT, Section, Trial, Trials, sections_of
 from servo_daemon.tracking.noise.watch import InnovationWatch, WatchMark
 from servo_daemon.tracking.plan.parameter_masks import ParameterMasks
-from servo_daemon.tracking.samples.filtering import MOST_SAMPLES, Filtering, Forget
+from servo_daemon.tracking.samples.filtering import MOST_SAMPLES, STEPS_A_TICK, Filtering, Forget
 from servo_daemon.tracking.validity.validity_gate import ValidityGate
 
-#: In a tick at most so many steps of the filter go over samples again, half of what a look back takes
-#: (`restart/relinearisation`), which it may meet; the rest of a look in the next ones.
-_STEPS_A_TICK = 30_000
-#: So many ticks are kept (decision 41: a step is looked for over the last 3 s), and no more than `MOST_SAMPLES`.
-_TICKS = 31
+#: In a tick at most so many steps of the filter go over samples again, half of what a re-linearisation
+#: takes (`restart/relinearisation`), which it may meet; the rest of a look in the next ones.
+_STEPS_A_TICK = STEPS_A_TICK // 2
 #: A change that is seen as one came at most so many ticks before; one that only shows in where the filter has gone
 #: (decision 41).
 _BACK_SUDDEN, _BACK_SLOW = 10, 30
+#: So many ticks are kept, and no more than `MOST_SAMPLES`.
+_TICKS = _BACK_SLOW + 1
 #: First it is looked for so many ticks before it was seen, and then around where it is likeliest.
 _COARSE = (0, 2, 5, 10, 20, 30)
 #: In the tick in which it was seen and the one before it is looked for in so many parts of them.

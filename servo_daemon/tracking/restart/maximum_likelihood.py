@@ -32,8 +32,8 @@ from servo_daemon.tracking.noise.levels import LEAST_VAR
 from servo_daemon.tracking.noise.setting import NoiseSetting
 from servo_daemon.tracking.plan.parameter_masks import ParameterMasks
 from servo_daemon.tracking.restart.divergence import DivergenceMonitor
-from servo_daemon.tracking.restart.relinearisation import FOUND_TICK, STEPS_A_TICK
-from servo_daemon.tracking.samples.filtering import MOST_SAMPLES, Filtering, Fit
+from servo_daemon.tracking.restart.relinearisation import FOUND_TICK
+from servo_daemon.tracking.samples.filtering import MOST_SAMPLES, STEPS_A_TICK, Filtering, Fit
 from servo_daemon.tracking.validity.gates import QUALIFIED
 
 #: After so many ticks of the filter the samples since its start are asked, and once more with those up to then

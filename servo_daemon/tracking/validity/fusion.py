@@ -8,15 +8,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 from servo_daemon.kalman.gaussian import from_coordinate
-from servo_daemon.parameters import Parameter, spaced
+from servo_daemon.parameters import Parameter, Status, spaced
 from servo_daemon.regression.estimate import KNOWS
 from servo_daemon.tracking.validity import excitation
 from servo_daemon.tracking.validity.gates import QUALIFIED, UNCONFIRMED
-
-Status = Literal["estimating", "tracking", "unexcited", "at_bound", "fixed", "invalid"]
 
 #: A held value further than so many standard deviations from the running filter's is not held any longer.
 EXCLUDED_STDS = 4.0
