@@ -20,7 +20,7 @@ def checksum(body: bytes) -> int:
 
 
 def packet(servo: int, instruction: int, parameters: bytes) -> bytes:
-    """A packet with its sum."""
+    """A packet of protocol 1, with its checksum."""
     body = bytes([servo, len(parameters) + 2, instruction]) + parameters
     return HEAD + body + bytes([checksum(body)])
 

@@ -69,7 +69,7 @@ class Session:
 
     @property
     def time_left_s(self) -> float:
-        """Of motion."""
+        """Time that is left for motion, s."""
         return self._limits.seconds - self.motion_s
 
     def block(self) -> SampleBlock:

@@ -56,7 +56,7 @@ def _database(text: str) -> Database:
 
 
 def main(words: Sequence[str]) -> int:
-    """The exit code."""
+    """Run the command; returns its exit code."""
     if len(words) != 2:
         print("usage: python -m servo_daemon.history.move FROM TO", file=sys.stderr)
         return 2

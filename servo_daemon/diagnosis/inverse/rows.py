@@ -68,7 +68,7 @@ class BalanceRows:
 
     @property
     def effort(self) -> F64:
-        """As measured, shape (n,)."""
+        """Current or torque as measured, shape (n,)."""
         return self.motion.u[:: self.instants]
 
     def filtered(self, column: F64) -> F64:

@@ -54,7 +54,7 @@ class Section:
 
     @property
     def samples(self) -> int:
-        """How many."""
+        """How many samples it has."""
         return sum(0 if isinstance(piece, Forget) else len(piece) for piece in self.pieces)
 
 

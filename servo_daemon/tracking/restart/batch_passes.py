@@ -64,7 +64,7 @@ class Batch:
 
 
 class BatchPasses:
-    """One filter's."""
+    """Passes of one filter over a batch."""
 
     def __init__(self, masks: ParameterMasks, ekf: Ekf, filtering: Filtering, noise: NoiseSetting) -> None:
         self._masks, self._ekf, self._filtering, self._noise = masks, ekf, filtering, noise

@@ -122,7 +122,7 @@ class SignalScales:
         return without_spikes(tick, self._held(tick), self.spike_limit, self.current_spike_limit)
 
     def _held(self, tick: Stretch) -> F64 | None:
-        """The input."""
+        """The samples of the held input."""
         if self._plant.drive == "voltage":
             return tick.voltage
         return tick.current if self._plant.drive == "current" else tick.torque
@@ -149,7 +149,7 @@ class SignalScales:
         return math.sqrt(self.input_square) / values.get("R", _R)
 
     def torque_Nm(self, values: Mapping[str, float]) -> float:
-        """Typical motor torque."""
+        """Typical torque of the motor, N·m."""
         if self._plant.drive == "torque":
             return math.sqrt(self.input_square)
         return values.get("K", _K) * self.current_A(values)

@@ -77,8 +77,7 @@ def _put_regression(
 ) -> None:
     """The regression's values with their correlations, in estimated coordinates. What is straight in natural units (all
     values on one line fit equally well) is curved in logarithms: σ off along it the logarithm is σ²/2 beside it, which
-        is
-    added to its spread."""
+    is added to its spread."""
     source = [found.names.index(p.name) for p in taken]
     target = [list(free).index(p) for p in taken]
     value = found.value[source]
