@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 from drivers.servo_bus.protocol2 import BROADCAST, Status
 
+#: Begin of a packet; instructions.
 HEAD = b"\xff\xff"
 READ, SYNC_READ = 0x02, 0x82
 

@@ -16,6 +16,7 @@ from servo_daemon.errors import BadInputError, ServoDaemonError
 from servo_daemon.history.database import Database, describe
 from servo_daemon.history.tables import BLOCK, DOCUMENT, DRIVE, EVENT
 
+#: Rows that are copied at once.
 _BATCH: Final = 500
 
 

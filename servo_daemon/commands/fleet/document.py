@@ -20,6 +20,7 @@ from servo_daemon.commands.fleet.report import (
 )
 from servo_daemon.commands.fleet.tables import prior_rows
 
+#: Raised when a key changes its meaning.
 SCHEMA = 1
 
 
