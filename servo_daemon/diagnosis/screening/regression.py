@@ -17,9 +17,9 @@ from servo_daemon.samples import F64
 #: Time blocks, and folds of the cross-validation: fold f holds out blocks f, f + FOLDS, …, so that a step or a slow
 #: drift has both sides in every part.
 BLOCKS, FOLDS = 20, 5
-#: A trace beyond it has no sum of squares.
+#: A trace beyond it has no sum of squares: numbers end at 10³⁰⁸.
 _LARGEST = 1e100
-#: See `Regression`.
+#: A change of J by this share costs as much as the whole series (`Regression`).
 MOST_CHANGE = 0.3
 
 

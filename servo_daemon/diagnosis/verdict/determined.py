@@ -9,7 +9,7 @@ from servo_daemon.identification.output_error import OutputErrorFit
 from servo_daemon.parameters import Parameter
 from servo_daemon.plant.effects import effects_by_name
 
-#: A value is known with a standard deviation below this share of it, a phase below this much, rad.
+#: A value is known with a standard deviation below this share of it, a phase below this much, rad (decision 85).
 _KNOWN, _KNOWN_PHASE_RAD = 0.5, 0.5
 #: Part of a gradient along a direction without a trace beyond which a combination is open.
 _LEAK = 1e-4

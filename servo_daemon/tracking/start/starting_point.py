@@ -14,7 +14,8 @@ from servo_daemon.regression.sampling import BLIND_STD
 
 #: The regression's start is trusted this much less than it says: its noise is not quite white.
 _INFLATION = 3.0
-#: The regression may start the filter at once when it knows every free parameter this well (1 σ, relative).
+#: The regression may start the filter at once when it knows every free parameter this well (1 σ, relative, inflated:
+#: 5 % by its own word, decision 32).
 GOOD_STD = 0.15
 #: Beyond this relative std a logarithm of the regression's value means little.
 USABLE_STD = 0.5
