@@ -42,9 +42,9 @@ FOUND_TICK = 40
 #: After so many ticks (decision 33) the first samples are filtered again, and after the first when a parameter has
 #: moved by `MOVED` from where the last time has left it.
 _TICKS = 10, FOUND_TICK
-#: After so many jumps of a parameter the second time is waited for.
+#: After so many jumps of a parameter the second time is waited for (free within 2 .. 8).
 _MOST_MOVES = 4
-#: A parameter of which the samples leave more than this share of it was not seen.
+#: A parameter of which the samples leave more than this share of it was not seen (free within 0.5 .. 0.9).
 _UNSEEN_SHARE = 0.7
 
 

@@ -25,7 +25,7 @@ _REST_COUNTS, _CREEP_SAMPLES = 1.5, 20.0
 #: Fewer of a tick's changes of the input are wrong ones (two for a sample); a spike is so many times the largest of the
 #: others (decision 11).
 _WRONG_STEPS, _SPIKE = 5, 4.0
-#: Used where neither data nor nominal values say anything yet.
+#: Used where neither data nor nominal values say anything yet (half and twice them are free).
 _R, _K = 1.0, 0.1
 
 
