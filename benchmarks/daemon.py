@@ -33,7 +33,7 @@ from servo_daemon.sim_drive.serial_device import run_serial_device
 from servo_daemon.simulate import SimulatedDrive, make_settings
 
 REQUESTS_PER_S = 200
-#: After the first samples, s: how long the start is measured for, and when it is over. (The last look back at the first
+#: After the first samples, s: how long the start is measured for, and when it is over. (The last restart over the first
 #: samples begins after 155 ticks of 0.1 s, and takes over a second of CPU.)
 FIRST_S, STARTED_S = 10.0, 20.0
 #: So long the drives may take to come up, s.

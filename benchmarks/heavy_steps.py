@@ -1,8 +1,8 @@
 """How long the heavy steps of one drive hold up the ticks of another in the same process, beside no step at all.
 
 A drive at 1 kHz gets a block of 40 samples every 40 ms in a thread of its own, as from a reader. Another thread makes
-an estimator from nothing (derived, compiled), works off a start with its looks back, a jump that is searched for, the
-same without a C compiler, and with filterpy. Late is how much later than due a block is worked off.
+an estimator from nothing (derived, compiled), works off a start with its re-linearisations, a jump that is searched
+for, the same without a C compiler, and with filterpy. Late is how much later than due a block is worked off.
 
     .venv/bin/python -m benchmarks.heavy_steps
 """
@@ -67,8 +67,8 @@ def steps() -> dict[str, Callable[[], None]]:
     return {
         "nothing": lambda: time.sleep(IDLE_S),
         f"an estimator with {', '.join(LARGE)}": lambda: work_off(config(effects=LARGE), slow),
-        "a start at 1 kHz, looks back": lambda: work_off(config(), start),
-        "a start at 10 kHz, looks back": lambda: work_off(config(), fast),
+        "a start at 1 kHz, re-linearised": lambda: work_off(config(), start),
+        "a start at 10 kHz, re-linearised": lambda: work_off(config(), fast),
         "a jump of R, searched for": lambda: work_off(config(), jump),
         "a start in the virtual machine": in_machine,
         "filterpy": lambda: work_off(config("filterpy"), start.slice(0, 8000)),

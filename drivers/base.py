@@ -170,7 +170,7 @@ class Driver(ABC):
 
     @abstractmethod
     def _read(self, timeout_s: float) -> SampleBlock | None:
-        """Hook of `read`."""
+        """Hook of `read`: the samples that arrive within this time; None: none did."""
 
     @abstractmethod
     def _close(self) -> None:

@@ -86,7 +86,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _parser(names: Collection[str] = COMMANDS) -> argparse.ArgumentParser:
-    """For these commands."""
+    """The parser of these commands, with their options."""
     parser = _Parser(
         prog="servo-daemon", description="Online, self-explaining parameter estimation for a live DC servo drive."
     )

@@ -1,18 +1,18 @@
 """What a configuration writes as text with a unit: how fast parameters drift, limits relative to nominal values,
-spans of days."""
+spans of time."""
 
 from __future__ import annotations
 
 import math
 import re
 
-_NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _UNIT = r"s|min|h|d"
-DRIFT = re.compile(rf"\s*({_NUMBER})\s*%\s*/\s*(?:sqrt\s*)?(?:({_UNIT})|\(\s*({_UNIT})\s*\))\s*")
-RELATIVE = re.compile(rf"\s*([+-]?{_NUMBER})\s*%\s*")
-SPAN = re.compile(rf"\s*({_NUMBER})\s*([dwy])\s*")
-_DAYS = {"d": 1.0, "w": 7.0, "y": 365.25}
-_SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
+DRIFT = re.compile(rf"\s*({NUMBER})\s*%\s*/\s*(?:sqrt\s*)?(?:({_UNIT})|\(\s*({_UNIT})\s*\))\s*")
+RELATIVE = re.compile(rf"\s*([+-]?{NUMBER})\s*%\s*")
+SPAN = re.compile(rf"\s*({NUMBER})\s*([dwy])\s*")
+#: Units of time as texts name them, s; a year is a Julian one.
+UNIT_S = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "w": 604_800.0, "y": 31_557_600.0}
 
 
 def parse_drift(text: str) -> float:
@@ -27,7 +27,7 @@ def parse_drift(text: str) -> float:
     percent = float(match[1])
     if not math.isfinite(percent):
         raise ValueError(f"{text!r} is not finite")
-    return percent / 100.0 / math.sqrt(_SECONDS[match[2] or match[3]])
+    return percent / 100.0 / math.sqrt(UNIT_S[match[2] or match[3]])
 
 
 def parse_days(text: str) -> float:
@@ -37,7 +37,7 @@ def parse_days(text: str) -> float:
         ValueError: not of this form, or not positive.
     """
     match = SPAN.fullmatch(text)
-    days = 0.0 if match is None else float(match[1]) * _DAYS[match[2]]
+    days = 0.0 if match is None else float(match[1]) * (UNIT_S[match[2]] / UNIT_S["d"])
     if not 0.0 < days < math.inf:
         raise ValueError(f"{text!r} is not a time such as '180 d' (units d, w, y)")
     return days

@@ -23,7 +23,7 @@ _LONGEST_NAME: Final = 64
 
 
 def priority(level: int) -> int:
-    """Of a level of logging."""
+    """The journal's priority of a level of logging."""
     return next((p for least, p in _PRIORITY if level >= least), 7)
 
 

@@ -8,6 +8,8 @@ from servo_daemon.samples import F64
 
 #: Of white Gaussian noise: the median of magnitudes over 1 σ; its inverse as it is rounded in books.
 MEDIAN_TO_STD, STD_OF_MEDIAN = 0.6745, 1.4826
+#: 1 σ of a number that is anywhere within a range of 1: of a step's rounding, of a time between two samples.
+UNIFORM_STD = 1.0 / np.sqrt(12.0)
 #: Variance of third differences of white noise over its own (binomials 1, 3, 3, 1).
 THIRD_DIFFERENCE_GAIN = 20.0
 

@@ -15,6 +15,9 @@ from typing import Literal
 Transform = Literal["log", "identity"]
 #: Which estimators leave a parameter as it is given: none, the live ones, all.
 Held = Literal["no", "live", "always"]
+#: What a live estimator says of a parameter; and those statuses whose value is the motor's, now or a moment ago.
+Status = Literal["estimating", "tracking", "unexcited", "at_bound", "fixed", "invalid"]
+KNOWN: tuple[Status, ...] = ("tracking", "unexcited")
 
 
 def spaced(unit: str) -> str:

@@ -29,6 +29,7 @@ T = TypeVar("T")
 #: Marks a 29-bit identifier in a key, as SocketCAN and DBC files do (CAN_EFF_FLAG in linux/can.h).
 EXTENDED = 0x8000_0000
 
+#: Most data bytes of a classic frame and of a CAN FD frame (ISO 11898-1).
 CLASSIC_BYTES = 8
 FD_BYTES = 64
 

@@ -20,6 +20,7 @@ IDENTITY: Mapping[str, Object] = {
     "increments": Object(0x608F, 1, "", 32, signed=False),
     "turns": Object(0x608F, 2, "", 32, signed=False),
 }
+#: Device profile of drives, the lower half of the device type (CiA 402).
 PROFILE = 402
 #: A node answers within some milliseconds; one that does not in so many seconds has no SDO server.
 _PATIENCE_S = 0.2

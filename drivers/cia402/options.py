@@ -14,6 +14,7 @@ OPTIONS = (
     "node_id", "pdo", "eds", "sync_s", "counts_per_rev", "rated_current_A", "rated_torque_Nm", "velocity_unit",
     "voltage", "rate_hz", "period_s",
 )  # fmt: skip
+#: Nodes have the ids 1 .. 127 (CiA 301).
 MOST_NODE = 127
 
 

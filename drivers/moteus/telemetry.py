@@ -14,6 +14,7 @@ import struct
 
 from servo_daemon.errors import WireError
 
+#: Subframes of the tunnelled stream: from the host, from the drive, a poll; and the channel of the diagnostic one.
 CLIENT_DATA, SERVER_DATA, POLL = 0x40, 0x41, 0x42
 CHANNEL = 1
 #: Of a CAN FD frame's 64 bytes three are the subframe's head.

@@ -34,9 +34,9 @@ def may_send(drive_id: int) -> frozenset[Frame]:
 
 def _round(drive_id: int, text: bytes | None) -> list[Frame]:
     """A line for the drive, which is not answered, the query, and polls; None: polls alone."""
-    asking, telling = query.request_id(drive_id) | EXTENDED, query.command_id(drive_id) | EXTENDED
+    asking, command = query.request_id(drive_id) | EXTENDED, query.command_id(drive_id) | EXTENDED
     polls = [Frame(asking, telemetry.poll())] * _POLLS
-    return polls if text is None else [Frame(telling, text), Frame(asking, query.QUERY), *polls]
+    return polls if text is None else [Frame(command, text), Frame(asking, query.QUERY), *polls]
 
 
 class VoltageQuery:

@@ -23,6 +23,7 @@ from servo_daemon.signal_meaning import SignalMeaning
 #: What may be put on the bus: nothing.
 MAY_SEND: frozenset[bytes] = frozenset()
 
+#: Commands of CAN Simple; a node's id is the upper six of an identifier's eleven bits.
 HEARTBEAT, ENCODER, IQ, TORQUES = 0x01, 0x09, 0x14, 0x1C
 NODES = range(64)
 FIRMWARES = ("auto", "0.5", "0.6")

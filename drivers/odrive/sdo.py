@@ -39,6 +39,7 @@ from servo_daemon.errors import DriverConfigError, DriverError
 from servo_daemon.samples import F64, Quality, SampleBlock
 from servo_daemon.signal_meaning import SignalMeaning
 
+#: Commands of CAN Simple, and the opcode of an endpoint that is read.
 GET_VERSION, RX_SDO, TX_SDO = 0x00, 0x04, 0x05
 _READ = 0x00
 #: What is read for a sample, in this order. The voltage is the sum of the third and the fourth.

@@ -39,7 +39,7 @@ class Request:
 
 
 class Reply(NamedTuple, Generic[V]):
-    """What came back."""
+    """What came back: the tag of its request, and the value."""
 
     tag: int
     value: V

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from drivers.serial.wire import FrameType
 from servo_daemon.errors import WireError
 
+#: Raised when a command's layout changes (docs/protocol.md).
 COMMAND_VERSION = 1
 #: Numbers of commands go from 1 to this and on with 1; 0 in a sample says that none acts.
 LAST_NUMBER = 0xFFFF

@@ -38,6 +38,7 @@ _DEFAULT_LSB = {
     "temperature_C": 1e-2,
     "torque_Nm": 1e-6,
 }
+#: Where the source names no resolution of the angle: 16 bits a turn.
 _DEFAULT_COUNTS_PER_REV = 65536.0
 
 

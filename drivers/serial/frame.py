@@ -16,6 +16,7 @@ from cobs import cobs
 from drivers.base import DriverCounters
 from servo_daemon.errors import WireError
 
+#: Of the CRC (CRC-16/IBM-3740): what it begins with, its length in bytes; what ends a frame.
 CRC_INIT = 0xFFFF
 CRC_SIZE = 2
 DELIMITER = b"\0"

@@ -27,6 +27,7 @@ _QUOTED = 60
 #: Separators of the default format as commas.
 _COMMAS = bytes.maketrans(b";\t", b",,")
 
+#: Numbers of firmware that count in 32 bits wrap here.
 _UINT32 = 1 << 32
 _INT32 = 1 << 31
 #: Time without a wrap of its own, µs: further than anything counts.

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from servo_daemon.samples import I64, U8, Quality
 
+#: The device counts microseconds in 32 bits (docs/protocol.md).
 _WRAP = 1 << 32
 
 #: A silence longer than this is taken for a restart: after a day the motor is another one anyhow, and a sequence

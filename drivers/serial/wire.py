@@ -21,6 +21,7 @@ from drivers.serial.frame import MAX_PAYLOAD
 from servo_daemon.errors import WireError
 from servo_daemon.samples import CHANNELS, Quality
 
+#: Raised when a frame's layout changes (docs/protocol.md).
 PROTOCOL_VERSION = 1
 
 

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 from drivers.servo_bus.protocol2 import BROADCAST, Status
 
+#: Begin of a packet; instructions.
 HEAD = b"\xff\xff"
 READ, SYNC_READ = 0x02, 0x82
 
@@ -20,7 +21,7 @@ def checksum(body: bytes) -> int:
 
 
 def packet(servo: int, instruction: int, parameters: bytes) -> bytes:
-    """A packet with its sum."""
+    """A packet of protocol 1, with its checksum."""
     body = bytes([servo, len(parameters) + 2, instruction]) + parameters
     return HEAD + body + bytes([checksum(body)])
 

@@ -12,6 +12,7 @@ import struct
 from collections.abc import Sequence
 from typing import NamedTuple
 
+#: Begin of a packet; instructions; the id that all servos answer to.
 HEAD = b"\xff\xff\xfd\x00"
 PING, READ, SYNC_READ, FAST_SYNC_READ, STATUS = 0x01, 0x02, 0x82, 0x8A, 0x55
 BROADCAST = 0xFE

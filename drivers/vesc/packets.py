@@ -13,6 +13,7 @@ from binascii import crc_hqx
 
 from drivers.base import DriverCounters
 
+#: First byte of a packet whose length is one byte or two; the last byte (the firmware's packet.c).
 SHORT, LONG, STOP = 0x02, 0x03, 0x03
 #: Longest payload the firmware sends (PACKET_MAX_PL_LEN of its packet.h).
 MAX_PAYLOAD = 512

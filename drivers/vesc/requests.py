@@ -7,6 +7,7 @@ from drivers.vesc.packets import encode_packet
 #: Command numbers of the firmware's datatypes.h, as in tests/drivers/golden/vesc.json.
 FW_VERSION, GET_VALUES, GET_VALUES_SELECTIVE, FORWARD_CAN, GET_MCCONF = 0, 4, 50, 34, 14
 
+#: Bits of the mask of a selective request, in the order of `VALUES`.
 IQ, DUTY, ERPM, V_IN, TACHOMETER, PID_POS, VQ = (1 << bit for bit in (5, 6, 7, 8, 13, 16, 20))
 _FAULT, _CONTROLLER_ID = 1 << 15, 1 << 17
 #: What every poll asks for; with and without two fields of a byte, so that the mask, which the drive sends back, tells

@@ -7,13 +7,13 @@ from collections import Counter
 from collections.abc import Sequence
 
 from servo_daemon.api.documents import Document, event_document, scalar
+from servo_daemon.parameters import KNOWN
 from servo_daemon.published.snapshot import ParameterEstimate, Snapshot
 from servo_daemon.published.units import iso_utc
 from servo_daemon.published.view import DaemonView, DriveView
 
 #: Statuses that want an eye on them, the worst first; the others are as it should be, or will be in seconds.
 _TROUBLED = ("invalid", "at_bound")
-_KNOWN = frozenset({"tracking", "unexcited"})
 
 
 def fleet_document(daemon: DaemonView) -> Document:
@@ -60,7 +60,7 @@ def _alarms(snapshot: Snapshot) -> list[str]:
 
 def _change(p: ParameterEstimate) -> float | None:
     """How far a known value is from its nominal one, as a share of it."""
-    if p.status not in _KNOWN or p.value is None or p.nominal is None or not p.nominal:
+    if p.status not in KNOWN or p.value is None or p.nominal is None or not p.nominal:
         return None
     change = (p.value - p.nominal) / abs(p.nominal)
     return change if math.isfinite(change) else None

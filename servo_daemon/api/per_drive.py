@@ -19,7 +19,7 @@ class PerDrive(Generic[T]):
         self._kept: dict[str, tuple[DriveView, T]] = {}
 
     def of(self, drive: DriveView) -> T:
-        """Of this drive."""
+        """What is kept for this drive; made where there is nothing yet."""
         kept = self._kept.get(drive.name)
         if kept is None or kept[0] is not drive:
             there = self._daemon.drives

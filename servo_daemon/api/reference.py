@@ -19,7 +19,7 @@ _TAIL = '<p>For programs: <a href="openapi.json">openapi.json</a>.</p>\n</main><
 
 
 def reference_page(document: Mapping[str, Any]) -> str:
-    """The whole page."""
+    """The page `/docs` as HTML, from the OpenAPI document."""
     info = document["info"]
     head = _HEAD.format(title=escape(info["title"]), version=escape(info["version"]))
     operations = [(path, method, o) for path, item in document["paths"].items() for method, o in item.items()]

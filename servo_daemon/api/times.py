@@ -9,12 +9,12 @@ from typing import Final
 
 import numpy as np
 
+from servo_daemon.config_texts import UNIT_S
 from servo_daemon.numerics import milliseconds
 from servo_daemon.samples import F64
 
 _RELATIVE: Final = re.compile(r"-\s*(\d+(?:\.\d+)?)\s*(ms|s|min|h|d)")
 _DURATION: Final = re.compile(r"(\d+(?:\.\d+)?)\s*(s|min|h|d|w|y)")
-_UNIT_S: Final = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "w": 604_800.0, "y": 31_557_600.0}
 #: An offset whose plus sign was not percent-encoded arrives with a blank in its place.
 _LOST_PLUS: Final = re.compile(r" (\d\d:?\d\d)$")
 #: Years 1 to 9999, which is what datetime can hold.
@@ -37,8 +37,8 @@ def parse_duration(text: str) -> float:
         ValueError: not of the form in `DURATIONS`.
     """
     match = _DURATION.fullmatch(text.strip())
-    seconds = float(match[1]) * _UNIT_S[match[2]] if match else 0.0
-    if not 0.0 < seconds <= 10_000 * _UNIT_S["y"]:
+    seconds = float(match[1]) * UNIT_S[match[2]] if match else 0.0
+    if not 0.0 < seconds <= 10_000 * UNIT_S["y"]:
         raise ValueError(f"{text!r} is not {DURATIONS}")
     return seconds
 
@@ -53,7 +53,7 @@ def parse_time(text: str, now_s: float) -> float:
     if text == "now":
         return now_s
     if match := _RELATIVE.fullmatch(text):
-        return now_s - float(match[1]) * _UNIT_S[match[2]]
+        return now_s - float(match[1]) * UNIT_S[match[2]]
     number = _number(text)
     if number is None:
         try:

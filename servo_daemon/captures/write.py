@@ -219,7 +219,7 @@ class _CsvSink:
             self._output.write(text)
 
     def finish(self) -> None:
-        """Nothing is held back."""
+        """Nothing to do: every row is written as it comes."""
 
     def abandon(self) -> None:
         """Nothing to release."""

@@ -17,7 +17,7 @@ Found = TypeVar("Found")
 
 
 class AsyncClient:
-    """The same, awaited."""
+    """As `Client`, with coroutines."""
 
     def __init__(
         self, url: str = URL, timeout_s: float = TIMEOUT_S, transport: httpx.AsyncBaseTransport | None = None, *,

@@ -44,7 +44,7 @@ def _drive(name: str, rest: str = "") -> str:
 
 
 def document(path: str) -> Steps[Any]:
-    """Any document as it is."""
+    """Ask for a document and return it as it is."""
     return (yield Ask(path))
 
 
@@ -55,12 +55,12 @@ def drives() -> Steps[tuple[str, ...]]:
 
 
 def estimates(drive: str) -> Steps[Estimates]:
-    """Those now."""
+    """Ask for the estimates as they are now."""
     return Estimates.of((yield Ask(_drive(drive, "/estimates"))))
 
 
 def history(drive: str, names: Sequence[str], options: Mapping[str, Any]) -> Steps[History]:
-    """Series over time."""
+    """Ask for the series of parameters over time."""
     if not names:
         raise ValueError("name at least one parameter or state channel")
     params: dict[str, str | int] = {"parameter": ",".join(names)}
@@ -105,7 +105,7 @@ def new_events(drive: str, kinds: Sequence[str], seen: list[Event]) -> Steps[lis
 
 
 def diagnosis(drive: str) -> Steps[Diagnosis]:
-    """The last one."""
+    """Ask for the last diagnosis."""
     return Diagnosis.of((yield Ask(_drive(drive, "/diagnosis"))))
 
 
@@ -129,13 +129,13 @@ def diagnose(drive: str, timeout_s: float, told: Callable[[Diagnosis], object] |
 
 
 def model(drive: str) -> Steps[Model]:
-    """The model now."""
+    """Ask for the model as it is now."""
     found = yield Ask(_drive(drive))
     return Model(tuple(found["model"]), moment(found["time"]), True)
 
 
 def set_model(drive: str, effects: Sequence[str], parameters: Mapping[str, Any]) -> Steps[Model]:
-    """Another model."""
+    """Exchange the model."""
     body = {"effects": list(effects), "parameters": dict(parameters)}
     found = yield Ask(_drive(drive, "/model"), method="POST", body=body)
     return Model(tuple(found["model"]), moment(found["time"]), found["done"])
@@ -147,7 +147,7 @@ def stream_path(drive: str) -> str:
 
 
 def samples(drive: str, seconds: float, trigger: str | None, level: float, edge: str, before: float) -> Steps[Samples]:
-    """The last ones."""
+    """Ask for the last samples."""
     params: dict[str, str | int] = {"seconds": str(seconds)}
     if trigger is not None:
         params |= {"trigger": trigger, "level": str(level), "edge": edge, "before": str(before)}
@@ -155,20 +155,20 @@ def samples(drive: str, seconds: float, trigger: str | None, level: float, edge:
 
 
 def captures(drive: str) -> Steps[tuple[Capture, ...]]:
-    """Those that are kept."""
+    """Ask which captures are kept."""
     found = yield Ask(_drive(drive, "/captures"))
     return tuple(map(Capture.of, found["captures"]))
 
 
 def capture(drive: str, wanted: Capture | str) -> Steps[bytes]:
-    """One as a file."""
+    """Fetch one capture as a file."""
     name = wanted if isinstance(wanted, str) else wanted.id
     found: bytes = yield Ask(_drive(drive, f"/captures/{quote(name, safe='')}"), is_file=True)
     return found
 
 
 def record(drive: str, seconds: float) -> Steps[Capture]:
-    """A new one."""
+    """Have a new capture recorded."""
     return Capture.of((yield Ask(_drive(drive, "/captures"), method="POST", body={"seconds": seconds})))
 
 

@@ -12,6 +12,7 @@ from typing import Any, Final
 from urllib.parse import quote
 
 from servo_daemon.commands.shared import common, daemon_http
+from servo_daemon.config_texts import UNIT_S
 from servo_daemon.errors import BadInputError
 from servo_daemon.extras import require_pyarrow
 from servo_daemon.files import AtomicFile
@@ -23,7 +24,6 @@ EXAMPLE = """  servo-daemon export-history --drive axis1 --window 1y --out axis1
 #: Rows that one request asks for: the daemon gives 20,000 at most, and neither side is to hold much more at once.
 _ROWS: Final = 10_000
 _PERIODS_S: Final = {"rows": 0.1, "1 s": 1.0, "1 min": 60.0, "1 h": 3600.0}
-_UNITS_S: Final = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86_400.0, "w": 604_800.0, "y": 31_557_600.0}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -75,7 +75,7 @@ def _questions(arguments: argparse.Namespace, names: str) -> Iterator[dict[str, 
 def _seconds(window: str) -> float:
     unit = window.lstrip("0123456789. ")
     try:
-        return float(window.removesuffix(unit)) * _UNITS_S[unit]
+        return float(window.removesuffix(unit)) * UNIT_S[unit]
     except (KeyError, ValueError):
         raise BadInputError(f"--window {window!r}: a number with its unit, such as 30min or 1y") from None
 

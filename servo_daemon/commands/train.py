@@ -78,10 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
     model = train_with_bar(spec, job)
     save_model(model, path)
     document = model_document(model, path)
-    if arguments.json:
-        common.print_json(document)
-    else:
-        _print(document)
+    common.answer(arguments, document, _print)
     return 0
 
 

@@ -28,7 +28,7 @@ class Envelope:
 
     @classmethod
     def of(cls, motor: Mapping[str, float], voltage_V: float, current_A: float) -> Envelope:
-        """For a fitted motor."""
+        """The envelope of a motor with fitted parameters."""
         return cls(motor["R"], motor["K"], voltage_V, current_A)
 
     @property

@@ -74,7 +74,7 @@ class Session:
 
     @property
     def time_left_s(self) -> float:
-        """Of motion."""
+        """Time that is left for motion, s."""
         return self._limits.seconds - self.motion_s
 
     @property

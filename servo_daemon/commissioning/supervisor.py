@@ -160,7 +160,7 @@ class Supervisor:
             self._stop("voltage_differs", f"the drive applies {r.voltage_V:.3g} V and not {commanded_V:.3g} V", r)
 
     def _take(self, r: Reading) -> None:
-        """Speed and peaks."""
+        """Take note of a checked sample's speed and peaks."""
         self._at.append((r.time_s, r.position_rad))
         (t0, x0) = self._at[0]
         self.speed_rad_s = (r.position_rad - x0) / (r.time_s - t0) if r.time_s > t0 else 0.0

@@ -90,7 +90,7 @@ class Repetition:
 
 @dataclass(frozen=True, slots=True)
 class Marked:
-    """Where a `Layout` was."""
+    """What a `Layout` remembers between rows, to go back to."""
 
     state: F64
     last_s: float | None

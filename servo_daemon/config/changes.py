@@ -39,7 +39,7 @@ class Change:
 
     @property
     def text(self) -> str:
-        """One line."""
+        """The change as one line for the user."""
         whose = "" if self.drive is None else f"drive {self.drive}: "
         after = {"again": " (the drive begins again)", "restart": ": needs a restart"}.get(self.how, "")
         return f"{whose}{self.what}{after}"

@@ -22,7 +22,7 @@ _ALARM = re.compile(r"(?P<parameter>\w+)_(?P<side>max|min)")
 
 
 class EstimationConfig(Section):
-    """`[drive.estimation]`."""
+    """The table `[drive.estimation]`."""
 
     engine: Literal["compiled", "filterpy"] = "compiled"
     skew_s: float = Field(1e-5, ge=0)
@@ -62,7 +62,7 @@ class LimitsConfig(BaseModel):
 
     @property
     def warn_before_d(self) -> float:
-        """In days."""
+        """How long before a limit is reached to warn, days."""
         return parse_days(self.warn_before)
 
     @model_validator(mode="after")

@@ -67,7 +67,7 @@ def _key(key: str) -> str:
 
 
 def as_toml(value: Any) -> str:
-    """A value on one line."""
+    """A value as TOML, on one line."""
     if isinstance(value, Mapping):
         inner = ", ".join(f"{_key(k)} = {as_toml(v)}" for k, v in value.items() if v is not None)
         return f"{{ {inner} }}" if inner else "{}"

@@ -77,7 +77,7 @@ class MqttConfig(Section):
 
     @property
     def topic_prefix(self) -> str:
-        """Of JSON topics."""
+        """First part of the topics of JSON messages."""
         return self.prefix or f"servo-daemon/{self.node_name}"
 
 

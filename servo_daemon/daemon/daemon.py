@@ -246,7 +246,7 @@ class Daemon:
         self._supervision.reloading()
 
     def end_reload(self) -> None:
-        """That is over."""
+        """A reload of the configuration is over."""
         if not self._stop.is_set():
             self._supervision.reloaded(tuple(self._slots.values()))
 

@@ -36,7 +36,7 @@ from servo_daemon.tracking.plan.settings import Message
 #: Samples of a round, in whole blocks: half a second of a drive at a kilohertz. Between rounds it is seen whether the
 #: worker keeps up, and what was found is published.
 _ROUND_SAMPLES = 500
-#: So much of its samples, s, a drive starts: the last look back at its first samples ends by then
+#: So much of its samples, s, a drive starts: the maximum-likelihood restart of its first samples ends by then
 #: (`tracking/restart/maximum_likelihood.py`).
 _START_S = 20.0
 
@@ -115,7 +115,7 @@ class DriveRuntime:
 
     @property
     def ring(self) -> SampleRing:
-        """Its last samples."""
+        """The ring of its last samples."""
         return self._estimation.ring
 
     @property

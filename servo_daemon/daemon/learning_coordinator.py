@@ -109,7 +109,7 @@ class LearningCoordinator(Background):
         return subscription
 
     def unsubscribe(self, subscription: Subscription) -> None:
-        """The drive has gone."""
+        """End a subscription: the drive has gone."""
         self._subscriptions = [s for s in self._subscriptions if s is not subscription]
 
     def start(self) -> None:

@@ -119,7 +119,7 @@ class Turn:
 
     @classmethod
     def begun(cls, slot: DriveSlot) -> Turn:
-        """In this thread, now."""
+        """A turn of this slot that begins now in this thread."""
         clock = time.pthread_getcpuclockid(threading.get_ident()) if hasattr(time, "pthread_getcpuclockid") else None
         return cls(slot, clock, time.monotonic(), 0.0 if clock is None else time.clock_gettime(clock))
 

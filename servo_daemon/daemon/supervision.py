@@ -44,7 +44,7 @@ class Supervision:
             self._notifier.reloading()
 
     def reloaded(self, slots: Sequence[DriveSlot]) -> None:
-        """That is over."""
+        """A reload of the configuration is over."""
         if self._ready:
             self._notifier.ready(_summary(slots))
 

@@ -161,7 +161,7 @@ def _last(question: Question) -> Question:
 
 
 def _with_place(question: Question, fitted: Question) -> Question:
-    """The places of both."""
+    """The question, with the places of the fitted one beside its own."""
     if isinstance(question, Separation) and isinstance(fitted, Separation):
         return replace(question, places=(*question.places, *fitted.places))
     return question

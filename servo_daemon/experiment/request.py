@@ -115,7 +115,7 @@ def family(request: Request, gains: ServoGains, length: int) -> list[Shape]:
 
 
 def _size(request: Request) -> tuple[int, int]:
-    """Samples and blocks."""
+    """Numbers of samples and of blocks."""
     n = round(request.seconds * request.rate_hz)
     blocks = int(np.clip(round(request.seconds / _BLOCK_S), _FEWEST, _MOST))
     if n < blocks * _LEAST_SAMPLES:
@@ -132,7 +132,7 @@ def _size(request: Request) -> tuple[int, int]:
 
 
 def _candidates(request: Request) -> list[tuple[str, ...]]:
-    """Effects of each model."""
+    """The effects of each candidate model."""
     if not request.between:
         return [request.model]
     if len(set(request.between)) != len(request.between) or len(request.between) < 2:

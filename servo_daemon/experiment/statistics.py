@@ -64,7 +64,7 @@ def make_noise(model: Model, sensor_std: Mapping[str, float], input_std_V: float
 
 
 def start_state(model: Model) -> F64:
-    """At rest, shape (nx,)."""
+    """The state of a motor at rest, shape (nx,)."""
     return np.array([s.initial for s in model.plant.states])
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+#: How tightly operators bind, as in all target languages.
 _ATOM, _UNARY, _PRODUCT, _SUM, _COMPARE, _AND = 9, 8, 7, 6, 4, 3
 _INFIX = {
     ca.OP_ADD: ("+", _SUM), ca.OP_SUB: ("-", _SUM), ca.OP_MUL: ("*", _PRODUCT), ca.OP_DIV: ("/", _PRODUCT),

@@ -56,7 +56,7 @@ def joint_of(model: ExportedModel, target: str) -> Joint:
 
 
 def joint_notes(model: ExportedModel, joint: Joint, expressed: tuple[str, ...] = EXPRESSED) -> list[str]:
-    """What a joint cannot say."""
+    """What of the model a simulator's joint cannot express."""
     notes = [*common_notes(model), ALL_INERTIA, *not_expressed(model, expressed)]
     electrical = [name for name in ("R", "L", "K") if name in model.values]
     if electrical:

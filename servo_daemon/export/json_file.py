@@ -9,6 +9,7 @@ from servo_daemon.export.model import Export, ExportedModel, Target
 from servo_daemon.export.words import common_notes
 from servo_daemon.plant.effects import effects_by_name
 
+#: Raised when a key changes its meaning.
 SCHEMA = 1
 
 

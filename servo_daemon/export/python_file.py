@@ -108,7 +108,7 @@ def write(model: ExportedModel) -> Export:
 
 
 def _code(model: ExportedModel, b: Balances, u: F64, period: float, run: Run) -> str:
-    """Functions and self-test."""
+    """The text of the model's functions and of the file's self-test."""
     core = ["i", "omega", "theta"] if model.drive == "voltage" else ["omega", "theta"]
     blocks, unpack = not b.dry_drop.is_zero(), ", ".join([*core, *b.states])
     against = " - drop / L" if blocks else ""

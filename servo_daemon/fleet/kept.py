@@ -30,7 +30,7 @@ class KeptResults:
         return document if isinstance(document, dict) else None
 
     def put(self, unit: Unit, document: dict[str, Any]) -> None:
-        """Complete or not there."""
+        """Write a unit's result: after a crash it is complete or not there."""
         with AtomicFile(self._path(unit)) as output:
             output.write(json.dumps(document, allow_nan=False, ensure_ascii=False).encode())
 

@@ -15,7 +15,7 @@ from servo_daemon.published.snapshot import Event
 
 
 def add_events(connection: sa.Connection, drive: int, events: Sequence[Event]) -> None:
-    """Append them."""
+    """Append events of a drive."""
     rows = [
         {"drive": drive, "time": e.time, "kind": e.kind, "message": e.message, "data": _text(_finite(e.data))}
         for e in events
@@ -49,7 +49,7 @@ def read_events(
 
 
 def add_document(connection: sa.Connection, drive: int, time_s: float, kind: str, body: Mapping[str, Any]) -> None:
-    """Append one."""
+    """Append a document of a drive."""
     values = {"drive": drive, "time": time_s, "kind": kind, "body": _text(body)}
     connection.execute(sa.insert(DOCUMENT), values)
 
@@ -63,7 +63,7 @@ def read_documents(connection: sa.Connection, drive: int, kind: str, limit: int)
 
 
 def read_document(connection: sa.Connection, drive: int, kind: str, number: int) -> Document | None:
-    """The one of that number."""
+    """The document of this number; None: there is none."""
     c = DOCUMENT.c
     query = sa.select(c.id, c.time, c.kind, c.body).where(c.id == number, c.drive == drive, c.kind == kind)
     r = connection.execute(query).first()

@@ -16,6 +16,7 @@ from servo_daemon.errors import BadInputError, ServoDaemonError
 from servo_daemon.history.database import Database, describe
 from servo_daemon.history.tables import BLOCK, DOCUMENT, DRIVE, EVENT
 
+#: Rows that are copied at once.
 _BATCH: Final = 500
 
 
@@ -56,7 +57,7 @@ def _database(text: str) -> Database:
 
 
 def main(words: Sequence[str]) -> int:
-    """The exit code."""
+    """Run the command; returns its exit code."""
     if len(words) != 2:
         print("usage: python -m servo_daemon.history.move FROM TO", file=sys.stderr)
         return 2

@@ -206,7 +206,7 @@ class Recorder:
                 log.warning("history: %s cannot be replaced: %s", self.database.where, describe(again))
 
     def close(self) -> None:
-        """After the last turn."""
+        """End after the last turn."""
         self.database.close()
 
 

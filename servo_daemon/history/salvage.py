@@ -13,6 +13,7 @@ import sqlalchemy as sa
 from servo_daemon.history import tables
 from servo_daemon.history.codec import BlockError, unpack
 
+#: Rows that are copied at once.
 _BATCH: Final = 200
 #: Rows that cannot be read are stepped over by growing strides; after so many failures in a table the rest is given up.
 _MOST_FAILURES: Final = 2000

@@ -117,7 +117,7 @@ class Ekf:
 
     @property
     def noise(self) -> NoiseLevels:
-        """As it was set."""
+        """The noise levels as they were set."""
         r = tuple(self._constants[self._lay.r].tolist())
         return NoiseLevels(float(self._constants[0]), float(self._constants[1]), r)
 
@@ -128,7 +128,7 @@ class Ekf:
         return self._constants.copy()
 
     def put_constants(self, constants: F64) -> None:
-        """As they were."""
+        """Set all constants as `constants` gave them before."""
         self._constants[:] = constants
 
     def set_active(self, active: NDArray[np.bool_] | F64, walk_var_per_s: F64) -> None:
@@ -142,7 +142,7 @@ class Ekf:
         self._constants[self._lay.active] = active
 
     def hold(self) -> None:
-        """No parameter moves."""
+        """Hold every parameter from now on."""
         self._constants[self._lay.active] = 0.0
 
     def use_instrumental_trajectory(self, use: bool) -> None:

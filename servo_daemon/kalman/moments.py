@@ -33,7 +33,7 @@ class Moments:
         return state[self._lay.z].copy(), state[self._elements]
 
     def put(self, state: F64, z: F64, P: F64) -> None:
-        """Write them."""
+        """Write mean and covariance into a state."""
         state[self._lay.z] = z
         state[self._lay.tri] = P[self._rows, self._columns]
 

@@ -74,7 +74,7 @@ class ChannelStatistics:
         return cls(count, nis / n, excess / n, lagged / max(nis, 1e-12), gated, crossed / n)
 
     def joined(self, other: ChannelStatistics) -> ChannelStatistics:
-        """Both runs as one."""
+        """The statistics of both runs as of one."""
         count = self.count + other.count
         if count < 1:
             return other

@@ -12,7 +12,7 @@ from servo_daemon.mqtt.report import Report
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """To be published."""
+    """A message to be published."""
 
     topic: str
     payload: bytes
@@ -28,7 +28,7 @@ class Encoding(Protocol):
 
     @property
     def topics(self) -> Sequence[str]:
-        """What is listened to."""
+        """Topics to subscribe to."""
 
     def will(self) -> Message:
         """What the broker tells when this connection is lost. A new connection begins."""
@@ -37,7 +37,7 @@ class Encoding(Protocol):
         """After the connection stands: all that is known."""
 
     def state(self, report: Report) -> list[Message]:
-        """A drive's new state."""
+        """The messages of a drive's new state."""
 
     def kept(self, item: Item) -> list[Message]:
         """An event, or a state of the time in which there was no connection."""

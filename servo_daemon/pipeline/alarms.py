@@ -9,14 +9,13 @@ from __future__ import annotations
 
 from servo_daemon.config import DriveConfig
 from servo_daemon.config_texts import share
-from servo_daemon.parameters import J_D, spaced
+from servo_daemon.parameters import J_D, KNOWN, spaced
 from servo_daemon.pipeline.publish import published_names
 from servo_daemon.published.snapshot import AlarmLimit, Estimate, ParameterEstimate
 from servo_daemon.tracking.plan.settings import Message
 
 #: Standard deviations beyond the limit at which an alarm rings, and inside at which it ends.
 MARGIN_STD = 2.0
-_KNOWN = ("tracking", "unexcited")
 
 
 class Alarms:
@@ -45,7 +44,7 @@ class Alarms:
 
     @property
     def limits(self) -> tuple[AlarmLimit, ...]:
-        """Those that can ring."""
+        """The limits whose alarm can ring."""
         return tuple(self._limits)
 
     @property
@@ -62,7 +61,7 @@ class Alarms:
         messages = []
         for limit in self._limits:
             p = parameters[limit.parameter]
-            if p.status not in _KNOWN or p.value is None or p.std is None:
+            if p.status not in KNOWN or p.value is None or p.std is None:
                 continue
             excess, margin = limit.excess(p.value), MARGIN_STD * p.std
             if limit.name not in self._active and excess > margin:

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from servo_daemon.errors import TuningError
+from servo_daemon.parameters import KNOWN
 from servo_daemon.published.knowledge import LoopFacts, motor_knowledge
 from servo_daemon.published.snapshot import Estimate
 from servo_daemon.tracking.plan.settings import Message
@@ -23,7 +24,7 @@ EVERY_S: Final = 5.0
 RELIEF: Final = 0.1
 #: Its name among `health.alarms`.
 ALARM: Final = "controller_margin"
-_SETTLED: Final = ("tracking", "unexcited", "fixed")
+_SETTLED: Final = (*KNOWN, "fixed")
 
 Health = Mapping[str, float | int | bool | str | None]
 

@@ -66,7 +66,7 @@ def parameters_of(effects: Sequence[str]) -> dict[str, Parameter]:
 
 
 def describe_model(effects: Sequence[str]) -> str:
-    """In words."""
+    """A model in words."""
     return " + ".join(["the linear motor", *effects])
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from drivers.base import DriveInfo
 from servo_daemon.config import DriveConfig
 from servo_daemon.kalman.gaussian import Gaussian, from_coordinate
-from servo_daemon.parameters import J_D, LINEAR, Parameter
+from servo_daemon.parameters import J_D, KNOWN, LINEAR, Parameter
 from servo_daemon.pipeline.refresher import Refresher
 from servo_daemon.pipeline.views import State, Views, health_of
 from servo_daemon.plant.effects import effects_by_name, parameter_table
@@ -202,7 +202,7 @@ class Publisher:
         """
         if g is None or not isinstance(tracker, PlantTracker):
             return None
-        known = {p.name: p for p in parameters if p.status in ("tracking", "unexcited") and p.name in g.names}
+        known = {p.name: p for p in parameters if p.status in KNOWN and p.name in g.names}
         if not known:
             return None
         rows, covariance = [g.names.index(name) for name in known], g.covariance.tolist()

@@ -15,10 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from servo_daemon.samples import F64, Quality, SampleBlock
-
-#: Period of everything that is slower than a sample (of a calm drive several are judged together), and of the rows of
-#: EST.csv, s.
-TICK_S = 0.1
+from servo_daemon.tracking.plan.settings import TICK_S
 
 
 @dataclass(frozen=True, slots=True)

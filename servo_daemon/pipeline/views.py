@@ -26,7 +26,7 @@ Values = Mapping[str, tuple[float | None, float | None]]
 
 
 class Views:
-    """One drive's estimators."""
+    """What is published of one drive's estimators."""
 
     def __init__(self) -> None:
         self._table = parameter_table()

@@ -23,19 +23,18 @@ from typing import Literal
 
 import numpy as np
 
+from servo_daemon.config_texts import NUMBER, UNIT_S
 from servo_daemon.errors import BadInputError
 from servo_daemon.parameters import Parameter
 from servo_daemon.samples import F64
 
 Shape = Literal["linear", "exp", "step", "walk"]
 
-_NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _UNIT = r"s|min|h|d"
-_SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, None: 1.0}
 _PROFILE = re.compile(
-    rf"^\s*(?P<name>[A-Za-z]\w*)\s*=\s*(?P<sign>[+\-−]?)\s*(?P<amount>{_NUMBER})\s*(?P<percent>%?)"
-    rf"(?:\s*/\s*(?P<sqrt>sqrt)?\s*\(?\s*(?P<count>{_NUMBER})?\s*(?P<unit>{_UNIT})\s*\)?)?"
-    rf"(?:\s*@\s*(?P<at>{_NUMBER})\s*(?P<at_unit>{_UNIT})?)?"
+    rf"^\s*(?P<name>[A-Za-z]\w*)\s*=\s*(?P<sign>[+\-−]?)\s*(?P<amount>{NUMBER})\s*(?P<percent>%?)"
+    rf"(?:\s*/\s*(?P<sqrt>sqrt)?\s*\(?\s*(?P<count>{NUMBER})?\s*(?P<unit>{_UNIT})\s*\)?)?"
+    rf"(?:\s*@\s*(?P<at>{NUMBER})\s*(?P<at_unit>{_UNIT})?)?"
     r"(?:\s*:\s*(?P<shape>linear|exp|step|walk))?\s*$"
 )
 #: Seconds between the nodes of a random walk; linear between them. One number is kept for every node so far
@@ -124,8 +123,8 @@ def parse_profile(text: str, seconds: float | None = None) -> Profile:
     if is_walk and given_shape not in (None, "walk"):
         raise _refuse(text, f"'/sqrt(…)' is a random walk, not '{given_shape}'")
     amount = float(match["amount"]) / (100.0 if match["percent"] else 1.0)
-    span_s = float(match["count"] or 1.0) * _SECONDS[match["unit"]]
-    start_s = float(match["at"] or 0.0) * _SECONDS[match["at_unit"]]
+    span_s = float(match["count"] or 1.0) * UNIT_S[match["unit"] or "s"]
+    start_s = float(match["at"] or 0.0) * UNIT_S[match["at_unit"] or "s"]
     if over and not span_s > 0:
         raise _refuse(text, "the time after '/' must be greater than zero")
     if not all(map(math.isfinite, (amount, span_s, start_s))):

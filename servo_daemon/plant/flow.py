@@ -163,7 +163,7 @@ def mean_square(before: ca.SX, change: ca.SX, mean: ca.SX, z: ca.SX) -> ca.SX:
     _, phi1_twice, _ = phi_scalar(2 * z)
     b = above / (z * (phi2 - phi1 / 2))
     a, d = before - b, change - b * z * phi1
-    bent = a**2 + b**2 * phi1_twice + d**2 / 3 + 2 * a * b * phi1 + a * d + 2 * b * d * (phi1 - phi2)
+    curve = a**2 + b**2 * phi1_twice + d**2 / 3 + 2 * a * b * phi1 + a * d + 2 * b * d * (phi1 - phi2)
     c, middle = 6 * above, before + change / 2  # the parabola through the same
     parabola = middle**2 + change**2 / 12 + c * middle / 3 + c**2 / 30
-    return ca.if_else(slow, parabola, bent)
+    return ca.if_else(slow, parabola, curve)

@@ -56,7 +56,7 @@ class Buckets:
 
     @classmethod
     def empty(cls, period_s: float = 0.0) -> Buckets:
-        """Nothing at all."""
+        """Buckets without any row."""
         none, counts = np.empty((0, 0)), np.empty((0, 0), np.int32)
         layers = np.empty((0, 0, len(STATUSES)), np.int32)
         return cls(period_s, np.empty(0), (), (), (), counts, none, none, none, none, none, layers)

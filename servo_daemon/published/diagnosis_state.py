@@ -50,7 +50,7 @@ class Diagnosis:
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Those that were found."""
+        """The effects that were found."""
         return () if self.result is None else tuple(e["name"] for e in self.result["effects"])
 
 

@@ -14,8 +14,9 @@ from typing import Final, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_daemon.parameters import Status
 from servo_daemon.published.ring_rows import I8, RingRows
-from servo_daemon.published.snapshot import Estimate, Snapshot, Status
+from servo_daemon.published.snapshot import Estimate, Snapshot
 from servo_daemon.published.units import split_unit
 from servo_daemon.samples import F64
 

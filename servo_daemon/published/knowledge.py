@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from servo_daemon.errors import TuningError
-from servo_daemon.parameters import LINEAR
+from servo_daemon.parameters import KNOWN, LINEAR
 from servo_daemon.plant.effects.winding_heating import ALPHA_COPPER_1_K
 from servo_daemon.published.snapshot import Covariance, ParameterEstimate
 from servo_daemon.samples import F64
@@ -22,9 +22,6 @@ from servo_daemon.tuning.knowledge import (
     MotorKnowledge,
     Source,
 )
-
-#: Statuses whose value is of the motor; with any other it is the nominal one.
-_KNOWN = ("tracking", "unexcited")
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +119,7 @@ def _known(name: str, p: ParameterEstimate | None, source: Source, fixed: Mappin
         return Known(fixed[name], "fixed")
     if p is None:
         return None
-    if p.status in _KNOWN and p.value is not None and p.value > 0:
+    if p.status in KNOWN and p.value is not None and p.value > 0:
         return Known(p.value, source, p.std, p.reason)
     if p.nominal is not None and p.nominal > 0:
         return Known(p.nominal, "nominal", None, None if p.reason is None else f"{p.status}: {p.reason}")

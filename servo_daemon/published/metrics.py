@@ -6,10 +6,11 @@ import math
 import re
 from typing import Final, get_args
 
+from servo_daemon.parameters import Status
 from servo_daemon.published.diagnosis_state import DiagnosisStatus
 from servo_daemon.published.exposition import Exposition, unit_words
 from servo_daemon.published.sinks import SinkState
-from servo_daemon.published.snapshot import Connection, Estimate, ParameterEstimate, Snapshot, Status
+from servo_daemon.published.snapshot import Connection, Estimate, ParameterEstimate, Snapshot
 from servo_daemon.published.trends import DAY_S
 from servo_daemon.published.units import split_unit
 from servo_daemon.published.view import DaemonView, DriveView

@@ -10,7 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-Status = Literal["estimating", "tracking", "unexcited", "at_bound", "fixed", "invalid"]
+from servo_daemon.parameters import Status
+
 Connection = Literal["connecting", "connected", "silent", "down", "ended"]
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from servo_daemon.config_texts import UNIT_S
 from servo_daemon.trend.records import Trend
 
 #: Times of trends are days since the epoch.
-DAY_S = 86400.0
+DAY_S = UNIT_S["d"]
 
 
 @dataclass(frozen=True, slots=True)

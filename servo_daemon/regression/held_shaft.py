@@ -19,8 +19,8 @@ from servo_daemon.samples import F64
 
 #: The winding's own.
 _NAMES = ("R", "L")
-#: A shaft that moves by no more (rad, rad/s) stands.
-_STILL = 1e-9
+#: A shaft, or a channel, that moves by no more (rad, rad/s, A) stands: below any sensor's step, above rounding.
+STILL = 1e-9
 
 
 class HeldShaft:
@@ -57,7 +57,7 @@ class HeldShaft:
             return False
         if self._place is None:
             self._place = float(motion[0]) if s.position is not None else 0.0
-        return float(np.max(np.abs(motion - self._place))) <= _STILL
+        return float(np.max(np.abs(motion - self._place))) <= STILL
 
     def estimate(self) -> RegressionEstimate | None:
         """R and L (of a current that is constant, or settles within a sample, known to nothing); None where the shaft

@@ -34,7 +34,7 @@ def paragraphs_html(block: Text) -> str:
 
 
 def items_html(block: Items) -> str:
-    """`<ul>` or `<ol>`."""
+    """The list as `<ul>` or `<ol>`."""
     kind = "ol" if block.ordered else "ul"
     return f"<{kind}>{''.join(f'<li>{text_html(item)}</li>' for item in block.items)}</{kind}>"
 

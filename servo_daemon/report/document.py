@@ -145,7 +145,7 @@ class Provenance:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """A whole document."""
+    """A whole document, before it is HTML."""
 
     title: str
     subtitle: str

@@ -22,6 +22,7 @@ from drivers.can.ours.wire import (
 from servo_daemon.errors import BadInputError
 from servo_daemon.samples import F64, I64, SampleBlock
 
+#: So often a drive describes itself (docs/protocol-can.md).
 DESCRIPTION_PERIOD_US = 1_000_000
 
 #: Where the source names no resolution: 2 mV and 2 mA reach to 65 V and 65 A in 16 bits.

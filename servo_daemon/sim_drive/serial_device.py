@@ -20,6 +20,7 @@ from drivers.serial.text import encode_lines
 from drivers.serial.wire import Description
 from servo_daemon.errors import EndOfStreamError, WireError
 from servo_daemon.samples import I64, SampleBlock
+from servo_daemon.sim_drive.can_frames import DEFAULT_COUNTS_PER_REV
 from servo_daemon.sim_drive.commanded import CommandedOutput
 from servo_daemon.sim_drive.counters import DeviceCounters
 from servo_daemon.sim_drive.line_faults import Fault, LineFaults
@@ -42,7 +43,6 @@ _POLL_S = 0.05
 #: is given so long to get there.
 _SETTLE_S = 0.05
 
-_DEFAULT_COUNTS_PER_REV = 4096.0
 
 #: While it is commanded, samples go out at once: this much in a frame, s.
 _COMMANDED_FRAME_S = 0.002
@@ -70,7 +70,7 @@ class _Firmware:
             if wire == "binary"
             else None
         )
-        self._counts_per_rev = source.info.counts_per_rev or _DEFAULT_COUNTS_PER_REV
+        self._counts_per_rev = source.info.counts_per_rev or DEFAULT_COUNTS_PER_REV
         self._faults, self._counters = faults, counters
         self._frame = 0
         self._description_due_s = -np.inf

@@ -65,7 +65,7 @@ class SimulatedDrive:
 
     @property
     def most_V(self) -> float:
-        """Of its supply."""
+        """Largest voltage of its supply, V."""
         return self.settings.supply_V
 
     def next_block(self, n: int) -> SampleBlock:

@@ -21,8 +21,10 @@ from servo_daemon.samples import F64
 MotionName = Literal["mixed", "steps", "speed", "rest"]
 
 STEP_RAD = math.radians(50.0)  # the paper's reference angle
+#: The mixed motion: so long steps, ramps and a sweep, s.
 _STEPS_S, _RAMPS_S, _SWEEP_S = 4.0, 6.0, 6.0
 _PROGRAMME_S = _STEPS_S + _RAMPS_S + _SWEEP_S
+#: The multisine on top of it: its period, s, and lines.
 _DITHER_PERIOD_S = 8.0
 _DITHER_LINES = 24
 _DITHER_PHASES = 136  # of the seeds 0..299 the one with the lowest peak at 100 Hz to 10 kHz: 3.2 times the RMS

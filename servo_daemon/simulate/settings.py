@@ -14,7 +14,7 @@ from servo_daemon.errors import BadInputError
 from servo_daemon.parameters import J_M, LINEAR, Parameter
 from servo_daemon.plant.ageing import Ageing, ageing_texts, parse_ageing
 from servo_daemon.plant.build import PlantModel, build_plant
-from servo_daemon.plant.effects import effects_by_name, further_harmonics
+from servo_daemon.plant.effects import effects_by_name, further_harmonics, unknown_effect
 from servo_daemon.plant.servo_loop import ServoGains, suitable_gains
 from servo_daemon.simulate.motion import Motion, MotionName
 from servo_daemon.simulate.visible import VISIBLE
@@ -129,7 +129,7 @@ def parse_effect(text: str) -> tuple[str, dict[str, float]]:
     name = name.strip()
     effects = effects_by_name()
     if name not in effects:
-        raise BadInputError(f"unknown effect '{name}': known are {', '.join(effects)}")
+        raise BadInputError(unknown_effect(name))
     family = (name, *further_harmonics(name))
     own = {p.name: p for member in family for p in effects[member].parameters}
     values: dict[str, float] = {}

@@ -14,17 +14,19 @@ from dataclasses import dataclass
 from servo_daemon.conditioning.gaps import is_whole
 from servo_daemon.kalman.ekf import Ekf
 from servo_daemon.kalman.records import ChannelStatistics
+from servo_daemon.regression.sampling import WINDOW_S
 from servo_daemon.samples import SampleBlock, concatenate
 from servo_daemon.tracking.changes.actions import JumpActions
 from servo_daemon.tracking.noise.watch import InnovationTest, InnovationWatch
+from servo_daemon.tracking.plan.settings import TICK_S
 from servo_daemon.tracking.samples.signal_scales import SignalScales
 
 #: So many ticks of a calm drive are judged together: what is published of its parameters is half a second old at most
 #: (docs/performance.md).
 TOGETHER = 5
-#: A drive is calm after so many ticks to which there was nothing: as many as the balances look back over
-#: (`regression/sampling.WINDOW_S`), so that what they say is of a motor that does as it did before.
-TICKS_TO_CALM = 50
+#: A drive is calm after so many ticks to which there was nothing: as many as the balances look back over,
+#: so that what they say is of a motor that does as it did before.
+TICKS_TO_CALM = round(WINDOW_S / TICK_S)
 
 
 @dataclass(frozen=True, slots=True)

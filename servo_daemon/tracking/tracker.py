@@ -13,12 +13,9 @@ from servo_daemon.regression.estimate import RegressionEstimate
 from servo_daemon.regression.motor_rls import MotorRls
 from servo_daemon.samples import SampleBlock
 from servo_daemon.tracking.noise.watch import InnovationWatch
-from servo_daemon.tracking.plan.settings import Message, Resolutions, TrackerSettings
+from servo_daemon.tracking.plan.settings import TICK_S, Message, Resolutions, TrackerSettings
 from servo_daemon.tracking.plan.signals import SignalPlan
 from servo_daemon.tracking.validity.fusion import Trusted
-
-#: Beyond it, s, as long as a tick of the pipeline, a tick has one sample at the most.
-_SLOW_S = 0.1
 
 
 class Tracker:
@@ -140,6 +137,6 @@ class Tracker:
         known_s = self.sample_period_s
         if len(tick) > 1:
             self.sample_period_s = upper_median(tick.time_s[1:] - tick.time_s[:-1])
-        elif before_s is not None and (known_s is None or known_s >= _SLOW_S):
+        elif before_s is not None and (known_s is None or known_s >= TICK_S):
             distance_s = self._tick_end_s - before_s
             self.sample_period_s = distance_s if known_s is None else min(known_s, distance_s)

@@ -87,8 +87,8 @@ def _drawn(
     walk = np.concatenate([np.zeros((draws, 1)), _walk(np.diff(_AHEAD_Y), draws, rng)], axis=1)
     if fit.shape.bending:
         paths = paths + trend.T @ np.maximum(now_y + _AHEAD_Y - knots(now_y)[:, None], 0.0)
-        bent = np.cumsum(walk[:, :-1] * np.diff(_AHEAD_Y), axis=1)
-        paths[:, 1:] += fit.shape.bending * priors.rate_1_y * bent
+        bends = np.cumsum(walk[:, :-1] * np.diff(_AHEAD_Y), axis=1)
+        paths[:, 1:] += fit.shape.bending * priors.rate_1_y * bends
         rate = rate + trend.sum(axis=0)
     if fit.shape.wandering:
         paths = paths + trend.sum(axis=0)[:, None] + fit.shape.wandering * priors.margin * walk

@@ -8,10 +8,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_daemon.config_texts import UNIT_S
 from servo_daemon.numerics import STD_OF_MEDIAN
 from servo_daemon.samples import F64
 
-YEAR_D: Final = 365.25
+YEAR_D: Final = UNIT_S["y"] / UNIT_S["d"]
 #: Stretches at most: five years in steps of twelve days. Covariances of this size are factored in a millisecond.
 MOST_STRETCHES: Final = 160
 #: A stretch whose value is this many robust standard deviations from its neighbours' median is left out; of normal

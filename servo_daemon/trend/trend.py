@@ -136,7 +136,7 @@ class _Study:
         )
 
     def trend(self, changes: tuple[Change, ...]) -> Trend:
-        """What is told."""
+        """The trend that is told, with these changes."""
         has = np.array([_is_trend(f) for f in self._fits])
         probability = float(self._weights[has].sum())
         series, start = self._series, float(self._series.time_d[0])

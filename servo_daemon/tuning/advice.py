@@ -59,7 +59,7 @@ def advise(gains: Gains, answer: Response | None, motor: MotorKnowledge, setup: 
 
 
 def _stiffness(gains: Gains) -> _Stiffness | None:
-    """None for a speed loop."""
+    """Stiffness of a position loop; None for a speed loop."""
     if isinstance(gains, StateGains):
         return _Stiffness(gains.angle_V_rad, gains.integral_V_rad_s)
     if gains.position_kp_1_s is None:

@@ -73,7 +73,7 @@ def _speed_pi(p: Mapping[str, float], omega: float) -> _SpeedPi:
 
 
 def speed_gains(p: Mapping[str, float], setup: LoopSetup, omega: float) -> CascadeGains:
-    """PI speed loop."""
+    """Gains of a PI speed loop."""
     pi = _speed_pi(p, omega)
     return CascadeGains(pi.kp, pi.ki, setpoint_weight=pi.weight, filter_hz=filter_hz(omega, setup))
 

@@ -111,7 +111,7 @@ def cascade(g: CascadeGains, period_s: float) -> Controller:
 
 
 def state_feedback(g: StateGains, period_s: float) -> Controller:
-    """`STATE_LAW`."""
+    """The controller of `STATE_LAW` with these gains."""
     T, alpha = period_s, smoothing(g.filter_hz, period_s)
     q = _Rows((["f"] if alpha > 0 else []) + ["theta", "z"])
     speed = alpha * q["f"] + (1 - alpha) * q["w"]

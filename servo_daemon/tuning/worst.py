@@ -49,7 +49,7 @@ class Region(Protocol):
 
     @property
     def described(self) -> str:
-        """In words."""
+        """The set in words."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

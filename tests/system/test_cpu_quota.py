@@ -68,7 +68,7 @@ def test_a_starved_daemon_keeps_its_samples_and_says_so(missing: Callable[[str],
             take(program.process.pid)
             program.until(lambda d: program.said("device opened"), "the port is open")
             feeder.tell("go")
-            program.until(lambda d: d["samples"] > 5000, "the start, with its looks back, is over")
+            program.until(lambda d: d["samples"] > 5000, "the start, with its re-linearisations, is over")
             assert short(program, feeder) == 0, "with half a core nothing is lost"
             for percent, within_s in ((4, 15.0), (2, 15.0), (1, 60.0)):  # how little is too little: the machine's
                 allow(percent)

@@ -121,6 +121,14 @@ def write_capture(path: Path, load: Callable[[float], float]) -> None:
     np.savetxt(path, data, delimiter=",", header="time_s,voltage_V,current_A,position_rad", comments="")
 
 
+@pytest.mark.parametrize("words", [("check",), ("format", "--check")])
+def test_the_example_passes_the_lint(repo_root: Path, words: tuple[str, ...]) -> None:
+    path, code = code_block(repo_root).split("\n", 1)
+    command = [sys.executable, "-m", "ruff", *words, "--stdin-filename", path.removeprefix("# "), "-"]
+    done = subprocess.run(command, cwd=repo_root, input=code, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 @pytest.mark.slow
 def test_an_effect_of_a_stranger_is_fitted(stranger: Path) -> None:
     found = json.loads(run(stranger, "fit", "brake.csv", "--effect", "eddy_current_brake", "--json"))

@@ -22,7 +22,7 @@ _CHALLENGE: Final = {"WWW-Authenticate": 'Basic realm="servo-daemon", charset="U
 
 
 def scope_of(method: str, path: str) -> tokens.Scope:
-    """What a request needs."""
+    """The scope that a token needs for this request."""
     if method in _SAFE:
         return "read"
     return "configure" if _MODEL.search(path) else "operate"
@@ -77,10 +77,10 @@ class Permission:
             return send
         client = (scope.get("client") or ("this machine",))[0]
 
-        async def telling(message: Message) -> None:
+        async def audited(message: Message) -> None:
             if message["type"] == "http.response.start":
                 text = "%s from %s: %s %s: %d"
                 audit.info(text, who, client, scope["method"], ascii(scope["path"])[1:-1], message["status"])
             await send(message)
 
-        return telling
+        return audited

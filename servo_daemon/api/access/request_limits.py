@@ -44,7 +44,7 @@ def too_deep(body: bytes) -> bool:
 
 
 class RequestLimits:
-    """ASGI middleware."""
+    """ASGI middleware: refuses requests that are too large before a route sees them."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app

@@ -34,7 +34,7 @@ _LARGEST: Final = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class Token:
-    """A line of the file."""
+    """One line of the token file."""
 
     name: str
     scope: Scope
@@ -97,7 +97,7 @@ class TokenFile:
 
     @property
     def number(self) -> int:
-        """How many there are."""
+        """How many tokens there are."""
         return len(self._tokens)
 
     def same_as(self, other: TokenFile | None) -> bool:

@@ -9,7 +9,8 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from servo_daemon.published.snapshot import Connection, Status
+from servo_daemon.parameters import Status
+from servo_daemon.published.snapshot import Connection
 
 Scalar = float | int | bool | str | None
 

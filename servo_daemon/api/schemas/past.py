@@ -5,8 +5,9 @@ from __future__ import annotations
 from pydantic import Field
 
 from servo_daemon.api.schemas.estimates import TIME_EXAMPLE, Closed, Scalar, example
+from servo_daemon.parameters import Status
 from servo_daemon.published.diagnosis_state import DiagnosisStatus
-from servo_daemon.published.snapshot import Connection, Status
+from servo_daemon.published.snapshot import Connection
 
 _LEVEL = "Which of the kept resolutions this is from: `rows` (ten a second), `1 s`, `1 min`, `1 h`."
 _PERIOD = "Length of a bucket, s; 0: single rows. A time is the begin of its bucket."

@@ -62,7 +62,7 @@ class SignalRef:
 
     @property
     def entry(self) -> Mapping[str, Any]:
-        """As it would be written."""
+        """The entry as a signal map in TOML would hold it."""
         given = {key: getattr(self, key) for key in _OPERAND_KEYS}
         usual = {"scale": 1.0, "offset": 0.0, "column": None, "row": None, "group": None}
         return {key: value for key, value in given.items() if key not in usual or value != usual[key]}

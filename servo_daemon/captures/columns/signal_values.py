@@ -30,7 +30,7 @@ class Values:
 
     @cached_property
     def whole(self) -> bool:
-        """Only whole numbers."""
+        """Whether all values are whole numbers."""
         return bool(np.all(self.finite == np.rint(self.finite)))
 
     @cached_property

@@ -25,6 +25,7 @@ _FACTORS = (
     (60 / (2 * math.pi), "rpm for rad/s"),
     (1000.0, "a thousandth"),
 )
+#: … to this share; the two nearest of them, turns and rpm, are a factor of 1.5 apart.
 _NEAR = 0.15
 
 

@@ -90,7 +90,7 @@ def _range_of(size: float, capture: Capture, position: F64) -> tuple[float, str]
 
 
 def _resolution(position: F64) -> float:
-    """The smallest step."""
+    """The smallest step between neighbouring positions."""
     step = np.abs(np.diff(position))
     return float(np.min(step[step > 0.0], initial=np.inf))
 

@@ -35,7 +35,7 @@ def travelled(capture: Capture) -> F64 | None:
 
 
 def window_length(time_s: F64) -> int:
-    """Intervals in a window."""
+    """How many sampling intervals a window has."""
     return max(_LEAST, round(_WINDOW_S / sample_period(time_s)))
 
 

@@ -18,11 +18,11 @@ from servo_daemon.captures.capture.bounded import MAX_CELLS, check_cells
 from servo_daemon.captures.capture.model import capture_error, first_bad_time, time_fault
 from servo_daemon.captures.text.dialect import COMMENTS, clock_seconds
 from servo_daemon.captures.text.preamble import Preamble
+from servo_daemon.config_texts import UNIT_S
 from servo_daemon.errors import CaptureError
 from servo_daemon.samples import F64
 
 _POINT = "numbers need a decimal point, columns are separated by commas"
-_DAY_S = 86400.0
 
 
 class TextTable:
@@ -135,7 +135,7 @@ class TextTable:
         table = np.array(rows, dtype=np.float64).reshape(len(rows), len(wanted))
         found = {i: table[:, k].copy() for k, i in enumerate(wanted)}
         for i in self._preamble.clocks.intersection(found):  # a time of day starts anew at midnight
-            found[i] += _DAY_S * np.cumsum(np.diff(found[i], prepend=found[i][:1]) < -_DAY_S / 2)
+            found[i] += UNIT_S["d"] * np.cumsum(np.diff(found[i], prepend=found[i][:1]) < -UNIT_S["d"] / 2)
         return found
 
     def _numbers(self, row: Sequence[str], wanted: Mapping[int, str], line: int) -> list[float]:

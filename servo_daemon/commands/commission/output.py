@@ -122,7 +122,7 @@ def findings(report: Mapping[str, Any]) -> list[str]:
 
 
 def write(out: Path, capture: Capture, report: Mapping[str, Any], tuning: Tuning | None) -> None:
-    """All files of `--out`."""
+    """Write all files of `--out`."""
     folder = OutputFolder(out)
     write_capture(out / _FILES[0], capture.block(), metadata=capture.metadata)
     folder.write_json("commission.json", report)
@@ -157,7 +157,7 @@ def toml(report: Mapping[str, Any]) -> str:
 
 
 def text(report: Mapping[str, Any], tuning: Tuning | None) -> str:
-    """For a person."""
+    """What the terminal shows."""
     lines = [f"drive {report['drive']}: {_OUTCOMES[report['outcome']]}, {report['motion_s']:.1f} s of motion"]
     lines += findings(report)
     for name, p in report["parameters"].items():

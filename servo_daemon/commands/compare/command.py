@@ -74,10 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
         document |= capture_document(comparison)
     if arguments.out is not None:
         _write(arguments, document, comparison, paper)
-    if arguments.json:
-        common.print_json(document)
-    else:
-        print_compare(document)
+    common.answer(arguments, document, print_compare)
     return 0
 
 

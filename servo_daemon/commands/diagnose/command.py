@@ -60,10 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
     made = diagnosed(arguments)
     if arguments.out is not None:
         _write(arguments, made)
-    if arguments.json:
-        common.print_json(made.document)
-    else:
-        print_diagnosis(made.document)
+    common.answer(arguments, made.document, print_diagnosis)
     return 0
 
 

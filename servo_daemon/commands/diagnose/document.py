@@ -29,6 +29,7 @@ from servo_daemon.identification.output_error import OutputErrorFit
 from servo_daemon.identification.winding import joined_parameters
 from servo_daemon.plant.effects import effects_by_name, parameter_table
 
+#: Raised when a key changes its meaning.
 SCHEMA = 1
 
 #: What `depends_on` calls the finer words of the detailed list: the contract's speed, angle, current, time.

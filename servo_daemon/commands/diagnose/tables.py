@@ -114,7 +114,7 @@ def _effect_parameters(parameters: Mapping[str, Mapping[str, Any]]) -> Table:
 
 
 def toml_blocks(document: Mapping[str, Any]) -> tuple[Block, ...]:
-    """What to copy."""
+    """The lines of TOML to copy into the configuration."""
     return (Code(document["toml"], "In the configuration, below the drive's [[drive]]:"),)
 
 
@@ -257,5 +257,5 @@ def _own_tables(document: Mapping[str, Any]) -> tuple[Block, ...]:
 
 
 def note_sections(document: Mapping[str, Any]) -> tuple[Section, ...]:
-    """Remarks."""
+    """The section of remarks; none where there are none."""
     return (Section("Notes", (Items(tuple(document["notes"])),)),) if document["notes"] else ()

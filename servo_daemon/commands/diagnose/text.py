@@ -13,6 +13,7 @@ from servo_daemon.commands.diagnose.words import change_text, headline, model_na
 from servo_daemon.commands.fit.text import open_lines, parameter_line, validation_lines
 from servo_daemon.parameters import spaced
 
+#: Columns of the text.
 _WIDTH = 100
 
 

@@ -120,7 +120,7 @@ def _metadata(report: Mapping[str, Any], command: str) -> list[tuple[str, str]]:
 
 
 def text(report: Mapping[str, Any]) -> str:
-    """For a person."""
+    """What the terminal shows."""
     lines = [
         f"{report['plan']}: {report['seconds']:g} s at {report['rate_hz']:g} Hz, {report['reference']} reference",
         "",

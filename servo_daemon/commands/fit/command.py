@@ -74,10 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
     made = fitted(arguments)
     if arguments.out is not None:
         _write(arguments, made)
-    if arguments.json:
-        common.print_json(made.document)
-    else:
-        print_fit(made.document)
+    common.answer(arguments, made.document, print_fit)
     return 0
 
 

@@ -56,7 +56,7 @@ def fit_document(
 
 
 def parameter_row(p: FittedParameter, *, linear: bool) -> dict[str, Any]:
-    """One parameter."""
+    """A fitted parameter as the JSON document has it."""
     row = {
         "value": p.value,
         "std": p.std,
@@ -141,7 +141,7 @@ def _noise_row(fit: OutputErrorFit, *, linear: bool) -> dict[str, Any] | None:
 
 
 def validation_row(v: Validation) -> dict[str, Any]:
-    """As in diagnosis.json."""
+    """A validation as in diagnosis.json."""
     linear = v.capture.axis == "linear"
     return {
         "capture": str(v.capture.path),

@@ -72,7 +72,7 @@ class Fleet:
         return any("diagnosis" in d for d in self.documents)
 
     def effects_of(self, k: int) -> tuple[str, ...]:
-        """Named in drive k."""
+        """The effects that are named in drive k."""
         return effects_in(self.documents[k])
 
     def rare_effects(self, k: int) -> tuple[str, ...]:

@@ -71,10 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
         if fleet.types:
             raise BadInputError(f"these captures are of {len(fleet.types)} types of motor: train on those of one")
         document["model"] = _train(arguments)
-    if arguments.json:
-        common.print_json(document)
-    else:
-        print_fleet(document)
+    common.answer(arguments, document, print_fleet)
     return 0 if fleet.documents else 1
 
 

@@ -22,6 +22,7 @@ from servo_daemon.commands.fleet.report import (
 )
 from servo_daemon.commands.fleet.tables import prior_rows
 
+#: Raised when a key changes its meaning.
 SCHEMA = 1
 
 
@@ -63,7 +64,7 @@ def fleet_document(fleet: Fleet, asked: str) -> dict[str, Any]:
 
 
 def print_fleet(document: Mapping[str, Any]) -> None:
-    """On stdout."""
+    """Print the summary on stdout."""
     print(f"{counted_drives(document['drives'])}, {len(document['failed'])} without a result")
     for row in document["common"]:
         spread = f"{row['spread']:.1%}" if row["logarithmic"] else f"{row['spread']:.3g} {row['unit']}"

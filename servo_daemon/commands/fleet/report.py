@@ -20,7 +20,7 @@ _MOST_NAMES, _MOST_NUMBERED = 8, 30
 
 
 def fleet_report(fleet: Fleet, provenance: Provenance) -> Report:
-    """The whole page."""
+    """The page of the fleet."""
     sections = [Section("Result", (_verdict(fleet), *_summary(fleet)))]
     if fleet.pooled is not None:
         sections.append(Section("Distributions", tuple(_distribution(fleet, j) for j in range(len(fleet.names)))))
@@ -83,7 +83,7 @@ def drift_text(fleet: Fleet, k: int, drift: Drift) -> str:
 
 
 def drifting(fleet: Fleet) -> list[tuple[int, Drift]]:
-    """The surest first."""
+    """Drives that drift, by number, the surest first."""
     found = [(k, d) for k, drifts in enumerate(fleet.drifts) for d in drifts]
     return sorted(found, key=lambda pair: -abs(pair[1].z))
 

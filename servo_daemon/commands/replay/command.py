@@ -93,10 +93,7 @@ def run(arguments: argparse.Namespace) -> int:
         "parameters": _rows(last.parameters, linear=capture.axis == "linear"),
         "health": dict(last.health),
     }
-    if arguments.json:
-        common.print_json(document)
-    else:
-        _print_table(document)
+    common.answer(arguments, document, _print_table)
     return 0
 
 

@@ -71,7 +71,7 @@ class EstimatesWriter:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """The header."""
+        """The header's column names."""
         prefixes = ("", *(f"{name}_" for name in self._estimators))
         cells = (f"{x}{p}{end}" for x in prefixes for p in self._parameters for end in ("", "_std", "_status"))
         return ("time_s", *cells)

@@ -1,4 +1,4 @@
-"""The API's socket."""
+"""The socket that the API listens on."""
 
 from __future__ import annotations
 

@@ -25,6 +25,7 @@ from servo_daemon.errors import BadInputError
 #: Length and first byte of frames, by identifier (`frame_key`).
 Traffic = Mapping[int, frozenset[tuple[int, int]]]
 
+#: Ids that a drive of the own wire and a VESC can have, and the bytes of an ODrive's messages.
 _OWN_DRIVES = range(FIRST_DRIVE, LAST_DRIVE + 1)
 _VESC_IDS = range(256)
 #: CiA 301: a node's heartbeat, one byte: its state, or 0 when it starts.

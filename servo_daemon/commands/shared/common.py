@@ -6,12 +6,12 @@ import argparse
 import json
 import signal
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Event
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from servo_daemon.config import DriveConfig, load_config
 from servo_daemon.errors import BadInputError
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from servo_daemon.captures.capture.read_options import ReadOptions
 
 
+D = TypeVar("D", bound=Mapping[str, Any])
 #: What a command's argument CAPTURE may be.
 CAPTURE_HELP = "CSV, CSV.gz, Parquet, MAT, Excel, MDF, MCAP or a CAN log (BLF, ASC)"
 
@@ -200,6 +201,14 @@ def offline_drive(arguments: argparse.Namespace) -> DriveConfig:
 def print_json(document: Mapping[str, Any]) -> None:
     json.dump(document, sys.stdout, allow_nan=False, ensure_ascii=False)
     sys.stdout.write("\n")
+
+
+def answer(arguments: argparse.Namespace, document: D, show: Callable[[D], None]) -> None:
+    """Print the document: as one of JSON with `--json`, else as `show` does for a reader."""
+    if arguments.json:
+        print_json(document)
+    else:
+        show(document)
 
 
 def note(text: str) -> None:

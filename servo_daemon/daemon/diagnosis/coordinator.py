@@ -40,15 +40,15 @@ class Drive(Protocol):
 
     @property
     def info(self) -> DriveInfo:
-        """What the driver knows."""
+        """What the driver knows of its device."""
 
     @property
     def meaning(self) -> SignalMeaning:
-        """Of its signals."""
+        """What the drive's signals mean."""
 
     @property
     def estimate(self) -> Estimate | None:
-        """The last one."""
+        """The last estimate."""
 
     def change_model(self, request: ModelRequest) -> Future[ModelChange]:
         """Have a model exchanged."""
@@ -74,7 +74,7 @@ class DiagnosisCoordinator:
         self._adopting = False
 
     def view(self) -> DiagnosisView:
-        """As it stands."""
+        """The diagnosis as it stands now."""
         reason = self._why_not()
         return DiagnosisView(self._diagnosis, self.adoption(), reason is None, reason, dict(self._counts))
 

@@ -17,6 +17,7 @@ from typing import Any, TypeGuard
 from drivers.base import DriveInfo
 from servo_daemon.config import DriveConfig
 from servo_daemon.errors import DiagnosisError
+from servo_daemon.parameters import KNOWN
 from servo_daemon.pipeline.model_change import parameters_of
 from servo_daemon.plant.effects import parameter_table
 from servo_daemon.published.diagnosis_state import Diagnosis
@@ -42,7 +43,7 @@ def drive_toml(config: DriveConfig, estimate: Estimate | None) -> str:
     """
     nominal = dict(config.nominal)
     for p in estimate.parameters if estimate is not None else ():
-        if p.status in ("tracking", "unexcited") and p.value is not None and p.name in parameter_table():
+        if p.status in KNOWN and p.value is not None and p.name in parameter_table():
             nominal[p.name] = p.value
     head = {"name": config.name, "model": list(config.model)}
     tables = {

@@ -42,7 +42,7 @@ class Ports:
         return len(self._lines)
 
     def add(self, line: Line) -> None:
-        """From now on it is read."""
+        """From now on this line is read."""
         with self._lock:
             self._lines = (*self._lines, line)
 

@@ -9,6 +9,7 @@ from typing import Final, Protocol
 
 from servo_daemon.background import Background
 from servo_daemon.config import DriveConfig
+from servo_daemon.config_texts import UNIT_S
 from servo_daemon.daemon.trends.watch import FAR, NEAR, already_told, find_trends, names_of, warnings
 from servo_daemon.pipeline.event_log import EventLog
 from servo_daemon.published.archive import Archive, ArchiveUnavailableError
@@ -20,7 +21,7 @@ log = logging.getLogger(__name__)
 FIRST_S: Final = 60.0
 EVERY_S: Final = 3600.0
 #: How far back is looked, s: ten years. Motors that live longer have trends of their last ten years.
-_BACK_S: Final = 10 * 365.25 * 86400.0
+_BACK_S: Final = 10 * UNIT_S["y"]
 _LEVEL: Final = "1 h"
 #: Events looked through for warnings that stand since before the start.
 _EVENTS: Final = 200

@@ -208,7 +208,7 @@ def _transition(a: Augmented, row: ca.SX) -> ca.SX:
 
 
 def _channel(a: Augmented, row: ca.SX, k: int) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Gain, H and precision."""
+    """Gain, row H and precision of one measured channel."""
     gain = _part(a, row, "gain")[k * a.n_z : (k + 1) * a.n_z]
     H = ca.vertcat(_part(a, row, "H")[k * a.n_x : (k + 1) * a.n_x], ca.SX.zeros(a.n_z - a.n_x))
     return gain, H, _part(a, row, "precision")[k]

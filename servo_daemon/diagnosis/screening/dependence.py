@@ -28,7 +28,7 @@ LEAST_SHARE, LEAST_SIZE = 0.08, 2e-3
 #: So few samples hold so much of the series' energy, are so many standard deviations large at the largest, and are of
 #: such a size beside the working torque or voltage, where something came at moments.
 _FEW, _HELD_BY_FEW, _BEYOND_NOISE, _MOMENT_SIZE = 0.02, 0.4, 10.0, 0.05
-#: Beyond this share of the working torque or voltage something is missing, also if it follows nothing.
+#: Beyond this share of the working torque or voltage something is missing, also if it follows nothing (decision 73).
 _LARGE = 0.02
 #: Hats over a quantity's range, and the longest list.
 _HATS, _LONGEST = 9, 4
@@ -71,19 +71,19 @@ def dependences(fit: Fitted, missing: Missing) -> tuple[Dependence, ...]:
         missing: of `missing_inputs`.
     """
     motion = motion_of(missing)
-    nuisance, stiff = of_parameters(motion, fit, missing)
-    context = context_of(missing, motion, nuisance)
+    of_motor, stiff = of_parameters(motion, fit, missing)
+    context = context_of(missing, motion, of_motor)
     out: list[Dependence] = []
     for name in missing.series:
         quantities = list(_quantities(context, name))
-        traces = [*nuisance, *(_trace(name, column) for q in quantities for column in q.columns)]
+        traces = [*of_motor, *(_trace(name, column) for q in quantities for column in q.columns)]
         regression = Regression.of(missing, motion, traces, stiff)
         unit, whole = (
             float(np.median(missing.std[name])),
             float(np.sqrt(missing.mean_square[name])) * missing.size[name],
         )
         found = _forward(
-            name, regression, len(nuisance), quantities, (unit, missing.size[name]), int((~motion.rest).sum())
+            name, regression, len(of_motor), quantities, (unit, missing.size[name]), int((~motion.rest).sum())
         )
         # Where its standard deviation varies by orders a part must not come out larger than the whole.
         found = [replace(d, size=min(d.size, whole), relative=min(d.size, whole) / missing.size[name]) for d in found]

@@ -17,9 +17,9 @@ from servo_daemon.samples import F64
 #: Time blocks, and folds of the cross-validation: fold f holds out blocks f, f + FOLDS, …, so that a step or a slow
 #: drift has both sides in every part.
 BLOCKS, FOLDS = 20, 5
-#: A trace beyond it has no sum of squares.
+#: A trace beyond it has no sum of squares: numbers end at 10³⁰⁸.
 _LARGEST = 1e100
-#: See `Regression`.
+#: A change of J by this share costs as much as the whole series (`Regression`).
 MOST_CHANGE = 0.3
 
 
@@ -97,7 +97,7 @@ class Regression:
         return float(self.yy[over].sum() - 2 * beta @ self.Xy[over].sum(axis=0)[chosen] + beta @ A @ beta)
 
 
-def bent_names(fit: Fitted, missing: Missing) -> list[str]:
+def biased_names(fit: Fitted, missing: Missing) -> list[str]:
     """Free parameters whose change would leave something missing, in the order of `of_parameters`.
 
     Where a current is the input no data tell K: it scales all torques, and a K of nothing would leave nothing missing.
@@ -110,7 +110,7 @@ def bent_names(fit: Fitted, missing: Missing) -> list[str]:
 def of_parameters(motion: Motion, fit: Fitted, missing: Missing) -> tuple[list[Trace], list[float]]:
     """What a change of each free parameter of the plant would leave missing (R, L, K, J, B: per relative change), and
     how stiff each is: J, without which none of the trivial explanations works; R, K and B may be biased by any
-        amount."""
+    amount."""
     m, one = motion, np.ones(len(motion.t))
     voltage = missing.augmented.plant.drive == "voltage"
     K = m.p.get("K", 1.0)
@@ -125,5 +125,5 @@ def of_parameters(motion: Motion, fit: Fitted, missing: Missing) -> tuple[list[T
     }
     if voltage:
         known |= {"R": Trace(voltage=m.p["R"] * m.i), "L": Trace(voltage=m.p["L"] * m.i_rate)}
-    names = bent_names(fit, missing)
+    names = biased_names(fit, missing)
     return [known[name] for name in names], [MOST_CHANGE**-2.0 if name == "J" else 0.0 for name in names]

@@ -18,7 +18,7 @@ from servo_daemon.diagnosis.missing.missing import Fitted, Missing
 from servo_daemon.diagnosis.missing.response import smoothed
 from servo_daemon.diagnosis.missing.signals import motion_of
 from servo_daemon.diagnosis.screening.derived import derived, usual_values
-from servo_daemon.diagnosis.screening.regression import Regression, bent_names, of_parameters
+from servo_daemon.diagnosis.screening.regression import Regression, biased_names, of_parameters
 from servo_daemon.parameters import MOTOR_NAMES
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.plant.columns.screening import Basis, Context, Family, Motion, Trace
@@ -28,7 +28,7 @@ from servo_daemon.plant.effects import effects_by_name
 #: A parameter more must lower what is left by this share to come before.
 _WORTH = 0.05
 #: The motor's own parameters, and by what factors a missing effect may have biased them.
-_MOTOR, _BENT = MOTOR_NAMES, (0.2, 5.0)
+_MOTOR, _BIASED = MOTOR_NAMES, (0.2, 5.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,18 +81,18 @@ def screen(fit: Fitted, missing: Missing) -> tuple[ScreenedCandidate, ...]:
         missing: of `missing_inputs`.
     """
     motion = motion_of(missing)
-    names = bent_names(fit, missing)
-    nuisance, stiff = of_parameters(motion, fit, missing)
-    context = context_of(missing, motion, nuisance)
+    names = biased_names(fit, missing)
+    of_motor, stiff = of_parameters(motion, fit, missing)
+    context = context_of(missing, motion, of_motor)
     tried = families(fit.problem.plant, (*fit.problem.free, *fit.problem.local))
     with np.errstate(all="ignore"):  # a speed or a current that is always 0; see `Regression.of`
         bases = [(name, basis) for name, family in tried.items() for basis in family(context)]
     keys = list(context.traces)
-    equations = Regression.of(missing, motion, [*nuisance, *context.traces.values()], stiff)
-    before = equations.errors(range(len(nuisance)))
+    equations = Regression.of(missing, motion, [*of_motor, *context.traces.values()], stiff)
+    before = equations.errors(range(len(of_motor)))
     best: dict[str, tuple[float, ScreenedCandidate]] = {}
     for name, basis in bases:
-        columns = [*range(len(nuisance)), *(len(nuisance) + keys.index(key) for key in basis.columns)]
+        columns = [*range(len(of_motor)), *(len(of_motor) + keys.index(key) for key in basis.columns)]
         scored = _scored(name, basis, equations, columns, before, {n: motion.p.get(n) for n in names})
         if scored is not None and (name not in best or scored[0] < best[name][0]):
             best[name] = scored
@@ -125,18 +125,18 @@ def _scored(
     rank = float(np.log(max(1 - min(share, heldout_share), 1e-12))) + _WORTH * basis.parameters
     plain = {name: value if isinstance(value, str) else float(value) for name, value in start.items()}
     motor = {
-        own_name: value * float(np.clip(1 + change, *_BENT))
+        own_name: value * float(np.clip(1 + change, *_BIASED))
         for (own_name, value), change in zip(own.items(), found.tolist(), strict=False)
         if value is not None and own_name in _MOTOR
     }
     return rank, ScreenedCandidate(name, float(share), plain, float(heldout_share), motor)
 
 
-def context_of(missing: Missing, motion: Motion, nuisance: Sequence[Trace]) -> Context:
+def context_of(missing: Missing, motion: Motion, of_motor: Sequence[Trace]) -> Context:
     """What the formulas need: raw series less what the free parameters explain, and the friction held at rest."""
     moving = ~motion.rest & missing.seen
     residual = {name: np.where(moving, series, 0.0) for name, series in missing.series.items()}
-    columns = smoothed(missing, nuisance) if nuisance else {}
+    columns = smoothed(missing, of_motor) if of_motor else {}
     stacked = [(columns[n] / np.median(missing.std[n])) * moving[:, None] for n in columns]
     if stacked:
         y = np.concatenate([residual[n] / np.median(missing.std[n]) for n in columns])

@@ -117,7 +117,7 @@ def select(data: Data, base: Trial, progress: Progress, whole: Whole, effort: Ef
 
 @dataclass
 class _Search:
-    """How far it is."""
+    """How far a search for effects has come."""
 
     data: Data
     base: Trial

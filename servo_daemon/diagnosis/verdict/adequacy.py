@@ -55,7 +55,7 @@ from servo_daemon.plant.effects import effects_by_name
 #: calibration set: at most 0.05, an eddy-current brake called Coulomb friction: 0.8), but for so many of the samples.
 #: Impacts and first steps come a sample early or late in the best of models: what is left at moments is no sign.
 _LEFT, _MOMENTS = 0.15, 0.02
-#: Standard deviations by which two estimates differ that cannot both be right.
+#: Standard deviations by which two estimates differ that cannot both be right (Gaussian: once in 370 times).
 _DIFFERENT = 3.0
 
 

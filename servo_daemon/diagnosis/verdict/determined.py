@@ -9,11 +9,12 @@ from servo_daemon.identification.output_error import OutputErrorFit
 from servo_daemon.parameters import Parameter
 from servo_daemon.plant.effects import effects_by_name
 
-#: A value is known with a standard deviation below this share of it, a phase below this much, rad.
+#: A value is known with a standard deviation below this share of it, a phase below this much, rad (decision 85).
 _KNOWN, _KNOWN_PHASE_RAD = 0.5, 0.5
 #: Part of a gradient along a direction without a trace beyond which a combination is open.
 _LEAK = 1e-4
-#: Log ratios that are zero within their covariance: chance makes their squared distance larger once in 20 times.
+#: Log ratios that are zero within their covariance: chance makes their squared distance larger once in 20 times (the
+#: usual level of a χ² test).
 _CHANCE = 0.95
 #: What a torque, an inertia or a stiffness is compared with where its own unit is open: without a current (the voltage
 #: that overcomes it, N·m Ω/(N·m/A)), without a voltage (its current), without either (its acceleration).

@@ -16,7 +16,7 @@
 #include <string.h>
 
 #define GATE 5.0f             /* standard deviations at which an innovation is weighted down */
-#define INSTRUMENT_S 0.1f     /* the instrument follows the filter this slowly */
+#define TRAJECTORY_S 0.1f     /* the instrumental trajectory follows the filter this slowly */
 #define YOUTH 0.1f            /* ... and at most by this share of its age */
 #define SAMPLES_TO_FIND_SPEED 3.0f
 #define TO_SLIDE 0.25f        /* of the speed's standard deviation; see the daemon's kalman/model.py */
@@ -46,7 +46,7 @@ static const float LOWEST[NP] = {@LOWEST@};
 static const float HIGHEST[NP] = {@HIGHEST@};
 static const uint8_t SIGNED[NP] = {@SIGNED@};
 
-/* x and instrument after h; derivatives by current and speed at `away` (3 x 2), by the parameters at `instrument`
+/* x and trajectory after h; derivatives by current and speed at `away` (3 x 2), by the parameters at `trajectory`
  * (3 x NP), and by voltage and load torque (3 x 2). */
 static void motor_step(const float *x, const float *xi, const float *away, const float *p, float u, float h,
                        float *xn, float *xin, float *fx, float *fq, float *g) {
@@ -100,7 +100,7 @@ static void time_update(servo_estimator *e, float h) {
     const float var_u = e->noise.voltage_std * e->noise.voltage_std;
     memcpy(away, e->x, sizeof away);
 @AWAY@
-    motor_step(e->x, e->instrument, away, e->p, e->voltage, h, xn, xin, fx, fq, g);
+    motor_step(e->x, e->trajectory, away, e->p, e->voltage, h, xn, xin, fx, fq, g);
     const float found = e->age_s >= (SAMPLES_TO_FIND_SPEED - 0.5f) * h ? 1.0f : 0.0f;
 
     /* Columns of the parameters: Fxx Uxq + Fxq Uqq; those of the parameters themselves stay. */
@@ -141,7 +141,7 @@ static void time_update(servo_estimator *e, float h) {
     if (e->noise.walk[k] > 0.0f) add_variance(e, 3 + k, e->noise.walk[k] * h * (float)NP);
     e->walks = (uint8_t)((k + 1) % NP);
     memcpy(e->x, xn, sizeof xn);
-    memcpy(e->instrument, xin, sizeof xin);
+    memcpy(e->trajectory, xin, sizeof xin);
 }
 
 /* A scalar measurement of state m (Bierman, section V.3). Returns whether it was an outlier. */
@@ -185,13 +185,13 @@ static int measure(servo_estimator *e, int m, float y, float r) {
     return outlier;
 }
 
-/* What is left of the instrument's distance from the filter after h. */
+/* What is left of the trajectory's distance from the filter after h. */
 static float slowness(servo_estimator *e, float h) {
     const float young = YOUTH * (e->age_s + h);
-    if (young < INSTRUMENT_S) return expf(-h / young);
+    if (young < TRAJECTORY_S) return expf(-h / young);
     if (h != e->slow_h) { /* the same in every sample of a regular drive */
         e->slow_h = h;
-        e->slow = expf(-h / INSTRUMENT_S);
+        e->slow = expf(-h / TRAJECTORY_S);
     }
     return e->slow;
 }
@@ -203,7 +203,7 @@ static void rebase(servo_estimator *e, int32_t counts) {
     if (servo_abs(by) < REBASE_RAD) return;
     e->base_counts = counts;
     e->x[2] -= by;
-    e->instrument[2] -= by;
+    e->trajectory[2] -= by;
 }
 
 static void begin(servo_estimator *e, const float *values, const float *std, int32_t counts) {
@@ -214,7 +214,7 @@ static void begin(servo_estimator *e, const float *values, const float *std, int
         e->moved[k] = 0.0f;
         put_parameter(e, k);
     }
-    for (int k = 0; k < 3; k++) e->x[k] = e->instrument[k] = 0.0f;
+    for (int k = 0; k < 3; k++) e->x[k] = e->trajectory[k] = 0.0f;
     e->age_s = e->outliers = e->lagged = e->last = 0.0f;
     e->nis = 1.0f;
     e->walks = 0;
@@ -336,7 +336,7 @@ void servo_estimator_sample(servo_estimator *e, float h, float voltage, float cu
     }
 #endif
     time_update(e, h);
-    const float modelled[2] = {e->instrument[0], e->instrument[1]};
+    const float modelled[2] = {e->trajectory[0], e->trajectory[1]};
     if (valid & SERVO_CURRENT_VALID)
         outlier |= measure(e, SERVO_CURRENT, current, e->noise.current_std * e->noise.current_std);
     if (valid & SERVO_POSITION_VALID) {
@@ -345,8 +345,8 @@ void servo_estimator_sample(servo_estimator *e, float h, float voltage, float cu
     }
     for (int k = 0; k < NP; k++) put_parameter(e, k);
     const float slow = slowness(e, h);
-    for (int i = 0; i < 2; i++) e->instrument[i] = e->x[i] + slow * (modelled[i] - e->x[i]);
-    e->instrument[2] = e->x[2];
+    for (int i = 0; i < 2; i++) e->trajectory[i] = e->x[i] + slow * (modelled[i] - e->x[i]);
+    e->trajectory[2] = e->x[2];
     e->age_s = outlier ? SAMPLES_TO_FIND_SPEED * h : e->age_s < 1e4f ? e->age_s + h : e->age_s;
     e->outliers += MEMORY * ((outlier ? 1.0f : 0.0f) - e->outliers);
     e->voltage = voltage;

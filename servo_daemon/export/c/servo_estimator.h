@@ -55,7 +55,7 @@ typedef struct {
 
 typedef struct {
     float x[3];                                /* current A, speed rad/s, angle rad from base_counts */
-    float instrument[3];                       /* the same as the model alone has them */
+    float trajectory[3];                       /* the same as the model alone has them */
     float p[SERVO_PARAMETERS];                 /* in SI units */
     float moved[SERVO_PARAMETERS];             /* what is estimated: log(p / start), of TL p - start */
     float start[SERVO_PARAMETERS];

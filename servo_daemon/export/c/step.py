@@ -27,8 +27,8 @@ class StepCode:
     """The step as a CasADi function and what it was made for.
 
     Attributes:
-        function: (x, instrument, away, p, u, h) -> (x_next, instrument_next, by_state, by_parameter, gain); x, away and
-            instrument (i, ω, θ); p in natural units; by_state (3 × 2 by i and ω, row by row), by_parameter (3 × n,
+        function: (x, trajectory, away, p, u, h) -> (x_next, trajectory_next, by_state, by_parameter, gain); x, away and
+            trajectory (i, ω, θ); p in natural units; by_state (3 × 2 by i and ω, row by row), by_parameter (3 × n,
             row by row) by the logarithms of positive parameters; gain (3 × 2) by voltage and load torque.
         operations: how many it has.
         doublings: of the series.
@@ -53,7 +53,7 @@ def build_step(names: Sequence[str], L: float, doublings: int) -> StepCode:
         names: estimated ones, R, K, J, B first; of them `TL` is signed, the others positive.
         L: held, H.
     """
-    x, instrument, away = (ca.SX.sym(n, 3) for n in ("x", "instrument", "away"))
+    x, trajectory, away = (ca.SX.sym(n, 3) for n in ("x", "trajectory", "away"))
     p, u, h = ca.SX.sym("p", len(names)), ca.SX.sym("u"), ca.SX.sym("h")
     by_name = {name: p[k] for k, name in enumerate(names)} | {"L": ca.SX(L)}
     # The series is differentiated by the two numbers that it is of, m and d of the matrix, not by every parameter.
@@ -73,7 +73,7 @@ def build_step(names: Sequence[str], L: float, doublings: int) -> StepCode:
         return free, ca.horzcat(core.per_input, core.per_load)
 
     x_next, gain = after(x)
-    modelled, _ = after(instrument)
+    modelled, _ = after(trajectory)
     moved, _ = after(away)
     scale = ca.diag(ca.vertcat(*[1.0 if name == "TL" else p[k] for k, name in enumerate(names)]))
     values, by_p = _series(seen[0], doublings, p)
@@ -81,7 +81,7 @@ def build_step(names: Sequence[str], L: float, doublings: int) -> StepCode:
     by_parameter = (ca.jacobian(modelled, p) + ca.jacobian(modelled, f) @ by_p) @ scale
     results = [x_next, modelled, by_state.T.reshape((-1, 1)), by_parameter.T.reshape((-1, 1)), gain.T.reshape((-1, 1))]
     results = ca.substitute([ca.densify(r) for r in results], [f], [values])
-    function = ca.Function("step", [x, instrument, away, p, u, h], ca.cse(results))
+    function = ca.Function("step", [x, trajectory, away, p, u, h], ca.cse(results))
     return StepCode(function, function.n_instructions(), doublings)
 
 

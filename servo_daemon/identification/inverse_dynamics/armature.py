@@ -94,8 +94,8 @@ class Lag:
 
     def mean_current(self, block: SampleBlock, current: F64, K_over_R: float) -> F64:
         """Mean of every interval, shape (n − 1,), A."""
-        bent = self.g * K_over_R * np.gradient(travel(block)) / np.diff(block.time_s)
-        return np.asarray(current[:-1] + self.a * np.diff(current) + bent)
+        curved = self.g * K_over_R * np.gradient(travel(block)) / np.diff(block.time_s)
+        return np.asarray(current[:-1] + self.a * np.diff(current) + curved)
 
 
 def fit_armature(

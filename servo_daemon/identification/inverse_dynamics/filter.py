@@ -52,10 +52,6 @@ class FilterChoice:
     trim_samples: tuple[int, int] | None = None
 
 
-#: As published for EMPS, to all printed digits.
-PUBLISHED_EMPS = FilterChoice(dynamics_Hz=20.0, difference_order=2, trim_samples=(49, 0))
-
-
 @dataclass(frozen=True, slots=True)
 class Filter:
     """What is used: as `FilterChoice`, at the sampling rate `rate_Hz`; `lowpass_Hz` is that of the decimation."""

@@ -111,7 +111,7 @@ class Moves:
 
     @property
     def samples(self) -> int:
-        """Those that slide."""
+        """How many samples slide."""
         return sum(s.end - s.begin for of in self.slides for s in of)
 
     def note(self, samples: int) -> str:

@@ -25,7 +25,7 @@ _LAG = "drive_lag"
 LAGS = tuple(name for name, effect in effects_by_name().items() if effect.late)
 #: Of a share between zero and one that nothing is known of, root of the mean square.
 SHARE = 1.0 / np.sqrt(3.0)
-#: 2 log-likelihood by which two values are told apart, 3 σ squared.
+#: 2 log-likelihood by which two values differ, 3 σ squared.
 _TOLD = 9.0
 #: No logarithm is moved by more.
 _AT_MOST = 3.0

@@ -12,10 +12,10 @@ from servo_daemon.identification.output_error.multi_start import from_nearby, fr
 from servo_daemon.identification.output_error.noise.residual import residual_tests
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.problem.setup import Recording
-from servo_daemon.identification.output_error.problem.still import STILL
 from servo_daemon.identification.output_error.solver.solver import Point, Solution, solve
 from servo_daemon.identification.output_error.starts import BY_SIZES, BY_WINDOWS, Start, coordinates, torque_size
 from servo_daemon.kalman.gaussian import natural_values
+from servo_daemon.regression.held_shaft import STILL
 
 #: Guessed starts that are searched from, besides nominal values and regression.
 _SEARCHED = 2

@@ -34,6 +34,7 @@ PAPER_PRINTED: Mapping[str, str] = MappingProxyType(
     {"J": "12.27e-3", "L": "1.81e-3", "D": "0.67", "R": "1.5", "K": "4.25e-3"}
 )
 _UNITS = {"R": "Ω", "L": "H", "K": "N·m/A", "J": "kg·m²", "B": "N·m·s/rad", "D": "N·m·s/rad"}
+#: Relative step of central differences, about ε^⅓: there rounding and curvature cost the same.
 _STEP = 1e-5
 
 
@@ -173,9 +174,9 @@ def compare_coefficients(blocks: Sequence[SampleBlock], R: float) -> Coefficient
     """
     if not (math.isfinite(R) and R > 0.0):
         raise BadInputError(f"comparing coefficients needs an assumed R greater than zero, not {R:g}")
-    lacking = [c for c in ("voltage_V", "current_A") if any(getattr(b, c) is None for b in blocks)]
-    if lacking:
-        raise BadInputError(f"comparing coefficients needs {' and '.join(lacking)}: this capture has none")
+    absent = [c for c in ("voltage_V", "current_A") if any(getattr(b, c) is None for b in blocks)]
+    if absent:
+        raise BadInputError(f"comparing coefficients needs {' and '.join(absent)}: this capture has none")
     process = fit_process_model(blocks)
     steady = steady_state(blocks, R, process.sum_s)
     N = steady.B * R + steady.K**2

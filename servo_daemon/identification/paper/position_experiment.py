@@ -18,6 +18,7 @@ from servo_daemon.errors import BadInputError
 from servo_daemon.plant.servo_loop import ServoGains, closed_servo
 from servo_daemon.samples import F64
 
+#: The paper's test: a step of the reference, and for how long it is looked at.
 STEP_DEG, TEST_S = 50.0, 5.0
 #: What the paper reports for its method 1.
 REPORTED_DEG = 45.0

@@ -53,7 +53,7 @@ class Bands:
     expected: F64
 
     def intervals(self) -> dict[str, Interval]:
-        """By channel."""
+        """The band of each channel."""
         inside = np.mean(np.abs(self.error) <= self.half, axis=0)
         width = np.sqrt(np.mean(np.square(self.half), axis=0))
         return {

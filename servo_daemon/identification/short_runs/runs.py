@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from servo_daemon.identification.output_error.problem.problem import MOTOR_STATES, Problem, Segment
 from servo_daemon.identification.output_error.problem.rollout import TIME, free_runs
+from servo_daemon.identification.output_error.problem.setup import SLOPE_SAMPLES
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.samples import F64
 
@@ -25,8 +26,6 @@ _FASTEST = 0.3
 SHORT, LONG, FEWEST = 4.0, 16.0, 30
 #: Samples that are searched in the end, and those to begin with.
 MOST_SAMPLES, FEW_SAMPLES = 12_000, 5_000
-#: Samples from which a run's first speed is guessed.
-_SLOPE_SAMPLES = 15
 
 
 def swing_s(values: Mapping[str, float]) -> float:
@@ -134,7 +133,7 @@ class Runs:
         return self.only(np.linspace(0, len(self.rows) - 1, count).astype(int))
 
     def only(self, chosen: NDArray[np.int_] | NDArray[np.bool_]) -> Runs:
-        """These of them."""
+        """The chosen ones of these runs."""
         return replace(
             self,
             rows=self.rows[chosen],
@@ -162,7 +161,7 @@ class Runs:
 
     @cached_property
     def motor_states(self) -> list[int]:
-        """Which are the motor's."""
+        """Indices of the states that are the motor's."""
         return [k for k in range(len(self.plant.states)) if k not in self.load_states]
 
     def residuals(self, q: F64, states: F64, sigma: F64) -> F64:
@@ -216,7 +215,7 @@ class Runs:
 def _guess(problem: Problem, segment: Segment, begin: int) -> F64:
     """Current and angle as measured, speed from the slope, the load with the motor."""
     names, x0 = problem.plant.state_names, np.array([s.initial for s in problem.plant.states])
-    few = slice(begin, begin + _SLOPE_SAMPLES)
+    few = slice(begin, begin + SLOPE_SAMPLES)
     for c, name in enumerate(problem.channels):
         good = segment.valid[few, c]
         values, t = segment.measured[few, c][good], segment.rows[few, TIME][good]

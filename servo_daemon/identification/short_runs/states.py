@@ -38,7 +38,7 @@ class Settled:
 
     @classmethod
     def at(cls, runs: Runs, q: F64, states: F64, sigma: F64) -> Settled:
-        """As these states have it."""
+        """The runs with these initial states."""
         r = runs.residuals(q, states, sigma)
         return cls(states, r, _squares(r))
 
@@ -49,7 +49,7 @@ class Settled:
         return Settled(states, residuals, squares)
 
     def or_better(self, other: Settled) -> Settled:
-        """Of each run the better."""
+        """Of each run the better one of the two."""
         take = other.squares < self.squares
         return Settled(
             np.where(take[:, None], other.states, self.states),

@@ -49,7 +49,7 @@ class Winding:
 
     @property
     def notes(self) -> list[str]:
-        """For the user."""
+        """What the user has to know of it, in words."""
         out = ["R, L and K are from the balance of the winding's voltage, the rest from the motion"]
         if self.estimate is None:
             out.append("the winding's balance determines nothing (is a current or a motion missing?)")

@@ -75,7 +75,7 @@ class TrainingSpec:
 
     @property
     def samples(self) -> int:
-        """In a window."""
+        """Samples in a window."""
         return round(self.rate_hz * self.window_s)
 
     @property
@@ -158,7 +158,7 @@ def draw_motor(spec: TrainingSpec, number: int, core: F64) -> DrawnMotor:
 
 
 def _between(rng: np.random.Generator, low: float, high: float) -> float:
-    """Evenly in the logarithm."""
+    """A draw whose logarithm is uniform."""
     return float(low * (high / low) ** rng.random())
 
 

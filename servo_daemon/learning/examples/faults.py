@@ -33,7 +33,7 @@ def with_fault(block: SampleBlock, rng: np.random.Generator) -> tuple[SampleBloc
 
 
 def _between(rng: np.random.Generator, low: float, high: float) -> float:
-    """Evenly in the logarithm."""
+    """A draw whose logarithm is uniform."""
     return float(low * (high / low) ** rng.random())
 
 

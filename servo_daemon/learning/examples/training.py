@@ -123,7 +123,7 @@ def _checked(windows: TrainingSet, motors: int) -> TrainingSet:
 
 @contextlib.contextmanager
 def _engine(dask: str | None, jobs: int) -> Iterator[None]:
-    """joblib's back end."""
+    """The back end that joblib works with meanwhile."""
     from joblib import parallel_config
 
     if dask is None:
@@ -228,7 +228,7 @@ def cut_windows(block: SampleBlock, window_s: float) -> list[SampleBlock]:
 
 
 def stacked(parts: Sequence[TrainingSet]) -> TrainingSet:
-    """The windows of all."""
+    """The windows of all parts as one set."""
     none = np.empty(0, dtype=np.int64)
     empty = TrainingSet(np.empty((0, len(catalogue.NAMES))), np.empty((0, len(TARGETS))), none, none)
     columns: list[Any] = [[getattr(p, f.name) for p in (empty, *parts)] for f in fields(TrainingSet)]

@@ -11,6 +11,7 @@ from servo_daemon.learning.features.window import Window
 from servo_daemon.numerics import MEDIAN_TO_STD, THIRD_DIFFERENCE_GAIN, upper_median
 from servo_daemon.parameters import MOTOR_NAMES
 from servo_daemon.plant.build import build_plant
+from servo_daemon.regression.columns.rows import DIRECTED_STDS
 from servo_daemon.regression.estimate import RegressionEstimate
 from servo_daemon.regression.modulating import Windows, make_windows
 from servo_daemon.regression.motor_rls import MotorRls
@@ -22,8 +23,6 @@ from servo_daemon.samples import F64
 #: tells it from an offset: each for this share of the samples at least.
 _EFFECTS = ("coulomb_friction", "constant_load_torque", "current_sensor_offset")
 _DROP, _EACH_WAY = "brush_voltage_drop", 0.02
-#: A current has a direction beyond so many standard deviations of its noise.
-_DIRECTED = 3.0
 #: The regression corrects what the current does between samples once it has an estimate: from this first share.
 _FIRST = 0.3
 _FEWEST = 12
@@ -41,7 +40,7 @@ def regression(w: Window) -> RegressionEstimate | None:
     s = w.stretch
     assert s.current is not None
     noise = {"position_rad": w.position_lsb**2 / 12.0, "current_A": _noise_var(s.current)}
-    least = _DIRECTED * noise["current_A"] ** 0.5
+    least = DIRECTED_STDS * noise["current_A"] ** 0.5
     ways = min(np.count_nonzero(s.current > least), np.count_nonzero(s.current < -least))
     if ways > _EACH_WAY * len(s.current) and (found := _regression(w, (*_EFFECTS, _DROP), noise)) is not None:
         return found

@@ -45,7 +45,7 @@ class Fits:
         self._gram = self._columns @ self._columns.T
 
     def solve(self, cases: Sequence[Case]) -> list[Fit]:
-        """Of each model."""
+        """The fit of each case."""
         none, most = len(self._columns) - 1, max(len(own) for own, _ in cases)
         own = np.array([(*of, *(none,) * (most - len(of))) for of, _ in cases])
         y, case = np.array([y for _, y in cases]), np.arange(len(cases))
@@ -84,7 +84,7 @@ class Fits:
 
 
 def fit(columns: Sequence[F64], y: F64) -> Fit:
-    """One model."""
+    """Least squares of y on these columns."""
     own = range(len(columns))
     return Fits([*columns, y]).solve([(own, len(columns))])[0]
 

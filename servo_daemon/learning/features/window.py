@@ -45,7 +45,7 @@ class Window:
 
     @property
     def seconds(self) -> float:
-        """Length."""
+        """Length of the window, s."""
         return float(self.even.shape[1] * self.period_s)
 
 

@@ -19,6 +19,7 @@ from servo_daemon.plant.compiler import cache_directory
 
 log = logging.getLogger(__name__)
 
+#: File of the key, and its length: as long as the digest of SHA-256.
 _NAME, _BYTES = "model.key", 32
 
 

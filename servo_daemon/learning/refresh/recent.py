@@ -58,7 +58,7 @@ class Recent:
         self._combine()
 
     def forget(self) -> None:
-        """The motor has changed."""
+        """Forget all windows: the motor has changed."""
         self._windows, self._together = [], {}
 
     def of(self, name: str, now_s: float) -> tuple[float, float] | None:

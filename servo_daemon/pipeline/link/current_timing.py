@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from servo_daemon.conditioning.current_moment import moment_std_s, motion_squares
-from servo_daemon.pipeline.stream import TICK_S
 from servo_daemon.plant.effects import parameter_table
 from servo_daemon.published.snapshot import Covariance, Estimate
 from servo_daemon.samples import SampleBlock
 from servo_daemon.signal_meaning import SignalMeaning
+from servo_daemon.tracking.plan.settings import TICK_S
 
 #: Speeds are means over a fifth of a tick, so that an encoder's steps are no acceleration.
 _PARTS = 5
@@ -32,7 +32,7 @@ class CurrentTiming:
         self._squares = np.zeros(2)  # of speed and of acceleration, summed
 
     def take(self, tick: SampleBlock) -> None:
-        """What a tick's motion is."""
+        """Take note of a tick's motion."""
         t = tick.time_s
         at = np.unique(np.linspace(0, len(t) - 1, _PARTS + 1).astype(int))
         found = motion_squares(t, tick.position_rad, tick.velocity_rad_s, at)

@@ -16,9 +16,9 @@ import numpy as np
 
 from servo_daemon.conditioning.current_moment import earlier
 from servo_daemon.config import DriveConfig
-from servo_daemon.parameters import WINDING_NAMES
+from servo_daemon.parameters import KNOWN, WINDING_NAMES, Status
 from servo_daemon.plant.effects import parameter_table
-from servo_daemon.published.snapshot import Covariance, Estimate, EstimatorView, ParameterEstimate, Status
+from servo_daemon.published.snapshot import Covariance, Estimate, EstimatorView, ParameterEstimate
 from servo_daemon.regression.winding.estimate import (
     WINDOWS_S,
     WindingEstimate,
@@ -211,7 +211,7 @@ class MeasuredLink:
         table = parameter_table()
         old = estimate.covariance
         inner = old.names if old is not None else ()
-        known = {p.name: p for p in parameters if p.status in ("tracking", "unexcited") and p.std is not None}
+        known = {p.name: p for p in parameters if p.status in KNOWN and p.std is not None}
         motion = [n for n in inner if n in known and n not in WINDING_NAMES]
         winding = [n for n in WINDING_NAMES if n in known]
         names = (*winding, *motion)

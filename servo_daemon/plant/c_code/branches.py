@@ -79,7 +79,7 @@ def _named(body: Iterable[str]) -> list[Statement]:
 
 
 def _guards(statements: Sequence[Statement]) -> list[Guard]:
-    """Of each statement."""
+    """The guard of each statement."""
     needed: dict[str, Guard] = {}
     out: list[Guard] = []
     for s in reversed(statements):

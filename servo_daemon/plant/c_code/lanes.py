@@ -12,7 +12,6 @@ import re
 LANES = 4
 
 _NAME, _NUMBER = r"a\d+", r"-?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?"
-_OPERAND = f"(?:{_NAME}|{_NUMBER})"
 #: Statements of generated code and what becomes of them.
 _RULES = tuple(
     (re.compile(f"^{pattern}$"), replacement)

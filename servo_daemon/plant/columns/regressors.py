@@ -134,5 +134,5 @@ def _length(c: float, s: float) -> float:
 
 
 def sine_and_cosine(angle: F64) -> list[F64]:
-    """Signals of a `wave`."""
+    """Sine and cosine of the angle: the signals of a `wave`."""
     return [np.sin(angle), np.cos(angle)]

@@ -24,6 +24,7 @@ __all__ = [
     "event_times",
     "further_harmonics",
     "parameter_table",
+    "unknown_effect",
 ]
 
 
@@ -103,6 +104,14 @@ def parameter_table() -> Mapping[str, Parameter]:
     return table
 
 
+def unknown_effect(name: str) -> str:
+    """What is said of a name that no effect has."""
+    from servo_daemon.config_hints import did_you_mean
+
+    known = effects_by_name()
+    return f"unknown effect '{name}'{did_you_mean(name, known)}: known are {', '.join(known)}"
+
+
 def check_effects(names: Sequence[str]) -> None:
     """That a model can have these effects together.
 
@@ -113,7 +122,7 @@ def check_effects(names: Sequence[str]) -> None:
     known = effects_by_name()
     for name in names:
         if name not in known:
-            raise ConfigError(f"unknown effect '{name}': known are {', '.join(known)}")
+            raise ConfigError(unknown_effect(name))
     if len(set(names)) != len(names):
         raise ConfigError(f"an effect is named twice: {', '.join(names)}")
     for parameter, what in (("Tc", "the same dry friction Tc"), ("J_l", "the same second inertia J_l")):

@@ -17,7 +17,7 @@ from servo_daemon.regression.stretch import Stretch, motion
 from servo_daemon.samples import F64
 
 #: A current has a direction beyond so many standard deviations of its noise.
-_DIRECTED = 3.0
+DIRECTED_STDS = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +137,7 @@ class RowMaker:
 
 def _direction(current: F64, var: float) -> F64:
     """Sign of the current per sample, 0 where its noise may have made it."""
-    return np.where(np.abs(current) > _DIRECTED * var**0.5, np.sign(current), 0.0)
+    return np.where(np.abs(current) > DIRECTED_STDS * var**0.5, np.sign(current), 0.0)
 
 
 def _apart(first: NDArray[np.intp], hop: int) -> NDArray[np.intp]:

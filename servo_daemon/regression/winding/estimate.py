@@ -28,7 +28,8 @@ _UNIFORM = 1.0 / np.sqrt(3.0)
 #: sampling rate) its error is a twelfth of the coarser one's ((ωh)⁴/30 against (ωh)²/6 at ωh = 0.63: 1/13). Where
 #: samples do not follow the current it is no better than that.
 _FINER = 1.0 / 12.0
-#: A parameter is determined below this share of itself, 1 σ: as in `regression.estimate.KNOWS`.
+#: A parameter is determined below this share of itself, 1 σ; stricter than `regression.estimate.KNOWS`, for here no
+#: filter stands beside it.
 _KNOWN = 0.2
 #: What else may be in the balance: a drive's dead time is a voltage against the current's direction, a sensor's zero a
 #: constant. Either biases R and K where the model has none; it is seen beyond so many standard deviations.

@@ -123,7 +123,7 @@ class Fdcanusb:
         return b"".join(self._checked(line) for line in lines if line.strip())
 
     def due(self) -> bytes:
-        """It never speaks unasked."""
+        """Bytes to send unasked: none."""
         return b""
 
     def _checked(self, line: bytes) -> bytes:

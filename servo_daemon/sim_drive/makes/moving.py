@@ -30,10 +30,10 @@ class Shown:
 
 
 class Motor(Protocol):
-    """What turns."""
+    """A simulated motor that can be asked what its sensors show."""
 
     def now(self) -> Shown:
-        """What it shows now."""
+        """What its sensors show now."""
         ...
 
 
@@ -45,7 +45,7 @@ class FocMotor:
         self._foc = foc
 
     def now(self) -> Shown:
-        """What it shows now."""
+        """What its sensors show now."""
         drive = self._foc.now()
         return Shown(drive.time_s, DQ_VOLTAGE * drive.v_q, drive.i_q, drive.theta, drive.omega)
 

@@ -18,7 +18,8 @@ from servo_daemon.tracking.plan.settings import Message
 from servo_daemon.tracking.validity.validity_gate import ValidityGate
 
 #: While a step is looked for, nothing is published as known better than this, 1 σ over its scale (below
-#: `validity.gates.LOST`); signed parameters, which have no qualification to lose by it.
+#: `validity.gates.LOST`); signed parameters, which have no qualification to lose by it
+#: (free within 0.25 .. 1).
 _OPEN_STD, _OPEN_SIGNED_STD = 0.13, 0.5
 #: A parameter that has stepped is named if it moved by this share of its scale, and by so many standard deviations of
 #: how it wandered before (two invented steps of K under a hidden brush drop: 3.9).

@@ -20,7 +20,8 @@ from servo_daemon.tracking.plan.settings import Message
 _MOST_UNDONE = 2.0
 #: Share of unexplained ticks, over about so many, from which on they are the rule (see `make calibrate`).
 _RULE, _USUAL_TICKS = 0.15, 50
-#: After something that no parameter explained the watch rests, ticks.
+#: After something that no parameter explained the watch rests, ticks: half a minute
+#: (`test_what_goes_on_is_learned_from_for_half_a_minute` fails with half or twice as many).
 _REST = 300
 #: The event that names a parameter which has jumped.
 JUMPED = "parameter_jump"

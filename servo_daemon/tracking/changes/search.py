@@ -21,20 +21,22 @@ from servo_daemon.samples import F64
 from servo_daemon.tracking.changes.trials import ALL, MOMENT, Section, Trial, Trials, sections_of
 from servo_daemon.tracking.noise.watch import InnovationWatch, WatchMark
 from servo_daemon.tracking.plan.parameter_masks import ParameterMasks
-from servo_daemon.tracking.samples.filtering import MOST_SAMPLES, Filtering, Forget
+from servo_daemon.tracking.samples.filtering import MOST_SAMPLES, STEPS_A_TICK, Filtering, Forget
 from servo_daemon.tracking.validity.validity_gate import ValidityGate
 
-#: In a tick at most so many steps of the filter go over samples again, half of what a look back takes
-#: (`restart/relinearisation`), which it may meet; the rest of a look in the next ones.
-_STEPS_A_TICK = 30_000
-#: So many ticks are kept (decision 41: a step is looked for over the last 3 s), and no more than `MOST_SAMPLES`.
-_TICKS = 31
+#: In a tick at most so many steps of the filter go over samples again, half of what a re-linearisation
+#: takes (`restart/relinearisation`), which it may meet; the rest of a look in the next ones.
+_STEPS_A_TICK = STEPS_A_TICK // 2
 #: A change that is seen as one came at most so many ticks before; one that only shows in where the filter has gone
 #: (decision 41).
 _BACK_SUDDEN, _BACK_SLOW = 10, 30
-#: First it is looked for so many ticks before it was seen, and then around where it is likeliest.
+#: So many ticks are kept, and no more than `MOST_SAMPLES`.
+_TICKS = _BACK_SLOW + 1
+#: First it is looked for so many ticks before it was seen, and then around where it is likeliest (free: every second of
+#: them; all from 0 to 30 change one answer of `tests.identity`, by less than 0.01 σ).
 _COARSE = (0, 2, 5, 10, 20, 30)
-#: In the tick in which it was seen and the one before it is looked for in so many parts of them.
+#: In the tick in which it was seen and the one before it is looked for in so many parts of them (2 .. 10 change one
+#: answer of `tests.identity`, by less than 0.01 σ).
 _PARTS = 5
 #: It is looked for at these ticks after it was seen; the last time is the last (decision 41: 255 of 280 steps are
 #: named within 2 s).
@@ -42,7 +44,7 @@ _LOOKS = (3, 6, 10, 13, 16, 20, 25, 30)
 #: Not accepted before so many ticks after it (with 20 three of three steps are named after 2 s or never; 5 names them,
 #: too, tried on the same three).
 _CONFIRM = 10
-#: After one that was not found no other is looked for, ticks.
+#: After one that was not found no other is looked for, ticks (free within 25 .. 100).
 _REST = 50
 #: Twice the logarithm of the likelihood ratio to no change, and to one that has only passed by; to the next likeliest
 #: parameter; and what a change of all parameters may be likelier by, also as a share of the first: where one parameter

@@ -28,11 +28,12 @@ from servo_daemon.tracking.samples.filtering import SETTLED_SHARE, SETTLED_STDS,
 #: In place of a parameter's number: none has stepped, something has passed by; all are others.
 MOMENT, ALL = -1, -2
 #: 1 σ by which the parameter in question may have stepped, over its scale: a logarithm (free within 0.15 ..
-#: 0.6, tried on three steps and eight starts), a signed parameter. All parameters at once: so much of it.
+#: 0.6, tried on three steps and eight starts), a signed parameter (free within 0.5 .. 2). All parameters at once: so
+#: much of it (free within 0.2 .. 0.8).
 _STEP_STD, _SIGNED_STEP_STD, _OF_ALL = 0.3, 1.0, 0.4
 #: Moments further and further off the likeliest, sections.
 _STEPS = (4, 2, 1)
-#: Passes at most until the value has settled.
+#: Passes at most until the value has settled (free within 2 .. 8).
 _PASSES = 4
 #: Innovations over all ticks since are white below this mean of ν²/s over what it usually is; standard deviations of
 #: their correlation that chance may make (see `make calibrate`).
@@ -54,7 +55,7 @@ class Section:
 
     @property
     def samples(self) -> int:
-        """How many."""
+        """How many samples it has."""
         return sum(0 if isinstance(piece, Forget) else len(piece) for piece in self.pieces)
 
 

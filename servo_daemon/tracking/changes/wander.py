@@ -12,9 +12,11 @@ from collections import deque
 import numpy as np
 
 from servo_daemon.samples import F64
+from servo_daemon.tracking.plan.settings import TICK_S
 
-#: So far back, ticks of 0.1 s: a minute, several cycles of what a motor usually does.
-_TICKS = 600
+#: So far back, ticks: a minute, several cycles of what a motor usually does
+#: (`test_what_was_long_ago_or_before_a_step_says_nothing` fails with twice as many; half are free).
+_TICKS = round(60.0 / TICK_S)
 
 
 class Wander:

@@ -38,7 +38,7 @@ _TICKS, _LOOKS = 50.0, 30.0
 _OTHER_LAG = 1.5
 #: Beyond this, L is not known at all.
 _MOST_STD = 3.0
-#: Where the winding settles in fewer samples than its lag is long, h R/L.
+#: Largest h R/L that is looked up: e⁵⁰/50 times any share of rounding is beyond `_MOST_STD`.
 _MOST_PERIODS = 50.0
 
 

@@ -20,7 +20,7 @@ from servo_daemon.tracking.samples.signal_scales import SignalScales
 class NoiseSetting:
     """Sets the noise of one filter. A filter whose noise is set too low learns the wrong thing for certain, and what it
     learned stays: torque and voltage noise begin with what the regressions' balances leave unexplained before it
-        starts."""
+    starts."""
 
     def __init__(
         self, masks: ParameterMasks, ekf: Ekf, rls: MotorRls, watch: InnovationWatch, signal_scales: SignalScales

@@ -1,4 +1,4 @@
-"""Settings of the estimators: resolutions of the drive, and the configuration's values."""
+"""Settings of the estimators: the length of a tick, resolutions of the drive, and the configuration's values."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+#: Period of everything that is slower than a sample (of a calm drive several are judged together), and of the rows of
+#: EST.csv, s (decision 46).
+TICK_S = 0.1
 #: Something to tell: kind, text, and numbers with units in their names.
 Message = tuple[str, str, Mapping[str, float | int | str | None]]
 

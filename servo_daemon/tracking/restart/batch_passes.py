@@ -31,7 +31,7 @@ _TURNS = 2
 #: A pass begins with no larger 1 σ: further off a logarithm's derivatives say nothing of where it would have to go.
 WIDEST_STD = 0.2
 #: A pass along the instrumental trajectory fits as well as one without it, if its cost is no larger than by this; by
-#: the second where one has been no better before.
+#: the second where one has been no better before (free within 10 .. 40 and 1.5 .. 6).
 _AS_GOOD, _TRIED = 20.0, 3.0
 #: Values that a pass moves by less than this are good enough for the instrumental trajectory to follow.
 _FOLLOWS_SHARE = 0.05
@@ -64,7 +64,7 @@ class Batch:
 
 
 class BatchPasses:
-    """One filter's."""
+    """Passes of one filter over a batch."""
 
     def __init__(self, masks: ParameterMasks, ekf: Ekf, filtering: Filtering, noise: NoiseSetting) -> None:
         self._masks, self._ekf, self._filtering, self._noise = masks, ekf, filtering, noise

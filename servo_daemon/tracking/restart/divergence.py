@@ -15,7 +15,7 @@ from servo_daemon.tracking.validity.validity_gate import ValidityGate
 #: Diverged: innovations this many times larger than they should be, for as many ticks, while the regression is well
 #: (see `make calibrate`).
 _DIVERGED_NIS, _DIVERGED_TICKS = 6.0, 20
-#: A filter that started from little has this long to find out for itself, ticks.
+#: A filter that started from little has this long to find out for itself, ticks (free within 25 .. 100).
 _TICKS_TO_BEGIN_BETTER = 50
 
 

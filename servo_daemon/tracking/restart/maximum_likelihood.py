@@ -32,21 +32,22 @@ from servo_daemon.tracking.noise.levels import LEAST_VAR
 from servo_daemon.tracking.noise.setting import NoiseSetting
 from servo_daemon.tracking.plan.parameter_masks import ParameterMasks
 from servo_daemon.tracking.restart.divergence import DivergenceMonitor
-from servo_daemon.tracking.restart.relinearisation import FOUND_TICK, STEPS_A_TICK
-from servo_daemon.tracking.samples.filtering import MOST_SAMPLES, Filtering, Fit
+from servo_daemon.tracking.restart.relinearisation import FOUND_TICK
+from servo_daemon.tracking.samples.filtering import MOST_SAMPLES, STEPS_A_TICK, Filtering, Fit
 from servo_daemon.tracking.validity.gates import QUALIFIED
 
 #: After so many ticks of the filter the samples since its start are asked, and once more with those up to then
 #: (decision 36: where slow reversals had left K 4.2 σ off).
 _TICKS = (100, 155)
-#: A search that has not settled after so many iterations is given up.
+#: A search that has not settled after so many iterations is given up (free within 8 .. 30).
 _MOST_ITERATIONS = 15
 #: Steps of the differences: of one unit of a coordinate, of a variance's logarithm.
 _DIFFERENCE, _NOISE_DIFFERENCE = 1e-4, 0.05
-#: An iteration moves no coordinate by more units than this, no variance's logarithm by more than that.
+#: An iteration moves no coordinate by more units than this, no variance's logarithm by more than that (free within
+#: 0.25 .. 1 and 0.5 .. 2).
 _LONGEST, _LONGEST_NOISE = 0.5, 1.0
 #: Added to a variance's information, so that one that is nothing comes to rest; and how much smaller than in the
-#: beginning it may become, logarithm.
+#: beginning it may become, logarithm (free within 0.5 .. 2 and −4 .. −16).
 _DAMPING, _LEAST_NOISE = 1.0, -8.0
 #: The last step, in standard deviations (the root of gᵀH⁻¹g over the parameters); samples are added meanwhile.
 _SETTLED = 0.3

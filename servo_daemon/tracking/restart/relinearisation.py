@@ -31,7 +31,7 @@ from servo_daemon.tracking.noise.setting import NoiseSetting
 from servo_daemon.tracking.noise.watch import WatchMark
 from servo_daemon.tracking.plan.parameter_masks import Mask, ParameterMasks
 from servo_daemon.tracking.restart.batch_passes import MOVED, WIDEST_STD, Batch, BatchPasses
-from servo_daemon.tracking.samples.filtering import MOST_SAMPLES, Filtering
+from servo_daemon.tracking.samples.filtering import MOST_SAMPLES, STEPS_A_TICK, Filtering
 from servo_daemon.tracking.start.starter import Start
 from servo_daemon.tracking.validity.validity_gate import ValidityGate
 
@@ -42,14 +42,10 @@ FOUND_TICK = 40
 #: After so many ticks (decision 33) the first samples are filtered again, and after the first when a parameter has
 #: moved by `MOVED` from where the last time has left it.
 _TICKS = 10, FOUND_TICK
-#: After so many jumps of a parameter the second time is waited for.
+#: After so many jumps of a parameter the second time is waited for (free within 2 .. 8).
 _MOST_MOVES = 4
-#: A parameter of which the samples leave more than this share of it was not seen.
+#: A parameter of which the samples leave more than this share of it was not seen (free within 0.5 .. 0.9).
 _UNSEEN_SHARE = 0.7
-#: In a tick at most so many steps of the filter go over samples again, which takes 40 ms of its 100; the rest of it in
-#: the next ones. At 1 kHz the first time takes one tick, the second three. (With 40,000 the second is taken over later,
-#: and a start under friction claims a K that is 4.3 standard deviations off.)
-STEPS_A_TICK = 60_000
 
 
 @dataclass(frozen=True, slots=True)

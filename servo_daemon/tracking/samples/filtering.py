@@ -20,6 +20,10 @@ from servo_daemon.tracking.samples.signal_scales import SignalScales
 
 #: No more samples than these are gone over again: a pass over them takes 20 ms of a tick's 100.
 MOST_SAMPLES = 20_000
+#: In a tick at most so many steps of the filter go over samples again, which takes 40 ms of its 100; the rest of it in
+#: the next ones. At 1 kHz a first re-linearisation takes one tick, the second three. (With 40,000 the second is taken
+#: over later, and a start under friction claims a K that is 4.3 standard deviations off: docs/performance.md.)
+STEPS_A_TICK = 60_000
 #: A pass over them that moves no value by more than these, in standard deviations and as a share of one unit, was the
 #: last.
 SETTLED_STDS, SETTLED_SHARE = 0.5, 0.01

@@ -25,7 +25,7 @@ _REST_COUNTS, _CREEP_SAMPLES = 1.5, 20.0
 #: Fewer of a tick's changes of the input are wrong ones (two for a sample); a spike is so many times the largest of the
 #: others (decision 11).
 _WRONG_STEPS, _SPIKE = 5, 4.0
-#: Used where neither data nor nominal values say anything yet.
+#: Used where neither data nor nominal values say anything yet (half and twice them are free).
 _R, _K = 1.0, 0.1
 
 
@@ -122,7 +122,7 @@ class SignalScales:
         return without_spikes(tick, self._held(tick), self.spike_limit, self.current_spike_limit)
 
     def _held(self, tick: Stretch) -> F64 | None:
-        """The input."""
+        """The samples of the held input."""
         if self._plant.drive == "voltage":
             return tick.voltage
         return tick.current if self._plant.drive == "current" else tick.torque
@@ -149,7 +149,7 @@ class SignalScales:
         return math.sqrt(self.input_square) / values.get("R", _R)
 
     def torque_Nm(self, values: Mapping[str, float]) -> float:
-        """Typical motor torque."""
+        """Typical torque of the motor, N·m."""
         if self._plant.drive == "torque":
             return math.sqrt(self.input_square)
         return values.get("K", _K) * self.current_A(values)

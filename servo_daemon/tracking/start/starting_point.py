@@ -14,7 +14,8 @@ from servo_daemon.regression.sampling import BLIND_STD
 
 #: The regression's start is trusted this much less than it says: its noise is not quite white.
 _INFLATION = 3.0
-#: The regression may start the filter at once when it knows every free parameter this well (1 σ, relative).
+#: The regression may start the filter at once when it knows every free parameter this well (1 σ, relative, inflated:
+#: 5 % by its own word, decision 32).
 GOOD_STD = 0.15
 #: Beyond this relative std a logarithm of the regression's value means little.
 USABLE_STD = 0.5
@@ -77,8 +78,7 @@ def _put_regression(
 ) -> None:
     """The regression's values with their correlations, in estimated coordinates. What is straight in natural units (all
     values on one line fit equally well) is curved in logarithms: σ off along it the logarithm is σ²/2 beside it, which
-        is
-    added to its spread."""
+    is added to its spread."""
     source = [found.names.index(p.name) for p in taken]
     target = [list(free).index(p) for p in taken]
     value = found.value[source]

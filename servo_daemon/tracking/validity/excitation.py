@@ -24,7 +24,7 @@ from servo_daemon.samples import F64
 ENTER, LEAVE = 0.10, 0.20
 #: The same for the systematic measure, which is a worst case.
 SYSTEMATIC_ENTER, SYSTEMATIC_LEAVE = 0.20, 0.40
-#: A window that says nothing leaves this much, 1 σ: nothing is worse known than by a factor of about 1000.
+#: A window that says nothing leaves this much, 1 σ: nothing is worse known than by a factor of about 1000 (ln 1000).
 _NOTHING_STD = 7.0
 #: The running sum over the window is taken anew after so many ticks.
 _SUM_ANEW = 100

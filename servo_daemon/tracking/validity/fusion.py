@@ -8,17 +8,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 from servo_daemon.kalman.gaussian import from_coordinate
-from servo_daemon.parameters import Parameter, spaced
+from servo_daemon.parameters import Parameter, Status, spaced
 from servo_daemon.regression.estimate import KNOWS
 from servo_daemon.tracking.validity import excitation
 from servo_daemon.tracking.validity.gates import QUALIFIED, UNCONFIRMED
 
-Status = Literal["estimating", "tracking", "unexcited", "at_bound", "fixed", "invalid"]
-
-#: A held value further than so many standard deviations from the running filter's is not held any longer.
+#: A held value further than so many standard deviations from the running filter's is not held any longer
+#: (`test_what_the_running_filter_excludes_is_not_held` fails with half or twice as many).
 EXCLUDED_STDS = 4.0
 #: A regression agrees with a value within this share of it and 3 σ (see `make calibrate`).
 AGREES = 0.15

@@ -159,7 +159,7 @@ class Qualification:
         self._evidence: Evidence | None = None
 
     def update(self, e: Evidence) -> None:
-        """Decide after a tick."""
+        """Decide after a tick which parameters are qualified."""
         self.qualified, self._evidence = self.qualified.copy(), e
         _close(LAPSES, e, self.qualified)
         gained = np.ones_like(self.qualified)

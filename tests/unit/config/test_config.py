@@ -130,6 +130,7 @@ def test_an_unknown_key_is_refused_by_name_in_every_section(file: Path, section:
         ("[[drive]]\n[drive.drift]\nK = '10 %/(h'", "K: .* is not a drift"),
         ("[[drive]]\n[drive.drift]\nQ = '10 %/h'", "unknown key 'Q'"),
         ("[[drive]]\nmodel = ['warp']", "unknown effect 'warp': known are"),
+        ("[[drive]]\nmodel = ['gravity']", r"unknown effect 'gravity' \(did you mean 'gravity_load'\?\): known are"),
         ("[[drive]]\nmodel = ['gravity_load', 'gravity_load']", "named twice"),
         ("[[drive]]\nname = 'a/b'", "must be letters"),
         ("[[drive]]\nname = ''", "must be letters"),

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servo_daemon.pipeline.stream import TICK_S, TickCutter
+from servo_daemon.pipeline.stream import TickCutter
 from servo_daemon.samples import make_block
+from servo_daemon.tracking.plan.settings import TICK_S
 
 
 @pytest.mark.parametrize("size", [1, 7, 100, 130, 1000])

@@ -39,7 +39,7 @@ _EFFORTS: Final = {"current": "current_A", "torque": "torque_Nm", "force": "forc
 
 @dataclass(slots=True)
 class _Channel:
-    """What came on a topic."""
+    """The messages of one topic."""
 
     topic: str
     schema: str

@@ -19,7 +19,7 @@ _NS: Final = 1e9
 
 
 def topic_of(drive: str) -> str:
-    """Of a drive's samples."""
+    """Name of the topic of a drive's samples."""
     return f"/servo_daemon/{drive}"
 
 

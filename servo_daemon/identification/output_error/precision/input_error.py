@@ -36,12 +36,11 @@ from servo_daemon.identification.output_error.problem.linearisation import Linea
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.problem.setup import Recording
 from servo_daemon.identification.output_error.solver.solver import Point, in_units_of_each, normal_equations
+from servo_daemon.numerics import UNIFORM_STD
 from servo_daemon.samples import F64
 
 #: The share that the derivative by it is taken with.
 SHIFTED = STRAIGHT + 0.1
-#: Of a number between 0 and 1.
-SHARE_STD = 1.0 / np.sqrt(12.0)
 #: Mechanical time constant of a motor with its load where R is not known, s: motors of catalogues have 3 ms (coreless)
 #: to 30 ms without a load. The fastest one's J is then off by 4 standard deviations, one of 12 ms by 1.
 USUAL_S = 12e-3
@@ -65,7 +64,7 @@ def with_input_error(
         known: values that are given, by name; None: the drive holds no voltage for whole samples.
     """
     problem, shifted = problems
-    share = SHARE_STD / (SHIFTED - STRAIGHT) * _shifts(problem, [shifted], point)
+    share = UNIFORM_STD / (SHIFTED - STRAIGHT) * _shifts(problem, [shifted], point)
     held = np.zeros(len(info.names)) if known is None else _shift_by_held_voltage(problem, point, known)
     rounding = _shifts(problem, rounded_otherwise(problem, recordings), point) / np.sqrt(DRAWS)
     return replace(info, root=np.column_stack([info.root, share, held, rounding]))

@@ -24,6 +24,7 @@ from servo_daemon.identification.output_error.problem.inputs import input_rows
 from servo_daemon.identification.output_error.problem.problem import Problem, Segment
 from servo_daemon.identification.output_error.problem.rollout import INPUT as INPUT_COLUMN
 from servo_daemon.identification.output_error.problem.setup import Recording
+from servo_daemon.numerics import UNIFORM_STD
 from servo_daemon.samples import F64
 
 #: Draws: a standard deviation from so many is itself known to 1/√(2 n), 18 %.
@@ -36,8 +37,6 @@ _STEPPED, _WHOLE, _COARSEST = 0.99, 0.02, 4
 _SMALL, _STANDS = 1e-4, 0.3
 #: So many changes between two codes make a stretch one that goes to and fro.
 _TO_AND_FRO = 4
-#: Of a number that is anywhere within ±1/2.
-_UNIFORM = 1.0 / np.sqrt(12.0)
 
 
 def step_of(values: F64) -> float:
@@ -62,7 +61,7 @@ def rounding_sizes(values: F64) -> tuple[NDArray[np.intp], F64]:
     """
     step, size = step_of(values), float(np.sqrt(np.mean(values**2)))
     changed = np.flatnonzero(np.abs(np.diff(values)) > 0.25 * step) + 1
-    if step * _UNIFORM <= _SMALL * size or 1.0 - len(changed) / len(values) < _STANDS:
+    if step * UNIFORM_STD <= _SMALL * size or 1.0 - len(changed) / len(values) < _STANDS:
         return np.zeros(0, np.intp), np.zeros(0)
     begins = np.concatenate([[0], changed])
     lengths = np.diff(np.append(begins, len(values)))
@@ -77,7 +76,7 @@ def rounding_sizes(values: F64) -> tuple[NDArray[np.intp], F64]:
             first += begins[at:end].tolist()
             sizes += [step] * (end - at)
         at = end
-    return np.array(first, np.intp), _UNIFORM * np.array(sizes)
+    return np.array(first, np.intp), UNIFORM_STD * np.array(sizes)
 
 
 def _stretches(codes: list[float], most: float) -> Iterator[int]:

@@ -258,7 +258,7 @@ class Problem:
 
     @cached_property
     def sample_period_s(self) -> float:
-        """The usual one."""
+        """Usual distance of two samples, s."""
         return float(np.median(np.concatenate([s.rows[:, STEP] for s in self.segments])))
 
     @cached_property

@@ -30,7 +30,7 @@ FEWEST_SAMPLES = 10
 #: A speed below this share of its size is none; and what is left of the current's size at a standstill.
 _STANDS, _NO_CURRENT = 0.05, 1e-6
 #: Samples over which the speed at the beginning of a segment is guessed.
-_SLOPE_SAMPLES = 15
+SLOPE_SAMPLES = 15
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,7 +193,7 @@ def _initial_state(block: SampleBlock, plant: PlantModel, begin: int, end: int) 
     """A guess from the first samples: current and angle as measured, speed from the slope of the angle."""
     x0 = np.array([s.initial for s in plant.states])
     names = plant.state_names
-    few = slice(begin, min(end, begin + _SLOPE_SAMPLES))
+    few = slice(begin, min(end, begin + SLOPE_SAMPLES))
     if "current_A" in names and block.current_A is not None:
         x0[names.index("current_A")] = block.current_A[begin]
     if block.position_rad is not None:

@@ -9,10 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from servo_daemon.regression.held_shaft import STILL
 from servo_daemon.samples import F64, SampleBlock
-
-#: A channel that varies by no more (A, rad, rad/s) does not move.
-STILL = 1e-9
 
 
 def moves(values: F64 | None) -> bool:

@@ -11,12 +11,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_daemon.kalman.measurement import GATE
 from servo_daemon.numerics import STD_OF_MEDIAN
 from servo_daemon.samples import F64
 
-#: A residual that stands out from its neighbours by more standard deviations is suspect (Gaussian: 1 in 1.7 million).
-GATE = 5.0
-#: … and so is only one that stands out from what the model leaves anyway.
+#: A residual that stands out from its neighbours by more than the filter's gate is suspect, and so is only one that
+#: stands out from what the model leaves anyway.
 _OF_RESIDUAL = 0.6
 #: Longest run of suspects that still counts as isolated, samples.
 LONGEST_GLITCH = 3
