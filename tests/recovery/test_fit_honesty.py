@@ -167,6 +167,17 @@ def test_a_weight_is_no_turned_sign() -> None:
     assert takes_no_power(replace(shown, velocity_rad_s=-speed), "velocity_rad_s")
 
 
+def test_a_current_of_one_sign_is_not_turned_round() -> None:
+    """|i| beside an angle alone: where the motion has ended says nothing of a sign."""
+    made = generate(GEAR_MOTOR, Scenario("multisine", 8.0, 500.0, seed=3))
+    for angle in (made.position_rad, -made.position_rad):
+        shown = Capture(Path("c.csv"), made.time_s, None, np.abs(made.current_A), angle)
+        fit = fit_output_error([Recording("c.csv", shown.block())])
+        first = result_notes(fit, {}, capture=shown)[0]
+        assert "explains next to nothing of position_rad" in first
+        assert "current_A is |i|" in first and "scale" not in first
+
+
 # -- L without a current -----------------------------------------------------------------------------------------------
 
 

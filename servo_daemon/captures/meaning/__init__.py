@@ -6,7 +6,7 @@ from servo_daemon.captures.meaning.finding import Finding
 from servo_daemon.captures.meaning.findings import findings, without_unusable
 from servo_daemon.captures.meaning.given import excluded_values
 from servo_daemon.captures.meaning.restored import SHOWS, Shown, restored_current
-from servo_daemon.captures.meaning.signs import takes_no_power
+from servo_daemon.captures.meaning.signs import shows_no_sign, takes_no_power
 
 __all__ = [
     "SHOWS",
@@ -15,6 +15,7 @@ __all__ = [
     "excluded_values",
     "findings",
     "restored_current",
+    "shows_no_sign",
     "takes_no_power",
     "without_unusable",
 ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from servo_daemon.captures.capture.model import Capture
+from servo_daemon.captures.meaning.currents import never_turns
 from servo_daemon.captures.meaning.finding import Finding, column_name, mend
 from servo_daemon.captures.meaning.windows import FEWEST, travelled
 from servo_daemon.numerics import least_squares
@@ -48,7 +49,7 @@ def sign_findings(capture: Capture) -> list[Finding]:
 def takes_no_power(capture: Capture, field: str) -> bool:
     """Whether a channel runs against the effort that it answers, on the whole: a motor with a turned current would feed
     its supply, one with a turned angle would drive what pushes it. A load that is let down gives back less than lifting
-    it took.
+    it took. Of a current of one sign alone nobody knows: it may be |i|.
 
     Args:
         field: a channel that answers: a current beside a voltage, or the motion.
@@ -57,7 +58,14 @@ def takes_no_power(capture: Capture, field: str) -> bool:
     if field == "current_A" and capture.voltage_V is not None and capture.current_A is not None:
         return float(capture.voltage_V @ capture.current_A) < 0.0
     travel = travelled(capture)
-    return travel is not None and float(((effort[1:] + effort[:-1]) / 2) @ travel) < 0.0
+    if travel is None or shows_no_sign(capture):
+        return False
+    return float(((effort[1:] + effort[:-1]) / 2) @ travel) < 0.0
+
+
+def shows_no_sign(capture: Capture) -> bool:
+    """Whether all that is measured of the effort is a current of one sign, as a load that always pulls has it, or |i|."""
+    return _effort(capture) == "current_A" and capture.current_A is not None and never_turns(capture.current_A)
 
 
 def _effort(capture: Capture) -> str | None:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 
 from servo_daemon.captures import Capture
-from servo_daemon.captures.meaning import takes_no_power
+from servo_daemon.captures.meaning import shows_no_sign, takes_no_power
 from servo_daemon.captures.meaning.finding import mend
 from servo_daemon.commands.shared.units import shown_column, shown_unit
 from servo_daemon.identification.output_error import OutputErrorFit
@@ -78,6 +78,11 @@ def _unexplained(name: str, capture: Capture | None) -> str:
         return f"{text}: is its sign turned, or its unit wrong?"
     if takes_no_power(capture, name):
         return f"{text}: its sign is turned. {mend(capture, name, {'scale': -1.0})} turns it"
+    if shows_no_sign(capture):
+        return (
+            f"{text}: either current_A is |i| (record the motor's voltage with it, which says its sign: `shows` in "
+            "docs/captures.md), or the model lacks the load that holds it on one side (`--effect constant_load_torque`)"
+        )
     return (
         f"{text}: the model lacks what moves it, a load or a friction (`servo-daemon diagnose {capture.path}` looks "
         "for it, `--effect NAME` adds it), or its unit is wrong"
