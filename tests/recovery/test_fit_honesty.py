@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from servo_daemon.captures import Capture
+from servo_daemon.captures.columns.plausible import plausibility_notes
 from servo_daemon.captures.meaning import takes_no_power
 from servo_daemon.commands.fit.document import parameter_row
 from servo_daemon.commands.fit.notes import result_notes
@@ -187,6 +188,19 @@ def test_a_current_of_one_sign_is_not_turned_round() -> None:
         first = result_notes(fit, {}, capture=shown)[0]
         assert "explains next to nothing of position_rad" in first
         assert "current_A is |i|" in first and "scale" not in first
+
+
+def test_a_speed_of_one_sign_is_not_turned_round() -> None:
+    """|ω| of a sensor with one channel, under a voltage of both signs."""
+    made = generate(RE40, Scenario("prbs", 8.0, 500.0, seed=3))
+    speed, voltage, current = made.truth.speed_rad_s, made.voltage_V, made.current_A
+    shown = Capture(Path("c.csv"), made.time_s, voltage, current, None, np.abs(speed))
+    fit = fit_output_error([Recording("c.csv", shown.block())])
+    for said in (plausibility_notes(shown), result_notes(fit, {}, capture=shown)):
+        assert any("velocity_rad_s never goes below zero" in note and "|ω|" in note for note in said)
+        assert not any("velocity_rad_s = {" in note for note in said)
+    turned = replace(shown, velocity_rad_s=-speed)
+    assert any("velocity_rad_s = {" in note for note in plausibility_notes(turned))
 
 
 # -- L without a current -----------------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from servo_daemon.captures.capture.model import Capture
-from servo_daemon.captures.meaning.currents import never_turns
+from servo_daemon.captures.meaning.currents import lasts_both_ways, never_turns
 from servo_daemon.captures.meaning.finding import Finding, column_name, mend
 from servo_daemon.captures.meaning.windows import FEWEST, travelled
 from servo_daemon.numerics import least_squares
@@ -64,8 +64,22 @@ def takes_no_power(capture: Capture, field: str) -> bool:
 
 
 def shows_no_sign(capture: Capture) -> bool:
-    """Whether all that is measured of the effort is a current of one sign, as a load that always pulls has it, or |i|."""
+    """Whether all that is measured of the effort is a current of one sign, as of a load that always pulls, or |i|."""
     return _effort(capture) == "current_A" and capture.current_A is not None and never_turns(capture.current_A)
+
+
+def no_sign_of_speed(capture: Capture) -> str | None:
+    """What is said of a speed that never goes below zero under a voltage that lasts in both directions; None: there is
+    none, or an angle beside it."""
+    v, w = capture.voltage_V, capture.velocity_rad_s
+    if v is None or w is None or capture.position_rad is not None or not lasts_both_ways(v):
+        return None
+    if not never_turns(w) or w.mean() <= 0.0:
+        return None
+    return (
+        f"{column_name(capture, 'velocity_rad_s')} never goes below zero although voltage_V does: a sensor that shows "
+        "|ω|, not its sign. mend: measure the angle, or use a part of the capture in which it turns one way"
+    )
 
 
 def _effort(capture: Capture) -> str | None:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 
 from servo_daemon.captures import Capture
-from servo_daemon.captures.meaning import shows_no_sign, takes_no_power
+from servo_daemon.captures.meaning import no_sign_of_speed, shows_no_sign, takes_no_power
 from servo_daemon.captures.meaning.finding import mend
 from servo_daemon.commands.shared.units import shown_column, shown_unit
 from servo_daemon.identification.output_error import OutputErrorFit
@@ -76,6 +76,8 @@ def _unexplained(name: str, capture: Capture | None) -> str:
     text = f"the model explains next to nothing of {name}, and no parameter has a value"
     if capture is None:
         return f"{text}: is its sign turned, or its unit wrong?"
+    if (unsigned := no_sign_of_speed(capture)) and name == "velocity_rad_s":
+        return f"{text}: {unsigned}"
     if takes_no_power(capture, name):
         return f"{text}: its sign is turned. {mend(capture, name, {'scale': -1.0})} turns it"
     if shows_no_sign(capture):

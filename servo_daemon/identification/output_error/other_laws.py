@@ -8,7 +8,7 @@ best of them moves the parameters, these are unknown.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 
 from servo_daemon.identification.output_error.fitted import OutputErrorFit
 from servo_daemon.identification.output_error.lag_like import Refit, halved_lag, moved_to, values_of
@@ -40,7 +40,7 @@ def by_other_laws(fit: OutputErrorFit, again: Refit, *, dry: bool = False) -> F6
         again((*problem.plant.effects, name), begin, held)
         for name in _missing(fit)
         if not dry or name == "coulomb_friction"
-        for begin in _begins(fit, name)
+        for begin in _begins(fit, name, held)
     ]
     best = min((f for f in found if f is not None), key=lambda f: f.solution.point.value, default=None)
     if best is None or best.solution.point.value > fit.plain.point.value - WORTH:
@@ -48,13 +48,13 @@ def by_other_laws(fit: OutputErrorFit, again: Refit, *, dry: bool = False) -> F6
     return moved_to(best, fit)
 
 
-def _begins(fit: OutputErrorFit, name: str) -> Iterator[Mapping[str, float]]:
+def _begins(fit: OutputErrorFit, name: str, held: Collection[str]) -> Iterator[Mapping[str, float]]:
     """Where a model with one law more begins: where the fit has ended and, if that shows too little of some parameters,
     without these, which may have gone anywhere."""
     values = values_of(fit)
     yield halved_lag(values, "t_f") if name == "speed_filter" else values
     if any(not d.exact for d in fit.null_directions):
-        yield {n: v for n, v in values.items() if fit.parameters[n].value is not None}
+        yield {n: v for n, v in values.items() if n in held or fit.parameters[n].value is not None}
 
 
 def _missing(fit: OutputErrorFit) -> Iterator[str]:
