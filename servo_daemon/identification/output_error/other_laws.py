@@ -1,9 +1,9 @@
 """B, R and L where the model lacks something: what follows another law leaves nearly their trace.
 
 A motor with dry friction turns as one with more viscous friction, and B takes all of it; the drop of brushes passes for
-more resistance in R, the lag of a filtered speed for L. They come out several times too large, and little is
-left of the data that would say so. So where something is left, models with the other laws are fitted, and as far as the
-best of them moves the parameters, these are unknown.
+more resistance in R, the lag of a filtered speed for L, a weight for more of all of them. They come out several times
+too large, and little is left of the data that would say so. So where something is left, models with the other laws are
+fitted, and as far as the best of them moves the parameters, these are unknown.
 """
 
 from __future__ import annotations
@@ -16,11 +16,13 @@ from servo_daemon.identification.output_error.noise.noise import WORTH
 from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.samples import F64
 
-#: Losses that do not grow with speed or current, one that grows with the square of the speed, and the filter of a
-#: speed's sensor: the parameter that takes them, and the one that a model with any effect of that kind has.
+#: Losses that do not grow with speed or current, one that grows with the square of the speed, a load that pulls one way
+#: and the filter of a speed's sensor: the parameter that takes them, and the one that a model with any effect of that
+#: kind has.
 _OTHERS = (
     ("coulomb_friction", "B", "Tc"),
     ("quadratic_drag", "B", "c2"),
+    ("constant_load_torque", "B", "TL"),
     ("brush_voltage_drop", "R", "Vb"),
     ("speed_filter", "L", "t_f"),
 )
