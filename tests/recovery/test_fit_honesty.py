@@ -179,15 +179,17 @@ def test_a_weight_is_no_turned_sign() -> None:
     assert takes_no_power(replace(shown, velocity_rad_s=-speed), "velocity_rad_s")
 
 
-def test_a_current_of_one_sign_is_not_turned_round() -> None:
-    """|i| beside an angle alone: where the motion has ended says nothing of a sign."""
+@pytest.mark.parametrize(("effort", "modulus"), [("current_A", "|i|"), ("voltage_V", "|v|")])
+def test_an_effort_of_one_sign_is_not_turned_round(effort: str, modulus: str) -> None:
+    """A modulus beside an angle alone: where the motion has ended says nothing of a sign."""
     made = generate(GEAR_MOTOR, Scenario("multisine", 8.0, 500.0, seed=3))
     for angle in (made.position_rad, -made.position_rad):
-        shown = Capture(Path("c.csv"), made.time_s, None, np.abs(made.current_A), angle)
+        columns = {effort: np.abs(getattr(made, effort)), "position_rad": angle}
+        shown = Capture(Path("c.csv"), made.time_s, **columns)  # type: ignore[arg-type]
         fit = fit_output_error([Recording("c.csv", shown.block())])
         first = result_notes(fit, {}, capture=shown)[0]
         assert "explains next to nothing of position_rad" in first
-        assert "current_A is |i|" in first and "scale" not in first
+        assert f"{effort} is {modulus}" in first and "scale" not in first
 
 
 def test_a_speed_of_one_sign_is_not_turned_round() -> None:

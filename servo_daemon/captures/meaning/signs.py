@@ -18,6 +18,8 @@ _WINDOW_S, _LEAST = 0.03, 6
 _PARTS, _SIGMA = 6, 4.0
 #: Both directions of motion are seen, each in this share of the windows that move.
 _EITHER_WAY = 0.15
+#: What a sensor shows, or a driver is told, without a direction.
+_MODULUS = ("current_A", "voltage_V")
 
 
 def sign_findings(capture: Capture) -> list[Finding]:
@@ -49,7 +51,7 @@ def sign_findings(capture: Capture) -> list[Finding]:
 def takes_no_power(capture: Capture, field: str) -> bool:
     """Whether a channel runs against the effort that it answers, on the whole: a motor with a turned current would feed
     its supply, one with a turned angle would drive what pushes it. A load that is let down gives back less than lifting
-    it took. Of a current of one sign alone nobody knows: it may be |i|.
+    it took. Of an effort of one sign nobody knows: it may be a modulus.
 
     Args:
         field: a channel that answers: a current beside a voltage, or the motion.
@@ -58,14 +60,16 @@ def takes_no_power(capture: Capture, field: str) -> bool:
     if field == "current_A" and capture.voltage_V is not None and capture.current_A is not None:
         return float(capture.voltage_V @ capture.current_A) < 0.0
     travel = travelled(capture)
-    if travel is None or shows_no_sign(capture):
+    if travel is None or shows_no_sign(capture) is not None:
         return False
     return float(((effort[1:] + effort[:-1]) / 2) @ travel) < 0.0
 
 
-def shows_no_sign(capture: Capture) -> bool:
-    """Whether all that is measured of the effort is a current of one sign, as of a load that always pulls, or |i|."""
-    return _effort(capture) == "current_A" and capture.current_A is not None and never_turns(capture.current_A)
+def shows_no_sign(capture: Capture) -> str | None:
+    """Which column it is, where all that is measured of the effort is a current or a voltage of one sign, as a load
+    makes it that always pulls, or |i|, |v|."""
+    field = _effort(capture)
+    return field if field in _MODULUS and never_turns(getattr(capture, field)) else None
 
 
 def no_sign_of_speed(capture: Capture) -> str | None:

@@ -20,6 +20,11 @@ from servo_daemon.signal_meaning import SignalMeaning
 _FAR = 10.0
 #: K of a motor lies within 10 % of its datasheet (as makers say), J and B with load and friction within 40 %.
 _NEAR, _SQUARE_NEAR = 0.1, 0.35
+#: What a column of one sign may be, and what to do then.
+_MODULUS = {
+    "current_A": "|i| (record the motor's voltage with it, which says its sign: `shows` in docs/captures.md)",
+    "voltage_V": "|v| (a formula of the signal map gives it the sign of another column, docs/captures.md)",
+}
 
 
 def result_notes(
@@ -80,10 +85,10 @@ def _unexplained(name: str, capture: Capture | None) -> str:
         return f"{text}: {unsigned}"
     if takes_no_power(capture, name):
         return f"{text}: its sign is turned. {mend(capture, name, {'scale': -1.0})} turns it"
-    if shows_no_sign(capture):
+    if (effort := shows_no_sign(capture)) is not None:
         return (
-            f"{text}: either current_A is |i| (record the motor's voltage with it, which says its sign: `shows` in "
-            "docs/captures.md), or the model lacks the load that holds it on one side (`--effect constant_load_torque`)"
+            f"{text}: either {effort} is {_MODULUS[effort]}, or the model lacks the load that holds it on one side "
+            "(`--effect constant_load_torque`)"
         )
     return (
         f"{text}: the model lacks what moves it, a load or a friction (`servo-daemon diagnose {capture.path}` looks "
