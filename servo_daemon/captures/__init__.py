@@ -6,7 +6,7 @@ and test can read the same files.
 """
 
 from servo_daemon.captures.capture.model import Axis, Capture
-from servo_daemon.captures.capture.order import in_canonical_order
+from servo_daemon.captures.capture.order import in_canonical_order, without_copies
 from servo_daemon.captures.columns.signal_map import SignalMap, load_signal_map
 from servo_daemon.captures.read import read_capture
 from servo_daemon.captures.write import CaptureWriter, write_capture
@@ -19,5 +19,6 @@ __all__ = [
     "in_canonical_order",
     "load_signal_map",
     "read_capture",
+    "without_copies",
     "write_capture",
 ]

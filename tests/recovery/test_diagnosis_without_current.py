@@ -15,7 +15,7 @@ from servo_daemon.diagnosis.verdict.result import Diagnosis
 from servo_daemon.errors import BadInputError
 from servo_daemon.identification.output_error import FitOptions, Recording, fit_output_error
 from servo_daemon.samples import make_block
-from tests.recovery.generator import GEAR_MOTOR, RE40, EffectValues, Motor, Plan, Scenario, generate
+from tests.recovery.generator import GEAR_MOTOR, LARGE_SERVO, RE40, EffectValues, Motor, Plan, Scenario, generate
 from tests.recovery.generator import Recording as Made
 
 _RATE_HZ, _SECONDS, _HELD_S = 50.0, 60.0, 0.1
@@ -73,6 +73,19 @@ def test_dry_friction_in_a_position_servo_is_no_spring(motor: Motor, tmp_path: P
     made = generate(motor, Scenario("pick_and_place", seconds=20.0, effects=dry, seed=902))
     found = diagnose([written(made, tmp_path)])
     assert [e.name for e in found.effects] == ["coulomb_friction"]
+
+
+@pytest.mark.slow
+def test_friction_that_grows_with_the_load_is_no_other_motor(tmp_path: Path) -> None:
+    """With another R and J the linear motor pushes and brakes as it does, and screening sees nothing of it."""
+    made = generate(
+        LARGE_SERVO, Scenario("pick_and_place", seconds=20.0, effects={"load_dependent_friction": {"mu": 0.2}}, seed=21)
+    )
+    found = diagnose([written(made, tmp_path)])
+    assert [e.name for e in found.effects] == ["load_dependent_friction"]
+    mu = found.final.parameters["mu"]
+    assert mu.value is not None and mu.std is not None
+    assert abs(mu.value - 0.2) < 3 * mu.std < 0.02
 
 
 def test_how_late_is_known_where_nothing_else_is() -> None:

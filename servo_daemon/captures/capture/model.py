@@ -219,6 +219,13 @@ def time_fault(now: float, before: float) -> str:
     return text
 
 
+def time_mend(fault: str) -> str:
+    """What to do about a fault of the time in a table, to be put behind it."""
+    if "mend:" in fault:
+        return ""
+    return "; mend: --rate HZ, if the samples are even" if "repeated" in fault else "; mend: cut the file there"
+
+
 def first_bad_time(time_s: F64) -> int | None:
     """Index of the first sample that is not later than the one before it; None if time increases."""
     bad = np.flatnonzero(np.diff(time_s) <= 0.0)

@@ -13,6 +13,7 @@ import numpy as np
 
 from servo_daemon.captures.capture.model import Capture, capture_error
 from servo_daemon.captures.meaning.finding import mend
+from servo_daemon.captures.meaning.signs import no_sign_of_speed
 from servo_daemon.captures.meaning.windows import travelled
 from servo_daemon.column_names import RPM
 from servo_daemon.numerics import least_squares
@@ -179,8 +180,11 @@ def _balance(capture: Capture) -> list[str]:
     # The balance at rest is not quite that of a motion: where current and speed go together, that matters most.
     std = np.sqrt((left + _STATIC**2 * float(mean_v @ mean_v)) * np.diag(np.linalg.inv(A.T @ A)))
     names = ("current_A", "position_rad" if x is not None else "velocity_rad_s")
+    unsigned = no_sign_of_speed(capture)
     notes = [
-        f"column {name} counts against voltage_V (v = R i + K ω has {symbol} = {value:.3g}): is its sign turned? "
+        f"column {unsigned}"
+        if unsigned and symbol == "K"
+        else f"column {name} counts against voltage_V (v = R i + K ω has {symbol} = {value:.3g}): is its sign turned? "
         f"{mend(capture, name, {'scale': -1.0})}"
         for name, symbol, value, s in zip(names, ("R", "K"), found, std, strict=True)
         if value < -_SIGMA * s

@@ -19,6 +19,7 @@ from servo_daemon.captures.capture.model import (
     capture_error,
     first_bad_time,
     time_fault,
+    time_mend,
 )
 from servo_daemon.captures.capture.read_options import ReadOptions
 from servo_daemon.captures.columns.foreign import Recording, Series
@@ -221,7 +222,7 @@ def _check_time(recording: Recording, time_s: F64, whose: str) -> None:
     bad = first_bad_time(time_s)
     if bad is not None:
         fault = time_fault(float(time_s[bad]), float(time_s[bad - 1]))
-        raise capture_error(recording.path, fault, place=recording.place(bad), column=whose)
+        raise capture_error(recording.path, fault + time_mend(fault), place=recording.place(bad), column=whose)
     bad_values = np.flatnonzero(~np.isfinite(time_s))
     if bad_values.size:
         raise capture_error(

@@ -6,7 +6,7 @@ from servo_daemon.captures.meaning.finding import Finding
 from servo_daemon.captures.meaning.findings import findings, without_unusable
 from servo_daemon.captures.meaning.given import excluded_values
 from servo_daemon.captures.meaning.restored import SHOWS, Shown, restored_current
-from servo_daemon.captures.meaning.signs import takes_no_power
+from servo_daemon.captures.meaning.signs import no_sign_of_speed, shows_no_sign, takes_no_power
 
 __all__ = [
     "SHOWS",
@@ -14,7 +14,9 @@ __all__ = [
     "Shown",
     "excluded_values",
     "findings",
+    "no_sign_of_speed",
     "restored_current",
+    "shows_no_sign",
     "takes_no_power",
     "without_unusable",
 ]

@@ -60,14 +60,23 @@ def current_findings(capture: Capture) -> list[Finding]:
 
 def _as_modulus(time_s: F64, v: F64, i: F64, travel: F64) -> float:
     """The share of the voltage that stays open with signs for the current; infinite where it has its own."""
-    top = float(np.percentile(np.abs(i), 99.0))
-    clear = np.abs(v) > _NEVER * float(np.percentile(np.abs(v), 99.0))
-    falls = min(np.count_nonzero(clear & (v < 0.0)), np.count_nonzero(clear & (v > 0.0))) / len(v)
-    one_sided = min(-float(np.percentile(i, 0.1)), float(np.percentile(i, 99.9))) <= _NEVER * top
-    if falls < _BOTH or not one_sided:
+    if not lasts_both_ways(v) or not never_turns(i):
         return np.inf
     share = signs_of(time_s, v, np.abs(i), travel)[1]
     return share if share < _CLOSES else np.inf
+
+
+def lasts_both_ways(values: F64) -> bool:
+    """Whether a signal has either sign for a part of the samples that counts."""
+    clear = np.abs(values) > _NEVER * float(np.percentile(np.abs(values), 99.0))
+    fewer = min(np.count_nonzero(clear & (values < 0.0)), np.count_nonzero(clear & (values > 0.0)))
+    return bool(fewer >= _BOTH * len(values))
+
+
+def never_turns(values: F64) -> bool:
+    """Whether a signal has one sign all the time, but for noise."""
+    top = float(np.percentile(np.abs(values), 99.0))
+    return min(-float(np.percentile(values, 0.1)), float(np.percentile(values, 99.9))) <= _NEVER * top
 
 
 def _as_supply(windows: Windows, time_s: F64, v: F64, i: F64) -> tuple[float, float]:

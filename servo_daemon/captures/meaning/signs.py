@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from servo_daemon.captures.capture.model import Capture
+from servo_daemon.captures.meaning.currents import lasts_both_ways, never_turns
 from servo_daemon.captures.meaning.finding import Finding, column_name, mend
 from servo_daemon.captures.meaning.windows import FEWEST, travelled
 from servo_daemon.numerics import least_squares
@@ -17,6 +18,8 @@ _WINDOW_S, _LEAST = 0.03, 6
 _PARTS, _SIGMA = 6, 4.0
 #: Both directions of motion are seen, each in this share of the windows that move.
 _EITHER_WAY = 0.15
+#: What a sensor shows, or a driver is told, without a direction.
+_MODULUS = ("current_A", "voltage_V")
 
 
 def sign_findings(capture: Capture) -> list[Finding]:
@@ -48,7 +51,7 @@ def sign_findings(capture: Capture) -> list[Finding]:
 def takes_no_power(capture: Capture, field: str) -> bool:
     """Whether a channel runs against the effort that it answers, on the whole: a motor with a turned current would feed
     its supply, one with a turned angle would drive what pushes it. A load that is let down gives back less than lifting
-    it took.
+    it took. Of an effort of one sign nobody knows: it may be a modulus.
 
     Args:
         field: a channel that answers: a current beside a voltage, or the motion.
@@ -57,7 +60,30 @@ def takes_no_power(capture: Capture, field: str) -> bool:
     if field == "current_A" and capture.voltage_V is not None and capture.current_A is not None:
         return float(capture.voltage_V @ capture.current_A) < 0.0
     travel = travelled(capture)
-    return travel is not None and float(((effort[1:] + effort[:-1]) / 2) @ travel) < 0.0
+    if travel is None or shows_no_sign(capture) is not None:
+        return False
+    return float(((effort[1:] + effort[:-1]) / 2) @ travel) < 0.0
+
+
+def shows_no_sign(capture: Capture) -> str | None:
+    """Which column it is, where all that is measured of the effort is a current or a voltage of one sign, as a load
+    makes it that always pulls, or |i|, |v|."""
+    field = _effort(capture)
+    return field if field in _MODULUS and never_turns(getattr(capture, field)) else None
+
+
+def no_sign_of_speed(capture: Capture) -> str | None:
+    """What is said of a speed that never goes below zero under a voltage that lasts in both directions; None: there is
+    none, or an angle beside it."""
+    v, w = capture.voltage_V, capture.velocity_rad_s
+    if v is None or w is None or capture.position_rad is not None or not lasts_both_ways(v):
+        return None
+    if not never_turns(w) or w.mean() <= 0.0:
+        return None
+    return (
+        f"{column_name(capture, 'velocity_rad_s')} never goes below zero although voltage_V does: a sensor that shows "
+        "|ω|, not its sign. mend: measure the angle, or use a part of the capture in which it turns one way"
+    )
 
 
 def _effort(capture: Capture) -> str | None:

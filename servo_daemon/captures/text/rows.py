@@ -15,7 +15,7 @@ from typing import TextIO
 import numpy as np
 
 from servo_daemon.captures.capture.bounded import MAX_CELLS, check_cells
-from servo_daemon.captures.capture.model import capture_error, first_bad_time, time_fault
+from servo_daemon.captures.capture.model import capture_error, first_bad_time, time_fault, time_mend
 from servo_daemon.captures.text.dialect import COMMENTS, clock_seconds
 from servo_daemon.captures.text.preamble import Preamble
 from servo_daemon.config_texts import UNIT_S
@@ -81,7 +81,7 @@ class TextTable:
         bad = first_bad_time(time_s)
         if bad is not None:
             fault = time_fault(float(time_s[bad]), float(time_s[bad - 1]))
-            message = f"{fault} in line {self.line(bad - 1)}"
+            message = f"{fault} in line {self.line(bad - 1)}{time_mend(fault)}"
             raise capture_error(self._path, message, line=self.line(bad), column="time_s")
 
     def _rows(self) -> Iterator[str]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from servo_daemon.captures import Capture, in_canonical_order
+from servo_daemon.captures import Capture, in_canonical_order, without_copies
 from servo_daemon.captures.capture.model import capture_error
 from servo_daemon.captures.columns.plausible import check_time_unit, plausibility_notes
 from servo_daemon.captures.meaning import excluded_values, findings, without_unusable
@@ -75,7 +75,7 @@ def gather(
         BadInputError: a file, the config or a flag is wrong; one line naming it.
     """
     drive = common.offline_drive(arguments)
-    read = in_canonical_order(common.read_captures(paths, arguments))
+    read, copies = without_copies(in_canonical_order(common.read_captures(paths, arguments)))
     meaning = one_meaning(read, drive.signals.meaning())
     captures, said = _as_meant(read, drive)
     validation, said_there = _as_meant(common.read_captures(validation_paths, arguments), drive)
@@ -92,7 +92,7 @@ def gather(
     fixed = common.parse_fix(",".join(arguments.fix))
     _check_fixed(fixed, effects)
     nominal = {k: v for k, v in drive.nominal.items() if k != "J_m"} | starts
-    notes = [*said, *said_there]
+    notes = [*copies, *said, *said_there]
     notes += [f"{c.path}: {text}" for c in captures for text in excluded_values(c, {**nominal, **fixed})]
     notes += [f"{c.path}: {text}" for c in (*captures, *validation) for text in plausibility_notes(c)]
     notes += lost

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 
 from servo_daemon.captures import Capture
-from servo_daemon.captures.meaning import takes_no_power
+from servo_daemon.captures.meaning import no_sign_of_speed, shows_no_sign, takes_no_power
 from servo_daemon.captures.meaning.finding import mend
 from servo_daemon.commands.shared.units import shown_column, shown_unit
 from servo_daemon.identification.output_error import OutputErrorFit
@@ -20,6 +20,11 @@ from servo_daemon.signal_meaning import SignalMeaning
 _FAR = 10.0
 #: K of a motor lies within 10 % of its datasheet (as makers say), J and B with load and friction within 40 %.
 _NEAR, _SQUARE_NEAR = 0.1, 0.35
+#: What a column of one sign may be, and what to do then.
+_MODULUS = {
+    "current_A": "|i| (record the motor's voltage with it, which says its sign: `shows` in docs/captures.md)",
+    "voltage_V": "|v| (a formula of the signal map gives it the sign of another column, docs/captures.md)",
+}
 
 
 def result_notes(
@@ -76,8 +81,15 @@ def _unexplained(name: str, capture: Capture | None) -> str:
     text = f"the model explains next to nothing of {name}, and no parameter has a value"
     if capture is None:
         return f"{text}: is its sign turned, or its unit wrong?"
+    if (unsigned := no_sign_of_speed(capture)) and name == "velocity_rad_s":
+        return f"{text}: {unsigned}"
     if takes_no_power(capture, name):
         return f"{text}: its sign is turned. {mend(capture, name, {'scale': -1.0})} turns it"
+    if (effort := shows_no_sign(capture)) is not None:
+        return (
+            f"{text}: either {effort} is {_MODULUS[effort]}, or the model lacks the load that holds it on one side "
+            "(`--effect constant_load_torque`)"
+        )
     return (
         f"{text}: the model lacks what moves it, a load or a friction (`servo-daemon diagnose {capture.path}` looks "
         "for it, `--effect NAME` adds it), or its unit is wrong"

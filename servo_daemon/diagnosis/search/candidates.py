@@ -25,6 +25,10 @@ _FAR = 0.5
 _LEFT_TO_L = 0.2
 #: Samples amid commands of zero, as a share of all, from which on an open bridge there is asked about.
 _LEAST_ZERO = 0.02
+#: Friction that pushes and brakes as another R and J do.
+_BY_LOAD = "load_dependent_friction"
+#: What a train of gears loses of the torque, and a single stage: a valley leads from one to the other, slowly.
+_MU = (0.2, 0.03)
 #: Of the proposals so many are tried in pairs.
 _IN_PAIRS = 4
 #: simpler → what contains it: the richer one fits as well as the simpler one by being it.
@@ -64,8 +68,9 @@ def proposals(
     worth: float = WORTH_A_FIT,
     given: Collection[str] = (),
 ) -> tuple[Proposal, ...]:
-    """The models of one round, the most promising first. Where no current is measured dry friction is one of them: the
-    linear motor biases R and K around it until it looks like a spring in the shaft.
+    """The models of one round, the most promising first. Where no current is measured dry friction is one of them, and
+    friction that grows with the load: the linear motor biases R and K around the first until it looks like a spring in
+    the shaft, and with another R and J it pushes and brakes as the second does, of which screening then sees nothing.
 
     Args:
         worth: share of what the best explains that a cause must explain, beside something; −∞: all are fitted.
@@ -92,7 +97,17 @@ def proposals(
         far = any(_far(v, current.values[n]) for n, v in s.motor.items() if n in current.values)
         other = {**start, **current.values, **({"Tc": start["Tc"]} if "Tc" in s.start and "Tc" in start else {})}
         out.append(Proposal(name, effects, start, other, far))
+    if hidden and _BY_LOAD not in {p.name for p in out}:
+        out += _rubs_by_load(current)
     return tuple(out)
+
+
+def _rubs_by_load(current: Trial) -> Iterator[Proposal]:
+    """Friction that grows with the load, beginning at usual sizes."""
+    effects = extended(current.effects, _BY_LOAD)
+    if effects is not None:
+        start, other = ({**current.values, "mu": mu} for mu in _MU)
+        yield Proposal(_BY_LOAD, effects, start, other, far=True)
 
 
 def _start(s: ScreenedCandidate, name: str, effects: Sequence[str], present: Mapping[str, float]) -> dict[str, float]:

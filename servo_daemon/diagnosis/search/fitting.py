@@ -15,6 +15,7 @@ from servo_daemon.diagnosis.search.evidence import (
     LEAST_BIC,
     NESTED_GAIN,
     convinces,
+    half_convinces,
     no_worse,
     overwhelming,
     speaks_against_screening,
@@ -41,6 +42,8 @@ _MUCH = 0.05
 #: Share of what is left that a further effect explains in the balances, on data held out: the ripple that a fit put
 #: beside dry friction on means of 500 Hz, three times as large as the balance had it, explained 0.02.
 _LITTLE_SEEN = 0.05
+#: Share of what is missing that one cause is, if it is most of it.
+_MOSTLY = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +79,22 @@ def seen_enough(candidates: Sequence[Candidate], screened: Sequence[ScreenedCand
         return share.get(effect.further or c.name, 1.0) > _LITTLE_SEEN or speaks_against_screening(c.against)
 
     return tuple(c for c in candidates if seen(c))
+
+
+def not_alone(
+    candidates: Sequence[Candidate], best: Candidate | None, screened: Sequence[ScreenedCandidate]
+) -> Candidate | None:
+    """The cause beside which others are tried: it takes much and yet does not convince. Where none is better in free
+    runs, the one that is most of what is missing in the balances: a load beside dry friction runs away as the linear
+    motor does, and until it is there the friction is not seen."""
+    first = candidates[0] if candidates and candidates[0] is not best else None
+    if first is not None and half_convinces(first.against) and not convinces(first.against):
+        return first
+    share = {s.effect: s.heldout_share for s in screened}
+    most = max(candidates, key=lambda c: share.get(c.name, 0.0), default=None)
+    if best is not None or most is None or share.get(most.name, 0.0) < _MOSTLY or most.against.delta_bic > LEAST_BIC:
+        return None
+    return most
 
 
 def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], effort: Effort) -> tuple[Candidate, ...]:

@@ -23,15 +23,17 @@ from servo_daemon.diagnosis.search.candidates import (
     scaled_friction,
 )
 from servo_daemon.diagnosis.search.effort import Effort
-from servo_daemon.diagnosis.search.evidence import (
-    at_odds,
-    convinces,
-    half_convinces,
-    noticeable,
-    speaks_against_screening,
-    worth_a_name,
+from servo_daemon.diagnosis.search.evidence import at_odds, noticeable, speaks_against_screening, worth_a_name
+from servo_daemon.diagnosis.search.fitting import (
+    COLOURED,
+    Candidate,
+    best_of,
+    closer,
+    fitted,
+    not_alone,
+    seen_enough,
+    ties,
 )
-from servo_daemon.diagnosis.search.fitting import COLOURED, Candidate, best_of, closer, fitted, seen_enough, ties
 from servo_daemon.diagnosis.search.pruning import one_offset, pruned
 from servo_daemon.diagnosis.trial.compare import advantage
 from servo_daemon.diagnosis.trial.data import Data
@@ -153,8 +155,8 @@ def _round(search: _Search, missing: Missing, progress: Progress, effort: Effort
         progress(0.2, "once more with shorter free runs")
         found = _with_shorter_runs(found, [p for p in proposed if p.name.startswith(_UNSTABLE)], effort)
     search, candidates, best = found
-    first = candidates[0] if candidates and candidates[0] is not best else None
-    if first is not None and half_convinces(first.against) and not convinces(first.against):
+    first = not_alone(candidates, best, screened)
+    if first is not None:
         progress(0.3, f"{first.name} and another")
         beside = _beside(search, first, candidates, effort)
         if beside[2] is not None:

@@ -194,8 +194,9 @@ def _output_error(block: SampleBlock, effects: tuple[str, ...], options: FitOpti
         if p.status != "undetermined"
     }
     lost = ", ".join(name for name, p in fit.parameters.items() if p.status == "undetermined")
-    notes = (f"not determined by these data: {lost}",) if lost else ()
-    return found, notes
+    notes = [f"not determined by these data: {lost}"] if lost else []
+    notes += [f"{c.expression} = {c.value:.5g} ± {c.std:.2g} {c.unit}" for c in fit.combinations]
+    return found, tuple(notes)
 
 
 def _linear_values(row: MethodResult) -> dict[str, float] | None:

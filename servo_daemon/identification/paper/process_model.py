@@ -219,5 +219,7 @@ def _start(d: _Piece) -> F64:
             if cost < best and solution[0] > 0:
                 best, x = cost, np.array([np.log(solution[0]), np.log(a1), a2])
     if not np.isfinite(best):
+        if not np.ptp(shown):
+            raise BadInputError("the shaft does not turn: there is no answer of the speed to the voltage")
         raise BadInputError("the speed does not follow the voltage (no positive gain): is one of the signs wrong?")
     return x

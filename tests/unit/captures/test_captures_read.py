@@ -193,11 +193,11 @@ BAD = {
     "semicolons below": (FULL + "0;1;2;3\n", "line 2: 1 cell, but the header has 4 columns (numbers need a decimal"),
     "time repeated": (
         "# a: b\n" + FULL + ROWS + "0.002,1,1,1\n",
-        "line 6, column time_s: time is repeated: 0.002 after 0.002 in line 5",
+        "line 6, column time_s: time is repeated: 0.002 after 0.002 in line 5; mend: --rate HZ",
     ),
     "time back": (
         FULL + ROWS + "\n0.0005,1,1,1\n",
-        "line 6, column time_s: time jumps back: 0.0005 after 0.002 in line 4",
+        "line 6, column time_s: time jumps back: 0.0005 after 0.002 in line 4; mend: cut the file",
     ),
     "quote never closed": (FULL + '0,"1,2,3\n' + "1,2,3,4\n" * 30_000, "line 2: not CSV, a quote without its end? ("),
     "quote closed too late": (FULL + '0,"1,2,3\n1,"2,3,4\n', "line 2, column voltage_V: '1,2,3\\n1,2' is not a number"),

@@ -121,7 +121,22 @@ def test_without_a_current_the_rows_say_why(capture: Path, tmp_path: Path) -> No
     methods = run_command("compare", path, "--json").document["methods"]
     assert "current_A" in methods["method3"]["reason"]
     assert "current_A" in methods["method1"]["reason"]
-    assert any("not determined" in note for note in methods["method2"]["notes"]) or methods["method2"]["reason"]
+    notes = methods["method2"]["notes"]
+    assert any("not determined" in note for note in notes)
+    assert any(note.startswith("K/(B R + K²) = ") for note in notes)  # what is determined is told
+
+
+def test_a_held_shaft_is_no_wrong_sign(tmp_path: Path) -> None:
+    time_s = np.arange(1500) * 1e-3
+    volts = np.random.default_rng(4).choice([-1.0, 1.0], 15).repeat(100)
+    current = np.zeros(1500)
+    for k in range(1499):
+        current[k + 1] = volts[k] + (current[k] - volts[k]) * np.exp(-0.5)  # R = 1 Ω, L = 2 mH
+    table = np.column_stack([time_s, volts, current, np.zeros(1500)])
+    path = tmp_path / "held.csv"
+    np.savetxt(path, table, delimiter=",", header="time_s,voltage_V,current_A,position_rad", comments="", fmt="%.9g")
+    methods = run_command("compare", path, "--motors", "0", "--json").document["methods"]
+    assert all("does not turn" in methods[name]["reason"] for name in ("method1_paper", "method1"))
 
 
 def test_the_text_and_the_report(capture: Path, tmp_path: Path) -> None:

@@ -346,6 +346,14 @@ def test_rotary_and_linear_do_not_mix(capture: Path, tmp_path: Path) -> None:
     assert "cannot be fitted together" in result.err
 
 
+def test_a_measurement_counts_once(capture: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy.csv"
+    copy.write_bytes(capture.read_bytes())
+    alone, twice = (run_command("fit", *paths, "--json") for paths in ((capture,), (capture, copy)))
+    assert "the same samples as" in twice.err + "".join(twice.document["notes"])
+    assert twice.document["parameters"] == alone.document["parameters"]
+
+
 def test_repeated_fix_adds_up_and_twice_the_same_is_refused(capture: Path) -> None:
     document = run_command("fit", capture, "--fix", "R=0.5", "--fix", "K=0.3", "--json").document
     assert [document["parameters"][n]["status"] for n in ("R", "K")] == ["fixed", "fixed"]

@@ -151,7 +151,12 @@ def test_without_a_current_dry_friction_and_what_is_late_are_always_fitted() -> 
         ScreenedCandidate("quadratic_drag", 0.4, {"c2": 1e-3}, 0.4, {}),
         ScreenedCandidate("coulomb_friction", 0.0, {"Tc": 0.1}, -0.01, {}),
     )
-    assert [p.name for p in proposals(current, screened, missing)] == ["quadratic_drag", "coulomb_friction"]
+    proposed = proposals(current, screened, missing)
+    always = ["coulomb_friction", "load_dependent_friction"]
+    assert [p.name for p in proposed] == ["quadratic_drag", *always]
+    assert (proposed[2].start["mu"], proposed[2].other["mu"], proposed[2].far) == (0.2, 0.03, True)
+    seen = (ScreenedCandidate("load_dependent_friction", 0.5, {"mu": 0.1}, 0.5, {}), *screened)
+    assert [p.start.get("mu") for p in proposals(current, seen, missing)] == [0.1, None, None]
     late = list(late_without_current(current))
     assert [(p.name, p.start.get("channel")) for p in late] == [
         ("measurement_delay", 1.0),

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_daemon.errors import NumericalError
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.solver.solver import Point
 from servo_daemon.samples import F64
@@ -71,12 +72,18 @@ def information(problem: Problem, point: Point, scale: F64) -> Information:
 
     Args:
         scale: shape (k,), size of one unit of each coordinate: 1 for a logarithm.
+
+    Raises:
+        NumericalError: sensitivities have left the range of numbers.
     """
     names = problem.parameter_of_column
     if not names:  # every parameter is given
         none = np.zeros((0, 0))
         return Information(names, none, np.zeros(0, dtype=bool), (), none)
-    _, s, directions = np.linalg.svd(reduced(problem, point)[:, : len(names)] * scale)
+    seen = reduced(problem, point)[:, : len(names)] * scale
+    if not np.isfinite(seen).all():
+        raise NumericalError("what the parameters do to the simulation has left the range of numbers")
+    _, s, directions = np.linalg.svd(seen)
     exact = s < _RANK * max(float(s[0]), 1e-300)
     with np.errstate(divide="ignore"):
         spread = np.where(exact, 0.0, 1.0 / np.where(exact, 1.0, s))
