@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from servo_daemon.conditioning.filled import filled
 from servo_daemon.conditioning.gaps import GAP, RESTART, gaps, short_gaps
-from servo_daemon.conditioning.layout_step import NEVER, NO_VALUE, Between, LayoutStep, build_layout_step
+from servo_daemon.conditioning.layout_step import NEVER, NO_VALUE, LayoutStep, build_layout_step
 from servo_daemon.plant.compiled import SampleLoop
 from servo_daemon.plant.core import Drive
 from servo_daemon.regression.stretch import Stretch
@@ -102,7 +102,6 @@ class Layout:
     Args:
         drive: what the input is.
         measured: the filter's channels.
-        mean_input: a current as the input is the mean over the interval that ends at its sample.
 
     Attributes:
         last_s: time of the last sample; None before the first.
@@ -110,11 +109,10 @@ class Layout:
         position_lsb: the encoder's step; 0: it has none, or is not known yet.
     """
 
-    def __init__(self, drive: Drive, measured: tuple[str, ...], *, mean_input: bool = False) -> None:
+    def __init__(self, drive: Drive, measured: tuple[str, ...]) -> None:
         self._names = (INPUT[drive], *measured)
-        between: Between = "held" if drive == "voltage" else "mean" if mean_input else "instant"
-        self._lay = LayoutStep(len(measured), between)
-        self._loop = SampleLoop(build_layout_step(len(measured), between))
+        self._lay = LayoutStep(len(measured), drive == "voltage")
+        self._loop = SampleLoop(build_layout_step(len(measured), drive == "voltage"))
         self._state, self._constants = np.zeros(self._lay.n_state), np.zeros(self._lay.n_constants)
         self._constants[3::4] = [_IMPOSSIBLE[name] for name in self._names]
         self._constants[6::4] = math.inf

@@ -17,15 +17,13 @@ the next says so.
 
 A measured current or torque is no held input. Where the steps are long its mean over one is that of the curve through
 the last four instants (the implicit Adams formula of that order: Hairer, Nørsett & Wanner, *Solving Ordinary
-Differential Equations I*, sec. III.1), and it changes across the step, which moves the angle; of a current that comes
-as means that change is the one of the parabola through the last three.
+Differential Equations I*, sec. III.1), and it changes across the step, which moves the angle.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Literal
 
 import casadi as ca
 
@@ -44,8 +42,6 @@ NEVER, NO_VALUE = 1e300, 1e300
 BENDS_S = 3e-3
 #: Steps are alike up to this ratio: `captures.capture.model.GAP_FACTOR`.
 _ALIKE = 1.75
-#: What the input does between two samples.
-Between = Literal["held", "instant", "mean"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +58,7 @@ class LayoutStep:
     """
 
     channels: int
-    between: Between = "held"
+    held: bool = True
 
     @property
     def curve(self) -> int:
@@ -71,7 +67,7 @@ class LayoutStep:
 
     @property
     def n_state(self) -> int:
-        return self.curve + 4 * (self.between != "held")
+        return self.curve + 4 * (not self.held)
 
     @property
     def n_constants(self) -> int:
@@ -83,14 +79,14 @@ class LayoutStep:
 
 
 @cache
-def build_layout_step(channels: int, between: Between = "held") -> ca.Function:
+def build_layout_step(channels: int, held: bool = True) -> ca.Function:
     """For `SampleLoop`.
 
     Args:
         channels: how many are measured.
-        between: what the input does between two samples.
+        held: the input is, from its sample to the next.
     """
-    lay = LayoutStep(channels, between)
+    lay = LayoutStep(channels, held)
     state, const = ca.SX.sym("state", lay.n_state), ca.SX.sym("const", lay.n_constants)
     sample = ca.SX.sym("sample", lay.n_sample)
     # The input has no spike: not before this sample, nor with it, as its current may be sensed late.
@@ -109,24 +105,24 @@ def build_layout_step(channels: int, between: Between = "held") -> ca.Function:
         spike = ca.logic_and(ca.logic_and(_is_spike(earlier, last, value, most), calm), valid)
         shown.append((value, valid, doubt, alike, spike))
     value, valid, _, alike, _ = shown[0]
-    held = ca.if_else(valid, value, state[1])
+    known = ca.if_else(valid, value, state[1])
     extra = ca.if_else(valid, const[1] * ca.fmin(alike - 1.0, _MOST_ALIKE), const[2])
     measured = [
         x
         for value, valid, doubt, _, spike in shown[1:]
         for x in (value, ca.logic_and(valid, ca.logic_not(spike)), ca.if_else(spike, SPIKE, doubt))
     ]
-    curve, runs = _runs(state, held, valid, sample[0] - state[0], lay) if between != "held" else ([], [])
+    curve, runs = ([], []) if held else _runs(state, known, valid, sample[0] - state[0], lay)
     row = ca.vertcat(
         sample[0] - const[0],
         sample[0] - state[0],
-        held,
+        known,
         extra,
         *measured,
-        _misread(state[2], state[4], held, const[6]),
+        _misread(state[2], state[4], known, const[6]),
         *runs,
     )
-    return ca.Function("step", [state, const, sample], [ca.vertcat(sample[0], held, *kept, *curve), row])
+    return ca.Function("step", [state, const, sample], [ca.vertcat(sample[0], known, *kept, *curve), row])
 
 
 def _runs(state: ca.SX, u: ca.SX, valid: ca.SX, h: ca.SX, lay: LayoutStep) -> tuple[list[ca.SX], list[ca.SX]]:
@@ -139,9 +135,8 @@ def _runs(state: ca.SX, u: ca.SX, valid: ca.SX, h: ca.SX, lay: LayoutStep) -> tu
     counts = ca.logic_and(shortest > BENDS_S, alike)
     second = u - 2.0 * before + earlier
     third = u - 3.0 * before + 3.0 * earlier - earliest
-    off = ca.SX(0) if lay.between == "mean" else -second / 12.0 - third / 24.0
-    change = u - before + (second / 2.0 if lay.between == "mean" else 0.0)
-    return [before, earlier, step_s, last_h], [ca.if_else(counts, x, 0.0) for x in (off, change)]
+    off = -second / 12.0 - third / 24.0
+    return [before, earlier, step_s, last_h], [ca.if_else(counts, x, 0.0) for x in (off, u - before)]
 
 
 def _misread(last: ca.SX, before: ca.SX, after: ca.SX, most: ca.SX) -> ca.SX:

@@ -54,7 +54,7 @@ class Ekf:
         self._compiled: Loop = SampleLoop(function)
         self._running: Loop = self._compiled if loop is None else loop
         self._held: Loop | None = None  # made when it is asked for
-        self.mean_input = mean_input
+        self._mean_input = mean_input
         self._state = np.zeros(layout.n_state)
         self._constants = np.zeros(layout.n_constants)
         self.use_instrumental_trajectory(True)
@@ -168,7 +168,7 @@ class Ekf:
             samples: shape (n, n_sample).
         """
         if self._held is None:
-            _, function = build_held_step(self.plant, self.channels, self.mean_input)
+            _, function = build_held_step(self.plant, self.channels, self._mean_input)
             self._held = SampleLoop(function, paced_by=1)
         lay = self._lay
         index = [*range(lay.n_x), *lay.state_covariance, lay.held_input, lay.held_variance]

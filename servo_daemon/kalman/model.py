@@ -204,7 +204,7 @@ def acting(lay: EkfLayout, state: Any, const: Any, sample: Any, *, mean_input: b
         return u, var_u, 0.0
     off_line, change = sample[lay.correction + 1], sample[lay.correction + 2]
     if mean_input:
-        return sample[2], const[0] + sample[3], change
+        return sample[2], const[0] + sample[3], 0.0
     return (u + sample[2]) / 2 + off_line, (var_u + const[0] + sample[3]) / 4, change
 
 

@@ -61,7 +61,7 @@ class Filtering:
 
     def __init__(self, ekf: Ekf, signal_scales: SignalScales) -> None:
         self._ekf, self._signal_scales = ekf, signal_scales
-        self.layout = Layout(ekf.plant.drive, ekf.channels, mean_input=ekf.mean_input)
+        self.layout = Layout(ekf.plant.drive, ekf.channels)
         self._before: SampleBlock | None = None  # the last samples
         self._kept: list[tuple[SampleBlock, float | None, float | None]] | None = None
         self._kept_from: tuple[SampleBlock, Marked] | None = None

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from servo_daemon.conditioning.layout import Layout
 from servo_daemon.kalman.ekf import Ekf
@@ -22,40 +20,37 @@ TONES = (2.0 * math.pi * 2.5, 2.0 * math.pi * 8.0)
 SIZE = 0.3
 
 
-def swinging(kind: str, period_s: float, seconds: float = 20.0) -> SampleBlock:
-    """J dω/dt = K i − B ω with two sines of i, the settled motion; `kind` of the current: at an instant, or its mean
-    over the step before."""
+def swinging(period_s: float, seconds: float = 20.0) -> SampleBlock:
+    """J dω/dt = K i − B ω with two sines of i, the settled motion."""
     t = np.arange(round(seconds / period_s)) * period_s
     current, theta = np.zeros(len(t)), np.zeros(len(t))
     for w in TONES:
         H = K / (1j * w * (1j * w * J + B))  # from current to angle
         theta += SIZE * (H * np.exp(1j * w * t)).real
-        mean = (1.0 - np.exp(-1j * w * period_s)) / (1j * w * period_s) if kind == "mean" else 1.0
-        current += SIZE * (mean * np.exp(1j * w * t)).real
-    return replace(make_block(t, current_A=current, position_rad=theta), current_mean=kind == "mean")
+        current += SIZE * np.cos(w * t)
+    return make_block(t, current_A=current, position_rad=theta)
 
 
 def estimated(block: SampleBlock, *, engine: str = "compiled", angle_var: float = 1e-10) -> F64:
     """J and B over the truth."""
-    plant, mean_input = build_plant((), "current"), block.current_mean
-    loop = FilterpyLoop(plant, ("position_rad",), mean_input) if engine == "filterpy" else None
-    ekf = Ekf(plant, ("position_rad",), loop, mean_input=mean_input)
+    plant = build_plant((), "current")
+    loop = FilterpyLoop(plant, ("position_rad",)) if engine == "filterpy" else None
+    ekf = Ekf(plant, ("position_rad",), loop)
     start = Gaussian(plant.parameter_names, np.log([K, 1.2 * J, 0.8 * B]), np.diag([1e-12, 0.09, 0.09]))
     ekf.start(start)
     ekf.set_noise(NoiseLevels(1e-6, 1e-12, (angle_var,)))
     ekf.set_active(np.array([0.0, 1.0, 1.0]), np.zeros(3))
-    ekf.update(Layout("current", ("position_rad",), mean_input=mean_input).rows(block, 0.0))
+    ekf.update(Layout("current", ("position_rad",)).rows(block, 0.0))
     return np.asarray(np.exp(ekf.estimate().mean[1:]) / (J, B))
 
 
-@pytest.mark.parametrize("kind", ["instant", "mean"])
-def test_a_current_that_swings_between_two_samples_gives_the_inertia(kind: str) -> None:
-    """With a current that ran on a line and an angle by its mean J would be 4 % off, and half of that by means."""
-    off = estimated(swinging(kind, 0.01)) - 1.0
+def test_a_current_that_swings_between_two_samples_gives_the_inertia() -> None:
+    """With a current that ran on a line and an angle by its mean J would be 4 % off."""
+    off = estimated(swinging(0.01)) - 1.0
     assert abs(off[0]) < 3e-3 and abs(off[1]) < 0.02
 
 
 def test_both_engines_take_it_alike() -> None:
-    block = swinging("instant", 0.01, 2.0)
+    block = swinging(0.01, 2.0)
     found = [estimated(block, engine=engine, angle_var=1e-6) for engine in ("filterpy", "compiled")]
     np.testing.assert_allclose(*found, rtol=1e-6)
