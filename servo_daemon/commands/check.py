@@ -162,8 +162,8 @@ def _bunched(driver: Driver, last: SampleBlock | None, rate_hz: float | None) ->
     if apart_s * rate_hz > _TOGETHER:
         return []
     return [
-        f"{len(last)} samples came at once, {1e3 * apart_s:.2g} ms apart, of {rate_hz:.0f} a second: their times are the "
-        "adapter's, and nothing can be learnt from them; give the time from message to message as period_s under "
+        f"{len(last)} samples came at once, {1e3 * apart_s:.2g} ms apart, of {rate_hz:.0f} a second: their times are "
+        "the adapter's, and nothing can be learnt from them; give the time from message to message as period_s under "
         "[drive.options]"
     ]
 
