@@ -19,6 +19,7 @@ from drivers.options import checked
 from drivers.polling.driver import PollingDriver
 from drivers.polling.link import SerialLink
 from drivers.polling.poller import Answer, Pace, Reply, Request
+from drivers.polling.when import SampleTimes
 from drivers.serial.port import open_port
 from servo_daemon.samples import Quality, SampleBlock
 from servo_daemon.signal_meaning import SignalMeaning
@@ -105,6 +106,7 @@ class AskedOdrive(PollingDriver[Told]):
     def __init__(self, name: str, options: dict[str, Any]) -> None:
         super().__init__(name, options)
         self._settings = checked(OdriveOptions, name, options)
+        self._when = SampleTimes()
         self._dialogue = self._new_dialogue()
         self._last_number: int | None = None
 
@@ -137,6 +139,7 @@ class AskedOdrive(PollingDriver[Told]):
     def _new_dialogue(self) -> OdriveDialogue:
         self._dialogue = OdriveDialogue(self._settings.axis, self.counters)
         self._last_number = None
+        self._when.restart()
         return self._dialogue
 
     def _samples(self, answers: list[Answer[Told]]) -> SampleBlock:
@@ -150,8 +153,9 @@ class AskedOdrive(PollingDriver[Told]):
         quality[~finite[:, 2]] |= int(Quality.CURRENT_INVALID)
         quality[~finite[:, 0]] |= int(Quality.POSITION_INVALID)
         position, velocity, current = np.where(finite, told, np.nan).T
-        turn = 2.0 * math.pi
+        angle, speed = 2.0 * math.pi * position, 2.0 * math.pi * velocity
+        sent_s, received_s = np.array([(a.sent_s, a.received_s) for a in answers]).T
         return SampleBlock(
-            np.array([a.sent_s for a in answers]), number, quality, answers[-1].received_s,
-            current_A=current.copy(), position_rad=turn * position, velocity_rad_s=turn * velocity,
+            self._when.times(sent_s, received_s, angle, speed), number, quality, answers[-1].received_s,
+            current_A=current.copy(), position_rad=angle, velocity_rad_s=speed,
         )  # fmt: skip

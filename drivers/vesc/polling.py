@@ -15,12 +15,12 @@ from drivers.options import checked
 from drivers.polling.driver import PollingDriver
 from drivers.polling.link import SerialLink
 from drivers.polling.poller import Answer, Pace
+from drivers.polling.when import SampleTimes
 from drivers.serial.port import open_port
 from drivers.vesc.dialogue import Polled, VescDialogue
 from drivers.vesc.requests import POLL_MASKS
 from drivers.vesc.shaft import Shaft, Source
 from drivers.vesc.values import POLLED, Firmware, values_of
-from drivers.vesc.when import SampleTimes
 from servo_daemon.samples import F64, I64, U8, Quality, SampleBlock
 from servo_daemon.signal_meaning import SignalMeaning
 

@@ -111,8 +111,8 @@ class Layout:
 
     def __init__(self, drive: Drive, measured: tuple[str, ...]) -> None:
         self._names = (INPUT[drive], *measured)
-        self._lay = LayoutStep(len(measured))
-        self._loop = SampleLoop(build_layout_step(len(measured)))
+        self._lay = LayoutStep(len(measured), drive == "voltage")
+        self._loop = SampleLoop(build_layout_step(len(measured), drive == "voltage"))
         self._state, self._constants = np.zeros(self._lay.n_state), np.zeros(self._lay.n_constants)
         self._constants[3::4] = [_IMPOSSIBLE[name] for name in self._names]
         self._constants[6::4] = math.inf
@@ -143,7 +143,7 @@ class Layout:
     def resume(self, time_s: float) -> None:
         """The next sample is the first one after a gap: nothing before it says whether it is a spike."""
         self.last_s = time_s
-        self._state[4::3] = NO_VALUE
+        self._state[4 : self._lay.curve : 3] = NO_VALUE
 
     def mark(self) -> Marked:
         """Where it is now, to come `back_to`."""
@@ -158,7 +158,8 @@ class Layout:
         self._constants[1] = input_step_var
         self._constants[4::4] = [0.5 * position_lsb if name == "position_rad" else 0.0 for name in self._names]
         self._constants[5::4] = least
-        self._state[2::3], self._state[3::3], self._state[4::3] = NO_VALUE, 0.0, NO_VALUE
+        last, alike, before = (slice(k, self._lay.curve, 3) for k in (2, 3, 4))
+        self._state[last], self._state[alike], self._state[before] = NO_VALUE, 0.0, NO_VALUE
 
     def rows(
         self,
@@ -169,7 +170,7 @@ class Layout:
         spike_limit: float = math.inf,
         current_spike_limit: float = math.inf,
     ) -> F64:
-        """shape (n, 5 + 3 channels): t, h, input, extra variance, (y, valid, doubt)…, correction of the input before
+        """shape (n, n_sample), as `kalman.layout.EkfLayout` has a sample
 
         Args:
             unknown_input_var: added variance where the input is not known and the last one is held.

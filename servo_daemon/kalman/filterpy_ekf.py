@@ -20,6 +20,7 @@ from servo_daemon.kalman.model import (
     DOUBTFUL_INPUT,
     SAMPLES_TO_FIND_SPEED,
     SHORTEST_STEP_S,
+    acting,
     found_speed,
     predict,
     slowness,
@@ -77,17 +78,14 @@ class FilterpyLoop:
     def _time_update(self, ekf: Any, state: F64, constants: F64, sample: F64) -> None:
         lay, h = self._lay, max(sample[1], SHORTEST_STEP_S)
         if lay.plant.drive == "voltage":
-            state[lay.held_input] += sample[-1]
-            state[lay.held_variance] += sample[-1] ** 2
-        u, var_u = state[lay.held_input], state[lay.held_variance]
-        if self._mean_input:
-            u, var_u = sample[2], constants[0] + sample[3]
-        elif lay.plant.drive != "voltage":
-            u, var_u = (u + sample[2]) / 2, (var_u + constants[0] + sample[3]) / 4
+            state[lay.held_input] += sample[lay.correction]
+            state[lay.held_variance] += sample[lay.correction] ** 2
+        u, var_u, change = acting(lay, state, constants, sample, mean_input=self._mean_input)
         at = lay.plant.state_names.index("velocity_rad_s")
         x_next, modelled, by_z, noise = self._predict(
-            ekf.x[lay.x], state[lay.trajectory], ekf.x[lay.q], u, sample[0] - h, h, var_u, constants[1], ekf.P[at, at]
-        )
+            ekf.x[lay.x], state[lay.trajectory], ekf.x[lay.q], u, sample[0] - h, h, var_u, constants[1], ekf.P[at, at],
+            change,
+        )  # fmt: skip
         state[lay.trajectory] = modelled
         F, Q = np.eye(lay.n_z), np.zeros((lay.n_z, lay.n_z))
         by_z[:, lay.n_x :] *= float(found_speed(state[-1], h))
@@ -107,7 +105,7 @@ class FilterpyLoop:
         s0 = float((H @ ekf.P @ H.T)[0, 0]) + r
         innovation = float(y - predicted)
         extra = valid * max(innovation**2 / GATE**2 - s0, 0.0)
-        gated = extra > 0 or bool(doubt >= SPIKE) or bool(k == 0 and valid * sample[-1] != 0)
+        gated = extra > 0 or bool(doubt >= SPIKE) or bool(k == 0 and valid * sample[lay.correction] != 0)
         usual = state[lay.held_variance] <= UNUSUAL_INPUT * constants[0]
         self._count(state, k, innovation, s0, bool(valid > 0 and doubt <= 1.0 and usual), gated)
         if valid > 0:
@@ -148,11 +146,11 @@ class FilterpyLoop:
 def _prediction(plant: PlantModel) -> Callable[..., tuple[F64, ...]]:
     x, trajectory = ca.SX.sym("x", len(plant.states)), ca.SX.sym("trajectory", len(plant.states))
     q = ca.SX.sym("q", len(plant.parameters))
-    u, t, h, var_u, psd, speed_var = (ca.SX.sym(n) for n in ("u", "t", "h", "var_u", "psd", "speed_var"))
-    step = predict(plant, x, trajectory, q, u, t, h, var_u, psd, speed_var)
+    rest = [ca.SX.sym(n) for n in ("u", "t", "h", "var_u", "psd", "speed_var", "change")]
+    step = predict(plant, x, trajectory, q, *rest)
     by_z = ca.horzcat(step.by_state, step.by_parameter)
     results = [step.x, step.trajectory, ca.densify(by_z), ca.densify(step.noise)]
-    function = ca.Function("predict", [x, trajectory, q, u, t, h, var_u, psd, speed_var], results)
+    function = ca.Function("predict", [x, trajectory, q, *rest], results)
 
     def call(*arguments: Any) -> tuple[F64, ...]:
         x_next, modelled, F, Q = (np.asarray(r) for r in function(*arguments))

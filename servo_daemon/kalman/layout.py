@@ -35,7 +35,8 @@ class EkfLayout:
                of the instrumental trajectory
     sample:    t | h | input | extra variance of the input | (y, valid, doubt) per channel; doubt multiplies r, and is
                `SPIKE` where that made a reading not valid | correction of the input before, which is then as uncertain
-               as that is large
+               as that is large | of an input that is not held: its mean over the step less that of the line, and its
+               change across the step
     output:    (innovation, its variance, gated) per channel
     """
 
@@ -68,7 +69,11 @@ class EkfLayout:
 
     @cached_property
     def n_sample(self) -> int:
-        return 5 + 3 * len(self.channels)
+        return self.correction + 1 + 2 * (self.plant.drive != "voltage")
+
+    @cached_property
+    def correction(self) -> int:
+        return 4 + 3 * len(self.channels)
 
     @cached_property
     def n_output(self) -> int:

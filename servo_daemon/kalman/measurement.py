@@ -65,7 +65,7 @@ def measurement_update(
         P = P - gain @ PHt.T - PHt @ gain.T + s * (gain @ gain.T)
         gated = ca.logic_or(extra > 0, doubt >= SPIKE)
         if k == 0:  # a misread input is one, too
-            gated = ca.logic_or(gated, valid * sample[-1] != 0)
+            gated = ca.logic_or(gated, valid * sample[lay.correction] != 0)
         outputs += [valid * innovation, ca.if_else(valid > 0, s0, 1.0), gated]
         counts = valid * (doubt <= 1.0) * (state[lay.held_variance] <= UNUSUAL_INPUT * const[0])
         statistics.append(_counted(state[lay.statistics], k, innovation, s0, counts, gated))

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import casadi as ca
 
@@ -94,6 +95,7 @@ def predict(
     var_u: ca.SX,
     torque_psd: ca.SX,
     speed_var: ca.SX,
+    change: ca.SX | float = 0.0,
 ) -> Prediction:
     """The plant's step and its linearisation, by the states at (x, q), by the parameters at (trajectory, q).
 
@@ -101,6 +103,7 @@ def predict(
         var_u: variance of the held input.
         torque_psd: intensity of a white load torque, (N·m)²·s; held over one step its variance is psd / h.
         speed_var: of the speed in x, rad²/s².
+        change: of the input across the step, about its mean.
     """
     p = natural(plant, q)
     x_next, modelled = plant.step(x, u, p, t, h), plant.step(trajectory, u, p, t, h)
@@ -108,7 +111,24 @@ def predict(
     gain = plant.noise_gain(x, u, p, t, h)
     noise = gain[:, 0] @ gain[:, 0].T * var_u + gain[:, 1] @ gain[:, 1].T * (torque_psd / h)
     noise += _own_state_noise(plant, h)
+    if plant.drive != "voltage":
+        x_next += _by_change(plant, gain, h, change)
+        modelled += _by_change(plant, plant.noise_gain(trajectory, u, p, t, h), h, change)
     return Prediction(x_next, modelled, by_state, ca.jacobian(modelled, q), noise)
+
+
+def _by_change(plant: PlantModel, gain: ca.SX, h: ca.SX, change: ca.SX | float) -> ca.SX:
+    """What a change of the input across the step does to the states beside its mean: an acceleration that rises from a
+    to b leads by h² (a/3 + b/6), not by h² (a + b)/4.
+
+    Args:
+        gain: the plant's `noise_gain`.
+    """
+    out = ca.SX(len(plant.states), 1)
+    out[plant.state_names.index("position_rad")] = (
+        -h / 12.0 * gain[plant.state_names.index("velocity_rad_s"), 0] * change
+    )
+    return out
 
 
 @cache
@@ -151,8 +171,8 @@ def _corrected(lay: EkfLayout, state: ca.SX, sample: ca.SX) -> ca.SX:
     if lay.plant.drive != "voltage":
         return state
     out = ca.SX(state)
-    out[lay.held_input] += sample[-1]
-    out[lay.held_variance] += sample[-1] ** 2
+    out[lay.held_input] += sample[lay.correction]
+    out[lay.held_variance] += sample[lay.correction] ** 2
     return out
 
 
@@ -177,19 +197,26 @@ def trajectory_after(plant: PlantModel, modelled: ca.SX, x: ca.SX, slowly: ca.SX
     return x + slow * slowly * (modelled - x)
 
 
+def acting(lay: EkfLayout, state: Any, const: Any, sample: Any, *, mean_input: bool) -> tuple[Any, Any, Any]:
+    """The input's mean over the step before a sample, the variance of that, and its change across the step."""
+    u, var_u = state[lay.held_input], state[lay.held_variance]
+    if lay.plant.drive == "voltage":
+        return u, var_u, 0.0
+    off_line, change = sample[lay.correction + 1], sample[lay.correction + 2]
+    if mean_input:
+        return sample[2], const[0] + sample[3], 0.0
+    return (u + sample[2]) / 2 + off_line, (var_u + const[0] + sample[3]) / 4, change
+
+
 def _time_update(
     lay: EkfLayout, state: ca.SX, const: ca.SX, sample: ca.SX, *, mean_input: bool
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
     n_x = lay.n_x
     x, q, P = state[lay.x], state[lay.q], unpack(state[lay.tri], lay.n_z)
     h = ca.fmax(sample[1], SHORTEST_STEP_S)
-    u, var_u = state[lay.held_input], state[lay.held_variance]
-    if mean_input:
-        u, var_u = sample[2], const[0] + sample[3]
-    elif lay.plant.drive != "voltage":  # a measured current or torque is a sample of a continuous signal: trapezoid
-        u, var_u = (u + sample[2]) / 2, (var_u + const[0] + sample[3]) / 4
+    u, var_u, change = acting(lay, state, const, sample, mean_input=mean_input)
     at = lay.plant.state_names.index("velocity_rad_s")
-    step = predict(lay.plant, x, state[lay.trajectory], q, u, sample[0] - h, h, var_u, const[1], P[at, at])
+    step = predict(lay.plant, x, state[lay.trajectory], q, u, sample[0] - h, h, var_u, const[1], P[at, at], change)
     M = ca.horzcat(step.by_state, step.by_parameter * found_speed(state[-1], h))
     T = M @ P
     P_xx = T @ M.T + step.noise

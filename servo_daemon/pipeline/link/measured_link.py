@@ -40,6 +40,10 @@ _LEAST_S = 3.0
 #: two samples, and one of them may come a tenth of a period late. Measured on the independent plant of
 #: tests/recovery/foc (two motors, two motions, 50 to 1000 Hz): 0.3 % and a hundredth for every 20 ms of the period.
 _MOTION, _MOTION_PER_S = 3e-3, 0.01 / 0.02
+#: Samples at most so many of the control's steps apart show nearly all that the current does, however much it changes:
+#: what is left, as a share (`unresolved`), is worth so much of every torque, 1 σ. (Servos of benchmarks/drives.py with
+#: steps of 1 ms: at 500 Hz J is 0.6 and 2.4 % off at shares of 0.24 and 0.25; at 100 Hz 10 and 30 %.)
+_STEPS_SEEN, _UNSEEN_STD = 2.5, 0.05
 #: A K that is known so well, 1 σ, is good enough for the filter to begin with.
 _TO_BEGIN = 0.1
 
@@ -140,8 +144,7 @@ class MeasuredLink:
     @property
     def link(self) -> str:
         """What there is to say of it in a reason."""
-        period_s = self._rows[-1].step_s if self._rows else 0.0
-        rate = f" at {1.0 / period_s:.0f} Hz" if period_s > 0.0 else ""
+        rate = f" at {1.0 / self._period_s:.0f} Hz" if self._period_s > 0.0 else ""
         return f"the voltage of this drive is {self.meaning.words}{rate}"
 
     def instead(self, estimate: Estimate) -> Estimate:
@@ -174,8 +177,17 @@ class MeasuredLink:
         K = self._known.get("K")
         if K is None or self.K is None:
             return 1.0, 0.0
-        period_s = self._rows[-1].step_s if self._rows else 0.0
-        return K.value / self.K, math.hypot(K.std / K.value, _MOTION + _MOTION_PER_S * period_s)
+        unseen = _UNSEEN_STD * self._unresolved * self._sees_steps
+        return K.value / self.K, math.hypot(K.std / K.value, _MOTION + _MOTION_PER_S * self._period_s, unseen)
+
+    @property
+    def _period_s(self) -> float:
+        return self._rows[-1].step_s if self._rows else 0.0
+
+    @property
+    def _sees_steps(self) -> bool:
+        """Whether the samples come nearly as often as the control's steps."""
+        return self._period_s <= _STEPS_SEEN * self.meaning.control_period_s
 
     def _parameter(self, name: str, estimate: Estimate) -> ParameterEstimate:
         old = next(p for p in estimate.parameters if p.name == name)
@@ -198,7 +210,7 @@ class MeasuredLink:
             std = None if p.std is None else scale * math.hypot(p.std, p.value * K_std)
             p = replace(p, value=scale * p.value, std=std)
         why = "" if white else "innovations are not white"
-        if self._unresolved > RESOLVED:
+        if self._unresolved > RESOLVED and not self._sees_steps:
             why = "its current changes too much from one sample to the next"
         if p.status == "tracking" and why:
             return replace(p, status="estimating", reason=f"{self.link}: {why}")

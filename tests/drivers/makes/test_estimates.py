@@ -23,7 +23,8 @@ from servo_daemon.simulate import SimulatedDrive, make_settings
 from servo_daemon.simulate.settings import PAPER_MOTOR
 from tests.drivers.makes.can_rig import batch
 from tests.recovery.foc.lockstep import Clock, claimed, closed, closed_can, polled
-from tests.recovery.foc.played import OneServo
+from tests.recovery.foc.played import OneServo, servo
+from tests.recovery.generator import GEAR_MOTOR, Scenario, Sensors, generate
 
 MOTOR = Pmsm()
 TRUTH = {"R": MOTOR.R, "K": MOTOR.K_phase, "J": MOTOR.J, "B": MOTOR.B}
@@ -80,6 +81,16 @@ def test_a_brushed_servo_tells_everything_but_the_inductance(kind: str) -> None:
     blocks = polled(driver, OneServo(driver._family), device, clock, 500.0, 10_000)
     _check(driver, blocks, PAPER_MOTOR, {"R": 0.03, "K": 0.02, "J": 0.05, "B": 0.05})
     assert driver.meaning.voltage_scale_std == pytest.approx(0.1 / math.sqrt(12.0) / 12.0)
+
+
+@pytest.mark.slow
+def test_a_servo_that_is_read_nearly_as_often_as_it_steps_tells_the_mechanics() -> None:
+    """Its current changes by a quarter of itself from one sample to the next, and nearly every step of it is seen."""
+    sensors = Sensors(current_noise_A=0.003 * GEAR_MOTOR.rated_current_A, counts_per_rev=4096)
+    recording = generate(GEAR_MOTOR, Scenario("multisine", 13.0, 1000, {}, sensors=sensors, seed=4_710))
+    read = servo(GEAR_MOTOR, recording, 0.0, 500.0, 12.0, kind="dynamixel")
+    truth = {name: getattr(GEAR_MOTOR, name) for name in ("R", "K", "J", "B")}
+    _check(read.driver, read.blocks, truth, {"R": 0.03, "K": 0.02, "J": 0.05, "B": 0.05})
 
 
 def _frames(decoder: Any, node: Any, clock: Clock, period_s: float, n: int) -> Iterator[SampleBlock]:

@@ -208,3 +208,29 @@ def test_without_a_compiler_the_rows_are_the_same(monkeypatch: pytest.MonkeyPatc
     compiled = doubts(counts)
     monkeypatch.setenv("SERVO_DAEMON_CC", "")
     np.testing.assert_array_equal(doubts(counts), compiled)
+
+
+def of_cubic(n: int = 12, period_s: float = 0.01, lost: int | None = None) -> np.ndarray:
+    """The filter's rows for a torque t³, t in periods, whole or in blocks."""
+    at = np.delete(np.arange(n, dtype=float), [] if lost is None else [lost])
+    block = make_block(period_s * at, position_rad=np.zeros(len(at)), torque_Nm=at**3)
+    layout = Layout("torque", ("position_rad",))
+    cut = np.concatenate([layout.rows(block.slice(a, b), 0.0) for a, b in ((0, 1), (1, 5), (5, len(block)))])
+    np.testing.assert_array_equal(cut, Layout("torque", ("position_rad",)).rows(block, 0.0))
+    return cut
+
+
+def test_a_torque_between_two_samples_is_on_the_curve_through_the_last_four() -> None:
+    """Exactly the mean of t³ over each step, and its change; not before there are four samples."""
+    off, change = of_cubic()[:, -2:].T
+    k = np.arange(12.0)
+    mean, line = (k**4 - (k - 1) ** 4) / 4.0, (k**3 + (k - 1) ** 3) / 2.0
+    np.testing.assert_allclose(off[4:], (mean - line)[4:], atol=1e-9)
+    np.testing.assert_allclose(change[4:], (k**3 - (k - 1) ** 3)[4:], atol=1e-9)
+    assert not off[:3].any() and not change[:3].any()
+
+
+def test_short_steps_have_no_bend_nor_has_what_is_beside_a_gap() -> None:
+    assert not of_cubic(period_s=1e-3)[:, -2:].any()
+    off = of_cubic(lost=6)[:, -2]
+    assert off[:6].any() and not off[6:9].any() and off[9:].any()

@@ -6,6 +6,7 @@ import numpy as np
 
 from servo_daemon.captures.capture.model import GAP_FACTOR
 from servo_daemon.conditioning.layout import INPUT
+from servo_daemon.conditioning.layout_step import BENDS_S
 from servo_daemon.identification.output_error.problem.rollout import INPUT as INPUT_COLUMN
 from servo_daemon.identification.output_error.problem.rollout import STEP, TIME
 from servo_daemon.plant.core import Drive
@@ -13,9 +14,6 @@ from servo_daemon.samples import F64, SampleBlock
 
 #: Where the mean of a signal that runs straight between two samples lies.
 STRAIGHT = 0.5
-#: In shorter steps, s, a signal runs straight: of a motion of 5 Hz the bend is less than 0.1 % of it, (ω h)²/12, and a
-#: command that a controller holds for each of its samples has none (on EMPS, at 1 kHz, it cost an eighth of the error).
-_BENDS_S = 3e-3
 
 
 def input_rows(block: SampleBlock, drive: Drive, share: float = STRAIGHT) -> F64:
@@ -35,7 +33,7 @@ def input_rows(block: SampleBlock, drive: Drive, share: float = STRAIGHT) -> F64
     rows[:, INPUT_COLUMN] = u
     if drive != "voltage":
         rows[:-1, INPUT_COLUMN] = (1.0 - share) * u[:-1] + share * u[1:]
-        if not mean and rows[-1, STEP] > _BENDS_S:
+        if not mean and rows[-1, STEP] > BENDS_S:
             rows[:-1, INPUT_COLUMN] += _off_the_line(u, time)
     return rows
 

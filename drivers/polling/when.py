@@ -1,4 +1,4 @@
-"""When a VESC took the values of a poll: it sends no time, and the host only knows when it asked and was answered.
+"""When a drive took the values of a poll, where it sends no time: the host only knows when it asked and was answered.
 
 Between those two moments the drive took them. Where they lie far apart (a busy host, USB's milliseconds), the way that
 the shaft went since the poll before, at the mean of the two speeds, tells how much time passed for the drive.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.vesc.when import SampleTimes
+from drivers.polling.when import SampleTimes
 
 
 def test_the_motion_tells_the_time_that_the_host_does_not() -> None:
