@@ -154,7 +154,7 @@ class BatchRelinearisation:
             self._moves += not self._due
             self._times += self._due
             self._due = False
-            self._under_way = self._begun(self._start.parameters, tick, white, period_s)
+            self._under_way = self._begun(self._start.parameters, white, period_s)
         return self._go_on(self._under_way)
 
     def end(self) -> None:
@@ -162,7 +162,7 @@ class BatchRelinearisation:
         self._start, self.pending = None, False
         self._under_way, self._due = None, False
 
-    def _begun(self, start: Gaussian, tick: int, white: bool, period_s: float) -> _UnderWay:
+    def _begun(self, start: Gaussian, white: bool, period_s: float) -> _UnderWay:
         walk = self._validity.walk(self._masks.free)
         batch = Batch(start, self._index(start), self._vague(start), walk, period_s)
         samples = self._filtering.kept
