@@ -31,7 +31,7 @@ from servo_daemon.regression.lag import Lag
 from servo_daemon.regression.plausible import Plausible
 from servo_daemon.regression.rls import SPANS_S, LinearEstimate, SlidingRls
 from servo_daemon.regression.rls_fit import OVERLAP
-from servo_daemon.regression.sampling import FEWEST_SAMPLES, SPAN_S, Sampling
+from servo_daemon.regression.sampling import FEWEST_SAMPLES, SPAN_S, Sampling, sampled_std
 from servo_daemon.regression.stretch import Stretch, between_samples, joined, last
 
 #: After the first ticks so many are worked off together: fewer calls on longer arrays.
@@ -81,7 +81,7 @@ class MotorRls:
         self._sampling: Sampling | None = None
         self._estimate: RegressionEstimate | None = None
         self._updates = self._waiting = self._unasked = 0
-        self._sag = 0.0
+        self._sag = self._period_s = 0.0
         self._plausible = {which: Plausible() for which in SPAN_S}
 
     @property
@@ -121,7 +121,7 @@ class MotorRls:
         for rls in self._rls.values():
             rls.advance(end_s)
         if len(stretch.time_s) >= FEWEST_SAMPLES:
-            period = upper_median(stretch.time_s[1:] - stretch.time_s[:-1])
+            self._period_s = period = upper_median(stretch.time_s[1:] - stretch.time_s[:-1])
             rest, self._sag = self._between_samples(period)
             stretch = between_samples(stretch, rest)
             if stretch.voltage is not None and stretch.current is not None:
@@ -157,16 +157,24 @@ class MotorRls:
 
         as it approaches the end of each held voltage with the time constant L/R while the speed goes on changing.
 
+        The regressions themselves see little of L where the winding settles from one sample to the next: they cannot
+        tell it from the share of the step, so that they would keep a wrong one that they began with.
+
         Returns:
-            a − ½ (0 .. ½), and (a − ½) h K/R in A·s²/rad (of a held shaft 0); zeros while R and L are not known.
+            a − ½ (0 .. ½), and (a − ½) h K/R in A·s²/rad (of a held shaft 0); of the nominal values while R and L are
+            not known, zeros where they will not be.
         """
-        names = self._estimate.names if self._estimate is not None else ()
-        if self._estimate is None or any(n not in names for n in ("R", "L")):
+        values = dict(self._taken_at)
+        if self._estimate is not None:
+            if any(n not in self._estimate.names for n in ("R", "L")):
+                return 0.0, 0.0
+            values |= {"K": 0.0} | dict(zip(self._estimate.names, self._estimate.value.tolist(), strict=True))
+        elif "L" not in self.names:
             return 0.0, 0.0
-        values = dict(zip(names, self._estimate.value.tolist(), strict=True))
-        R, L, K = (values.get(n, 0.0) for n in WINDING_NAMES)
-        if R <= 0.0 or L <= 0.0:
+        R, L, K = (values[n] for n in WINDING_NAMES)
+        if R <= 0.0:
             return 0.0, 0.0
+        L = max(L, 1e-12)
         x = min(max(period_s * R / L, 1e-3), 1e3)
         rest = float(1.0 / -np.expm1(-x) - 1.0 / x) - 0.5
         return rest, rest * period_s * K / R
@@ -250,4 +258,7 @@ class MotorRls:
             covariance = covariance + np.diag(doubt**2)
         span_s = max(e.span_s for e in blocks)
         names = (*own, *map(given_by, columns[len(own) :]))
+        known = dict(zip(names, value.tolist(), strict=True))
+        unseen = np.array([sampled_std(n, known, self._period_s) for n in names]) * value
+        covariance = covariance + np.diag(unseen**2)
         return RegressionEstimate(names, value, covariance, span_s, all(e.closes for e in blocks))

@@ -230,7 +230,7 @@ class FilterSupervision:
         """Whether the first samples have just been re-linearised, and the filter goes on from what that came to."""
         if self._relinearisation.update(self.ticks, self._watch.white, period_s):
             return True
-        if self._relinearisation.is_open:
+        if not self._relinearisation.is_over:
             return False
         if not self._likelihood_restart.update(self.ticks, self.validity.excitation.scales, self._divergence):
             return False
