@@ -19,6 +19,8 @@ BLIND_STD = {"R": 0.2, "L": 0.5, "K": 0.1, "J": 0.2, "B": 0.5}
 #: The same of R and J for each mechanical time constant that a period lasts, and of B as a share of K²/R: from four
 #: motors in four motions at 20 to 1000 Hz (`test_a_slow_sampling_is_in_the_regressions_std`).
 _GAIN_STD, _LOSS_STD = 0.3, 0.05
+#: Of L where a period is as long as L/R, and with the cube of it: sampled slower L is not seen at all.
+_INDUCTANCE_STD = 0.3
 #: In place of what is not positive, SI units.
 _TINY = 1e-12
 
@@ -66,7 +68,7 @@ def blind_std(name: str, value: Mapping[str, float], period_s: float) -> float:
 def sampled_std(name: str, value: Mapping[str, float], period_s: float) -> float:
     """The same for what a regression says of itself, as far as the speed changes from one sample to the next: errors of
     the current's mean move R and J alike; K as far as R i is a part of the voltage; B, the difference of the torques
-    of steady motion, the more the smaller it is.
+    of steady motion, the more the smaller it is; L is seen in what happens between two samples alone.
 
     Args:
         value: of all parameters, natural units. 0 where one of R, L, K, J, B is missing; 1 where one is impossible.
@@ -84,7 +86,7 @@ def sampled_std(name: str, value: Mapping[str, float], period_s: float) -> float
     along = gain * min(1.0, damping)
     std = {
         "R": gain,
-        "L": (BLIND_STD["L"] * _settled(value, period_s) + gain) * period_s * R / L,
+        "L": _INDUCTANCE_STD * (period_s * R / L) ** 3,
         "K": along,
         "J": gain,
         "B": along + _LOSS_STD * reach * (1.0 + 1.0 / damping),
