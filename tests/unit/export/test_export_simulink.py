@@ -34,8 +34,8 @@ def test_octave_computes_the_plants_rates(tmp_path: Path, program: Callable[...,
     rng = np.random.default_rng(5)
     expected, lines = [], ["format long;"]
     for model in models(rng):
-        shown = balances(simulink.rigid(model))
-        values = {n: v.value for n, v in simulink.rigid(model).values.items()}
+        shown = balances(simulink.rigid(model, "simulink"))
+        values = {n: v.value for n, v in simulink.rigid(model, "simulink").values.items()}
         at = {"t": 0.3, "u": 2.0} | {n: float(rng.uniform(-2.0, 2.0)) for n in ("i", "omega", "theta", *shown.states)}
         rates = ca.vertcat(shown.current_rate, shown.speed_rate, at["omega"], *shown.states.values())
         f = ca.Function(

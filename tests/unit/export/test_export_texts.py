@@ -82,6 +82,10 @@ def test_what_is_not_known_is_not_invented(tmp_path: Path, export: Exporting) ->
     assert code == 0
     assert "K is not known" in told
     assert export(lost, "--to", "mujoco", "--fix", "K=0.06", "--out", str(tmp_path / "a.xml"))[0] == 0
+    spring = document("shaft_compliance", names=("k_s", "c_s"))
+    assert "--to urdf needs J_l" in export(spring, "--to", "urdf")[1]
+    nothing = {name: {"value": None, "std": None, "status": "undetermined"} for name in ("J", "B")}
+    assert "needs J, B or Tc, which" in export(document(**nothing), "--to", "urdf")[1]
     no_friction = document(B={"value": None, "std": None, "status": "undetermined"})
     assert export(no_friction, "--to", "python")[0] == 2
 
