@@ -44,7 +44,7 @@ class Views:
         else:
             if self._regression is None or self._regression[0] is not rls:  # it changes once a second or so
                 detail = {"window_s": rls.span_s, "balances_close": rls.closes}
-                self._regression = rls, EstimatorView(self.possible(rls, hidden), detail)
+                self._regression = rls, EstimatorView(self.possible(rls.with_unseen, hidden), detail)
             views["rls"] = self._regression[1]
         return views
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,8 @@ class RegressionEstimate:
     Attributes:
         span_s: how far back the regressions look.
         closes: the balances leave nothing beyond their noise.
+        unseen_std: what the samples are too slow to show, in natural units, shape (n,); None: nothing. Not in the
+            covariance: whether two opinions agree is asked with `sampling.blind_std`.
     """
 
     names: tuple[str, ...]
@@ -28,10 +30,18 @@ class RegressionEstimate:
     covariance: F64
     span_s: float
     closes: bool
+    unseen_std: F64 | None = None
 
     @property
     def std(self) -> F64:
         return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
+
+    @property
+    def with_unseen(self) -> RegressionEstimate:
+        """The same with all that it leaves open in its covariance."""
+        if self.unseen_std is None:
+            return self
+        return replace(self, covariance=self.covariance + np.diag(self.unseen_std**2), unseen_std=None)
 
 
 def as_current(value: F64, covariance: F64, k: int) -> tuple[F64, F64]:

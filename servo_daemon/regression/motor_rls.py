@@ -31,7 +31,7 @@ from servo_daemon.regression.lag import Lag
 from servo_daemon.regression.plausible import Plausible
 from servo_daemon.regression.rls import SPANS_S, LinearEstimate, SlidingRls
 from servo_daemon.regression.rls_fit import OVERLAP
-from servo_daemon.regression.sampling import FEWEST_SAMPLES, SPAN_S, Sampling, sampled_std
+from servo_daemon.regression.sampling import FEWEST_SAMPLES, SPAN_S, Sampling, coarse, sampled_std
 from servo_daemon.regression.stretch import Stretch, between_samples, joined, last
 
 #: After the first ticks so many are worked off together: fewer calls on longer arrays.
@@ -161,18 +161,16 @@ class MotorRls:
         tell it from the share of the step, so that they would keep a wrong one that they began with.
 
         Returns:
-            a − ½ (0 .. ½), and (a − ½) h K/R in A·s²/rad (of a held shaft 0); of the nominal values while R and L are
-            not known, zeros where they will not be.
+            a − ½ (0 .. ½), and (a − ½) h K/R in A·s²/rad (of a held shaft 0); while R and L are not
+            known, of the nominal values without the second part where a window holds the fewest samples, else zeros.
         """
-        values = dict(self._taken_at)
+        slow = coarse("armature", period_s) == 1.0
         if self._estimate is not None:
-            if any(n not in self._estimate.names for n in ("R", "L")):
-                return 0.0, 0.0
-            values |= {"K": 0.0} | dict(zip(self._estimate.names, self._estimate.value.tolist(), strict=True))
-        elif "L" not in self.names:
-            return 0.0, 0.0
-        R, L, K = (values[n] for n in WINDING_NAMES)
-        if R <= 0.0:
+            values = dict(zip(self._estimate.names, self._estimate.value.tolist(), strict=True))
+        else:
+            values = self._taken_at | {"K": 0.0} if slow and "L" in self.names else {}
+        R, L, K = (values.get(n, 0.0) for n in WINDING_NAMES)
+        if "L" not in values or R <= 0.0 or (L <= 0.0 and not slow):
             return 0.0, 0.0
         L = max(L, 1e-12)
         x = min(max(period_s * R / L, 1e-3), 1e3)
@@ -259,6 +257,7 @@ class MotorRls:
         span_s = max(e.span_s for e in blocks)
         names = (*own, *map(given_by, columns[len(own) :]))
         known = dict(zip(names, value.tolist(), strict=True))
-        unseen = np.array([sampled_std(n, known, self._period_s) for n in names]) * value
-        covariance = covariance + np.diag(unseen**2)
-        return RegressionEstimate(names, value, covariance, span_s, all(e.closes for e in blocks))
+        unseen = None
+        if self._plant.drive == "voltage":
+            unseen = np.array([sampled_std(n, known, self._period_s) for n in names]) * np.abs(value)
+        return RegressionEstimate(names, value, covariance, span_s, all(e.closes for e in blocks), unseen)

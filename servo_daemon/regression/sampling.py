@@ -71,10 +71,11 @@ def sampled_std(name: str, value: Mapping[str, float], period_s: float) -> float
     of steady motion, the more the smaller it is; L is seen in what happens between two samples alone.
 
     Args:
-        value: of all parameters, natural units. 0 where one of R, L, K, J, B is missing; 1 where one is impossible.
+        value: of all parameters, natural units. 0 where one of R, L, K, J, B is missing, and while a window holds more
+            than the fewest samples: there the rows' own spread is wide enough; 1 where one is impossible.
         period_s: usual distance of two samples.
     """
-    if any(n not in value for n in MOTOR_NAMES):
+    if any(n not in value for n in MOTOR_NAMES) or coarse("armature", period_s) < 1.0:
         return 0.0
     R, L, K, J, B = (value[n] for n in MOTOR_NAMES)
     if min(R, K, J) <= 0.0:

@@ -241,7 +241,7 @@ class FilterSupervision:
     def _noticed(self, ended: Ended) -> list[Message]:
         known = (self.validity.qualification.qualified | self.validity.excitation.excited)[self._masks.published]
         # (Before that they are of a filter that is still finding its values and noise: they refute no model.)
-        seen = self.ticks >= FOUND_TICK and bool(known.any())
+        seen = self.ticks >= FOUND_TICK and self._relinearisation.is_over and bool(known.any())
         frozen = self.notifications.whether_frozen(ended.stretch, ended.alike * ended.period_s)
         return self.notifications.whether_white(seen=seen) + frozen
 

@@ -17,13 +17,11 @@ from servo_daemon.samples import F64
 from tests.recovery.generator import MOTORS, Scenario, generate, stream
 from tests.recovery.tracking.follow import NAMES, Flags, block_of, info_of
 from tests.recovery.tracking.voices import Heard, Listener
-from tests.recovery.tracking.wrong import WRONG_LIMIT, longest_s, wrong
+from tests.recovery.tracking.wrong import WRONG_LIMIT, WRONG_S, longest_s, wrong
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("generator_built")]
 
 SECONDS, SEED, OFF = 20.0, 501, 1.4
-#: Of a value that is on its way, where 5 s are allowed (`wrong.WRONG_S`).
-MOST_WRONG_S = 1.0
 CASES = [
     *((motor, motion, 50.0) for motor in ("re40", "large") for motion in ("multisine", "prbs", "pick_and_place")),
     *((motor, motion, 100.0) for motor in ("re40", "gear") for motion in ("multisine", "prbs", "pick_and_place")),
@@ -60,7 +58,7 @@ def test_a_slow_sampling_is_in_the_regressions_std(motor: str, motion: str, rate
 @pytest.mark.parametrize(("motor", "motion", "rate_hz"), CASES)
 def test_few_samples_a_second_are_no_reason_to_be_sure(motor: str, motion: str, rate_hz: float) -> None:
     longest = longest_s(wrong_ticks(motor, motion, rate_hz, "published"))
-    assert {n: s for n, s in zip(NAMES, longest.tolist(), strict=True) if s > MOST_WRONG_S} == {}
+    assert {n: s for n, s in zip(NAMES, longest.tolist(), strict=True) if s > WRONG_S} == {}
 
 
 def test_most_of_it_is_known_in_the_end() -> None:

@@ -42,9 +42,9 @@ FOUND_TICK = 40
 #: After so many ticks (decision 33) the first samples are filtered again, and after the first when a parameter has
 #: moved by `MOVED` from where the last time has left it.
 _TICKS = 10, FOUND_TICK
-#: … and no sooner than after so many samples: of fewer, at 50 and 100 Hz, R, L and J were 5 to 12 σ off in a sixth of
-#: the runs (`test_few_samples_a_second_are_no_reason_to_be_sure`).
-_FEWEST_SAMPLES = 400, 800
+#: … and no sooner than after so many samples, as 200 Hz has them by then: of fewer, at 50 and 100 Hz, R, L and J stayed
+#: 5 to 12 σ off in a sixth of the runs (`test_few_samples_a_second_are_no_reason_to_be_sure`).
+_FEWEST_SAMPLES = 200, 800
 #: After so many jumps of a parameter the second time is waited for (free within 2 .. 8).
 _MOST_MOVES = 4
 #: A parameter of which the samples leave more than this share of it was not seen (free within 0.5 .. 0.9).
