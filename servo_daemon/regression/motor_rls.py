@@ -31,7 +31,7 @@ from servo_daemon.regression.lag import Lag
 from servo_daemon.regression.plausible import Plausible
 from servo_daemon.regression.rls import SPANS_S, LinearEstimate, SlidingRls
 from servo_daemon.regression.rls_fit import OVERLAP
-from servo_daemon.regression.sampling import FEWEST_SAMPLES, SPAN_S, Sampling, coarse, sampled_std
+from servo_daemon.regression.sampling import FEWEST_SAMPLES, SPAN_S, Sampling, is_slow, sampled_std
 from servo_daemon.regression.stretch import Stretch, between_samples, joined, last
 
 #: After the first ticks so many are worked off together: fewer calls on longer arrays.
@@ -162,9 +162,9 @@ class MotorRls:
 
         Returns:
             a − ½ (0 .. ½), and (a − ½) h K/R in A·s²/rad (of a held shaft 0); while R and L are not
-            known, of the nominal values without the second part where a window holds the fewest samples, else zeros.
+            known, of the nominal values without the second part where samples are slow, else zeros.
         """
-        slow = coarse("armature", period_s) == 1.0
+        slow = is_slow(period_s)
         if self._estimate is not None:
             values = dict(zip(self._estimate.names, self._estimate.value.tolist(), strict=True))
         else:

@@ -53,6 +53,11 @@ def settles_between(R: float, L: float, period_s: float) -> bool:
     return period_s * R > L
 
 
+def is_slow(period_s: float) -> bool:
+    """Whether the armature's windows are more than twice as long as they should be: below 300 Hz."""
+    return FEWEST_SAMPLES * period_s > 2.0 * SPAN_S["armature"]
+
+
 def blind_std(name: str, value: Mapping[str, float], period_s: float) -> float:
     """1 σ of a logarithm that a regression over samples may be off by, whatever its rows say: what the current does
     between two of them it does not see. No less than `BLIND_STD` where the winding settles meanwhile.
@@ -71,11 +76,11 @@ def sampled_std(name: str, value: Mapping[str, float], period_s: float) -> float
     of steady motion, the more the smaller it is; L is seen in what happens between two samples alone.
 
     Args:
-        value: of all parameters, natural units. 0 where one of R, L, K, J, B is missing, and while a window holds more
-            than the fewest samples: there the rows' own spread is wide enough; 1 where one is impossible.
+        value: of all parameters, natural units. 0 where one of R, L, K, J, B is missing, and of samples that
+            are not slow: there the rows' own spread is wide enough. 1 where one is impossible.
         period_s: usual distance of two samples.
     """
-    if any(n not in value for n in MOTOR_NAMES) or coarse("armature", period_s) < 1.0:
+    if any(n not in value for n in MOTOR_NAMES) or not is_slow(period_s):
         return 0.0
     R, L, K, J, B = (value[n] for n in MOTOR_NAMES)
     if min(R, K, J) <= 0.0:

@@ -220,7 +220,6 @@ class PlantTracker(Tracker):
             return []  # nothing of the motion to start from: the regression speaks for the winding
         found = self._rls.estimate()
         scales = dict(zip(self._plant.parameter_names, self._signal_scales.scales(self.nominal), strict=True))
-        found = None if found is None else found.with_unseen
         start = self._starter.take(tick, elapsed, self._prior, found, self.resolutions, scales)
         if start is None:
             return []

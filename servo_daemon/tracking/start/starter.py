@@ -118,7 +118,7 @@ class Starter:
         core = [p.name for p in free if p.transform == "log" and p.name in self._regressed]
         if core and elapsed_s < LATEST_S and not well_known(found, core):
             return None
-        start = starting_point(free, found, self._nominal, period_s)
+        start = starting_point(free, None if found is None else found.with_unseen, self._nominal, period_s)
         if start is None:
             return None
         mean = [start.mean, np.array([to_coordinate(p, plan.held[p.name]) for p in held])]

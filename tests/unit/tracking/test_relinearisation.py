@@ -16,7 +16,7 @@ from servo_daemon.tracking.restart.simplex import SimplexSearch
 from servo_daemon.tracking.samples.filtering import Fit
 
 #: In a tick, of 200 Hz here: as many for each sample as at 1 kHz.
-STEPS = 10_000
+STEPS = 5_000
 RATE_HZ, SECONDS, TICK = 200.0, 21.0, 20
 
 
