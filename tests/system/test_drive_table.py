@@ -1,14 +1,13 @@
-"""Every row of the table in docs/drives.md as it stands there: a simulated drive on its wire, `scan`, `check`, and one
-daemon with all of them, whose REST API is read. Of the configuration only the port is another."""
+"""Every row of the table in docs/drives.md as it stands there: a simulated drive on its wire, `scan`, `check`, and a
+daemon whose REST API is read. Of the configuration only the port is another."""
 
 from __future__ import annotations
 
 import json
 import re
 import tomllib
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,11 +18,11 @@ from servo_daemon.sim_drive.makes.catalogue import ACTUATOR
 from servo_daemon.sim_drive.makes.foc import Pmsm
 from servo_daemon.sim_drive.makes.odrive import ENDPOINTS
 from servo_daemon.simulate.settings import PAPER_MOTOR
-from tests.system.harness import ROOT, DaemonProgram, Program, daemon, run_once, wait_for, write_config
+from tests.system.harness import ROOT, Program, daemon, run_once, wait_for, write_config
 
-#: Wires are looked at in so many processes beside each other, so often at most. On a busy machine one takes so long, s,
-#: and so long it takes until the values are known.
-AT_ONCE, TRIES, BUSY_S = 6, 3, 150.0
+#: A wire is looked at so often at most. On a busy machine one look takes so long, s, and so long it takes until the
+#: values are known.
+TRIES, BUSY_S = 3, 150.0
 MOTOR = Pmsm()
 PHASE = {"R": MOTOR.R, "K": MOTOR.K_phase, "J": MOTOR.J, "B": MOTOR.B}
 KT = PHASE | {"R": 1.5 * MOTOR.R, "K": MOTOR.Kt}
@@ -98,23 +97,6 @@ def test_every_row_is_tried() -> None:
         assert all(re.search(rf"\b{name}\b", can_be_known) for name in CASES[drive].known) or "as " in can_be_known
 
 
-@dataclass(frozen=True)
-class Seen:
-    """What `scan` and `check` say of a row's wire."""
-
-    scanned: dict[str, Any]
-    checked: dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Fleet:
-    """Every row of the table on one daemon; names by row."""
-
-    program: DaemonProgram
-    seen: Mapping[str, Seen]
-    names: Mapping[str, str]
-
-
 def placed(toml: str, link: Path, endpoints: Path) -> str:
     """A row's TOML on a simulated drive: the port is the link, a bus the one behind the adapter there."""
     toml = re.sub(r'(port|channel) = ".*?"', rf'\1 = "{link}"', toml)
@@ -122,88 +104,25 @@ def placed(toml: str, link: Path, endpoints: Path) -> str:
     return toml.replace('interface = "socketcan"', 'interface = "slcan"')
 
 
-Wires = Mapping[str, tuple[str, Path]]
-
-
-def looked_at(wires: Wires, folder: Path) -> list[Seen]:
-    """Some rows by `scan`, which also asks, and by `check`; wires by name: TOML and link."""
-    scanned = until_all(wires, scan)
-    checked = until_all(wires, lambda some: check(some, folder))
-    return [Seen(scanned[name], checked[name]) for name in wires]
-
-
-def until_all(wires: Wires, look: Callable[[Wires], dict[str, Any]]) -> dict[str, Any]:
-    """What a command finds, by name; a busy machine may not hear a drive within the seconds of one look."""
-    found: dict[str, Any] = {}
+def heard(look: Callable[[], dict[str, Any] | None]) -> dict[str, Any]:
+    """What a command finds; a busy machine may not hear a drive within the seconds of one look."""
     for _ in range(TRIES):
-        found |= look({name: wire for name, wire in wires.items() if name not in found})
-        if len(found) == len(wires):
-            break
-    assert set(found) == set(wires), f"not found: {[wires[name] for name in set(wires) - set(found)]}"
-    return found
+        if found := look():
+            return found
+    raise AssertionError("not found")
 
 
-def scan(wires: Wires) -> dict[str, Any]:
-    where: list[str] = []
-    for toml, link in wires.values():
-        where += ["--can", f"slcan:{link}"] if "slcan" in toml else ["--port", str(link)]
+def scan(toml: str, link: Path) -> dict[str, Any] | None:
+    where = ("--can", f"slcan:{link}") if "slcan" in toml else ("--port", str(link))
     said = run_once("scan", "--json", "--ask", "--seconds", "2", *where, within_s=BUSY_S)
     assert said.stdout, said.stderr
-    names = {str(link): name for name, (_, link) in wires.items()}
-    drives = json.loads(said.stdout)["drives"]
-    return {names[d["options"].get("port") or d["options"]["channel"]]: d for d in drives}
+    return next(iter(json.loads(said.stdout)["drives"]), None)
 
 
-def check(wires: Wires, folder: Path) -> dict[str, Any]:
-    config = write_config(folder / f"{'_'.join(wires)}.toml", *(f'name = "{n}"\n{t}' for n, (t, _) in wires.items()))
+def check(config: Path) -> dict[str, Any] | None:
     said = run_once("check", "--json", "--listen", "2", "--config", config, within_s=BUSY_S)
     assert said.stdout, said.stderr
-    return {r["name"]: r for r in json.loads(said.stdout)["drives"] if r["samples"]}
-
-
-@contextmanager
-def fleet(folder: Path) -> Iterator[Fleet]:
-    """Simulated drives for all rows, looked at, and then on one daemon."""
-    endpoints = folder / "flat_endpoints.json"
-    table = {name: {"id": number, "type": "float"} for name, number in ENDPOINTS.items()}
-    endpoints.write_text(json.dumps({"fw_version": "0.6.10-1", "hw_version": "4.4.58", "endpoints": table}))
-    names = {drive: f"axis{k}" for k, drive in enumerate(CASES)}
-    links = {drive: folder / name for drive, name in names.items()}
-    tomls = {
-        d: f"{placed(ROWS[d][1], links[d], endpoints)}\n{c.timing}\n{c.nominal}\n{_NOTHING_BESIDE}"
-        for d, c in CASES.items()
-    }
-    with ExitStack() as stack:
-        for drive, case in CASES.items():
-            simulated = Program("sim-drive", *case.words, links[drive], *case.more_words)
-            stack.callback(simulated.end)
-        for link in links.values():
-            wait_for(link.is_symlink, f"{link} appears")
-        wires = [(names[d], (tomls[d], links[d])) for d in CASES]
-        with ThreadPoolExecutor(AT_ONCE) as pool:
-            parts = pool.map(lambda k: looked_at(dict(wires[k::AT_ONCE]), folder), range(AT_ONCE))
-            found = {one.checked["name"]: one for part in parts for one in part}
-        seen = {drive: found[names[drive]] for drive in CASES}
-        config = write_config(folder / "c.toml", *(f'name = "{names[d]}"\n{tomls[d]}' for d in CASES))
-        yield Fleet(stack.enter_context(daemon("--config", config, "--state-dir", folder / "state")), seen, names)
-
-
-def try_row(drive: str, of: Fleet) -> None:
-    """What `scan`, `check` and the REST API say of one row."""
-    case, found, report = CASES[drive], of.seen[drive].scanned, of.seen[drive].checked
-    assert found["driver"] == report["driver"] == tomllib.loads(ROWS[drive][1])["driver"]
-    assert set(case.known) <= set(report["estimated"]) and report["remarks"] == []
-
-    def known(document: Mapping[str, Any]) -> bool:
-        near = all(is_near(document, name, case.truth[name]) for name in case.known)
-        return document["samples"] > 100 and (near or is_asked_late(document))
-
-    shown = of.program.until(known, f"{drive}: {case.known}", of.names[drive], limit_s=BUSY_S)
-    assert shown["health"]["connection"] == "connected"
-    for name, true in case.truth.items():
-        p = shown["parameters"][name]
-        if p["status"] == "tracking":
-            assert abs(p["value"] - true) <= max(4.0 * p["std"], 0.03 * true), (name, p["value"] / true, p["std"])
+    return next((r for r in json.loads(said.stdout)["drives"] if r["samples"]), None)
 
 
 def is_asked_late(document: Mapping[str, Any]) -> bool:
@@ -219,14 +138,29 @@ def is_near(document: Mapping[str, Any], name: str, true: float) -> bool:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)
-def test_every_row_is_true(tmp_path: Path) -> None:
-    """All of them beside each other on one daemon: one test, for no other process is to start them again."""
-    wrong: dict[str, str] = {}
-    with fleet(tmp_path) as of:
-        for drive in CASES:
-            try:
-                try_row(drive, of)
-            except AssertionError as error:
-                wrong[drive] = str(error)
-    assert not wrong, "\n\n".join(f"{drive}: {text}" for drive, text in wrong.items())
+@pytest.mark.parametrize("drive", CASES)
+def test_a_row_is_true(drive: str, tmp_path: Path) -> None:
+    case, link, endpoints = CASES[drive], tmp_path / "drive", tmp_path / "flat_endpoints.json"
+    table = {name: {"id": number, "type": "float"} for name, number in ENDPOINTS.items()}
+    endpoints.write_text(json.dumps({"fw_version": "0.6.10-1", "hw_version": "4.4.58", "endpoints": table}))
+    toml = f"{placed(ROWS[drive][1], link, endpoints)}\n{case.timing}\n{case.nominal}\n{_NOTHING_BESIDE}"
+    config = write_config(tmp_path / "c.toml", f'name = "axis1"\n{toml}')
+
+    def known(document: Mapping[str, Any]) -> bool:
+        near = all(is_near(document, name, case.truth[name]) for name in case.known)
+        return document["samples"] > 100 and (near or is_asked_late(document))
+
+    with ExitStack() as stack:
+        simulated = Program("sim-drive", *case.words, link, *case.more_words)
+        stack.callback(simulated.end)
+        wait_for(link.is_symlink, f"{link} appears")
+        found, report = heard(lambda: scan(toml, link)), heard(lambda: check(config))
+        assert found["driver"] == report["driver"] == tomllib.loads(ROWS[drive][1])["driver"]
+        assert set(case.known) <= set(report["estimated"]) and report["remarks"] == []
+        program = stack.enter_context(daemon("--config", config, "--state-dir", tmp_path / "state"))
+        shown = program.until(known, f"{drive}: {case.known}", limit_s=BUSY_S)
+    assert shown["health"]["connection"] == "connected"
+    for name, true in case.truth.items():
+        p = shown["parameters"][name]
+        if p["status"] == "tracking":
+            assert abs(p["value"] - true) <= max(4.0 * p["std"], 0.03 * true), (name, p["value"] / true, p["std"])
