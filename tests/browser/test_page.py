@@ -146,6 +146,7 @@ def goes_on(page: Page, seconds: float) -> None:
     page.until((TIMES % "R") + f".then((times) => times.at(-1) > {page.evaluate(TIMES % 'R')[-1] + seconds})")
 
 
+@pytest.mark.slow
 def test_more_windows_than_a_browser_has_connections(open_page: OpenPage, server: LiveServer) -> None:
     """Chromium and Firefox open six to one host, all tabs together."""
     pages = [open_page(seen=True) for _ in range(8)]
