@@ -66,7 +66,7 @@ def blind_std(name: str, value: Mapping[str, float], period_s: float) -> float:
         value: of all parameters, natural units.
         period_s: usual distance of two samples.
     """
-    least = BLIND_STD.get(name, 0.0) * _settled(value, period_s) * _coarseness(name, period_s)
+    least = BLIND_STD.get(name, 0.0) * settled_share(value, period_s) * _coarseness(name, period_s)
     return max(least, sampled_std(name, value, period_s))
 
 
@@ -88,7 +88,7 @@ def sampled_std(name: str, value: Mapping[str, float], period_s: float) -> float
     L, B = max(L, _TINY), max(B, _TINY)
     damping = R * B / K**2  # viscous over electrical
     reach = period_s * (1.0 + damping) * K**2 / (J * R)  # mechanical time constants in a period
-    gain = _GAIN_STD * reach * (1.0 + reach) * _settled(value, period_s)
+    gain = _GAIN_STD * reach * (1.0 + reach) * settled_share(value, period_s)
     along = gain * min(1.0, damping)
     std = {
         "R": gain,
@@ -100,10 +100,12 @@ def sampled_std(name: str, value: Mapping[str, float], period_s: float) -> float
     return std.get(name, 0.0) * _coarseness(name, period_s)
 
 
-def _settled(value: Mapping[str, float], period_s: float) -> float:
-    """0 .. 1: how far the winding settles from one sample to the next."""
-    periods = period_s * max(value.get("R", 0.0), 0.0)
-    return periods / (max(value.get("L", 1.0), 0.0) + periods + _TINY)
+def settled_share(value: Mapping[str, float], period_s: float) -> float:
+    """0 .. 1: how far the winding settles from one sample to the next; 0 where R or L is missing."""
+    if "R" not in value or "L" not in value:
+        return 0.0
+    periods = period_s * max(value["R"], _TINY) / max(value["L"], _TINY)
+    return periods / (1.0 + periods)
 
 
 def _coarseness(name: str, period_s: float) -> float:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
@@ -16,6 +15,7 @@ from servo_daemon.published.snapshot import EstimatorView, Event, ParameterEstim
 from tests.browser.conftest import PAST_S, LiveServer
 from tests.browser.devtools import Page
 from tests.fake_daemon import NOMINAL, live_snapshot
+from tests.system.harness import wait_for
 
 pytestmark = pytest.mark.system
 OpenPage = Callable[..., Page]
@@ -134,13 +134,6 @@ def test_a_lost_daemon_is_said_and_the_gap_filled_afterwards(open_page: OpenPage
 PUT_AWAY = "(() => { window.put_away = %s; document.dispatchEvent(new Event('visibilitychange')); })()"
 
 
-def until(condition: Callable[[], bool], what: str) -> None:
-    deadline = time.monotonic() + 10
-    while not condition():
-        assert time.monotonic() < deadline, what
-        time.sleep(0.05)
-
-
 def goes_on(page: Page, seconds: float) -> None:
     """Until its curve is so much longer."""
     page.until((TIMES % "R") + f".then((times) => times.at(-1) > {page.evaluate(TIMES % 'R')[-1] + seconds})")
@@ -152,11 +145,13 @@ def test_more_windows_than_a_browser_has_connections(open_page: OpenPage, server
     pages = [open_page(seen=True) for _ in range(8)]
     for page in pages:
         goes_on(page, 1)
-    until(lambda: server.streams == 4, "the others ask once a second")
+    wait_for(lambda: server.streams == 4, "the others ask once a second")
     asked = len(server.asked)
     pages[0].evaluate(PUT_AWAY % "true")
-    until(lambda: any(path.endswith("/stream") for path in server.asked[asked:]), "the next in the row has its place")
-    until(lambda: server.streams == 4, "a hidden tab has none")
+    wait_for(
+        lambda: any(path.endswith("/stream") for path in server.asked[asked:]), "the next in the row has its place"
+    )
+    wait_for(lambda: server.streams == 4, "a hidden tab has none")
     pages[0].evaluate(PUT_AWAY % "false")
     goes_on(pages[0], 3)
     gaps = [b - a for a, b in pairwise(pages[0].evaluate(TIMES % "R"))]

@@ -118,9 +118,9 @@ export class Stream {
 
   async #ask() {
     try {
-      const document = await get(`${this.path}/estimates`);
+      const estimates = await get(`${this.path}/estimates`);
       if (this.closed) return;
-      if (this.asked) this.listener.estimates(document);
+      if (this.asked) this.listener.estimates(estimates);
       else this.listener.opened();
       this.asked = true;
     } catch {

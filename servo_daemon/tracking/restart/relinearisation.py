@@ -143,7 +143,7 @@ class BatchRelinearisation:
         """
         if self._start is None:
             return False
-        self._due |= self._times < len(_TICKS) and self._is_time(tick)
+        self._due |= self._is_time(tick)
         if self._under_way is None:
             if not self._due and not self._has_moved():
                 return False
@@ -226,6 +226,9 @@ class BatchRelinearisation:
         self._noise.watch_back_to(there.noise)
 
     def _is_time(self, tick: int) -> bool:
+        """For the first or the second of the times that are set."""
+        if self._times == len(_TICKS):
+            return False
         return tick >= _TICKS[self._times] and self._filtering.kept >= _FEWEST_SAMPLES[self._times]
 
     def _has_moved(self) -> bool:

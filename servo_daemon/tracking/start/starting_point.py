@@ -10,7 +10,7 @@ from servo_daemon.kalman.gaussian import Gaussian, to_coordinate
 from servo_daemon.parameters import LINEAR, Parameter
 from servo_daemon.regression.estimate import RegressionEstimate
 from servo_daemon.regression.residual_analysis import EXACT_STD
-from servo_daemon.regression.sampling import BLIND_STD
+from servo_daemon.regression.sampling import BLIND_STD, settled_share
 
 #: The regression's start is trusted this much less than it says: its noise is not quite white.
 _INFLATION = 3.0
@@ -85,19 +85,10 @@ def _put_regression(
     slope = np.array([1.0 / v if p.transform == "log" else 1.0 for p, v in zip(taken, value, strict=True)])
     mean[target] = [to_coordinate(p, float(v)) for p, v in zip(taken, value, strict=True)]
     part = found.covariance[np.ix_(source, source)] * np.outer(slope, slope) * _INFLATION**2
-    blind = _between_samples(found, sample_period_s)
+    blind = settled_share(dict(zip(found.names, found.value.tolist(), strict=True)), sample_period_s)
     floor = [(EXACT_STD + BLIND_STD.get(p.name, 0.0) * blind) ** 2 if p.transform == "log" else 0.0 for p in taken]
     bias = [part[k, k] ** 2 / 4.0 if p.transform == "log" else 0.0 for k, p in enumerate(taken)]
     cov[np.ix_(target, target)] = (part + part.T) / 2 + np.diag(floor) + np.diag(bias)
-
-
-def _between_samples(found: RegressionEstimate, sample_period_s: float) -> float:
-    """0 .. 1: how much of the winding's reaction happens between two samples, where the regression does not see it."""
-    if "R" not in found.names or "L" not in found.names:
-        return 0.0
-    R, L = (max(float(found.value[found.names.index(n)]), 1e-12) for n in ("R", "L"))
-    periods = sample_period_s * R / L
-    return periods / (1.0 + periods)
 
 
 def _guess(p: Parameter, found: RegressionEstimate | None, nominal: Mapping[str, float]) -> tuple[float, float] | None:
