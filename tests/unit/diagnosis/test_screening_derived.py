@@ -8,7 +8,7 @@ import pytest
 from servo_daemon.diagnosis.screening.derived import derived, scan
 from servo_daemon.parameters import Parameter, Scale
 from servo_daemon.plant.columns.screening import Context, Motion, Trace
-from servo_daemon.plant.effects import parameter_table
+from servo_daemon.plant.effects import effects_by_name, parameter_table
 
 N = 500
 
@@ -89,6 +89,25 @@ def test_where_nothing_is_linear_the_whole_is_the_column() -> None:
 @pytest.mark.parametrize("name", ["backlash", "shaft_compliance", "drive_lag", "measurement_delay"])
 def test_what_has_no_column(name: str) -> None:
     assert list(derived(name)(context())) == []
+
+
+def test_a_load_behind_a_gap_goes_on_with_the_motor_where_samples_are_missing() -> None:
+    """Its teeth cannot be followed over a pause of 2 s: what was made of it hid all that the rest shows."""
+    h = np.full(2 * N, 1e-3)
+    h[N] = 2.0
+    t = np.cumsum(h) - h
+    theta, omega, rate = np.sin(20 * t), 20 * np.cos(20 * t), -400 * np.sin(20 * t)
+    at_sample = {"position_rad": theta, "velocity_rad_s": omega}
+    motion = Motion(MOTION.p, t, h, omega, omega, omega, theta, omega, rate, at_sample, np.zeros(2 * N, dtype=bool))
+    c = Context(motion, {"torque": np.zeros(2 * N)}, np.sign(omega), ("current_A", "position_rad"))
+    family = effects_by_name()["backlash"].screening
+    assert family is not None
+    bases = list(family(c))
+    assert len(bases) == 12
+    for basis in bases:
+        load = c.traces[basis.columns[0]].torque
+        assert load is not None
+        assert np.abs(load[N + 1 : -1]).max() < 2 * np.abs(load[:N]).max()
 
 
 def test_scans() -> None:
