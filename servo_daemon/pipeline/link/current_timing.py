@@ -21,7 +21,7 @@ _SPAN_S, _STILL = 20.0, 1e-6
 
 
 class CurrentTiming:
-    """One drive's; fed ticks.
+    """What the moment of one drive's current leaves open of B; fed ticks.
 
     Args:
         meaning: of its signals.

@@ -59,7 +59,7 @@ class _Known:
 
 @dataclass(slots=True)
 class MeasuredLink:
-    """One drive's; fed ticks, as the tracker is.
+    """R, L and K of one drive whose voltage is measured; fed ticks, as the tracker is.
 
     Args:
         config: the drive's.

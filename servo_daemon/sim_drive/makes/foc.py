@@ -25,6 +25,8 @@ _CURRENT_BANDWIDTH, _SPEED_BANDWIDTH = 1_000.0, 40.0
 _SPEED_EVERY = 20
 #: Noise is drawn once and gone through again and again; a prime, so that both currents take all of it.
 _NOISE_VALUES = 8_191
+#: Of each current reading, 1 σ.
+_NOISE_A = 0.05
 #: A host that stood still longer than this continues from now instead of catching up.
 _MAX_BEHIND_S = 1.0
 #: Friction turns round within so many rad/s.
@@ -90,23 +92,20 @@ class FocDrive:
     """The drive as its firmware sees it.
 
     Args:
-        noise_A: of each current reading, 1 σ.
 
     Attributes:
         theta, omega: rad and rad/s. v_d, v_q: applied in the last cycle. i_q_filtered: what status messages carry, a
             low pass of a tenth a cycle. sums: for averages of any span.
     """
 
-    def __init__(
-        self, motor: Pmsm | None = None, motion: Motion | None = None, *, noise_A: float = 0.05, seed: int = 0
-    ) -> None:
+    def __init__(self, motor: Pmsm | None = None, motion: Motion | None = None, *, seed: int = 0) -> None:
         self.motor, self.motion = motor or Pmsm(), motion or Motion()
         self.theta = self.omega = self.i_d = self.i_q = self.v_d = self.v_q = 0.0
         self.i_q_filtered = 0.0
         self.sums = Sums()
         self._integral_d = self._integral_q = self._wanted = 0.0
         drawn = random.Random(seed)
-        self._noise = [drawn.gauss(0.0, noise_A) for _ in range(_NOISE_VALUES)]
+        self._noise = [drawn.gauss(0.0, _NOISE_A) for _ in range(_NOISE_VALUES)]
 
     @property
     def v_q_parts(self) -> tuple[float, float]:
