@@ -29,11 +29,11 @@ import casadi as ca
 
 from servo_daemon.kalman.layout import SPIKE
 
-#: So many samples on one step of the input's converter are counted as one error.
+#: So many samples on one step of the input's converter are counted as one error (chosen; not tried).
 _MOST_ALIKE = 100.0
 #: Most by which a standing encoder's variance is raised: 5000 samples on one count.
 _MOST_DOUBT = 5e7
-#: A spike is so many times the change before it.
+#: A spike is so many times the change before it (decision 11).
 _APART = 4.0
 #: A channel whose repetitions nobody doubts, and a value that none is alike.
 NEVER, NO_VALUE = 1e300, 1e300

@@ -25,7 +25,7 @@ from servo_daemon.plant.columns.screening import Basis, Context, Family, Motion,
 from servo_daemon.plant.contribution import contribution
 from servo_daemon.plant.effects import effects_by_name
 
-#: A parameter more must lower what is left by this share to come before.
+#: A parameter more must lower what is left by this share to come before (chosen; not tried).
 _WORTH = 0.05
 #: The motor's own parameters, and by what factors a missing effect may have biased them.
 _MOTOR, _BIASED = MOTOR_NAMES, (0.2, 5.0)

@@ -29,7 +29,7 @@ from servo_daemon.learning.model.model import LearnedModel
 from servo_daemon.learning.refresh.champion_challenger import ChampionChallengerTest
 from servo_daemon.samples import F64, Quality, SampleBlock, concatenate
 
-#: The calibrated std is taken for so many times as much: filter and model share the samples.
+#: The calibrated std is taken for so many times as much: filter and model share the samples (chosen; not tried).
 _INFLATION = 2.0
 #: Gate: mean square of the distance in standard deviations of both together; of R, L, K, J and B chance makes it larger
 #: once in 68,000 times (χ² of five above 30).
