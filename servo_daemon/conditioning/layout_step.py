@@ -79,7 +79,7 @@ class LayoutStep:
 
 
 @cache
-def build_layout_step(channels: int, held: bool = True) -> ca.Function:
+def build_layout_step(channels: int, held: bool) -> ca.Function:
     """For `SampleLoop`.
 
     Args:

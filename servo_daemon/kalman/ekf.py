@@ -82,7 +82,7 @@ class Ekf:
         self.forget_state(x)
         self.started = True
 
-    def forget_state(self, x: F64 | None = None) -> None:
+    def forget_state(self, x: F64 | None) -> None:
         """After a pause or a restart of the device: parameters are kept, the plant's states are unknown again."""
         initial = np.array([s.initial for s in self.plant.states]) if x is None else x
         self._forget(list(range(self._lay.n_x)), initial)

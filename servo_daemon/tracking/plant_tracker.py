@@ -53,7 +53,7 @@ class PlantTracker(Tracker):
         resolutions: Resolutions,
         plan: SignalPlan,
         plant: PlantModel,
-        prior: Gaussian | None = None,
+        prior: Gaussian | None,
     ) -> None:
         super().__init__(channels, settings, resolutions, plan)
         self._plant = plant

@@ -27,7 +27,7 @@ _LEAST_STD, _UNTOLD_STD = 0.01, 0.30
 
 
 def transferred(
-    old: Tracker, new: Tracker, start: Mapping[str, StartValue], origin_s: float | None = None
+    old: Tracker, new: Tracker, start: Mapping[str, StartValue], origin_s: float | None
 ) -> PriorTransfer | None:
     """What `new`, which has seen no sample yet, is to begin with.
 

@@ -92,7 +92,7 @@ class Refresh:
         every_s: from one window's end to the next; no less than a window, so that the next one is new data.
     """
 
-    def __init__(self, model: LearnedModel, every_s: float = 10.0) -> None:
+    def __init__(self, model: LearnedModel, every_s: float) -> None:
         self.model = model
         self.every_s = max(every_s, model.spec.window_s)
         self.reset()

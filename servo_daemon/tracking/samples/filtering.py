@@ -180,7 +180,7 @@ class Filtering:
             fit = fit.with_more(innovations)
         return fit
 
-    def predictions(self, parameters: Gaussian, *, up_to_now: bool = False) -> Innovations:
+    def predictions(self, parameters: Gaussian, *, up_to_now: bool) -> Innovations:
         """What the filter says of the batch with these parameters, known exactly; in one piece.
 
         Args:
