@@ -1,4 +1,4 @@
-"""The JSON document of `diagnose` (design.md, section 4), from which its text and its report are made as well."""
+"""The JSON document of `diagnose`, from which its text and its report are made as well."""
 
 from __future__ import annotations
 

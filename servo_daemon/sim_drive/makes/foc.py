@@ -17,6 +17,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from servo_daemon.sim_drive.source import MAX_BEHIND_S
+
 #: Control cycles a second.
 CONTROL_HZ = 20_000
 #: Bandwidth of the current controller and of the speed controller, rad/s.
@@ -27,8 +29,6 @@ _SPEED_EVERY = 20
 _NOISE_VALUES = 8_191
 #: Of each current reading, 1 σ.
 _NOISE_A = 0.05
-#: A host that stood still longer than this continues from now instead of catching up.
-_MAX_BEHIND_S = 1.0
 #: Friction turns round within so many rad/s.
 _FRICTION_WIDTH = 0.01
 
@@ -184,9 +184,9 @@ class RunningFoc:
         return self._drive.theta
 
     def now(self) -> FocDrive:
-        """The drive at this instant. After a pause longer than `_MAX_BEHIND_S` it goes on from where it was."""
+        """The drive at this instant. After a pause longer than `MAX_BEHIND_S` it goes on from where it was."""
         ahead_s = self._clock() - self._start_s - self._drive.time_s
-        if ahead_s > _MAX_BEHIND_S:
+        if ahead_s > MAX_BEHIND_S:
             self._start_s += ahead_s
         self._drive.advance_to(self._clock() - self._start_s)
         return self._drive

@@ -45,6 +45,8 @@ NIS_LOW, _RECEDE = 0.7, 0.05
 #: Steering per tick: by how much per unit of correlation, and what it keeps where nothing is to be seen (chosen; not
 #: tried).
 _STEER, _LEAK = 0.15, 0.998
+#: Whiteness is that of so long a time, s (chosen; not tried).
+_MEMORY_S = 10.0
 
 
 def smallest_step(signal: F64) -> float:
@@ -160,9 +162,9 @@ class Whiteness:
     correlation: float = 0.0
     nis: float = 1.0
 
-    def after(self, correlation: float, nis: float, duration_s: float, memory_s: float = 10.0) -> Whiteness:
+    def after(self, correlation: float, nis: float, duration_s: float) -> Whiteness:
         """The whiteness after another tick with this lag-1 correlation and mean normalised square."""
-        share = 1.0 - math.exp(-duration_s / memory_s)
+        share = 1.0 - math.exp(-duration_s / _MEMORY_S)
         return Whiteness(
             self.correlation + share * (correlation - self.correlation), self.nis + share * (nis - self.nis)
         )
