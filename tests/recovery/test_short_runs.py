@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from servo_daemon.diagnosis.missing.missing import missing_inputs
+from servo_daemon.diagnosis.missing.missing import Missing, missing_inputs
 from servo_daemon.identification.output_error import FitOptions
 from servo_daemon.identification.output_error.diverged_segments import settled
 from servo_daemon.identification.output_error.problem.problem import Problem
@@ -27,7 +27,6 @@ from servo_daemon.identification.short_runs.gap import NEAREST, with_other_gap
 from servo_daemon.identification.short_runs.runs import LONG, MOST_SAMPLES, SHORT, Runs
 from servo_daemon.identification.short_runs.search import search
 from servo_daemon.kalman.gaussian import to_coordinate
-from servo_daemon.samples import F64
 from tests.recovery.captures import Known, capture
 from tests.recovery.generator import GEAR_MOTOR, LARGE_SERVO, PAPER, Motor, Scenario, generate, typical
 from tests.recovery.hidden import Case, judge
@@ -108,21 +107,23 @@ def test_of_slow_reversals_the_runs_are_taken_in_which_the_load_crosses_its_gap(
 
 @pytest.mark.slow
 def test_with_the_load_in_its_place_nothing_is_missing_but_what_is() -> None:
-    """A torque that the model does not hold is seen through the play, and little beside it; an eighth of it is taken
-    for how the runs begin, whose states are searched for without it."""
+    """A torque that the model does not hold is seen through the play, and none where there is none; an eighth of it is
+    taken for how the runs begin, whose states are searched for without it. How far it wobbles about zero depends on
+    where the impacts are (14 to 32 % of this torque in eight captures); its standard deviation holds that."""
     made = scenario(PAPER, "multisine", 6.0)
     pulled = 0.1 * PAPER.K * PAPER.rated_current_A
     both = replace(made, effects={**made.effects, "constant_load_torque": {"TL": pulled}})
-    nothing, torque = (_unmodelled_torque(hidden, truth(PAPER, made)) for hidden in (made, both))
-    assert np.median(np.abs(nothing)) < 0.1 * pulled
-    assert np.median(torque) == pytest.approx(pulled, abs=0.2 * pulled)
+    nothing, torque = (_unmodelled(hidden, truth(PAPER, made)) for hidden in (made, both))
+    assert np.median(nothing.series["torque"]) == pytest.approx(0.0, abs=0.05 * pulled)
+    assert np.mean(np.abs(nothing.series["torque"]) < 2 * nothing.std["torque"]) > 0.95
+    assert np.median(torque.series["torque"]) == pytest.approx(pulled, abs=0.2 * pulled)
 
 
-def _unmodelled_torque(hidden: Scenario, values: Mapping[str, float]) -> F64:
+def _unmodelled(hidden: Scenario, values: Mapping[str, float]) -> Missing:
     recording = capture(PAPER, hidden)
     missing = missing_inputs(Known(problem_of(recording), values), recording.block)
     assert len(missing.stretches) > 20
-    return missing.series["torque"]
+    return missing
 
 
 @pytest.mark.slow

@@ -197,8 +197,10 @@ def _without(name: str) -> Callable[[Columns], Columns]:
 
 
 @pytest.mark.slow
-def test_what_is_large_and_has_no_name_is_not_nothing(capture: Path, tmp_path: Path) -> None:
-    """An encoder that loses and finds a hundredth of a turn, at moments that nothing tells."""
+def test_what_is_large_and_has_no_name_is_not_nothing(tmp_path: Path) -> None:
+    """A motor that lacks nothing, whose encoder loses and finds a hundredth of a turn at moments that nothing tells."""
+    capture = tmp_path / "linear.csv"
+    assert run_command("simulate", "--out", capture, "--seconds", "4", "--seed", "4").code == 0
     rng = np.random.default_rng(5)
 
     def slipping(c: Columns) -> Columns:
