@@ -144,7 +144,7 @@ def with_ipopt(block: SampleBlock, sigma: F64) -> Rival:
         return ca.vertcat(
             equations.current_rate(u, s[0], s[1], R, L, K),
             equations.speed_rate(s[0], s[1], ca.SX(0), K, J, B),
-            equations.angle_rate(s[1]),
+            s[1],
         )
 
     k1 = rates(x)

@@ -1,7 +1,7 @@
-"""The contract every driver keeps: public methods here, three private hooks to fill in.
+"""The contract every driver keeps: public methods here, `info` and three private hooks to fill in.
 
-A driver knows samples and errors, nothing else: no estimator, no API, no reconnect policy. The service owns one
-reader thread a drive, calls `open`, then `read` in a loop, and on `DriverDisconnectedError` closes, waits
+A driver knows samples and errors, nothing else: no estimator, no API, no reconnect policy. The daemon has one
+reader thread a drive, which calls `open`, then `read` in a loop, and on `DriverDisconnectedError` closes, waits
 (back-off) and opens again. A driver object survives any number of open/close cycles.
 """
 
@@ -160,7 +160,7 @@ class Driver(ABC):
             self._close()
 
     def truth(self) -> dict[str, float] | None:
-        """True parameter values at this moment, where a simulation knows them. For display only: the service hands
+        """True parameter values at this moment, where a simulation knows them. For display only: the daemon hands
         them to the API and never to an estimator."""
         return None
 

@@ -95,12 +95,11 @@ def channel(name: str, formula: str, wrap: float | None = None, **fields: Field 
 
 
 def bits_of(
-    key: int, name: str, first_bit: int, length: int, *, big_endian: bool, signed: bool = True, is_float: bool = False,
-    scale: float = 1.0, message_bytes: int = 8,
-) -> Field:  # fmt: skip
-    """A whole-byte field of an 8-byte message; bits are counted from the first byte on."""
+    key: int, name: str, first_bit: int, length: int, *, big_endian: bool, is_float: bool = False, scale: float = 1.0
+) -> Field:
+    """A signed whole-byte field of an 8-byte message; bits are counted from the first byte on."""
     shift = 64 - first_bit - length if big_endian else first_bit
-    return Field(key, name, message_bytes, 0, shift, length, big_endian, signed, is_float, scale, 0.0)
+    return Field(key, name, 8, 0, shift, length, big_endian, True, is_float, scale, 0.0)
 
 
 @dataclass(slots=True)

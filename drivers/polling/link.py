@@ -9,8 +9,7 @@ from typing import Protocol
 
 import serial
 
-#: The system's buffer of a tty holds 4 kB, with what is still in flight behind it 64 kB: one read takes it all.
-_READ_SIZE = 65536
+from drivers.serial.port import READ_SIZE
 
 
 class Link(Protocol):
@@ -69,7 +68,7 @@ class SerialLink:
     def _read(self) -> bytes | None:
         """What is there; nothing where the line is silent or gone; None: another program has taken it."""
         try:
-            return os.read(self._fd, _READ_SIZE)
+            return os.read(self._fd, READ_SIZE)
         except BlockingIOError:
             return None
 

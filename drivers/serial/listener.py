@@ -17,12 +17,9 @@ from typing import Any, Protocol
 import serial
 
 from drivers.base import Driver, disconnected
-from drivers.serial.port import open_port
+from drivers.serial.port import READ_SIZE, open_port
 from servo_daemon.errors import DriverDisconnectedError
 from servo_daemon.samples import SampleBlock
-
-#: The system's buffer of a tty holds 4 kB, with what is still in flight behind it 64 kB: one read takes it all.
-_READ_SIZE = 65536
 
 #: A wakeup costs the same for one frame as for ten, and a UART without buffer would wake for every few bytes. 40 ms
 #: keep a drive at 1 kHz at 25 wakeups a second and leave a third of the 60 ms from sample to API.
@@ -79,7 +76,7 @@ class SerialListener(Driver):
         self._stream.reattach()
         if self._keep:
             with contextlib.suppress(OSError):  # gone already: `read` will say so
-                self._hear(bytes(self._port.read(_READ_SIZE)))
+                self._hear(bytes(self._port.read(READ_SIZE)))
 
     def _read(self, timeout_s: float) -> SampleBlock | None:
         if self._stream.has_ready:
@@ -103,7 +100,7 @@ class SerialListener(Driver):
         if port is None or not self._is_open:
             return None
         try:
-            data = os.read(port.fileno(), _READ_SIZE)
+            data = os.read(port.fileno(), READ_SIZE)
         except BlockingIOError:
             return None
         except OSError as error:
@@ -125,7 +122,7 @@ class SerialListener(Driver):
             ready = select.select([port.fileno(), self._wake_r], [], [], wait)[0]
             if not ready or self._wake_r in ready:
                 return None
-            data = bytes(port.read(_READ_SIZE))  # timeout 0: one read of the system, no waiting
+            data = bytes(port.read(READ_SIZE))  # timeout 0: one read of the system, no waiting
         except OSError as error:  # SerialException is one: hang-up, EIO, a read of nothing
             raise self._gone(error) from error
         self._last_read_s = time.monotonic()

@@ -11,6 +11,9 @@ from serial.tools import list_ports
 
 from servo_daemon.errors import DriverConfigError, DriverUnavailableError
 
+#: The system's buffer of a tty holds 4 kB, with what is still in flight behind it 64 kB: one read takes it all.
+READ_SIZE = 65536
+
 
 class KeepingPort(serial.Serial):  # type: ignore[misc]  # pyserial has no types
     """A port whose opening keeps what has arrived before: a sketch's header line may be in it."""

@@ -49,8 +49,8 @@ Round = dict[int, State]
 class ChainDialogue:
     """What the servos are asked: each for its model first, then all that answer for their registers."""
 
-    def __init__(self, family: Family, servos: tuple[int, ...], clock: Callable[[], float] = time.monotonic) -> None:
-        self._family, self._clock = family, clock
+    def __init__(self, family: Family, servos: tuple[int, ...]) -> None:
+        self._family = family
         self._decoder = family.decoder()
         self._absent = dict.fromkeys(servos, 0.0)  # when it is to be asked for its model
         self._missed = dict.fromkeys(servos, 0)
@@ -65,7 +65,7 @@ class ChainDialogue:
 
     def next_request(self) -> Request | None:
         self._close_round()
-        now, family = self._clock(), self._family
+        now, family = time.monotonic(), self._family
         due = [servo for servo, when in self._absent.items() if when <= now]
         if due:
             self._absent[due[0]] = now + _AGAIN_S
@@ -84,7 +84,7 @@ class ChainDialogue:
         for servo in self._asked:
             self._missed[servo] = 0 if servo in self._round else self._missed[servo] + 1
             if self._missed[servo] >= _PATIENCE_ROUNDS:
-                self._absent[servo] = self._clock()
+                self._absent[servo] = time.monotonic()
         self._asked = ()
 
     def feed(self, data: bytes) -> list[Reply[Round]]:

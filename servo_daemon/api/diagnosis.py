@@ -68,7 +68,7 @@ def diagnosis_document(drive: DriveView, prefix: str) -> Document:
 
 @contextmanager
 def _as_problems() -> Iterator[None]:
-    """What the service refuses, as the API says it."""
+    """What the daemon refuses, as the API says it."""
     try:
         yield
     except ModelError as error:

@@ -1,4 +1,4 @@
-"""Records of the service as the JSON documents of contract 4. `schemas/` describes the same documents for readers.
+"""Published records as JSON documents. `schemas/` describes the same documents for readers.
 
 Every number passes `scalar`, so no document ever holds NaN, an infinity or a NumPy type.
 """

@@ -57,7 +57,7 @@ class ProblemError(Exception):
 
 
 def sentence(complaint: object) -> str:
-    """What the service says, as a `detail`."""
+    """What the daemon says, as a `detail`."""
     text = str(complaint)
     return f"{text[:1].upper()}{text[1:]}."
 

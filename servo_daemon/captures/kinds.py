@@ -17,7 +17,7 @@ KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
 _ENDINGS: Final[Mapping[str, Kind]] = {".csv": "csv", ".csv.gz": "csv", ".parquet": "parquet", ".mcap": "mcap"}
 
 
-def kind_of(path: Path, kind: Kind | None = None) -> Kind:
+def kind_of(path: Path, kind: Kind | None) -> Kind:
     """What kind of file a capture of this name is.
 
     Args:

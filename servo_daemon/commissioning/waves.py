@@ -18,7 +18,7 @@ _FIRST, GROWTH_S = 0.002, 0.8
 _MOST = 0.6
 
 
-def growing(rate_hz: float, voltage_V: float, seed: int = 0) -> F64:
+def growing(rate_hz: float, voltage_V: float, seed: int) -> F64:
     """Shape (n,), V: a multisine whose peak grows from 0.2 % to 60 % of `voltage_V`."""
     seconds = GROWTH_S * math.log(_MOST / _FIRST)
     t = np.arange(round(seconds * rate_hz)) / rate_hz

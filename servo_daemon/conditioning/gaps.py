@@ -6,11 +6,13 @@ import numpy as np
 
 from servo_daemon.samples import F64, Quality, SampleBlock
 
-#: A gap longer than this leaves the plant's states unknown; a shorter one is predicted through.
+#: A gap longer than this leaves the plant's states unknown; a shorter one is predicted through (chosen; not tried).
 LONG_GAP_S = 0.25
-#: Samples further apart than this many periods have lost some between them: no regular drive's jitter is as large.
+#: Samples further apart than this many periods have lost some between them: no regular drive's jitter is as large
+#: (chosen; not tried).
 _GAP_PERIODS = 1.6
-#: Up to this many periods a gap is filled (`filled`); beyond, what the voltage did meanwhile nobody knows.
+#: Up to this many periods a gap is filled (`filled`); beyond, what the voltage did meanwhile nobody knows (chosen; not
+#: tried).
 _SHORT_GAP_PERIODS = 3.5
 #: Plain numbers: members of an enumeration are slow to reach.
 RESTART, GAP = int(Quality.TIME_RESTART), int(Quality.GAP_BEFORE)

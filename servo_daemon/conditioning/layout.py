@@ -26,7 +26,7 @@ INVALID_BIT = {
     "velocity_rad_s": int(Quality.POSITION_INVALID),
     "torque_Nm": int(Quality.CURRENT_INVALID),
 }
-#: So many samples of a current alike, or of a speed, are no accident of its noise.
+#: So many samples of a current alike, or of a speed, are no accident of its noise (chosen; not tried).
 _FEWEST_ALIKE = 8
 #: Beyond this a value is no measurement of a servo drive, whatever the drive says; and no square of it overflows.
 _IMPOSSIBLE = {

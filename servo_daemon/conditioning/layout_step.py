@@ -28,20 +28,19 @@ from functools import cache
 import casadi as ca
 
 from servo_daemon.kalman.layout import SPIKE
+from servo_daemon.samples import GAP_FACTOR
 
-#: So many samples on one step of the input's converter are counted as one error.
+#: So many samples on one step of the input's converter are counted as one error (chosen; not tried).
 _MOST_ALIKE = 100.0
 #: Most by which a standing encoder's variance is raised: 5000 samples on one count.
 _MOST_DOUBT = 5e7
-#: A spike is so many times the change before it.
+#: A spike is so many times the change before it (decision 11).
 _APART = 4.0
 #: A channel whose repetitions nobody doubts, and a value that none is alike.
 NEVER, NO_VALUE = 1e300, 1e300
 #: In shorter steps, s, a signal runs straight: of a motion of 5 Hz the bend is less than 0.1 % of it, (ω h)²/12, and a
 #: command that a controller holds for each of its samples has none (on EMPS, at 1 kHz, it cost an eighth of the error).
 BENDS_S = 3e-3
-#: Steps are alike up to this ratio: `captures.capture.model.GAP_FACTOR`.
-_ALIKE = 1.75
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +78,7 @@ class LayoutStep:
 
 
 @cache
-def build_layout_step(channels: int, held: bool = True) -> ca.Function:
+def build_layout_step(channels: int, held: bool) -> ca.Function:
     """For `SampleLoop`.
 
     Args:
@@ -131,7 +130,7 @@ def _runs(state: ca.SX, u: ca.SX, valid: ca.SX, h: ca.SX, lay: LayoutStep) -> tu
     before, (earlier, earliest, last_h, other_h) = state[1], ca.vertsplit(state[lay.curve :])
     step_s = ca.if_else(valid, h, 0.0)  # what was no measurement is on no curve
     shortest = ca.fmin(step_s, ca.fmin(last_h, other_h))
-    alike = ca.fmax(step_s, ca.fmax(last_h, other_h)) <= _ALIKE * shortest
+    alike = ca.fmax(step_s, ca.fmax(last_h, other_h)) <= GAP_FACTOR * shortest
     counts = ca.logic_and(shortest > BENDS_S, alike)
     second = u - 2.0 * before + earlier
     third = u - 3.0 * before + 3.0 * earlier - earliest

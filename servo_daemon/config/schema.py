@@ -17,7 +17,7 @@ from servo_daemon.plant.effects import effects_by_name, parameter_table
 DIALECT: Final = GenerateJsonSchema.schema_dialect
 
 
-def json_schema(drivers: tuple[str, ...] = ()) -> dict[str, Any]:
+def json_schema(drivers: tuple[str, ...]) -> dict[str, Any]:
     """Of the whole file.
 
     Args:

@@ -78,7 +78,7 @@ def make_plan(
     default: F64,
     blocks: int,
     free_run: int,
-    progress: Progress = lambda _share, _step: None,
+    progress: Progress,
 ) -> MotionPlan:
     """The best mixture of the family's members for these questions.
 

@@ -11,6 +11,8 @@ from servo_daemon.plant.core import Drive
 from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.signal_meaning import SignalMeaning
 
+#: Taken where nobody says how fast the drive samples, s: then effects are as the daemon's own step has them at 1 kHz.
+ASSUMED_PERIOD_S = 1e-3
 #: Parameters of the motor that a model needs, by what drives it.
 CORE: Mapping[Drive, tuple[str, ...]] = {"voltage": MOTOR_NAMES, "current": ("K", "J", "B"), "torque": ("J", "B")}
 

@@ -19,7 +19,8 @@ from servo_daemon.plant.compiled import SampleLoop
 from servo_daemon.plant.effects.base import LATE
 from servo_daemon.samples import F64
 
-#: Standard deviations of the plant's states when nothing is known of them: current A, speed rad/s, angle rad.
+#: Standard deviations of the plant's states when nothing is known of them: current A, speed rad/s, angle rad (vague
+#: beside what the first samples say; chosen, not tried).
 _UNKNOWN_STATE_STD = {"current_A": 100.0, "velocity_rad_s": 1000.0, "position_rad": 100.0}
 
 #: Variance of a parameter the filter must not move.
@@ -81,7 +82,7 @@ class Ekf:
         self.forget_state(x)
         self.started = True
 
-    def forget_state(self, x: F64 | None = None) -> None:
+    def forget_state(self, x: F64 | None) -> None:
         """After a pause or a restart of the device: parameters are kept, the plant's states are unknown again."""
         initial = np.array([s.initial for s in self.plant.states]) if x is None else x
         self._forget(list(range(self._lay.n_x)), initial)

@@ -18,9 +18,7 @@ from servo_daemon.plant.build import PlantModel
 
 
 @cache
-def build_held_step(
-    plant: PlantModel, channels: tuple[str, ...], mean_input: bool = False
-) -> tuple[EkfLayout, ca.Function]:
+def build_held_step(plant: PlantModel, channels: tuple[str, ...], mean_input: bool) -> tuple[EkfLayout, ca.Function]:
     """As a function for `SampleLoop`, paced by the sample's second element.
 
     state:     x | lower triangle of P's part of x by columns | held input | its variance

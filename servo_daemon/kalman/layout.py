@@ -15,7 +15,8 @@ from servo_daemon.plant.build import PlantModel
 #: gated; Σ of ν/√s times the first channel's one sample earlier. A standing encoder repeats itself: its samples are no
 #: sample of any noise and count in the number of gated ones only; so do samples whose input was in doubt.
 STATISTICS = ("count", "nis", "excess", "lagged", "last", "gated", "crossed")
-#: Innovations beyond this many standard deviations do not teach the noise level.
+#: Innovations beyond this many standard deviations do not teach the noise level (a Gaussian is beyond four once in
+#: 16,000 times).
 CLIP = 4.0
 
 #: Marks a reading that is a spike of one sample: it is no measurement, and is counted as an outlier.

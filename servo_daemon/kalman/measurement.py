@@ -23,10 +23,10 @@ from servo_daemon.kalman.expressions import natural
 from servo_daemon.kalman.gaussian import to_coordinate
 from servo_daemon.kalman.layout import CLIP, MEASURABLE, SPIKE, STATISTICS, EkfLayout
 
-#: Standard deviations at which an innovation is weighted down: 1 in 1.7 million for a Gaussian.
+#: Standard deviations at which an innovation is weighted down: 1 in 1.7 million for a Gaussian (decision 9).
 GATE = 5.0
 #: Where the input is known this many times worse than usual (in variance), as after a missing sample, the innovations
-#: are no sample of the usual noise.
+#: are no sample of the usual noise (chosen; not tried).
 UNUSUAL_INPUT = 30.0
 
 

@@ -28,15 +28,15 @@ from servo_daemon.plant.build import PlantModel
 SHORTEST_STEP_S = 1e-9
 
 #: Time constants with which the instrumental trajectory follows the filter, s. Long against a sample, short against
-#: what a wrong model needs to run away; and at once, where the parameters are not known yet and the model would lead it
-#: astray.
+#: what a wrong model needs to run away; and at once, where the parameters are not known yet and the model would lead
+#: it astray (decision 13).
 INSTRUMENT_S, NO_INSTRUMENT_S = 0.1, 1e-9
-#: An input known this many times worse than usual (in variance) leads it astray.
+#: An input known this many times worse than usual (in variance) leads it astray (chosen; not tried).
 DOUBTFUL_INPUT = 100.0
-#: Its time constant is at most this share of its age.
+#: Its time constant is at most this share of its age (chosen; not tried).
 _YOUTH = 0.1
 #: After so many samples a filter that knew nothing of the speed has found it. Until then derivatives by the parameters
-#: are of another motion, and what the speed does to the current would pass for L.
+#: are of another motion, and what the speed does to the current would pass for L (decision 18).
 SAMPLES_TO_FIND_SPEED = 3.0
 #: Of the speed's standard deviation: four fifths of a Gaussian are further from its mean.
 _TO_SLIDE = 0.25

@@ -29,7 +29,7 @@ class Plain:
         discovery: None: Home Assistant is not told what there is.
     """
 
-    def __init__(self, prefix: str, discovery: Discovery | None = None) -> None:
+    def __init__(self, prefix: str, discovery: Discovery | None) -> None:
         self._prefix, self._discovery = prefix, discovery
 
     @property

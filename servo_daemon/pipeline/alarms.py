@@ -14,7 +14,7 @@ from servo_daemon.pipeline.publish import published_names
 from servo_daemon.published.snapshot import AlarmLimit, Estimate, ParameterEstimate
 from servo_daemon.tracking.plan.settings import Message
 
-#: Standard deviations beyond the limit at which an alarm rings, and inside at which it ends.
+#: Standard deviations beyond the limit at which an alarm rings, and inside at which it ends (decision 43).
 MARGIN_STD = 2.0
 
 

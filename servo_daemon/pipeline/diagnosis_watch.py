@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from servo_daemon.published.snapshot import Estimate
 
-#: Of the ring: unexplained for so long, and filled so far.
+#: Of the ring: unexplained for so long, and filled so far (chosen; not tried).
 _UNEXPLAINED_SHARE, _FILLED_SHARE = 0.5, 0.9
-#: First and longest pause after a diagnosis, s.
+#: First and longest pause after a diagnosis, s (a quarter of an hour, an hour, … a day; chosen; not tried).
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S, _PAUSE_GROWS = 900.0, 86_400.0, 4.0
 
 

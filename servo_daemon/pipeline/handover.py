@@ -13,7 +13,8 @@ from servo_daemon.tracking.plant_tracker import PlantTracker
 from servo_daemon.tracking.succession import transferred
 from servo_daemon.tracking.tracker import Tracker
 
-#: A filter with another model that has not settled by then speaks for the drive all the same, ticks.
+#: A filter with another model that has not settled by then speaks for the drive all the same, ticks (five seconds;
+#: chosen; not tried).
 _TICKS_TO_TAKE_OVER = 50
 
 

@@ -20,7 +20,7 @@ from servo_daemon.tuning.margins import Margins
 
 #: Between two computations, device time, s: parameters age over minutes.
 EVERY_S: Final = 5.0
-#: By this share margins must be better than where the warning began before it ends.
+#: By this share margins must be better than where the warning began before it ends (hysteresis; chosen; not tried).
 RELIEF: Final = 0.1
 #: Its name among `health.alarms`.
 ALARM: Final = "controller_margin"

@@ -17,7 +17,6 @@ from servo_daemon.pipeline.views import State, Views, health_of
 from servo_daemon.plant.effects import effects_by_name, parameter_table
 from servo_daemon.published.snapshot import Covariance, Estimate, ParameterEstimate, finite_or_none
 from servo_daemon.regression.columns.terms import waves_per_turn
-from servo_daemon.regression.estimate import RegressionEstimate
 from servo_daemon.signal_meaning import SignalMeaning
 from servo_daemon.tracking.plan.settings import Resolutions, TrackerSettings
 from servo_daemon.tracking.plant_tracker import PlantTracker
@@ -226,12 +225,9 @@ class Publisher:
     def _floor(self, name: str, g: Gaussian, tracker: Tracker) -> float:
         """1 σ in the parameter's unit that no amount of data removes."""
         if name == "L":
-            return self._skew_floor(g)
+            # Unknown skew of current and voltage sampling: a delay δ looks like an inductance δ·R.
+            return self._config.estimation.skew_s * self._value("R", g)
         return 0.5 * tracker.position_lsb_rad * waves_per_turn(name, tracker.plan.held)
-
-    def _skew_floor(self, g: Gaussian) -> float:
-        """What unknown skew of current and voltage sampling means for L: a delay δ looks like an inductance δ·R."""
-        return self._config.estimation.skew_s * self._value("R", g)
 
     def _before_the_filter(self, p: Parameter, tracker: Tracker, nominal: float | None) -> Fused:
         """A free parameter while no filter runs: at the start, while it starts again, and of a shaft that is held."""
@@ -247,16 +243,12 @@ class Publisher:
             return Fused(nominal, None, "estimating", "the motion does not show it (is the shaft held?)")
         if (why := tracker.plan.unclaimed.get(p.name)) is not None:
             return Fused(nominal, None, "estimating", why)
-        floor = self._config.estimation.skew_s * _value_of(winding, "R") if p.name == "L" else 0.0
+        R = float(winding.value[winding.names.index("R")])
+        floor = self._config.estimation.skew_s * R if p.name == "L" else 0.0
         return Fused(value, math.hypot(std, floor), "tracking", None, 0.0)
 
     def _value(self, name: str, g: Gaussian) -> float:
         return from_coordinate(self._table[name], float(g.mean[g.names.index(name)]), 0.0)[0]
-
-
-def _value_of(e: RegressionEstimate, name: str) -> float:
-    """Of one of its parameters."""
-    return float(e.value[e.names.index(name)])
 
 
 def with_equivalents(estimate: Estimate, meaning: SignalMeaning) -> Estimate:

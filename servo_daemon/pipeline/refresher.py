@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # scikit-learn takes a second to load: only where there is a 
 
 #: A filter that needs it again and again is not to fill the list of events, s.
 _TELL_EVERY_S = 60.0
-#: What a window said is of the motor of then: it counts for so many refreshes.
+#: What a window said is of the motor of then: it counts for so many refreshes (chosen; not tried).
 _COUNTS_FOR = 2.5
 _WHY_TRACKING = "RF+GRNN estimate of the last windows: the filter does not know it as well"
 

@@ -136,7 +136,7 @@ def split(function: ca.Function, paced_by: int) -> tuple[ca.Function | None, ca.
     return prepare, ca.Function("step", [*symbols, ca.vertcat(*names)], results)
 
 
-def compile_step(function: ca.Function, compiler: str, paced_by: int | None = None) -> ctypes.CDLL:
+def compile_step(function: ca.Function, compiler: str, paced_by: int | None) -> ctypes.CDLL:
     """The shared library of this function, from the cache or compiled now.
 
     Args:

@@ -20,8 +20,3 @@ def current_rate(v: ca.SX, i: ca.SX, omega: ca.SX, R: ca.SX, L: ca.SX, K: ca.SX)
 def speed_rate(i: ca.SX, omega: ca.SX, load_torque: ca.SX, K: ca.SX, J: ca.SX, B: ca.SX) -> ca.SX:
     """dω/dt, rad/s², from current i (A), speed omega (rad/s) and opposing load torque (N·m)."""
     return (K * i - B * omega - load_torque) / J
-
-
-def angle_rate(omega: ca.SX) -> ca.SX:
-    """dθ/dt, rad/s."""
-    return omega

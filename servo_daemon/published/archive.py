@@ -1,4 +1,4 @@
-"""What the API may ask of what is kept: the store of the past, and captures. The service implements it; the API knows
+"""What the API may ask of what is kept: the store of the past, and captures. The daemon implements it; the API knows
 nothing else of it."""
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ class Diagnosis:
         samples, span_s: of the recording, s of device time.
         progress: 0 … 1; `step`: what it does at the moment, in words.
         reason: why it failed, in words.
-        result: the document of the contract (diagnosis.json), without NaN; only when done.
+        result: `diagnosis.json`, without NaN; only when done.
         report: the HTML file, if there is one.
     """
 

@@ -1,4 +1,4 @@
-"""What the service publishes: immutable records, made by the pipeline thread, read by the API without a lock.
+"""What the daemon publishes: immutable records, made by the pipeline thread, read by the API without a lock.
 
 Nothing in here is ever NaN: a value that is not known is None (JSON null, an empty CSV cell).
 """
@@ -114,7 +114,7 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """One drive at one moment: the estimate and what the service knows around it.
+    """One drive at one moment: the estimate and what the daemon knows around it.
 
     Attributes:
         drive, driver: name and kind of the drive.

@@ -1,4 +1,4 @@
-"""What the API may see of the running daemon. The service implements these; the API knows nothing else.
+"""What the API may see of the running daemon. The daemon implements these; the API knows nothing else.
 
 Everything here is read by the API's event loop while the pipeline threads run: each method returns at once, takes no
 lock for longer than a copy of a few columns, and hands out immutable records.

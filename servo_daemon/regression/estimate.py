@@ -10,7 +10,7 @@ import numpy as np
 from servo_daemon.regression.columns.terms import is_share
 from servo_daemon.samples import F64
 
-#: A regression knows a parameter when its std is below this share of it.
+#: A regression knows a parameter when its std is below this share of it (chosen; not tried).
 KNOWS = 0.25
 
 

@@ -34,13 +34,14 @@ from servo_daemon.regression.rls_fit import OVERLAP
 from servo_daemon.regression.sampling import FEWEST_SAMPLES, SPAN_S, Sampling, is_slow, sampled_std
 from servo_daemon.regression.stretch import Stretch, between_samples, joined, last
 
-#: After the first ticks so many are worked off together: fewer calls on longer arrays.
+#: After the first ticks so many are worked off together: fewer calls on longer arrays (chosen; not tried).
 _EAGER_UPDATES, _BATCH = 50, 10
-#: Of a drive whose ticks come several together every second time it is not asked what follows from it.
+#: Of a drive whose ticks come several together every second time it is not asked what follows from it (chosen; not
+#: tried).
 _ASKED_EVERY = 2
 
 #: What a balance that does not close gives is known to this share at best, 1 σ (with a second inertia the shaft's
-#: regression finds the sum of both, by slow motion).
+#: regression finds the sum of both, by slow motion; chosen; not tried).
 _OPEN_STD = 0.3
 
 

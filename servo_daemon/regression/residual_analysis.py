@@ -32,7 +32,7 @@ from servo_daemon.samples import F64
 
 #: Integrals over samples (trapezoids, jitter, what the current does between samples) are no more exact than this, 1 σ.
 EXACT_STD = 0.01
-#: A difference of so many standard deviations (squared) is chance.
+#: A difference of so many standard deviations (squared) is chance (two of them: one Gaussian in twenty is beyond).
 _CHANCE = 4.0
 
 

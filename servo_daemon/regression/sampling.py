@@ -14,12 +14,14 @@ SPAN_S = {"armature": 0.02, "shaft": 0.1}
 FEWEST_SAMPLES = 12
 #: What the last samples say of a parameter is judged over so long, s: its excitation, and the balances (docs/model.md).
 WINDOW_S = 5.0
-#: What a regression over samples may be off by where the winding is much faster than the sampling, 1 σ.
+#: What a regression over samples may be off by where the winding is much faster than the sampling, 1 σ (chosen; not
+#: tried).
 BLIND_STD = {"R": 0.2, "L": 0.5, "K": 0.1, "J": 0.2, "B": 0.5}
 #: The same of R and J for each mechanical time constant that a period lasts, and of B as a share of K²/R: from four
 #: motors in four motions at 20 to 1000 Hz (`test_a_slow_sampling_is_in_the_regressions_std`).
 _GAIN_STD, _LOSS_STD = 0.3, 0.05
-#: Of L where a period is as long as L/R, and with the cube of it: sampled slower L is not seen at all.
+#: Of L where a period is as long as L/R, and with the cube of it: sampled slower L is not seen at all (chosen; not
+#: tried).
 _INDUCTANCE_STD = 0.3
 #: In place of what is not positive, SI units.
 _TINY = 1e-12

@@ -1,6 +1,6 @@
 """Reports: one self-contained HTML file with texts, tables and zoomable figures.
 
-Knows samples' array types, errors and the way files are written; nothing of estimators, plant or service. A command
+Knows samples' array types, errors and the way files are written; nothing of estimators, plant or daemon. A command
 fills the dataclasses of `document` and `figures` and calls `write_report`.
 """
 

@@ -44,7 +44,7 @@ def _gap_rows(columns: Sequence[F64], limit: int) -> Rows:
     return np.union1d(ends, ends + 1)
 
 
-def keep_rows(columns: Sequence[F64], limit: int, gapped: Sequence[F64] = ()) -> Rows:
+def keep_rows(columns: Sequence[F64], limit: int, gapped: Sequence[F64]) -> Rows:
     """Rows to keep, increasing, at most `limit`: all of them if they are no more than that.
 
     Args:

@@ -11,6 +11,9 @@ from types import TracebackType
 
 from servo_daemon.errors import BadInputError
 
+#: Longest wait before a simulated drive looks at `stop` again, s.
+POLL_S = 0.05
+
 
 class PtyLink:
     """A pseudo-terminal whose slave side `link` points to. Used with `with`; the link is gone afterwards.

@@ -24,8 +24,8 @@ from servo_daemon.sim_drive.can_frames import DEFAULT_COUNTS_PER_REV
 from servo_daemon.sim_drive.commanded import CommandedOutput
 from servo_daemon.sim_drive.counters import DeviceCounters
 from servo_daemon.sim_drive.line_faults import Fault, LineFaults
-from servo_daemon.sim_drive.pty_link import PtyLink
-from servo_daemon.sim_drive.source import CommandedSource, SampleSource
+from servo_daemon.sim_drive.pty_link import POLL_S, PtyLink
+from servo_daemon.sim_drive.source import MAX_BEHIND_S, CommandedSource, SampleSource
 from servo_daemon.sim_drive.transmitter import Transmitter
 
 Wire = Literal["binary", "text"]
@@ -33,11 +33,6 @@ Wire = Literal["binary", "text"]
 #: How often the description goes out, in device time.
 _DESCRIPTION_PERIOD_S = 1.0
 
-#: A host that stood still longer than this (suspended, stopped) continues from now instead of catching up.
-_MAX_BEHIND_S = 1.0
-
-#: Longest wait before looking at `stop` again.
-_POLL_S = 0.05
 
 #: A reader throws away what has arrived when it has opened the port (pyserial does), so where nothing may be lost it
 #: is given so long to get there.
@@ -163,9 +158,7 @@ def run_serial_device(
     firmware = _Firmware(source, wire, drive_id, faults or LineFaults(), counters, commanded is not None)
     with PtyLink(link, hold_open=False) as pty:
         line = Transmitter(pty.master)
-        device = _Device(
-            line, stop, realtime, counters, _MAX_BEHIND_S if commanded is None else _MAX_BEHIND_COMMANDED_S
-        )
+        device = _Device(line, stop, realtime, counters, MAX_BEHIND_S if commanded is None else _MAX_BEHIND_COMMANDED_S)
         if commanded is not None:
             _serve_commanded(commanded, firmware, line, device, stop)
         while not stop.is_set():
@@ -221,7 +214,7 @@ class _Device:
         while not self._stop.is_set():
             if not self._line.has_reader():
                 self._settled = False
-                self._stop.wait(_POLL_S)
+                self._stop.wait(POLL_S)
             elif self._settled:
                 return
             else:
@@ -232,7 +225,7 @@ class _Device:
         """Follow what has come; without real time until something has."""
         until = time.monotonic() + _PATIENCE_S
         while not hear() and not self._realtime and not self._stop.is_set() and time.monotonic() < until:
-            self._line.wait_for_bytes(_POLL_S)
+            self._line.wait_for_bytes(POLL_S)
             if not self._line.has_reader():
                 return
 
@@ -250,4 +243,4 @@ class _Device:
         while data and not self._stop.is_set() and self._line.has_reader():
             data = data[self._line.write(data) :]
             if data:
-                self._line.wait_for_room(_POLL_S)
+                self._line.wait_for_room(POLL_S)

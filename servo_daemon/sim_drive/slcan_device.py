@@ -21,7 +21,7 @@ from servo_daemon.sim_drive.can_frames import CanFrame, FrameEncoder
 from servo_daemon.sim_drive.counters import DeviceCounters
 from servo_daemon.sim_drive.pty_link import PtyLink
 from servo_daemon.sim_drive.slcan_adapter import SlcanAdapter
-from servo_daemon.sim_drive.source import SampleSource
+from servo_daemon.sim_drive.source import MAX_BEHIND_S, SampleSource
 
 log = logging.getLogger(__name__)
 
@@ -29,8 +29,6 @@ log = logging.getLogger(__name__)
 GROUP_S = 0.004
 #: How long the loop waits at most before it looks whether it shall stop.
 SLICE_S = 0.05
-#: A host that stood still longer than this (suspended, stopped) continues from now instead of catching up.
-MAX_BEHIND_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,9 @@ from typing import Literal, Protocol
 from drivers.base import DriveInfo
 from servo_daemon.samples import F64, SampleBlock
 
+#: A host that stood still longer than this (suspended, stopped) continues from now instead of catching up, s.
+MAX_BEHIND_S = 1.0
+
 
 class SampleSource(Protocol):
     """An endless stream of samples."""

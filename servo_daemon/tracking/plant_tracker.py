@@ -34,7 +34,7 @@ from servo_daemon.tracking.validity.gates import Qualification
 
 #: A saved state may be of yesterday's temperature and load: added 1 σ (copper: 8 K at 0.39 %/K).
 _SAVED_STD = 0.03
-#: From then on a filter that took over from another may speak for the drive.
+#: From then on a filter that took over from another may speak for the drive (a second; chosen; not tried).
 _TICKS_TO_SETTLE = 10
 
 
@@ -53,7 +53,7 @@ class PlantTracker(Tracker):
         resolutions: Resolutions,
         plan: SignalPlan,
         plant: PlantModel,
-        prior: Gaussian | None = None,
+        prior: Gaussian | None,
     ) -> None:
         super().__init__(channels, settings, resolutions, plan)
         self._plant = plant

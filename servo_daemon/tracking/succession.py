@@ -21,12 +21,13 @@ from servo_daemon.tracking.tracker import Tracker
 #: not forgotten. Of an effect's parameter, over its scale.
 _BIAS_STD: Mapping[str, float] = {"R": 0.10, "L": 0.14, "K": 0.05, "J": 0.14, "B": 0.14}
 _BIAS_OTHER_STD = 0.14
-#: A fitted value may be a minute old and its model not quite right: at least so much, 1 σ; without a std so much.
+#: A fitted value may be a minute old and its model not quite right: at least so much, 1 σ; without a std so much
+#: (chosen; not tried).
 _LEAST_STD, _UNTOLD_STD = 0.01, 0.30
 
 
 def transferred(
-    old: Tracker, new: Tracker, start: Mapping[str, StartValue], origin_s: float | None = None
+    old: Tracker, new: Tracker, start: Mapping[str, StartValue], origin_s: float | None
 ) -> PriorTransfer | None:
     """What `new`, which has seen no sample yet, is to begin with.
 

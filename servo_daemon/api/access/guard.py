@@ -57,7 +57,7 @@ def split_host(host: str) -> tuple[str, int | None]:
     return (parts.hostname or "").rstrip("."), parts.port
 
 
-def host_is_ours(host: str, allowed: Iterable[str] = ()) -> bool:
+def host_is_ours(host: str, allowed: Iterable[str]) -> bool:
     """Whether this Host header cannot be a stranger's name for this machine."""
     try:
         name, _ = split_host(host)

@@ -11,6 +11,7 @@ from fastapi import Path, Query
 from servo_daemon.api.problems import parameter_problem
 from servo_daemon.api.times import ACCEPTED, DURATIONS, parse_duration, parse_time
 
+#: Points of a series where nobody asks for another number, about a screen's width; and the most.
 DEFAULT_POINTS: Final = 1000
 MAX_POINTS: Final = 20_000
 #: As many series as the page could show, and more than a drive has.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from servo_daemon.errors import BadInputError, CaptureError
 from servo_daemon.numerics import sample_period
-from servo_daemon.samples import CHANNELS, F64, U8, Quality, SampleBlock, make_block
+from servo_daemon.samples import CHANNELS, F64, GAP_FACTOR, U8, Quality, SampleBlock, make_block
 from servo_daemon.signal_meaning import SignalMeaning, as_texts, keys_of_texts
 
 Axis = Literal["rotary", "linear"]
@@ -23,14 +23,9 @@ LINEAR_COLUMNS: Mapping[str, str] = MappingProxyType(
     {"force_N": "torque_Nm", "position_m": "position_rad", "velocity_m_s": "velocity_rad_s"}
 )
 
-#: Metadata that are numbers greater than zero wherever they are given (design.md, "Known loads").
+#: Metadata that are numbers greater than zero wherever they are given (docs/captures.md).
 NUMERIC_METADATA = ("mass_kg", "arm_length_m", "counts_per_rev")
 
-#: A sample comes after a gap where its distance to the one before exceeds this multiple of the median period.
-#: One lost sample of an evenly sampled drive shows as 2.0. The jitter of host-side time stamps has to stay below:
-#: the real ODrive captures poll at 0.65 .. 1.34 (99 %) of their median, XL330 at 0.96 .. 1.11. 1.75 lies between
-#: and still sees one lost sample where the period itself varies by up to 12 %.
-GAP_FACTOR = 1.75
 
 #: Fewer have no sampling period.
 MIN_SAMPLES = 2

@@ -96,7 +96,7 @@ class MdfRecording:
         return f"{group} ({name})" if name else str(group)
 
 
-def read_mdf(path: Path, raw: BinaryIO, signal_map: SignalMap | None, options: ReadOptions | None = None) -> Capture:
+def read_mdf(path: Path, raw: BinaryIO, signal_map: SignalMap | None, options: ReadOptions | None) -> Capture:
     """The capture in an open MDF file.
 
     Raises:

@@ -27,9 +27,7 @@ _ROW_GROUP = 100_000
 _FOREIGN = frozenset({"pandas", "ARROW:schema", "huggingface"})
 
 
-def read_parquet(
-    path: Path, raw: BinaryIO, signal_map: SignalMap | None = None, options: ReadOptions | None = None
-) -> Capture:
+def read_parquet(path: Path, raw: BinaryIO, signal_map: SignalMap | None, options: ReadOptions | None) -> Capture:
     """A capture from an open Parquet file. Rows count from 1 in messages.
 
     Raises:

@@ -1,4 +1,4 @@
-"""The JSON document of `diagnose` (design.md, section 4), from which its text and its report are made as well."""
+"""The JSON document of `diagnose`, from which its text and its report are made as well."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from servo_daemon.plant.effects import effects_by_name, parameter_table
 #: Raised when a key changes its meaning.
 SCHEMA = 1
 
-#: What `depends_on` calls the finer words of the detailed list: the contract's speed, angle, current, time.
+#: What `depends_on` calls the finer words of the detailed list: speed, angle, current, time.
 _COARSE = {"direction": "speed", "travel": "angle", "load": "current", "step": "time", "moments": "time"}
 
 

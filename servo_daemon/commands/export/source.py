@@ -22,7 +22,7 @@ from servo_daemon.signal_meaning import SignalMeaning
 _UNUSABLE = {"invalid": "do not use: the estimate is invalid", "undetermined": "these data do not determine it"}
 
 
-def from_document(path: Path, name: str | None = None, config: Config | None = None) -> ExportedModel:
+def from_document(path: Path, name: str | None, config: Config | None = None) -> ExportedModel:
     """The model of a `fit.json` or `diagnosis.json`.
 
     Args:

@@ -19,9 +19,7 @@ from servo_daemon.identification.winding import Winding, equivalents_of, joined_
 from servo_daemon.signal_meaning import SignalMeaning
 
 
-def fit_document(
-    result: Identification, winding: Winding | None = None, meaning: SignalMeaning | None = None
-) -> dict[str, Any]:
+def fit_document(result: Identification, winding: Winding | None, meaning: SignalMeaning | None) -> dict[str, Any]:
     """Everything `fit` says, in plain types; no NaN.
 
     Args:

@@ -21,9 +21,6 @@ EXAMPLE = """  servo-daemon replay capture.csv.gz --out estimates.csv
   servo-daemon replay capture.csv --out estimates.csv --config servo-daemon.toml --drive axis1
   servo-daemon replay measurement.mf4 --signals map.toml --out estimates.csv"""
 
-#: Samples handed to the pipeline at once; the result does not depend on it.
-BLOCK_SAMPLES = 8192
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("capture", type=Path, metavar="CAPTURE", help=common.CAPTURE_HELP)
@@ -32,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--block",
         type=int,
-        default=BLOCK_SAMPLES,
+        default=common.BLOCK_SAMPLES,
         metavar="N",
         help="samples at once (the result is the same)",
     )

@@ -1,4 +1,4 @@
-"""EST.csv: the pipeline's estimates over a capture as a table (design.md, section 4).
+"""EST.csv: the pipeline's estimates over a capture as a table.
 
 Columns: `time_s`; for every parameter P of the model `P, P_std, P_status`, in the order R, L, K, J, B, the effects'
 own parameters as the model lists them, J_d last; then the same with the prefix of each estimator that exists.

@@ -41,7 +41,7 @@ class Files:
 
 
 class Reload:
-    """See the module.
+    """Reads the configuration again and brings the daemon to it.
 
     Args:
         daemon: which has the configuration that is at work.

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 
 D = TypeVar("D", bound=Mapping[str, Any])
+#: Samples of a capture that are handed to the pipeline at once; the result does not depend on it.
+BLOCK_SAMPLES = 8192
 #: What a command's argument CAPTURE may be.
 CAPTURE_HELP = "CSV, CSV.gz, Parquet, MAT, Excel, MDF, MCAP or a CAN log (BLF, ASC)"
 

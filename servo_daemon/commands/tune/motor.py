@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from servo_daemon.identification.output_error import OutputErrorFit
     from servo_daemon.identification.output_error.precision.combinations import VoltageAnswer
 
-#: Samples handed to the pipeline at once; the result does not depend on it.
-_BLOCK_SAMPLES = 8192
 #: A residual of this share of the signal's spread, and not white, is worth a word.
 _LEFT = 0.02
 #: Components of null directions are rounded to this.
@@ -90,7 +88,7 @@ def _estimate(capture: Capture, drive: DriveConfig) -> Estimate:
     meaning = capture.meaning(drive.signals.meaning())
     pipeline = Pipeline(drive, common.capture_info(capture), meaning=meaning)
     with common.progress(capture.duration_s, "s", "estimating") as bar:
-        for block in capture.blocks(_BLOCK_SAMPLES):
+        for block in capture.blocks(common.BLOCK_SAMPLES):
             pipeline.process(block, rows=False)
             bar.update(float(block.time_s[-1] - block.time_s[0]))
     estimate = pipeline.finish() or pipeline.current()

@@ -25,7 +25,7 @@ OWN = ("J", "B", "TL")
 #: Of these, the first that cannot be negative.
 _POSITIVE = 2
 
-#: Less of a row is rest than this, and it is one of motion.
+#: Less of a row is rest than this, and it is one of motion (chosen; not tried).
 _MOVES = 0.01
 
 #: From the coefficients of an effect's columns to its parameters, natural units; None: there are none.

@@ -25,9 +25,9 @@ from servo_daemon.regression.linear_regression import ROBUST, fit_linear
 from servo_daemon.samples import F64
 
 #: Standard deviations above which an inertia or a friction is seen; where none is, its torque is taken for so small a
-#: share of what is left.
+#: share of what is left (two: one Gaussian in twenty is beyond; the second chosen, not tried).
 _SEEN, _UNSEEN = 2.0, 0.05
-#: Relative step of a derivative.
+#: Relative step of a derivative (between rounding and curvature; chosen; not tried).
 _STEP = 1e-6
 
 

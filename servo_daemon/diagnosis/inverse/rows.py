@@ -25,7 +25,7 @@ from servo_daemon.numerics import sample_period
 from servo_daemon.plant.columns.screening import Motion
 from servo_daemon.samples import F64
 
-#: Below so many standard deviations of its own noise a speed is rest.
+#: Below so many standard deviations of its own noise a speed is rest (a Gaussian is beyond four once in 16,000 times).
 _REST_SIGMA = 4.0
 #: Instants of each interval that the motion's formulas are taken at where the effort is its mean: of a wave of which it
 #: passes 2 rad, the mean is then right to 1 % (0.25 / sin 0.25 = 1.01).

@@ -35,8 +35,8 @@ _WAVES = "cogging_torque"
 NAMED = (_WAVES, "gravity_load", "load_dependent_friction", "position_dependent_friction")
 #: Of causes that do as well the one that every machine has.
 _USUAL = "coulomb_friction"
-#: Log of the squared error that a further harmonic must take, and the radians of one that an instant may pass: about
-#: a quarter of its period, half of what sampling allows.
+#: Log of the squared error that a further harmonic must take, and the radians of one that an instant may pass: about a
+#: quarter of its period, half of what sampling allows (the worth chosen, not tried).
 _HARMONIC_WORTH, _RESOLVED = 0.15, 1.5
 #: At most so many effects are taken: friction, a weight and cogging are what the drives of the field data have.
 _MOST_EFFECTS = 3

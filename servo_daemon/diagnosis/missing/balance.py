@@ -27,9 +27,9 @@ from servo_daemon.plant.columns.screening import Trace
 from servo_daemon.samples import F64, SampleBlock
 
 #: Parameters are changed where more than this share of the voltage (ten times as much of the torque) is missing, at
-#: most so often, and as long as that helps.
+#: most so often, and as long as that helps (chosen; not tried).
 _MUCH, _ROUNDS = 0.03, 4
-#: Factors by which a parameter moves at most in a round.
+#: Factors by which a parameter moves at most in a round (chosen; not tried).
 _LEAP = (1e-3, 1e3)
 
 

@@ -45,9 +45,9 @@ class Fitted(Protocol):
         """Parameters of a recording, shape (np,)."""
 
 
-#: The unknown inputs' spread before the first sample, in shares of the working torque and voltage.
+#: The unknown inputs' spread before the first sample, in shares of the working torque and voltage (chosen; not tried).
 _PRIOR = 3.0
-#: Initial states are known to this share of their size.
+#: Initial states are known to this share of their size (chosen; not tried).
 _STATE_PRIOR = 3.0
 
 

@@ -19,11 +19,12 @@ from servo_daemon.diagnosis.missing.smoother import Augmented, likelihood, packe
 from servo_daemon.plant.at_once import alike
 from servo_daemon.samples import F64
 
-#: Pieces and samples of each that the likelihood looks at; the first samples of a piece only find the state.
+#: Pieces and samples of each that the likelihood looks at; the first samples of a piece only find the state (chosen;
+#: not tried).
 PIECES, PIECE_SAMPLES, SETTLING = 8, 512, 40
-#: A run of equal readings counts with its first and last samples only.
+#: A run of equal readings counts with its first and last samples only (chosen; not tried).
 _ALIVE = 4
-#: A channel is in steps if this share of its readings repeats the one before.
+#: A channel is in steps if this share of its readings repeats the one before (chosen; not tried).
 _REPEATS = 0.02
 
 

@@ -18,7 +18,7 @@ from servo_daemon.plant.columns.screening import Trace
 from servo_daemon.plant.compiled import SampleLoop
 from servo_daemon.samples import F64
 
-#: Samples that go through a pass at once: what they need stays in the processor's cache.
+#: Samples that go through a pass at once: what they need stays in the processor's cache (chosen; not tried).
 _AT_ONCE = 512
 
 

@@ -9,7 +9,7 @@ from servo_daemon.identification.output_error.problem.rollout import STEP, TIME
 from servo_daemon.plant.columns.screening import Motion
 from servo_daemon.samples import F64
 
-#: At rest is slower than this many standard deviations, or than this share of the usual speed.
+#: At rest is slower than this many standard deviations, or than this share of the usual speed (chosen; not tried).
 _REST_STD, _REST_SHARE = 3.0, 2e-3
 
 

@@ -30,9 +30,10 @@ from servo_daemon.plant.compiled import SampleLoop
 from servo_daemon.plant.effects.base import LATE
 from servo_daemon.samples import F64
 
-#: Regressors that one call of the linear response carries.
+#: Regressors that one call of the linear response carries (chosen; not tried).
 BATCH = 8
-#: More states than this are those of a delay line, most of which only move on.
+#: More states than this are those of a delay line, most of which only move on (a delay line has three a step, the
+#: other effects two; chosen; not tried).
 _FEW_STATES = 10
 
 

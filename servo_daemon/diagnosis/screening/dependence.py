@@ -26,13 +26,13 @@ from servo_daemon.samples import F64
 #: voltage, that follow angle and time; what a user looks for begins at some percent.
 LEAST_SHARE, LEAST_SIZE = 0.08, 2e-3
 #: So few samples hold so much of the series' energy, are so many standard deviations large at the largest, and are of
-#: such a size beside the working torque or voltage, where something came at moments.
+#: such a size beside the working torque or voltage, where something came at moments (chosen; not tried).
 _FEW, _HELD_BY_FEW, _BEYOND_NOISE, _MOMENT_SIZE = 0.02, 0.4, 10.0, 0.05
 #: Beyond this share of the working torque or voltage something is missing, also if it follows nothing (decision 73).
 _LARGE = 0.02
-#: Hats over a quantity's range, and the longest list.
+#: Hats over a quantity's range, and the longest list (chosen; not tried).
 _HATS, _LONGEST = 9, 4
-#: Of a heat that comes and goes, in shares of the capture.
+#: Of a heat that comes and goes, in shares of the capture (chosen; not tried).
 _THERMAL = (0.1, 0.4)
 
 

@@ -23,7 +23,8 @@ _POINTS = 64
 #: A size is scanned over so many times the usual one either way; without any slope to start from a fit finds its way
 #: over a factor of about three.
 _RANGE = 10.0
-#: Where nothing is linear a coefficient further from one than this is of other values than those of its column.
+#: Where nothing is linear a coefficient further from one than this is of other values than those of its column
+#: (chosen; not tried).
 _NEAR_ONE = 5.0
 #: The counts that are tried.
 _COUNTS = range(1, 17)

@@ -15,11 +15,11 @@ from servo_daemon.plant.columns.screening import Motion, Trace
 from servo_daemon.samples import F64
 
 #: Time blocks, and folds of the cross-validation: fold f holds out blocks f, f + FOLDS, …, so that a step or a slow
-#: drift has both sides in every part.
+#: drift has both sides in every part (chosen; not tried).
 BLOCKS, FOLDS = 20, 5
 #: A trace beyond it has no sum of squares: numbers end at 10³⁰⁸.
 _LARGEST = 1e100
-#: A change of J by this share costs as much as the whole series (`Regression`).
+#: A change of J by this share costs as much as the whole series (`Regression`; chosen; not tried).
 MOST_CHANGE = 0.3
 
 

@@ -1,4 +1,4 @@
-"""Cheap screening: how much of the unmodelled torque and voltage each effect of the contract could explain.
+"""Cheap screening: how much of the unmodelled torque and voltage each effect of the library could explain.
 
 Every effect is a few columns (its formula over the smoothed signals, carried through the smoother), linear in their
 coefficients; what is not linear is scanned. They are fitted to both series at once, in units of their standard
@@ -25,7 +25,7 @@ from servo_daemon.plant.columns.screening import Basis, Context, Family, Motion,
 from servo_daemon.plant.contribution import contribution
 from servo_daemon.plant.effects import effects_by_name
 
-#: A parameter more must lower what is left by this share to come before.
+#: A parameter more must lower what is left by this share to come before (chosen; not tried).
 _WORTH = 0.05
 #: The motor's own parameters, and by what factors a missing effect may have biased them.
 _MOTOR, _BIASED = MOTOR_NAMES, (0.2, 5.0)
@@ -36,7 +36,7 @@ class ScreenedCandidate:
     """An effect with what screening has found of it.
 
     Attributes:
-        effect: name of the contract.
+        effect: its name.
         share: of the unmodelled torque and voltage that it explains beyond the plant's free parameters, 0 .. 1.
         start: start values of its parameters, SI units ("channel" of a delay: the channel's name).
         heldout_share: the same on blocks the coefficients have not seen; negative: worse than nothing.

@@ -17,17 +17,22 @@ from servo_daemon.plant.contribution import contribution
 from servo_daemon.plant.effects import effects_by_name, further_harmonics
 from servo_daemon.plant.effects.base import LATE_STEPS
 
-#: Of the screened candidates so many are fitted in each round, if they explain this share of what the best does.
+#: Of the screened candidates so many are fitted in each round, if they explain this share of what the best does
+#: (chosen; not tried).
 MOST_FITTED, WORTH_A_FIT, WORTH_A_PAIR = 6, 0.2, 0.1
-#: A motor is started from both ends where screening moves one of its parameters by more, in logarithms.
+#: A motor is started from both ends where screening moves one of its parameters by more, in logarithms (chosen; not
+#: tried).
 _FAR = 0.5
-#: Of the winding's time constant so much is left to it where a late sensor is supposed to be the rest.
+#: Of the winding's time constant so much is left to it where a late sensor is supposed to be the rest (chosen; not
+#: tried).
 _LEFT_TO_L = 0.2
-#: Samples amid commands of zero, as a share of all, from which on an open bridge there is asked about.
+#: Samples amid commands of zero, as a share of all, from which on an open bridge there is asked about (chosen; not
+#: tried).
 _LEAST_ZERO = 0.02
 #: Friction that pushes and brakes as another R and J do.
 _BY_LOAD = "load_dependent_friction"
-#: What a train of gears loses of the torque, and a single stage: a valley leads from one to the other, slowly.
+#: What a train of gears loses of the torque, and a single stage: a valley leads from one to the other, slowly
+#: (decision 65).
 _MU = (0.2, 0.03)
 #: Of the proposals so many are tried in pairs.
 _IN_PAIRS = 4

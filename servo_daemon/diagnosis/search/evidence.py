@@ -18,33 +18,39 @@ from servo_daemon.diagnosis.trial.trial import Trial
 from servo_daemon.identification.output_error import OutputErrorFit
 from servo_daemon.plant.effects import effects_by_name
 
-#: Least gain of a new effect: error of the free runs (log of its RMS; the 98 % interval must be above 0), and BIC.
+#: Least gain of a new effect: error of the free runs (log of its RMS; the 98 % interval must be above 0), and BIC
+#: (chosen; not tried).
 LEAST_GAIN, LEAST_BIC = 0.03, -20.0
 #: Share of the gain that is none: where the motor moves in few of the runs that decide, some resamples hold none of
-#: these and neither gain nor lose.
+#: these and neither gain nor lose (chosen; not tried).
 _NOTHING = 0.01
-#: Least torque or voltage of an effect that has one, as a share of what the motor works with.
+#: Least torque or voltage of an effect that has one, as a share of what the motor works with (as
+#: `screening.dependence.LEAST_SIZE`).
 LEAST_SHARE = 2e-3
-#: Least share of the removable error that one effect takes of what the others leave, and that all take together.
+#: Least share of the removable error that one effect takes of what the others leave, and that all take together
+#: (chosen; not tried).
 LEAST_OWN, LEAST_TOGETHER = 0.5, 0.75
-#: BIC of an effect that screening thought little of: some twenty, of which one gains a little by chance.
+#: BIC of an effect that screening thought little of: some twenty, of which one gains a little by chance (chosen; not
+#: tried).
 _UNSEEN_BIC = -100.0
 #: Least part of the squared error that the search began with: without it a torque ripple of 0.06 % got a name.
 _LEAST_OF_ALL = 1e-4
-#: Least inertia behind a spring or a gap, as a share of the motor's: one of nothing fits anything (a drive's lag did).
+#: Least inertia behind a spring or a gap, as a share of the motor's: one of nothing fits anything (a drive's lag did;
+#: chosen; not tried).
 _LEAST_INERTIA = 0.02
-#: Candidates whose gain is within this of the best, and that resampling cannot tell from it, are equivalent.
+#: Candidates whose gain is within this of the best, and that resampling cannot tell from it, are equivalent (chosen;
+#: not tried).
 _TIE = 0.02
-#: What a simpler model may lose at the end of a search.
+#: What a simpler model may lose at the end of a search (chosen; not tried).
 _LITTLE_LOST = 0.01
-#: A nested effect with more parameters must gain this much over the smaller one.
+#: A nested effect with more parameters must gain this much over the smaller one (chosen; not tried).
 NESTED_GAIN = 0.02
 #: BIC that no wrong model earns by chance or by an integrator's error (record 73 of docs/decisions.md: clean captures
 #: leave a thousandth of it), and the gain that must come with it.
 OVERWHELMING_BIC, _CLEARLY = -1000.0, 0.1
-#: Lower end of a gain that needs no other evidence.
+#: Lower end of a gain that needs no other evidence (chosen; not tried).
 PLAINLY = 0.2
-#: What is late is so by this share of a sample, at least: L takes what is less.
+#: What is late is so by this share of a sample, at least: L takes what is less (chosen; not tried).
 _LEAST_LATE = 0.1
 _SERIES = {"N·m": "torque", "V": "voltage"}
 

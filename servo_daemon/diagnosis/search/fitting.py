@@ -29,7 +29,8 @@ from servo_daemon.identification.output_error.starts import by_sizes
 from servo_daemon.identification.short_runs import begun_short_runs, has_found_states, with_all_inertia
 from servo_daemon.plant.effects import effects_by_name
 
-#: Iterations that every candidate gets, and the share of the best one's gain that earns it the rest.
+#: Iterations that every candidate gets, and the share of the best one's gain that earns it the rest (chosen; not
+#: tried).
 _FIRST_ITERATIONS, _KEPT = 5, 0.3
 #: … unless it has gained less than this in V per value: a quarter of what `LEAST_GAIN` asks for.
 _HOPELESS = 0.01
@@ -42,7 +43,7 @@ _MUCH = 0.05
 #: Share of what is left that a further effect explains in the balances, on data held out: the ripple that a fit put
 #: beside dry friction on means of 500 Hz, three times as large as the balance had it, explained 0.02.
 _LITTLE_SEEN = 0.05
-#: Share of what is missing that one cause is, if it is most of it.
+#: Share of what is missing that one cause is, if it is most of it (a half, by what the word says).
 _MOSTLY = 0.5
 
 

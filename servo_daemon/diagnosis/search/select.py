@@ -44,15 +44,15 @@ from servo_daemon.diagnosis.trial.trial import Trial, fit_trial
 from servo_daemon.errors import NumericalError
 from servo_daemon.identification.short_runs import has_found_states
 
-#: At most so many effects are taken.
+#: At most so many effects are taken (chosen; not tried).
 _MOST_EFFECTS = 4
 #: Screened so well, a cause must show in a fit: if none does, the free runs are too long for this motor.
 _PROMISING = 0.25
 #: … of these: with them a motor may stand where it cannot stay.
 _UNSTABLE = ("cogging_torque", "gravity_load")
-#: … and so much of what it promised.
+#: … and so much of what it promised (chosen; not tried).
 _MUCH = 0.7
-#: V by which a model fitted again must be better to count as another.
+#: V by which a model fitted again must be better to count as another (chosen; not tried).
 _BETTER_CHANCE = 2.0
 #: Told how far it is, 0 .. 1, and what is being done.
 Progress = Callable[[float, str], None]

@@ -29,7 +29,7 @@ from servo_daemon.samples import F64
 _CUTS, _LONGER = 5, 4.0
 #: … and err by no more than so many times what a constant torque adds up to (cogging on samples of 200 Hz: 5 to 10).
 _RUN_AWAY = 2.0
-#: No longer than this, s: a run of many seconds with dry friction has valleys of its own.
+#: No longer than this, s: a run of many seconds with dry friction has valleys of its own (chosen; not tried).
 _LONGEST_S = 4.0
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from servo_daemon.identification.output_error import OutputErrorFit
 
 #: Models whose residuals differ by no more than this share are one to the data: simulation, noise that is not quite
-#: white and what else is missing make as much.
+#: white and what else is missing make as much (chosen; not tried).
 _ALIKE = 0.01
 #: Where both are white their deviances tell: a difference of 3 σ, squared.
 _BY_CHANCE = 9.0

@@ -23,7 +23,7 @@ from servo_daemon.identification.short_runs import by_short_runs
 #: sample, noise that goes through it, edges of the encoder. Measured on hidden effects: errors of 0.1 to 0.7 % where
 #: the fit's own standard deviation put them at 4 to 14 σ.
 _EXACT = 2.5e-3
-#: Angles that differ by less are one, rad.
+#: Angles that differ by less are one, rad (below any encoder's step).
 _ONE_PLACE = 1e-9
 
 

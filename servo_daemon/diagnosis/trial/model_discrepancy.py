@@ -15,10 +15,10 @@ from servo_daemon.errors import NumericalError
 
 #: For screening the unmodelled torque and voltage walk at least by this share of the working ones in this time, s. A
 #: cause that changes fast (a ripple over the turn) may look most like white noise of the voltage; taken for that,
-#: nothing of it is left to screen.
+#: nothing of it is left to screen (decision 66).
 _LEAST_WALK, _WITHIN_S = 1e-3, 0.01
 #: … and white noise of the input is at most this share of the working input: converters are better, and friction that
-#: sticks and slides passes for noise of the voltage as large as the voltage itself.
+#: sticks and slides passes for noise of the voltage as large as the voltage itself (decision 66).
 _MOST_INPUT = 0.05
 
 

@@ -23,11 +23,11 @@ from servo_daemon.errors import BadInputError
 from servo_daemon.identification.output_error import Recording
 from servo_daemon.numerics import sample_period
 
-#: Free runs last between these, s; about so many of them are wanted.
+#: Free runs last between these, s; about so many of them are wanted (chosen; not tried).
 _SHORTEST_S, _LONGEST_S, _WANTED = 0.4, 1.5, 48
-#: A free run has at least so many samples.
+#: A free run has at least so many samples (chosen; not tried).
 _FEWEST = 40
-#: Runs that are shorter than the search's are so many times shorter.
+#: Runs that are shorter than the search's are so many times shorter (chosen; not tried).
 _SHORTER = 8.0
 _SEED = 20260
 TRAIN, CHOICE, HELD_OUT = 0, 1, 2
@@ -37,7 +37,7 @@ _SEEN = (TRAIN, TRAIN, CHOICE)
 _PATTERN = (*_SEEN, HELD_OUT)
 #: Fewer free runs leave a single one to decide: nothing to resample.
 _FEWEST_RUNS = 8
-#: Of fewer that are held out resampling makes no interval.
+#: Of fewer that are held out resampling makes no interval (chosen; not tried).
 _FEWEST_MEASURED = 3
 
 

@@ -25,14 +25,15 @@ from servo_daemon.plant.effects import check_effects, effects_by_name
 from servo_daemon.plant.effects.base import LATE_STEPS, TWIST
 from servo_daemon.samples import F64
 
-#: Of a fit: from each of several starts, and from the best of these.
+#: Of a fit: from each of several starts, and from the best of these (chosen; not tried).
 _START_ITERATIONS, _MOST_ITERATIONS = 3, 25
 #: Samples of all free runs together: of longer captures each run is only begun, so that a search takes no longer; the
 #: fit that is published sees all of them. And the least of one run.
 _MOST_SAMPLES, _LEAST_SAMPLES = 24_000, 40
 
 
-#: An L/R of this share of the sample period and a viscous friction of this share of the braking K²/R can be seen.
+#: An L/R of this share of the sample period and a viscous friction of this share of the braking K²/R can be seen
+#: (chosen; not tried).
 _SEEN_LAG, _SEEN_BRAKING = 0.1, 0.01
 
 

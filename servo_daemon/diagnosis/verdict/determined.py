@@ -11,7 +11,7 @@ from servo_daemon.plant.effects import effects_by_name
 
 #: A value is known with a standard deviation below this share of it, a phase below this much, rad (decision 85).
 _KNOWN, _KNOWN_PHASE_RAD = 0.5, 0.5
-#: Part of a gradient along a direction without a trace beyond which a combination is open.
+#: Part of a gradient along a direction without a trace beyond which a combination is open (chosen; not tried).
 _LEAK = 1e-4
 #: Log ratios that are zero within their covariance: chance makes their squared distance larger once in 20 times (the
 #: usual level of a χ² test).

@@ -12,7 +12,7 @@ from servo_daemon.identification.output_error import FitOptions, OutputErrorFit,
 from servo_daemon.identification.output_error.problem.score import score
 from servo_daemon.identification.procedure.validate import natural_values
 
-#: Differences that chance makes this rarely, and that are no smaller than this share of the value.
+#: Differences that chance makes this rarely, and that are no smaller than this share of the value (chosen; not tried).
 _CHANCE, _LEAST = 1e-4, 0.005
 
 

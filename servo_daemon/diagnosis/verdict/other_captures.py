@@ -19,7 +19,7 @@ from servo_daemon.diagnosis.trial.scored import Scored
 from servo_daemon.diagnosis.trial.split import CHOICE, HELD_OUT, TRAIN
 from servo_daemon.diagnosis.trial.trial import Trial, fit_trial
 
-#: Captures are left out in at most so many groups: each is a fit of every model.
+#: Captures are left out in at most so many groups: each is a fit of every model (chosen; not tried).
 _GROUPS = 3
 #: What is left has at least this share of the free runs: a model fitted to a handful of them is no judge of the rest.
 _LEAST_LEFT = 0.4

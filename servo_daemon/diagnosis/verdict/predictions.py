@@ -36,11 +36,11 @@ from servo_daemon.diagnosis.verdict.result import CandidateScore, Finding, HeldO
 from servo_daemon.identification.output_error import OutputErrorFit, Recording
 from servo_daemon.plant.effects import effects_by_name
 
-#: So many of the candidates of the first round, those that fit best, are fitted to the full data.
+#: So many of the candidates of the first round, those that fit best, are fitted to the full data (chosen; not tried).
 _TRIED = 5
 #: Where the baseline is not white these are tried, too, whatever screening thinks of them.
 _OVERLOOKED = ("drive_lag", "winding_heating")
-#: Samples, of all recordings together, that a decision needs at most.
+#: Samples, of all recordings together, that a decision needs at most (chosen; not tried).
 _MOST_SAMPLES = 60_000
 
 

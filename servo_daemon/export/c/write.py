@@ -8,12 +8,10 @@ from importlib.resources import files
 from servo_daemon.errors import BadInputError
 from servo_daemon.export.c.lines import c_lines, literal
 from servo_daemon.export.c.step import KNOWN, build_step, doublings_for
-from servo_daemon.export.model import CORE, Export, ExportedModel, Target
+from servo_daemon.export.model import ASSUMED_PERIOD_S, CORE, Export, ExportedModel, Target
 from servo_daemon.export.words import common_notes, header
 from servo_daemon.plant.effects import parameter_table
 
-#: Taken where nobody says how fast the drive samples, s; told.
-_ASSUMED_PERIOD_S = 1e-3
 #: Twice the drive's own step, for a sample that was lost.
 _LONGEST = 2.0
 #: Measured with 4 parameters at 1 kHz by tests/unit/export/test_export_c_cortex.py (arm-none-eabi-gcc 12.2 -O3
@@ -37,7 +35,7 @@ def write(model: ExportedModel) -> Export:
     period = model.sample_period_s
     if period is None:
         notes.append("the sample rate is not given (--rate-hz): made for 1 kHz")
-        period = _ASSUMED_PERIOD_S
+        period = ASSUMED_PERIOD_S
     longest = _LONGEST * period
     code = build_step(names, values["L"], doublings_for(values, longest))
     body = c_lines(

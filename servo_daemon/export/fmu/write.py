@@ -16,14 +16,12 @@ from xml.sax.saxutils import quoteattr
 import casadi as ca
 
 from servo_daemon.errors import BadInputError
-from servo_daemon.export.model import Export, ExportedModel, Target
+from servo_daemon.export.model import ASSUMED_PERIOD_S, Export, ExportedModel, Target
 from servo_daemon.export.reference import plant_of
 from servo_daemon.export.words import common_notes, header, identifier, number
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.plant.compiler import find_compiler
 
-#: Taken where nobody says how fast the drive samples, s: then effects are as the daemon's own step has them at 1 kHz.
-_ASSUMED_PERIOD_S = 1e-3
 _INPUTS = {"voltage": ("voltage_V", "V"), "current": ("current_A", "A"), "torque": ("torque_Nm", "N.m")}
 _OUTPUTS = (("current_A", "A"), ("velocity_rad_s", "rad/s"), ("position_rad", "rad"))
 #: Of a zip's entries: equal content gives equal bytes.
@@ -79,7 +77,7 @@ def _source(plant: PlantModel, model: ExportedModel, values: dict[str, float]) -
     v, i = model.meaning.factors
     gear = model.gear
     filled = {
-        "LONGEST": repr(model.sample_period_s or _ASSUMED_PERIOD_S),
+        "LONGEST": repr(model.sample_period_s or ASSUMED_PERIOD_S),
         "NX": str(len(plant.states)),
         "NP": str(len(plant.parameters)),
         "INITIAL": ", ".join(repr(float(s.initial)) for s in plant.states),

@@ -27,6 +27,7 @@ from servo_daemon.parameters import WINDING_NAMES
 from servo_daemon.regression.linear_regression import LinearFit, fit_linear, is_determined
 from servo_daemon.samples import F64, SampleBlock
 
+#: Rounds in which the instruments are made with the values of the one before (chosen; not tried).
 _ROUNDS = 4
 #: What is wrong with a voltage does not go with di/dt: for L an error of the model counts so much less (information
 #: 12-fold, as in the tracker).

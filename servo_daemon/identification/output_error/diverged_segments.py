@@ -15,6 +15,7 @@ from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.solver.solver import Solution, solve
 from servo_daemon.samples import F64
 
+#: Iterations that look for a segment's initial states at most (chosen; not tried).
 _STATE_ITERATIONS = 8
 #: A fit is over when an iteration lowers V by less than this per value: the RMS by half of it.
 ENOUGH = 1e-4

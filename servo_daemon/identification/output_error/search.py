@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from servo_daemon.errors import NumericalError
-from servo_daemon.identification.output_error.diverged_segments import begun_again
+from servo_daemon.identification.output_error.diverged_segments import ENOUGH, begun_again
 from servo_daemon.identification.output_error.fitted import FitOptions
 from servo_daemon.identification.output_error.multi_start import from_nearby, from_other_starts, is_to_be_searched
 from servo_daemon.identification.output_error.noise.residual import residual_tests
@@ -25,8 +25,6 @@ _BETTER = 1.0
 _SAME = 0.2
 #: Iterations of the first search, and of those that follow only to see whether there is a better minimum.
 _FIRST_SEARCH, _OTHER_SEARCHES = 60, 25
-#: V per value that an iteration must win where a rough end will do: half of it is the change of the RMS.
-_ENOUGH = 1e-4
 
 
 def search(problem: Problem, starts: Sequence[Start], options: FitOptions) -> tuple[Solution, Start]:
@@ -38,7 +36,7 @@ def search(problem: Problem, starts: Sequence[Start], options: FitOptions) -> tu
     chosen = [s for s in starts if s not in windows and s not in guesses]
     chosen += _most_promising(problem, guesses, _SEARCHED) + _most_promising(problem, windows, 1)
     best: tuple[Solution, Start] | None = None
-    enough = 0.0 if options.thorough else _ENOUGH * float(problem.counts.sum())
+    enough = 0.0 if options.thorough else ENOUGH * float(problem.counts.sum())
     idle = bool((problem.spread <= STILL).all())  # nothing moves: nothing to search for
     for start in chosen:
         been = None if best is None else best[0].point

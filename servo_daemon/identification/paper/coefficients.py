@@ -129,17 +129,15 @@ def quadratic_roots(sum_s: float, product_s2: float, R: float, D: float, N: floa
     return Root(J, p / J), Root(other, R * J / D if D else math.inf)
 
 
-def redo_paper(
-    tau_1_s: float = PAPER_TAU_1_S, tau_2_s: float = PAPER_TAU_2_S, k: float = PAPER_K, R: float = PAPER_R
-) -> PaperCoefficients:
+def redo_paper(tau_2_s: float = PAPER_TAU_2_S) -> PaperCoefficients:
     """The paper's comparison under its own normalisation 1 = D R + k².
 
     Raises:
         BadInputError: the quadratic has no real root.
     """
-    D = (1.0 - k**2) / R
-    root, other = quadratic_roots(tau_1_s + tau_2_s, tau_1_s * tau_2_s, R, D, 1.0)
-    values = {"J": root.J, "L": root.L, "D": D, "K": k, "R": R}
+    D = (1.0 - PAPER_K**2) / PAPER_R
+    root, other = quadratic_roots(PAPER_TAU_1_S + tau_2_s, PAPER_TAU_1_S * tau_2_s, PAPER_R, D, 1.0)
+    values = {"J": root.J, "L": root.L, "D": D, "K": PAPER_K, "R": PAPER_R}
     note = (
         "K = k and R are inputs, not results; D follows from the assumed R by the normalisation 1 = D R + k² alone, "
         "which forgets to divide by D R + k²"

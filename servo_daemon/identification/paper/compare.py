@@ -88,7 +88,7 @@ def compare_methods(
     assumed_R: float,
     effects: tuple[str, ...],
     options: FitOptions,
-    model_for: ModelFor | None = None,
+    model_for: ModelFor | None,
 ) -> Comparison:
     """Run every method on the first part of the capture, score on the rest.
 

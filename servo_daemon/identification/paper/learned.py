@@ -19,6 +19,7 @@ from servo_daemon.numerics import sample_period
 from servo_daemon.parameters import LINEAR
 from servo_daemon.samples import F64, SampleBlock
 
+#: Length of a window, s (chosen; not tried).
 _LONGEST_S, _SHORTEST_S = 5.0, 2.0
 #: Without a datasheet: around this recording's own regression, rounded so that captures of one motor share a model.
 _OWN_SPREAD, _ROUND = 2.0, 0.2

@@ -76,13 +76,13 @@ def paper_product() -> float:
     return product_for(method1_motor(redo_paper()))
 
 
-def redo(seed: int = _SEED) -> PaperRedone:
-    """Run it; deterministic for a seed."""
+def redo() -> PaperRedone:
+    """Run it; deterministic."""
     method1 = redo_paper()
     first, product = method1_motor(method1), paper_product()
     true = position_test(RESULT, product)
     tests = {"method1": position_test(first, product, true), "method2": position_test(RESULT, product, true)}
-    block, _ = simulate_capture(seconds=_SECONDS, rate_hz=_RATE_HZ, seed=seed, motion="steps", motor=dict(RESULT))
+    block, _ = simulate_capture(seconds=_SECONDS, rate_hz=_RATE_HZ, seed=_SEED, motion="steps", motor=dict(RESULT))
     angle = make_block(block.time_s, voltage_V=block.voltage_V, position_rad=block.position_rad)
     options = FitOptions(nominal=START)
     return PaperRedone(

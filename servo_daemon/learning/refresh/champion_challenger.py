@@ -16,11 +16,13 @@ import numpy as np
 from servo_daemon.learning.features.balance_features import residual_shares
 from servo_daemon.learning.features.window import Window
 
-#: Windows in a row that must be won to be trusted, and lost to be so no longer.
+#: Windows in a row that must be won to be trusted, and lost to be so no longer (chosen; not tried).
 _TO_PROVE, _TO_LOSE = 2, 2
-#: Won: the model leaves at most this many times what the filter leaves of both balances, or at most this share of them.
+#: Won: the model leaves at most this many times what the filter leaves of both balances, or at most this share of them
+#: (chosen; not tried).
 _WON, _CLOSED = 1.05, 0.02
-#: The filter is wrong where it leaves this many times as much of a balance as the model, and more than this share.
+#: The filter is wrong where it leaves this many times as much of a balance as the model, and more than this share
+#: (chosen; not tried).
 _FILTER_WRONG, _NOTICEABLE = 2.0, 0.005
 #: What the balances of the armature and of the shaft refute.
 _REFUTED = (frozenset({"R", "L", "K", "J", "B", "Tc"}), frozenset({"J", "B", "Tc"}))

@@ -29,7 +29,7 @@ from servo_daemon.learning.model.model import LearnedModel
 from servo_daemon.learning.refresh.champion_challenger import ChampionChallengerTest
 from servo_daemon.samples import F64, Quality, SampleBlock, concatenate
 
-#: The calibrated std is taken for so many times as much: filter and model share the samples.
+#: The calibrated std is taken for so many times as much: filter and model share the samples (chosen; not tried).
 _INFLATION = 2.0
 #: Gate: mean square of the distance in standard deviations of both together; of R, L, K, J and B chance makes it larger
 #: once in 68,000 times (χ² of five above 30).
@@ -92,7 +92,7 @@ class Refresh:
         every_s: from one window's end to the next; no less than a window, so that the next one is new data.
     """
 
-    def __init__(self, model: LearnedModel, every_s: float = 10.0) -> None:
+    def __init__(self, model: LearnedModel, every_s: float) -> None:
         self.model = model
         self.every_s = max(every_s, model.spec.window_s)
         self.reset()

@@ -16,12 +16,13 @@ from servo_daemon.tracking.plan.settings import TICK_S
 
 #: Speeds are means over a fifth of a tick, so that an encoder's steps are no acceleration.
 _PARTS = 5
-#: How far back the motion is looked at, s, and least speed that there is something to divide by, rad/s.
+#: How far back the motion is looked at, s, and least speed that there is something to divide by, rad/s (as in
+#: `measured_link.py`; the second is below any encoder's).
 _SPAN_S, _STILL = 20.0, 1e-6
 
 
 class CurrentTiming:
-    """One drive's; fed ticks.
+    """What the moment of one drive's current leaves open of B; fed ticks.
 
     Args:
         meaning: of its signals.

@@ -30,11 +30,11 @@ from servo_daemon.samples import F64, Quality, SampleBlock, concatenate
 from servo_daemon.signal_meaning import SignalMeaning
 from servo_daemon.tracking.noise.watch import WHITE_OUT
 
-#: How far back the regression looks, s: a winding warms up by a few per cent in a minute.
+#: How far back the regression looks, s: a winding warms up by a few per cent in a minute (chosen; not tried).
 _SPAN_S = 20.0
 #: Device time from one estimate to the next, s, and how often all lengths of windows are tried.
 _EVERY_S, _ALL_LENGTHS_EVERY = 1.0, 10
-#: Fewest seconds of samples from which anything is published.
+#: Fewest seconds of samples from which anything is published (chosen; not tried).
 _LEAST_S = 3.0
 #: What the filter's motion is exact to beside its own noise, 1 σ of J, B and every torque: a current runs on between
 #: two samples, and one of them may come a tenth of a period late. Measured on the independent plant of
@@ -44,7 +44,7 @@ _MOTION, _MOTION_PER_S = 3e-3, 0.01 / 0.02
 #: what is left, as a share (`unresolved`), is worth so much of every torque, 1 σ. (Servos of benchmarks/drives.py with
 #: steps of 1 ms: at 500 Hz J is 0.6 and 2.4 % off at shares of 0.24 and 0.25; at 100 Hz 10 and 30 %.)
 _STEPS_SEEN, _UNSEEN_STD = 2.5, 0.05
-#: A K that is known so well, 1 σ, is good enough for the filter to begin with.
+#: A K that is known so well, 1 σ, is good enough for the filter to begin with (chosen; not tried).
 _TO_BEGIN = 0.1
 
 
@@ -59,7 +59,7 @@ class _Known:
 
 @dataclass(slots=True)
 class MeasuredLink:
-    """One drive's; fed ticks, as the tracker is.
+    """R, L and K of one drive whose voltage is measured; fed ticks, as the tracker is.
 
     Args:
         config: the drive's.

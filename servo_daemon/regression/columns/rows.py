@@ -16,7 +16,8 @@ from servo_daemon.regression.sampling import FEWEST_SAMPLES, SPAN_S
 from servo_daemon.regression.stretch import Stretch, motion
 from servo_daemon.samples import F64
 
-#: A current has a direction beyond so many standard deviations of its noise.
+#: A current has a direction beyond so many standard deviations of its noise (a Gaussian is beyond three once in 370
+#: times).
 DIRECTED_STDS = 3.0
 
 

@@ -20,11 +20,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from servo_daemon.numerics import sample_period
-from servo_daemon.samples import F64, SampleBlock
+from servo_daemon.samples import F64, GAP_FACTOR, SampleBlock
 from servo_daemon.signal_meaning import SignalMeaning
 
-#: A step of time longer than so many usual ones has lost samples (`captures.capture.model.GAP_FACTOR`).
-_GAP = 1.75
 #: Samples on either side from which a derivative is taken: 5 points are exact to h⁴, 3 points to h².
 FINE, COARSE = 2, 1
 #: Instants tell of what happens between them as long as the current bends by less than this share of itself: on the
@@ -102,7 +100,7 @@ def _whole(block: SampleBlock) -> NDArray[np.bool_]:
     good: NDArray[np.bool_] = block.quality == 0
     out = good.copy()
     out[0] = False
-    out[1:] &= good[:-1] & (steps <= _GAP * np.median(steps))
+    out[1:] &= good[:-1] & (steps <= GAP_FACTOR * np.median(steps))
     return out
 
 

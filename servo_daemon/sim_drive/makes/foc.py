@@ -17,6 +17,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from servo_daemon.sim_drive.source import MAX_BEHIND_S
+
 #: Control cycles a second.
 CONTROL_HZ = 20_000
 #: Bandwidth of the current controller and of the speed controller, rad/s.
@@ -25,8 +27,8 @@ _CURRENT_BANDWIDTH, _SPEED_BANDWIDTH = 1_000.0, 40.0
 _SPEED_EVERY = 20
 #: Noise is drawn once and gone through again and again; a prime, so that both currents take all of it.
 _NOISE_VALUES = 8_191
-#: A host that stood still longer than this continues from now instead of catching up.
-_MAX_BEHIND_S = 1.0
+#: Of each current reading, 1 σ.
+_NOISE_A = 0.05
 #: Friction turns round within so many rad/s.
 _FRICTION_WIDTH = 0.01
 
@@ -90,23 +92,20 @@ class FocDrive:
     """The drive as its firmware sees it.
 
     Args:
-        noise_A: of each current reading, 1 σ.
 
     Attributes:
         theta, omega: rad and rad/s. v_d, v_q: applied in the last cycle. i_q_filtered: what status messages carry, a
             low pass of a tenth a cycle. sums: for averages of any span.
     """
 
-    def __init__(
-        self, motor: Pmsm | None = None, motion: Motion | None = None, *, noise_A: float = 0.05, seed: int = 0
-    ) -> None:
+    def __init__(self, motor: Pmsm | None = None, motion: Motion | None = None, *, seed: int = 0) -> None:
         self.motor, self.motion = motor or Pmsm(), motion or Motion()
         self.theta = self.omega = self.i_d = self.i_q = self.v_d = self.v_q = 0.0
         self.i_q_filtered = 0.0
         self.sums = Sums()
         self._integral_d = self._integral_q = self._wanted = 0.0
         drawn = random.Random(seed)
-        self._noise = [drawn.gauss(0.0, noise_A) for _ in range(_NOISE_VALUES)]
+        self._noise = [drawn.gauss(0.0, _NOISE_A) for _ in range(_NOISE_VALUES)]
 
     @property
     def v_q_parts(self) -> tuple[float, float]:
@@ -185,9 +184,9 @@ class RunningFoc:
         return self._drive.theta
 
     def now(self) -> FocDrive:
-        """The drive at this instant. After a pause longer than `_MAX_BEHIND_S` it goes on from where it was."""
+        """The drive at this instant. After a pause longer than `MAX_BEHIND_S` it goes on from where it was."""
         ahead_s = self._clock() - self._start_s - self._drive.time_s
-        if ahead_s > _MAX_BEHIND_S:
+        if ahead_s > MAX_BEHIND_S:
             self._start_s += ahead_s
         self._drive.advance_to(self._clock() - self._start_s)
         return self._drive

@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from servo_daemon.sim_drive.makes.foc import RunningFoc
-from servo_daemon.sim_drive.source import SampleSource
+from servo_daemon.sim_drive.source import MAX_BEHIND_S, SampleSource
 
 #: The q axis's power is 1.5 v i.
 DQ_VOLTAGE = 1.5
-#: A host that stood still longer than this continues from now instead of catching up.
-_MAX_BEHIND_S = 1.0
 #: A sample whose time has come counts, whatever the rounding of that time.
 _ROUNDING = 1e-6
 
@@ -69,7 +67,7 @@ class MovingMotor:
     def now(self) -> Shown:
         """What the motor shows now."""
         now_s = self._clock()
-        if self._start_s is None or now_s - self._start_s - self._taken * self._period_s > _MAX_BEHIND_S:
+        if self._start_s is None or now_s - self._start_s - self._taken * self._period_s > MAX_BEHIND_S:
             self._start_s = now_s - (self._taken + 1) * self._period_s
         due = int((now_s - self._start_s) / self._period_s + _ROUNDING) - self._taken
         if due > 0:

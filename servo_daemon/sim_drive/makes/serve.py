@@ -11,14 +11,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
-from servo_daemon.sim_drive.pty_link import PtyLink
+from servo_daemon.sim_drive.pty_link import POLL_S, PtyLink
+from servo_daemon.sim_drive.source import MAX_BEHIND_S
 
-#: Longest wait before looking at `stop` again.
-_POLL_S = 0.05
 #: A device that has nothing to read waits so long for a reader.
 _ABSENT_S = 0.01
-#: A host that stood still longer than this continues from now instead of catching up.
-_MAX_BEHIND_S = 1.0
 
 
 class Device(Protocol):
@@ -54,7 +51,7 @@ def serve(link: Path, device: Device, *, stop: threading.Event, heard: Callable[
         next_s = time.monotonic()
         while not stop.is_set():
             period_s = device.period_s
-            wait_s = _POLL_S if period_s is None else min(_POLL_S, max(0.0, next_s - time.monotonic()))
+            wait_s = POLL_S if period_s is None else min(POLL_S, max(0.0, next_s - time.monotonic()))
             events = dict(poll.poll(1e3 * wait_s)).get(pty.master, 0)
             present = not events & select.POLLHUP
             if events & select.POLLIN:
@@ -67,7 +64,7 @@ def serve(link: Path, device: Device, *, stop: threading.Event, heard: Callable[
                 stop.wait(_ABSENT_S)
             now_s = time.monotonic()
             if period_s is not None and now_s >= next_s:
-                next_s = max(next_s + period_s, now_s - _MAX_BEHIND_S)
+                next_s = max(next_s + period_s, now_s - MAX_BEHIND_S)
                 line = device.due()
                 if present:
                     _write(pty.master, line)

@@ -11,6 +11,8 @@ from servo_daemon.sim_drive.makes.moving import Motor, Shown
 #: What a chain is supplied with, V, and how warm a servo is.
 SUPPLY_V, _CELSIUS = 12.0, 35
 _FIRMWARE = 45
+#: The models' numbers: XM430-W350, a step of whose Present Current is this, A; STS3215.
+_XM430, _XM430_LSB_A, _STS3215 = 1020, 2.69e-3, 777
 _COUNTS_PER_RAD = 4096 / (2.0 * math.pi)
 
 
@@ -34,14 +36,12 @@ class DynamixelChain:
 
     Args:
         motors: by id; their motor's voltage, current and the output shaft's motion.
-        model: number that they say (1020: XM430-W350, steps of 2.69 mA).
-        current_lsb_A: a step of Present Current.
     """
 
     period_s: float | None = None
 
-    def __init__(self, motors: Mapping[int, Motor], *, model: int = 1020, current_lsb_A: float = 2.69e-3) -> None:
-        self._motors, self._model, self._current_lsb_A = dict(motors), model, current_lsb_A
+    def __init__(self, motors: Mapping[int, Motor]) -> None:
+        self._motors = dict(motors)
         self._buffer = b""
 
     def due(self) -> bytes:
@@ -64,7 +64,7 @@ class DynamixelChain:
     def _answer(self, servo: int, instruction: int, parameters: bytes) -> bytes:
         if instruction == 0x01:
             asked = [servo] if servo in self._motors else list(self._motors) if servo == 0xFE else []
-            return b"".join(self._status(s, struct.pack("<HB", self._model, _FIRMWARE)) for s in asked)
+            return b"".join(self._status(s, struct.pack("<HB", _XM430, _FIRMWARE)) for s in asked)
         address, length = struct.unpack_from("<HH", parameters)
         if instruction == 0x02 and servo in self._motors:
             return self._status(servo, self._registers(servo, address, length))
@@ -91,13 +91,13 @@ class DynamixelChain:
 
     def _registers(self, servo: int, address: int, length: int) -> bytes:
         if (address, length) == (0, 2):
-            return struct.pack("<H", self._model)
+            return struct.pack("<H", _XM430)
         s = self._motors[servo].now()
         pwm, velocity = _cut(885 * s.voltage_V / SUPPLY_V, 16), s.velocity_rad_s * 60.0 / math.tau / 0.229
         return struct.pack(
             "<hhii8xHB",
             pwm,
-            _cut(s.current_A / self._current_lsb_A, 16),
+            _cut(s.current_A / _XM430_LSB_A, 16),
             _cut(velocity, 32),
             _cut(s.position_rad * _COUNTS_PER_RAD, 32),
             round(10 * SUPPLY_V),
@@ -110,8 +110,8 @@ class FeetechChain:
 
     period_s: float | None = None
 
-    def __init__(self, motors: Mapping[int, Motor], *, model: int = 777) -> None:
-        self._motors, self._model = dict(motors), model
+    def __init__(self, motors: Mapping[int, Motor]) -> None:
+        self._motors = dict(motors)
         self._buffer = b""
 
     def due(self) -> bytes:
@@ -135,7 +135,7 @@ class FeetechChain:
 
     def _status(self, servo: int, address: int, length: int) -> bytes:
         if (address, length) == (3, 3):
-            data = struct.pack("<HB", self._model, servo)
+            data = struct.pack("<HB", _STS3215, servo)
         else:
             data = self._state(self._motors[servo].now())[:length]
         body = bytes([servo, len(data) + 2, 0]) + data

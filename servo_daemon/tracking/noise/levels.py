@@ -21,22 +21,32 @@ LEAST_VAR = 1e-18
 FEWEST_TO_LEARN = 50
 #: Time constant of the adaptation, s (free within 2.5 .. 10, tried on three steps and eight starts).
 _ADAPTATION_S = 5.0
-#: While the level is still a guess it may change fourfold at once.
+#: While the level is still a guess it may change fourfold at once (half and twice tried on three starts: 0.2 σ at
+#: most).
 _FIRST_UPDATES = 5
-#: Later it falls by this share of what is wanted at once where innovations are smaller than that.
+#: Later it falls by this share of what is wanted at once where innovations are smaller than that (half and twice of
+#: each tried on three starts: 0.7 σ at most).
 _SETTLED_UPDATES, _FAR_NIS, _FAR_SHARE = 10, 0.6, 0.3
-#: A drive's voltage is not what it says, if only by dead time and ripple: 1 σ as a share of its rms.
+#: A drive's voltage is not what it says, if only by dead time and ripple: 1 σ as a share of its rms (half and twice
+#: tried on three starts: 0.3 σ at most).
 _INPUT_SHARE = 1e-3
-#: Unmodelled torque, 1 σ over a millisecond as a share of the rms motor torque.
+#: Unmodelled torque, 1 σ over a millisecond as a share of the rms motor torque (half and twice tried on three starts:
+#: 0.3 σ at most).
 _TORQUE_SHARE = 2e-3
 #: Process noise rises per tick above these, and falls below half the correlation (decision 12; see
 #: `make calibrate`).
 _NIS_HIGH, _CORRELATED = 1.3, 0.15
+#: By how much a tick: up a hundredfold within a second (1.6¹⁰ = 110; decision 12; with 3.2 a start moves by 1 σ), down
+#: again within 15 s (0.97¹⁵⁴ = 1/110; chosen, not tried); and the most (half and twice: nothing moves).
 _RISE, _FALL, FACTOR_MOST = 1.6, 0.97, 1e8
-#: Innovations smaller than this say that the noise is too large already: then it recedes per tick by this.
+#: Innovations smaller than this say that the noise is too large already: then it recedes per tick by this (half and
+#: twice of each tried on three starts: 0.8 σ at most).
 NIS_LOW, _RECEDE = 0.7, 0.05
-#: Steering per tick: by how much per unit of correlation, and what it keeps where nothing is to be seen.
+#: Steering per tick: by how much per unit of correlation, and what it keeps where nothing is to be seen (chosen; not
+#: tried).
 _STEER, _LEAK = 0.15, 0.998
+#: Whiteness is that of so long a time, s (chosen; not tried).
+_MEMORY_S = 10.0
 
 
 def smallest_step(signal: F64) -> float:
@@ -152,9 +162,9 @@ class Whiteness:
     correlation: float = 0.0
     nis: float = 1.0
 
-    def after(self, correlation: float, nis: float, duration_s: float, memory_s: float = 10.0) -> Whiteness:
+    def after(self, correlation: float, nis: float, duration_s: float) -> Whiteness:
         """The whiteness after another tick with this lag-1 correlation and mean normalised square."""
-        share = 1.0 - math.exp(-duration_s / memory_s)
+        share = 1.0 - math.exp(-duration_s / _MEMORY_S)
         return Whiteness(
             self.correlation + share * (correlation - self.correlation), self.nis + share * (nis - self.nis)
         )

@@ -32,11 +32,13 @@ import numpy as np
 
 from servo_daemon.samples import F64
 
-#: The changes are averaged over so many ticks, the information over so many looks at it (about one a second).
+#: The changes are averaged over so many ticks, the information over so many looks at it (about one a second; chosen;
+#: not tried).
 _TICKS, _LOOKS = 50.0, 30.0
-#: The changes are those within the winding's time; they are averaged anew once it is another by this factor.
+#: The changes are those within the winding's time; they are averaged anew once it is another by this factor (chosen;
+#: not tried).
 _OTHER_LAG = 1.5
-#: Beyond this, L is not known at all.
+#: Beyond this, L is not known at all (a factor of twenty, e³).
 _MOST_STD = 3.0
 #: Largest h R/L that is looked up: e⁵⁰/50 times any share of rounding is beyond `_MOST_STD`.
 _MOST_PERIODS = 50.0

@@ -10,11 +10,12 @@ from servo_daemon.kalman.records import ChannelStatistics, NoiseLevels
 from servo_daemon.tracking.noise import levels as noise
 from servo_daemon.tracking.noise.levels import ChannelNoise, ProcessNoise, Whiteness
 
-#: The correlation of the current's innovations with the motion's a sample later is small: averaged over so long, s, and
-#: weighted up; more so where the winding has settled between two samples and nothing else tells the two noises apart.
+#: The correlation of the current's innovations with the motion's a sample later is small: averaged over so long, s,
+#: and weighted up; more so where the winding has settled between two samples and nothing else tells the two noises
+#: apart (chosen; not tried).
 _CROSS_MEMORY_S, _CROSS_WEIGHT, _CROSS_WEIGHT_SETTLED = 10.0, 4.0, 10.0
 #: Of a sensor's noise that is known from elsewhere at least this much stays, however small the innovations are beside
-#: what a filter that has just started expects of them.
+#: what a filter that has just started expects of them (chosen; not tried).
 _LEAST_SHARE = 0.5
 #: Whiteness, by the correlation of neighbouring innovations: leaves at the second value, returns at the first (see
 #: `make calibrate`).

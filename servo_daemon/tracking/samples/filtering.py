@@ -25,7 +25,7 @@ MOST_SAMPLES = 20_000
 #: over later, and a start under friction claims a K that is 4.3 standard deviations off: docs/performance.md.)
 STEPS_A_TICK = 60_000
 #: A pass over them that moves no value by more than these, in standard deviations and as a share of one unit, was the
-#: last.
+#: last (chosen; not tried).
 SETTLED_STDS, SETTLED_SHARE = 0.5, 0.01
 
 
@@ -180,7 +180,7 @@ class Filtering:
             fit = fit.with_more(innovations)
         return fit
 
-    def predictions(self, parameters: Gaussian, *, up_to_now: bool = False) -> Innovations:
+    def predictions(self, parameters: Gaussian, *, up_to_now: bool) -> Innovations:
         """What the filter says of the batch with these parameters, known exactly; in one piece.
 
         Args:

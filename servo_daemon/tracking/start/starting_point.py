@@ -12,12 +12,12 @@ from servo_daemon.regression.estimate import RegressionEstimate
 from servo_daemon.regression.residual_analysis import EXACT_STD
 from servo_daemon.regression.sampling import BLIND_STD, settled_share
 
-#: The regression's start is trusted this much less than it says: its noise is not quite white.
+#: The regression's start is trusted this much less than it says: its noise is not quite white (chosen; not tried).
 _INFLATION = 3.0
 #: The regression may start the filter at once when it knows every free parameter this well (1 σ, relative, inflated:
 #: 5 % by its own word, decision 32).
 GOOD_STD = 0.15
-#: Beyond this relative std a logarithm of the regression's value means little.
+#: Beyond this relative std a logarithm of the regression's value means little (chosen; not tried).
 USABLE_STD = 0.5
 #: A nominal value is a datasheet's, or a motor that has aged: 1 σ of its logarithm, a factor of two.
 _NOMINAL_STD = 0.7

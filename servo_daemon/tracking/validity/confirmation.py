@@ -15,7 +15,8 @@ from servo_daemon.tracking.validity.cross_check import RegressionCrossCheck
 from servo_daemon.tracking.validity.fusion import confirms
 from servo_daemon.tracking.validity.tick import Tick
 
-#: A regression that may be off by as much (1 σ, relative) because of the sampling alone is no judge.
+#: A regression that may be off by as much (1 σ, relative) because of the sampling alone is no judge (chosen; not
+#: tried).
 _BLIND = 0.1
 
 

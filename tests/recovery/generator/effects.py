@@ -1,6 +1,6 @@
 """The causes that can be hidden in a capture: which parameters each has, and their checks.
 
-`LISTED` are the effects of the contract (design.md, section 4) under its names; `UNLISTED` are real causes that the
+`LISTED` are the effects of the library under its names; `UNLISTED` are real causes that the
 library does not hold. What is ours to say where the contract leaves it open:
 
 - Load torques count positive against positive motion: J dω/dt = … − Tg sin(θ + phi_g), likewise cogging, TL, Tper.

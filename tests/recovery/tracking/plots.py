@@ -29,7 +29,6 @@ UNITS = {
 }
 WIDTH_IN, PANEL_IN, DPI = 4.6, 1.35, 110
 COLOURS = 48
-_NOT = "not tracking"
 _VALUE, _OTHER, _TRUTH, _BAND, _ALARM = "#1f5fa8", "#9a9a9a", "#111111", "#a9c8ec", "#c02020"
 #: Engineering prefixes for the axes.
 _PREFIX = {-6: "µ", -3: "m", 0: "", 3: "k"}

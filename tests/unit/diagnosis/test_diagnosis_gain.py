@@ -1,4 +1,4 @@
-"""The gain: the contract's formula, of blocks that nothing else has touched, over noise that the signals show."""
+"""The gain: the formula of docs/diagnosis.md, of blocks that nothing else has touched, over noise that signals show."""
 
 from __future__ import annotations
 

@@ -11,7 +11,6 @@ _METRIC = {
     1: "name", 2: "alias", 3: "timestamp", 4: "datatype", 5: "is_historical", 7: "is_null", 9: "properties",
     10: "value", 11: "value", 13: "value", 14: "value", 15: "value",
 }  # fmt: skip
-_TEXTS = {"name", "value"}
 
 
 def _varint(data: bytes, at: int) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""Every effect of the contract: its twin, its derivatives, its place in config and command line, and its energy."""
+"""Every effect of the library: its twin, its derivatives, its place in config and command line, and its energy."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from servo_daemon.simulate.settings import make_settings, parse_effect, parse_ef
 from servo_daemon.tracking.plan.signals import plan_signals
 from tests.twin import reference_step
 
-#: The table of the design's section 4.
+#: Each effect's parameters, as docs/model.md lists them.
 CONTRACT = {
     "coulomb_friction": "Tc", "asymmetric_friction": "Tc Tc_neg B_neg", "stribeck_friction": "Tc Ts ws",
     "position_dependent_friction": "Tc_slope Tc_curve", "load_dependent_friction": "mu", "quadratic_drag": "c2",

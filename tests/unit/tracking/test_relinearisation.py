@@ -1,4 +1,4 @@
-"""Looks back at the start are spread over ticks: none holds up its own drive, whatever the blocks are."""
+"""Re-linearisations of the start are spread over ticks: none holds up its own drive, whatever the blocks are."""
 
 from __future__ import annotations
 

@@ -158,7 +158,7 @@ def determined_combinations(
     answer: VoltageAnswer | None,
     info: Information,
     scale: F64,
-    bounded: Collection[int] = (),
+    bounded: Collection[int],
 ) -> tuple[Combination, ...]:
     """Those that the data determine although they leave one of its parameters open.
 

@@ -1,7 +1,7 @@
 """What is not known of a current or torque between its samples, and what that makes of the estimate.
 
-A voltage is held, by the contract of captures. A current or a torque is a sample of something that goes on. Its mean
-over a step is
+The voltage of a capture is held (docs/captures.md). A current or a torque is a sample of something that goes on. Its
+mean over a step is
 
     u_k + a (u_{k+1} − u_k),
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from servo_daemon.captures.capture.model import GAP_FACTOR
 from servo_daemon.conditioning.layout import INPUT
 from servo_daemon.conditioning.layout_step import BENDS_S
 from servo_daemon.identification.output_error.problem.rollout import INPUT as INPUT_COLUMN
 from servo_daemon.identification.output_error.problem.rollout import STEP, TIME
 from servo_daemon.plant.core import Drive
-from servo_daemon.samples import F64, SampleBlock
+from servo_daemon.samples import F64, GAP_FACTOR, SampleBlock
 
 #: Where the mean of a signal that runs straight between two samples lies.
 STRAIGHT = 0.5
