@@ -55,6 +55,7 @@ class SampleLoop:
         paced_by: which element of the sample is the length of the step, where it has one. What follows from it and the
             constants alone, an exponential of the motor for one, is computed once for every length that occurs in a
             call: the same operations, so the same numbers.
+        side_by_side: whether `run_many` is worth code of its own, which computes four runs at once.
 
     Attributes:
         backend: "c" or "vm".
@@ -62,7 +63,9 @@ class SampleLoop:
 
     _LARGEST = 256  # samples a single VM call takes; longer blocks are split
 
-    def __init__(self, function: ca.Function, *, compiled: bool = True, paced_by: int | None = None) -> None:
+    def __init__(
+        self, function: ca.Function, *, compiled: bool = True, paced_by: int | None = None, side_by_side: bool = False
+    ) -> None:
         if function.name() != "step":  # the loop in C calls it by this name
             raise ValueError(f'the function must be named "step", not {function.name()!r}')
         function = _dense(function)
@@ -73,7 +76,7 @@ class SampleLoop:
         compiler = find_compiler() if compiled else None
         if compiler is not None:
             try:
-                self._library = compile_step(function, compiler, paced_by)
+                self._library = compile_step(function, compiler, paced_by, side_by_side)
                 self._call = self._library.servo_daemon_loop
                 self._call.restype = ctypes.c_int
                 self._call.argtypes = [ctypes.c_longlong] + [ctypes.c_void_p] * 4

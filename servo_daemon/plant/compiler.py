@@ -24,7 +24,7 @@ from servo_daemon.plant.c_code.loop import LOOP, ONCE, with_memory
 log = logging.getLogger(__name__)
 
 #: Long steps (substeps, sensitivities) compile four times as fast this way and run as fast. Of shorter ones four run at
-#: once, too: a third to all as long again to compile, a half to a quarter as long to run.
+#: once, too, where they are wanted: a third to all as long again to compile, a half to a quarter as long to run.
 _LONG_SOURCE, _LONG_FLAGS = 400_000, ("-O1",)
 #: Without `-fno-semantic-interposition` each square and each absolute value is a call through a table: 7 % slower.
 _FLAGS = ("-O2", "-fno-semantic-interposition", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-shared", "-w")
@@ -84,7 +84,7 @@ def _processor_flags(compiler: str) -> tuple[str, ...]:
     return ("-mavx",) if "avx" in flags.split() else ()
 
 
-def _generate(function: ca.Function, paced_by: int | None) -> str:
+def _generate(function: ca.Function, paced_by: int | None, side_by_side: bool) -> str:
     """C source of the step and the loop around it."""
     generator = ca.CodeGenerator("step.c", {"with_header": False})
     prepare, step = (None, function) if paced_by is None else split(function, paced_by)
@@ -112,7 +112,7 @@ def _generate(function: ca.Function, paced_by: int | None) -> str:
     if len(source) < _SHORT_SOURCE:
         source = with_memory(source)
     if len(source) < _LONG_SOURCE:
-        lanes = in_lanes(source)
+        lanes = in_lanes(source) if side_by_side else ""
         source = with_branches(source)  # (of longer code: a tenth faster, compiled almost three times as long)
     return f"{rename}\n{defines}\n{ONCE}\n{source}\nenum {{ SD_ONCES = __COUNTER__ }};\n{lanes}\n{LOOP}"
 
@@ -136,16 +136,16 @@ def split(function: ca.Function, paced_by: int) -> tuple[ca.Function | None, ca.
     return prepare, ca.Function("step", [*symbols, ca.vertcat(*names)], results)
 
 
-def compile_step(function: ca.Function, compiler: str, paced_by: int | None) -> ctypes.CDLL:
+def compile_step(function: ca.Function, compiler: str, paced_by: int | None, side_by_side: bool) -> ctypes.CDLL:
     """The shared library of this function, from the cache or compiled now.
 
     Args:
-        paced_by: see `SampleLoop`.
+        paced_by, side_by_side: see `SampleLoop`.
 
     Raises:
         OSError, subprocess.SubprocessError: no library could be made or loaded.
     """
-    source = _generate(function, paced_by)
+    source = _generate(function, paced_by, side_by_side)
     flags = (*_FLAGS, *_processor_flags(compiler), *(_LONG_FLAGS if len(source) > _LONG_SOURCE else ()))
     key = "\n".join((source, compiler, _compiler_version(compiler), " ".join(flags), platform.machine()))
     path = cache_directory() / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"

@@ -191,9 +191,8 @@ def forward(a: Augmented) -> SampleLoop:
 @cache
 def likelihood(a: Augmented) -> SampleLoop:
     """The forward pass with innovations and their precisions only."""
-    return SampleLoop(
-        _Pass.of(a).function(lambda found: ca.vertcat(found["innovation"], found["precision"])), paced_by=STEP
-    )
+    step = _Pass.of(a).function(lambda found: ca.vertcat(found["innovation"], found["precision"]))
+    return SampleLoop(step, paced_by=STEP, side_by_side=True)
 
 
 def _part(a: Augmented, row: ca.SX, name: str) -> ca.SX:

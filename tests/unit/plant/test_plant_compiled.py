@@ -39,10 +39,21 @@ def inputs(effects: tuple[str, ...], n: int) -> tuple[F64, F64, F64]:
     return np.zeros(len(model.states)), np.array([p.nominal for p in model.parameters]), rows
 
 
+@pytest.fixture(scope="module")
+def shared_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Code that is compiled here, once for all tests that do not look at how."""
+    return tmp_path_factory.mktemp("cache")
+
+
 @pytest.fixture(autouse=True)
-def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def _cache(shared_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("CACHE_DIRECTORY", raising=False)
     monkeypatch.delenv("SERVO_DAEMON_CC", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(shared_cache))
+
+
+@pytest.fixture
+def own_cache(_cache: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     return tmp_path / "cache" / "servo-daemon"
 
@@ -117,9 +128,9 @@ def test_blocks_do_not_matter(use_c: bool, size: int) -> None:
     np.testing.assert_array_equal(np.concatenate(parts), whole)
 
 
-def many(k: int, n: int) -> tuple[F64, F64, F64]:
+def many(k: int, n: int, effects: tuple[str, ...] = ALL) -> tuple[F64, F64, F64]:
     """k runs of n samples, each from a state and with inputs of its own."""
-    x, p, rows = inputs(ALL, k * n)
+    x, p, rows = inputs(effects, k * n)
     return np.outer(np.arange(k), np.ones(len(x))) * 1e-3, p, rows.reshape(k, n, 3)
 
 
@@ -127,7 +138,7 @@ def many(k: int, n: int) -> tuple[F64, F64, F64]:
 @pytest.mark.parametrize(("k", "n"), [(1, 40), (7, 30), (5, 1800)], ids=["one", "few", "threads"])
 def test_many_runs_are_each_what_it_is_alone(use_c: bool, k: int, n: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compiled, "cores", lambda: 3)
-    loop = SampleLoop(step_function(ALL), compiled=use_c)
+    loop = SampleLoop(step_function(ALL), compiled=use_c, side_by_side=True)
     states, p, rows = many(k, n)
     alone = states.copy()
     outputs = loop.run_many(states, p, rows)
@@ -158,9 +169,18 @@ def test_many_wrong_arrays_are_refused(change: Callable[..., tuple[F64, F64, F64
         SampleLoop(step_function(ALL)).run_many(*change(*many(3, 6)))
 
 
+@pytest.mark.parametrize("wanted", [True, False])
 @pytest.mark.parametrize("effect", ["backlash", "magnetic_saturation", "stribeck_friction"])
-def test_code_is_rewritten_for_runs_side_by_side(effect: str) -> None:
-    assert "sd_step_lanes(const" in compiler._generate(step_function((effect,)), None)
+def test_code_is_rewritten_for_runs_side_by_side(effect: str, wanted: bool) -> None:
+    assert ("sd_step_lanes(const" in compiler._generate(step_function((effect,)), None, wanted)) == wanted
+
+
+@needs_compiler
+def test_without_code_for_runs_side_by_side_the_numbers_are_the_same() -> None:
+    function, (states, p, rows) = step_function(("coulomb_friction",)), many(6, 30, ("coulomb_friction",))
+    loops = SampleLoop(function), SampleLoop(function, side_by_side=True)
+    one, other = (loop.run_many(states.copy(), p, rows) for loop in loops)
+    np.testing.assert_array_equal(one, other)
 
 
 @needs_compiler
@@ -170,7 +190,7 @@ def test_runs_side_by_side_with_constants_of_their_own_are_what_each_is_alone() 
     rng, (x, p, rows) = np.random.default_rng(3), inputs(effects, 40)
     states, own = np.tile(x, (6, 1)), p * rng.uniform(0.8, 1.2, (6, len(p)))
     states[:, : len(x)] += rng.normal(size=states.shape) * 0.1
-    alone, loop = states.copy(), SampleLoop(function, paced_by=1)
+    alone, loop = states.copy(), SampleLoop(function, paced_by=1, side_by_side=True)
     shown = loop.run_many(states, own, np.tile(rows, (6, 1, 1)))
     assert len(np.unique(shown[:, -1, 0])) == 6
     for state, constants, seen in zip(alone, own, shown, strict=True):
@@ -191,7 +211,7 @@ def test_zeros_of_either_sign_and_no_numbers_side_by_side() -> None:
     shown = ca.vertcat(
         *choices, ca.fabs(a), ca.sign(a), ca.sqrt(a), ca.exp(b), ca.atan2(a, b), ca.logic_not(a), 2 * a - b / a
     )
-    loop = SampleLoop(ca.Function("step", [x, y, row], [x + y, shown]))
+    loop = SampleLoop(ca.Function("step", [x, y, row], [x + y, shown]), side_by_side=True)
     odd = np.array([0.0, -0.0, 1.0, -1.0, np.nan, np.inf, -np.inf, 5e-324])
     rows = np.ascontiguousarray(np.stack(np.meshgrid(odd, odd), axis=-1))
     many = loop.run_many(np.ones((8, 1)), np.array([1.0]), rows)
@@ -204,7 +224,7 @@ def test_zeros_of_either_sign_and_no_numbers_side_by_side() -> None:
 
 def test_code_with_an_unknown_statement_runs_one_after_the_other() -> None:
     x, p, row = (ca.SX.sym(name) for name in ("x", "p", "row"))
-    source = compiler._generate(ca.Function("step", [x, p, row], [x + row, ca.floor(x * p)]), None)
+    source = compiler._generate(ca.Function("step", [x, p, row], [x + row, ca.floor(x * p)]), None, True)
     assert "sd_step_lanes(const" not in source
 
 

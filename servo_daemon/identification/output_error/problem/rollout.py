@@ -76,7 +76,8 @@ def _shown(plant: PlantModel, channels: Sequence[str], x: ca.SX, q: ca.SX, t: ca
 @cache
 def _loop(plant: PlantModel, channels: tuple[str, ...], sensitivities: bool) -> SampleLoop:
     """Compiled once in a process: a fit calls it many times."""
-    return SampleLoop((_sensitivity_step if sensitivities else _plain_step)(plant, channels), paced_by=STEP)
+    step = (_sensitivity_step if sensitivities else _plain_step)(plant, channels)
+    return SampleLoop(step, paced_by=STEP, side_by_side=True)
 
 
 def simulate(plant: PlantModel, channels: tuple[str, ...], q: F64, x0: F64, rows: F64) -> Simulated:
