@@ -161,7 +161,12 @@ class DaemonProgram(Program):
         return [kind for kind in self.events(drive) if kind not in ("model_learned", "refreshed")]
 
     def until(
-        self, ok: Callable[[dict[str, Any]], object], what: str, drive: str = "axis1", limit_s: float = PATIENCE_S
+        self,
+        ok: Callable[[dict[str, Any]], object],
+        what: str,
+        drive: str = "axis1",
+        limit_s: float = PATIENCE_S,
+        every_s: float = 0.02,
     ) -> dict[str, Any]:
         """The first estimates document for which `ok`."""
         last: dict[str, Any] = {}
@@ -172,7 +177,7 @@ class DaemonProgram(Program):
             return dict(last) if ok(last) else None
 
         try:
-            return wait_for(probe, what, limit_s)
+            return wait_for(probe, what, limit_s, every_s)
         except AssertionError as error:
             raise AssertionError(f"{error}\nlast: {last}\nlog: {self.log}") from None
 

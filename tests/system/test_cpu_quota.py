@@ -4,6 +4,7 @@ that it is behind."""
 from __future__ import annotations
 
 import contextlib
+import os
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,16 +12,19 @@ from typing import NoReturn
 
 import pytest
 
-from benchmarks.soak.drives import Drives, drives
+from benchmarks.soak.drives import RATE_HZ, Drives, drives
 from tests.system.harness import PATIENCE_S, DaemonProgram, daemon, nominal_table, wait_for, write_config
 
 _ROOT = Path("/sys/fs/cgroup")
-_PERIOD_US = 100_000
+#: In which a quota is used up, µs: half a core in short turns, hardly any in the longest there are, since a turn has a
+#: thousandth of a second at least.
+_SHORT_US, _LONG_US = 100_000, 1_000_000
+_LEAST_US = 1_000
 
 
 @contextlib.contextmanager
-def quota(missing: Callable[[str], NoReturn]) -> Iterator[tuple[Callable[[int], object], Callable[[int], object]]]:
-    """Functions: take a process in; allow it so many percent of a core. Control groups of either version."""
+def quota(missing: Callable[[str], NoReturn]) -> Iterator[tuple[Callable[[int], object], Callable[[float], object]]]:
+    """Functions: take a process in; allow it a share of a core. Control groups of either version."""
     one = (_ROOT / "cpu").is_dir()
     group = (_ROOT / "cpu" if one else _ROOT) / f"servo-daemon-test-{time.monotonic_ns()}"
     name = "cpu.cfs_quota_us" if one else "cpu.max"
@@ -28,15 +32,19 @@ def quota(missing: Callable[[str], NoReturn]) -> Iterator[tuple[Callable[[int], 
         if not one:
             (_ROOT / "cgroup.subtree_control").write_text("+cpu")
         group.mkdir()
-        (group / name).write_text("-1" if one else f"max {_PERIOD_US}")
+        (group / name).write_text("-1" if one else f"max {_SHORT_US}")
     except OSError as error:
         with contextlib.suppress(OSError):
             group.rmdir()
         missing(f"a control group for the processor: {error}")
 
-    def allow(percent: int) -> None:
-        us = str(percent * _PERIOD_US // 100)
-        (group / name).write_text(us if one else f"{us} {_PERIOD_US}")
+    def allow(share: float) -> None:
+        period_us = _SHORT_US if share * _SHORT_US >= _LEAST_US else _LONG_US
+        us = max(round(share * period_us), _LEAST_US)
+        if one:  # without a quota, for a moment: a period is refused that makes more of it than there was
+            (group / name).write_text("-1")
+            (group / "cpu.cfs_period_us").write_text(str(period_us))
+        (group / name).write_text(str(us) if one else f"{us} {period_us}")
 
     try:
         yield lambda pid: (group / "cgroup.procs").write_text(str(pid)), allow
@@ -57,26 +65,42 @@ def short(program: DaemonProgram, feeder: Drives) -> int:
     return found
 
 
+def used_s(program: DaemonProgram) -> float:
+    """Processor time so far."""
+    fields = Path(f"/proc/{program.process.pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def wanted_share(program: DaemonProgram) -> float:
+    """Of a core, of this machine: what the daemon uses while it works off so many samples as they come."""
+    before_s, before = used_s(program), program.estimates()["samples"]
+    end = before + 4 * RATE_HZ
+    after = program.until(lambda d: d["samples"] >= end, "four seconds more", every_s=1.0)["samples"]
+    return (used_s(program) - before_s) * RATE_HZ / (after - before)
+
+
 @pytest.mark.slow
+@pytest.mark.timeout(300)
 def test_a_starved_daemon_keeps_its_samples_and_says_so(missing: Callable[[str], NoReturn], tmp_path: Path) -> None:
-    """Half a core is plenty for one drive. With a few hundredths it cannot keep up, and the port's own memory may run
-    over; what it has read is used nevertheless."""
+    """Half a core is plenty for one drive. With a part of what it uses (many samples at once cost less each) it cannot
+    keep up, and the port's own memory may run over; what it has read is used nevertheless."""
     with quota(missing) as (take, allow), drives(tmp_path, 1, 0, wait_for) as feeder:
         text = f'name = "axis1"\ndriver = "serial"\n{nominal_table()}[drive.options]\nport = "{feeder.links[0]}"'
         with daemon("--config", write_config(tmp_path / "c.toml", text), "--state-dir", tmp_path / "state") as program:
-            allow(50)
+            allow(0.5)
             take(program.process.pid)
             program.until(lambda d: program.said("device opened"), "the port is open")
             feeder.tell("go")
             program.until(lambda d: d["samples"] > 5000, "the start, with its re-linearisations, is over")
             assert short(program, feeder) == 0, "with half a core nothing is lost"
-            for percent, within_s in ((4, 15.0), (2, 15.0), (1, 60.0)):  # how little is too little: the machine's
-                allow(percent)
+            share = wanted_share(program)
+            for part in (4, 16, 64):
+                allow(share / part)
                 with contextlib.suppress(AssertionError):
-                    wait_for(lambda: "behind" in program.events(), "it says that it is behind", within_s, every_s=1.0)
+                    wait_for(lambda: program.said("other programs have the processor"), "it is behind", 20.0 + part)
                     break
+            allow(0.5)
             assert "behind" in program.events()
-            allow(50)
             wait_for(lambda: "behind_over" in program.events(), "it has caught up")
             health = program.estimates()["health"]
             assert health["queue_dropped"] == 0 and "overloaded" not in program.events()
