@@ -6,6 +6,7 @@ from __future__ import annotations
 import itertools
 import tempfile
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -22,10 +23,6 @@ from servo_daemon.sim_drive.can_frames import FrameEncoder
 from tests.can_tools import RampSource, batch, frames_of
 
 OWN_IDS = (0x101, 0x121, 0x681)
-GOOD = [
-    [(f.frame_id, f.data) for f in group]
-    for _, group in itertools.groupby(frames_of(RampSource(start_us=777_000), 1500), lambda f: f.sample // 25)
-]
 DBC = """
 VERSION ""
 NS_ :
@@ -45,6 +42,13 @@ SIG_VALTYPE_ 1 Real : 1;
 SIG_VALTYPE_ 2 Long : 2;
 SIG_VALTYPE_ 3 Time : 1;
 """
+
+
+@cache
+def good_frames() -> list[list[tuple[int, bytes]]]:
+    """What a drive sends of 1500 samples, ten at a time."""
+    sent = frames_of(RampSource(start_us=777_000), 1500)
+    return [[(f.frame_id, f.data) for f in some] for _, some in itertools.groupby(sent, lambda f: f.sample // 10)]
 
 
 def vendor(device_time: bool) -> VendorDecoder:
@@ -86,12 +90,10 @@ def test_own_frames_with_any_content(batches: list[list[tuple[int, bytes]]], wai
     for content, wait_s in zip(batches, waits, strict=False):
         host_s += wait_s
         check(decoder.feed(batch(content, host_s)))
-    source = RampSource(start_us=777_000)
-    good = frames_of(source, 1500)
     blocks = []
-    for first in range(0, 1500, 10):
+    for some in good_frames():
         host_s += 0.01
-        blocks += decoder.feed(batch([(f.frame_id, f.data) for f in good if first <= f.sample < first + 10], host_s))
+        blocks += decoder.feed(batch(some, host_s))
     check(blocks)
     time_s = np.concatenate([b.time_s for b in blocks])[-1000:]
     assert np.allclose(time_s % 2**32, 0.777 + 1e-3 * np.arange(500, 1500), rtol=0, atol=1e-6)
