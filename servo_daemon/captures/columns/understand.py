@@ -10,6 +10,7 @@ from drivers.can.formula import parse_formula
 from servo_daemon.captures.capture.layout import KNOWN_COLUMNS, lacks
 from servo_daemon.captures.capture.model import LINEAR_COLUMNS, capture_error
 from servo_daemon.captures.capture.read_options import ReadOptions
+from servo_daemon.captures.columns.by_number import BY_NUMBER, ask_about_the_rest, take_by_number
 from servo_daemon.captures.columns.foreign import Recording
 from servo_daemon.captures.columns.held import HeldSignal
 from servo_daemon.captures.columns.motion_units import match_motion
@@ -60,7 +61,10 @@ def understand(recording: Recording, options: ReadOptions) -> Understood:
         reader.take_formulas(log)
     reader.take_duty()
     reader.take_electrical_speed()
+    take_by_number(recording, found, reader.beside, reader.number)
     match_motion(recording, found)
+    if not (_MOTION & found.fields or found.questions):
+        ask_about_the_rest(recording, found)
     if options.rate_hz is not None:
         found.columns.pop("time_s", None)
     timed = recording.timed or options.rate_hz is not None
@@ -126,7 +130,7 @@ class _Reader:
 
     def __init__(self, recording: Recording, found: Understood, options: ReadOptions) -> None:
         self._recording, self._found, self._options = recording, found, options
-        self._beside: dict[str, tuple[HeldSignal, Meaning]] = {}
+        self.beside: dict[str, tuple[HeldSignal, Meaning]] = {}
 
     def take(self, column: str, candidates: list[tuple[HeldSignal, Meaning]]) -> None:
         """The signal among candidates that is this column; a question where that is not certain."""
@@ -141,8 +145,8 @@ class _Reader:
                 found.ask(signal.name, column, f"which is {column}: {names}?")
             return
         signal, what = best[0]
-        if column in ("duty", "supply", "erpm"):
-            self._beside[column] = (signal, what)
+        if column in ("duty", "supply", "erpm", *BY_NUMBER):
+            self.beside[column] = (signal, what)
         elif not what.certain:
             self._ask_unit(signal, column)
         elif column == COUNTS:
@@ -175,7 +179,7 @@ class _Reader:
         return None
 
     def _take_counts(self, signal: HeldSignal) -> None:
-        per_rev = self._number("counts_per_rev", self._options.counts_per_rev)
+        per_rev = self.number("counts_per_rev")
         if per_rev is None:
             text = (
                 f"{signal.name} counts: --counts-per-rev N says how often in a turn (after quadrature); in a map, "
@@ -197,11 +201,11 @@ class _Reader:
 
     def take_duty(self) -> None:
         """The voltage by a duty cycle, where it is not there itself."""
-        if "duty" not in self._beside or "voltage_V" in self._found.fields:
+        if "duty" not in self.beside or "voltage_V" in self._found.fields:
             return
-        signal, what = self._beside["duty"]
+        signal, what = self.beside["duty"]
         values, full = self._values(signal), self._options.full_duty
-        volts, supply = self._number("supply_V", self._options.supply_V), self._beside.get("supply")
+        volts, supply = self.number("supply_V"), self.beside.get("supply")
         beyond = full is None and exceeds_one(values, what.scale)
         unsure = beyond or (self._options.supply_V is None and duty_needs_scale(values, what.scale))
         if volts is not None and not unsure:
@@ -224,10 +228,10 @@ class _Reader:
 
     def take_electrical_speed(self) -> None:
         """The shaft's speed by the electrical one, where no motion is there itself."""
-        if "erpm" not in self._beside:
+        if "erpm" not in self.beside:
             return
-        signal, what = self._beside["erpm"]
-        pairs = self._number("pole_pairs", self._options.pole_pairs)
+        signal, what = self.beside["erpm"]
+        pairs = self.number("pole_pairs")
         moving = self._found.columns.get("position_rad")
         if moving is not None and moving.operands[0].signal == "encoder_position":
             told = self._encoder_ratio(moving, signal, what)
@@ -268,9 +272,10 @@ class _Reader:
         del self._found.columns[column.name]
         self._found.told = [t for t in self._found.told if not t.startswith(f"{column.operands[0].signal} → ")]
 
-    def _number(self, key: str, told: float | None) -> float | None:
+    def number(self, key: str) -> float | None:
         """A number by its flag, else by the file's metadata."""
         text = self._recording.metadata.get(key)
+        told: float | None = getattr(self._options, key)
         if told is not None or text is None:
             return told
         try:

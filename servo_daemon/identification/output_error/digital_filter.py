@@ -39,7 +39,7 @@ def _along(fit: OutputErrorFit, name: str) -> F64:
     at, root = fit.problem.parameter_of_column.index(name), fit.after.root
     with_it = root @ root[at]
     shown = np.isfinite(with_it).all() and with_it[at] > 0.0
-    return with_it / with_it[at] if shown else np.eye(len(with_it))[at]
+    return np.asarray(with_it / with_it[at] if shown else np.eye(len(with_it))[at])
 
 
 def _likelier_digital(fit: OutputErrorFit, t_f: float, period_s: float) -> bool:
@@ -57,4 +57,4 @@ def _digital_less_continuous(shown: F64, t_f: float, period_s: float) -> F64:
     speed = shown + t_f * np.gradient(shown, period_s)
     a = period_s / (period_s + t_f)
     digital, _ = lfilter([a], [1.0, a - 1.0], speed, zi=[(1.0 - a) * shown[0]])
-    return digital - shown
+    return np.asarray(digital - shown)

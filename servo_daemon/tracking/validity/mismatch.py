@@ -45,6 +45,7 @@ class Mismatch:
         self._masks, self._ekf, self._rls = masks, ekf, rls
         self._excitation, self._last_known = excitation, last_known
         self.std: F64 = np.zeros(len(masks.parameters))
+        self._dry: dict[str, float] = {}
 
     def measure(self, values: Mapping[str, float], tick: Tick) -> None:
         """How far the parameters may be off because the balances do not close, or by the balances' word; kept while a
@@ -52,6 +53,8 @@ class Mismatch:
         window, own_std = self._rls.window, self._ekf.coordinate_std
         window.take_residuals(values, tick.sampling.noise_var)
         found, said = window.mismatch(values, tick.sampling), window.mean_errors(values, tick.sampling.period_s)
+        dry = window.hidden_friction.moves(tick.end_s, tick.sampling.noise_var) if window.judges_mismatch else None
+        self._dry = self._dry if dry is None else dry
         quantised, armature = self._left_by_steps(tick), self._by_armature(values, tick)
         for k, name in enumerate(self._masks.names):
             if not self._excitation.excited[k] or not self._masks.logarithmic[k]:
@@ -61,7 +64,8 @@ class Mismatch:
                 error = 0.0
             doubt = residual_analysis.unexplained_var(error, var + float(own_std[k]) ** 2) + armature.get(name, 0.0)
             discrepancy = 0.0 if tick.white else _DISCREPANCY_STD
-            self.std[k] = math.hypot(found.get(name, 0.0), math.sqrt(doubt), float(quantised[k]), discrepancy)
+            known = (found.get(name, 0.0), self._dry.get(name, 0.0), float(quantised[k]), discrepancy)
+            self.std[k] = math.hypot(*known, math.sqrt(doubt))
         self._doubt_effects()
         self._carry_over_torque()
 
