@@ -32,6 +32,7 @@ UNITS: dict[str, tuple[str, float]] = {
     **dict.fromkeys(("rad/s", "rads", "rad/sec", "radps", "s^-1", "1/s"), ("speed", 1.0)),
     **dict.fromkeys(("deg/s", "°/s", "dps", "degps", "deg/sec"), ("speed", math.pi / 180)),
     **dict.fromkeys(("rpm", "1/min", "min-1", "min^-1", "u/min", "rev/min", "r/min", "revs/min"), ("speed", RPM)),
+    "krpm": ("speed", 1e3 * RPM),
     **dict.fromkeys(("rps", "rev/s", "revs/s", "turn/s", "turns/s", "u/s"), ("speed", TURN)),
     "erpm": ("erpm", RPM),
     **dict.fromkeys(("hz", "hertz"), ("frequency", TURN)),
@@ -133,6 +134,7 @@ _ENDS = (
 #: Names that mean one thing by the program that writes them: quantity, factor.
 _WHOLE: dict[str, tuple[str, float]] = {
     "ms_today": ("time", 1e-3),  # VESC Tool
+    "x_value": ("time", 1.0),  # LabVIEW
     "drehzahl": ("speed", RPM),  # in German always 1/min
     "pos_estimate": ("angle", TURN),  # ODrive counts turns since its firmware 0.5
     "vel_estimate": ("speed", TURN),

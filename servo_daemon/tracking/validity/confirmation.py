@@ -12,7 +12,7 @@ from servo_daemon.regression.motor_rls import MotorRls
 from servo_daemon.regression.sampling import blind_std
 from servo_daemon.tracking.plan.parameter_masks import Mask, ParameterMasks
 from servo_daemon.tracking.validity.cross_check import RegressionCrossCheck
-from servo_daemon.tracking.validity.fusion import confirms
+from servo_daemon.tracking.validity.fusion import agrees, confirms
 from servo_daemon.tracking.validity.tick import Tick
 
 #: A regression that may be off by as much (1 σ, relative) because of the sampling alone is no judge.
@@ -50,11 +50,12 @@ class Confirmation:
             if self._trusted[k] or not self._masks.covered[k]:
                 continue
             blind = blind_std(name, values, tick.sampling.period_s)
-            if self._masks.logarithmic[k] and not tick.is_blind(name, values) and blind < _BLIND:
-                spread = math.hypot(std * balances.ALIGNED.get(name, 1.0), blind * value)
+            spread = math.hypot(std * balances.ALIGNED.get(name, 1.0), blind * value)
+            positive = bool(self._masks.logarithmic[k])
+            if positive and not tick.is_blind(name, values) and blind < _BLIND:
                 out[k] = confirms(value, spread, values[name]) or calm_s > found.span_s
             else:
-                out[k] = name != "L" or tick.white
+                out[k] = tick.white or (name != "L" and (not positive or agrees(value, spread, values[name])))
         for name in self._unconfirmed(found, values, tick):
             k = self._masks.names.index(name)
             out[k] = bool(self._trusted[k])

@@ -53,6 +53,7 @@ def written(folder: Path, content: str, name: str = "log.csv") -> Path:
         ("ticks_per_loop", "increments", 1.0), ("enc [counts/sample]", "increments", 1.0),
         ("delta_pos [deg]", "turned", math.pi / 180), ("counts_per_s", "count_rate", 1.0),
         ("speed [counts/s]", "count_rate", 1.0), ("rev_per_s", "velocity_rad_s", 2 * math.pi),
+        ("krpm", "velocity_rad_s", 1e3 * math.pi / 30), ("X_Value", "time_s", 1.0),
     ],
 )  # fmt: skip
 def test_names_that_are_certain(name: str, column: str, scale: float) -> None:
