@@ -55,7 +55,8 @@ class Confirmation:
             if positive and not tick.is_blind(name, values) and blind < _BLIND:
                 out[k] = confirms(value, spread, values[name]) or calm_s > found.span_s
             else:
-                out[k] = tick.white or (name != "L" and (not positive or agrees(value, spread, values[name])))
+                known = not positive or agrees(value, spread, values[name]) or calm_s > found.span_s
+                out[k] = known if name != "L" else tick.white
         for name in self._unconfirmed(found, values, tick):
             k = self._masks.names.index(name)
             out[k] = bool(self._trusted[k])

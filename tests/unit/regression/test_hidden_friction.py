@@ -36,7 +36,7 @@ def test_friction_that_is_plain_moves_b_by_what_passes_for_it() -> None:
         np.column_stack([np.gradient(speed, 0.1), speed, np.sign(speed)]) @ [J, B, TC],
     )
     assert found["B"] == pytest.approx(np.log(without[1] / B), abs=0.01)
-    assert found["B"] > 0.3 > found["J"]
+    assert found["B"] > 0.2 > found["J"]
 
 
 @pytest.mark.parametrize("friction_Nm", [0.0, -TC])
