@@ -45,17 +45,20 @@ class Confirmation:
         if found is None:
             self.parameters = out
             return
+        own = {**values, **dict(zip(found.names, found.value.tolist(), strict=True))}
         for name, value, std in zip(found.names, found.value.tolist(), found.std.tolist(), strict=True):
             k = self._masks.names.index(name)
             if self._trusted[k] or not self._masks.covered[k]:
                 continue
             blind = blind_std(name, values, tick.sampling.period_s)
-            spread = math.hypot(std * balances.ALIGNED.get(name, 1.0), blind * value)
             positive = bool(self._masks.logarithmic[k])
             if positive and not tick.is_blind(name, values) and blind < _BLIND:
+                spread = math.hypot(std * balances.ALIGNED.get(name, 1.0), blind * value)
                 out[k] = confirms(value, spread, values[name]) or calm_s > found.span_s
             else:
-                known = not positive or agrees(value, spread, values[name]) or calm_s > found.span_s
+                # A wrong value is no reason to be blind to it.
+                least = math.hypot(std, value * min(blind, blind_std(name, own, tick.sampling.period_s)))
+                known = not positive or agrees(value, least, values[name]) or calm_s > found.span_s
                 out[k] = known if name != "L" else tick.white
         for name in self._unconfirmed(found, values, tick):
             k = self._masks.names.index(name)
