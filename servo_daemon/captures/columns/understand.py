@@ -88,10 +88,8 @@ def _take_exact(recording: Recording, found: Understood) -> None:
         if name not in KNOWN_COLUMNS:
             continue
         if names.count(name) > 1:
-            count = names.count(name)
-            message = f"there are {count} of this name: say which in a map"
-            if recording.header_line is not None:
-                message = "the column is there twice"
+            several = f"there are {names.count(name)} of this name: say which in a map"
+            message = several if recording.header_line is None else "the column is there twice"
             raise capture_error(recording.path, message, line=recording.header_line, column=name)
         unit = unit_of(signal.unit) if signal.unit else None
         own = meaning(name)
@@ -200,7 +198,8 @@ class _Reader:
             self._add(MappedColumn(column, refs, formula), f"q axis of {', '.join(operands[:-1])}")
 
     def take_duty(self) -> None:
-        """The voltage by a duty cycle, where it is not there itself."""
+        """The voltage by a duty cycle, where it is not there itself, or is the supply's."""
+        self._know_the_supply()
         if "duty" not in self.beside or "voltage_V" in self._found.fields:
             return
         signal, what = self.beside["duty"]
@@ -226,10 +225,20 @@ class _Reader:
                 text += ": --supply 12 (volts at 1) or 12/255 (at 255) says of which"
             self._found.ask(signal.name, "voltage_V", text)
 
+    def _know_the_supply(self) -> None:
+        """A voltage that stands while the duty cycle changes is the supply's: "vin [V]" beside "PWM [%]"."""
+        column = self._found.columns.get("voltage_V")
+        if "duty" not in self.beside or column is None or column.operands[0].signal == column.name:
+            return
+        signal = next(s for s in self._recording.held if s.name == column.operands[0].signal)
+        if self._values(signal).stands and not self._values(self.beside["duty"][0]).stands:
+            self._drop(column)
+            self.beside.setdefault("supply", (signal, Meaning("supply", column.operands[0].scale)))
+
     def take_electrical_speed(self) -> None:
         """The shaft's speed by the electrical one, where no motion is there itself."""
         if "erpm" not in self.beside:
-            return
+            return None
         signal, what = self.beside["erpm"]
         pairs = self.number("pole_pairs")
         moving = self._found.columns.get("position_rad")
@@ -243,14 +252,12 @@ class _Reader:
                     self._drop(moving)  # which way round it went from row to row is not known
                     pairs = told
         if _MOTION & self._found.fields:
-            return
+            return None
         if pairs is None:
-            text = f"{signal.name} is the electrical speed: --pole-pairs N makes it the shaft's"
-            self._found.ask(signal.name, "velocity_rad_s", text)
-            return
-        scale = what.scale / pairs
-        column = MappedColumn("velocity_rad_s", (SignalRef("value", signal.name, scale),))
-        self._add(column, signal.name, f" (÷ {pairs:g} pole pairs)")
+            asked = f"{signal.name} is the electrical speed: --pole-pairs N makes it the shaft's"
+            return self._found.ask(signal.name, "velocity_rad_s", asked)
+        column = MappedColumn("velocity_rad_s", (SignalRef("value", signal.name, what.scale / pairs),))
+        return self._add(column, signal.name, f" (÷ {pairs:g} pole pairs)")
 
     def _encoder_ratio(self, moving: MappedColumn, signal: HeldSignal, what: Meaning) -> float | None:
         """Pole pairs by what an encoder's angle and the electrical speed make of each other; None: the angle is not the

@@ -98,6 +98,10 @@ FULL = {
     "turns": (table((MS, M.v, M.i, TURNS), "millis,u_V,Iq,pos_estimate", digits=".9f"), {}),
     "angle that wraps": (table((M.t, M.v, M.i, DEG % 360), "time_s,voltage_V,current_A,angle_deg"), {}),
     "duty of a measured supply": (table((M.t, M.v / 12, 0 * M.t + 12, M.i, M.x), "t,duty,vbus,i,theta"), {}),
+    "duty beside what only the values show to be the supply": (
+        table((M.t, 100 * M.v / 12, 0 * M.t + 12, M.i, M.x), "t,PWM [%],vin [V],i,theta"),
+        {},
+    ),
     "pwm of a told supply": (
         table((M.t, M.v * 255 / 12, M.i, M.x), "t,pwm,i,theta"),
         dict(zip(("supply_V", "full_duty"), parse_supply("12/255"), strict=True)),
