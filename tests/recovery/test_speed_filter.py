@@ -62,18 +62,16 @@ def test_a_filter_of_the_speed_is_found(kind: str) -> None:
 
 
 @pytest.mark.parametrize("motor", [PAPER, GEAR_MOTOR], ids=lambda m: m.name)
-@pytest.mark.parametrize("with_current", [True, False], ids=["with a current", "without"])
-def test_a_filter_of_the_program_that_logs_leaves_l_and_its_lag_open(motor: Motor, *, with_current: bool) -> None:
+def test_without_a_current_a_filter_of_the_program_that_logs_leaves_l_and_its_lag_open(motor: Motor) -> None:
     """y += a (ω − y) once in 5 ms: no continuous filter is that, and L or t_f takes the difference."""
     made = generate(motor, Scenario("steps", 6.0, rate_hz=200.0, seed=4))
     share = 1.0 / 3.0  # the filter's lag is h (1/a − 1), two samples
     shown = lfilter([share], [1.0, share - 1.0], made.truth.speed_rad_s)
     noise = np.random.default_rng(3).normal(0.0, 0.001 * float(np.std(shown)), len(shown))
-    current = made.current_A if with_current else None
-    block = make_block(made.time_s, voltage_V=made.voltage_V, current_A=current, velocity_rad_s=shown + noise)
-    known = {} if with_current else {"R": motor.R, "K": motor.K}
-    fit = fit_output_error([Recording("capture", block)], ("speed_filter",), FitOptions(fixed=known))
+    block = make_block(made.time_s, voltage_V=made.voltage_V, velocity_rad_s=shown + noise)
+    known = FitOptions(fixed={"R": motor.R, "K": motor.K})
+    fit = fit_output_error([Recording("capture", block)], ("speed_filter",), known)
     for name, true in (("L", motor.L), ("J", motor.J), ("t_f", 0.01)):
         p = fit.parameters[name]
         assert p.value is None or p.std is None or abs(p.value - true) < max(4 * p.std, 0.05 * true)
-    assert with_current or "speed_filter" in equivalents(fit.problem)["L"]
+    assert "speed_filter" in equivalents(fit.problem)["L"]
