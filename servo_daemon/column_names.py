@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 TURN = 2.0 * math.pi
 RPM = TURN / 60.0
 
+_CALLED_COUNTS = ("count", "counts", "cnt", "cnts", "tick", "ticks", "pulses")
 #: Unit as it is spelt (lower case, no blanks) -> quantity and factor to SI. "%" is of a duty cycle.
 UNITS: dict[str, tuple[str, float]] = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek"), ("time", 1.0)),
@@ -31,11 +32,16 @@ UNITS: dict[str, tuple[str, float]] = {
     **dict.fromkeys(("rad/s", "rads", "rad/sec", "radps", "s^-1", "1/s"), ("speed", 1.0)),
     **dict.fromkeys(("deg/s", "°/s", "dps", "degps", "deg/sec"), ("speed", math.pi / 180)),
     **dict.fromkeys(("rpm", "1/min", "min-1", "min^-1", "u/min", "rev/min", "r/min", "revs/min"), ("speed", RPM)),
+    "krpm": ("speed", 1e3 * RPM),
     **dict.fromkeys(("rps", "rev/s", "revs/s", "turn/s", "turns/s", "u/s"), ("speed", TURN)),
     "erpm": ("erpm", RPM),
+    **dict.fromkeys(("hz", "hertz"), ("frequency", TURN)),
+    **dict.fromkeys(("cps", "qpps", *(f"{c}/{s}" for c in _CALLED_COUNTS for s in ("s", "sec"))), ("count rate", 1.0)),
     **dict.fromkeys(
-        ("count", "counts", "cnt", "cnts", "tick", "ticks", "pulses", "inc", "lsb", "cts"), ("counts", 1.0)
+        (f"{c}/{s}" for c in _CALLED_COUNTS for s in ("sample", "loop", "period", "cycle", "interval")),
+        ("increments", 1.0),
     ),
+    **dict.fromkeys((*_CALLED_COUNTS, "inc", "lsb", "cts"), ("counts", 1.0)),
     **dict.fromkeys(("nm", "n·m", "n*m", "newtonmeter"), ("torque", 1.0)),
     **dict.fromkeys(("mnm", "mn·m"), ("torque", 1e-3)),
     **dict.fromkeys(("ncm", "n·cm"), ("torque", 1e-2)),
@@ -50,7 +56,8 @@ UNITS: dict[str, tuple[str, float]] = {
     **dict.fromkeys(("%", "percent", "pct"), ("duty", 1e-2)),
 }
 
-#: Quantity -> column of a capture. A duty cycle, a supply voltage and an electrical speed need something beside.
+#: Quantity -> column of a capture. A duty cycle, a supply voltage, an electrical speed, a frequency, counts since the
+#: last sample and counts a second need something beside.
 COLUMNS: dict[str, str] = {
     "time": "time_s",
     "voltage": "voltage_V",
@@ -66,6 +73,10 @@ COLUMNS: dict[str, str] = {
     "duty": "duty",
     "supply": "supply",
     "erpm": "erpm",
+    "frequency": "frequency",
+    "increments": "increments",
+    "turned": "turned",
+    "count rate": "count_rate",
 }
 
 
@@ -80,6 +91,8 @@ _NOT_MEASURED = _set(
     "period loop sample samples frame index idx seq packet"
 )
 _SUPPLY = _set("supply bus vbus ubus vcc vdd battery batt vbat input dc dclink psu versorgung ibus isupply")
+
+_COUNTS = _set("counts count cnt ticks tick pulses pulse enc encoder quad qei inkremente")
 
 #: Quantity -> words of a name that mean it, the first that fits; whether its SI unit may be taken for granted.
 _WORDS: tuple[tuple[str, bool, frozenset[str]], ...] = (
@@ -102,10 +115,13 @@ _WORDS: tuple[tuple[str, bool, frozenset[str]], ...] = (
     ("temperature", False, _set("temp temperature temperatur")),
     ("speed", True, _set("omega w wm ω thetadot dtheta qdot dq")),
     ("speed", False, _set("speed vel velocity drehzahl geschwindigkeit vitesse tach tacho tachometer")),
-    ("counts", True, _set("counts count cnt ticks tick pulses enc encoder quad qei inkremente")),
+    ("counts", True, _COUNTS),
+    ("frequency", True, _set("freq frequency frequenz frequence fréquence")),
     ("angle", True, _set("theta phi θ φ q")),
     ("angle", False, _set("angle pos position winkel angolo")),
 )
+#: Of an angle: since the sample before.
+_SINCE = _set("delta diff difference increment d Δ δ")
 #: German compounds: "Ankerspannung", "Motorstrom".
 _ENDS = (
     ("spannung", "voltage"),
@@ -118,6 +134,7 @@ _ENDS = (
 #: Names that mean one thing by the program that writes them: quantity, factor.
 _WHOLE: dict[str, tuple[str, float]] = {
     "ms_today": ("time", 1e-3),  # VESC Tool
+    "x_value": ("time", 1.0),  # LabVIEW
     "drehzahl": ("speed", RPM),  # in German always 1/min
     "pos_estimate": ("angle", TURN),  # ODrive counts turns since its firmware 0.5
     "vel_estimate": ("speed", TURN),
@@ -126,9 +143,9 @@ _WHOLE: dict[str, tuple[str, float]] = {
 
 #: Quantity of the words, and whether they are sure of it -> quantities of units that make it another one.
 _FITS: dict[tuple[str, bool], frozenset[str]] = {
-    ("angle", False): frozenset({"counts", "length"}),  # "position_mm"
-    ("counts", True): frozenset({"angle", "length", "speed", "time"}),  # "enc_deg", "tick_ms"
-    ("speed", False): frozenset({"linear speed", "erpm"}),
+    ("counts", True): frozenset({"angle", "length", "speed", "time", "count rate", "increments"}),  # "enc_deg"
+    ("speed", False): frozenset({"linear speed", "erpm", "frequency", "count rate"}),
+    ("angle", False): frozenset({"counts", "length", "increments"}),  # "position_mm"
     ("torque", False): frozenset({"current"}),
 }
 #: A unit at the end of a name: "U [V]", "U (V)", "t/ms", "Zeit in s".
@@ -171,15 +188,35 @@ def meaning(name: str, unit: str = "") -> Meaning | None:
     if (whole := _WHOLE.get(base.lower())) and not unit:
         return _made(*whole)
     tokens = _tokens(base)
-    if not tokens or _NOT_MEASURED.intersection(t.lower() for t in tokens):
+    lower = [t.lower() for t in tokens]
+    if "per" in lower[1:]:  # "counts_per_s"
+        at = lower.index("per", 1)
+        known = unit_of(f"{lower[at - 1]}/{'/'.join(lower[at + 1 :])}")
+        return None if known is None else _with_unit(tokens[: at - 1], *known)
+    if (step := _since_before(tokens, unit)) is not None:
+        return step
+    if not tokens or _NOT_MEASURED.intersection(lower):
         return None
     if unit:
         known = unit_of(unit)
         return None if known is None else _with_unit(tokens, *known)
-    if (found := _named_by_unit(base, tokens)) is not None:
-        return found
-    quantity, certain = _quantity(tokens)
-    return replace(_made(quantity, 1.0), certain=certain, told=False) if quantity else None
+    return _named_by_unit(base, tokens) or _named_by_words(tokens)
+
+
+def not_measured(name: str) -> bool:
+    """Whether a name says that the signal is wanted or limited, or counts something else: no measurement."""
+    return bool(_NOT_MEASURED.intersection(t.lower() for t in _tokens(name)))
+
+
+def _since_before(tokens: list[str], unit: str) -> Meaning | None:
+    """What a name means that is a difference from the sample before: "delta_counts", "dEnc", "delta_pos [deg]"."""
+    apart = [p for t in tokens for p in (("d", t[1:]) if t[:1] in "dδΔ" and t[1:].lower() in _COUNTS else (t,))]
+    rest = [t for t in apart if t.lower() not in _SINCE]
+    found = meaning("_".join(rest), unit) if rest and len(rest) < len(apart) else None
+    if found is None or (not found.told and found.column != COLUMNS["counts"]):
+        return None
+    quantity = {COLUMNS["counts"]: "increments", COLUMNS["angle"]: "turned"}.get(found.column)
+    return _made(quantity, found.scale) if quantity else None
 
 
 def _named_by_unit(base: str, tokens: list[str]) -> Meaning | None:
@@ -193,6 +230,11 @@ def _named_by_unit(base: str, tokens: list[str]) -> Meaning | None:
             return found
     first = unit_of(tokens[0])
     return _made(*first) if first is not None and first[0] == "speed" else None
+
+
+def _named_by_words(tokens: list[str]) -> Meaning | None:
+    quantity, certain = _quantity(tokens)
+    return replace(_made(quantity, 1.0), certain=certain, told=False) if quantity else None
 
 
 def _made(quantity: str, scale: float) -> Meaning:

@@ -22,6 +22,7 @@ from servo_daemon.regression.balances import (
     shaft_slopes,
 )
 from servo_daemon.regression.columns.terms import armature_coefficient, coefficient, is_share
+from servo_daemon.regression.hidden_friction import HiddenFriction
 from servo_daemon.regression.residual_analysis import MeanError, Residuals
 from servo_daemon.regression.rls_fit import CHANCE_STDS, OVERLAP
 from servo_daemon.regression.sampling import WINDOW_S, Sampling, between_samples, blind_std, of_standing_counts
@@ -62,6 +63,9 @@ class BalanceWindow:
     Args:
         armature_columns, shaft_columns: what stands behind the regressors.
         judges_mismatch: False where the torque is itself only nearly known (no current is measured).
+
+    Attributes:
+        hidden_friction: what the shaft's rows say of dry friction that the model lacks.
     """
 
     def __init__(
@@ -70,6 +74,7 @@ class BalanceWindow:
         self._columns = {"armature": (*armature_columns, "y"), "shaft": (*shaft_columns, "y")}
         self.judges_mismatch = judges_mismatch
         self._grams = {which: GramWindow(WINDOW_S) for which in self._columns}
+        self.hidden_friction = HiddenFriction(shaft_columns)
         self._new: list[tuple[str, float, Sums]] = []
         self._residuals: dict[str, deque[tuple[float, Residuals]]] = {which: deque() for which in self._columns}
         self._last: dict[str, _Linear] = {}
@@ -80,6 +85,7 @@ class BalanceWindow:
         for which, window in self._grams.items():
             window.clear()
             self._residuals[which].clear()
+        self.hidden_friction.clear()
         self._new = []
 
     def advance(self, time_s: float) -> None:

@@ -195,17 +195,19 @@ class MotorRls:
             return
         columns = self._columns.armature if which == "armature" else self._columns.shaft
         rls = self._rls.setdefault(which, SlidingRls(len(columns), self._spans_s))
-        Phi, y, w, time_s = rows.Phi, rows.y, rows.windows, float(rows.samples.time_s[-1])
+        Phi, y, w, dry, time_s = rows.Phi, rows.y, rows.windows, rows.dry, float(rows.samples.time_s[-1])
         if rls.value is not None:
             good = self._plausible[which].rows(y - Phi @ rls.value, y)
             if np.count_nonzero(good) < len(good):
-                Phi, y, w = Phi[good], y[good], w.only(good)
+                Phi, y, w, dry = Phi[good], y[good], w.only(good), None if dry is None else dry[good]
         if len(y) > 0:
             sums = Sums.of(Phi, y, w.weight_squares)
             noise = noise_squares(columns, sums.weight_squares, self._noise_var)
             rls.update(time_s, sums.gram, sums.rows, noise, self._expected(which, rls, sums))
             if which not in self._columns.open:
                 self.window.add(which, time_s, sums)
+                if dry is not None:
+                    self.window.hidden_friction.add(time_s, Sums.of(np.column_stack([Phi, dry]), y, w.weight_squares))
         if which == "armature":
             self._held.take(rows.samples, rows.Phi, rows.y)
 

@@ -58,6 +58,19 @@ def test_a_held_shaft_tells_r_and_l_as_exactly_as_no_motion_at_all(motor: Motor,
     assert found.white
 
 
+@pytest.mark.parametrize("channel", ["position_rad", "velocity_rad_s"])
+def test_an_encoder_with_noise_is_no_motion(channel: str) -> None:
+    block = blocked(GEAR_MOTOR, "voltage_V", "current_A", channel)
+    shown = getattr(block, channel)
+    noise = np.round(np.random.default_rng(3).normal(0.0, 0.4, len(block))) * 1e-3
+    found = fit(replace(block, **{channel: shown + noise}))
+    for name in ("R", "L"):
+        p = found.parameters[name]
+        assert p.value is not None and p.std is not None
+        assert abs(p.value - getattr(GEAR_MOTOR, name)) < 4 * p.std < 0.2 * p.value
+    assert all(found.parameters[name].value is None for name in MOTION)
+
+
 def test_beside_a_capture_that_moves_it_is_still_one_of_the_winding() -> None:
     """K, J and B are the moving capture's; R and L are known better by both."""
     made = generate(GEAR_MOTOR, Scenario("multisine", seconds=3.0, seed=5))

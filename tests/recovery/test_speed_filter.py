@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from servo_daemon.captures.capture.model import Capture
 from servo_daemon.diagnosis.diagnose import diagnose
-from servo_daemon.identification.output_error import Recording, fit_output_error
+from servo_daemon.identification.output_error import FitOptions, Recording, fit_output_error
+from servo_daemon.identification.output_error.lag_like import equivalents
 from servo_daemon.samples import F64, SampleBlock, make_block
 from tests.recovery.generator import GEAR_MOTOR, PAPER, Motor, Scenario, generate
 from tests.recovery.generator.sensors import filtered_speed, speed_over_window
@@ -57,3 +59,19 @@ def test_a_filter_of_the_speed_is_found(kind: str) -> None:
         t_f = found.extended.parameters["t_f"]
         assert t_f.value is not None and t_f.std is not None
         assert abs(t_f.value - T_F) < 4 * t_f.std
+
+
+@pytest.mark.parametrize("motor", [PAPER, GEAR_MOTOR], ids=lambda m: m.name)
+def test_without_a_current_a_filter_of_the_program_that_logs_leaves_l_and_its_lag_open(motor: Motor) -> None:
+    """y += a (ω − y) once in 5 ms: no continuous filter is that, and L or t_f takes the difference."""
+    made = generate(motor, Scenario("steps", 6.0, rate_hz=200.0, seed=4))
+    share = 1.0 / 3.0  # the filter's lag is h (1/a − 1), two samples
+    shown = lfilter([share], [1.0, share - 1.0], made.truth.speed_rad_s)
+    noise = np.random.default_rng(3).normal(0.0, 0.001 * float(np.std(shown)), len(shown))
+    block = make_block(made.time_s, voltage_V=made.voltage_V, velocity_rad_s=shown + noise)
+    known = FitOptions(fixed={"R": motor.R, "K": motor.K})
+    fit = fit_output_error([Recording("capture", block)], ("speed_filter",), known)
+    for name, true in (("L", motor.L), ("J", motor.J), ("t_f", 0.01)):
+        p = fit.parameters[name]
+        assert p.value is None or p.std is None or abs(p.value - true) < max(4 * p.std, 0.05 * true)
+    assert "speed_filter" in equivalents(fit.problem)["L"]

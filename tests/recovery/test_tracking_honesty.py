@@ -66,6 +66,25 @@ def test_samples_ten_times_slower_than_the_winding(rate_hz: float) -> None:
     assert max(found.values()) < STDS, found
 
 
+# -- a load that the model lacks ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("motor", "dry", "seconds"), [("gear", 0.0, 14.0), ("re40", 0.05, 10.0)])
+def test_a_hoist_under_the_linear_model(motor: str, dry: float, seconds: float) -> None:
+    """At one speed no regression tells R, and the filter makes of the load what it likes (R up to 17 times as large, at
+    37 σ): what was last said of it holds, and what the regression excludes is not published."""
+    m = MOTORS[motor]
+    torque_Nm = m.K * m.rated_current_A
+    effects = {"constant_load_torque": {"TL": 0.3 * torque_Nm}}
+    if dry:
+        effects["coulomb_friction"] = {"Tc": dry * torque_Nm}
+    recording = generate(m, Scenario("reversals", seconds=seconds, rate_hz=500.0, effects=effects, seed=5))
+    track = tracked(recording, {})
+    stds, shares = deviations(track, recording.truth.parameters, recording.truth.time_s, track.names)
+    wrong = (np.abs(stds) > STDS) & (np.abs(shares) > 0.05)
+    assert not wrong.any(), dict(zip(track.names, wrong.mean(axis=0).tolist(), strict=True))
+
+
 # -- constant speed ---------------------------------------------------------------------------------------------------
 
 

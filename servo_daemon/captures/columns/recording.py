@@ -156,6 +156,8 @@ def _read_column(recording: Recording, column: MappedColumn) -> Series:
     result = _combined(recording, column, parts)
     if column.wrap is not None:
         result = Series(WrappedPosition(column.wrap).unwrap(result.values), result.time_s)
+    if column.summed:
+        result = Series(np.cumsum(result.values), result.time_s)
     return result
 
 

@@ -78,6 +78,7 @@ class MappedColumn:
         formula: how they combine; None: the single operand is the value.
         wrap: the value counts modulo this (in its own unit, before `counts_per_rev`); None: it does not wrap.
         shown: of a current that is not the motor's: what it is instead.
+        summed: the signal is what the value has changed by since the sample before.
     """
 
     name: str
@@ -85,6 +86,7 @@ class MappedColumn:
     formula: Formula | None = None
     wrap: float | None = None
     shown: Shown | None = None
+    summed: bool = False
 
     @property
     def line(self) -> Mapping[str, Any]:
@@ -96,6 +98,8 @@ class MappedColumn:
             entry |= {"formula": self.formula.text, **{o.name: o.entry for o in self.operands}}
         if self.wrap is not None:
             entry["wrap"] = self.wrap
+        if self.summed:
+            entry["sum"] = True
         if self.shown is not None:
             entry["shows"] = self.shown.shows
             entry |= {} if self.shown.supply_V is None else {"supply_V": self.shown.supply_V}
@@ -220,10 +224,12 @@ def _column(name: str, entry: Any, where: str) -> MappedColumn:
     wrap = _number(entry, "wrap", where) if "wrap" in entry else None
     if wrap is not None and wrap <= 0:
         raise ConfigError(f"{where}: wrap must be positive, not {wrap!r}")
-    shown = _shown(name, entry, where)
-    rest = {key: value for key, value in entry.items() if key not in ("wrap", "formula", "shows", "supply_V")}
+    shown, summed = _shown(name, entry, where), entry.get("sum", False)
+    if not isinstance(summed, bool):
+        raise ConfigError(f"{where}: sum must be true or false, not {summed!r}")
+    rest = {key: value for key, value in entry.items() if key not in ("wrap", "formula", "shows", "supply_V", "sum")}
     if "formula" not in entry:
-        return MappedColumn(name, (_operand("value", rest, where),), None, wrap, shown)
+        return MappedColumn(name, (_operand("value", rest, where),), None, wrap, shown, summed)
     if not isinstance(entry["formula"], str):
         raise ConfigError(f"{where}: formula must be a text")
     formula = parse_formula(entry["formula"], where)
@@ -235,7 +241,8 @@ def _column(name: str, entry: Any, where: str) -> MappedColumn:
             raise ConfigError(f"{where}: unknown key '{key}': the formula has no such name")
     if not rest:
         raise ConfigError(f"{where}: the formula uses no signal")
-    return MappedColumn(name, tuple(_operand(k, v, f"{where}: {k}") for k, v in rest.items()), formula, wrap, shown)
+    operands = tuple(_operand(k, v, f"{where}: {k}") for k, v in rest.items())
+    return MappedColumn(name, operands, formula, wrap, shown, summed)
 
 
 def _shown(name: str, entry: Mapping[str, Any], where: str) -> Shown | None:
@@ -262,7 +269,7 @@ def _operand(name: str, entry: Any, where: str) -> SignalRef:
         raise ConfigError(f'{where}: must be "name" or {{signal = "name", …}}')
     for key in entry:
         if key not in _OPERAND_KEYS:
-            raise ConfigError(f"{where}: unknown key '{key}': known are {', '.join(_OPERAND_KEYS)}, wrap")
+            raise ConfigError(f"{where}: unknown key '{key}': known are {', '.join(_OPERAND_KEYS)}, wrap, sum")
     scale = _number(entry, "scale", where) if "scale" in entry else 1.0
     if not scale:
         raise ConfigError(f"{where}: scale is 0, which leaves nothing of the signal")

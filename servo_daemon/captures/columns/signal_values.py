@@ -17,7 +17,9 @@ _EPOCH = (1e9, 4e9)
 _SLOWEST_S, _FASTEST_S = 0.25, 1e-6
 #: A value of whole numbers that reaches this, and has so many different ones, is no longer in volts, amperes, radians.
 _WHOLE_FROM = {"voltage_V": 60.0, "current_A": 20.0, "position_rad": 10.0, "velocity_rad_s": 10.0, "torque_Nm": 10.0}
-_DIFFERENT = 10
+DIFFERENT = 10
+#: A supply sags by less than this share under a motor that it can drive.
+_SAG = 0.3
 #: A step over half of a wrap is a wrap if what is left of all steps is below this share of it.
 _CLEAR = 0.3
 
@@ -32,6 +34,15 @@ class Values:
     def whole(self) -> bool:
         """Whether all values are whole numbers."""
         return bool(np.all(self.finite == np.rint(self.finite)))
+
+    @property
+    def varies(self) -> bool:
+        return bool(np.ptp(self.finite) > 0.0) if self.finite.size else False
+
+    @property
+    def stands(self) -> bool:
+        """Whether it changes by no more than a supply does under its load."""
+        return bool(np.ptp(self.finite) < _SAG * abs(np.mean(self.finite))) if self.finite.size else True
 
     @cached_property
     def largest(self) -> float:
@@ -54,7 +65,7 @@ def unit_is_open(column: str, values: Values) -> bool:
     from_ = _WHOLE_FROM.get(column)
     if from_ is None or not values.whole or values.largest < from_:
         return False
-    return len(np.unique(values.finite)) >= _DIFFERENT
+    return len(np.unique(values.finite)) >= DIFFERENT
 
 
 def exceeds_one(values: Values, scale: float) -> bool:

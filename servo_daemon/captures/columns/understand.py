@@ -10,6 +10,7 @@ from drivers.can.formula import parse_formula
 from servo_daemon.captures.capture.layout import KNOWN_COLUMNS, lacks
 from servo_daemon.captures.capture.model import LINEAR_COLUMNS, capture_error
 from servo_daemon.captures.capture.read_options import ReadOptions
+from servo_daemon.captures.columns.by_number import BY_NUMBER, ask_about_the_rest, take_by_number
 from servo_daemon.captures.columns.foreign import Recording
 from servo_daemon.captures.columns.held import HeldSignal
 from servo_daemon.captures.columns.motion_units import match_motion
@@ -60,7 +61,10 @@ def understand(recording: Recording, options: ReadOptions) -> Understood:
         reader.take_formulas(log)
     reader.take_duty()
     reader.take_electrical_speed()
+    take_by_number(recording, found, reader.beside, reader.number)
     match_motion(recording, found)
+    if not (_MOTION & found.fields or found.questions):
+        ask_about_the_rest(recording, found)
     if options.rate_hz is not None:
         found.columns.pop("time_s", None)
     timed = recording.timed or options.rate_hz is not None
@@ -84,10 +88,8 @@ def _take_exact(recording: Recording, found: Understood) -> None:
         if name not in KNOWN_COLUMNS:
             continue
         if names.count(name) > 1:
-            count = names.count(name)
-            message = f"there are {count} of this name: say which in a map"
-            if recording.header_line is not None:
-                message = "the column is there twice"
+            several = f"there are {names.count(name)} of this name: say which in a map"
+            message = several if recording.header_line is None else "the column is there twice"
             raise capture_error(recording.path, message, line=recording.header_line, column=name)
         unit = unit_of(signal.unit) if signal.unit else None
         own = meaning(name)
@@ -126,7 +128,7 @@ class _Reader:
 
     def __init__(self, recording: Recording, found: Understood, options: ReadOptions) -> None:
         self._recording, self._found, self._options = recording, found, options
-        self._beside: dict[str, tuple[HeldSignal, Meaning]] = {}
+        self.beside: dict[str, tuple[HeldSignal, Meaning]] = {}
 
     def take(self, column: str, candidates: list[tuple[HeldSignal, Meaning]]) -> None:
         """The signal among candidates that is this column; a question where that is not certain."""
@@ -141,8 +143,8 @@ class _Reader:
                 found.ask(signal.name, column, f"which is {column}: {names}?")
             return
         signal, what = best[0]
-        if column in ("duty", "supply", "erpm"):
-            self._beside[column] = (signal, what)
+        if column in ("duty", "supply", "erpm", *BY_NUMBER):
+            self.beside[column] = (signal, what)
         elif not what.certain:
             self._ask_unit(signal, column)
         elif column == COUNTS:
@@ -175,7 +177,7 @@ class _Reader:
         return None
 
     def _take_counts(self, signal: HeldSignal) -> None:
-        per_rev = self._number("counts_per_rev", self._options.counts_per_rev)
+        per_rev = self.number("counts_per_rev")
         if per_rev is None:
             text = (
                 f"{signal.name} counts: --counts-per-rev N says how often in a turn (after quadrature); in a map, "
@@ -196,12 +198,13 @@ class _Reader:
             self._add(MappedColumn(column, refs, formula), f"q axis of {', '.join(operands[:-1])}")
 
     def take_duty(self) -> None:
-        """The voltage by a duty cycle, where it is not there itself."""
-        if "duty" not in self._beside or "voltage_V" in self._found.fields:
+        """The voltage by a duty cycle, where it is not there itself, or is the supply's."""
+        self._know_the_supply()
+        if "duty" not in self.beside or "voltage_V" in self._found.fields:
             return
-        signal, what = self._beside["duty"]
+        signal, what = self.beside["duty"]
         values, full = self._values(signal), self._options.full_duty
-        volts, supply = self._number("supply_V", self._options.supply_V), self._beside.get("supply")
+        volts, supply = self.number("supply_V"), self.beside.get("supply")
         beyond = full is None and exceeds_one(values, what.scale)
         unsure = beyond or (self._options.supply_V is None and duty_needs_scale(values, what.scale))
         if volts is not None and not unsure:
@@ -222,12 +225,22 @@ class _Reader:
                 text += ": --supply 12 (volts at 1) or 12/255 (at 255) says of which"
             self._found.ask(signal.name, "voltage_V", text)
 
+    def _know_the_supply(self) -> None:
+        """A voltage that stands while the duty cycle changes is the supply's: "vin [V]" beside "PWM [%]"."""
+        column = self._found.columns.get("voltage_V")
+        if "duty" not in self.beside or column is None or column.operands[0].signal == column.name:
+            return
+        signal = next(s for s in self._recording.held if s.name == column.operands[0].signal)
+        if self._values(signal).stands and not self._values(self.beside["duty"][0]).stands:
+            self._drop(column)
+            self.beside.setdefault("supply", (signal, Meaning("supply", column.operands[0].scale)))
+
     def take_electrical_speed(self) -> None:
         """The shaft's speed by the electrical one, where no motion is there itself."""
-        if "erpm" not in self._beside:
-            return
-        signal, what = self._beside["erpm"]
-        pairs = self._number("pole_pairs", self._options.pole_pairs)
+        if "erpm" not in self.beside:
+            return None
+        signal, what = self.beside["erpm"]
+        pairs = self.number("pole_pairs")
         moving = self._found.columns.get("position_rad")
         if moving is not None and moving.operands[0].signal == "encoder_position":
             told = self._encoder_ratio(moving, signal, what)
@@ -239,14 +252,12 @@ class _Reader:
                     self._drop(moving)  # which way round it went from row to row is not known
                     pairs = told
         if _MOTION & self._found.fields:
-            return
+            return None
         if pairs is None:
-            text = f"{signal.name} is the electrical speed: --pole-pairs N makes it the shaft's"
-            self._found.ask(signal.name, "velocity_rad_s", text)
-            return
-        scale = what.scale / pairs
-        column = MappedColumn("velocity_rad_s", (SignalRef("value", signal.name, scale),))
-        self._add(column, signal.name, f" (÷ {pairs:g} pole pairs)")
+            asked = f"{signal.name} is the electrical speed: --pole-pairs N makes it the shaft's"
+            return self._found.ask(signal.name, "velocity_rad_s", asked)
+        column = MappedColumn("velocity_rad_s", (SignalRef("value", signal.name, what.scale / pairs),))
+        return self._add(column, signal.name, f" (÷ {pairs:g} pole pairs)")
 
     def _encoder_ratio(self, moving: MappedColumn, signal: HeldSignal, what: Meaning) -> float | None:
         """Pole pairs by what an encoder's angle and the electrical speed make of each other; None: the angle is not the
@@ -268,9 +279,10 @@ class _Reader:
         del self._found.columns[column.name]
         self._found.told = [t for t in self._found.told if not t.startswith(f"{column.operands[0].signal} → ")]
 
-    def _number(self, key: str, told: float | None) -> float | None:
+    def number(self, key: str) -> float | None:
         """A number by its flag, else by the file's metadata."""
         text = self._recording.metadata.get(key)
+        told: float | None = getattr(self._options, key)
         if told is not None or text is None:
             return told
         try:

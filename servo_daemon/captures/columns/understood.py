@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from servo_daemon.captures.capture.layout import KNOWN_COLUMNS, lacks
 from servo_daemon.captures.columns.questions import Question
 from servo_daemon.captures.columns.signal_map import COUNTS, MappedColumn
-from servo_daemon.column_names import meaning
+from servo_daemon.column_names import meaning, not_measured
 
 
 @dataclass(slots=True)
@@ -47,5 +47,8 @@ def field_of(column: str) -> str:
 def only_ours(names: Sequence[str]) -> bool:
     """Whether the signals called as a capture's columns are make one, and nothing else of it has to be understood."""
     known = {KNOWN_COLUMNS[name] for name in names if name in KNOWN_COLUMNS}
-    others = {field_of(m.column) for name in names if name not in KNOWN_COLUMNS and (m := meaning(name)) is not None}
-    return not lacks(known) and others <= {*known, "supply"}
+    foreign = {name: meaning(name) for name in names if name not in KNOWN_COLUMNS}
+    others = {field_of(m.column) for m in foreign.values() if m is not None}
+    moves = bool({"position_rad", "velocity_rad_s"} & known)
+    unknown = not moves and any(m is None and name and not not_measured(name) for name, m in foreign.items())
+    return not lacks(known) and others <= {*known, "supply"} and not unknown

@@ -3,7 +3,8 @@
 The speed answers the voltage by g/((1 + s τ₁)(1 + s τ₂)). Where both poles are real the faster one may be the
 winding's, or all of it that of the drive's output stage or of a filter in the speed's sensor, with a winding that is as
 good as none; a delay of either differs from these only beyond 1/τ₂. So L lies anywhere from zero to what was fitted,
-and J, which makes τ₁ + τ₂ with it, between what was fitted and τ₁/(τ₁ + τ₂) of that. A pair of complex poles no lag
+and J, which makes τ₁ + τ₂ with it, between what was fitted and τ₁/(τ₁ + τ₂) of that. A lag that the model has changes
+nothing of this: lags in a row may change places, and one of them takes what L loses. A pair of complex poles no lag
 makes, but beside a lag it is fitted as another pair: then the model with a lag tells by how much."""
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ from servo_daemon.plant.contribution import contribution
 from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.samples import F64
 
-#: The lag that stands for all of them; and the effects that L may be.
-_LAG = "drive_lag"
-LAGS = tuple(name for name, effect in effects_by_name().items() if effect.late)
+#: The effects that L may be; and the lags that stand for all of them, the first that the model lacks.
+LAGS = {name: effect.late for name, effect in effects_by_name().items() if effect.late}
+_LAGS = ("drive_lag", "speed_filter")
 #: Of a share between zero and one that nothing is known of, root of the mean square.
 SHARE = 1.0 / np.sqrt(3.0)
 #: 2 log-likelihood by which two values differ, 3 σ squared.
@@ -43,9 +44,7 @@ class Refit(Protocol):
 
 def leaves_the_trace_of_l(problem: Problem) -> bool:
     """Whether a lag of something else would pass for L here."""
-    if problem.plant.drive != "voltage" or "current_A" in problem.channels or "L" not in problem.free:
-        return False
-    return not set(LAGS) & set(problem.plant.effects)
+    return problem.plant.drive == "voltage" and "current_A" not in problem.channels and "L" in problem.free
 
 
 def equivalents(problem: Problem) -> dict[str, tuple[str, ...]]:
@@ -67,11 +66,13 @@ def by_other_lags(fit: OutputErrorFit, again: Refit) -> F64 | None:
     poles = _poles(values)
     if poles is not None:
         fast, slow = poles
-        for name, change in (("L", 1.0), ("J", fast / (fast + slow))):
-            if name in names:
-                column[names.index(name)] = SHARE * change
+        moves = {"L": 1.0, "J": fast / (fast + slow)}
+        moves |= {t: -min(fast / values[t], _AT_MOST) for name in problem.plant.effects if (t := LAGS.get(name))}
+        for name in set(names) & set(moves):
+            column[names.index(name)] = SHARE * moves[name]
         return column
-    other = again((*problem.plant.effects, _LAG), halved_lag(values, "t_lag"))
+    lag = next((name for name in _LAGS if name not in problem.plant.effects), None)
+    other = None if lag is None else again((*problem.plant.effects, lag), halved_lag(values, str(LAGS[lag])))
     return None if other is None else moved_to(other, fit)
 
 

@@ -20,6 +20,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from servo_daemon.identification.output_error.digital_filter import by_filter_within_a_sample
 from servo_daemon.identification.output_error.fitted import OutputErrorFit
 from servo_daemon.identification.output_error.lag_like import (
     SHARE,
@@ -110,6 +111,8 @@ def _discrepancy(fit: OutputErrorFit, scale: F64, again: Refit, square: float, l
     parts = [np.zeros((k, 0))]
     if square:
         parts.append(math.sqrt(_ALONG * square) * information(fit.problem, fit.solution.point, scale).root)
+    fast = by_filter_within_a_sample(fit)
+    parts += [] if fast is None else [fast[:, None]]
     # Noise that enters the motor passes for dry friction and the other way round; drag explains it by chance.
     if square or likelier is not None:
         laws = by_other_laws(fit, again, dry=not square)

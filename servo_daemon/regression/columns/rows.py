@@ -23,12 +23,14 @@ DIRECTED_STDS = 3.0
 
 @dataclass(frozen=True, slots=True)
 class ModelRows:
-    """Columns, shape (m, n), what they make, shape (m,), over which windows, of which samples."""
+    """Columns, shape (m, n), what they make, shape (m,), over which windows, of which samples; of a shaft whose model
+    has no dry friction what that would add per N·m, shape (m,)."""
 
     Phi: F64
     y: F64
     windows: Windows
     samples: Stretch
+    dry: F64 | None = None
 
 
 class RowMaker:
@@ -109,7 +111,8 @@ class RowMaker:
         for effect in self._columns.shaft_effects:
             columns += self._effect_columns(effect, w, s)
         y = self._driving_torque(w, s, speed, acceleration, sag)
-        return None if y is None else ModelRows(_in_columns(columns), y, w, s)
+        dry = None if self._plant.may_stick else w.integral(s.sliding)
+        return None if y is None else ModelRows(_in_columns(columns), y, w, s, dry)
 
     def _effect_columns(self, effect: str, w: Windows, s: Stretch) -> list[F64]:
         if not columns_of(effect, self._columns.shaft_effects):

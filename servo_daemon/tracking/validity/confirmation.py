@@ -12,7 +12,7 @@ from servo_daemon.regression.motor_rls import MotorRls
 from servo_daemon.regression.sampling import blind_std
 from servo_daemon.tracking.plan.parameter_masks import Mask, ParameterMasks
 from servo_daemon.tracking.validity.cross_check import RegressionCrossCheck
-from servo_daemon.tracking.validity.fusion import confirms
+from servo_daemon.tracking.validity.fusion import agrees, confirms
 from servo_daemon.tracking.validity.tick import Tick
 
 #: A regression that may be off by as much (1 σ, relative) because of the sampling alone is no judge (chosen; not
@@ -46,16 +46,21 @@ class Confirmation:
         if found is None:
             self.parameters = out
             return
+        own = {**values, **dict(zip(found.names, found.value.tolist(), strict=True))}
         for name, value, std in zip(found.names, found.value.tolist(), found.std.tolist(), strict=True):
             k = self._masks.names.index(name)
             if self._trusted[k] or not self._masks.covered[k]:
                 continue
             blind = blind_std(name, values, tick.sampling.period_s)
-            if self._masks.logarithmic[k] and not tick.is_blind(name, values) and blind < _BLIND:
+            positive = bool(self._masks.logarithmic[k])
+            if positive and not tick.is_blind(name, values) and blind < _BLIND:
                 spread = math.hypot(std * balances.ALIGNED.get(name, 1.0), blind * value)
                 out[k] = confirms(value, spread, values[name]) or calm_s > found.span_s
             else:
-                out[k] = name != "L" or tick.white
+                # A wrong value is no reason to be blind to it.
+                least = math.hypot(std, value * min(blind, blind_std(name, own, tick.sampling.period_s)))
+                known = not positive or agrees(value, least, values[name]) or calm_s > found.span_s
+                out[k] = known if name != "L" else tick.white
         for name in self._unconfirmed(found, values, tick):
             k = self._masks.names.index(name)
             out[k] = bool(self._trusted[k])

@@ -51,7 +51,12 @@ class Trusted:
 def confirms(found: float, found_std: float, value: float) -> bool:
     """Whether a regression's estimate speaks for the filter's: it knows the parameter, and they are not far apart. The
     filter alone, started far off on data that show little, can be sure of nonsense; a regression has no start."""
-    return found_std < KNOWS * abs(found) and abs(found - value) < AGREES * abs(value) + 3.0 * found_std
+    return found_std < KNOWS * abs(found) and agrees(found, found_std, value)
+
+
+def agrees(found: float, found_std: float, value: float) -> bool:
+    """Whether a regression's estimate, however little it knows, does not exclude the filter's."""
+    return abs(found - value) < AGREES * abs(value) + 3.0 * found_std
 
 
 def fuse(

@@ -45,6 +45,8 @@ class Mismatch:
         self._masks, self._ekf, self._rls = masks, ekf, rls
         self._excitation, self._last_known = excitation, last_known
         self.std: F64 = np.zeros(len(masks.parameters))
+        self._dry: dict[str, float] = {}
+        self._doubted: dict[str, float] = {}
 
     def measure(self, values: Mapping[str, float], tick: Tick) -> None:
         """How far the parameters may be off because the balances do not close, or by the balances' word; kept while a
@@ -52,6 +54,8 @@ class Mismatch:
         window, own_std = self._rls.window, self._ekf.coordinate_std
         window.take_residuals(values, tick.sampling.noise_var)
         found, said = window.mismatch(values, tick.sampling), window.mean_errors(values, tick.sampling.period_s)
+        dry = window.hidden_friction.moves(tick.end_s, tick.sampling.noise_var) if window.judges_mismatch else None
+        self._dry = self._dry if dry is None else dry
         quantised, armature = self._left_by_steps(tick), self._by_armature(values, tick)
         for k, name in enumerate(self._masks.names):
             if not self._excitation.excited[k] or not self._masks.logarithmic[k]:
@@ -61,7 +65,8 @@ class Mismatch:
                 error = 0.0
             doubt = residual_analysis.unexplained_var(error, var + float(own_std[k]) ** 2) + armature.get(name, 0.0)
             discrepancy = 0.0 if tick.white else _DISCREPANCY_STD
-            self.std[k] = math.hypot(found.get(name, 0.0), math.sqrt(doubt), float(quantised[k]), discrepancy)
+            known = (found.get(name, 0.0), self._dry.get(name, 0.0), float(quantised[k]), discrepancy)
+            self.std[k] = math.hypot(*known, math.sqrt(doubt))
         self._doubt_effects()
         self._carry_over_torque()
 
@@ -81,15 +86,17 @@ class Mismatch:
         where it is, the regression, which remembers for longer, may be behind a motor that ages.
 
         - The innovations say that the model lacks something: a torque that is in no model biases the filter, and not
-          that balance. By how much they differ, and no better than the regression knows.
+          that balance. By how much they differ, and no better than the regression knows; while it knows nothing, as
+          at one speed, by how much it last was.
         - L was never known: the filter holds it at a value that biases R, the regression has one of its own. (Less so
           where the current has settled by the next sample.)
         """
         L_unknown = "L" in values and self._is_unknown("L", USABLE_STD if tick.is_blind("L", values) else LOST)
         found = None if tick.white and not L_unknown else self._rls.estimate()
         if found is None:
+            self._doubted = {}
             return {}
-        out: dict[str, float] = {}
+        out = {} if tick.white else dict(self._doubted)
         for name in ("R", "K"):
             if name not in found.names or name not in values:
                 continue
@@ -100,6 +107,7 @@ class Mismatch:
                 blind = blind_std(name, values, tick.sampling.period_s)
                 var = own_var + blind**2 + float(self._ekf.coordinate_std[k]) ** 2
                 out[name] = own_var + (error**2 if L_unknown else residual_analysis.unexplained_var(error, var))
+        self._doubted = out
         return out
 
     def _is_unknown(self, name: str, std: float) -> bool:

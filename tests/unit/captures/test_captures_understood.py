@@ -48,7 +48,12 @@ def written(folder: Path, content: str, name: str = "log.csv") -> Path:
         ("position_mm", "position_m", 1e-3), ("speed_mm_s", "velocity_m_s", 1e-3),
         ("n [1/min]", "velocity_rad_s", math.pi / 30), ("rpm_filtered", "velocity_rad_s", math.pi / 30),
         ("theta_dot", "velocity_rad_s", 1.0), ("omega(t)", "velocity_rad_s", 1.0), ("u(t)", "voltage_V", 1.0),
-        ("millis()", "time_s", 1e-3), ("effort_A", "current_A", 1.0),
+        ("millis()", "time_s", 1e-3), ("effort_A", "current_A", 1.0), ("f [Hz]", "frequency", 2 * math.pi),
+        ("speed_hz", "frequency", 2 * math.pi), ("delta_counts", "increments", 1.0), ("dEnc", "increments", 1.0),
+        ("ticks_per_loop", "increments", 1.0), ("enc [counts/sample]", "increments", 1.0),
+        ("delta_pos [deg]", "turned", math.pi / 180), ("counts_per_s", "count_rate", 1.0),
+        ("speed [counts/s]", "count_rate", 1.0), ("rev_per_s", "velocity_rad_s", 2 * math.pi),
+        ("krpm", "velocity_rad_s", 1e3 * math.pi / 30), ("X_Value", "time_s", 1.0),
     ],
 )  # fmt: skip
 def test_names_that_are_certain(name: str, column: str, scale: float) -> None:
@@ -79,6 +84,9 @@ def test_names_whose_unit_nobody_knows_are_guesses(name: str) -> None:
         "foo",
         "n",
         "tach (V)",
+        "counts_per_rev",
+        "delta_rpm",
+        "sample_freq_hz",
     ],
 )
 def test_names_that_are_no_measurement_of_the_motor(name: str) -> None:
@@ -90,6 +98,10 @@ FULL = {
     "turns": (table((MS, M.v, M.i, TURNS), "millis,u_V,Iq,pos_estimate", digits=".9f"), {}),
     "angle that wraps": (table((M.t, M.v, M.i, DEG % 360), "time_s,voltage_V,current_A,angle_deg"), {}),
     "duty of a measured supply": (table((M.t, M.v / 12, 0 * M.t + 12, M.i, M.x), "t,duty,vbus,i,theta"), {}),
+    "duty beside what only the values show to be the supply": (
+        table((M.t, 100 * M.v / 12, 0 * M.t + 12, M.i, M.x), "t,PWM [%],vin [V],i,theta"),
+        {},
+    ),
     "pwm of a told supply": (
         table((M.t, M.v * 255 / 12, M.i, M.x), "t,pwm,i,theta"),
         dict(zip(("supply_V", "full_duty"), parse_supply("12/255"), strict=True)),
@@ -100,6 +112,11 @@ FULL = {
         table((M.t, M.v, M.i, (M.counts + 32768 + 32760) % 65536 - 32768), "t,v,i,enc"),
         {"counts_per_rev": COUNTS_PER_REV},
     ),
+    "counts from sample to sample": (
+        table((M.t, M.v, M.i, np.diff(M.counts, prepend=0)), "time_s,voltage_V,current_A,delta_counts"),
+        {"counts_per_rev": COUNTS_PER_REV},
+    ),
+    "degrees from sample to sample": (table((M.t, M.v, M.i, np.diff(DEG, prepend=0)), "t,v,i,delta_deg"), {}),
     "micros that wrap": (table(((US + 2**32 - 5e5) % 2**32, M.v, M.i, M.x), "t_us,v,i,theta", digits=".4f"), {}),
     "JSON lines": (
         "".join(
@@ -165,6 +182,18 @@ def test_the_names_that_are_suggested_work(tmp_path: Path, name: str) -> None:
         (table((MS, M.v * 20, RPM), "ms,pwm,rpm"), "goes to 240: --supply 12/255", {"supply_V": 1, "full_duty": 20}),
         (table((M.t, M.v, M.i, 7 * RPM), "time_s,voltage_V,current_A,erpm"), "--pole-pairs N", {"pole_pairs": 7}),
         (
+            table((M.t, M.v, M.i, np.diff(M.counts, prepend=0)), "time_s,voltage_V,current_A,delta_counts"),
+            "--counts-per-rev N",
+            {"counts_per_rev": 1},
+        ),
+        (table((M.t, M.v, M.i, 50 * RPM), "t,v,i,speed [counts/s]"), "--counts-per-rev N", {"counts_per_rev": 3000}),
+        (table((M.t, M.v, M.i, 7 * RPM / 60), "t,v,i,f [Hz]"), "--pole-pairs N", {"pole_pairs": 7}),
+        (
+            table((M.t, M.v, M.i, M.w), "time_s,voltage_V,current_A,AI3"),
+            "AI3: is it the motion?",
+            {"columns": ("time_s", "voltage_V", "current_A", "AI3_rad_s")},
+        ),
+        (
             table((M.t, M.v, M.i, RPM, RPM), "time_s,voltage_V,current_A,left_rpm,right_rpm"),
             "which is velocity_rad_s: left_rpm or right_rpm?",
             {"columns": ("time_s", "voltage_V", "current_A", "left_rpm", "-")},
@@ -181,6 +210,17 @@ def test_the_only_motion_is_never_dropped_but_asked_about(
     capture = read_capture(path, options=ReadOptions(**options))  # type: ignore[arg-type]
     assert {"position_rad", "velocity_rad_s"} & set(capture.channels)
     assert "voltage_V" in capture.channels
+    if "f [Hz]" in content or "AI3" in content or "counts/s" in content:
+        np.testing.assert_allclose(capture.velocity_rad_s, M.w, atol=1e-3)
+
+
+def test_what_beside_voltage_and_current_is_plainly_no_motion_is_left_out(tmp_path: Path) -> None:
+    row = np.arange(len(M.t))
+    path = written(tmp_path, table((M.t, M.v, M.i, row, row // 300), "time_s,voltage_V,current_A,row,mark"))
+    assert read_capture(path).channels == ("voltage_V", "current_A")
+    other = written(tmp_path, table((M.t, M.v, M.i, M.w), "time_s,voltage_V,current_A,AI3"))
+    passed = ReadOptions(columns=("time_s", "voltage_V", "current_A", "-"))
+    assert read_capture(other, options=passed).channels == ("voltage_V", "current_A")
 
 
 def test_a_supply_without_the_full_scale_of_a_pwm_code_is_asked_about(tmp_path: Path) -> None:
