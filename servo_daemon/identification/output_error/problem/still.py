@@ -8,6 +8,7 @@ that moves is a sensor that is not there.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -48,4 +49,4 @@ def _is_noise(values: F64, causes: Sequence[F64]) -> bool:
 def _follows(values: F64, cause: F64) -> bool:
     u = cause - np.mean(cause)
     size = float(np.sqrt((values @ values) * (u @ u)))
-    return abs(float(values @ u)) > _BY_CHANCE * size / np.sqrt(len(values))
+    return abs(float(values @ u)) > _BY_CHANCE * size / math.sqrt(len(values))
