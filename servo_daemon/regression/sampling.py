@@ -60,7 +60,7 @@ def settling(R: float, L: float, period_s: float) -> tuple[float, float]:
 
     Returns:
         a = 1/(1 − exp(−x)) − 1/x, ½ .. 1: the current's mean between two samples is i_k + a (i_{k+1} − i_k); and
-        (x/2 / sinh(x/2))², 1 .. 0: what of a change of L rows show. They see L + R h (a − ½), and this is its derivative.
+        (x/2 / sinh(x/2))², 1 .. 0: what of a change of L rows show: the derivative of the L + R h (a − ½) in them.
     """
     x = min(max(period_s * R / max(L, _TINY), 1e-3), _LARGEST_X)
     return 1.0 / -math.expm1(-x) - 1.0 / x, (0.5 * x / math.sinh(0.5 * x)) ** 2
@@ -80,9 +80,9 @@ def blind_std(name: str, value: Mapping[str, float], period_s: float) -> float:
 
 def sampled_std(name: str, value: Mapping[str, float], period_s: float) -> float:
     """The same for what a regression says of itself, as far as the speed changes from one sample to the next: errors of
-    the current's mean move R and J alike, as far as L is not seen (then a is that of another winding), and as far as the
-    speed's change is no straight line; K as far as R i is a part of the voltage; B, the difference of the torques of
-    steady motion, the more the smaller it is. Windows that are as long as they should be (`coarse`) have next to none.
+    the current's mean move R and J alike, as far as L is not seen (then a is that of another winding), and as far as
+    the speed's change is no straight line; K as far as R i is a part of the voltage; B, the difference of the torques
+    of steady motion, the more the smaller it is. Windows as long as they should be (`coarse`) have next to none.
 
     Args:
         value: of all parameters, natural units. 0 where one of R, L, K, J, B is missing; 1 where one is impossible.

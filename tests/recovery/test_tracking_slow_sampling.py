@@ -1,7 +1,7 @@
 """At 20 to 500 samples a second neither the regression nor what is published is wrong with a small std.
 
-The current changes many times between two samples there, and a period lasts up to four mechanical time constants. On the
-independent generator with laboratory sensors; nominal values up to 40 % off either way.
+The current changes many times between two samples there, and a period lasts up to four mechanical time constants.
+On the independent generator with laboratory sensors; nominal values up to 40 % off either way.
 """
 
 from __future__ import annotations

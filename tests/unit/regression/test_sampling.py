@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 
 from servo_daemon.regression.sampling import sampled_std, settling
@@ -26,6 +28,6 @@ def test_what_rows_see_of_the_inductance_is_the_slope_of_what_they_show(period_s
 def test_doubt_grows_with_the_period_without_an_edge(name: str) -> None:
     rates = [1000.0 * 0.98**k for k in range(200)]  # 1000 to 18 Hz
     stds = [sampled_std(name, VALUES, 1.0 / rate) for rate in rates]
-    steps = list(zip(stds, stds[1:], strict=False))
+    steps = list(pairwise(stds))
     assert all(0.0 < a <= b for a, b in steps)
     assert all(b < 1.2 * a for a, b in steps if a < 1.0)  # beyond it nothing is known
