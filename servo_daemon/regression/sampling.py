@@ -21,6 +21,8 @@ BLIND_STD = {"R": 0.2, "L": 0.5, "K": 0.1, "J": 0.2, "B": 0.5}
 _GAIN_STD, _LOSS_STD = 0.3, 0.05
 #: Of L where rows show half of a change of it: it stays nearly where it began, at a datasheet's value.
 _INDUCTANCE_STD = 0.3
+#: Nothing is known: a decision; ten times the value holds what is a tenth of the truth.
+_UNKNOWN_STD = 10.0
 #: Periods a time constant of the winding: beyond it nothing of L is left (2e-39), and nothing overflows.
 _LARGEST_X = 100.0
 #: In place of what is not positive, SI units.
@@ -107,7 +109,7 @@ def sampled_std(name: str, value: Mapping[str, float], period_s: float) -> float
         "J": gain,
         "B": along + _LOSS_STD * reach * (1.0 + 1.0 / damping) * _coarseness(name, period_s),
     }
-    return std.get(name, 0.0)
+    return min(std.get(name, 0.0), _UNKNOWN_STD)
 
 
 def settled_share(value: Mapping[str, float], period_s: float) -> float:
