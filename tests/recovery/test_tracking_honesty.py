@@ -341,8 +341,7 @@ def test_an_inductance_that_slow_reversals_hardly_show_is_not_claimed_beside_a_h
     motor, seed = BELT_SERVO, 3
     hidden = {"coulomb_friction": {"Tc": 0.1 * motor.working_torque_Nm}}
     recording = generate(motor, Scenario("reversals", seconds=20.0, effects=hidden, seed=seed))
-    found = worst(tracked(recording, nominal_of(motor)), recording)
-    assert max(found[name] for name in ("R", "L", "K")) < STDS, found
+    assert worst(tracked(recording, nominal_of(motor)), recording)["L"] < STDS
 
 
 # -- instruments ------------------------------------------------------------------------------------------------------
