@@ -31,7 +31,7 @@ from servo_daemon.regression.lag import Lag
 from servo_daemon.regression.plausible import Plausible
 from servo_daemon.regression.rls import SPANS_S, LinearEstimate, SlidingRls
 from servo_daemon.regression.rls_fit import OVERLAP
-from servo_daemon.regression.sampling import FEWEST_SAMPLES, SPAN_S, Sampling, sampled_std, settling
+from servo_daemon.regression.sampling import FEWEST_SAMPLES, SPAN_S, Sampling, coarse, sampled_std, settling
 from servo_daemon.regression.stretch import Stretch, between_samples, joined, last
 from servo_daemon.samples import F64
 
@@ -163,19 +163,22 @@ class MotorRls:
         tell it from the share of the step, so that they would keep a wrong one that they began with.
 
         Returns:
-            a − ½ (0 .. ½), and (a − ½) h K/R in A·s²/rad (of a held shaft 0); with the nominal L while the
-            regression does not know it, and in the beginning of the nominal winding without the second part.
+            a − ½ (0 .. ½), and (a − ½) h K/R in A·s²/rad (of a held shaft 0). Where a window holds the fewest samples
+            (below 600 Hz) with the nominal L while the regression does not know it, and in the beginning of the
+            nominal winding without the second part; zeros in the beginning elsewhere.
         """
         if "L" not in self.names:
             return 0.0, 0.0
-        found = self._estimate
+        found, few = self._estimate, coarse("armature", period_s) == 1.0
+        if found is None and not few:
+            return 0.0, 0.0
         own = {} if found is None else dict(zip(found.names, found.value.tolist(), strict=True))
         R, L, K = (own.get(name, self._taken_at[name]) for name in WINDING_NAMES)
         if found is None:
             K = 0.0
-        if found is None or not found.with_unseen.knows("L"):
+        if found is None or (few and not found.with_unseen.knows("L")):
             L = self._taken_at["L"]
-        if R <= 0.0:
+        if R <= 0.0 or (L <= 0.0 and not few):
             return 0.0, 0.0
         rest = settling(R, L, period_s)[0] - 0.5
         return rest, rest * period_s * K / R

@@ -108,7 +108,7 @@ def sampled_std(name: str, value: Mapping[str, float], period_s: float) -> float
     along = gain * min(1.0, damping)
     std = {
         "R": gain,
-        "L": _INDUCTANCE_STD * (1.0 / seen - 1.0) + gain * period_s * R / (L * seen),
+        "L": _INDUCTANCE_STD * (1.0 / seen - 1.0) * short + gain * period_s * R / (L * seen),
         "K": along,
         "J": gain,
         "B": along + _LOSS_STD * reach * (1.0 + 1.0 / damping) * _coarseness(name, period_s) * short,
