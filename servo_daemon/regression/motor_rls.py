@@ -164,8 +164,8 @@ class MotorRls:
 
         Returns:
             a − ½ (0 .. ½), and (a − ½) h K/R in A·s²/rad (of a held shaft 0). Where a window holds the fewest samples
-            (below 600 Hz) with the nominal L while the regression does not know it, and in the beginning of the
-            nominal winding without the second part; zeros in the beginning elsewhere.
+            (below 600 Hz) with the nominal L, where one is given, while the regression does not know it, and in the
+            beginning of the nominal winding without the second part; zeros in the beginning elsewhere.
         """
         if "L" not in self.names:
             return 0.0, 0.0
@@ -176,7 +176,7 @@ class MotorRls:
         R, L, K = (own.get(name, self._taken_at[name]) for name in WINDING_NAMES)
         if found is None:
             K = 0.0
-        if found is None or (few and not found.with_unseen.knows("L")):
+        if found is None or (few and "L" in self._nominal and not found.with_unseen.knows("L")):
             L = self._taken_at["L"]
         if R <= 0.0 or (L <= 0.0 and not few):
             return 0.0, 0.0
