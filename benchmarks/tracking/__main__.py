@@ -31,19 +31,22 @@ def _parts() -> Mapping[str, Part]:
         "ageing": lambda a: report_ageing(a.runs or 5, a.seconds or 300.0),
         "scenarios": lambda a: report_scenarios(a.runs or 1, a.seconds or 60.0, a.only, a.plots),
         "steps": lambda a: report_steps(a.runs or 2, a.seconds or 40.0),
-        "starts": lambda a: report_starts(a.first, a.runs or 1000, a.seconds or 20.0),
+        "starts": lambda a: report_starts(a.first or 0, a.runs or 1000, a.seconds or 20.0),
         "witness": lambda a: report_witness(
             a.runs or 2,
             a.seconds or (SLOW_SECONDS if a.slow else AGEING_SECONDS),
             a.only,
             slow=a.slow,
+            first=a.first or 1,
             processes=a.jobs,
             out=a.out,
         ),
         "steady": lambda a: report_steady(a.runs or 1, a.only, processes=a.jobs, out=a.out),
-        "published": lambda a: report_published(a.runs or 200, a.seconds or 150.0, a.only, processes=a.jobs, out=a.out),
+        "published": lambda a: report_published(
+            a.runs or 200, a.seconds or 150.0, a.only, first=a.first or 1, processes=a.jobs, out=a.out
+        ),
         "false-steps": lambda a: report_false_steps(
-            a.runs or 100, a.seconds or 300.0, a.only, processes=a.jobs, out=a.out
+            a.runs or 100, a.seconds or 300.0, a.only, first=a.first or 1, processes=a.jobs, out=a.out
         ),
         "models": lambda a: report_models(a.motion),
         "rivals": lambda a: report_rivals(a.seconds or 60.0),
@@ -68,7 +71,9 @@ def main() -> None:
     )
     parser.add_argument("--motion", default="multisine", help="models: which")
     parser.add_argument("--plots", type=Path, help="scenarios: write one PNG of each into this directory")
-    parser.add_argument("--first", type=int, default=0, help="starts: number of the first")
+    parser.add_argument(
+        "--first", type=int, help="starts: number of the first; witness, published, false-steps: first seed"
+    )
     parser.add_argument("--steps", type=float, default=1e8, help="long: how many")
     arguments = parser.parse_args()
     for part in arguments.parts or _parts():

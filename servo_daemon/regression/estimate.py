@@ -36,6 +36,13 @@ class RegressionEstimate:
     def std(self) -> F64:
         return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
 
+    def knows(self, name: str) -> bool:
+        """Whether it gives a parameter, and better than to `KNOWS`."""
+        if name not in self.names:
+            return False
+        k = self.names.index(name)
+        return bool(self.std[k] < KNOWS * self.value[k])
+
     @property
     def with_unseen(self) -> RegressionEstimate:
         """The same with all that it leaves open in its covariance."""

@@ -31,8 +31,9 @@ from servo_daemon.regression.lag import Lag
 from servo_daemon.regression.plausible import Plausible
 from servo_daemon.regression.rls import SPANS_S, LinearEstimate, SlidingRls
 from servo_daemon.regression.rls_fit import OVERLAP
-from servo_daemon.regression.sampling import FEWEST_SAMPLES, SPAN_S, Sampling, is_slow, sampled_std
+from servo_daemon.regression.sampling import FEWEST_SAMPLES, SPAN_S, Sampling, coarse, sampled_std, settling
 from servo_daemon.regression.stretch import Stretch, between_samples, joined, last
+from servo_daemon.samples import F64
 
 #: After the first ticks so many are worked off together: fewer calls on longer arrays (chosen; not tried).
 _EAGER_UPDATES, _BATCH = 50, 10
@@ -68,7 +69,8 @@ class MotorRls:
         spans_s: Sequence[float] = SPANS_S,
     ) -> None:
         self._plant, self._known, self._spans_s = plant, dict(known), tuple(spans_s)
-        self._taken_at = {p.name: p.nominal for p in plant.parameters} | dict(nominal or {})
+        self._nominal = dict(nominal or {})
+        self._taken_at = {p.name: p.nominal for p in plant.parameters} | self._nominal
         self._current_gain = self._taken_at.get("g_i", 1.0)
         self._lag = Lag(self._taken_at["t_lag"]) if "t_lag" in plant.parameter_names else None
         given_torque = plant.drive == "voltage" and bool(known)
@@ -162,20 +164,24 @@ class MotorRls:
         tell it from the share of the step, so that they would keep a wrong one that they began with.
 
         Returns:
-            a − ½ (0 .. ½), and (a − ½) h K/R in A·s²/rad (of a held shaft 0); while R and L are not
-            known, of the nominal values without the second part where samples are slow, else zeros.
+            a − ½ (0 .. ½), and (a − ½) h K/R in A·s²/rad (of a held shaft 0). Where a window holds the fewest samples
+            (below 600 Hz) with the nominal L, where one is given, while the regression does not know it, and in the
+            beginning of the nominal winding without the second part; zeros in the beginning elsewhere.
         """
-        slow = is_slow(period_s)
-        if self._estimate is not None:
-            values = dict(zip(self._estimate.names, self._estimate.value.tolist(), strict=True))
-        else:
-            values = self._taken_at | {"K": 0.0} if slow and "L" in self.names else {}
-        R, L, K = (values.get(n, 0.0) for n in WINDING_NAMES)
-        if "L" not in values or R <= 0.0 or (L <= 0.0 and not slow):
+        if "L" not in self.names:
             return 0.0, 0.0
-        L = max(L, 1e-12)
-        x = min(max(period_s * R / L, 1e-3), 1e3)
-        rest = float(1.0 / -np.expm1(-x) - 1.0 / x) - 0.5
+        found, few = self._estimate, coarse("armature", period_s) == 1.0
+        if found is None and not few:
+            return 0.0, 0.0
+        own = {} if found is None else dict(zip(found.names, found.value.tolist(), strict=True))
+        R, L, K = (own.get(name, self._taken_at[name]) for name in WINDING_NAMES)
+        if found is None:
+            K = 0.0
+        if found is None or (few and "L" in self._nominal and not found.with_unseen.knows("L")):
+            L = self._taken_at["L"]
+        if R <= 0.0 or (L <= 0.0 and not few):
+            return 0.0, 0.0
+        rest = settling(R, L, period_s)[0] - 0.5
         return rest, rest * period_s * K / R
 
     @property
@@ -237,6 +243,13 @@ class MotorRls:
             value, covariance = as_current(value, covariance, names.index("i0"))
         return replace(found, value=value, covariance=covariance)
 
+    def _unseen(self, names: Sequence[str], value: F64) -> F64:
+        """What the samples are too slow to show, 1 σ in natural units, shape (n,): the more of what values far off by
+        just that and nominal ones say."""
+        own = dict(zip(names, value.tolist(), strict=True))
+        shares = [[sampled_std(n, v, self._period_s) for n in names] for v in (own, self._nominal)]
+        return np.asarray(np.max(shares, axis=0) * np.abs(value))
+
     def _compute(self) -> RegressionEstimate | None:
         armature = self._armature_estimate()
         shaft = self._rls["shaft"].estimate() if "shaft" in self._rls else None
@@ -259,8 +272,5 @@ class MotorRls:
             covariance = covariance + np.diag(doubt**2)
         span_s = max(e.span_s for e in blocks)
         names = (*own, *map(given_by, columns[len(own) :]))
-        known = dict(zip(names, value.tolist(), strict=True))
-        unseen = None
-        if self._plant.drive == "voltage":
-            unseen = np.array([sampled_std(n, known, self._period_s) for n in names]) * np.abs(value)
+        unseen = self._unseen(names, value) if self._plant.drive == "voltage" else None
         return RegressionEstimate(names, value, covariance, span_s, all(e.closes for e in blocks), unseen)

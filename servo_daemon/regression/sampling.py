@@ -17,12 +17,18 @@ WINDOW_S = 5.0
 #: What a regression over samples may be off by where the winding is much faster than the sampling, 1 σ (chosen; not
 #: tried).
 BLIND_STD = {"R": 0.2, "L": 0.5, "K": 0.1, "J": 0.2, "B": 0.5}
-#: The same of R and J for each mechanical time constant that a period lasts, and of B as a share of K²/R: from four
+#: The same of R and J for each mechanical time constant that a period lasts, and of B as a share of K²/R: from five
 #: motors in four motions at 20 to 1000 Hz (`test_a_slow_sampling_is_in_the_regressions_std`).
 _GAIN_STD, _LOSS_STD = 0.3, 0.05
-#: Of L where a period is as long as L/R, and with the cube of it: sampled slower L is not seen at all (chosen; not
-#: tried).
+#: All of it below 600 Hz, 2 % of it at 1 kHz: there with 1 (13 %) the std of a steady RE 40's J doubles (benchmark
+#: `steady`, limit 1.5).
+_COARSE_POWER = 2
+#: Of L where rows show half of a change of it: it stays nearly where it began, at a datasheet's value.
 _INDUCTANCE_STD = 0.3
+#: Nothing is known: a decision; ten times the value holds what is a tenth of the truth.
+_UNKNOWN_STD = 10.0
+#: Periods a time constant of the winding: beyond it nothing of L is left (2e-39), and nothing overflows.
+_LARGEST_X = 100.0
 #: In place of what is not positive, SI units.
 _TINY = 1e-12
 
@@ -55,9 +61,15 @@ def settles_between(R: float, L: float, period_s: float) -> bool:
     return period_s * R > L
 
 
-def is_slow(period_s: float) -> bool:
-    """Whether the armature's windows are more than twice as long as they should be: below 300 Hz."""
-    return FEWEST_SAMPLES * period_s > 2.0 * SPAN_S["armature"]
+def settling(R: float, L: float, period_s: float) -> tuple[float, float]:
+    """Of a current that approaches the end of each held voltage with the time constant L/R, x = h R/L.
+
+    Returns:
+        a = 1/(1 − exp(−x)) − 1/x, ½ .. 1: the current's mean between two samples is i_k + a (i_{k+1} − i_k); and
+        (x/2 / sinh(x/2))², 1 .. 0: what of a change of L rows show: the derivative of the L + R h (a − ½) in them.
+    """
+    x = min(max(period_s * R / max(L, _TINY), 1e-3), _LARGEST_X)
+    return 1.0 / -math.expm1(-x) - 1.0 / x, (0.5 * x / math.sinh(0.5 * x)) ** 2
 
 
 def blind_std(name: str, value: Mapping[str, float], period_s: float) -> float:
@@ -74,15 +86,15 @@ def blind_std(name: str, value: Mapping[str, float], period_s: float) -> float:
 
 def sampled_std(name: str, value: Mapping[str, float], period_s: float) -> float:
     """The same for what a regression says of itself, as far as the speed changes from one sample to the next: errors of
-    the current's mean move R and J alike; K as far as R i is a part of the voltage; B, the difference of the torques
-    of steady motion, the more the smaller it is; L is seen in what happens between two samples alone.
+    the current's mean move R and J alike, as far as L is not seen (then a is that of another winding), and as far as
+    the speed's change is no straight line; K as far as R i is a part of the voltage; B, the difference of the torques
+    of steady motion, the more the smaller it is. Windows as long as they should be (`coarse`) have next to none.
 
     Args:
-        value: of all parameters, natural units. 0 where one of R, L, K, J, B is missing, and of samples that
-            are not slow: there the rows' own spread is wide enough. 1 where one is impossible.
+        value: of all parameters, natural units. 0 where one of R, L, K, J, B is missing; 1 where one is impossible.
         period_s: usual distance of two samples.
     """
-    if any(n not in value for n in MOTOR_NAMES) or not is_slow(period_s):
+    if any(n not in value for n in MOTOR_NAMES):
         return 0.0
     R, L, K, J, B = (value[n] for n in MOTOR_NAMES)
     if min(R, K, J) <= 0.0:
@@ -90,16 +102,19 @@ def sampled_std(name: str, value: Mapping[str, float], period_s: float) -> float
     L, B = max(L, _TINY), max(B, _TINY)
     damping = R * B / K**2  # viscous over electrical
     reach = period_s * (1.0 + damping) * K**2 / (J * R)  # mechanical time constants in a period
-    gain = _GAIN_STD * reach * (1.0 + reach) * settled_share(value, period_s)
+    _, seen = settling(R, L, period_s)
+    lost = 1.0 - seen + reach * settled_share(value, period_s)
+    short = coarse("armature", period_s) ** _COARSE_POWER
+    gain = _GAIN_STD * reach * lost * short
     along = gain * min(1.0, damping)
     std = {
         "R": gain,
-        "L": _INDUCTANCE_STD * (period_s * R / L) ** 3,
+        "L": _INDUCTANCE_STD * (1.0 / seen - 1.0) * short + gain * period_s * R / (L * seen),
         "K": along,
         "J": gain,
-        "B": along + _LOSS_STD * reach * (1.0 + 1.0 / damping),
+        "B": along + _LOSS_STD * reach * (1.0 + 1.0 / damping) * _coarseness(name, period_s) * short,
     }
-    return std.get(name, 0.0) * _coarseness(name, period_s)
+    return min(std.get(name, 0.0), _UNKNOWN_STD)
 
 
 def settled_share(value: Mapping[str, float], period_s: float) -> float:

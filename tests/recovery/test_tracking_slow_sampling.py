@@ -1,7 +1,7 @@
-"""At 50 to 200 samples a second neither the regression nor what is published is wrong with a small std.
+"""At 20 to 500 samples a second neither the regression nor what is published is wrong with a small std.
 
-The current changes many times between two samples there, and a period lasts up to 1.6 mechanical time constants. On the
-independent generator with laboratory sensors; nominal values up to 40 % off either way.
+The current changes many times between two samples there, and a period lasts up to four mechanical time constants.
+On the independent generator with laboratory sensors; nominal values up to 40 % off either way.
 """
 
 from __future__ import annotations
@@ -26,8 +26,12 @@ CASES = [
     *((motor, motion, 50.0) for motor in ("re40", "large") for motion in ("multisine", "prbs", "pick_and_place")),
     *((motor, motion, 100.0) for motor in ("re40", "gear") for motion in ("multisine", "prbs", "pick_and_place")),
     ("re40", "multisine", 200.0),
+    ("re40", "pick_and_place", 500.0),
     ("paper", "prbs", 50.0),
+    ("paper", "multisine", 20.0),
 ]
+#: At 20 Hz a period lasts four mechanical time constants: nothing is known, and said.
+KNOWN = [case for case in CASES if case[-1] >= 50.0]
 
 
 @cache
@@ -52,7 +56,7 @@ def wrong_ticks(motor: str, motion: str, rate_hz: float, voice: str) -> Flags:
 @pytest.mark.parametrize(("motor", "motion", "rate_hz"), CASES)
 def test_a_slow_sampling_is_in_the_regressions_std(motor: str, motion: str, rate_hz: float) -> None:
     share = wrong_ticks(motor, motion, rate_hz, "rls").mean(axis=0)
-    assert {n: s for n, s in zip(NAMES, share.tolist(), strict=True) if n != "L" and s > WRONG_LIMIT} == {}
+    assert {n: s for n, s in zip(NAMES, share.tolist(), strict=True) if s > WRONG_LIMIT} == {}
 
 
 @pytest.mark.parametrize(("motor", "motion", "rate_hz"), CASES)
@@ -63,5 +67,5 @@ def test_few_samples_a_second_are_no_reason_to_be_sure(motor: str, motion: str, 
 
 def test_most_of_it_is_known_in_the_end() -> None:
     """Withholding is no way to be right."""
-    ends = [heard(*case).tracking[-1, [NAMES.index(n) for n in ("R", "K", "J", "B")]] for case in CASES]
+    ends = [heard(*case).tracking[-1, [NAMES.index(n) for n in ("R", "K", "J", "B")]] for case in KNOWN]
     assert np.mean(ends) > 0.8

@@ -50,7 +50,7 @@ class Mismatch:
 
     def measure(self, values: Mapping[str, float], tick: Tick) -> None:
         """How far the parameters may be off because the balances do not close, or by the balances' word; kept while a
-        parameter is not excited."""
+        parameter is not excited. L of a model that lacks something is known no better than its balance shows it."""
         window, own_std = self._rls.window, self._ekf.coordinate_std
         window.take_residuals(values, tick.sampling.noise_var)
         found, said = window.mismatch(values, tick.sampling), window.mean_errors(values, tick.sampling.period_s)
@@ -65,6 +65,8 @@ class Mismatch:
                 error = 0.0
             doubt = residual_analysis.unexplained_var(error, var + float(own_std[k]) ** 2) + armature.get(name, 0.0)
             discrepancy = 0.0 if tick.white else _DISCREPANCY_STD
+            if name == "L" and not tick.white:  # the least part of its balance: what the model lacks takes its place
+                discrepancy = max(discrepancy, math.sqrt(var))
             known = (found.get(name, 0.0), self._dry.get(name, 0.0), float(quantised[k]), discrepancy)
             self.std[k] = math.hypot(*known, math.sqrt(doubt))
         self._doubt_effects()

@@ -102,9 +102,10 @@ def figures(heard: Heard, truth: F64) -> dict[str, Any]:
     }
 
 
-def runs_of(runs: int, seconds: float, only: str) -> list[Run]:
-    """`runs` of them: every second one `frozen`, the others each parameter's step in turn."""
-    drawn = [Run("frozen" if n % 2 == 0 else STEPPED[n // 2 % len(STEPPED)], 1 + n // 2, seconds) for n in range(runs)]
+def runs_of(runs: int, seconds: float, only: str, first: int = 1) -> list[Run]:
+    """`runs` of them from seed `first` on: every second one `frozen`, the others each parameter's step in turn."""
+    kinds = ["frozen" if n % 2 == 0 else STEPPED[n // 2 % len(STEPPED)] for n in range(runs)]
+    drawn = [Run(kind, first + n // 2, seconds) for n, kind in enumerate(kinds)]
     return chosen(drawn, only)
 
 
@@ -126,11 +127,13 @@ def faults_of(row: Mapping[str, Any]) -> list[str]:
     return out
 
 
-def report_published(runs: int, seconds: float, only: str = "", *, processes: int = 2, out: Path | None = None) -> None:
+def report_published(
+    runs: int, seconds: float, only: str = "", *, first: int = 1, processes: int = 2, out: Path | None = None
+) -> None:
     """Prints what is beyond the limits as it comes, then the table."""
     print(f"\nWhat is published, default simulated servo: {runs} runs of {seconds:.0f} s, from {BURN_IN_S:.0f} s on")
     journal, rows = Journal(out), []
-    for row in each(run_published, runs_of(runs, seconds, only), processes):
+    for row in each(run_published, runs_of(runs, seconds, only, first), processes):
         journal.write(row)
         rows.append(row)
         faults = faults_of(row)
@@ -138,7 +141,8 @@ def report_published(runs: int, seconds: float, only: str = "", *, processes: in
             print(f"  {row['key']:12}{'; '.join(faults) or 'nothing beyond the limits'}", flush=True)
     print_table(rows)
     print(
-        f"one run again: python -m benchmarks.tracking published --runs {runs} --seconds {seconds:g} --only KIND/SEED"
+        f"one run again: python -m benchmarks.tracking published --runs {runs} --first {first} --seconds {seconds:g} "
+        "--only KIND/SEED"
     )
 
 

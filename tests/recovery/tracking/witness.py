@@ -141,11 +141,11 @@ def figures(value: F64, std: F64, truth: F64) -> dict[str, F64]:
     }
 
 
-def runs_of(runs: int, seconds: float, only: str, kind: Kind = "ageing") -> list[Run]:
-    """`runs` seeds of each motor and motion, those whose key contains `only`."""
+def runs_of(runs: int, seconds: float, only: str, kind: Kind = "ageing", first: int = 1) -> list[Run]:
+    """`runs` seeds from `first` on of each motor and motion, those whose key contains `only`."""
     drawn = [
         Run(motor, motion, seed, seconds, kind)
-        for seed in range(1, runs + 1)
+        for seed in range(first, first + runs)
         for motor in WITNESSES
         for motion in MOTIONS
     ]
@@ -170,7 +170,14 @@ def short(row: Mapping[str, Any], limits: Mapping[str, float]) -> dict[str, list
 
 
 def report_witness(
-    runs: int, seconds: float, only: str, *, slow: bool = False, processes: int = 2, out: Path | None = None
+    runs: int,
+    seconds: float,
+    only: str,
+    *,
+    slow: bool = False,
+    first: int = 1,
+    processes: int = 2,
+    out: Path | None = None,
 ) -> None:
     """Prints each run as it comes, then the table."""
     limits = SLOW_LIMIT if slow else RMS_LIMIT
@@ -180,14 +187,14 @@ def report_witness(
         "of each run: rms error of rls in % where it delivers, % of the time it delivers, % wrong (R, K, J, B); short"
     )
     journal, rows = Journal(out), []
-    for row in each(run_witness, runs_of(runs, seconds, only, "slow" if slow else "ageing"), processes):
+    for row in each(run_witness, runs_of(runs, seconds, only, "slow" if slow else "ageing", first), processes):
         journal.write(row)
         rows.append(row)
         print(_line(row, limits), flush=True)
     if rows:
         _table(rows, limits)
-    again = f"python -m benchmarks.tracking witness{' --slow' if slow else ''} --runs {runs} --seconds {seconds:g}"
-    print(f"one run again: {again} --only MOTOR/MOTION/SEED")
+    again = f"witness{' --slow' if slow else ''} --runs {runs} --first {first} --seconds {seconds:g}"
+    print(f"one run again: python -m benchmarks.tracking {again} --only MOTOR/MOTION/SEED")
 
 
 def _line(row: Mapping[str, Any], limits: Mapping[str, float]) -> str:
