@@ -108,6 +108,11 @@ class Driver(ABC):
         return None
 
     @property
+    def learnt(self) -> str | None:
+        """In words, what it has found out of the drive that an option could have told; None: nothing."""
+        return None
+
+    @property
     def onboard(self) -> OnboardEstimates | None:
         """What the drive itself has estimated last; None: it does not, or has not yet."""
         return None

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servo_daemon.numerics import upper_median
 from servo_daemon.parameters import WINDING_NAMES
@@ -194,17 +195,18 @@ class MotorRls:
             return
         columns = self._columns.armature if which == "armature" else self._columns.shaft
         rls = self._rls.setdefault(which, SlidingRls(len(columns), self._spans_s))
-        Phi, y, w, time_s = rows.Phi, rows.y, rows.windows, float(rows.samples.time_s[-1])
+        time_s = float(rows.samples.time_s[-1])
+        good = np.ones(len(rows.y), np.bool_)
         if rls.value is not None:
-            good = self._plausible[which].rows(y - Phi @ rls.value, y)
-            if np.count_nonzero(good) < len(good):
-                Phi, y, w = Phi[good], y[good], w.only(good)
-        if len(y) > 0:
-            sums = Sums.of(Phi, y, w.weight_squares)
+            good = self._plausible[which].rows(rows.y - rows.Phi @ rls.value, rows.y)
+        if good.any() and which not in self._columns.open:
+            self.window.add(which, time_s, _sums_of(rows, good))
+        if rows.creeping is not None:
+            good = good & ~rows.creeping  # what holds a shaft is no sliding friction; a filter has to live with it
+        if good.any():
+            sums = _sums_of(rows, good)
             noise = noise_squares(columns, sums.weight_squares, self._noise_var)
             rls.update(time_s, sums.gram, sums.rows, noise, self._expected(which, rls, sums))
-            if which not in self._columns.open:
-                self.window.add(which, time_s, sums)
         if which == "armature":
             self._held.take(rows.samples, rows.Phi, rows.y)
 
@@ -261,3 +263,9 @@ class MotorRls:
         if self._plant.drive == "voltage":
             unseen = np.array([sampled_std(n, known, self._period_s) for n in names]) * np.abs(value)
         return RegressionEstimate(names, value, covariance, span_s, all(e.closes for e in blocks), unseen)
+
+
+def _sums_of(rows: ModelRows, which: NDArray[np.bool_]) -> Sums:
+    if which.all():
+        return Sums.of(rows.Phi, rows.y, rows.windows.weight_squares)
+    return Sums.of(rows.Phi[which], rows.y[which], rows.windows.only(which).weight_squares)
