@@ -199,14 +199,14 @@ class MotorRls:
         good = np.ones(len(rows.y), np.bool_)
         if rls.value is not None:
             good = self._plausible[which].rows(rows.y - rows.Phi @ rls.value, rows.y)
-        if good.any() and which not in self._columns.open:
-            self.window.add(which, time_s, _sums_of(rows, good))
         if rows.creeping is not None:
-            good = good & ~rows.creeping  # what holds a shaft is no sliding friction; a filter has to live with it
+            good = good & ~rows.creeping  # what holds a shaft is no sliding friction
         if good.any():
             sums = _sums_of(rows, good)
             noise = noise_squares(columns, sums.weight_squares, self._noise_var)
             rls.update(time_s, sums.gram, sums.rows, noise, self._expected(which, rls, sums))
+            if which not in self._columns.open:
+                self.window.add(which, time_s, sums)
         if which == "armature":
             self._held.take(rows.samples, rows.Phi, rows.y)
 

@@ -75,7 +75,7 @@ class SignalScales:
         # Over the seconds that the balances are summed over:
         self.current_step_square = 0.0  # the same of the current
         self.samples_per_count = 1.0  # for how long the angle has shown one value, on average
-        self._current_steps, self._counts = Recent(), Recent()
+        self._current_steps, self._counts, self._bends = Recent(), Recent(), Recent()
         self._current_square: float | None = None
 
     def take(self, tick: Stretch, position_lsb: float, noise_var: Mapping[str, float]) -> None:
@@ -94,6 +94,9 @@ class SignalScales:
             square = float(steps @ steps) / max(len(steps), 1)
             self.input_step_square = max(square, fall * self.input_step_square)
             self._usual_step = _usual(steps, self._usual_step, fall)
+            if self._plant.drive != "voltage" and len(held) > 4:
+                bends = np.diff(held, 4) / 6.0
+                self._bends.add(float(tick.time_s[-1]), len(bends), float(bends @ bends))
         if tick.current is not None and len(tick.current):
             steps = tick.current[1:] - tick.current[:-1]
             # A tick alone may happen to be a quiet one, or the first of a rest after a window of motion.
@@ -106,6 +109,13 @@ class SignalScales:
             moved = float(np.count_nonzero(tick.position[1:] != tick.position[:-1]))
             self._counts.add(float(tick.time_s[-1]), len(tick.position), moved)
             self.samples_per_count = self._counts.number / max(self._counts.total, 1.0)
+
+    @property
+    def unseen_square(self) -> float:
+        """Of an input that is not held: mean square of what its mean from one sample to the next has that no sample
+        shows. A sample is off the cubic through the two before and the two after it by twice that and more, where the
+        input bends or jumps between them."""
+        return 0.25 * self._bends.total / max(self._bends.number, 1)
 
     @property
     def spike_limit(self) -> float:
