@@ -122,13 +122,16 @@ def _hop(first: NDArray[np.intp]) -> int:
     return int(steps[0]) if (steps == steps[0]).all() else 0
 
 
-def make_windows(time_s: F64, first: NDArray[np.intp], length: int, *, held: bool = True) -> Windows:
+def make_windows(
+    time_s: F64, first: NDArray[np.intp], length: int, *, held: bool = True, exact: bool = False
+) -> Windows:
     """Windows of `length` samples starting at the samples `first`.
 
     Args:
         time_s: shape (n,), strictly increasing.
         first: shape (w,).
         held: with the weights for a signal that is held between samples.
+        exact: for polynomials, where the windows are short.
     """
     hop = _hop(first)
     index = None if hop else _index(first, length)
@@ -147,7 +150,7 @@ def make_windows(time_s: F64, first: NDArray[np.intp], length: int, *, held: boo
     t /= span
     held_weight = _held_weight(t, span) if held else None
     weights = np.empty((3, *t.shape))
-    place = t.copy() if length <= MOST_SAMPLES else None
+    place = t.copy() if exact and length <= MOST_SAMPLES else None
     _phi_and_derivatives(t, weights)
     trapezoid /= span
     weights *= trapezoid

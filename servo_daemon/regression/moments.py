@@ -14,6 +14,8 @@ from servo_daemon.samples import F64
 
 #: Longer windows are not corrected: there the rule leaves 1e-5 of an angle at most.
 MOST_SAMPLES = 80
+#: Windows in which samples are further apart than so many times the usual are left as they are: there is no telling.
+_GAP = 3.0
 #: Powers of time that are integrated exactly, 0 to this one.
 _DEGREE = 4
 
@@ -34,6 +36,13 @@ def correct(weights: F64, s: F64, height: float) -> None:
         s: shape (w, m), the samples' places in their windows, 0..1.
         height: of φ.
     """
+    even = (s[:, 1:] - s[:, :-1]).max(axis=1) * (s.shape[1] - 1) < _GAP
+    if not even.all():
+        part = weights[:, even]
+        if even.any():
+            correct(part, s[even], height)
+        weights[:, even] = part
+        return
     power = s[:, None, :] ** np.arange(_DEGREE + 1)[None, :, None]
     free = power * (s * (1.0 - s))[:, None, :] ** 2
     lacking = _moments(height)[:, None, :] - np.einsum("kwm,wjm->kwj", weights, power)

@@ -12,7 +12,7 @@ from servo_daemon.plant.build import PlantModel
 from servo_daemon.regression.columns.of_model import ModelColumns
 from servo_daemon.regression.columns.terms import columns_of, shaft_signals
 from servo_daemon.regression.modulating import Windows, make_windows
-from servo_daemon.regression.sampling import FEWEST_SAMPLES, SPAN_S, WINDOW_S
+from servo_daemon.regression.sampling import FEWEST_SAMPLES, SPAN_S, WINDOW_S, is_slow
 from servo_daemon.regression.stretch import Stretch, motion
 from servo_daemon.samples import F64
 
@@ -71,7 +71,8 @@ class RowMaker:
             first = first[before[first + length] - before[first + 1] == 0]
         if broken:
             first = _apart(first, hop)
-        return make_windows(s.time_s, first, length) if len(first) else None
+        exact = which == "shaft" or is_slow(period_s)
+        return make_windows(s.time_s, first, length, exact=exact) if len(first) else None
 
     def armature(self, s: Stretch, period_s: float, current_var: float, sag: float) -> ModelRows | None:
         """Rows of the armature's balance, V; None where there are none.
