@@ -72,13 +72,14 @@ def _look(drive: DriveConfig, driver: Driver, listen_s: float) -> dict[str, Any]
     problem: str | None = None
     first = last = settled = None
     remark: str | None = None
+    silence = ""
     try:
         with driver:
             for block in heard(driver, listen_s):
                 first, last = first or block, block
                 if block.host_time_s - first.host_time_s < _SETTLED_S:
                     settled = block
-            remark = driver.remark
+            remark, silence = driver.remark, driver.silence
     except DriverConfigError:
         raise
     except EndOfStreamError:
@@ -88,7 +89,7 @@ def _look(drive: DriveConfig, driver: Driver, listen_s: float) -> dict[str, Any]
     counters = driver.counters
     if problem is None and last is None:
         problem = f"open, but no samples in {listen_s:g} s ({counters.framing_errors} framing errors)"
-        problem += f"; {remark}" if remark else ""
+        problem += f"; {silence}" if silence else ""
     channels = last.channels if last is not None else driver.info.channels
     meaning = drive.signals.meaning(driver.meaning)
     plan = _plan(channels, drive, meaning) if last is not None else None
