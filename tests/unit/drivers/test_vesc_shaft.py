@@ -86,7 +86,7 @@ def test_the_direction_is_found_whatever_pauses_the_host_makes(pole_pairs: int, 
 def test_what_was_told_and_cannot_be_is_said(source: Source, pole_pairs: int | None, encoder: bool, words: str) -> None:
     """K would be off by as much, and nothing else would show it."""
     shaft = Shaft(source, pole_pairs)
-    angle = run(shaft, *shown(MOTION, 7, encoder))
+    angle = run(shaft, *shown(4.0 * MOTION, 7, encoder))
     assert np.isnan(angle[200:]).all()
     assert words in str(shaft.remark)
     shaft.restart()
@@ -98,5 +98,5 @@ def test_of_one_pole_pair_both_are_the_same(source: Source) -> None:
     shaft = Shaft(source, 1)
     angle = run(shaft, *shown(MOTION, 1, True))
     known = np.isfinite(angle)
-    assert known.mean() > 0.9
+    assert known.mean() > 0.8
     np.testing.assert_allclose(np.diff(angle[known]), np.diff(MOTION[known]), atol=1e-9)
