@@ -110,8 +110,10 @@ class Driver(ABC):
     @property
     def silence(self) -> str:
         """In words, what to look at where an open drive brings no samples."""
-        if self.remark is not None:
-            return self.remark
+        return self.remark or self._nothing_comes
+
+    @property
+    def _nothing_comes(self) -> str:
         if self.counters.framing_errors:
             return "what comes cannot be read: are the port, the baudrate and the kind of drive right?"
         if self.counters.unknown_frames:

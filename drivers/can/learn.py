@@ -125,6 +125,11 @@ class LearningDecoder:
     _anew: bool = field(default=False, init=False)
 
     @property
+    def undecided(self) -> bool:
+        """Whether it is not known yet what frames mean."""
+        return self._decoder is None
+
+    @property
     def info(self) -> DriveInfo:
         if self._decoder is None:
             return DriveInfo(self.identity)
@@ -174,6 +179,10 @@ class LearningListener(BusListener):
     @property
     def remark(self) -> str | None:
         return self._decoder.remark
+
+    @property
+    def silence(self) -> str:
+        return self._decoder.remark if self._decoder.undecided and self._decoder.remark else self._nothing_comes
 
     @property
     def _frames(self) -> FrameDecoder:
