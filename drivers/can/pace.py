@@ -130,7 +130,7 @@ class PacedDecoder:
         pace = heard_pace(stamp_s) if len(stamp_s) >= LEAST else None
         if pace is None:
             return False
-        self.remark = why_not(self._vendor.trigger_name, pace, self._told_s)
+        self.remark = why_not(self._vendor.trigger.name, pace, self._told_s)
         if self.remark is None and self._told_s is None:
             self.learnt = take(self._vendor, pace)
         return self.remark is None
@@ -145,20 +145,20 @@ def why_not(name: str, pace: Pace, told_s: float | None) -> str | None:
     """In words, why samples of the message `name` have no times; None: they have."""
     if told_s is not None and abs(pace.period_s / told_s - 1.0) > TOLD_WITHIN:
         return (
-            f"message {name} comes every {_ms(pace.period_s)}, not every {_ms(told_s)}: correct the option period_s, or "
-            "leave it out"
+            f"message {name} comes every {_ms(pace.period_s)}, not every {_ms(told_s)}: correct the option period_s, "
+            "or leave it out"
         )
     if told_s is None and pace.bunched and not pace.steady:
         return (
-            f"message {name} comes in bunches and at no steady rate ({_ms(pace.period_s)} on average): when it was sent "
-            "is not known. Have the drive send it at a fixed rate, or use an adapter that stamps frames"
+            f"message {name} comes in bunches and at no steady rate ({_ms(pace.period_s)} on average): when it was "
+            "sent is not known. Have the drive send it at a fixed rate, or use an adapter that stamps frames"
         )
     return None
 
 
 def take(vendor: VendorDecoder, pace: Pace) -> str:
     """Date samples by this pace; what is to be told of it."""
-    name, ms = vendor.trigger_name, _ms(pace.period_s)
+    name, ms = vendor.trigger.name, _ms(pace.period_s)
     vendor.take_pace(pace.period_s if pace.steady else None, even=not pace.clean)
     if not pace.steady:
         return f"message {name} comes at no steady rate ({ms} on average): its times are those of the stamps"

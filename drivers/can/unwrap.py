@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.can.decode import Bits, FrameBatch
-from servo_daemon.samples import F64, I64
+from servo_daemon.samples import F64
 
 #: A step of the host's wall clock smaller than this is left alone: NTP slews, it rarely steps by less.
 CLOCK_STEP_S = 0.05

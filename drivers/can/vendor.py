@@ -89,14 +89,9 @@ class VendorDecoder:
         self.reset()
 
     @property
-    def trigger_name(self) -> str:
-        """Of the signal whose message makes a sample."""
-        return self._map.trigger.name
-
-    @property
-    def triggers(self) -> frozenset[int]:
-        """The identifier of that message."""
-        return frozenset({self._map.trigger.key})
+    def trigger(self) -> Field:
+        """The signal whose message makes a sample."""
+        return self._map.trigger
 
     @property
     def dates_by_stamps(self) -> bool:

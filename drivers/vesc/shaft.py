@@ -83,14 +83,14 @@ class Shaft:
             return None
         if self._told not in ("auto", shown.source) and self._pole_pairs != 1:  # of one pole pair both are the same
             return (
-                f'the motion shows that its position is "{shown.source}", not "{self._told}": correct the option position '
-                "(a motor of one pole pair needs pole_pairs = 1)"
+                f'the motion shows that its position is "{shown.source}", not "{self._told}": correct the option '
+                "position (a motor of one pole pair needs pole_pairs = 1)"
             )
         pairs = shown.degrees.pole_pairs_to(_SURE) if shown.source == "encoder" else None
         if self._pole_pairs is not None and pairs not in (None, self._pole_pairs):
             return (
-                f"the motion shows {pairs} pole pairs, not {self._pole_pairs}: correct pole_pairs (behind a gear leave it "
-                "out)"
+                f"the motion shows {pairs} pole pairs, not {self._pole_pairs}: correct pole_pairs (behind a gear leave "
+                "it out)"
             )
         return None
 

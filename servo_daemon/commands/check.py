@@ -7,8 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from drivers.base import Driver
 from servo_daemon.commands.shared import common
 from servo_daemon.commands.shared.listening import heard

@@ -80,21 +80,19 @@ def decode_log(log: CanLog, signal_map: SignalMap | None) -> Capture:
     return _checked(log.path, whole, signal_map, {**metadata, **signal_map.metadata}, notes)
 
 
-def _paced(
-    decoder: OwnDecoder | VendorDecoder, path: Path, frames: FrameBatch, signal_map: SignalMap
-) -> list[str]:
-    """Where a log has its frames in bunches and the map no period: that is learnt, as by the driver; what is said of it.
+def _paced(decoder: OwnDecoder | VendorDecoder, path: Path, frames: FrameBatch, signal_map: SignalMap) -> list[str]:
+    """Where a log has its frames in bunches and the map no period: that is learnt, as by the driver; what is said.
 
     Raises:
         CaptureError: when the frames were sent is not known.
     """
     if not isinstance(decoder, VendorDecoder) or not decoder.dates_by_stamps or signal_map.positive("period_s"):
         return []
-    stamp_s = frames.stamp_s[np.isin(frames.keys, list(decoder.triggers))]
+    stamp_s = frames.stamp_s[frames.keys == decoder.trigger.key]
     pace = heard_pace(stamp_s) if len(stamp_s) >= LEAST else None
     if pace is None or not pace.bunched:
         return []
-    fault = why_not(decoder.trigger_name, pace, None)
+    fault = why_not(decoder.trigger.name, pace, None)
     if fault is not None:
         raise capture_error(path, fault)
     return [take(decoder, pace)]

@@ -47,9 +47,10 @@ def test_no_tick_has_a_wrong_value_and_all_are_known_at_the_end() -> None:
         pipeline.process(block.slice(first, first + 10), rows=False)
         estimate = pipeline.current()
         for p in estimate.parameters if estimate is not None else ():
-            if p.status == "tracking" and p.name in TRUE and p.value is not None and p.std is not None:
-                if abs(p.value - TRUE[p.name]) > max(4.0 * p.std, 0.05 * TRUE[p.name]):
-                    wrong.append((first, p.name, p.value / TRUE[p.name], p.std / TRUE[p.name]))
+            if p.status != "tracking" or p.name not in TRUE or p.value is None or p.std is None:
+                continue
+            if abs(p.value - TRUE[p.name]) > max(4.0 * p.std, 0.05 * TRUE[p.name]):
+                wrong.append((first, p.name, p.value / TRUE[p.name], p.std / TRUE[p.name]))
     assert not wrong
     estimate = pipeline.finish() or pipeline.current()
     assert estimate is not None
