@@ -153,9 +153,9 @@ class MeasuredLink:
         own = {name: self._parameter(name, estimate) for name in WINDING_NAMES}
         scale, K_std = self._scale()
         # White by raised process noise alone is no reproach here: a current in coarse steps is such a noise, and the
-        # filter's standard deviations hold it.
+        # filter's standard deviations hold it. Nor is noise that is set too large for most of the time.
         white = all(
-            isinstance(value, float) and abs(value) < WHITE_OUT
+            isinstance(value, float) and value < WHITE_OUT
             for name, value in estimate.health.items()
             if name.startswith("innovation_correlation")
         )
