@@ -108,6 +108,24 @@ class Driver(ABC):
         return None
 
     @property
+    def silence(self) -> str:
+        """In words, what to look at where an open drive brings no samples."""
+        return self.remark or self._nothing_comes
+
+    @property
+    def _nothing_comes(self) -> str:
+        if self.counters.framing_errors:
+            return "what comes cannot be read: are the port, the baudrate and the kind of drive right?"
+        if self.counters.unknown_frames:
+            return "frames come, but none of this drive: is its number right, and does it send what is read?"
+        return "nothing comes: is it switched on, and are port, baudrate and its number right?"
+
+    @property
+    def learnt(self) -> str | None:
+        """In words, what it has found out of the drive that an option could have told; None: nothing."""
+        return None
+
+    @property
     def onboard(self) -> OnboardEstimates | None:
         """What the drive itself has estimated last; None: it does not, or has not yet."""
         return None

@@ -22,8 +22,8 @@ import numpy as np
 
 from drivers.base import DriveInfo
 from drivers.can.decode import EXTENDED, Field, FrameBatch
-from drivers.can.listener import BusListener, FrameDecoder
 from drivers.can.map import MappedChannel, Operand, SignalMap
+from drivers.can.pace import PacedListener
 from drivers.can.vendor import VendorDecoder
 from servo_daemon.errors import DriverConfigError
 from servo_daemon.samples import F64, U8, SampleBlock
@@ -167,7 +167,7 @@ class MitDecoder:
         return self._decoder.feed(batch)
 
 
-class MitDriver(BusListener):
+class MitDriver(PacedListener):
     """An MIT mode actuator on a CAN bus. Options beside the bus's: `model` or `limits` with `layout`, `motor_id`,
     `reply_id`, `period_s`.
 
@@ -185,10 +185,7 @@ class MitDriver(BusListener):
         frames = VendorDecoder(feedback_map(limits, key, motor_id), self.counters, period_s=self._positive("period_s"))
         where = f"{self._settings['interface']}:{self._settings.get('channel')}"
         self._decoder = MitDecoder(frames, key, same, f"mit:{where}:{motor_id}")
-
-    @property
-    def _frames(self) -> FrameDecoder:
-        return self._decoder
+        self._pace(self._decoder, frames, same)
 
     def _limits(self) -> Limits:
         model, given = self.options.get("model"), self.options.get("limits")

@@ -17,10 +17,11 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from drivers.can.decode import load_dbc
-from drivers.can.listener import BusListener, FrameDecoder, needed_text
+from drivers.can.listener import FrameDecoder, needed_text
 from drivers.can.map import COUNTS, parse_signal_map
 from drivers.can.ours.own import OwnDecoder
 from drivers.can.ours.wire import FIRST_DRIVE, LAST_DRIVE
+from drivers.can.pace import PacedListener
 from drivers.can.vendor import STALE_S, VendorDecoder
 from servo_daemon.errors import DriverConfigError
 
@@ -28,7 +29,7 @@ _OWN_OPTIONS = ("drive_id", "counts_per_rev")
 _VENDOR_OPTIONS = ("dbc", "signals", "trigger", "counts_per_rev", "period_s", "stale_s")
 
 
-class CanDriver(BusListener):
+class CanDriver(PacedListener):
     """One drive on a CAN bus. Options: see docs/protocol-can.md.
 
     Raises:
@@ -40,11 +41,21 @@ class CanDriver(BusListener):
     def __init__(self, name: str, options: dict[str, Any]) -> None:
         own = "dbc" not in options and "signals" not in options
         super().__init__(name, options, _OWN_OPTIONS if own else _VENDOR_OPTIONS)
-        self._decoder: FrameDecoder = self._own_decoder() if own else self._vendor_decoder()
+        self._decoder: OwnDecoder | VendorDecoder = self._own_decoder() if own else self._vendor_decoder()
+        if isinstance(self._decoder, VendorDecoder):
+            self._pace(self._decoder, self._decoder, frozenset({self._decoder.trigger.key}))
 
     @property
     def _frames(self) -> FrameDecoder:
-        return self._decoder
+        return self._decoder if isinstance(self._decoder, OwnDecoder) else self._paced
+
+    @property
+    def remark(self) -> str | None:
+        return None if isinstance(self._decoder, OwnDecoder) else self._paced.remark
+
+    @property
+    def learnt(self) -> str | None:
+        return None if isinstance(self._decoder, OwnDecoder) else self._paced.learnt
 
     # ---- options
 

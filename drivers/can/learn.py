@@ -121,6 +121,12 @@ class LearningDecoder:
     _decoder: VendorDecoder | None = field(default=None, init=False)
     _batches: list[FrameBatch] = field(default_factory=list, init=False)
     _looked_s: float | None = field(default=None, init=False)
+    _anew: bool = field(default=False, init=False)
+
+    @property
+    def undecided(self) -> bool:
+        """Whether it is not known yet what frames mean."""
+        return self._decoder is None
 
     @property
     def info(self) -> DriveInfo:
@@ -137,7 +143,11 @@ class LearningDecoder:
     def feed(self, batch: FrameBatch) -> list[SampleBlock]:
         """Samples of these frames, none until it is decided what they mean."""
         if self._decoder is not None:
-            return self._decoder.feed(batch)
+            blocks = self._decoder.feed(batch)
+            if self._decoder.off_pace:  # its rate was changed
+                self.reset()
+                self._anew = True
+            return blocks
         extra = self.counters.extra
         extra["frames_before_decision"] = extra.get("frames_before_decision", 0) + len(batch)
         self._batches = [*self._batches[-_MOST_BATCHES:], batch]
@@ -151,6 +161,9 @@ class LearningDecoder:
             self.identity = choice.identity or self.identity
             if self._decoder is not None:
                 self._batches.clear()
+                if self._anew:
+                    self._decoder.begin_anew()
+                self._anew = False
         return []
 
 
@@ -165,6 +178,10 @@ class LearningListener(BusListener):
     @property
     def remark(self) -> str | None:
         return self._decoder.remark
+
+    @property
+    def silence(self) -> str:
+        return self._decoder.remark if self._decoder.undecided and self._decoder.remark else self._nothing_comes
 
     @property
     def _frames(self) -> FrameDecoder:

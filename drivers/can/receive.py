@@ -12,7 +12,7 @@ from typing import Any
 import can
 from can.interfaces.slcan import slcanBus
 
-from drivers.can.slcan import ReadAhead
+from drivers.can.slcan import ReadAhead, is_taken
 from servo_daemon.errors import DriverConfigError, DriverUnavailableError
 
 log = logging.getLogger(__name__)
@@ -130,6 +130,9 @@ def open_bus(settings: Mapping[str, Any]) -> can.BusABC:
         DriverConfigError: no such interface, its library is not installed, or it refuses the arguments.
     """
     what = f"{settings['interface']} {settings.get('channel', '')}".strip()
+    port = str(settings.get("channel", "")).partition("@")[0]
+    if settings["interface"] == "slcan" and is_taken(port):
+        raise DriverUnavailableError(f"CAN interface {what} is in use by another program")
     try:
         bus = can.Bus(ignore_config=True, **settings)
     except (NotImplementedError, ImportError) as error:  # CanInterfaceNotImplementedError is one
@@ -139,6 +142,7 @@ def open_bus(settings: Mapping[str, Any]) -> can.BusABC:
             raise DriverConfigError(f"CAN interface {what} refuses its settings: {error}") from error
         raise DriverUnavailableError(f"CAN interface {what} cannot be opened: {error}") from error
     if isinstance(bus, slcanBus) and bus.serialPortOrig.timeout == 0:
+        bus.serialPortOrig.exclusive = True  # python-can leaves it to every other program, too
         bus.serialPortOrig = ReadAhead(bus.serialPortOrig)
     return bus
 

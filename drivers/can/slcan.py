@@ -10,12 +10,33 @@ replaced by '?', which python-can then refuses as one bad line.
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 #: The longest line has 140 bytes (64 of CAN FD, two digits each); python-can would gather one without an end for ever.
 _MAX_LINE = 256
 #: Bytes 0x80..0xFF never occur in slcan.
 _ASCII_ONLY = bytes(range(128)) + b"?" * 128
+
+
+def is_taken(port: str) -> bool:
+    """Whether another program has locked a serial port, as pyserial does: two would take each other's frames away, and
+    python-can writes to it before it can be asked. False where that cannot be told."""
+    if os.name != "posix":
+        return False
+    import fcntl
+
+    try:
+        descriptor = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return True
+    finally:
+        os.close(descriptor)
+    return False
 
 
 class ReadAhead:

@@ -7,16 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.can.decode import Bits, FrameBatch
-from servo_daemon.samples import F64, I64
+from servo_daemon.samples import F64
 
 #: A step of the host's wall clock smaller than this is left alone: NTP slews, it rarely steps by less.
 CLOCK_STEP_S = 0.05
 #: Receive times are at least so far apart; several frames may carry one stamp.
 MIN_STEP_S = 1e-6
 
-
-#: Samples over which the jitter of receive times is averaged.
-SMOOTHING = 500
 #: Device time that seems to have passed so much faster than the host's did not pass: the device restarted.
 CLOCK_RATIO, CLOCK_SLACK_S = 1.1, 0.5
 
@@ -128,36 +125,3 @@ def strictly_increasing(stamp_s: F64, last_s: float) -> F64:
         return stamp_s
     ramp = MIN_STEP_S * np.arange(1, len(stamp_s) + 1)
     return np.asarray(np.maximum(np.maximum.accumulate(stamp_s - ramp), last_s) + ramp, np.float64)
-
-
-class Cadence:
-    """Times of samples that are taken every `period_s` but only known by when they were received.
-
-    A USB adapter delivers in bunches: the stamps of a 1 kHz drive may be 0.05 ms or 8 ms apart. Here the deviation of
-    the stamps from the steady cadence is averaged over `SMOOTHING` samples, so that one sample follows the other by a
-    period to within a 500th of the jitter, and a period that is slightly wrong is followed.
-    """
-
-    def __init__(self, period_s: float) -> None:
-        from scipy.signal import lfilter  # late: few drives need it, and it takes a third of a second to import
-
-        self._lfilter = lfilter
-        self._period_s = period_s
-        self._deviation_s: float | None = None
-        self._last_s = -np.inf
-
-    def times(self, received_s: F64, number: I64) -> F64:
-        """Times of the next samples, shape (n,), strictly increasing.
-
-        Args:
-            received_s: when they were received.
-            number: running number of each.
-        """
-        nominal = number * self._period_s
-        deviation = received_s - nominal
-        before = float(deviation[0]) if self._deviation_s is None else self._deviation_s
-        gain = 1 / SMOOTHING
-        smooth, _ = self._lfilter([gain], [1.0, gain - 1.0], deviation, zi=[(1.0 - gain) * before])
-        time_s = strictly_increasing(nominal + smooth, self._last_s)
-        self._deviation_s, self._last_s = float(smooth[-1]), float(time_s[-1])
-        return time_s

@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 
 from drivers.base import DriveInfo, DriverCounters
+from drivers.can.cadence import Cadence
 from drivers.can.decode import Bits, Field, FrameBatch, key_text
 from drivers.can.map import COUNTS, SEQUENCE, TIME, MappedChannel, SignalMap
-from drivers.can.unwrap import Cadence, DeviceTime, ReceiveClock, WrappedPosition, strictly_increasing
+from drivers.can.unwrap import DeviceTime, ReceiveClock, WrappedPosition, strictly_increasing
 from servo_daemon.samples import CHANNELS, F64, I64, U8, Quality, SampleBlock
 
 #: A signal not heard for longer is no measurement of now, unless the map gives it a bound of its own. Slow ones
@@ -84,6 +85,31 @@ class VendorDecoder:
         self._counts_per_rev, self._period_s, self._stale_s = counts_per_rev, period_s, stale_s
         self._channels = tuple(c for c in signals.channels if c.name in (*CHANNELS, COUNTS))
         self._time, self._count = signals.get(TIME), signals.get(SEQUENCE)
+        self._even, self._anew = True, False
+        self.reset()
+
+    @property
+    def trigger(self) -> Field:
+        """The signal whose message makes a sample."""
+        return self._map.trigger
+
+    @property
+    def dates_by_stamps(self) -> bool:
+        """Whether the drive sends no time of its own."""
+        return self._time is None
+
+    @property
+    def off_pace(self) -> bool:
+        """Samples come at another rate than `period_s`: their times are wrong."""
+        return self._cadence is not None and self._cadence.is_off
+
+    def begin_anew(self) -> None:
+        """The next sample's time has nothing to do with that of the samples before it."""
+        self._anew = True
+
+    def take_pace(self, period_s: float | None, *, even: bool) -> None:
+        """Begin with another period; even: samples are so far apart, whatever their stamps say."""
+        self._period_s, self._even = period_s, even
         self.reset()
 
     @property
@@ -108,8 +134,8 @@ class VendorDecoder:
         self._held = {f.name: _Held() for f in self._map.fields}
         self._positions = {c.name: WrappedPosition(c.wrap) for c in self._channels if c.wrap is not None}
         self._device_time = DeviceTime(self._time.wrap) if self._time is not None else None
-        no_time = self._time is None
-        self._cadence = Cadence(self._period_s) if no_time and self._period_s is not None else None
+        even = self._time is None and self._period_s is not None and self._even
+        self._cadence = Cadence(self._period_s) if even and self._period_s is not None else None
         self._last_time_s: float | None = None
         self._last_count: float | None = None
         self._last_number = -1
@@ -169,6 +195,8 @@ class VendorDecoder:
         """One sample for each of the trigger frames `at`."""
         quality = np.where(jumped, np.uint8(Quality.GAP_BEFORE), np.uint8(0))
         time_s, restart = self._times(heard, at, stamp_s)
+        restart[0] |= self._anew
+        self._anew = False
         sequence = self._numbers(heard, at, time_s, restart, quality)
         if self._cadence is not None:
             time_s = self._cadence.times(time_s, sequence)

@@ -25,8 +25,8 @@ import can
 import numpy as np
 
 from drivers.base import DriveInfo, Driver
-from drivers.can.listener import BusListener, FrameDecoder
 from drivers.can.map import COUNTS
+from drivers.can.pace import PacedListener
 from drivers.can.unwrap import WrappedPosition
 from drivers.can.vendor import VendorDecoder
 from drivers.cia402.objects import STANDARD, VOLTAGES, Object, Scales, pdo_map, usable
@@ -50,7 +50,7 @@ def may_send(node_id: int, objects: Sequence[Object]) -> frozenset[Frame]:
     return frozenset({SYNC, *(upload(node_id, o) for o in objects)})
 
 
-class _Listening(BusListener):
+class _Listening(PacedListener):
     """PDOs; with `sync_s` a thread sends SYNC."""
 
     kind = "cia402"
@@ -62,20 +62,15 @@ class _Listening(BusListener):
         counts = self._positive("counts_per_rev")
         period_s = self._positive("period_s") or self._sync_s
         decoder = None if self.pdos is None else pdo_map(self.pdos, self.scales, self._where)
-        self._decoder = None if decoder is None else VendorDecoder(
-            decoder, self.counters, counts_per_rev=counts, period_s=period_s
-        )  # fmt: skip
+        if decoder is not None:
+            frames = VendorDecoder(decoder, self.counters, counts_per_rev=counts, period_s=period_s)
+            self._pace(frames, frames, frozenset({frames.trigger.key}))
         self._stop = threading.Event()
         self._sender: threading.Thread | None = None
 
     @property
     def scales(self) -> Scales:
         return Scales(*(self._positive(key) for key in ("velocity_unit", "rated_current_A", "rated_torque_Nm")))
-
-    @property
-    def _frames(self) -> FrameDecoder:
-        assert self._decoder is not None
-        return self._decoder
 
     def _open(self) -> None:
         super()._open()
@@ -227,6 +222,10 @@ class Cia402Driver(Driver):
     @property
     def remark(self) -> str | None:
         return self._inner.remark
+
+    @property
+    def learnt(self) -> str | None:
+        return self._inner.learnt
 
     def _open(self) -> None:
         self._inner.open()

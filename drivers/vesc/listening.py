@@ -118,11 +118,11 @@ class ListenedVesc(LearningListener):
         """The shaft's angle, or without an encoder its speed; a text where it is not known which."""
         source, inverted = self._position, self._inverted
         angle, steps = fields["pid_pos"], fields["tachometer"]
-        if source == "auto" and angle.key in burst and steps.key in heard:
-            shaft = Shaft("auto", self._pole_pairs)
+        if angle.key in burst and steps.key in heard:
+            shaft = Shaft(source, self._pole_pairs, inverted)
             shaft.angle(*_together(heard, angle, steps))
             source, inverted = shaft.source, shaft.inverted
-            if source == "auto":
+            if source == "auto" or shaft.contradiction is not None:
                 return str(shaft.remark)
         if source == "encoder" and angle.key in burst:
             factor = math.radians(-1.0 if inverted else 1.0)

@@ -93,6 +93,9 @@ class PolledVesc(PollingDriver[Firmware | Polled]):
     @property
     def remark(self) -> str | None:
         if self._dialogue is not None and self._dialogue.firmware is None:
+            if self._settings.can_id is not None:
+                where = f"can_id = {self._settings.can_id}"
+                return f"no VESC with {where} answers behind this port: is that its id, and is it on the bus?"
             return "it does not tell its firmware's version: is this the VESC's port, and this its baudrate?"
         if self._disturbed:
             return "another program reads this drive's averages too (VESC Tool?): only one can, close the other"

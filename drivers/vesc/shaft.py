@@ -28,6 +28,8 @@ _KEEPS_ITS_DISTANCE = 0.8
 _SLOPES = np.outer((1.0, -1.0), 360.0 / STEPS / np.arange(1, 101)).ravel()
 #: The better direction keeps its distance so much better than the other: half a turn's way tells as much.
 _APART = 0.3
+#: Pole pairs are known where one step is so much of one; told ones are contradicted once it is a quarter of that.
+_KNOWN, _SURE = 0.4, 0.1
 #: The tachometer is an int32.
 _TACHOMETER_WRAP = 2.0**32
 
@@ -43,23 +45,30 @@ class Shaft:
     Attributes:
         source: `encoder` or `electrical` once it is known, else `auto`.
         inverted: as found.
+        degrees: an encoder's.
     """
 
     def __init__(self, source: Source, pole_pairs: int | None, inverted: bool = False) -> None:
         self._told, self._pole_pairs, self._told_inverted = source, pole_pairs, inverted
+        told = source != "auto" or pole_pairs is not None
+        self._shown = Shaft("auto", None) if told else None  # what the motion shows of what was told
         self.restart()
 
     def restart(self) -> None:
         """The next values may be another motor's."""
         self.source, self.inverted = self._told, self._told_inverted
         self._steps = WrappedPosition(_TACHOMETER_WRAP)
-        self._degrees = _Guided(0.0 if self._pole_pairs is None else 360.0 / STEPS / self._pole_pairs)
+        self.degrees = _Guided(0.0 if self._pole_pairs is None else 360.0 / STEPS / self._pole_pairs)
         self._offset: float | None = None
+        if self._shown is not None:
+            self._shown.restart()
         self._seen: dict[float, float] = {}  # step: degrees
 
     @property
     def remark(self) -> str | None:
         """In words, why there is no angle."""
+        if self.contradiction is not None:
+            return self.contradiction
         if self.source == "auto":
             return "the motor has to turn a little before it is known whether it has an encoder (option position)"
         if self.source == "electrical" and self._pole_pairs is None:
@@ -67,12 +76,35 @@ class Shaft:
         return None
 
     @property
+    def contradiction(self) -> str | None:
+        """What was told and cannot be."""
+        shown = self._shown
+        if shown is None or shown.source == "auto":
+            return None
+        if self._told not in ("auto", shown.source) and self._pole_pairs != 1:  # of one pole pair both are the same
+            return (
+                f'the motion shows that its position is "{shown.source}", not "{self._told}": correct the option '
+                "position (a motor of one pole pair needs pole_pairs = 1)"
+            )
+        pairs = shown.degrees.pole_pairs_to(_SURE) if shown.source == "encoder" else None
+        if self._pole_pairs is not None and pairs not in (None, self._pole_pairs):
+            return (
+                f"the motion shows {pairs} pole pairs, not {self._pole_pairs}: correct pole_pairs (behind a gear leave "
+                "it out)"
+            )
+        return None
+
+    @property
     def pole_pairs(self) -> int | None:
         """As told, else as an encoder's angle and the tachometer have shown; None: not known (yet)."""
-        return self._pole_pairs or (self._degrees.pole_pairs if self.source == "encoder" else None)
+        return self._pole_pairs or (self.degrees.pole_pairs_to(_KNOWN) if self.source == "encoder" else None)
 
     def angle(self, pid_pos_deg: F64, tachometer: F64) -> F64 | None:
         """The shaft's angle in rad for the next values, shapes (n,); None while it is not known what they are."""
+        if self._shown is not None:
+            self._shown.angle(pid_pos_deg, tachometer)
+            if self.contradiction is not None:
+                return None
         steps = self._steps.unwrap(tachometer)
         if self.source == "auto":
             self._decide(steps, pid_pos_deg)
@@ -81,7 +113,7 @@ class Shaft:
             if self._pole_pairs is None:
                 return None
             return self._electrical(pid_pos_deg, steps) / self._pole_pairs
-        return np.radians(self._degrees.unwrap(pid_pos_deg, steps)) * (-1.0 if self.inverted else 1.0)
+        return np.radians(self.degrees.unwrap(pid_pos_deg, steps)) * (-1.0 if self.inverted else 1.0)
 
     def _electrical(self, degrees: F64, steps: F64) -> F64:
         """Electrical angle, rad: the turns are the tachometer's, which does not miss any between two polls."""
@@ -105,7 +137,7 @@ class Shaft:
         electrical = kept[0] > _KEEPS_ITS_DISTANCE
         self.source = "electrical" if electrical else "encoder"
         self.inverted = not electrical and bool(_SLOPES[best] < 0.0)
-        self._degrees.begin(float(_SLOPES[best]))
+        self.degrees.begin(float(_SLOPES[best]))
         self._seen.clear()
 
 
@@ -129,11 +161,10 @@ class _Guided:
         """What comes is continued with so many degrees a step, until a longer way tells it better."""
         self._slope = math.copysign(self._told, slope) if self._told else slope
 
-    @property
-    def pole_pairs(self) -> int | None:
-        """By the longest way so far, once one step of it is less than half a pole pair; None before."""
+    def pole_pairs_to(self, share: float) -> int | None:
+        """By the longest way so far, once one step of it is less than this share of a pole pair; None before."""
         pairs = 360.0 / STEPS / abs(self._slope) if self._slope else math.inf
-        return round(pairs) if pairs / self._longest < 0.4 else None
+        return round(pairs) if pairs / self._longest < share else None
 
     def unwrap(self, degrees: F64, steps: F64) -> F64:
         """The next values, shapes (n,)."""

@@ -7,8 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from drivers.base import Driver
 from servo_daemon.commands.shared import common
 from servo_daemon.commands.shared.listening import heard
@@ -33,9 +31,6 @@ _CLOCK_S = 0.5
 _CLOCK_FACTOR = 1.5
 #: Drives whose time is their own business: a file, a simulation.
 _NO_CLOCK = ("replay", "simulated")
-#: Drivers whose user may say the period. Frames of which so many at least come together, at less than this share of the
-#: mean distance of all, were held back by the adapter: their times are when it let them go.
-_TOLD_PERIOD, _FEWEST, _TOGETHER = ("can", "mit", "cia402"), 4, 0.25
 #: Lines that cannot be read are remarked upon from this share of the samples on: those at the start are usual.
 _UNREAD = 0.05
 
@@ -75,13 +70,14 @@ def _look(drive: DriveConfig, driver: Driver, listen_s: float) -> dict[str, Any]
     problem: str | None = None
     first = last = settled = None
     remark: str | None = None
+    silence = ""
     try:
         with driver:
             for block in heard(driver, listen_s):
                 first, last = first or block, block
                 if block.host_time_s - first.host_time_s < _SETTLED_S:
                     settled = block
-            remark = driver.remark
+            remark, silence = driver.remark, driver.silence
     except DriverConfigError:
         raise
     except EndOfStreamError:
@@ -91,7 +87,7 @@ def _look(drive: DriveConfig, driver: Driver, listen_s: float) -> dict[str, Any]
     counters = driver.counters
     if problem is None and last is None:
         problem = f"open, but no samples in {listen_s:g} s ({counters.framing_errors} framing errors)"
-        problem += f"; {remark}" if remark else ""
+        problem += f"; {silence}" if silence else ""
     channels = last.channels if last is not None else driver.info.channels
     meaning = drive.signals.meaning(driver.meaning)
     plan = _plan(channels, drive, meaning) if last is not None else None
@@ -110,7 +106,7 @@ def _look(drive: DriveConfig, driver: Driver, listen_s: float) -> dict[str, Any]
         "framing_errors": counters.framing_errors,
         "assumes": _assumptions(driver, drive, channels)
         + ([] if meaning == SignalMeaning() else [told(meaning, channels)]),
-        "remarks": _remarks(driver, settled, last, remark) + _bunched(driver, last, rate_hz),
+        "remarks": _remarks(driver, settled, last, remark),
         "sample_rate_hz": rate_hz,
         "estimated": [] if plan is None else list(plan.free),
         "not_estimated": {} if plan is None else dict(plan.reasons),
@@ -148,24 +144,11 @@ def _remarks(driver: Driver, first: SampleBlock | None, last: SampleBlock | None
         if clock_s >= _CLOCK_S and not 1 / _CLOCK_FACTOR < device_s / clock_s < _CLOCK_FACTOR:
             found.append(_clock_remark(device_s / clock_s))
     counters = driver.counters
+    if driver.learnt is not None:
+        found.append(driver.learnt)
     if remark and counters.framing_errors > _UNREAD * max(counters.samples, 1):
         found.append(f"{counters.framing_errors} lines could not be read: {remark}")
     return found
-
-
-def _bunched(driver: Driver, last: SampleBlock | None, rate_hz: float | None) -> list[str]:
-    """What is said of samples whose times are those of an adapter that lets many go at once."""
-    told = driver.info.sample_period_s is not None or driver.kind not in _TOLD_PERIOD
-    if told or rate_hz is None or last is None or len(last) < _FEWEST:
-        return []
-    apart_s = float(np.median(np.diff(last.time_s)))
-    if apart_s * rate_hz > _TOGETHER:
-        return []
-    return [
-        f"{len(last)} samples came at once, {1e3 * apart_s:.2g} ms apart, of {rate_hz:.0f} a second: their times are "
-        "the adapter's, and nothing can be learnt from them; give the time from message to message as period_s under "
-        "[drive.options]"
-    ]
 
 
 def _clock_remark(ratio: float) -> str:

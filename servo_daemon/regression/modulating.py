@@ -7,7 +7,8 @@ parts (Shinbrot 1957; Preisig & Rippin, *Comput. Chem. Eng.* 17, 1993): derivati
     K ∫φ i = J ∫φ'' θ − B ∫φ' θ + ∫φ τ_load           (shaft)
 
 Both sides see the same φ, so noise is filtered alike; jittered time stamps enter exactly. v is held between samples, so
-its integral is exact with φ's antiderivative; i and θ are taken by the trapezoidal rule.
+its integral is exact with φ's antiderivative; i and θ are taken by the trapezoidal rule, corrected in short windows
+(`moments.py`).
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.polynomial import polynomial as poly
 from numpy.typing import NDArray
 
+from servo_daemon.regression.moments import MOST_SAMPLES, correct
 from servo_daemon.samples import F64
 
 #: φ(s) = 1024 s⁵ (1 − s)⁵ on 0..1, the maximum is 1. Four derivatives vanish at both ends: two are needed to
@@ -61,6 +63,12 @@ class Windows:
         hop = _hop(first) if self.index is None else 0
         index = None if hop else self._all()[which]
         return Windows(first, hop, index, held, self.weights[:, which])
+
+    def touching(self, flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Which windows hold a flagged sample, shape (w,)."""
+        before = np.concatenate([[0], np.cumsum(flags)])
+        touched: NDArray[np.bool_] = before[self.first + self.weights.shape[2]] > before[self.first]
+        return touched
 
     def moved(self, k: int) -> Windows:
         """The same weights on what comes k samples later (k < 0: earlier), the recording's ends held."""
@@ -114,13 +122,16 @@ def _hop(first: NDArray[np.intp]) -> int:
     return int(steps[0]) if (steps == steps[0]).all() else 0
 
 
-def make_windows(time_s: F64, first: NDArray[np.intp], length: int, *, held: bool = True) -> Windows:
+def make_windows(
+    time_s: F64, first: NDArray[np.intp], length: int, *, held: bool = True, exact: bool = False
+) -> Windows:
     """Windows of `length` samples starting at the samples `first`.
 
     Args:
         time_s: shape (n,), strictly increasing.
         first: shape (w,).
         held: with the weights for a signal that is held between samples.
+        exact: for polynomials, where the windows are short.
     """
     hop = _hop(first)
     index = None if hop else _index(first, length)
@@ -139,10 +150,14 @@ def make_windows(time_s: F64, first: NDArray[np.intp], length: int, *, held: boo
     t /= span
     held_weight = _held_weight(t, span) if held else None
     weights = np.empty((3, *t.shape))
+    place = t.copy() if exact and length <= MOST_SAMPLES else None
     _phi_and_derivatives(t, weights)
-    for k in range(3):
-        weights[k] *= trapezoid
-        trapezoid /= span  # d/dt = d/ds / span
+    trapezoid /= span
+    weights *= trapezoid
+    if place is not None:
+        correct(weights, place, _HEIGHT)
+    weights[0] *= span
+    weights[2] /= span  # d/dt = d/ds / span
     return Windows(first, hop, index, held_weight, weights)
 
 

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servo_daemon.numerics import upper_median
 from servo_daemon.parameters import WINDING_NAMES
@@ -201,19 +202,20 @@ class MotorRls:
             return
         columns = self._columns.armature if which == "armature" else self._columns.shaft
         rls = self._rls.setdefault(which, SlidingRls(len(columns), self._spans_s))
-        Phi, y, w, dry, time_s = rows.Phi, rows.y, rows.windows, rows.dry, float(rows.samples.time_s[-1])
+        time_s = float(rows.samples.time_s[-1])
+        good = np.ones(len(rows.y), np.bool_)
         if rls.value is not None:
-            good = self._plausible[which].rows(y - Phi @ rls.value, y)
-            if np.count_nonzero(good) < len(good):
-                Phi, y, w, dry = Phi[good], y[good], w.only(good), None if dry is None else dry[good]
-        if len(y) > 0:
-            sums = Sums.of(Phi, y, w.weight_squares)
+            good = self._plausible[which].rows(rows.y - rows.Phi @ rls.value, rows.y)
+        if rows.creeping is not None:
+            good = good & ~rows.creeping  # what holds a shaft is no sliding friction
+        if good.any():
+            sums = _sums_of(rows, good)
             noise = noise_squares(columns, sums.weight_squares, self._noise_var)
             rls.update(time_s, sums.gram, sums.rows, noise, self._expected(which, rls, sums))
             if which not in self._columns.open:
                 self.window.add(which, time_s, sums)
-                if dry is not None:
-                    self.window.hidden_friction.add(time_s, Sums.of(np.column_stack([Phi, dry]), y, w.weight_squares))
+                if rows.dry is not None:
+                    self.window.hidden_friction.add(time_s, _sums_of(rows, good, rows.dry))
         if which == "armature":
             self._held.take(rows.samples, rows.Phi, rows.y)
 
@@ -274,3 +276,11 @@ class MotorRls:
         names = (*own, *map(given_by, columns[len(own) :]))
         unseen = self._unseen(names, value) if self._plant.drive == "voltage" else None
         return RegressionEstimate(names, value, covariance, span_s, all(e.closes for e in blocks), unseen)
+
+
+def _sums_of(rows: ModelRows, which: NDArray[np.bool_], further: F64 | None = None) -> Sums:
+    """Of some of the rows, with one column more where there is one, shape (m,)."""
+    Phi = rows.Phi if further is None else np.column_stack([rows.Phi, further])
+    if which.all():
+        return Sums.of(Phi, rows.y, rows.windows.weight_squares)
+    return Sums.of(Phi[which], rows.y[which], rows.windows.only(which).weight_squares)

@@ -61,6 +61,11 @@ def settles_between(R: float, L: float, period_s: float) -> bool:
     return period_s * R > L
 
 
+def is_slow(period_s: float) -> bool:
+    """Whether the armature's windows are more than twice as long as they should be: below 300 Hz."""
+    return FEWEST_SAMPLES * period_s > 2.0 * SPAN_S["armature"]
+
+
 def settling(R: float, L: float, period_s: float) -> tuple[float, float]:
     """Of a current that approaches the end of each held voltage with the time constant L/R, x = h R/L.
 

@@ -9,9 +9,10 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
+import serial
 
 from drivers.can.bus import CanDriver
-from drivers.can.slcan import ReadAhead
+from drivers.can.slcan import ReadAhead, is_taken
 from servo_daemon.errors import BadInputError, DriverConfigError, DriverDisconnectedError, DriverUnavailableError
 from servo_daemon.samples import Quality, SampleBlock
 from servo_daemon.sim_drive.pty_link import PtyLink
@@ -117,6 +118,16 @@ def test_a_bitrate_no_adapter_has_is_refused(link: Path) -> None:
     driver = CanDriver("axis1", {"interface": "slcan", "channel": str(link), "bitrate": 12_345})
     with slcan_drive(link), pytest.raises(DriverConfigError, match=r"axis1.*bitrate"):
         driver.open()
+
+
+def test_an_adapter_has_one_reader(link: Path) -> None:
+    """Two programs would take each other's frames away."""
+    with slcan_drive(link):
+        with serial.Serial(str(link), timeout=0, exclusive=True), pytest.raises(DriverUnavailableError, match="in use"):
+            driver_on(link).open()
+        with driver_on(link):
+            assert is_taken(str(link))
+        assert not is_taken(str(link))
 
 
 def test_a_restart_of_the_device(link: Path) -> None:

@@ -17,6 +17,7 @@ from drivers.can.decode import FrameBatch, frame_key, key_text, load_dbc
 from drivers.can.map import COUNTS, parse_signal_map
 from drivers.can.ours.own import OwnDecoder
 from drivers.can.ours.wire import FIRST_DRIVE, LAST_DRIVE, SAMPLE_ID
+from drivers.can.pace import LEAST, heard_pace, take, why_not
 from drivers.can.vendor import STALE_S, VendorDecoder
 from servo_daemon.captures.capture.layout import make_layout
 from servo_daemon.captures.capture.model import (
@@ -55,6 +56,7 @@ def decode_log(log: CanLog, signal_map: SignalMap | None) -> Capture:
     counters = DriverCounters()
     decoder = _decoder(log, signal_map, counters)
     frames = _of_one_channel(log, decoder.keys, signal_map)
+    paced = _paced(decoder, log.path, frames, signal_map)
     with np.errstate(all="ignore"):
         blocks = [block for piece in _pieces(frames) for block in decoder.feed(piece)]
     if not blocks:
@@ -66,6 +68,7 @@ def decode_log(log: CanLog, signal_map: SignalMap | None) -> Capture:
         raise capture_error(log.path, message)
     whole = concatenate(blocks)
     notes = [f"{len(whole)} samples from {counters.frames} frames; each signal has the value it last had"]
+    notes += paced
     if counters.samples_lost:
         notes.append(f"{counters.samples_lost} samples are missing in the log")
     if counters.framing_errors:
@@ -75,6 +78,24 @@ def decode_log(log: CanLog, signal_map: SignalMap | None) -> Capture:
     if info.counts_per_rev:
         metadata["counts_per_rev"] = f"{info.counts_per_rev:g}"
     return _checked(log.path, whole, signal_map, {**metadata, **signal_map.metadata}, notes)
+
+
+def _paced(decoder: OwnDecoder | VendorDecoder, path: Path, frames: FrameBatch, signal_map: SignalMap) -> list[str]:
+    """Where a log has its frames in bunches and the map no period: that is learnt, as by the driver; what is said.
+
+    Raises:
+        CaptureError: when the frames were sent is not known.
+    """
+    if not isinstance(decoder, VendorDecoder) or not decoder.dates_by_stamps or signal_map.positive("period_s"):
+        return []
+    stamp_s = frames.stamp_s[frames.keys == decoder.trigger.key]
+    pace = heard_pace(stamp_s) if len(stamp_s) >= LEAST else None
+    if pace is None or not pace.bunched:
+        return []
+    fault = why_not(decoder.trigger.name, pace, None)
+    if fault is not None:
+        raise capture_error(path, fault)
+    return [take(decoder, pace)]
 
 
 def _checked(

@@ -175,7 +175,7 @@ class Reader:
         before = last if last is not None and fresh else link.changed
         since = time.monotonic() - before
         if since > SILENT_AFTER_S and self._empty_s - before > SILENT_AFTER_S:
-            return Link("silent", f"open, but no samples for {since:.1f} s", link.changed)
+            return Link("silent", f"open, but no samples for {since:.1f} s; {self.driver.silence}", link.changed)
         return link if fresh else Link("connecting", "open, waiting for the first samples", link.changed)
 
     def _run(self) -> None:

@@ -12,25 +12,30 @@ from servo_daemon.plant.build import PlantModel
 from servo_daemon.regression.columns.of_model import ModelColumns
 from servo_daemon.regression.columns.terms import columns_of, shaft_signals
 from servo_daemon.regression.modulating import Windows, make_windows
-from servo_daemon.regression.sampling import FEWEST_SAMPLES, SPAN_S
+from servo_daemon.regression.sampling import FEWEST_SAMPLES, SPAN_S, WINDOW_S, is_slow
 from servo_daemon.regression.stretch import Stretch, motion
 from servo_daemon.samples import F64
 
 #: A current has a direction beyond so many standard deviations of its noise (a Gaussian is beyond three once in 370
 #: times).
 DIRECTED_STDS = 3.0
+#: A shaft that is slower than this share of its usual speed (rms) for so long, s, creeps: longer than a reversal takes
+#: and a fifth of the shaft's windows.
+CREEP, CREEP_S = 0.01, 0.02
 
 
 @dataclass(frozen=True, slots=True)
 class ModelRows:
     """Columns, shape (m, n), what they make, shape (m,), over which windows, of which samples; of a shaft whose model
-    has no dry friction what that would add per N·m, shape (m,)."""
+    has no dry friction what that would add per N·m, shape (m,); of one that has it in which windows the shaft all but
+    stood for a while (None: in none)."""
 
     Phi: F64
     y: F64
     windows: Windows
     samples: Stretch
     dry: F64 | None = None
+    creeping: NDArray[np.bool_] | None = None
 
 
 class RowMaker:
@@ -46,6 +51,7 @@ class RowMaker:
     ) -> None:
         self._plant, self._columns, self._known, self._taken_at = plant, columns, known, taken_at
         self._next = {"armature": 0.0, "shaft": 0.0}
+        self._speed_square = 0.0
 
     def _windows(self, s: Stretch, period_s: float, which: str) -> Windows | None:
         """Windows that have not been used yet, half overlapping, none across unusable samples; of the armature, whose
@@ -68,7 +74,8 @@ class RowMaker:
             first = first[before[first + length] - before[first + 1] == 0]
         if broken:
             first = _apart(first, hop)
-        return make_windows(s.time_s, first, length) if len(first) else None
+        exact = which == "shaft" or is_slow(period_s)
+        return make_windows(s.time_s, first, length, exact=exact) if len(first) else None
 
     def armature(self, s: Stretch, period_s: float, current_var: float, sag: float) -> ModelRows | None:
         """Rows of the armature's balance, V; None where there are none.
@@ -111,8 +118,18 @@ class RowMaker:
         for effect in self._columns.shaft_effects:
             columns += self._effect_columns(effect, w, s)
         y = self._driving_torque(w, s, speed, acceleration, sag)
+        if y is None:
+            return None
         dry = None if self._plant.may_stick else w.integral(s.sliding)
-        return None if y is None else ModelRows(_in_columns(columns), y, w, s, dry)
+        creeping = w.touching(self._creeping(s, period_s)) if self._plant.may_stick else None
+        return ModelRows(_in_columns(columns), y, w, s, dry, creeping)
+
+    def _creeping(self, s: Stretch, period_s: float) -> NDArray[np.bool_]:
+        """Where the shaft all but stands for a while: dry friction is then anything up to its level."""
+        size = np.abs(s.speed)
+        share = min(1.0, len(size) * period_s / WINDOW_S)
+        self._speed_square += share * (float(np.mean(np.square(size))) - self._speed_square)
+        return lasting(size < CREEP * self._speed_square**0.5, max(2, round(CREEP_S / period_s)))
 
     def _effect_columns(self, effect: str, w: Windows, s: Stretch) -> list[F64]:
         if not columns_of(effect, self._columns.shaft_effects):
@@ -142,6 +159,18 @@ class RowMaker:
 def _direction(current: F64, var: float) -> F64:
     """Sign of the current per sample, 0 where its noise may have made it."""
     return np.where(np.abs(current) > DIRECTED_STDS * var**0.5, np.sign(current), 0.0)
+
+
+def lasting(flags: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
+    """Those of the flags, shape (n,), that stand in a row of at least so many; a row at an end may be longer than is
+    seen."""
+    if not np.count_nonzero(flags):
+        return flags
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    out = flags.copy()
+    for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        out[a:b] = b - a >= least or a == 0 or b == len(flags)
+    return out
 
 
 def _apart(first: NDArray[np.intp], hop: int) -> NDArray[np.intp]:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from servo_daemon.numerics import MEDIAN_TO_STD, median
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.regression.sampling import WINDOW_S
 from servo_daemon.regression.stretch import Stretch
@@ -26,6 +27,8 @@ _REST_COUNTS, _CREEP_SAMPLES = 1.5, 20.0
 #: Fewer of a tick's changes of the input are wrong ones (two for a sample); a spike is so many times the largest of the
 #: others (decision 11).
 _WRONG_STEPS, _SPIKE = 5, 4.0
+#: A tick of more samples shows all that a torque does.
+_FEW = 32
 #: Used where neither data nor nominal values say anything yet (half and twice them are free).
 _R, _K = 1.0, 0.1
 
@@ -77,6 +80,7 @@ class SignalScales:
         self.current_step_square = 0.0  # the same of the current
         self.samples_per_count = 1.0  # for how long the angle has shown one value, on average
         self._current_steps, self._counts = Recent(), Recent()
+        self._bends: deque[tuple[float, F64]] = deque()  # when the tick ended; off the cubic through the neighbours
         self._current_square: float | None = None
 
     def take(self, tick: Stretch, position_lsb: float, noise_var: Mapping[str, float]) -> None:
@@ -95,6 +99,11 @@ class SignalScales:
             square = float(steps @ steps) / max(len(steps), 1)
             self.input_step_square = max(square, fall * self.input_step_square)
             self._usual_step = _usual(steps, self._usual_step, fall)
+            if self._plant.drive != "voltage" and 4 < len(held) < _FEW:
+                end_s = float(tick.time_s[-1])
+                self._bends.append((end_s, np.diff(held, 4) / 6.0))
+                while end_s - self._bends[0][0] > WINDOW_S:
+                    self._bends.popleft()
         if tick.current is not None and len(tick.current):
             steps = tick.current[1:] - tick.current[:-1]
             # A tick alone may happen to be a quiet one, or the first of a rest after a window of motion.
@@ -107,6 +116,17 @@ class SignalScales:
             moved = float(np.count_nonzero(tick.position[1:] != tick.position[:-1]))
             self._counts.add(float(tick.time_s[-1]), len(tick.position), moved)
             self.samples_per_count = self._counts.number / max(self._counts.total, 1.0)
+
+    @property
+    def unseen_square(self) -> float:
+        """Of an input that is not held: mean square of what its mean from one sample to the next has that no sample
+        shows. A sample is off the cubic through the two before and the two after it by twice that and more, where the
+        input bends or jumps between them. What all of them are off by is noise, which the input's own holds."""
+        if not self._bends:
+            return 0.0
+        off = np.concatenate([bends for _, bends in self._bends])
+        usual = (median(np.abs(off)) / MEDIAN_TO_STD) ** 2
+        return 0.25 * max(float(off @ off) / len(off) - usual, 0.0)
 
     @property
     def spike_limit(self) -> float:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ import pytest
 
 from drivers.base import DriveInfo, Driver
 from servo_daemon.captures import read_capture
-from servo_daemon.commands.check import _bunched
 from servo_daemon.samples import SampleBlock, make_block
 from tests.command_line import run_command
 
@@ -112,15 +110,3 @@ def test_record_ends_by_the_clock_too(ticking: Callable[..., Path], rate: float,
     assert said.code == 0
     assert ("ended by the clock: device time went on by" in said.err) == (rate < 1.0)
     assert len(read_capture(out)) == pytest.approx(samples, abs=60)
-
-
-@pytest.mark.parametrize(
-    ("kind", "period_s", "apart_s", "told"),
-    [("mit", None, 5e-5, True), ("mit", 2e-3, 5e-5, False), ("mit", None, 2e-3, False), ("vesc", None, 5e-5, False)],
-)
-def test_check_tells_samples_that_an_adapter_lets_go_at_once(
-    kind: str, period_s: float | None, apart_s: float, told: bool
-) -> None:
-    driver: Any = SimpleNamespace(kind=kind, info=DriveInfo("x", period_s))
-    said = _bunched(driver, make_block(apart_s * np.arange(15)), 500.0)
-    assert bool(said) == told and all("period_s" in text for text in said)

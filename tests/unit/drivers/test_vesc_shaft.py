@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.vesc.shaft import Shaft
+from drivers.vesc.shaft import Shaft, Source
 
 
 def shown(theta: np.ndarray, pole_pairs: int, encoder: bool, inverted: bool = False) -> tuple[np.ndarray, np.ndarray]:
@@ -72,3 +72,31 @@ def test_the_direction_is_found_whatever_pauses_the_host_makes(pole_pairs: int, 
         assert (shaft.source, shaft.inverted) == ("encoder", inverted), seed
         known = np.isfinite(angle)
         np.testing.assert_allclose(np.diff(angle[known]), 110.0 * np.diff(time_s[known]), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("source", "pole_pairs", "encoder", "words"),
+    [
+        ("electrical", 7, True, 'position is "encoder", not "electrical"'),
+        ("encoder", None, False, 'position is "electrical", not "encoder"'),
+        ("auto", 5, True, "7 pole pairs, not 5"),
+        ("encoder", 14, True, "7 pole pairs, not 14"),
+    ],
+)
+def test_what_was_told_and_cannot_be_is_said(source: Source, pole_pairs: int | None, encoder: bool, words: str) -> None:
+    """K would be off by as much, and nothing else would show it."""
+    shaft = Shaft(source, pole_pairs)
+    angle = run(shaft, *shown(4.0 * MOTION, 7, encoder))
+    assert np.isnan(angle[200:]).all()
+    assert words in str(shaft.remark)
+    shaft.restart()
+    assert words not in str(shaft.remark)
+
+
+@pytest.mark.parametrize("source", ["encoder", "electrical", "auto"])
+def test_of_one_pole_pair_both_are_the_same(source: Source) -> None:
+    shaft = Shaft(source, 1)
+    angle = run(shaft, *shown(MOTION, 1, True))
+    known = np.isfinite(angle)
+    assert known.mean() > 0.8
+    np.testing.assert_allclose(np.diff(angle[known]), np.diff(MOTION[known]), atol=1e-9)

@@ -1,0 +1,192 @@
+"""How far apart a message is sent, from when it was received: its times on a link that has none.
+
+Stamps of an adapter that lets many frames go at once say nothing of the time between two of them. Where the sender
+keeps a steady rate the stamps stay within a band around it, however wide; where it does not, they wander off, and only
+stamps of single frames can be believed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.base import DriveInfo
+from drivers.can.decode import FrameBatch
+from drivers.can.listener import BusListener, FrameDecoder
+from drivers.can.vendor import VendorDecoder
+from servo_daemon.numerics import median
+from servo_daemon.samples import F64, SampleBlock
+
+#: Listened to so long, s, and until so many messages came.
+LISTEN_S, LEAST = 1.5, 8
+#: Of a message that never comes no more than so many batches are kept.
+_MOST_BATCHES = 20_000
+#: A told period may be off by this share: what 1.5 s of stamps that come in bunches of 50 ms are known to.
+TOLD_WITHIN = 0.05
+#: Steps of less than half a period are frames that waited for each other, where they are such a share of all.
+_HALF, _BUNCHED = 0.5, 0.1
+#: Stamps of which all others are off by less than this share of a period need no help.
+_CLEAN = 0.02
+#: A steady sender's stamps spread over half a second as over a sixteenth of it; of a sender that begins each wait when
+#: the one before is over, eight times as much (in squares). Below a tenth of a period either does no harm.
+_NEAR_S, _FARTHER, _SPREAD, _LITTLE = 0.06, 8, 3.0, 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """What stamps tell of their sender.
+
+    Attributes:
+        period_s: from message to message.
+        steady: it keeps a rate.
+        bunched: many frames were stamped at once.
+        clean: stamps need no help.
+    """
+
+    period_s: float
+    steady: bool
+    bunched: bool
+    clean: bool
+
+
+def heard_pace(stamp_s: F64) -> Pace | None:
+    """From receive times, increasing, shape (n,); None: all of one moment. Frames that had waited for
+    the listener do not move the period, losses by their share."""
+    n = len(stamp_s)
+    reach = max(1, n // 4)
+    period_s = median((stamp_s[reach:] - stamp_s[:-reach]) / reach)
+    if not period_s > 0.0:
+        return None
+    steps = np.diff(stamp_s)
+    bunched = float(np.mean(steps < _HALF * period_s)) > _BUNCHED
+    near = max(1, round(_NEAR_S / period_s))
+    far = min(_FARTHER * near, n // 2)
+
+    def spread(lag: int) -> float:
+        late = stamp_s[lag:] - stamp_s[:-lag] - lag * period_s
+        return float(np.median(np.square(late - median(late))))
+
+    little = (_LITTLE * period_s) ** 2
+    steady = far <= near or spread(far) <= max(_SPREAD * spread(near), little)
+    clean = float(np.percentile(np.abs(steps - period_s), 100.0 * (1.0 - _BUNCHED))) < _CLEAN * period_s
+    return Pace(period_s, steady, bunched, clean)
+
+
+class PacedDecoder:
+    """A decoder of one message that makes samples, which first finds out how often that comes. No frame is lost to it.
+
+    Args:
+        decoder: of the frames, `vendor` inside it.
+        triggers: identifiers of the message that makes a sample.
+        told_s: the period as the user gives it.
+    """
+
+    def __init__(
+        self, decoder: FrameDecoder, vendor: VendorDecoder, triggers: frozenset[int], told_s: float | None
+    ) -> None:
+        self._decoder, self._vendor, self._triggers, self._told_s = decoder, vendor, triggers, told_s
+        self._forget()
+
+    def _forget(self) -> None:
+        self.remark: str | None = None
+        self.learnt: str | None = None
+        self._waiting: list[FrameBatch] | None = [] if self._vendor.dates_by_stamps else None
+        self._looked = 0
+
+    @property
+    def keys(self) -> frozenset[int]:
+        return self._decoder.keys
+
+    @property
+    def info(self) -> DriveInfo:
+        return self._decoder.info
+
+    def reset(self) -> None:
+        """Forget everything: the next frames may be another device's."""
+        self._decoder.reset()
+        self._forget()
+
+    def feed(self, batch: FrameBatch) -> list[SampleBlock]:
+        """Samples of these frames, none until it is known how far apart they are."""
+        if self._waiting is None:
+            blocks = self._decoder.feed(batch)
+            if self._vendor.off_pace:
+                self._decoder.reset()
+                self._forget()
+                self._vendor.begin_anew()
+            return blocks
+        self._waiting = [*self._waiting[-_MOST_BATCHES:], batch]
+        first_s = self._waiting[0].host_s
+        if batch.host_s - first_s < LISTEN_S * (1 + self._looked):
+            return []
+        self._looked += 1
+        return self._decided() if self._look(self._waiting) else []
+
+    def _look(self, waiting: list[FrameBatch]) -> bool:
+        """Whether it is known how far apart samples are; what to say of it."""
+        keys = np.concatenate([b.keys for b in waiting])
+        stamp_s = np.concatenate([b.stamp_s for b in waiting])[np.isin(keys, list(self._triggers))]
+        pace = heard_pace(stamp_s) if len(stamp_s) >= LEAST else None
+        if pace is None:
+            return False
+        self.remark = why_not(self._vendor.trigger.name, pace, self._told_s)
+        if self.remark is None and self._told_s is None:
+            self.learnt = take(self._vendor, pace)
+        return self.remark is None
+
+    def _decided(self) -> list[SampleBlock]:
+        """Samples of all that has waited."""
+        waiting, self._waiting = self._waiting or [], None
+        return [block for batch in waiting for block in self._decoder.feed(batch)]
+
+
+def why_not(name: str, pace: Pace, told_s: float | None) -> str | None:
+    """In words, why samples of the message `name` have no times; None: they have."""
+    if told_s is not None and abs(pace.period_s / told_s - 1.0) > TOLD_WITHIN:
+        return (
+            f"message {name} comes every {_ms(pace.period_s)}, not every {_ms(told_s)}: correct the option period_s, "
+            "or leave it out"
+        )
+    if told_s is None and pace.bunched and not pace.steady:
+        return (
+            f"message {name} comes in bunches and at no steady rate ({_ms(pace.period_s)} on average): when it was "
+            "sent is not known. Have the drive send it at a fixed rate, or use an adapter that stamps frames"
+        )
+    return None
+
+
+def take(vendor: VendorDecoder, pace: Pace) -> str:
+    """Date samples by this pace; what is to be told of it."""
+    name, ms = vendor.trigger.name, _ms(pace.period_s)
+    vendor.take_pace(pace.period_s if pace.steady else None, even=not pace.clean)
+    if not pace.steady:
+        return f"message {name} comes at no steady rate ({ms} on average): its times are those of the stamps"
+    how, dated = " in bunches" if pace.bunched else "", "of the stamps" if pace.clean else "even"
+    return f"message {name} comes every {ms}{how}, as heard: its times are {dated}"
+
+
+def _ms(period_s: float) -> str:
+    return f"{1e3 * period_s:.3g} ms"
+
+
+class PacedListener(BusListener):
+    """A drive that is listened to with a `PacedDecoder`; option `period_s`."""
+
+    _paced: PacedDecoder
+
+    def _pace(self, decoder: FrameDecoder, vendor: VendorDecoder, triggers: frozenset[int]) -> None:
+        """Read with this decoder; see `PacedDecoder`."""
+        self._paced = PacedDecoder(decoder, vendor, triggers, self._positive("period_s"))
+
+    @property
+    def _frames(self) -> FrameDecoder:
+        return self._paced
+
+    @property
+    def remark(self) -> str | None:
+        return self._paced.remark
+
+    @property
+    def learnt(self) -> str | None:
+        return self._paced.learnt
