@@ -14,6 +14,7 @@ from servo_daemon.commissioning.standing import DEAD, STANDS
 from servo_daemon.commissioning.stop import Stop, StoppedError
 from servo_daemon.commissioning.supervisor import Reading
 from servo_daemon.plant.linear import linear_step
+from servo_daemon.regression.sampling import settling
 
 #: Time within which the prediction forgets what was wrong, s: a few periods of any encoder that dies.
 _MEMORY_S = 0.02
@@ -110,18 +111,20 @@ class Prediction:
     def _measured_emf(self, last: Reading, current: float, dt: float) -> float:
         before = last.current_A - self._offset_A
         m = self._motor
-        return last.voltage_V - m["R"] * 0.5 * (before + current) - m["L"] * (current - before) / dt
+        mean_A = before + settling(m["R"], m["L"], dt)[0] * (current - before)
+        return last.voltage_V - m["R"] * mean_A - m["L"] * (current - before) / dt
 
     def _named(self, r: Reading, otherwise: str) -> Stop:
-        """Speed by three witnesses: the prediction, the back-EMF, the encoder. The encoder alone has stopped: it is
-        dead; both have left the prediction: the shaft has run against something."""
+        """Speed by three witnesses: the prediction, the back-EMF, the encoder. The encoder alone stands: it is dead;
+        both have left the prediction: the shaft has run against something."""
         last, w = self._last, self._w
         by_emf = self._emf_V / self._motor["K"]
         by_encoder = (r.position_rad - last.position_rad) / (r.time_s - last.time_s)
         if abs(w) < _FAST * self._peak_w:
             return Stop("innovations", otherwise, r.time_s)
         emf_left, encoder_left = abs(by_emf - w) > _LEFT * abs(w), abs(by_encoder - w) > _LEFT * abs(w)
-        if encoder_left and not emf_left:
+        stands = abs(r.position_rad - last.position_rad) < 1.5 * self._count
+        if encoder_left and stands and not emf_left:
             return Stop("encoder_lost", DEAD, r.time_s)
         if encoder_left and emf_left and abs(by_emf - by_encoder) < _LEFT * abs(w):
             return Stop("hard_stop", "the shaft was stopped at once: it has run against something", r.time_s)
