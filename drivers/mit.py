@@ -185,7 +185,7 @@ class MitDriver(PacedListener):
         frames = VendorDecoder(feedback_map(limits, key, motor_id), self.counters, period_s=self._positive("period_s"))
         where = f"{self._settings['interface']}:{self._settings.get('channel')}"
         self._decoder = MitDecoder(frames, key, same, f"mit:{where}:{motor_id}")
-        self._pace(self._decoder, frames, same)
+        self._pace(self._decoder, frames, same, self._positive("period_s"))
 
     def _limits(self) -> Limits:
         model, given = self.options.get("model"), self.options.get("limits")

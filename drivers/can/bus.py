@@ -43,7 +43,7 @@ class CanDriver(PacedListener):
         super().__init__(name, options, _OWN_OPTIONS if own else _VENDOR_OPTIONS)
         self._decoder: OwnDecoder | VendorDecoder = self._own_decoder() if own else self._vendor_decoder()
         if isinstance(self._decoder, VendorDecoder):
-            self._pace(self._decoder, self._decoder, frozenset({self._decoder.trigger.key}))
+            self._pace(self._decoder, self._decoder, frozenset({self._decoder.trigger.key}), self._positive("period_s"))
 
     @property
     def _frames(self) -> FrameDecoder:

@@ -171,13 +171,15 @@ def _ms(period_s: float) -> str:
 
 
 class PacedListener(BusListener):
-    """A drive that is listened to with a `PacedDecoder`; option `period_s`."""
+    """A drive that is listened to with a `PacedDecoder`."""
 
     _paced: PacedDecoder
 
-    def _pace(self, decoder: FrameDecoder, vendor: VendorDecoder, triggers: frozenset[int]) -> None:
+    def _pace(
+        self, decoder: FrameDecoder, vendor: VendorDecoder, triggers: frozenset[int], told_s: float | None
+    ) -> None:
         """Read with this decoder; see `PacedDecoder`."""
-        self._paced = PacedDecoder(decoder, vendor, triggers, self._positive("period_s"))
+        self._paced = PacedDecoder(decoder, vendor, triggers, told_s)
 
     @property
     def _frames(self) -> FrameDecoder:

@@ -64,7 +64,7 @@ class _Listening(PacedListener):
         decoder = None if self.pdos is None else pdo_map(self.pdos, self.scales, self._where)
         if decoder is not None:
             frames = VendorDecoder(decoder, self.counters, counts_per_rev=counts, period_s=period_s)
-            self._pace(frames, frames, frozenset({frames.trigger.key}))
+            self._pace(frames, frames, frozenset({frames.trigger.key}), period_s)
         self._stop = threading.Event()
         self._sender: threading.Thread | None = None
 

@@ -174,8 +174,8 @@ NAMED: Sequence[Named] = (
     Named(
         "the regression overrules a filter that is white and calm",
         "servo_daemon/tracking/validity/confirmation.py",
-        " or calm_s > found.span_s",
-        "",
+        "confirms(value, spread, values[name]) or calm_s > found.span_s",
+        "confirms(value, spread, values[name])",
         JUDGE,
     ),
     Named(

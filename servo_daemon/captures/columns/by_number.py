@@ -19,6 +19,9 @@ from servo_daemon.errors import CaptureError
 #: What they are called, the surest first.
 BY_NUMBER = ("turned", "increments", "count_rate", "frequency")
 
+#: Of the largest value: what steps of a row's number or a time differ by in double precision.
+_ROUNDING = 1e-12
+
 _ASKED: Mapping[str, str] = {
     "increments": "{0} counts since the sample before: --counts-per-rev N says how often in a turn (after quadrature)",
     "count_rate": "{0} is in counts a second: --counts-per-rev N says how often in a turn (after quadrature)",
@@ -73,7 +76,9 @@ def _may_be_a_motion(recording: Recording, name: str) -> bool:
     """Whether a signal is neither a text nor a mark nor the row's number."""
     with suppress(CaptureError):
         values = recording.read(SignalRef("value", name)).values
-        return len(np.unique(values[np.isfinite(values)])) >= DIFFERENT and bool(np.ptp(np.diff(values)) != 0.0)
+        steps = np.diff(values)
+        even = np.ptp(steps) <= _ROUNDING * np.max(np.abs(values), initial=0.0)
+        return len(np.unique(values[np.isfinite(values)])) >= DIFFERENT and not even
     return False
 
 

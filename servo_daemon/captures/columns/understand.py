@@ -63,7 +63,7 @@ def understand(recording: Recording, options: ReadOptions) -> Understood:
     reader.take_electrical_speed()
     take_by_number(recording, found, reader.beside, reader.number)
     match_motion(recording, found)
-    if not (_MOTION & found.fields or found.questions):
+    if {"voltage_V", "current_A"} & found.fields and not (_MOTION & found.fields or found.questions):
         ask_about_the_rest(recording, found)
     if options.rate_hz is not None:
         found.columns.pop("time_s", None)

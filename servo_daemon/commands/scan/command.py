@@ -19,8 +19,9 @@ EXAMPLE = """  servo-daemon scan                            # listens to every s
   servo-daemon scan --port /dev/ttyACM0 --ask  # also asks: reads only, of every make in turn
   servo-daemon scan --can socketcan:can0"""
 
-#: How long each drive is looked at, s: the makers' drivers listen 1.5 s before they decide what they hear.
-_SECONDS = 4.0
+#: How long each drive is looked at, and on a CAN bus at least, s: drivers listen 1.5 s before they decide what they
+#: hear and how often it comes, and as long again where that was not clear.
+_SECONDS, _LEAST_ON_CAN_S = 4.0, 3.5
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -79,7 +80,7 @@ def _looked_at(candidates: Sequence[Candidate | Finding | str], seconds: float) 
 def _on_bus(options: dict[str, Any], seconds: float, ask: bool) -> tuple[list[Finding], list[str]]:
     where = f"{options['interface']}:{options['channel']}"
     try:
-        found, said = _looked_at(on_bus(options, seconds, ask), seconds)
+        found, said = _looked_at(on_bus(options, seconds, ask), max(seconds, _LEAST_ON_CAN_S))
     except DriverConfigError:
         raise
     except DriverError as error:

@@ -9,7 +9,6 @@ it.
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import lfilter
 
 from servo_daemon.identification.output_error.fitted import OutputErrorFit
 from servo_daemon.identification.output_error.lag_like import SHARE, leaves_the_trace_of_l, values_of
@@ -54,6 +53,8 @@ def _likelier_digital(fit: OutputErrorFit, t_f: float, period_s: float) -> bool:
 
 def _digital_less_continuous(shown: F64, t_f: float, period_s: float) -> F64:
     """What a digital filter of this lag would show, less what a continuous one does, shape (n,)."""
+    from scipy.signal import lfilter  # late: it takes a third of a second to import
+
     speed = shown + t_f * np.gradient(shown, period_s)
     a = period_s / (period_s + t_f)
     digital, _ = lfilter([a], [1.0, a - 1.0], speed, zi=[(1.0 - a) * shown[0]])

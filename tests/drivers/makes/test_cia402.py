@@ -174,7 +174,7 @@ class _Cia402(DriverConformance):
 
 
 class TestListeningConformance(_Cia402):
-    more = {"pdo": PDO}  # noqa: RUF012
+    more = {"pdo": PDO, "period_s": 5e-3}  # noqa: RUF012
 
 
 class TestSyncConformance(_Cia402):

@@ -166,8 +166,9 @@ def test_what_the_filter_lacks_is_published_as_the_windows_have_it(model: Learne
         assert "RF+GRNN" in (shown["J"].reason or ""), e.time_s
         widths.append(std / value)
         for name in ("R", "K"):  # the filter's, except where a window knows it still better
-            assert shown[name].status == "tracking", e.time_s
-            assert shown[name].value == pytest.approx(PAPER_MOTOR[name], rel=0.01), e.time_s
+            value, std, truth = shown[name].value, shown[name].std, PAPER_MOTOR[name]
+            assert shown[name].status == "tracking" and value is not None and std is not None, e.time_s
+            assert std < 0.03 * truth and abs(value - truth) < max(0.01 * truth, 2 * std), e.time_s
     assert 0.05 < max(widths) < 0.15  # wider than what a filter may begin with, no wider than what it may keep
 
 
