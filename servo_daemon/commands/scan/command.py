@@ -20,8 +20,8 @@ EXAMPLE = """  servo-daemon scan                            # listens to every s
   servo-daemon scan --can socketcan:can0"""
 
 #: How long each drive is looked at, and on a CAN bus at least, s: drivers listen 1.5 s before they decide what they
-#: hear and how often it comes, and as long again where that was not clear.
-_SECONDS, _LEAST_ON_CAN_S = 4.0, 3.5
+#: hear and how often it comes, and as long again twice where that is not clear.
+_SECONDS, _LEAST_ON_CAN_S = 4.0, 5.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
