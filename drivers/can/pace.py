@@ -28,9 +28,11 @@ TOLD_WITHIN = 0.05
 _HALF, _BUNCHED = 0.5, 0.1
 #: Stamps of which all others are off by less than this share of a period need no help.
 _CLEAN = 0.02
-#: A steady sender's stamps spread over half a second as over a sixteenth of it; of a sender that begins each wait when
-#: the one before is over, eight times as much (in squares). Below a tenth of a period either does no harm.
-_NEAR_S, _FARTHER, _SPREAD, _LITTLE = 0.06, 8, 3.0, 0.1
+#: Whatever a line and its listener do to stamps makes them late: the earliest of each of so many parts keep the pace of
+#: a steady sender, to within this share of how far stamps so near (s) differ by. Of 2,400 sets of 1.5 s: at most 0.1 in
+#: 95 % for periods up to 5 ms, with and without a listener that stalls; of senders with waits of chance at least 0.3,
+#: but where bunches hide them. Below a tenth of a period either does no harm.
+_PARTS, _IN_A_PART, _NEAR_S, _KEPT, _LITTLE = 8, 16, 0.06, 0.3, 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,17 +62,24 @@ def heard_pace(stamp_s: F64) -> Pace | None:
         return None
     steps = np.diff(stamp_s)
     bunched = float(np.mean(steps < _HALF * period_s)) > _BUNCHED
-    near = max(1, round(_NEAR_S / period_s))
-    far = min(_FARTHER * near, n // 2)
-
-    def spread(lag: int) -> float:
-        late = stamp_s[lag:] - stamp_s[:-lag] - lag * period_s
-        return float(np.median(np.square(late - median(late))))
-
-    little = (_LITTLE * period_s) ** 2
-    steady = far <= near or spread(far) <= max(_SPREAD * spread(near), little)
+    steady = _strays(stamp_s - period_s * np.arange(n)) < _KEPT * max(_spread(stamp_s, period_s), _LITTLE * period_s)
     clean = float(np.percentile(np.abs(steps - period_s), 100.0 * (1.0 - _BUNCHED))) < _CLEAN * period_s
     return Pace(period_s, steady, bunched, clean)
+
+
+def _strays(late_s: F64) -> float:
+    """How far the earliest of each part are from a line, rms, s. Lateness of n stamps, shape (n,)."""
+    parts = np.array_split(late_s, min(max(len(late_s) // _IN_A_PART, 4), _PARTS))
+    earliest, k = np.array([part.min() for part in parts]), np.arange(len(parts))
+    away = earliest - np.polynomial.Polynomial.fit(k, earliest, 1)(k)
+    return float(np.sqrt(np.sum(np.square(away)) / (len(parts) - 2)))
+
+
+def _spread(stamp_s: F64, period_s: float) -> float:
+    """How far stamps `_NEAR_S` apart differ from that, median, s."""
+    lag = min(max(1, round(_NEAR_S / period_s)), len(stamp_s) // 2)
+    apart = stamp_s[lag:] - stamp_s[:-lag]
+    return median(np.abs(apart - median(apart)))
 
 
 class PacedDecoder:

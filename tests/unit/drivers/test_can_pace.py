@@ -12,7 +12,7 @@ import pytest
 
 from drivers.can.decode import batch_of
 from drivers.can.listener import BusListener
-from drivers.can.pace import PacedListener
+from drivers.can.pace import PacedListener, heard_pace
 from drivers.registry import make_driver
 from servo_daemon.samples import Quality, SampleBlock
 
@@ -83,6 +83,29 @@ def test_of_a_sender_without_a_rate_the_stamps_of_single_frames_are_kept() -> No
     blocks = heard(driver, stamp_s)
     assert times(blocks) == pytest.approx(stamp_s - stamp_s[0], abs=1e-9)
     assert driver.learnt is not None and "no steady rate" in driver.learnt
+
+
+def stalled(stamp_s: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A third of the time the listener gets no time: what comes meanwhile is stamped when it is over."""
+    out, t = stamp_s.copy(), 0.0
+    while t < stamp_s[-1]:
+        t += rng.exponential(0.15)
+        ends = t + rng.uniform(0.02, 0.13)
+        late = (out >= t) & (out < ends)
+        out[late] = ends + 5e-5 * np.arange(np.count_nonzero(late))
+        t = ends
+    return np.maximum.accumulate(out)
+
+
+def test_a_listener_that_stalls_takes_nothing_from_a_steady_rate_and_gives_none_to_others() -> None:
+    steady, others = [], []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        for sent_s, found in ((0.002 * np.arange(750), steady), (np.cumsum(rng.exponential(0.005, 300)), others)):
+            pace = heard_pace(stalled(let_go(sent_s, 0.016), rng))
+            assert pace is not None
+            found.append(pace.steady)
+    assert np.mean(steady) > 0.95 and np.mean(others) < 0.1
 
 
 def test_without_a_rate_and_in_bunches_nothing_is_read_and_the_words_say_why() -> None:
