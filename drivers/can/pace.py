@@ -29,7 +29,7 @@ _HALF, _BUNCHED = 0.5, 0.1
 #: Stamps of which all others are off by less than this share of a period need no help.
 _CLEAN = 0.02
 #: Whatever a line and its listener do to stamps makes them late: the earliest of each of so many parts keep the pace of
-#: a steady sender, to within this share of how far stamps so near (s) differ by. Of 2,400 sets of 1.5 s: at most 0.1 in
+#: a steady sender, to within this share of how far stamps so near (s) differ by. Of 4,800 sets of 1.5 s: at most 0.1 in
 #: 95 % for periods up to 5 ms, with and without a listener that stalls; of senders with waits of chance at least 0.3,
 #: but where bunches hide them. Below a tenth of a period either does no harm.
 _PARTS, _IN_A_PART, _NEAR_S, _KEPT, _LITTLE = 8, 16, 0.06, 0.3, 0.1
