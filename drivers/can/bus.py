@@ -41,21 +41,13 @@ class CanDriver(PacedListener):
     def __init__(self, name: str, options: dict[str, Any]) -> None:
         own = "dbc" not in options and "signals" not in options
         super().__init__(name, options, _OWN_OPTIONS if own else _VENDOR_OPTIONS)
-        self._decoder: OwnDecoder | VendorDecoder = self._own_decoder() if own else self._vendor_decoder()
+        self._decoder: FrameDecoder = self._own_decoder() if own else self._vendor_decoder()
         if isinstance(self._decoder, VendorDecoder):
             self._pace(self._decoder, self._decoder, frozenset({self._decoder.trigger.key}), self._positive("period_s"))
 
     @property
     def _frames(self) -> FrameDecoder:
-        return self._decoder if isinstance(self._decoder, OwnDecoder) else self._paced
-
-    @property
-    def remark(self) -> str | None:
-        return None if isinstance(self._decoder, OwnDecoder) else self._paced.remark
-
-    @property
-    def learnt(self) -> str | None:
-        return None if isinstance(self._decoder, OwnDecoder) else self._paced.learnt
+        return self._paced or self._decoder
 
     # ---- options
 

@@ -6,7 +6,7 @@ then mean is decided by a function of what was heard, and the frames go to a `Ve
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,13 +17,10 @@ from drivers.can.formula import parse_formula
 from drivers.can.listener import BusListener, FrameDecoder
 from drivers.can.map import MappedChannel, Operand
 from drivers.can.vendor import VendorDecoder
+from drivers.can.waiting import Waiting
 from servo_daemon.errors import DriverConfigError
 from servo_daemon.samples import F64, U8, SampleBlock
 
-#: Listened to so long before the first look, and between two looks, s: three times the slowest rate of interest, 2 Hz.
-LEARN_S = 1.5
-#: No more than the last so many batches are kept while nothing can be decided.
-_MOST_BATCHES = 2_000
 #: A message that comes at nine tenths of the fastest rate comes with every burst.
 _EVERY_BURST = 0.9
 #: Gaps after two messages that differ by less than this share of a period do not tell which is the last.
@@ -53,7 +50,7 @@ class Choice:
     identity: str | None = None
 
 
-def heard_in(batches: list[FrameBatch]) -> dict[int, Heard]:
+def heard_in(batches: Collection[FrameBatch]) -> dict[int, Heard]:
     """By identifier, what came at least three times."""
     keys = np.concatenate([b.keys for b in batches])
     stamp_s = np.concatenate([b.stamp_s for b in batches])
@@ -108,7 +105,7 @@ class LearningDecoder:
 
     Args:
         keys: identifiers that may be the drive's.
-        choose: what to make of what was heard; asked again every `LEARN_S` until it gives a decoder.
+        choose: what to make of what was heard; asked again every `waiting.LEARN_S` until it gives a decoder.
         counters: counted up while nothing is decided: `frames_before_decision`.
         identity: of a drive of which nothing was heard yet.
     """
@@ -119,8 +116,7 @@ class LearningDecoder:
     identity: str
     remark: str | None = None
     _decoder: VendorDecoder | None = field(default=None, init=False)
-    _batches: list[FrameBatch] = field(default_factory=list, init=False)
-    _looked_s: float | None = field(default=None, init=False)
+    _waiting: Waiting = field(default_factory=Waiting, init=False)
     _anew: bool = field(default=False, init=False)
 
     @property
@@ -137,8 +133,7 @@ class LearningDecoder:
 
     def reset(self) -> None:
         """Forget everything: the next frames may be another device's."""
-        self._decoder, self._looked_s, self.remark = None, None, None
-        self._batches.clear()
+        self._decoder, self._waiting, self.remark = None, Waiting(), None
 
     def feed(self, batch: FrameBatch) -> list[SampleBlock]:
         """Samples of these frames, none until it is decided what they mean."""
@@ -150,17 +145,12 @@ class LearningDecoder:
             return blocks
         extra = self.counters.extra
         extra["frames_before_decision"] = extra.get("frames_before_decision", 0) + len(batch)
-        self._batches = [*self._batches[-_MOST_BATCHES:], batch]
-        now = batch.host_s
-        if self._looked_s is None:
-            self._looked_s = now
-        elif now - self._looked_s >= LEARN_S:
-            self._looked_s = now
-            choice = self.choose(heard_in(self._batches))
+        if self._waiting.take(batch):
+            choice = self.choose(heard_in(self._waiting.batches))
             self._decoder, self.remark = choice.decoder, choice.remark
             self.identity = choice.identity or self.identity
             if self._decoder is not None:
-                self._batches.clear()
+                self._waiting = Waiting()
                 if self._anew:
                     self._decoder.begin_anew()
                 self._anew = False

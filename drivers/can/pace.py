@@ -7,6 +7,7 @@ stamps of single frames can be believed.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,13 +16,12 @@ from drivers.base import DriveInfo
 from drivers.can.decode import FrameBatch
 from drivers.can.listener import BusListener, FrameDecoder
 from drivers.can.vendor import VendorDecoder
+from drivers.can.waiting import Waiting
 from servo_daemon.numerics import median
 from servo_daemon.samples import F64, SampleBlock
 
-#: Listened to so long, s, and until so many messages came.
-LISTEN_S, LEAST = 1.5, 8
-#: Of a message that never comes no more than so many batches are kept.
-_MOST_BATCHES = 20_000
+#: Fewer messages have no pace.
+LEAST = 8
 #: A told period may be off by this share: what 1.5 s of stamps that come in bunches of 50 ms are known to.
 TOLD_WITHIN = 0.05
 #: Steps of less than half a period are frames that waited for each other, where they are such a share of all.
@@ -100,8 +100,7 @@ class PacedDecoder:
     def _forget(self) -> None:
         self.remark: str | None = None
         self.learnt: str | None = None
-        self._waiting: list[FrameBatch] | None = [] if self._vendor.dates_by_stamps else None
-        self._looked = 0
+        self._waiting = Waiting() if self._vendor.dates_by_stamps else None
 
     @property
     def keys(self) -> frozenset[int]:
@@ -125,14 +124,12 @@ class PacedDecoder:
                 self._forget()
                 self._vendor.begin_anew()
             return blocks
-        self._waiting = [*self._waiting[-_MOST_BATCHES:], batch]
-        first_s = self._waiting[0].host_s
-        if batch.host_s - first_s < LISTEN_S * (1 + self._looked):
+        if not self._waiting.take(batch) or not self._look(self._waiting.batches):
             return []
-        self._looked += 1
-        return self._decided() if self._look(self._waiting) else []
+        waiting, self._waiting = self._waiting.batches, None
+        return [block for batch in waiting for block in self._decoder.feed(batch)]
 
-    def _look(self, waiting: list[FrameBatch]) -> bool:
+    def _look(self, waiting: Collection[FrameBatch]) -> bool:
         """Whether it is known how far apart samples are; what to say of it."""
         keys = np.concatenate([b.keys for b in waiting])
         stamp_s = np.concatenate([b.stamp_s for b in waiting])[np.isin(keys, list(self._triggers))]
@@ -143,11 +140,6 @@ class PacedDecoder:
         if self.remark is None and self._told_s is None:
             self.learnt = take(self._vendor, pace)
         return self.remark is None
-
-    def _decided(self) -> list[SampleBlock]:
-        """Samples of all that has waited."""
-        waiting, self._waiting = self._waiting or [], None
-        return [block for batch in waiting for block in self._decoder.feed(batch)]
 
 
 def why_not(name: str, pace: Pace, told_s: float | None) -> str | None:
@@ -180,9 +172,9 @@ def _ms(period_s: float) -> str:
 
 
 class PacedListener(BusListener):
-    """A drive that is listened to with a `PacedDecoder`."""
+    """A drive that is listened to with a `PacedDecoder`, or, where it sends its times by itself, without."""
 
-    _paced: PacedDecoder
+    _paced: PacedDecoder | None = None
 
     def _pace(
         self, decoder: FrameDecoder, vendor: VendorDecoder, triggers: frozenset[int], told_s: float | None
@@ -192,12 +184,13 @@ class PacedListener(BusListener):
 
     @property
     def _frames(self) -> FrameDecoder:
+        assert self._paced is not None
         return self._paced
 
     @property
     def remark(self) -> str | None:
-        return self._paced.remark
+        return None if self._paced is None else self._paced.remark
 
     @property
     def learnt(self) -> str | None:
-        return self._paced.learnt
+        return None if self._paced is None else self._paced.learnt

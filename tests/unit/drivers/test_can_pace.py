@@ -115,6 +115,15 @@ def test_without_a_rate_and_in_bunches_nothing_is_read_and_the_words_say_why() -
     assert driver.remark is not None and "in bunches and at no steady rate" in driver.remark
 
 
+def test_a_sender_that_finds_its_rate_later_is_read_from_then_on() -> None:
+    """Ten minutes of chance, then 200 Hz: what came long ago has no say in it."""
+    driver = mit()
+    chance_s = np.cumsum(np.random.default_rng(7).exponential(0.005, 120_000))
+    sent_s = np.concatenate([chance_s, chance_s[-1] + 0.005 * np.arange(1, 24_000)])
+    blocks = heard(driver, let_go(sent_s, 0.016))
+    assert driver.info.sample_period_s == pytest.approx(0.005, rel=0.01) and len(blocks) > 0
+
+
 @pytest.mark.parametrize(("told_s", "read"), [(0.005, True), (0.01, False), (0.0055, False)])
 def test_a_period_that_is_not_the_drives_is_refused(told_s: float, read: bool) -> None:
     driver = mit(period_s=told_s)
