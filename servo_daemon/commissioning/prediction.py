@@ -31,6 +31,8 @@ _CURRENT_GAIN = 0.2
 #: named.
 _LEFT, _FAST = 0.5, 0.1
 
+#: An encoder that moves by no more, counts, stands: it may flicker between two.
+_FLICKER = 1.5
 #: A shaft that stands is looked at when the memory of its last motion is gone: after so many times `_MEMORY_S`.
 _GONE = 3.0
 
@@ -96,7 +98,7 @@ class Prediction:
         return Stop("hard_stop", STANDS, stop.time_s)
 
     def _look_at_standing(self, r: Reading) -> None:
-        if abs(r.position_rad - self._stands_at) > 1.5 * self._count:
+        if abs(r.position_rad - self._stands_at) > _FLICKER * self._count:
             self._stands_at, self._stands_since, self._turned = r.position_rad, r.time_s, 0.0
         elif r.time_s - self._stands_since > _GONE * _MEMORY_S:
             self._turned = max(self._turned, self._turning)
@@ -123,7 +125,7 @@ class Prediction:
         if abs(w) < _FAST * self._peak_w:
             return Stop("innovations", otherwise, r.time_s)
         emf_left, encoder_left = abs(by_emf - w) > _LEFT * abs(w), abs(by_encoder - w) > _LEFT * abs(w)
-        stands = abs(r.position_rad - last.position_rad) < 1.5 * self._count
+        stands = abs(r.position_rad - last.position_rad) < _FLICKER * self._count
         if encoder_left and stands and not emf_left:
             return Stop("encoder_lost", DEAD, r.time_s)
         if encoder_left and emf_left and abs(by_emf - by_encoder) < _LEFT * abs(w):

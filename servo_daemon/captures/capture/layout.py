@@ -21,7 +21,7 @@ METADATA_LINE = re.compile(r"#\s*([\w.-]+)\s*:\s*(.*)")
 
 _ROTARY_ONLY = frozenset(LINEAR_COLUMNS.values())
 _EFFORT = frozenset({"voltage_V", "current_A", "torque_Nm"})
-_MOTION = frozenset({"position_rad", "velocity_rad_s"})
+MOTION = frozenset({"position_rad", "velocity_rad_s"})
 
 NEEDED = (
     "time_s, one of position_rad, velocity_rad_s and one of voltage_V, current_A, torque_Nm "
@@ -84,9 +84,7 @@ def lacks(fields: Collection[str]) -> str:
     """What is missing in these fields of `Capture` to make a capture; empty: nothing is."""
     if "time_s" not in fields:
         return "no column time_s"
-    usable = (_EFFORT.intersection(fields) and _MOTION.intersection(fields)) or {"voltage_V", "current_A"} <= set(
-        fields
-    )
+    usable = (_EFFORT.intersection(fields) and MOTION.intersection(fields)) or {"voltage_V", "current_A"} <= set(fields)
     return "" if usable else "no usable set of columns"
 
 

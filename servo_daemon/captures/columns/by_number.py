@@ -8,6 +8,7 @@ from contextlib import suppress
 
 import numpy as np
 
+from servo_daemon.captures.capture.layout import MOTION
 from servo_daemon.captures.columns.foreign import Recording
 from servo_daemon.captures.columns.held import HeldSignal
 from servo_daemon.captures.columns.signal_map import COUNTS, MappedColumn, SignalRef
@@ -44,7 +45,7 @@ def take_by_number(
         number: what the user or the file says of "counts_per_rev" or "pole_pairs".
     """
     for what in BY_NUMBER:
-        if what not in beside or {"position_rad", "velocity_rad_s"} & found.fields:
+        if what not in beside or MOTION & found.fields:
             continue
         signal, meant = beside[what]
         values = Values(recording.read(SignalRef("value", signal.name)).values)

@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 
 from drivers.can.formula import parse_formula
-from servo_daemon.captures.capture.layout import KNOWN_COLUMNS, lacks
+from servo_daemon.captures.capture.layout import KNOWN_COLUMNS, MOTION, lacks
 from servo_daemon.captures.capture.model import LINEAR_COLUMNS, capture_error
 from servo_daemon.captures.capture.read_options import ReadOptions
 from servo_daemon.captures.columns.by_number import BY_NUMBER, ask_about_the_rest, take_by_number
@@ -31,8 +31,6 @@ from servo_daemon.captures.columns.understood import Understood, field_of
 from servo_daemon.captures.meaning.units import full_scale
 from servo_daemon.column_names import Meaning, meaning, unit_of
 from servo_daemon.samples import F64
-
-_MOTION = frozenset({"position_rad", "velocity_rad_s"})
 
 
 def understand(recording: Recording, options: ReadOptions) -> Understood:
@@ -63,7 +61,7 @@ def understand(recording: Recording, options: ReadOptions) -> Understood:
     reader.take_electrical_speed()
     take_by_number(recording, found, reader.beside, reader.number)
     match_motion(recording, found)
-    if {"voltage_V", "current_A"} & found.fields and not (_MOTION & found.fields or found.questions):
+    if {"voltage_V", "current_A"} & found.fields and not (MOTION & found.fields or found.questions):
         ask_about_the_rest(recording, found)
     if options.rate_hz is not None:
         found.columns.pop("time_s", None)
@@ -71,8 +69,8 @@ def understand(recording: Recording, options: ReadOptions) -> Understood:
     fields = found.fields | ({"time_s"} if timed else set())
     open_ones = {s: q for s, q in found.questions.items() if field_of(q.column) not in fields}
     lack = lacks(fields)
-    if not lack and not (_MOTION & fields):
-        open_ones = {s: q for s, q in open_ones.items() if field_of(q.column) in _MOTION}
+    if not lack and not (MOTION & fields):
+        open_ones = {s: q for s, q in open_ones.items() if field_of(q.column) in MOTION}
         lack = "the motion is not understood" if open_ones else ""
     if lack:
         raise not_understood(recording, lack, open_ones, timed=timed)
@@ -251,7 +249,7 @@ class _Reader:
                 if moving.wrap is None and jumps(self._values_of(moving)):
                     self._drop(moving)  # which way round it went from row to row is not known
                     pairs = told
-        if _MOTION & self._found.fields:
+        if MOTION & self._found.fields:
             return None
         if pairs is None:
             asked = f"{signal.name} is the electrical speed: --pole-pairs N makes it the shaft's"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from servo_daemon.captures.capture.layout import KNOWN_COLUMNS, lacks
+from servo_daemon.captures.capture.layout import KNOWN_COLUMNS, MOTION, lacks
 from servo_daemon.captures.columns.questions import Question
 from servo_daemon.captures.columns.signal_map import COUNTS, MappedColumn
 from servo_daemon.column_names import meaning, not_measured
@@ -49,6 +49,6 @@ def only_ours(names: Sequence[str]) -> bool:
     known = {KNOWN_COLUMNS[name] for name in names if name in KNOWN_COLUMNS}
     foreign = {name: meaning(name) for name in names if name not in KNOWN_COLUMNS}
     others = {field_of(m.column) for m in foreign.values() if m is not None}
-    moves = bool({"position_rad", "velocity_rad_s"} & known)
+    moves = bool(MOTION & known)
     unknown = not moves and any(m is None and name and not not_measured(name) for name, m in foreign.items())
     return not lacks(known) and others <= {*known, "supply"} and not unknown
