@@ -87,7 +87,7 @@ class DriveRuntime:
         self._estimation = Estimation(config, driver, state_dir, self.log, wake, runner, subscription)
         self.trends = DriveTrends()  # written by the coordinator of trends
         self._sample_time: float | None = None
-        self.others_start = False  # some wait for their turn; told by whoever turns the drives
+        self.held_up = False  # others start, or catch up; told by whoever turns the drives
         self._was_silent = False
         self._link: Link = self.reader.link
         self._load = LoadWatch()
@@ -200,9 +200,7 @@ class DriveRuntime:
         return bool(blocks)
 
     def _relieve(self) -> list[Message]:
-        return self._load.relieve(
-            self.reader.queue, time.monotonic(), time.process_time(), drives_start=self.others_start
-        )
+        return self._load.relieve(self.reader.queue, time.monotonic(), time.process_time(), held_up=self.held_up)
 
     @property
     def starts(self) -> bool:

@@ -3,7 +3,8 @@
 A drive that sends more than its filter can work off (`engine = "filterpy"` at a kilohertz, a small machine without a
 compiler) falls behind for ever. So it loses the oldest of its own samples, many at a time and seldom: a filter goes on
 from a gap every few seconds, not from one in every block. What is late because something took long once (the first
-compilation), or because other programs have the processor, is worked off without loss; that it is behind is told.
+compilation, many drives that start), or because other programs have the processor, is worked off without loss; that it
+is behind is told.
 """
 
 from __future__ import annotations
@@ -13,9 +14,12 @@ from servo_daemon.tracking.plan.settings import Message
 
 #: Samples that have waited for longer are late, s: a watcher sees the drive as it was then.
 LATE_S = 2.0
-#: A worker that has been late for so long does not catch up any more, s. A compiled filter works off what came during
-#: ten seconds of compiling in one.
+#: A worker that has been late for so long and does not catch up will not, s. A compiled filter works off what came
+#: during ten seconds of compiling in one.
 PATIENCE_S = 5.0
+#: It catches up where what waits has become so much less meanwhile: at that pace all is worked off in two minutes
+#: (chosen; not tried otherwise).
+_CATCHES_UP = 1.0 - PATIENCE_S / 120.0
 #: A process that works as fast as it can uses this much of a processor at least; one that is late and uses less waits
 #: for others.
 _OWN_SHARE = 0.8
@@ -23,6 +27,28 @@ _OWN_SHARE = 0.8
 KEPT_S = 0.25
 #: It keeps up again once none has waited longer than `CALM_WAIT_S` for `CALM_S`, s.
 CALM_WAIT_S, CALM_S = 0.5, 30.0
+
+
+class Backlog:
+    """Whether the samples of all drives that wait become fewer.
+
+    Attributes:
+        falls: they do; what is late meanwhile says nothing of later.
+    """
+
+    def __init__(self) -> None:
+        self.falls = False
+        self._looked_s, self._waited_s = 0.0, 0.0
+
+    def see(self, waited_s: float, now_s: float) -> None:
+        """
+        Args:
+            waited_s: how long the oldest sample of each drive has waited, in all.
+            now_s: host monotonic.
+        """
+        if now_s - self._looked_s >= PATIENCE_S:
+            self.falls = waited_s < _CATCHES_UP * self._waited_s
+            self._looked_s, self._waited_s = now_s, waited_s
 
 
 class LoadWatch:
@@ -36,6 +62,7 @@ class LoadWatch:
     def __init__(self) -> None:
         self.overloaded = self.behind = False
         self._late_since: float | None = None
+        self._waited_before_s = 0.0  # when it began to be late, or had last caught up a part
         self._used_before_s: float | None = None  # the process' CPU time when it began to be late
         self._calm_since: float | None = None
         self._dropped = self._dropped_before = 0  # now, and when the overload began
@@ -58,20 +85,20 @@ class LoadWatch:
         return [("behind", text, {"waited_s": round(waited_s, 3), "drives_before": before})]
 
     def relieve(
-        self, queue: BlockQueue, now_s: float, used_s: float | None = None, *, drives_start: bool = False
+        self, queue: BlockQueue, now_s: float, used_s: float | None = None, *, held_up: bool = False
     ) -> list[Message]:
         """Before each round of the worker: drop all but the last `KEPT_S` where it does not keep up.
 
         Args:
             now_s: host monotonic.
             used_s: CPU time of this process so far; None: not known, whoever is late is taken for overloaded.
-            drives_start: some do, one after the other: that this one is late now says nothing of later.
+            held_up: drives start one after the other, or catch up: that this one is late now says nothing of later.
 
         Returns:
             what is to be told.
         """
         waited_s = queue.waited_s(now_s)
-        if drives_start:
+        if held_up:
             self._late_since = None
         told = self._judge(waited_s, queue.dropped, now_s, used_s)
         if self.overloaded and waited_s > LATE_S:
@@ -87,8 +114,8 @@ class LoadWatch:
         late, lost = waited_s > LATE_S, dropped - self._dropped
         if not late:
             self._late_since = None
-        elif self._late_since is None:
-            self._late_since, self._used_before_s = now_s, used_s
+        elif self._late_since is None or self._has_caught_up_a_part(waited_s, now_s):
+            self._late_since, self._waited_before_s, self._used_before_s = now_s, waited_s, used_s
         too_late = self._late_since is not None and now_s - self._late_since >= PATIENCE_S
         told: list[Message] = []
         if too_late and self._is_starved(now_s, used_s):
@@ -111,6 +138,11 @@ class LoadWatch:
             told.append(("overload_over", text, {"samples_lost": left_out}))
         self._dropped = dropped
         return told
+
+    def _has_caught_up_a_part(self, waited_s: float, now_s: float) -> bool:
+        if self._late_since is None or now_s - self._late_since < PATIENCE_S:
+            return False
+        return waited_s < _CATCHES_UP * self._waited_before_s
 
     def _is_starved(self, now_s: float, used_s: float | None) -> bool:
         if used_s is None or self._used_before_s is None or self._late_since is None or now_s <= self._late_since:

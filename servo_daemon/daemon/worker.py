@@ -22,6 +22,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 
 from servo_daemon.daemon.lines.ports import Ports
+from servo_daemon.daemon.load import Backlog
 from servo_daemon.daemon.slot import DriveSlot, Turn
 
 #: With several drives the shared thread waits so long for the others' blocks once one has come, s: fewer turns. Not
@@ -64,6 +65,7 @@ class Workers:
         self._last: DriveSlot | None = None  # that the shared thread turned
         self._places = _places() if places is None else places
         self._waiting: deque[DriveSlot] = deque()  # those that take long and have no place; under the lock
+        self._backlog = Backlog()  # under the lock
         self._taken = 0  # places, and threads in a turn that was not known to be long; under the lock
         self._under_way: set[Turn] = set()  # of those that have a place; under the lock
 
@@ -126,9 +128,9 @@ class Workers:
                 self._stop.wait(_GATHER_S)
             self._ports.read()
             self._wake.clear()
-            others_start = self._others_start()
+            held_up = self._held_up()
             for slot in self._round():
-                slot.runtime.others_start = others_start
+                slot.runtime.held_up = held_up
                 self._ports.read()  # once more, where the round takes longer than from one reading to the next
                 if slot.takes_long:
                     self._tell_if_it_waits(slot)
@@ -162,10 +164,13 @@ class Workers:
                 self._turn = None
             return not slot.takes_long
 
-    def _others_start(self) -> bool:
-        """Whether drives wait for a turn of their start."""
+    def _held_up(self) -> bool:
+        """Whether drives wait for a turn of their start, or all together catch up."""
+        now = time.monotonic()
+        waited_s = sum(slot.runtime.reader.queue.waited_s(now) for slot in self.slots)
         with self._lock:
-            return any(slot.runtime.starts for slot in self._waiting)
+            self._backlog.see(waited_s, now)
+            return self._backlog.falls or any(slot.runtime.starts for slot in self._waiting)
 
     def _tell_if_it_waits(self, slot: DriveSlot) -> None:
         with self._lock:
@@ -235,7 +240,7 @@ class Workers:
     def _work_for(self, slot: DriveSlot) -> None:
         """Its turns while it has samples, for a while."""
         began = time.monotonic()
-        slot.runtime.others_start = self._others_start()
+        slot.runtime.held_up = self._held_up()
         while not self._stop.is_set():
             slot.wake.clear()
             turn = Turn.begun(slot)

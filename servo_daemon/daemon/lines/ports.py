@@ -18,7 +18,8 @@ from typing import Protocol
 _EVERY_S, _EVERY_OF_EACH_S = 0.04, 0.9e-3
 #: The same while nobody asks for what comes of it, s: a tick (decision 87). Who has asked asks for so long after it, s.
 UNASKED_EVERY_S, ASKED_FOR_S = 0.1, 3.0
-#: Nor does reading take more than one part in this many of the time.
+#: Nor does reading take more than one part in this many of the time: of the processor's, for where other programs or
+#: threads have it, lines that are read more seldom run over.
 _EVERY_OF_READING = 3.0
 
 
@@ -30,10 +31,16 @@ class Line(Protocol):
 
 
 class Ports:
-    """The lines that are read in turn: added and removed by any thread, read by one at a time."""
+    """The lines that are read in turn: added and removed by any thread, read by one at a time.
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock = clock
+    Args:
+        clock, cpu_clock: host monotonic, and the CPU time of the thread that reads, s.
+    """
+
+    def __init__(
+        self, clock: Callable[[], float] = time.monotonic, cpu_clock: Callable[[], float] = time.thread_time
+    ) -> None:
+        self._clock, self._cpu_clock = clock, cpu_clock
         self._lines: tuple[Line, ...] = ()  # replaced as a whole, under the lock
         self._lock = threading.Lock()
         self._due_s, self._asked_s = 0.0, -math.inf
@@ -64,10 +71,10 @@ class Ports:
         began_s = self._clock()
         if began_s < self._due_s:
             return
-        lines = self._lines
+        lines, cpu_began_s = self._lines, self._cpu_clock()
         for line in lines:
             if not line.poll():
                 self.remove(line)
-        took_s = self._clock() - began_s
+        took_s = self._cpu_clock() - cpu_began_s
         every_s = _EVERY_S if began_s - self._asked_s < ASKED_FOR_S else UNASKED_EVERY_S
         self._due_s = began_s + max(every_s, _EVERY_OF_EACH_S * len(lines), _EVERY_OF_READING * took_s)

@@ -12,7 +12,7 @@ from servo_daemon.config import DriveConfig
 from servo_daemon.daemon import load as load_module
 from servo_daemon.daemon.drive import DriveRuntime
 from servo_daemon.daemon.lines.reader import BlockQueue
-from servo_daemon.daemon.load import CALM_S, KEPT_S, LATE_S, PATIENCE_S, LoadWatch
+from servo_daemon.daemon.load import CALM_S, KEPT_S, LATE_S, PATIENCE_S, Backlog, LoadWatch
 from servo_daemon.published.metrics import render_metrics
 from servo_daemon.samples import Quality, SampleBlock, make_block
 from servo_daemon.simulate import DEFAULT_NOMINAL
@@ -66,6 +66,24 @@ def test_what_took_long_once_is_worked_off_without_loss() -> None:
     assert line.told == [] and line.queue.dropped == 0
     assert [int(b.sequence[0]) for b in line.taken] == [BLOCK * k for k in range(len(line.taken))]
     assert line.queue.waited_s(line.now_s) < LATE_S
+
+
+def test_who_catches_up_slowly_loses_nothing() -> None:
+    """Half a minute without a round, and then only a third faster than the samples come."""
+    line = Line()
+    line.run(30.0, blocks_per_s=1e-3)
+    line.run(100.0, blocks_per_s=27.0)
+    assert line.told == [] and line.queue.dropped == 0
+    assert line.queue.waited_s(line.now_s) < LATE_S
+
+
+def test_the_backlog_of_all_falls_while_they_catch_up_and_not_when_it_stands_or_grows() -> None:
+    backlog, falls = Backlog(), []
+    for k, waited_s in enumerate([0.0, 0.0, 30.0, 20.0, 10.0, 9.7, 30.0, 0.0, 0.0]):
+        backlog.see(waited_s, (k + 1) * PATIENCE_S)
+        backlog.see(1e3, (k + 1.5) * PATIENCE_S)  # between two looks: nothing is said
+        falls.append(backlog.falls)
+    assert falls == [False, False, False, True, True, False, False, True, False]
 
 
 def test_a_worker_that_is_too_slow_loses_the_oldest_seldom_and_counts_them() -> None:

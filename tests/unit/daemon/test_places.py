@@ -25,11 +25,11 @@ class Starting:
 
     def __init__(self, name: str, inside: list[str], wake: Callable[[], None]) -> None:
         self.name, self._inside, self._wake = name, inside, wake
-        self.reader = SimpleNamespace(queue=SimpleNamespace(samples=1))
+        self.reader = SimpleNamespace(queue=SimpleNamespace(samples=1, waited_s=lambda now_s: 0.0))
         self.go_on, self.begun = threading.Event(), threading.Event()
         self.waited_behind: list[int] = []
         self.offered = 0
-        self.preparing = self.others_start = False
+        self.preparing = self.held_up = False
         self.starts = True
 
     def work(self) -> bool:
@@ -138,7 +138,7 @@ def test_a_drive_that_waits_for_its_start_loses_nothing_and_says_so() -> None:
     assert line.watch.wait(line.queue, line.now_s, 6) == [] and line.watch.behind
     for k in range(200):  # one late turn after another, for longer than one that is too slow is given
         now = line.now_s + k * PATIENCE_S / 50
-        line.watch.relieve(line.queue, now, used_s=now, drives_start=True)
+        line.watch.relieve(line.queue, now, used_s=now, held_up=True)
         assert line.queue.waited_s(now) > LATE_S
         line.queue.take(1)
     assert line.queue.dropped == 0 and not line.watch.overloaded

@@ -65,6 +65,23 @@ def test_all_are_read_once_in_40_ms_and_seldomer_where_they_are_many() -> None:
     assert abs(ports.wait_s(1.0) - 0.09) < 1e-9
 
 
+@pytest.mark.parametrize(("used_s", "next_in_s"), [(0.0, 0.0), (0.4, 0.2)])
+def test_the_pause_is_three_times_what_reading_used_of_the_processor(used_s: float, next_in_s: float) -> None:
+    """A second passes while the lines are read. What others had of it makes nobody read them more seldom."""
+    now, cpu = [100.0], [7.0]
+
+    class Slow(Line):
+        def poll(self) -> bool:
+            now[0] += 1.0
+            cpu[0] += used_s
+            return True
+
+    ports = Ports(lambda: now[0], lambda: cpu[0])
+    ports.add(Slow())
+    ports.read()
+    assert ports.wait_s(5.0) == pytest.approx(next_in_s)
+
+
 def test_a_line_that_has_ended_is_not_asked_again() -> None:
     now = [0.0]
     ports, ended = Ports(lambda: now[0]), Line(goes_on=False)
