@@ -20,18 +20,18 @@ from drivers.can.waiting import Waiting
 from servo_daemon.numerics import median
 from servo_daemon.samples import F64, SampleBlock
 
-#: Fewer messages have no pace.
+#: From fewer messages no period is estimated.
 LEAST = 8
-#: A told period may be off by this share: what 1.5 s of stamps that come in bunches of 50 ms are known to.
+#: A configured period may differ by this share from the one heard: the accuracy of 1.5 s of stamps in bunches of 50 ms.
 TOLD_WITHIN = 0.05
-#: Steps of less than half a period are frames that waited for each other, where they are such a share of all.
+#: Frames come in bunches where more than this share of the steps is shorter than half a period.
 _HALF, _BUNCHED = 0.5, 0.1
-#: Stamps of which all others are off by less than this share of a period need no help.
+#: Stamps are used as they are where the steps, bunches left out, are off by less than this share of a period.
 _CLEAN = 0.02
-#: Whatever a line and its listener do to stamps makes them late: the earliest of each of so many parts keep the pace of
-#: a steady sender, to within this share of how far stamps so near (s) differ by. Of 4,800 sets of 1.5 s: at most 0.1 in
-#: 95 % for periods up to 5 ms, with and without a listener that stalls; of senders with waits of chance at least 0.3,
-#: but where bunches hide them. Below a tenth of a period either does no harm.
+#: A line and its listener only delay stamps. So the earliest stamps of `_PARTS` parts of a steady sender lie on a line,
+#: to within the share `_KEPT` of the spread of stamps `_NEAR_S` apart. Simulated, 4,800 sets of 1.5 s: at most 0.1 in
+#: 95 % for periods up to 5 ms, with and without a listener that stalls; of senders with random waits at least 0.3,
+#: unless bunches hide them. A spread below a tenth of a period (`_LITTLE`) does no harm.
 _PARTS, _IN_A_PART, _NEAR_S, _KEPT, _LITTLE = 8, 16, 0.06, 0.3, 0.1
 
 
@@ -41,9 +41,9 @@ class Pace:
 
     Attributes:
         period_s: from message to message.
-        steady: it keeps a rate.
+        steady: it sends at a constant rate.
         bunched: many frames were stamped at once.
-        clean: stamps need no help.
+        clean: stamps are used as they are.
     """
 
     period_s: float
@@ -53,8 +53,8 @@ class Pace:
 
 
 def heard_pace(stamp_s: F64) -> Pace | None:
-    """From receive times, increasing, shape (n,); None: all of one moment. Frames that had waited for
-    the listener do not move the period, losses by their share."""
+    """From receive times, increasing, shape (n,); None: all of one moment. Frames that waited for the listener
+    do not bias the period; lost ones bias it by their share."""
     n = len(stamp_s)
     reach = max(1, n // 4)
     period_s = median((stamp_s[reach:] - stamp_s[:-reach]) / reach)
@@ -68,7 +68,7 @@ def heard_pace(stamp_s: F64) -> Pace | None:
 
 
 def _strays(late_s: F64) -> float:
-    """How far the earliest of each part are from a line, rms, s. Lateness of n stamps, shape (n,)."""
+    """How far the earliest stamps of the parts are from a line, rms, s. `late_s`: delay of each stamp, shape (n,)."""
     parts = np.array_split(late_s, min(max(len(late_s) // _IN_A_PART, 4), _PARTS))
     earliest, k = np.array([part.min() for part in parts]), np.arange(len(parts))
     away = earliest - np.polynomial.Polynomial.fit(k, earliest, 1)(k)
@@ -76,14 +76,14 @@ def _strays(late_s: F64) -> float:
 
 
 def _spread(stamp_s: F64, period_s: float) -> float:
-    """How far stamps `_NEAR_S` apart differ from that, median, s."""
+    """Median deviation of the distance of stamps that are about `_NEAR_S` apart, s."""
     lag = min(max(1, round(_NEAR_S / period_s)), len(stamp_s) // 2)
     apart = stamp_s[lag:] - stamp_s[:-lag]
     return median(np.abs(apart - median(apart)))
 
 
 class PacedDecoder:
-    """A decoder of one message that makes samples, which first finds out how often that comes. No frame is lost to it.
+    """A decoder that first measures how often the message that makes a sample comes. Frames wait meanwhile.
 
     Args:
         decoder: of the frames, `vendor` inside it.
@@ -130,7 +130,7 @@ class PacedDecoder:
         return [block for batch in waiting for block in self._decoder.feed(batch)]
 
     def _look(self, waiting: Collection[FrameBatch]) -> bool:
-        """Whether it is known how far apart samples are; what to say of it."""
+        """Whether the period of the samples is known by now; sets `remark` or `learnt`."""
         keys = np.concatenate([b.keys for b in waiting])
         stamp_s = np.concatenate([b.stamp_s for b in waiting])[np.isin(keys, list(self._triggers))]
         pace = heard_pace(stamp_s) if len(stamp_s) >= LEAST else None
@@ -143,7 +143,7 @@ class PacedDecoder:
 
 
 def why_not(name: str, pace: Pace, told_s: float | None) -> str | None:
-    """In words, why samples of the message `name` have no times; None: they have."""
+    """In words, why samples of the message `name` cannot be dated; None: they can."""
     if told_s is not None and abs(pace.period_s / told_s - 1.0) > TOLD_WITHIN:
         return (
             f"message {name} comes every {_ms(pace.period_s)}, not every {_ms(told_s)}: correct the option period_s, "
@@ -158,7 +158,7 @@ def why_not(name: str, pace: Pace, told_s: float | None) -> str | None:
 
 
 def take(vendor: VendorDecoder, pace: Pace) -> str:
-    """Date samples by this pace; what is to be told of it."""
+    """Have samples dated by this pace; returns what to tell the user."""
     name, ms = vendor.trigger.name, _ms(pace.period_s)
     vendor.take_pace(pace.period_s if pace.steady else None, even=not pace.clean)
     if not pace.steady:

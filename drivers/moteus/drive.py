@@ -21,9 +21,10 @@ from drivers.base import DriveInfo
 from drivers.can.decode import EXTENDED
 from drivers.can.unwrap import DeviceTime
 from drivers.moteus import fdcanusb, query
+from drivers.moteus.answers import Answers
 from drivers.moteus.voltage import Moments, VoltageQuery, voltages
 from drivers.options import STRICT, checked
-from drivers.polling.can_link import CanLink, Frame, pack, padded, unpack
+from drivers.polling.can_link import CanLink, Frame, pack, padded
 from drivers.polling.driver import PollingDriver
 from drivers.polling.link import Link, SerialLink
 from drivers.polling.placing import Placing
@@ -82,33 +83,20 @@ class MoteusOptions(BaseModel):
         return settings | self.bus
 
 
-class Query:
-    """The query over an fdcanusb adapter (text) or a CAN bus (frames)."""
+class Query(Answers):
+    """The query and its answers."""
 
     def __init__(self, drive_id: int, *, text: bool) -> None:
+        super().__init__(drive_id, text=text)
         line, frame = may_send(drive_id)
         self._request = Request(line if text else pack(frame))
-        self._reply_id = query.reply_id(drive_id)
-        self._lines = fdcanusb.Lines() if text else None
-        self._strange = 0
-
-    def take_strange(self) -> int:
-        """Frames and lines since the last time that are no answer to the query."""
-        strange, self._strange = self._strange, 0
-        if self._lines is not None:
-            strange, self._lines.errors = strange + self._lines.errors, 0
-        return strange
 
     def next_request(self) -> Request:
         return self._request
 
     def feed(self, data: bytes) -> list[Reply[bytes]]:
         """The answers that these bytes complete."""
-        if self._lines is not None:
-            frames = self._lines.feed(data)
-        else:
-            frames = [(f.key & ~EXTENDED, f.data) for f in unpack(data)]
-        mine = [payload for frame_id, payload in frames if frame_id == self._reply_id]
+        mine = self._payloads(data)
         good = [payload for payload in mine if query.is_reply(payload)]
         self._strange += len(mine) - len(good)
         return [Reply(0, payload) for payload in good]

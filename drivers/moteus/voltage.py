@@ -13,7 +13,8 @@ import numpy as np
 
 from drivers.can.decode import EXTENDED
 from drivers.moteus import fdcanusb, query, telemetry
-from drivers.polling.can_link import Frame, pack, padded, unpack
+from drivers.moteus.answers import Answers
+from drivers.polling.can_link import Frame, pack, padded
 from drivers.polling.poller import Reply, Request
 from servo_daemon.errors import WireError
 from servo_daemon.samples import F64
@@ -39,8 +40,8 @@ def _round(drive_id: int, text: bytes | None) -> list[Frame]:
     return polls if text is None else [Frame(command, text), Frame(asking, query.QUERY), *polls]
 
 
-class VoltageQuery:
-    """Rounds over an fdcanusb adapter (text) or a CAN FD bus (frames). A value is the answer to the query, and behind
+class VoltageQuery(Answers):
+    """Rounds. A value is the answer to the query, and behind
     it the voltage, a float.
 
     Attributes:
@@ -48,21 +49,13 @@ class VoltageQuery:
     """
 
     def __init__(self, drive_id: int, *, text: bool) -> None:
-        self._drive_id, self._reply_id = drive_id, query.reply_id(drive_id)
-        self._lines = fdcanusb.Lines() if text else None
+        super().__init__(drive_id, text=text)
+        self._drive_id = drive_id
         self._place: int | None = None
         self._waits_for: str | None = None  # what the drive is to announce
         self._draining = False  # the drive may still have something to say
         self._told, self._polls, self._registers, self._quiet = b"", 0, b"", True
-        self._strange = 0
         self.unread: str | None = None
-
-    def take_strange(self) -> int:
-        """Frames and lines since the last time that are no answer."""
-        strange, self._strange = self._strange, 0
-        if self._lines is not None:
-            strange, self._lines.errors = strange + self._lines.errors, 0
-        return strange
 
     def next_request(self) -> Request | None:
         if self.unread is not None:
@@ -79,12 +72,8 @@ class VoltageQuery:
 
     def feed(self, data: bytes) -> list[Reply[bytes]]:
         """Whole rounds; an empty value where one brought no sample."""
-        if self._lines is not None:
-            frames = self._lines.feed(data)
-        else:
-            frames = [(f.key & ~EXTENDED, f.data) for f in unpack(data)]
         replies: list[Reply[bytes]] = []
-        for payload in (payload for frame_id, payload in frames if frame_id == self._reply_id):
+        for payload in self._payloads(data):
             told = telemetry.said(payload)
             if told is not None:
                 self._told += told

@@ -24,11 +24,11 @@ _ENOUGH_STEPS = 6
 #: How well `pid_pos` keeps its distance from the tachometer's angle (1: it does). An electrical angle spreads over the
 #: one step by which the tachometer is coarse: 0.95. An encoder's over half a turn or more: at most 0.64.
 _KEEPS_ITS_DISTANCE = 0.8
-#: Degrees of `pid_pos` for a step: of one pole pair (and of an electrical angle), two, …; then against it.
+#: Degrees of `pid_pos` a step: of one pole pair (also of an electrical angle), of two, …; then the same backward.
 _SLOPES = np.outer((1.0, -1.0), 360.0 / STEPS / np.arange(1, 101)).ravel()
-#: The better direction keeps its distance so much better than the other: half a turn's way tells as much.
+#: The better direction must keep its distance so much better than the other: half a turn of motion gives that.
 _APART = 0.3
-#: Pole pairs are known where one step is so much of one; told ones are contradicted once it is a quarter of that.
+#: Pole pairs are known once a step is less than this share of one; configured ones are contradicted at a quarter of it.
 _KNOWN, _SURE = 0.4, 0.1
 #: The tachometer is an int32.
 _TACHOMETER_WRAP = 2.0**32
@@ -133,7 +133,7 @@ class Shaft:
         kept = np.abs(np.exp(1j * apart).mean(axis=0))
         best = int(np.argmax(kept))
         if _SLOPES[best] != _SLOPES[0] and kept[best] - kept[np.sign(_SLOPES) != np.sign(_SLOPES[best])].max() < _APART:
-            return  # the way is too short to tell forward from backward
+            return  # the motion is too short to tell forward from backward
         electrical = kept[0] > _KEEPS_ITS_DISTANCE
         self.source = "electrical" if electrical else "encoder"
         self.inverted = not electrical and bool(_SLOPES[best] < 0.0)

@@ -156,7 +156,7 @@ def _clock_remark(ratio: float) -> str:
     how, factor = ("fast", ratio) if ratio > 1.0 else ("slowly", 1.0 / max(ratio, 1e-9))
     unit = " (are its milliseconds called microseconds? t_ms is their name)" if how == "slowly" and factor > 300 else ""
     shown = f"{factor:,.0f}" if factor >= 10.0 else f"{factor:.2g}"
-    return f"device time passes {shown} times too {how} by the clock{unit}: all that is learnt would be wrong"
+    return f"device time runs {shown} times too {how} against the clock{unit}: every estimate would be wrong"
 
 
 def _text(report: dict[str, Any]) -> str:

@@ -108,7 +108,7 @@ def _check(arguments: argparse.Namespace) -> None:
     if not lowest <= arguments.drive_id <= highest:
         raise BadInputError(f"--drive-id {arguments.drive_id} is outside {lowest} .. {highest}")
     if arguments.commands and (arguments.serial is None or arguments.wire != "binary"):
-        raise BadInputError("--commands is for --serial with the binary wire: the others only tell")
+        raise BadInputError("--commands is for --serial with the binary wire: the others carry no commands")
     if arguments.reversed is not None and arguments.serial is None and arguments.slcan is None:
         raise BadInputError("--reversed is for --serial and --slcan")
     if arguments.seconds is not None and arguments.seconds > threading.TIMEOUT_MAX:

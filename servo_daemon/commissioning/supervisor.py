@@ -27,7 +27,7 @@ _SIGMA = 8.0
 _COUNTS = 6
 #: A locked shaft takes this share of the greatest current; without any current this share of the voltage.
 _LOCKED, _OPEN = 0.6, 0.1
-#: A delay of the line that is told beside a limit, in samples.
+#: A longer delay of the line is named in the message of a limit that was passed, samples.
 _LATE_SAMPLES = 20.0
 #: A shaft that was seen to move and does not for so long, s, with so many times the current that moved it first.
 _STUCK_S, _STUCK = 0.15, 3.0

@@ -19,7 +19,7 @@ from servo_daemon.samples import CHANNELS, F64, Quality, SampleBlock, concatenat
 
 #: Variance of a voltage on the line, as a share of the mean square of its steps from sample to sample.
 LINE_VAR = 0.75
-#: What says something of the way to a sample, and nothing of the sample.
+#: Flags of the interval before a sample, not of the sample itself.
 _GAP = np.uint8(int(Quality.GAP_BEFORE))
 _BEFORE = np.uint8(int(Quality.GAP_BEFORE | Quality.TIME_RESTART))
 
@@ -35,7 +35,7 @@ def filled(
         period_s: usual distance of two samples.
 
     Returns:
-        The block, of which the new samples are no better than their neighbours, and which samples are new.
+        The block, each new sample with the quality flags of both neighbours; and which samples are new.
     """
     extended = block if before is None else concatenate([before, block])
     shift, time_s = len(extended) - len(block), extended.time_s
@@ -53,7 +53,7 @@ def filled(
         return np.asarray(np.insert(values, where, new))[shift:]
 
     quality = extended.quality.copy()
-    quality[at[missing > 0]] &= ~_GAP  # which there is none any more
+    quality[at[missing > 0]] &= ~_GAP  # the gap is filled
     of_new = (quality[where - 1] | quality[where]) & ~_BEFORE
     new = np.insert(np.zeros(len(extended), dtype=bool), where, True)[shift:]
     channels: dict[str, Any] = {n: None if (a := getattr(extended, n)) is None else line(a) for n in CHANNELS}

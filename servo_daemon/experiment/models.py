@@ -11,7 +11,7 @@ import numpy as np
 
 from servo_daemon.errors import BadInputError, ConfigError
 from servo_daemon.experiment.limits import Limits
-from servo_daemon.kalman.gaussian import to_coordinate
+from servo_daemon.kalman.gaussian import coordinates_of
 from servo_daemon.parameters import MOTOR_NAMES, Parameter
 from servo_daemon.plant.build import PlantModel, build_plant
 from servo_daemon.samples import F64
@@ -65,7 +65,7 @@ class Model:
 
     def coordinates(self, values: Mapping[str, float]) -> F64:
         """Shape (np,)."""
-        return np.array([to_coordinate(p, values[p.name]) for p in self.plant.parameters])
+        return coordinates_of(self.plant.parameters, values)
 
 
 def make_model(

@@ -13,7 +13,7 @@ from servo_daemon.plant.effects import effects_by_name, parameter_table
 
 
 def number(value: float) -> str:
-    """As exact as it is known anywhere: nine digits."""
+    """Nine significant digits: more than any estimate is known to."""
     return f"{value:.9g}"
 
 
@@ -59,7 +59,7 @@ def header(model: ExportedModel, notes: Sequence[str]) -> list[str]:
 
 
 def conventions(model: ExportedModel) -> list[str]:
-    """What voltage, current and angle of the file are to the drive's own."""
+    """How voltage, current and angle of the file relate to those that the drive reports."""
     meaning, lines = model.meaning, []
     if meaning.convention == "dq":
         v, i = meaning.factors

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,6 +46,11 @@ def from_coordinate(parameter: Parameter, coordinate: float, std: float) -> tupl
         value = math.exp(coordinate) if not coordinate > _LARGEST_EXPONENT else math.inf
         return value, value * std
     return float(coordinate), float(std)
+
+
+def coordinates_of(parameters: Iterable[Parameter], values: Mapping[str, float]) -> F64:
+    """Coordinates of values in natural units, shape (n,), in the parameters' order; the inverse of `natural_values`."""
+    return np.array([to_coordinate(p, values[p.name]) for p in parameters])
 
 
 def natural_values(parameters: Iterable[Parameter], coordinates: F64) -> dict[str, float]:

@@ -27,7 +27,7 @@ MOTION = ("t", "v", "i", "i_square", "omega", "theta", "torque", "h", "sliding",
 #: The balances and the sensors.
 BALANCES = ("torque", "voltage")
 SENSORS = ("current_A", "position_rad", "velocity_rad_s")
-#: Of what vanishes with its parameters, this share is rounding.
+#: What is left when the parameters are 0 is rounding below this share.
 _NOTHING = 1e-9
 
 
@@ -72,7 +72,7 @@ class Contribution:
 
     @property
     def is_along_motion(self) -> bool:
-        """Whether that is all: it adds something, and no second inertia, lag or delay."""
+        """Whether it only adds to balances and sensors: no second inertia, lag or delay."""
         t = self.terms
         return t.shaft is None and t.lag_s is None and t.delay is None and any(map(self.touches, self.adds))
 
@@ -81,8 +81,8 @@ class Contribution:
         return not self.adds[name].is_zero()
 
     def shows(self, drive: Drive) -> bool:
-        """Whether anything measured shows it where the input is a voltage, current or torque: a winding's own balance
-        has no say without a voltage, a torque constant none where the torque is the input."""
+        """Whether anything measured shows it where the input is a voltage, current or torque: the winding's
+        balance is not used without a voltage, nor the torque constant where the torque is the input."""
         t, moving = self.terms, SENSORS[1:]
         if drive == "voltage" or t.shaft is not None or t.delay is not None or any(map(self.touches, moving)):
             return True
@@ -144,8 +144,8 @@ class Contribution:
 
     @cached_property
     def _loop(self) -> SampleLoop:
-        """Output: all that it adds, then its derivatives by the linear parameters. The effect's states by an
-        exponential step each, as `step.py` takes them; without any one that stays 0."""
+        """Output: all that it adds, then its derivatives by the linear parameters. The effect's states go by an
+        exponential step each, as in `step.py`; an effect without states gets one that stays 0."""
         motion, states, p = self._inputs
         after = [
             state + self.signals.h * rate * flow.phi_scalar(ca.gradient(rate, state) * self.signals.h)[1]
@@ -182,6 +182,6 @@ class Contribution:
 
 @cache
 def contribution(name: str) -> Contribution:
-    """Of an effect of the library."""
+    """What an effect of the library adds, by the effect's name."""
     effect = effects_by_name()[name]
     return Contribution(effect, *probe(effect), (ca.SX.sym("sliding"), ca.SX.sym("flowing")))

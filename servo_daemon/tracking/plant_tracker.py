@@ -201,9 +201,10 @@ class PlantTracker(Tracker):
         super().close_tick(tick)
         assert self.first_s is not None
         # (In the first tick, of which nothing was known before it, gaps are told by its own period.)
-        stretch = self._stretches.of(tick, self.first_s, before_s, period_s or self.sample_period_s)
+        period_s = period_s or self.sample_period_s
+        stretch = self._stretches.of(tick, self.first_s, before_s, period_s)
         noise_var = self._noise_var()
-        self._signal_scales.take(stretch, self._filtering.layout.position_lsb, noise_var)
+        self._signal_scales.take(stretch, period_s or 0.0, self._filtering.layout.position_lsb, noise_var)
         return stretch, noise_var
 
     def _noise_var(self) -> dict[str, float]:

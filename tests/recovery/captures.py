@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.problem.setup import Recording
-from servo_daemon.identification.short_runs.fit import coordinates_of
+from servo_daemon.kalman.gaussian import coordinates_of
 from servo_daemon.samples import F64, make_block
 from tests.recovery.generator import Motor, Scenario, generate
 
@@ -28,4 +28,4 @@ class Known:
 
     def coordinates(self, recording: int = 0) -> F64:
         assert recording == 0
-        return coordinates_of(self.problem, self.values)
+        return coordinates_of(self.problem.plant.parameters, self.values)

@@ -22,11 +22,10 @@ from servo_daemon.identification.short_runs import (
     with_all_inertia,
     with_found_states,
 )
-from servo_daemon.identification.short_runs.fit import coordinates_of
 from servo_daemon.identification.short_runs.gap import NEAREST, with_other_gap
 from servo_daemon.identification.short_runs.runs import LONG, MOST_SAMPLES, SHORT, Runs
 from servo_daemon.identification.short_runs.search import search
-from servo_daemon.kalman.gaussian import to_coordinate
+from servo_daemon.kalman.gaussian import coordinates_of, to_coordinate
 from tests.recovery.captures import Known, capture
 from tests.recovery.generator import GEAR_MOTOR, LARGE_SERVO, PAPER, Motor, Scenario, generate, typical
 from tests.recovery.hidden import Case, judge
@@ -77,7 +76,7 @@ def test_a_load_is_found_where_it_is() -> None:
 def test_runs_are_of_one_length_and_spread_over_the_recording() -> None:
     made = scenario(PAPER, "multisine", 4.0)
     problem = problem_of(capture(PAPER, made))
-    q = coordinates_of(problem, truth(PAPER, made))
+    q = coordinates_of(problem.plant.parameters, truth(PAPER, made))
     runs = RunSource(problem, with_all_inertia(truth(PAPER, made))).in_swings(q, LONG, 1_000)
     assert runs is not None
     assert runs.measured.shape[0] * runs.measured.shape[1] <= 1_000
@@ -133,7 +132,7 @@ def test_a_gap_is_the_same_wherever_it_was_looked_for_from() -> None:
     made = scenario(PAPER, "multisine", 6.0)
     values, problem = truth(PAPER, made), problem_of(capture(PAPER, made))
     at = problem.plant.parameter_names.index("gap")
-    q = coordinates_of(problem, values)
+    q = coordinates_of(problem.plant.parameters, values)
     source = RunSource(problem, with_all_inertia(values))
     found = [with_other_gap(source, q + off * np.eye(len(q))[at], NEAREST)[0][at] - q[at] for off in (-0.03, 0.0, 0.03)]
     assert np.ptp(found) < 0.005
@@ -144,10 +143,11 @@ def test_what_hangs_on_the_gap_is_known_no_better_than_that_lets_it_be() -> None
     made = scenario(LARGE_SERVO, "multisine", 6.0)
     values, problem = truth(LARGE_SERVO, made), problem_of(capture(LARGE_SERVO, made))
     names = problem.plant.parameter_names
-    runs = RunSource(problem, with_all_inertia(values)).in_swings(coordinates_of(problem, values), SHORT, MOST_SAMPLES)
+    q = coordinates_of(problem.plant.parameters, values)
+    runs = RunSource(problem, with_all_inertia(values)).in_swings(q, SHORT, MOST_SAMPLES)
     assert runs is not None
     teeth = [names.index(n) for n in ("J", "k_s", "c_s", "J_l")]
-    fit = search(runs, coordinates_of(problem, values), teeth, 1)
+    fit = search(runs, q, teeth, 1)
     gap = names.index("gap")
     moved, other = fit.following(gap), fit.q.copy()
     other[gap] += 0.02

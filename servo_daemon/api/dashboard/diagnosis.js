@@ -44,7 +44,7 @@ function gained(gain) {
   const [low, high] = gain.ci95 ?? [null, null];
   const ends = [low === null ? "" : `from ${share(low)}`, high === null ? "" : `to ${share(high)}`].filter(Boolean);
   const interval = ends.length ? ` (95 %: ${ends.join(" ")})` : "";
-  const where = gain.measured_on === "choosing" ? " on the part that decided, as there is too little for another" : "";
+  const where = gain.measured_on === "choosing" ? " on the validation data, as there is too little to hold a part out" : "";
   return `; with it ${share(gain.error_removed)} of the error is gone${interval}${where}`;
 }
 

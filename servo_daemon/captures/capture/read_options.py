@@ -1,4 +1,4 @@
-"""What a user tells of captures beside the files: names and rate of a bare table, and what units hang on."""
+"""What a user tells of captures beside the files: names and rate of a bare table, and what units depend on."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ def field_of(column: str) -> str:
 
 
 def only_ours(names: Sequence[str]) -> bool:
-    """Whether the signals called as a capture's columns are make one, and nothing else of it has to be understood."""
+    """Whether the signals named like a capture's columns make one: then no other name has to be understood."""
     known = {KNOWN_COLUMNS[name] for name in names if name in KNOWN_COLUMNS}
     foreign = {name: meaning(name) for name in names if name not in KNOWN_COLUMNS}
     others = {field_of(m.column) for m in foreign.values() if m is not None}

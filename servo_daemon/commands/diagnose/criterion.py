@@ -7,18 +7,18 @@ from typing import Any
 
 #: Why, in one sentence, by `judged_by`.
 WHY = {
-    "balance": "Judged by the current (or torque) that the measured motion needs: in a free run nothing can be told of "
-    "a motor that its controller holds where it would not stay by itself.",
-    "predictions": "Judged by predictions of each sample from those before it: within a free run noise that enters the "
-    "motor adds up to more than this effect makes.",
+    "balance": "Judged by the current (or torque) that the measured motion needs: free runs say nothing of a "
+    "motor that its controller holds where it would not stay by itself.",
+    "predictions": "Judged by predictions of each sample from those before it: in a free run the process "
+    "noise adds up to more than this effect makes.",
 }
 _ERROR_OF = {
     "free_runs": "Error of short free runs",
     "balance": "Error of the effort that the motion needs",
     "predictions": "Error of the predictions of the next sample",
 }
-#: Of what times, by `measured_on`.
-_TIMES = {"unseen": "that neither fit nor choice has seen", "choosing": "that the choice has seen, but not the fit"}
+#: On which data, by `measured_on`.
+_TIMES = {"unseen": "held out from fit and choice", "choosing": "used for the choice, but not for the fit"}
 
 
 def by_balance(document: Mapping[str, Any]) -> bool:
@@ -41,7 +41,7 @@ def why(document: Mapping[str, Any]) -> list[str]:
 
 def error_heading(document: Mapping[str, Any]) -> str:
     """What the held-out errors are of."""
-    return f"{_ERROR_OF[document['judged_by']]}, of times {_TIMES[document['measured_on']]}"
+    return f"{_ERROR_OF[document['judged_by']]}, on data {_TIMES[document['measured_on']]}"
 
 
 def measured_data(document: Mapping[str, Any]) -> str:

@@ -73,7 +73,7 @@ def _supporting(document: Mapping[str, Any]) -> list[str]:
         return [_gain_line(document), *why(document), *remaining_lines(document)]
     if document["verdict"] == "unexplained":
         return [
-            "No effect of the library predicts the part of the data that decides better by a margin that counts.",
+            "No effect of the library predicts the validation data significantly better.",
             *remaining_lines(document),
         ]
     return [*_unseen(document), *([] if document["remaining"]["white"] else [_COLOURED])]
@@ -100,8 +100,8 @@ def _gain_line(document: Mapping[str, Any]) -> str:
     if gain is None or gain["error_removed"] is None:
         return f"The gain over {baseline} could not be measured: noise alone would leave as much error."
     unseen = gain["measured_on"] == "unseen"
-    where = "data that nothing has seen" if unseen else "the part that decided"
-    short = "" if unseen else " These data are too short for a part that nothing has seen: record more."
+    where = "held-out data" if unseen else "the validation data"
+    short = "" if unseen else " These data are too short to hold a part out: record more."
     return (
         f"On {where} this removes {percent(gain['error_removed'])}{_interval(gain)} of the error of "
         f"{baseline} that is not noise.{short}"
@@ -138,8 +138,8 @@ def _unnamed(document: Mapping[str, Any]) -> str:
         return _BY_ITSELF
     name, gain = best["name"].replace("_", " "), best["delta_bic"]
     return (
-        f"What is left is no noise: {name} fits it far better (ΔBIC {gain:,.0f}), but predicts free runs that were not "
-        "fitted no better. A motion that shows more of it would decide: `excite` plans one."
+        f"What is left is not noise: {name} fits it far better (ΔBIC {gain:,.0f}), but predicts free runs that were "
+        "not fitted no better. A motion that shows more of it would decide: `excite` plans one."
     )
 
 

@@ -126,7 +126,7 @@ def text(report: Mapping[str, Any]) -> str:
         "",
     ]
     lines += [f"  {b['begin_s']:6.3g} … {b['end_s']:<6.3g} s  {b['motion']}" for b in report["blocks"]]
-    lines += ["", "the motor as it is named, as it may be at worst, and the limit:"]
+    lines += ["", "the nominal motor, the worst of those it may be, and the limit:"]
     for key, limit in report["limits"].items():
         bound = "free" if limit is None else f"{limit:.4g}"
         nominal, worst = (report["peaks"][which][key] for which in ("nominal", "worst"))

@@ -107,7 +107,7 @@ def _put(out: Path | None, export: Export, force: bool) -> None:
         return
     others = {out.with_name(name): content for name, content in export.beside.items()}
     if out in others:
-        raise BadInputError(f"--out {out}: is what belongs to it called: choose another name")
+        raise BadInputError(f"--out {out}: is the name of a file that goes with it: choose another")
     common.may_overwrite(force, *others)
     for path, content in {**others, out: export.content}.items():
         with AtomicFile(path) as file:

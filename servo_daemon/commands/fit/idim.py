@@ -15,7 +15,7 @@ from servo_daemon.identification.inverse_dynamics.estimate import Estimate
 from servo_daemon.identification.inverse_dynamics.fit import InverseDynamics, identify_inverse_dynamics
 from servo_daemon.identification.output_error.problem.score import score
 from servo_daemon.identification.output_error.problem.setup import choose_signals
-from servo_daemon.kalman.gaussian import to_coordinate
+from servo_daemon.kalman.gaussian import coordinates_of
 from servo_daemon.plant.build import build_plant
 
 #: Neighbouring filtered rows of noise are not correlated by more.
@@ -103,6 +103,6 @@ def _validation(capture: Capture, rows: Mapping[str, Mapping[str, Any]], effects
     out: dict[str, Any] = {"capture": str(capture.path), "baseline": None, "extended": None, "adapted": None}
     if any(values.get(p.name) is None for p in plant.parameters):
         return out
-    q = np.array([to_coordinate(p, values[p.name]) for p in plant.parameters])
+    q = coordinates_of(plant.parameters, values)
     scores = score_row(score(capture.block(), plant, q), linear=capture.axis == "linear")
     return out | {"extended" if effects else "baseline": scores}

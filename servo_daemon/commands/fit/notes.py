@@ -42,16 +42,16 @@ def result_notes(
     """
     notes = [_unexplained(name, capture) for name in unexplained(fit)]
     notes += [
-        f"no current is measured: {name}, and the time constants, are all of the lag that was found, of which "
-        f"{' or '.join(effects)} would leave the same trace: `--fix {name}=…`, or measure the current"
+        f"no current is measured: all of the lag that was found is put down to {name}, and "
+        f"{' or '.join(effects)} would look the same: give `--fix {name}=…`, or measure the current"
         for name, effects in equivalents(fit.problem).items()
     ]
     for name, p in fit.parameters.items():
         given = nominal.get(name)
         if p.bound is not None:
             notes.append(
-                f"{name} ended at its physical bound, {p.bound:.3g}{spaced(p.unit)}: the data ask for what cannot be, "
-                "or do not tell it"
+                f"{name} ended at its physical bound, {p.bound:.3g}{spaced(p.unit)}: the data contradict the "
+                "model or do not determine it"
             )
         if p.status != "estimated" or p.value is None:
             continue
@@ -65,14 +65,14 @@ def result_notes(
     if fit.problem.plant.drive != "voltage" and meaning.current != "mean":
         what = "current" if fit.problem.plant.drive == "current" else "torque"
         notes.append(
-            f"the {what} is known at the samples and taken as smooth between them; the standard deviations hold "
-            "what that may be off by (half a sample's delay at the most)"
+            f"the {what} is taken as smooth between its samples; the standard deviations include the error of "
+            "this (at most that of half a sample's delay)"
         )
     if fit.problem.plant.drive == "current" and "R" not in nominal and meaning.may_hold_voltage:
         lost, given_by = _held_voltage(fit)
         notes.append(
             f"if the drive holds its voltage for whole samples, J is too small by up to {lost}, which no residual "
-            f"shows; its standard deviation holds that of a usual motor, `--fix {given_by}` that of this one"
+            f"shows; its standard deviation includes that of a usual motor, with `--fix {given_by}` that of this one"
         )
     return notes
 

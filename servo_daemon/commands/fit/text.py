@@ -96,7 +96,10 @@ def settled_words(adapted: Mapping[str, Any]) -> str:
     values = ", ".join(f"{name} {value:.4g}" for name, value in adapted["settled"].items())
     if values:
         return f"settled on the first part: {values}"
-    return "nothing settled: the first part is predicted as well as what was fitted, or does not tell"
+    return (
+        "nothing settled: the first part is predicted as well as the fitted data, or does not determine friction and "
+        "offsets"
+    )
 
 
 def _score(scores: Mapping[str, Any]) -> str:

@@ -97,7 +97,7 @@ def look(candidate: Candidate, seconds: float) -> Finding | str | None:
     free, reasons = list(plan.free), dict(plan.reasons)
     if "L" in free and driver.meaning is not None and driver.meaning.voltage == "instant":
         free.remove("L")
-        reasons["L"] = "its voltage is an instant's: what it did for L between two samples is not seen"
+        reasons["L"] = "its voltage is that of an instant: what it does between samples, which L needs, is not seen"
     return Finding(
         candidate.driver, info.identity, options, blocks[-1].channels, rate_hz, remark, tuple(free), reasons,
         preset.nominal, candidate.missing,

@@ -62,7 +62,7 @@ def _vesc(link: SerialLink, options: Mapping[str, Any]) -> Preset:
                 except WireError as error:
                     return Preset(remark=f"its own values of R, L and K are not read: {error}")
                 pairs = {"pole_pairs": motor.pole_pairs} if options.get("position") == "electrical" else {}
-                remark = f"nominal values are the drive's own, with {motor.pole_pairs} pole pairs: are there as many?"
+                remark = f"nominal values are the drive's own, with {motor.pole_pairs} pole pairs: check their number"
                 return Preset(motor.nominal(), pairs if motor.pole_pairs else {}, remark)
     return Preset()
 

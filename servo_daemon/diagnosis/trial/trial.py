@@ -107,7 +107,7 @@ class Trial:
     @cached_property
     def mean_coordinates(self) -> F64:
         """Offsets that every recording has for itself: their mean."""
-        return np.asarray(np.mean([self.coordinates(k) for k in range(self.problem.recordings)], axis=0))
+        return self.fitted.mean_coordinates(self.solution.point.unknowns)
 
 
 def fit_trial(
@@ -211,8 +211,7 @@ def _settled(segment: Segment, most: int) -> Segment:
 
 
 def _natural(problem: Problem, unknowns: F64) -> dict[str, float]:
-    q = np.mean([problem.coordinates(unknowns, k) for k in range(problem.recordings)], axis=0)
-    return natural_values(problem.plant.parameters, q)
+    return natural_values(problem.plant.parameters, problem.mean_coordinates(unknowns))
 
 
 def _begun_like(problem: Problem, like: Trial | None, chosen: NDArray[np.intp]) -> Problem:

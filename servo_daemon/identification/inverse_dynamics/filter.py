@@ -54,7 +54,7 @@ class FilterChoice:
 
 @dataclass(frozen=True, slots=True)
 class Filter:
-    """What is used: as `FilterChoice`, at the sampling rate `rate_Hz`; `lowpass_Hz` is that of the decimation."""
+    """What is used: as `FilterChoice`, at the sampling rate `rate_Hz`."""
 
     rate_Hz: float
     dynamics_Hz: float
@@ -62,11 +62,6 @@ class Filter:
     decimation: int
     difference_order: int
     trim_samples: tuple[int, int]
-
-    @property
-    def lowpass_Hz(self) -> float:
-        """Of the decimation; none (half the rate) where nothing is decimated."""
-        return 0.4 * self.rate_Hz / self.decimation if self.decimation > 1 else self.rate_Hz / 2
 
     @property
     def shortest(self) -> int:

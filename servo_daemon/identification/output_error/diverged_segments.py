@@ -19,10 +19,10 @@ from servo_daemon.samples import F64
 _STATE_ITERATIONS = 8
 #: A fit is over when an iteration lowers V by less than this per value: the RMS by half of it.
 ENOUGH = 1e-4
-#: A run whose sum of squares is so many times the usual one of its channel may have diverged from a wrong beginning; it
-#: is begun again from what these shares of it say, one after the other.
+#: A run whose sum of squares is so many times the median of its channel may have diverged from a wrong initial state;
+#: that is then fitted to these shares of the run's beginning, one after the other.
 _DIVERGED, _GROWING = 25.0, (0.2, 0.5)
-#: Of its signal a run always leaves more.
+#: Least error of a run, as a share of its signal's square: a median of 0 would make every run diverged.
 _NOTHING = 1e-12
 #: Samples that tell an initial state.
 _FEWEST = 12
@@ -41,7 +41,7 @@ def settled(problem: Problem) -> Solution | None:
 
 
 def error_of(residuals: F64, spread: F64) -> float:
-    """What a run leaves, over the channels' sizes."""
+    """Sum of a run's squared residuals, each over the size of its channel."""
     return float(np.sum(np.square(residuals / spread)))
 
 

@@ -6,8 +6,6 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from servo_daemon.captures import Capture
 from servo_daemon.errors import ServoDaemonError
 from servo_daemon.identification.inverse_dynamics.estimate import Estimate
@@ -19,7 +17,7 @@ from servo_daemon.identification.paper.paper import paper_product
 from servo_daemon.identification.paper.position_experiment import PositionTest, position_test
 from servo_daemon.identification.paper.process_model import fit_process_model
 from servo_daemon.identification.procedure.validate import natural_values
-from servo_daemon.kalman.gaussian import to_coordinate
+from servo_daemon.kalman.gaussian import coordinates_of
 from servo_daemon.learning.examples.drawing import TrainingSpec
 from servo_daemon.learning.model.model import LearnedModel
 from servo_daemon.parameters import LINEAR, MOTOR_NAMES
@@ -214,8 +212,7 @@ def _scored(row: MethodResult, rest: SampleBlock, effects: tuple[str, ...]) -> M
     own = effects if all(n in row.parameters for n in build_plant(effects).parameter_names) else ()
     plant = build_plant(own)
     values |= {n: row.parameters[n].value for n in plant.parameter_names if n in row.parameters}
-    q = np.array([to_coordinate(p, values[p.name]) for p in plant.parameters])
-    return replace(row, heldout=score(rest, plant, q))
+    return replace(row, heldout=score(rest, plant, coordinates_of(plant.parameters, values)))
 
 
 def _truth(capture: Capture) -> dict[str, float]:

@@ -47,7 +47,7 @@ def natural_values(fit: OutputErrorFit) -> dict[str, float]:
 
 
 def _mean_coordinates(fit: OutputErrorFit) -> F64:
-    return np.asarray(np.mean([fit.coordinates(k) for k in range(fit.problem.recordings)], axis=0))
+    return fit.problem.mean_coordinates(fit.solution.point.unknowns)
 
 
 def scored(capture: Capture, fit: OutputErrorFit) -> Score:

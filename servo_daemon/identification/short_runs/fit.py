@@ -11,7 +11,7 @@ from servo_daemon.identification.short_runs.gap import FAR, NEAR, NEAREST, with_
 from servo_daemon.identification.short_runs.informative import RunSource
 from servo_daemon.identification.short_runs.runs import FEW_SAMPLES, MOST_SAMPLES, SHORT, can_be_fitted
 from servo_daemon.identification.short_runs.search import ShortRunFit, search, within
-from servo_daemon.kalman.gaussian import to_coordinate
+from servo_daemon.kalman.gaussian import coordinates_of
 from servo_daemon.samples import F64
 
 #: Loads as shares of all inertia, on teeth that swing like this, so damped, that a search begins at, and samples that
@@ -37,7 +37,7 @@ def begun_short_runs(
     if not can_be_fitted(problem):
         return None
     columns, source = _columns(problem), RunSource(problem, {**start, **rigid})
-    q = _best_begun(source, coordinates_of(problem, start), columns)
+    q = _best_begun(source, coordinates_of(problem.plant.parameters, start), columns)
     for _ in range(_TIMES):  # how long a run is to be hangs on what is searched for
         short = source.in_swings(q, SHORT, FEW_SAMPLES)
         if short is None:
@@ -59,7 +59,7 @@ def fit_short_runs(source: RunSource, start: Mapping[str, float]) -> ShortRunFit
         runs = source.in_swings(q, SHORT, MOST_SAMPLES)
         return None if runs is None else search(runs, q, columns, rounds)
 
-    found, gap_std = of_short_runs(coordinates_of(problem, start), 1), np.inf
+    found, gap_std = of_short_runs(coordinates_of(problem.plant.parameters, start), 1), np.inf
     for scan in (NEAR, NEAREST):  # a gap a little wrong bends the teeth, and these the gap
         if found is None:
             return None
@@ -67,11 +67,6 @@ def fit_short_runs(source: RunSource, start: Mapping[str, float]) -> ShortRunFit
         q, gap_std = with_other_gap(source, found.q, scan, move)
         found = of_short_runs(q, _ROUNDS)
     return None if found is None else found.with_gap(gap, gap_std)
-
-
-def coordinates_of(problem: Problem, values: Mapping[str, float]) -> F64:
-    """Of natural values, shape (np,)."""
-    return np.array([to_coordinate(p, values[p.name]) for p in problem.plant.parameters])
 
 
 def _columns(problem: Problem) -> tuple[int, ...]:

@@ -17,7 +17,7 @@ from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.problem.rollout import TIME
 from servo_daemon.identification.short_runs.runs import RATE, TWIST, Runs, swing_s
 from servo_daemon.identification.short_runs.states import descended, first_sigma, floor
-from servo_daemon.kalman.gaussian import natural_values, to_coordinate
+from servo_daemon.kalman.gaussian import coordinates_of, natural_values
 from servo_daemon.plant.build import build_plant
 from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.samples import F64
@@ -71,7 +71,7 @@ class RunSource:
         effects = tuple(e for e in self.problem.plant.effects if not {TWIST, RATE} & {s.name for s in known[e].states})
         plant = build_plant(effects, self.problem.plant.drive)
         runs = with_load.of_motor(plant)
-        q = np.array([to_coordinate(p, self.motor[p.name]) for p in plant.parameters])
+        q = coordinates_of(plant.parameters, self.motor)
         sigma = first_sigma(runs)
         settled = descended(runs, q, runs.guessed, sigma)
         for _ in range(2):

@@ -11,10 +11,11 @@ from servo_daemon.identification.output_error import OutputErrorFit
 from servo_daemon.identification.output_error.precision.information import Information, wider
 from servo_daemon.identification.output_error.problem.setup import Recording
 from servo_daemon.identification.output_error.republished import republished, uncut, with_settled_states
-from servo_daemon.identification.short_runs.fit import coordinates_of, fit_short_runs
+from servo_daemon.identification.short_runs.fit import fit_short_runs
 from servo_daemon.identification.short_runs.gap import likelier
 from servo_daemon.identification.short_runs.informative import RunSource, with_all_inertia
 from servo_daemon.identification.short_runs.search import ShortRunFit
+from servo_daemon.kalman.gaussian import coordinates_of
 
 
 def by_short_runs(
@@ -34,7 +35,7 @@ def by_short_runs(
     if short is None or not (np.isfinite(short.q).all() and np.isfinite(short.covariance).all()):
         return None
     names, free = whole.plant.parameter_names, fit.problem.free
-    begun = coordinates_of(whole, begin)
+    begun = coordinates_of(whole.plant.parameters, begin)
     best = begun if likelier(source, begun, short.q) else short.q
     apart = np.abs(begun - short.q)
     unknowns = fit.solution.point.unknowns.copy()

@@ -16,9 +16,9 @@ from servo_daemon.samples import F64
 
 #: A model: which columns explain, and which one is explained.
 Case = tuple[Sequence[int], int]
-#: Added to the squares of columns of size 1: columns that say the same share what they explain.
+#: Ridge, added to the squares of unit columns: collinear columns then share what they explain.
 _RIDGE = 1e-10
-#: Of what happened once: beyond six robust standard deviations, found in so many rounds.
+#: Outliers: rows beyond six robust standard deviations, rejected in so many rounds.
 _REJECT, _REJECTIONS = 6.0 * STD_OF_MEDIAN, 3
 
 
@@ -65,7 +65,7 @@ class Fits:
         ]
 
     def rejected(self, own: Sequence[int], y: int) -> float:
-        """What rows leave that a fit to the others rejects, as a share of |y|: large where something happened once (a
+        """Norm of the outliers' residuals over |y|, of a fit without them: large where something happened once (a
         voltage lost, a count slipped), which a fit to all rows would spread over all of them.
 
         Rows beyond 6 robust standard deviations (1.4826 × the median magnitude) are left out, three times.
@@ -90,7 +90,7 @@ def fit(columns: Sequence[F64], y: F64) -> Fit:
 
 
 def _coefficients(A: F64, y: F64, kept: NDArray[np.bool_]) -> F64 | None:
-    """Of the columns A, shape (c, rows), on the rows that are kept; None where these are too few."""
+    """Least squares of y on the columns A, shape (c, rows), over the rows that are kept; None: too few rows."""
     if np.count_nonzero(kept) <= 2 * len(A):
         return None
     own = A * kept

@@ -20,8 +20,7 @@ PHI_ENC = Parameter(
     "phi_enc", r"\varphi_e", "rad", 0.0, -6.5, 6.5, "identity", "its phase at angle zero", "start value"
 )
 
-#: rad; an encoder's disk that runs further out of true is not read any more. Without a bound an angle that is wrong by
-#: a radian stands for any gravity.
+#: rad; no encoder reads a disc that is further off centre. Without a bound an error of a radian would imitate gravity.
 _MOST_ECCENTRIC = 0.3
 
 
@@ -52,7 +51,7 @@ EFFECT = Effect(
     regressors=NO_COLUMNS,
     phases={PHI_ENC.name: ""},
     kind="angle",
-    # A small wave in everything.
+    # At a small amplitude the phase may be anything, and neither these nor the motor's parameters can be told apart.
     hides={PHI_ENC.name: (E_ENC.name, PHI_ENC.name, *MOTOR_NAMES)},
     ladder=160,
 )

@@ -91,8 +91,6 @@ class Sums:
 class FocDrive:
     """The drive as its firmware sees it.
 
-    Args:
-
     Attributes:
         theta, omega: rad and rad/s. v_d, v_q: applied in the last cycle. i_q_filtered: what status messages carry, a
             low pass of a tenth a cycle. sums: for averages of any span.

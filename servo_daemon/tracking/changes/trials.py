@@ -1,11 +1,11 @@
 """What the samples of the last seconds say of a supposed change: generalised likelihood ratios (Willsky & Jones, *IEEE
 Trans. Autom. Control* 21, 1976).
 
-From what the filter knew at some moment it runs over the samples since, with one parameter unknown and all others as
-they were; or with none unknown: something has passed by (a wrong sample, a knock), and only where the motor is was lost
-by it. In the section in which it is supposed to have happened nothing is learned, and after it the motion is unknown:
-the moment itself lies somewhere within, and what a step some samples early does to current and speed is no word on any
-parameter (K was 1.5 standard deviations off on average after a step of the load, told so).
+The filter runs again from a saved state over the samples since, with one parameter unknown and the others as they
+were; or with none unknown: a transient (a wrong sample, a knock) after which only the motion is unknown. Within the
+section of the supposed change no parameter learns, and after it current, speed and angle are unknown: the change lies
+somewhere in the section, and a change time that is a few samples off would otherwise bias the parameters (K by 1.5
+standard deviations on average after a step of the load).
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from servo_daemon.tracking.noise.watch import WHITE_OUT, judged
 from servo_daemon.tracking.plan.parameter_masks import ParameterMasks
 from servo_daemon.tracking.samples.filtering import SETTLED_SHARE, SETTLED_STDS, Filtering, Forget
 
-#: In place of a parameter's number: none has stepped, something has passed by; all are others.
+#: In place of a parameter's number. MOMENT: a transient, no parameter has changed; ALL: every one may have changed.
 MOMENT, ALL = -1, -2
 #: 1 σ by which the parameter in question may have stepped, over its scale: a logarithm (free within 0.15 ..
 #: 0.6, tried on three steps and eight starts), a signed parameter (free within 0.5 .. 2). All parameters at once: so
 #: much of it (free within 0.2 .. 0.8).
 _STEP_STD, _SIGNED_STEP_STD, _OF_ALL = 0.3, 1.0, 0.4
-#: Moments further and further off the likeliest, sections.
+#: Other change times are tried so far from the likeliest one, sections.
 _STEPS = (4, 2, 1)
 #: Passes at most until the value has settled (free within 2 .. 8).
 _PASSES = 4
-#: Innovations over all ticks since are white below this mean of ν²/s over what it usually is; standard deviations of
-#: their correlation that chance may make (see `make calibrate`).
+#: The innovations since are as expected while their mean ν²/s is below this many times its usual value, and their
+#: correlation below so many of its standard deviations (see `make calibrate`).
 _NIS_MORE, _CHANCE = 3.0, 4.0
 
 
@@ -46,7 +46,7 @@ class Section:
 
     Attributes:
         tick: its number among those that are examined.
-        coarse: a change is looked for in it first.
+        coarse: of the coarse grid, which is searched first.
     """
 
     pieces: tuple[Forget | F64, ...]
@@ -69,7 +69,7 @@ class Trial:
         cost: −2 log p of all samples.
         coordinate, std: of the parameter, with its 1 σ.
         state: the filter's at the end.
-        explained: the innovations since are as the noise has them.
+        explained: the innovations since agree with the noise levels.
     """
 
     k: int
@@ -81,7 +81,7 @@ class Trial:
     explained: bool
 
 
-#: What runs over samples yields after each run how many steps of the filter it took, so that the rest can wait.
+#: Yields after each run of the filter how many samples it took, so that the search can pause there.
 Sliced = Generator[int, None, Trial]
 
 
@@ -100,10 +100,9 @@ class Trials:
         scales: one unit of each coordinate, shape (n,).
         state: the filter's at the begin.
         whiteness: of the innovations before, by channel.
-        slow: nothing sudden was seen: costs are Σ ν²/s with the variances s of the filter without a change. With an R
-            that is another one there should be more noise of the voltage in the current or less, but whose that noise
-            is the filter does not know for certain, and in seconds of samples that adds up to more than the slow
-            change.
+        slow: a gradual change is looked for: costs are Σ ν²/s with the variances s of the filter without a change.
+            Where s follows the parameter (another R passes more or less of the voltage's noise to the current), errors
+            of the noise levels add up over seconds to more than a gradual change contributes.
 
     Attributes:
         sections: what has been filtered.
@@ -146,7 +145,7 @@ class Trials:
         return self._ekf.parameters_of(self._unchanged[section].state)
 
     def likeliest(self, k: int, known: Trial | None) -> Sliced:
-        """Of a change of parameter k: where it was likeliest the last time, or looked for everywhere."""
+        """The likeliest change of parameter k: from the trial that is known, else over the whole coarse grid."""
         if known is not None:
             return (yield from self.settled(known))
         trials = []
@@ -156,7 +155,7 @@ class Trials:
         return (yield from self.settled(min(trials, key=lambda t: t.cost)))
 
     def settled(self, trial: Trial) -> Sliced:
-        """Begun again at the value that was found, until that is where it ends."""
+        """Run again from the value that was found until it no longer moves (iterated filter)."""
         best = trial
         for _ in range(_PASSES):
             again = yield from self.run(trial.k, trial.section, trial.coordinate)
@@ -169,7 +168,7 @@ class Trials:
         return best
 
     def at_another_time(self, trial: Trial) -> Sliced:
-        """The same change at another moment, if it is likelier then: by smaller and smaller steps."""
+        """The same change at a neighbouring time, if that is likelier: a search by smaller and smaller steps."""
         best = trial
         for step in _STEPS:
             for number in (best.section - step, best.section + step):
@@ -179,7 +178,7 @@ class Trials:
         return trial if best is trial else (yield from self.settled(best))
 
     def run(self, k: int, number: int, coordinate: float = 0.0) -> Sliced:
-        """A change in section `number` of parameter k to about this coordinate, of none, or of all."""
+        """A change in section `number`: of parameter k to about this coordinate, of none (`MOMENT`), or of `ALL`."""
         self._ekf.restore(self._unchanged[number].state)
         if k >= 0:
             self._ekf.put_coordinate(k, coordinate)
@@ -205,7 +204,7 @@ class Trials:
         return float(self.known_before(number)[0][k]) if k >= 0 else 0.0
 
     def _untaught(self, number: int) -> float:
-        """What a section costs in which no parameter learns, and after which the motion is unknown."""
+        """The cost of a section in which no parameter learns, and after which the motion is unknown."""
         constants = self._ekf.constants
         self._ekf.hold()
         cost = self._over(number)
@@ -214,7 +213,7 @@ class Trials:
         return cost
 
     def _after(self, number: int) -> tuple[float, bool]:
-        """What the sections after this one cost, and whether their innovations are as the noise has them."""
+        """The cost of the sections after this one, and whether their innovations agree with the noise levels."""
         self._ekf.take_statistics()
         begins = tick = self.sections[number].tick
         cost, explained = 0.0, True
@@ -232,13 +231,13 @@ class Trials:
         return cost, explained and bool(pooled) and all(self._as_usual(c, s) for c, s in pooled.items())
 
     def _as_usual(self, channel: str, s: ChannelStatistics) -> bool:
-        """Larger innovations that are white are noise that has grown, as that of a drive does with its current."""
+        """Innovations that are larger but white still agree: a drive's noise may grow with its current."""
         usual = self._whiteness.get(channel)
         nis = max(1.0, usual.nis if usual is not None else 1.0) * _NIS_MORE
         return s.count < 1 or (s.nis < nis and s.correlation < max(WHITE_OUT, _CHANCE / math.sqrt(s.count)))
 
     def _over(self, number: int) -> float:
-        """What a section's samples cost: −2 log p, or see `slow`."""
+        """The cost of a section's samples: −2 log p; with `slow` see there."""
         first = self._slow and number == len(self._var)
         if first:
             self._var.append([])

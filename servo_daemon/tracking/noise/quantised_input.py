@@ -18,9 +18,9 @@ and L comes out too large by δ ln L = C/s over what a sample tells of ln L; s i
 A winding that settles between samples answers to changes of the voltage, each of which is off by q²/6 (two roundings).
 Where the changes Δv are not large against q, the share s = (q²/6)/E Δv² of their power is rounding that the current
 does not follow. The response 1 − exp(−x) that is seen of a change is too small by s: δ ln L = s (exp(x) − 1)/x. As that
-grows faster than L falls, it is looked up where L is less this much.
+grows faster than L falls, it is evaluated at an L that is smaller by as much.
 
-What goes with L in the filter's covariance is off with it.
+Parameters that the filter's covariance couples to L are biased with it (`along`).
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ import numpy as np
 
 from servo_daemon.samples import F64
 
-#: The changes are averaged over so many ticks, the information over so many looks at it (about one a second; chosen;
-#: not tried).
+#: Averaging lengths: of the changes, ticks; of the information, calls of `learned` (about one a second). Chosen; not
+#: tried.
 _TICKS, _LOOKS = 50.0, 30.0
 #: The changes are those within the winding's time; they are averaged anew once it is another by this factor (chosen;
 #: not tried).
 _OTHER_LAG = 1.5
 #: Beyond this, L is not known at all (a factor of twenty, e³).
 _MOST_STD = 3.0
-#: Largest h R/L that is looked up: e⁵⁰/50 times any share of rounding is beyond `_MOST_STD`.
+#: Largest h R/L that is evaluated: e⁵⁰/50 times any share of rounding is beyond `_MOST_STD`.
 _MOST_PERIODS = 50.0
 
 
@@ -53,9 +53,9 @@ class QuantisedInput:
 
     def __init__(self) -> None:
         self.lsb_V = 0.0
-        self._change_square, self._ticks = 0.0, 0.0  # V², on average, and ticks in it
+        self._change_square, self._ticks = 0.0, 0.0  # V², mean over so many ticks
         self._lag = 1  # samples
-        self._information, self._looks = 0.0, 0.0  # that a sample gives on ln L, on average, and looks at that
+        self._information, self._looks = 0.0, 0.0  # a sample's on ln L, mean over so many calls of `learned`
 
     def take(self, voltage_V: F64, period_s: float, value: Mapping[str, float]) -> None:
         """Take a tick's samples.
@@ -74,8 +74,8 @@ class QuantisedInput:
         self._change_square += (square - self._change_square) / self._ticks
 
     def learned(self, information: float) -> None:
-        """What a sample of the last window gave on ln L. What L is off by was learned for longer than that, in moves
-        and between them."""
+        """Take the Fisher information on ln L of a sample of the last window. It is averaged, because the bias of L was
+        learned over longer than a window, in motion and at rest."""
         self._looks = min(self._looks + 1.0, _LOOKS)
         self._information += (information - self._information) / self._looks
 

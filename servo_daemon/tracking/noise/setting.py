@@ -8,7 +8,7 @@ import numpy as np
 
 from servo_daemon.kalman.ekf import Ekf
 from servo_daemon.regression.motor_rls import MotorRls
-from servo_daemon.regression.sampling import Sampling, coarse, is_slow
+from servo_daemon.regression.sampling import Sampling, coarse
 from servo_daemon.regression.stretch import Stretch
 from servo_daemon.samples import F64
 from servo_daemon.tracking.noise.quantised_input import QuantisedInput
@@ -84,9 +84,8 @@ class NoiseSetting:
         if {"R", "L"} <= self._value.keys():
             self._watch.settled = 1.0 - math.exp(-sampling.period_s * self._value["R"] / self._value["L"])
         unexplained = self._rls.window.unexplained_torque(self._value, sampling, self._torque_Nm)
-        if is_slow(sampling.period_s):
-            size = self._value.get("K", 1.0) if self._ekf.plant.drive == "current" else 1.0
-            unexplained = max(unexplained, size**2 * self._signal_scales.unseen_square * sampling.period_s)
+        size = self._value.get("K", 1.0) if self._ekf.plant.drive == "current" else 1.0
+        unexplained = max(unexplained, size**2 * self._signal_scales.unseen_square * sampling.period_s)
         self._watch.expect_torque(unexplained, self._torque_Nm)
         return np.array(self._signal_scales.scales(self._value))
 

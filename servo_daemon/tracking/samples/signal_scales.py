@@ -10,7 +10,7 @@ import numpy as np
 
 from servo_daemon.numerics import MEDIAN_TO_STD, median
 from servo_daemon.plant.build import PlantModel
-from servo_daemon.regression.sampling import WINDOW_S
+from servo_daemon.regression.sampling import WINDOW_S, is_slow
 from servo_daemon.regression.stretch import Stretch
 from servo_daemon.samples import F64
 from servo_daemon.tracking.samples.spikes import without_spikes
@@ -27,8 +27,6 @@ _REST_COUNTS, _CREEP_SAMPLES = 1.5, 20.0
 #: Fewer of a tick's changes of the input are wrong ones (two for a sample); a spike is so many times the largest of the
 #: others (decision 11).
 _WRONG_STEPS, _SPIKE = 5, 4.0
-#: A tick of more samples shows all that a torque does.
-_FEW = 32
 #: Used where neither data nor nominal values say anything yet (half and twice them are free).
 _R, _K = 1.0, 0.1
 
@@ -83,10 +81,11 @@ class SignalScales:
         self._bends: deque[tuple[float, F64]] = deque()  # when the tick ended; off the cubic through the neighbours
         self._current_square: float | None = None
 
-    def take(self, tick: Stretch, position_lsb: float, noise_var: Mapping[str, float]) -> None:
-        """Take a tick's samples.
+    def take(self, tick: Stretch, period_s: float, position_lsb: float, noise_var: Mapping[str, float]) -> None:
+        """Take the samples of a tick, or of several that are judged together.
 
         Args:
+            period_s: usual distance of two samples.
             position_lsb: the encoder's step; 0: none, or not known yet.
             noise_var: of the measured channels.
         """
@@ -99,7 +98,7 @@ class SignalScales:
             square = float(steps @ steps) / max(len(steps), 1)
             self.input_step_square = max(square, fall * self.input_step_square)
             self._usual_step = _usual(steps, self._usual_step, fall)
-            if self._plant.drive != "voltage" and 4 < len(held) < _FEW:
+            if self._plant.drive != "voltage" and is_slow(period_s) and len(held) > 4:
                 end_s = float(tick.time_s[-1])
                 self._bends.append((end_s, np.diff(held, 4) / 6.0))
                 while end_s - self._bends[0][0] > WINDOW_S:
@@ -119,9 +118,10 @@ class SignalScales:
 
     @property
     def unseen_square(self) -> float:
-        """Of an input that is not held: mean square of what its mean from one sample to the next has that no sample
-        shows. A sample is off the cubic through the two before and the two after it by twice that and more, where the
-        input bends or jumps between them. What all of them are off by is noise, which the input's own holds."""
+        """Of a slow input that is not held: mean square of what its mean from one sample to the next has that no sample
+        shows; 0 where samples are frequent enough (`is_slow`). A sample is off the cubic through the two before and the
+        two after it by twice that and more, where the input bends or jumps between them. What all of them are off by is
+        noise, which the input's own holds."""
         if not self._bends:
             return 0.0
         off = np.concatenate([bends for _, bends in self._bends])

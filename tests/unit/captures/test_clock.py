@@ -78,9 +78,9 @@ def ticking(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., Pa
     [
         (1.0, None),
         (1.2, None),
-        (1e-3, "device time passes 1,000 times too slowly by the clock (are its milliseconds called microseconds?"),
-        (1e3, "device time passes 1,000 times too fast by the clock"),
-        (2.0, "device time passes 2 times too fast by the clock: all that is learnt would be wrong"),
+        (1e-3, "device time runs 1,000 times too slowly against the clock (are its milliseconds called microseconds?"),
+        (1e3, "device time runs 1,000 times too fast against the clock"),
+        (2.0, "device time runs 2 times too fast against the clock: every estimate would be wrong"),
     ],
 )
 def test_check_compares_device_time_with_the_clock(

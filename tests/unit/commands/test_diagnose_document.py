@@ -207,9 +207,9 @@ def test_a_gain_of_the_part_that_decided_says_so(found: tuple[Diagnosis, Evidenc
     document = document_of(replace(d, measured_on="choosing"), evidence)
     assert document["gain"]["measured_on"] == "choosing"
     text = " ".join(" ".join(diagnosis_lines(document)).split())
-    assert "On the part that decided this removes" in text
-    assert "too short for a part that nothing has seen" in text
-    assert "that neither fit nor choice has seen" not in text
+    assert "On the validation data this removes" in text
+    assert "too short to hold a part out" in text
+    assert "held out from fit and choice" not in text
 
 
 def test_none_has_neither_gain_nor_extended_model(found: tuple[Diagnosis, Evidence]) -> None:

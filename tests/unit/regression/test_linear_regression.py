@@ -79,7 +79,8 @@ def test_frequencies_follow_the_noise() -> None:
         choose(FilterChoice(), 1000.0, [q + s * rng.normal(size=len(t))], [effort], 2) for s in (1e-6, 1e-4)
     )
     assert noisy.dynamics_Hz < clean.dynamics_Hz <= 50.0
-    assert clean.lowpass_Hz == pytest.approx(2 * clean.dynamics_Hz, rel=0.2)
+    lowpass_Hz = 0.4 * clean.rate_Hz / clean.decimation
+    assert lowpass_Hz == pytest.approx(2 * clean.dynamics_Hz, rel=0.2)
 
 
 def test_rests_are_long_and_still() -> None:

@@ -28,7 +28,7 @@ def scales_of(drive: Drive = "voltage", effects: tuple[str, ...] = ()) -> Signal
 
 
 def take(found: SignalScales, stretch: Stretch, position_lsb: float = 0.0, current_var: float = 0.0) -> None:
-    found.take(stretch, position_lsb, {"current_A": current_var})
+    found.take(stretch, 1e-3, position_lsb, {"current_A": current_var})
 
 
 def test_the_larger_is_remembered() -> None:
@@ -114,6 +114,17 @@ def test_one_unit_of_each_parameter() -> None:
     assert scales["i0"] == pytest.approx(4.0)
     assert scales["phi_g"] == 1.0
     assert all(scales[name] == 1.0 for name in scales.keys() - signed)
+
+
+@pytest.mark.parametrize(("period_s", "seen"), [(0.01, True), (0.002, False)])
+def test_a_slow_input_is_off_its_samples_in_one_tick_and_in_ticks_judged_together(period_s: float, seen: bool) -> None:
+    """A torque that jumps: its mean between samples is off the straight line. At 500 Hz that is no matter."""
+    n = 50  # five ticks of ten samples
+    torque = np.where(np.arange(n) // 9 % 2, 1.0, -1.0)
+    stretch = Stretch(period_s * np.arange(n), np.ones(n, dtype=bool), None, None, torque, np.zeros(n), None)
+    found = scales_of("torque")
+    found.take(stretch, period_s, 0.0, {})
+    assert (found.unseen_square > 0.01) is seen
 
 
 @pytest.mark.parametrize("drive", ["voltage", "current", "torque"])

@@ -169,6 +169,10 @@ class Problem:
         values |= dict(zip(self.local, unknowns[own : own + len(self.local)], strict=True))
         return np.array([values[n] if n in values else self.given[n] for n in self.plant.parameter_names])
 
+    def mean_coordinates(self, unknowns: F64) -> F64:
+        """The same of all recordings, shape (np,): of offsets that every one has for itself the mean."""
+        return np.asarray(np.mean([self.coordinates(unknowns, k) for k in range(self.recordings)], axis=0))
+
     def acting(self, unknowns: F64, recording: int) -> F64:
         """The plant's parameter vector that a recording is simulated with, shape (np,)."""
         q = self.coordinates(unknowns, recording)
