@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from servo_daemon.regression.estimate import KNOWS, RegressionEstimate
+from servo_daemon.regression.noise_alone import NoiseAlone
 from servo_daemon.regression.rls_fit import CLOSES, OVERLAP, SYSTEMATIC, Block, fitted
 from servo_daemon.regression.stretch import Stretch
 from servo_daemon.samples import F64
@@ -24,7 +25,7 @@ STILL = 1e-9
 
 
 class HeldShaft:
-    """Regression of R and L from the first sample until the shaft moves.
+    """Regression of R and L from the first sample until the shaft moves. An encoder that flickers is no motion.
 
     Args:
         columns: of the armature's regression.
@@ -36,13 +37,30 @@ class HeldShaft:
         self._sums: Block | None = Block(0.0, np.zeros((n + 1, n + 1)), np.zeros(n), 0.0, 0.0, 0.0)
         self._place: float | None = None
         self._begin_s: float | None = None
+        self._flicker, self._silent = NoiseAlone(), True
+
+    def watch(self, s: Stretch) -> None:
+        """A tick's samples."""
+        motion = s.position if s.position is not None else s.velocity
+        if self._sums is None or motion is None or not s.usable.any():
+            return
+        motion = motion[s.usable]
+        if self._place is None:
+            self._place = float(motion[0]) if s.position is not None else 0.0
+        self._silent = self._silent and float(np.max(np.abs(motion - self._place))) <= STILL
+        voltage = np.zeros_like(s.time_s) if s.voltage is None else s.voltage
+        self._flicker.take(motion - self._place, (voltage[s.usable], s.effort[s.usable]))
+        if self._flicker.asked and not self._silent and not self._flicker.holds(about_zero=s.position is None):
+            self._sums = None
+
+    @property
+    def stands(self) -> bool:
+        """Whether the shaft has been watched, and has not moved."""
+        return self._sums is not None and self._flicker.asked
 
     def take(self, s: Stretch, Phi: F64, y: F64) -> None:
         """A tick's rows of the armature's regression, shapes (n, k) and (n,)."""
         if self._sums is None:
-            return
-        if not self._stands(s):
-            self._sums = None
             return
         rows = np.column_stack([Phi[:, self._columns], y])
         time_s = float(s.time_s[-1])
@@ -50,19 +68,11 @@ class HeldShaft:
         before = self._sums
         self._sums = replace(before, time_s=time_s, gram=before.gram + rows.T @ rows, rows=before.rows + len(y))
 
-    def _stands(self, s: Stretch) -> bool:
-        """Whether the shaft is where it was at first."""
-        motion = s.position if s.position is not None else s.velocity
-        if motion is None or not len(motion):
-            return False
-        if self._place is None:
-            self._place = float(motion[0]) if s.position is not None else 0.0
-        return float(np.max(np.abs(motion - self._place))) <= STILL
-
     def estimate(self) -> RegressionEstimate | None:
         """R and L (of a current that is constant, or settles within a sample, known to nothing); None where the shaft
         has moved, R is not known, or they do not explain the voltage: then it is the sensor that stands."""
-        if self._sums is None or self._begin_s is None:
+        told = self._silent or self._flicker.asked
+        if self._sums is None or self._begin_s is None or self._place is None or not told:
             return None
         span_s = self._sums.time_s - self._begin_s
         fit = fitted(span_s, self._sums)

@@ -115,6 +115,7 @@ class MotorRls:
             new = replace(new, current=new.current / self._current_gain)
         if self._lag is not None and new.voltage is not None:
             new = replace(new, voltage=self._lag.mean_of(new.time_s, new.voltage))
+        self._held.watch(new)
         self._pending.append(new)
         if self._updates > _EAGER_UPDATES and self._waiting < _BATCH:
             return False
@@ -184,6 +185,11 @@ class MotorRls:
             return 0.0, 0.0
         rest = settling(R, L, period_s)[0] - 0.5
         return rest, rest * period_s * K / R
+
+    @property
+    def stands(self) -> bool:
+        """Whether the shaft has not moved since the first sample."""
+        return self._held.stands
 
     @property
     def winding(self) -> RegressionEstimate | None:

@@ -155,6 +155,10 @@ class PlantTracker(Tracker):
     def winding(self) -> RegressionEstimate | None:
         return self._rls.winding
 
+    @property
+    def stands(self) -> bool:
+        return self._rls.stands
+
     def last_known(self, name: str) -> Trusted | None:
         if self.last_s is None:
             return None

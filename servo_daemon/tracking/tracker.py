@@ -93,6 +93,11 @@ class Tracker:
         return None
 
     @property
+    def stands(self) -> bool:
+        """Whether the shaft has not moved since the first sample."""
+        return False
+
+    @property
     def ages_s(self) -> list[float | None]:
         """How long ago the motion last showed each parameter of the plant and it was known; None: it never was."""
         return []

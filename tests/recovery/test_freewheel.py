@@ -9,6 +9,11 @@ import pytest
 
 from servo_daemon.captures import Capture
 from servo_daemon.diagnosis.diagnose import DiagnoseOptions, diagnose
+from servo_daemon.diagnosis.trial.data import Data
+from servo_daemon.diagnosis.trial.model_discrepancy import longest_missing
+from servo_daemon.diagnosis.trial.noise_floor import measured_levels, noise_floor
+from servo_daemon.diagnosis.trial.split import CHOICE
+from servo_daemon.diagnosis.trial.trial import fit_trial
 from servo_daemon.diagnosis.verdict.result import Diagnosis
 from servo_daemon.identification.output_error import FitOptions, Recording, fit_output_error
 from servo_daemon.samples import make_block
@@ -68,6 +73,17 @@ def test_the_motor_comes_out(motor: Motor) -> None:
     for name in ("R", "L", "K", "J", "B"):
         p = fit.parameters[name]
         assert p.value == pytest.approx(getattr(motor, name), rel=0.01), name
+
+
+def test_noise_closes_no_bridge() -> None:
+    """A command of zero with noise on it is another one: of the motor's way without a brake nothing is left."""
+    of, effects = made(GEAR_MOTOR, opens=True), ("freewheel_drive",)
+    recording = Recording("c", make_block(of.time_s, **{name: getattr(of, name) for name in _COLUMNS}))
+    data = Data.of([recording], {}, effects, 0.5)
+    trial = fit_trial(data, effects, {n: getattr(GEAR_MOTOR, n) for n in ("R", "L", "K", "J", "B")})
+    assert trial is not None
+    levels = measured_levels(longest_missing(data, trial))
+    assert noise_floor(levels, trial, CHOICE).nrmse == pytest.approx(trial.choice.nrmse, rel=0.5)
 
 
 @pytest.mark.slow

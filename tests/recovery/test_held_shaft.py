@@ -37,6 +37,12 @@ def blocked(motor: Motor, *names: str, seconds: float = 4.0, seed: int = 0) -> S
     return make_block(made.time_s, **{name: signals[name] for name in names})
 
 
+def flickering(block: SampleBlock, *channels: str) -> SampleBlock:
+    """An encoder between two of its counts."""
+    noise = np.round(np.random.default_rng(3).normal(0.0, 0.4, len(block))) * 1e-3
+    return replace(block, **{name: getattr(block, name) + noise for name in channels})
+
+
 def fit(*blocks: SampleBlock) -> OutputErrorFit:
     return fit_output_error([Recording(f"capture {k}", block) for k, block in enumerate(blocks)])
 
@@ -61,9 +67,7 @@ def test_a_held_shaft_tells_r_and_l_as_exactly_as_no_motion_at_all(motor: Motor,
 @pytest.mark.parametrize("channel", ["position_rad", "velocity_rad_s"])
 def test_an_encoder_with_noise_is_no_motion(channel: str) -> None:
     block = blocked(GEAR_MOTOR, "voltage_V", "current_A", channel)
-    shown = getattr(block, channel)
-    noise = np.round(np.random.default_rng(3).normal(0.0, 0.4, len(block))) * 1e-3
-    found = fit(replace(block, **{channel: shown + noise}))
+    found = fit(flickering(block, channel))
     for name in ("R", "L"):
         p = found.parameters[name]
         assert p.value is not None and p.std is not None
@@ -103,9 +107,11 @@ def test_a_current_that_never_changes_is_no_sensor() -> None:
     ]
 
 
+@pytest.mark.parametrize("flickers", [False, True])
 @pytest.mark.parametrize("channel", ["position_rad", "velocity_rad_s"])
-def test_live_a_held_shaft_tells_r_and_l(channel: str) -> None:
+def test_live_a_held_shaft_tells_r_and_l(channel: str, *, flickers: bool) -> None:
     block = blocked(PAPER, "voltage_V", "current_A", channel)
+    block = flickering(block, channel) if flickers else block
     pipeline = Pipeline(DriveConfig(), DriveInfo("test"))
     last = pipeline.process(block)[-1]
     published = {p.name: p for p in last.parameters}
@@ -119,9 +125,21 @@ def test_live_a_held_shaft_tells_r_and_l(channel: str) -> None:
         assert "held" in (published[name].reason or "")
 
 
-def test_live_a_shaft_that_is_let_go_is_a_motor_like_any_other() -> None:
+def test_live_a_shaft_that_stands_is_not_waited_for_in_vain() -> None:
+    """Without a voltage nothing tells R: it is the motion that is missing, not more of the same."""
+    current_A = np.random.default_rng(4).normal(0.0, 0.01, 4000)
+    still = make_block(
+        np.arange(4000) / 1e3, voltage_V=np.zeros(4000), current_A=current_A, position_rad=np.zeros(4000)
+    )
+    last = Pipeline(DriveConfig(), DriveInfo("test")).process(flickering(still, "position_rad"))[-1]
+    assert {p.reason for p in last.parameters} == {"the shaft has not moved yet"}
+
+
+@pytest.mark.parametrize("flickers", [False, True])
+def test_live_a_shaft_that_is_let_go_is_a_motor_like_any_other(*, flickers: bool) -> None:
     names = ("voltage_V", "current_A", "position_rad")
     held = blocked(GEAR_MOTOR, *names, seconds=3.0)
+    held = flickering(held, "position_rad") if flickers else held
     made = generate(GEAR_MOTOR, Scenario("multisine", seconds=20.0, seed=2))
     time_s = np.concatenate([held.time_s, held.time_s[-1] + 1e-3 + made.time_s])
     signals = {n: np.concatenate([getattr(held, n), getattr(made, n)]) for n in names}

@@ -22,6 +22,7 @@ from servo_daemon.diagnosis.trial.trial import Trial
 from servo_daemon.identification.output_error.problem.rollout import INPUT, free_run
 from servo_daemon.identification.output_error.solver.solver import solve
 from servo_daemon.numerics import THIRD_DIFFERENCE_GAIN
+from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.samples import F64
 
 _SEED = 11
@@ -76,12 +77,14 @@ def noise_floor(levels: NoiseLevels, trial: Trial, part: int) -> Scored:
     """
     problem, rng = trial.states(part), np.random.default_rng(_SEED)
     sensor = np.sqrt([levels.channel_var[name] for name in problem.channels])
+    exact_zero = any(effects_by_name()[name].exact_zero for name in trial.effects)
     found = solve(problem, problem.start({}), robust=False, max_iterations=8, curved=False)
     unknowns = problem.start({}) if found is None else found.point.unknowns
     segments, starts = [], problem.starts(unknowns, problem.carried(unknowns))
     for segment, x0 in [*zip(problem.segments, starts, strict=True)] * _DRAWS:
         rows = segment.rows.copy()
-        rows[:, INPUT] += rng.normal(0.0, np.sqrt(levels.input_var), len(rows))
+        noise = rng.normal(0.0, np.sqrt(levels.input_var), len(rows))
+        rows[:, INPUT] += np.where(exact_zero & (rows[:, INPUT] == 0.0), 0.0, noise)
         shown, _ = free_run(problem.plant, problem.channels, problem.acting(unknowns, segment.recording), x0, rows)
         segments.append(replace(segment, measured=shown + rng.normal(size=shown.shape) * sensor, x0=x0))
     drawn = scored_states(replace(problem, segments=tuple(segments)))

@@ -153,6 +153,7 @@ class Effect:
         never_sure: by a parameter of its own, those of which a running filter cannot tell how sure it is beside it.
         late: the parameter that says by how much something is late; what is as slow leaves nearly the same trace.
         share_of: parameters that are a share ("") or, over another parameter, make one, of what the motor works with.
+        exact_zero: an input of exactly zero is a command of its own: no noise is on it.
         possible: whether there is such a thing with these values.
         true_to_name: whether with these values it is what it is called; else it is something else that they fit.
     """
@@ -179,6 +180,7 @@ class Effect:
     never_sure: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     late: str = ""
     share_of: Mapping[str, str] = field(default_factory=dict)
+    exact_zero: bool = False
     possible: Callable[[Values], bool] = lambda _: True
     true_to_name: Callable[[Values], bool] = lambda _: True
 

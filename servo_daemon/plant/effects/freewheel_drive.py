@@ -27,6 +27,7 @@ EFFECT = Effect(
     screening=lambda _: (),
     regressors=NO_COLUMNS,
     ladder=210,
+    exact_zero=True,
     told_from={
         "coulomb_friction": "command zero at speed: an open bridge lets the motor coast, a closed one brakes it with "
         "its own back-EMF."

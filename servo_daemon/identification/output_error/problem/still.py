@@ -8,17 +8,11 @@ that moves is a sensor that is not there.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-
 import numpy as np
 
 from servo_daemon.regression.held_shaft import STILL
+from servo_daemon.regression.noise_alone import NoiseAlone
 from servo_daemon.samples import F64, SampleBlock
-
-#: A correlation, in units of 1/√n, and a mean, in its standard deviations, that chance makes once in 16,000 times; and
-#: fewest samples that it is asked of.
-_BY_CHANCE, _FEWEST = 4.0, 100
 
 
 def moves(values: F64 | None) -> bool:
@@ -33,20 +27,6 @@ def has_held_shaft(block: SampleBlock) -> bool:
         return False
     if not moves(motion):
         return True
-    at_rest = motion is block.position_rad or abs(np.mean(motion)) < _BY_CHANCE * np.std(motion) / np.sqrt(len(motion))
-    return bool(at_rest) and _is_noise(motion, (block.voltage_V, block.current_A))
-
-
-def _is_noise(values: F64, causes: Sequence[F64]) -> bool:
-    """Whether values, shape (n,), are white and follow none of the others, at the same sample or the one before."""
-    d = values - np.mean(values)
-    square = float(d @ d)
-    if len(d) < _FEWEST or float(np.sum(np.square(np.diff(d)))) < square:  # of white noise it is twice as much
-        return False
-    return not any(_follows(d[late:], u[: len(u) - late]) for u in causes for late in (0, 1))
-
-
-def _follows(values: F64, cause: F64) -> bool:
-    u = cause - np.mean(cause)
-    size = float(np.sqrt((values @ values) * (u @ u)))
-    return abs(float(values @ u)) > _BY_CHANCE * size / math.sqrt(len(values))
+    noise = NoiseAlone()
+    noise.take(motion - motion[0] if motion is block.position_rad else motion, (block.voltage_V, block.current_A))
+    return noise.holds(about_zero=motion is not block.position_rad)
