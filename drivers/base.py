@@ -104,13 +104,19 @@ class Driver(ABC):
 
     @property
     def remark(self) -> str | None:
-        """In words, what it hears and cannot read; None: nothing to say."""
+        """In words, what is wrong with what it hears, or lacks, whether samples come or not; None: nothing to say."""
+        return None
+
+    @property
+    def unread(self) -> str | None:
+        """In words, what came last of what cannot be read (`framing_errors`), and what would be; None: nothing, or
+        no words."""
         return None
 
     @property
     def silence(self) -> str:
         """In words, what to look at where an open drive brings no samples."""
-        return self.remark or self._nothing_comes
+        return self.remark or self.unread or self._nothing_comes
 
     @property
     def _nothing_comes(self) -> str:

@@ -129,7 +129,7 @@ class SimpleFocDriver(SerialListener):
         )
 
     @property
-    def remark(self) -> str | None:
+    def unread(self) -> str | None:
         unread = self._decoder.lines.unread
         if not unread:
             return None

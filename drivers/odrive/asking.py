@@ -127,7 +127,7 @@ class AskedOdrive(PollingDriver[Told]):
         refused = self._dialogue.refused
         if refused is not None:
             return f"it answers {refused!r}: its text protocol is that of firmware 0.5"
-        return "no voltage on this link: R and L are not determined"
+        return None
 
     @property
     def _pace(self) -> Pace:

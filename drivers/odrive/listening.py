@@ -94,9 +94,8 @@ class ListenedOdrive(LearningListener):
         decoder = VendorDecoder(
             SignalMap(tuple(channels), trigger), self.counters, period_s=period_s, stale_s=_STALE_PERIODS * period_s
         )
-        told = "no voltage on this link: R and L are not determined"
-        if len(channels) == 2:
-            told += "; neither Iq nor torque comes with every position: set the rates of 0x14 or 0x1C to that of 0x09"
+        rates = "neither Iq nor torque comes with every position: set the rates of 0x14 or 0x1C to that of 0x09"
+        told = rates if len(channels) == 2 else None
         return Choice(decoder, told, f"odrive:{self._bus_name}:{node}")
 
     def _effort(self, heard: dict[int, Heard], node: int) -> int | None:

@@ -119,7 +119,7 @@ class SerialDriver(SerialListener):
         return self._decoder.onboard if isinstance(self._decoder, BinaryDecoder) else None
 
     @property
-    def remark(self) -> str | None:
+    def unread(self) -> str | None:
         decoder = self._decoder
         if isinstance(decoder, BinaryDecoder):
             return None

@@ -69,7 +69,7 @@ def _look(drive: DriveConfig, driver: Driver, listen_s: float) -> dict[str, Any]
     """
     problem: str | None = None
     first = last = settled = None
-    remark: str | None = None
+    said: tuple[str | None, str | None] = None, None
     silence = ""
     try:
         with driver:
@@ -77,7 +77,7 @@ def _look(drive: DriveConfig, driver: Driver, listen_s: float) -> dict[str, Any]
                 first, last = first or block, block
                 if block.host_time_s - first.host_time_s < _SETTLED_S:
                     settled = block
-            remark, silence = driver.remark, driver.silence
+            said, silence = (driver.remark, driver.unread), driver.silence
     except DriverConfigError:
         raise
     except EndOfStreamError:
@@ -106,7 +106,7 @@ def _look(drive: DriveConfig, driver: Driver, listen_s: float) -> dict[str, Any]
         "framing_errors": counters.framing_errors,
         "assumes": _assumptions(driver, drive, channels)
         + ([] if meaning == SignalMeaning() else [told(meaning, channels)]),
-        "remarks": _remarks(driver, settled, last, remark),
+        "remarks": _remarks(driver, settled, last, *said),
         "sample_rate_hz": rate_hz,
         "estimated": [] if plan is None else list(plan.free),
         "not_estimated": {} if plan is None else dict(plan.reasons),
@@ -136,9 +136,11 @@ def _assumptions(driver: Driver, drive: DriveConfig, channels: tuple[str, ...]) 
     return [f"{counts:,.10g} counts a turn: {turn}{nominal}"]
 
 
-def _remarks(driver: Driver, first: SampleBlock | None, last: SampleBlock | None, remark: str | None) -> list[str]:
+def _remarks(
+    driver: Driver, first: SampleBlock | None, last: SampleBlock | None, remark: str | None, unread: str | None
+) -> list[str]:
     """What is odd though samples come."""
-    found = []
+    found = [] if remark is None else [remark]
     if first is not None and last is not None and driver.kind not in _NO_CLOCK:
         clock_s, device_s = last.host_time_s - first.host_time_s, float(last.time_s[-1] - first.time_s[-1])
         if clock_s >= _CLOCK_S and not 1 / _CLOCK_FACTOR < device_s / clock_s < _CLOCK_FACTOR:
@@ -146,8 +148,8 @@ def _remarks(driver: Driver, first: SampleBlock | None, last: SampleBlock | None
     counters = driver.counters
     if driver.learnt is not None:
         found.append(driver.learnt)
-    if remark and counters.framing_errors > _UNREAD * max(counters.samples, 1):
-        found.append(f"{counters.framing_errors} lines could not be read: {remark}")
+    if unread is not None and counters.framing_errors > _UNREAD * max(counters.samples, 1):
+        found.append(f"{counters.framing_errors} lines could not be read: {unread}")
     return found
 
 

@@ -80,7 +80,7 @@ def look(candidate: Candidate, seconds: float) -> Finding | str | None:
             blocks += heard(driver, min(seconds, _FIRST_ANSWER_S) if candidate.asks else seconds)
             if candidate.asks and driver.counters.frames:
                 blocks += heard(driver, max(0.0, seconds - _FIRST_ANSWER_S))
-            info, remark, options = driver.info, driver.remark, candidate.options | _found_out(driver)
+            info, remark, options = driver.info, driver.remark or driver.unread, candidate.options | _found_out(driver)
         answered = candidate.asks and driver.counters.frames > 0
         preset = preset_of(candidate.driver, options) if answered else Preset()
     except DriverError as error:

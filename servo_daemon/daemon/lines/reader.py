@@ -166,8 +166,8 @@ class Reader:
 
     @property
     def link(self) -> Link:
-        """State of the line: an open one is connected from its first sample on, and silent when none come. (Where this
-        process gets no time to read, that there are none is not known.)"""
+        """State of the line: an open one is connected from its first sample on, with what its driver remarks on, and
+        silent when none come. (Where this process gets no time to read, that there are none is not known.)"""
         link, last = self._link, self.last_sample
         if link.connection != "connected":
             return link
@@ -176,7 +176,9 @@ class Reader:
         since = time.monotonic() - before
         if since > SILENT_AFTER_S and self._empty_s - before > SILENT_AFTER_S:
             return Link("silent", f"open, but no samples for {since:.1f} s; {self.driver.silence}", link.changed)
-        return link if fresh else Link("connecting", "open, waiting for the first samples", link.changed)
+        if fresh:
+            return replace(link, reason=self.driver.remark)
+        return Link("connecting", "open, waiting for the first samples", link.changed)
 
     def _run(self) -> None:
         pause = _BACKOFF_FIRST_S

@@ -29,13 +29,14 @@ class Clock:
 
 
 class Ticking(Driver):
-    """50 samples every 100 ms of the clock; the device's time passes `rate` times as fast."""
+    """50 samples every 100 ms of the clock; the device's time passes `rate` times as fast. Four fifths as many lines
+    cannot be read."""
 
     kind = "serial"
 
-    def __init__(self, clock: Clock, rate: float, remark: str | None) -> None:
+    def __init__(self, clock: Clock, rate: float, remark: str | None, unread: str | None) -> None:
         super().__init__("a", {})
-        self._clock, self._rate, self._remark, self._k = clock, rate, remark, 0
+        self._clock, self._rate, self._remark, self._unread, self._k = clock, rate, remark, unread, 0
 
     @property
     def info(self) -> DriveInfo:
@@ -44,6 +45,10 @@ class Ticking(Driver):
     @property
     def remark(self) -> str | None:
         return self._remark
+
+    @property
+    def unread(self) -> str | None:
+        return self._unread
 
     def _open(self) -> None: ...
     def _close(self) -> None: ...
@@ -60,9 +65,9 @@ class Ticking(Driver):
 def ticking(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., Path]:
     """The config of a drive whose time passes at a given rate, on a clock of its own."""
 
-    def made(rate: float, remark: str | None = None) -> Path:
+    def made(rate: float, remark: str | None = None, unread: str | None = None) -> Path:
         clock = Clock()
-        monkeypatch.setattr("drivers.registry.make_driver", lambda *_: Ticking(clock, rate, remark))
+        monkeypatch.setattr("drivers.registry.make_driver", lambda *_: Ticking(clock, rate, remark, unread))
         fake = type("time", (), {"monotonic": staticmethod(clock.monotonic), "sleep": staticmethod(time.sleep)})
         for module in ("shared.listening", "record"):
             monkeypatch.setattr(f"servo_daemon.commands.{module}.time", fake)
@@ -95,12 +100,17 @@ def test_check_compares_device_time_with_the_clock(
 
 
 def test_check_shows_what_it_assumes_and_what_it_cannot_read(ticking: Callable[..., Path]) -> None:
-    config = ticking(1.0, "a line that is not t_us,mV: 'hello'")
+    config = ticking(1.0, unread="a line that is not t_us,mV: 'hello'")
     text = run_command("check", "--config", config).out
     assert "assumes 2,400 counts a turn: turn the shaft once by hand and expect 6.28 rad" in text
     assert "lines could not be read: a line that is not t_us,mV: 'hello'" in text
     (drive,) = run_command("check", "--config", config, "--json").document["drives"]
     assert drive["assumes"] and drive["remarks"]
+
+
+def test_check_says_what_is_wrong_of_a_drive_and_blames_no_line_for_it(ticking: Callable[..., Path]) -> None:
+    (drive,) = run_command("check", "--config", ticking(1.0, "set its rates"), "--json").document["drives"]
+    assert drive["remarks"] == ["set its rates"]
 
 
 @pytest.mark.parametrize(("rate", "samples"), [(1.0, 1000), (1e-3, 1700)])
