@@ -84,6 +84,7 @@ class Filtering:
         """
         if not self._ekf.started:
             self.layout.rows(block, 0.0)
+            self._before = block
             return
         if self._kept is not None:
             self._kept.append((block, last_s, period_s))
