@@ -2,7 +2,8 @@
 (`docs/protocol.md`).
 
 There is no checksum and no sequence number: it is meant for USB links, which have checksums of their own. A line that
-cannot be read is known to be a lost sample, and with a told sample period so is every hole in time.
+cannot be read is known to be a lost sample (where lines have no time, as far as it has columns of numbers), and with a
+told sample period so is every hole in time.
 """
 
 from __future__ import annotations
@@ -89,7 +90,7 @@ class TextDecoder:
         """The line was opened anew: forget half a line, keep time, numbering and position."""
         self._carry = b""
         self._discarding = True  # up to the next line end: the first may be half a line that looks whole
-        self._spoilt = 0  # unreadable lines since the last good one
+        self._spoilt = 0.0  # how many samples the unreadable lines since the last good one were
 
     def hear(self, data: bytes) -> None:
         """What had arrived before the line was opened: its header holds, its samples are of another time."""
@@ -122,7 +123,7 @@ class TextDecoder:
 
     def _spoil(self, line: bytes) -> None:
         self.counters.framing_errors += 1
-        self._spoilt += 1
+        self._spoilt += self.format.samples_in(line)
         self.unread = line[:_QUOTED]
 
     def _learn(self, line: bytes, *, begun: bool) -> bool:
@@ -151,8 +152,8 @@ class TextDecoder:
                 match = pattern.fullmatch(text) if pattern is not None else None
             if match is not None:
                 good.append(text if whole else b",".join(match.groups()))
-                lost.append(self._spoilt)
-                self._spoilt = 0
+                lost.append(int(self._spoilt + 0.5))
+                self._spoilt = 0.0
             elif text and not text.startswith(b"#"):
                 self._spoil(text)
         holes = np.array(lost, dtype=np.int64)

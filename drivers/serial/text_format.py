@@ -13,6 +13,7 @@ from servo_daemon.column_names import Meaning, meaning
 _NUMBER = rb"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _INTEGER = rb"-?[0-9]{1,10}"
 _SEPARATOR = rb"\s*[,;\t ]\s*"
+_COLUMN = re.compile(rb"(?<![^,;\t :=])" + _NUMBER + rb"(?![^,;\t ])")
 _PAIR = re.compile(rb"\s*([A-Za-z_][\w .\[\]()/%-]*?)\s*[:=]\s*(" + _NUMBER + rb")\s*")
 
 #: What a block of samples can carry, as `column_names` calls it.
@@ -57,6 +58,14 @@ class TextFormat:
     def index(self, column: str) -> int | None:
         """Where a column is; None: it is not sent."""
         return next((i for i, m in enumerate(self.meanings) if m is not None and m.column == column), None)
+
+    def samples_in(self, line: bytes) -> float:
+        """How many samples a line was that cannot be read. Where only their number dates them, as many as it has
+        columns for: a message between two samples was none, one in the middle of a sample does not make it two."""
+        if self.time is not None:
+            return 1.0
+        found = _COLUMN.findall(line)
+        return len(found) / len(self.names) if re.search(_SEPARATOR, line.strip()) else 0.0
 
     @property
     def channels(self) -> tuple[str, ...]:

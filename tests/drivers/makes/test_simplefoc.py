@@ -78,7 +78,7 @@ def test_what_the_sketch_says_beside_the_monitor_is_told_and_not_taken(tmp_path:
     assert isinstance(driver, SimpleFocDriver)
     assert driver._decoder.feed(b"\nMOT: Align sensor.\r\n1.0\t2.0\r\n", 1.0) is None
     assert driver.counters.framing_errors == 2
-    assert driver.remark is not None and "monitor" in driver.remark
+    assert driver.remark is None and "monitor" in str(driver.unread)
 
 
 def test_values_and_times_of_a_live_monitor(tmp_path: Path) -> None:
@@ -106,3 +106,27 @@ def test_options_know_the_order_of_the_columns() -> None:
     assert SimpleFocOptions(port="p", monitor="1111111").format.names == (
         "target", "Uq_V", "Ud_V", "Iq_mA", "Id_mA", "vel_rad/s", "angle_rad",
     )  # fmt: skip
+
+
+def _printed(k: int) -> bytes:
+    return b"0.0\t%.4f\t500.0\t3.0\t%.4f\r\n" % (0.1 * k, 0.03 * k)
+
+
+@pytest.mark.parametrize(
+    ("beside", "samples"),
+    [
+        (b"23.5\r\n", 0),  # another variable
+        (b"MOT: zero elec. angle: 3.14\r\n", 0),
+        (b"0.0\t1.5\t50x.0\t3.0\t0.2\r\n", 1),
+        (b"0.0\t1.5\t5T=23\r\n00.0\t3.0\t0.2\r\n", 1),  # a message in the middle of a sample
+        (b"0.0\t1.5\t500.0\t3.0\t0.20.0\t1.6\t500.0\t3.0\t0.23\r\n", 2),  # a line's end is lost
+    ],
+)
+def test_only_what_was_a_sample_passes_time(beside: bytes, samples: int) -> None:
+    """A sample is dated by its number: a message that counted as one would make every speed too small."""
+    decoder = _decoder(period_s=0.01)
+    decoder.feed(b"\n" + b"".join(map(_printed, range(10))), 0.1)
+    after = decoder.feed(beside + _printed(10), 0.1 + 0.01 * (1 + samples))
+    assert after is not None and after.sequence[-1] == 10 + samples
+    assert after.time_s[-1] == pytest.approx(0.01 * (10 + samples), abs=1e-3)
+    assert decoder.lines.counters.samples_lost == samples and decoder.lines.counters.framing_errors > 0
