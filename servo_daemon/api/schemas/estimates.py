@@ -109,9 +109,10 @@ class EstimatesDocument(Closed):
     )
     health: dict[str, Scalar] = Field(
         description="How well it goes: `connection` and its reason (of a connected drive: what is wrong with what it "
-        "sends), `innovation_white`, `samples_lost` and the other counters of the line; `overloaded`: samples come faster than they are worked off, and the oldest are left out "
-        "(in `queue_dropped`, and so in `samples_lost`); `behind_s`: so late they are worked off because other "
-        "programs have the processor or other drives start first, and none is left out; units in the names."
+        "sends), `innovation_white`, `samples_lost` and the other counters of the line; `overloaded`: samples come "
+        "faster than they are worked off, and the oldest are left out (in `queue_dropped`, and so in `samples_lost`); "
+        "`behind_s`: so late they are worked off because other programs have the processor or other drives start "
+        "first, and none is left out; units in the names."
     )
     equivalents: dict[str, dict[str, EstimatorParameterDocument]] | None = Field(
         None,
