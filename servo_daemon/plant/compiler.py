@@ -27,8 +27,9 @@ log = logging.getLogger(__name__)
 #: compile, a half to a quarter as long to run.
 _LONG_SOURCE = 400_000
 #: For these and for longer ones (substeps, sensitivities): they compile twice to four times as fast this way, and run
-#: as fast. (The filter's step, which runs for days, takes a quarter longer.)
-_QUICK_FLAGS = ("-O1",)
+#: as fast. (The filter's step, which runs for days, takes a quarter longer.) With the second one gcc clears the upper
+#: halves of vector registers before a call of the library, without which it crawls: up to four times as long to run.
+_QUICK_FLAGS = ("-O1", "-fexpensive-optimizations")
 #: Without `-fno-semantic-interposition` each square and each absolute value is a call through a table: 7 % slower.
 _FLAGS = ("-O2", "-fno-semantic-interposition", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-shared", "-w")
 #: Less than this share of a step's operations is computed again as fast as it is looked up (measured: a cogging
