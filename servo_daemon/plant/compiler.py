@@ -26,8 +26,8 @@ log = logging.getLogger(__name__)
 #: Of steps that are no longer than this four run at once, too, where they are wanted: a third to all as long again to
 #: compile, a half to a quarter as long to run.
 _LONG_SOURCE = 400_000
-#: For these and for longer ones (substeps, sensitivities): they compile twice to four times as fast this way, and run
-#: as fast. (The filter's step, which runs for days, takes a quarter longer.) With the second one gcc clears the upper
+#: For these and for longer ones (substeps, sensitivities): they compile in two thirds of the time this way, and run as
+#: fast. (The filter's step, which runs for days, takes a quarter longer.) With the second one gcc clears the upper
 #: halves of vector registers before a call of the library, without which it crawls: up to four times as long to run.
 _QUICK_FLAGS = ("-O1", "-fexpensive-optimizations")
 #: Without `-fno-semantic-interposition` each square and each absolute value is a call through a table: 7 % slower.
