@@ -19,13 +19,17 @@ import casadi as ca
 
 from servo_daemon.plant.c_code.branches import with_branches
 from servo_daemon.plant.c_code.lanes import in_lanes
-from servo_daemon.plant.c_code.loop import LOOP, ONCE, with_memory
+from servo_daemon.plant.c_code.loop import LOOP, ONCE, with_memory, without_questions
 
 log = logging.getLogger(__name__)
 
-#: Long steps (substeps, sensitivities) compile four times as fast this way and run as fast. Of shorter ones four run at
-#: once, too, where they are wanted: a third to all as long again to compile, a half to a quarter as long to run.
-_LONG_SOURCE, _LONG_FLAGS = 400_000, ("-O1",)
+#: Of steps that are no longer than this four run at once, too, where they are wanted: a third to all as long again to
+#: compile, a half to a quarter as long to run.
+_LONG_SOURCE = 400_000
+#: For these and for longer ones (substeps, sensitivities): they compile in two thirds of the time this way, and run as
+#: fast. (The filter's step, which runs for days, takes a quarter longer.) With the second one gcc clears the upper
+#: halves of vector registers before a call of the library, without which it crawls: up to four times as long to run.
+_QUICK_FLAGS = ("-O1", "-fexpensive-optimizations")
 #: Without `-fno-semantic-interposition` each square and each absolute value is a call through a table: 7 % slower.
 _FLAGS = ("-O2", "-fno-semantic-interposition", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-shared", "-w")
 #: Less than this share of a step's operations is computed again as fast as it is looked up (measured: a cogging
@@ -108,7 +112,7 @@ def _generate(function: ca.Function, paced_by: int | None, side_by_side: bool) -
     defines = "\n".join(f"#define SD_{name} {value}" for name, value in sizes.items())
     # glibc exports a function `step` of its own (regexp.h of old), which would be called instead of ours.
     rename = "#define step servo_daemon_step\n#define prepare servo_daemon_prepare"
-    source, lanes = generator.dump(), ""
+    source, lanes = without_questions(generator.dump()), ""
     if len(source) < _SHORT_SOURCE:
         source = with_memory(source)
     if len(source) < _LONG_SOURCE:
@@ -146,7 +150,8 @@ def compile_step(function: ca.Function, compiler: str, paced_by: int | None, sid
         OSError, subprocess.SubprocessError: no library could be made or loaded.
     """
     source = _generate(function, paced_by, side_by_side)
-    flags = (*_FLAGS, *_processor_flags(compiler), *(_LONG_FLAGS if len(source) > _LONG_SOURCE else ()))
+    quick = side_by_side or len(source) > _LONG_SOURCE
+    flags = (*_FLAGS, *_processor_flags(compiler), *(_QUICK_FLAGS if quick else ()))
     key = "\n".join((source, compiler, _compiler_version(compiler), " ".join(flags), platform.machine()))
     path = cache_directory() / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
     with _build_locks[path]:

@@ -17,8 +17,8 @@ _RULES = tuple(
     (re.compile(f"^{pattern}$"), replacement)
     for pattern, replacement in (
         (rf"casadi_real ({_NAME}(?:, {_NAME})*);", r"sd_v \1;"),
-        (rf"({_NAME})=arg\[([0-3])\]\? arg\[\2\]\[(\d+)\] : 0;", r"\1=sd_given\2[\3];"),
-        (r"if \(res\[([01])\]!=0\) res\[\1\]\[(\d+)\]=(a\d+);", r"sd_made\1[\2]=\3;"),
+        (rf"({_NAME})=arg\[([0-3])\]\[(\d+)\];", r"\1=sd_given\2[\3];"),
+        (rf"res\[([01])\]\[(\d+)\]=({_NAME});", r"sd_made\1[\2]=\3;"),
         (rf"({_NAME})=({_NUMBER});", r"\1=sd_all(\2);"),
         (rf"({_NAME})=({_NAME});", r"\1=\2;"),
         (rf"({_NAME})=\(-({_NAME})\);", r"\1=-\2;"),
@@ -127,7 +127,7 @@ def in_lanes(source: str) -> str:
     """C code of the step for `LANES` runs at once (`sd_step_lanes`); empty: it has a statement that is not known here.
 
     Args:
-        source: generated code with a function `step`, its calls written as `SD_ONCE`.
+        source: generated code `without_questions`, with a function `step`, its calls written as `SD_ONCE`.
     """
     lines = body_of(source)
     if lines is None:

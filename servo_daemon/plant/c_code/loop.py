@@ -169,6 +169,21 @@ int servo_daemon_loop(long long n, double* state, const double* constants, const
 """
 
 
+#: Generated code asks of each argument and each result whether it is there. Of ours every one is, and each question
+#: ends a stretch of code that a compiler can look at as a whole: without them it takes a fifth less.
+_QUESTIONS = (
+    (re.compile(r"\barg\[(\d)\]\? (arg\[\1\]\[\d+\]) : 0;"), r"\2;"),
+    (re.compile(r"\bif \(res\[(\d)\]!=0\) (res\[\1\]\[)"), r"\2"),
+)
+
+
+def without_questions(source: str) -> str:
+    """Generated code that takes every argument and result to be there."""
+    for asked, taken in _QUESTIONS:
+        source = asked.sub(taken, source)
+    return source
+
+
 def with_memory(source: str) -> str:
     """Generated code whose calls of the library are not made again for the same argument."""
     return _CALL.sub(_once, source)

@@ -95,8 +95,8 @@ def test_what_no_motion_tells_apart_is_said(config: Path, tmp_path: Path) -> Non
 def test_a_candidate_takes_the_place_of_another_dry_friction(tmp_path: Path) -> None:
     config = _written(tmp_path, "voltage_V = 24.0", '"coulomb_friction", "constant_load_torque"')
     words = ("excite", "--config", config, "--out", tmp_path / "p.csv", *_SHORT, "--json", "--between")
-    document = run_command(*words, "stribeck_friction", "none").document
-    assert document["separation"][0]["truth"] == ["constant_load_torque", "stribeck_friction"]
+    document = run_command(*words, "asymmetric_friction", "none").document
+    assert document["separation"][0]["truth"] == ["constant_load_torque", "asymmetric_friction"]
     assert document["separation"][0]["fitted"] == ["coulomb_friction", "constant_load_torque"]
 
 

@@ -21,6 +21,7 @@ from servo_daemon.identification.output_error.solver.solver import solve, within
 from servo_daemon.plant.build import build_plant
 from servo_daemon.plant.linear import linear_step
 from servo_daemon.samples import F64, SampleBlock, make_block
+from tests.few_samples import run_uncompiled
 
 MOTOR = {"R": 1.2, "L": 2e-3, "K": 0.08, "J": 2e-4, "B": 1e-3}
 RATE_HZ = 1000.0
@@ -129,9 +130,10 @@ def test_derivatives_are_computed_only_where_a_search_goes_on_from(monkeypatch: 
     assert solution.iterations[-1].evaluations > 1.5 * len(calls)
 
 
-def test_differences_are_the_derivatives_of_every_recording_and_length() -> None:
+def test_differences_are_the_derivatives_of_every_recording_and_length(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two recordings with offsets of their own, in segments of two lengths, with a warm winding that goes on through
     them: one column for each unknown, of each segment its own."""
+    run_uncompiled(monkeypatch)
     recordings = [
         Recording("a", block_of(linear_recording(1.0), *FULL)),
         Recording("b", block_of(linear_recording(0.7), *FULL)),

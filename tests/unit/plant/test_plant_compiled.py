@@ -169,6 +169,12 @@ def test_many_wrong_arrays_are_refused(change: Callable[..., tuple[F64, F64, F64
         SampleLoop(step_function(ALL)).run_many(*change(*many(3, 6)))
 
 
+def test_no_argument_and_no_result_is_asked_whether_it_is_there() -> None:
+    source = compiler._generate(step_function(("coulomb_friction",)), 1, True)
+    assert "arg[0][0];" in source and "res[0][0]=" in source and "sd_given0[0];" in source
+    assert "]? arg[" not in source and "]!=0) res[" not in source
+
+
 @pytest.mark.parametrize("wanted", [True, False])
 @pytest.mark.parametrize("effect", ["backlash", "magnetic_saturation", "stribeck_friction"])
 def test_code_is_rewritten_for_runs_side_by_side(effect: str, wanted: bool) -> None:

@@ -19,6 +19,7 @@ from servo_daemon.plant.effects import effects_by_name, parameter_table
 from servo_daemon.samples import F64
 from servo_daemon.simulate.settings import make_settings, parse_effect, parse_effects
 from servo_daemon.tracking.plan.signals import plan_signals
+from tests.few_samples import run_uncompiled
 from tests.twin import reference_step
 
 #: Each effect's parameters, as docs/model.md lists them.
@@ -320,8 +321,9 @@ def test_a_late_channel_under_jittered_time_stamps(channel: int, delay_s: float)
     np.testing.assert_allclose(shown[10:, 0], truth[at], rtol=0, atol=1e-7 * np.std(truth))
 
 
-def test_a_late_channel_is_finite_after_any_step() -> None:
+def test_a_late_channel_is_finite_after_any_step(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two stamps in a nanosecond, a pause of a minute, a motor that has come to rest long before."""
+    run_uncompiled(monkeypatch)
     late = build_plant(("measurement_delay",))
     q = [np.log(VALUES[k]) if k != "channel" else 0.0 for k in names(late)]
     for channel in range(3):
