@@ -23,13 +23,11 @@ from servo_daemon.plant.c_code.loop import LOOP, ONCE, with_memory, without_ques
 
 log = logging.getLogger(__name__)
 
-#: Of steps that are no longer than this four run at once, too, where they are wanted: a third to all as long again to
+#: Long steps (substeps, sensitivities) compile four times as fast this way and run as fast. (With the second flag gcc
+#: clears the upper halves of vector registers before a call of the library, without which it crawls: up to four times
+#: as long to run.) Of shorter ones four run at once, too, where they are wanted: a third to all as long again to
 #: compile, a half to a quarter as long to run.
-_LONG_SOURCE = 400_000
-#: For these and for longer ones (substeps, sensitivities): they compile in two thirds of the time this way, and run as
-#: fast. (The filter's step, which runs for days, takes a quarter longer.) With the second one gcc clears the upper
-#: halves of vector registers before a call of the library, without which it crawls: up to four times as long to run.
-_QUICK_FLAGS = ("-O1", "-fexpensive-optimizations")
+_LONG_SOURCE, _LONG_FLAGS = 400_000, ("-O1", "-fexpensive-optimizations")
 #: Without `-fno-semantic-interposition` each square and each absolute value is a call through a table: 7 % slower.
 _FLAGS = ("-O2", "-fno-semantic-interposition", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-shared", "-w")
 #: Less than this share of a step's operations is computed again as fast as it is looked up (measured: a cogging
@@ -150,8 +148,7 @@ def compile_step(function: ca.Function, compiler: str, paced_by: int | None, sid
         OSError, subprocess.SubprocessError: no library could be made or loaded.
     """
     source = _generate(function, paced_by, side_by_side)
-    quick = side_by_side or len(source) > _LONG_SOURCE
-    flags = (*_FLAGS, *_processor_flags(compiler), *(_QUICK_FLAGS if quick else ()))
+    flags = (*_FLAGS, *_processor_flags(compiler), *(_LONG_FLAGS if len(source) > _LONG_SOURCE else ()))
     key = "\n".join((source, compiler, _compiler_version(compiler), " ".join(flags), platform.machine()))
     path = cache_directory() / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
     with _build_locks[path]:
