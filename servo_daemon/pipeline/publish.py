@@ -236,8 +236,8 @@ class Publisher:
             return as_last_known(p, last, "the filter is starting again")
         winding = tracker.winding
         if winding is None:
-            why = "the shaft has not moved yet" if tracker.stands else "collecting the first samples"
-            return Fused(nominal, None, "estimating", why)
+            text = "the shaft has not moved yet" if tracker.stands else "collecting the first samples"
+            return Fused(nominal, None, "estimating", text)
         known = {n: v for n, v in self._views.possible(winding, tracker.plan.biases).items() if n in ("R", "L")}
         value, std = known.get(p.name, (None, None))
         if value is None or std is None:
