@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servo_daemon.regression.noise_alone import NoiseAlone
+from servo_daemon.regression.held_shaft import NoiseAlone
 from servo_daemon.samples import F64
 
 RNG = np.random.default_rng(11)
