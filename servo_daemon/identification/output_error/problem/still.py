@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from servo_daemon.regression.held_shaft import STILL
-from servo_daemon.regression.held_shaft import NoiseAlone
+from servo_daemon.regression.held_shaft import STILL, NoiseAlone
 from servo_daemon.samples import F64, SampleBlock
 
 
