@@ -57,6 +57,7 @@ class Proposal:
         other: the same with the motor as it was without the effect, which may be nearer to the truth than what a
             regression makes of the whole.
         far: whether screening puts the motor far from there, so that both must be tried.
+        unseen: it is tried although screening saw little of it.
     """
 
     name: str
@@ -64,6 +65,7 @@ class Proposal:
     start: Mapping[str, float]
     other: Mapping[str, float]
     far: bool
+    unseen: bool = False
 
 
 def proposals(
@@ -112,7 +114,7 @@ def _rubs_by_load(current: Trial) -> Iterator[Proposal]:
     effects = extended(current.effects, _BY_LOAD)
     if effects is not None:
         start, other = ({**current.values, "mu": mu} for mu in _MU)
-        yield Proposal(_BY_LOAD, effects, start, other, far=True)
+        yield Proposal(_BY_LOAD, effects, start, other, far=True, unseen=True)
 
 
 def _start(s: ScreenedCandidate, name: str, effects: Sequence[str], present: Mapping[str, float]) -> dict[str, float]:

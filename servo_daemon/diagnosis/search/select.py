@@ -218,10 +218,12 @@ def _whatever(
 
 def _worthy(search: _Search, missing: Missing, proposed: Sequence[Proposal], effort: Effort) -> tuple[Candidate, ...]:
     """The proposals fitted, less what is too small to have a name or takes too little."""
+    unseen = {p.name for p in proposed if p.unseen}
     return tuple(
         c
         for c in fitted(search.data, search.current, proposed, effort)
         if noticeable(c.name, c.trial, missing)
+        and (c.name not in unseen or speaks_against_screening(c.against))
         and (worth_a_name(c.trial, search.current, search.base) or at_odds(c.against))
     )
 
