@@ -10,7 +10,8 @@ import pytest
 
 from servo_daemon.diagnosis.screening.dependence import _moments
 from servo_daemon.diagnosis.screening.screen import ScreenedCandidate
-from servo_daemon.diagnosis.search.candidates import late_without_current, proposals
+from servo_daemon.diagnosis.search import select
+from servo_daemon.diagnosis.search.candidates import Proposal, late_without_current, proposals
 from servo_daemon.diagnosis.search.evidence import (
     are_what_they_are_called,
     at_odds,
@@ -38,6 +39,24 @@ def test_stribeck_friction_is_larger_at_rest() -> None:
 
 def trial(**values: float) -> Any:
     return SimpleNamespace(values=values)
+
+
+@pytest.mark.parametrize(("unseen", "delta_bic", "kept"), [(False, -70.0, 1), (True, -70.0, 0), (True, -2530.0, 1)])
+def test_what_is_fitted_although_screening_saw_nothing_must_speak_against_it(
+    monkeypatch: pytest.MonkeyPatch, unseen: bool, delta_bic: float, kept: int
+) -> None:
+    """As friction that grows with the load, which is always tried where no current is measured."""
+    found = Advantage(0.1, 0.05, 0.15, delta_bic)
+    candidate, search, anything = (
+        SimpleNamespace(name="load_dependent_friction", trial=None, against=found),
+        trial(),
+        (),
+    )
+    monkeypatch.setattr(select, "fitted", lambda *_: [candidate])
+    for always in ("noticeable", "worth_a_name"):
+        monkeypatch.setattr(select, always, lambda *_: True)
+    proposal = Proposal(candidate.name, (candidate.name,), {}, {}, far=True, unseen=unseen)
+    assert len(select._worthy(search, anything, [proposal], anything)) == kept
 
 
 def test_a_load_of_no_inertia_is_no_load() -> None:
