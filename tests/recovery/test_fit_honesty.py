@@ -225,7 +225,7 @@ def test_without_a_current_the_interval_of_l_holds_other_lags(
     assert max(off_by(blind, motor, name) for name in "LJ") > 4.0  # that this test can fail
     assert off_by(honest, motor, "L") < 2.0
     assert off_by(honest, motor, "J") < 2.0
-    assert any("would leave the same trace" in note for note in result_notes(honest, {}))
+    assert any("would look the same" in note for note in result_notes(honest, {}))
 
 
 def test_the_lag_of_a_speed_s_sensor_is_in_the_time_constant() -> None:

@@ -47,11 +47,9 @@ def test_what_is_fitted_although_screening_saw_nothing_must_speak_against_it(
 ) -> None:
     """As friction that grows with the load, which is always tried where no current is measured."""
     found = Advantage(0.1, 0.05, 0.15, delta_bic)
-    candidate, search, anything = (
-        SimpleNamespace(name="load_dependent_friction", trial=None, against=found),
-        trial(),
-        (),
-    )
+    candidate: Any = SimpleNamespace(name="load_dependent_friction", trial=None, against=found)
+    search: Any = SimpleNamespace(data=None, current=None, base=None)
+    anything: Any = None
     monkeypatch.setattr(select, "fitted", lambda *_: [candidate])
     for always in ("noticeable", "worth_a_name"):
         monkeypatch.setattr(select, always, lambda *_: True)
