@@ -248,8 +248,10 @@ def test_noise_of_a_wrong_baud_rate_then_a_real_device(tmp_path: Path) -> None:
             for _ in range(20):
                 os.write(master, noise.randbytes(200))
             silent = program.until(
-                lambda d: d["health"]["connection"] == "silent"
-                and d["health"]["framing_errors"] + d["health"]["crc_errors"] > 5,
+                lambda d: (
+                    d["health"]["connection"] == "silent"
+                    and d["health"]["framing_errors"] + d["health"]["crc_errors"] > 5
+                ),
                 "silent for all the noise",
             )
             assert silent["samples"] == silent["health"]["samples"] == 0

@@ -62,7 +62,7 @@ def test_millis_wrap_at_32_bits_of_their_own() -> None:
 def test_lines_without_a_time_need_a_period() -> None:
     lines = ("V:12.0,A:0.25,enc:0", "V:12.0,A:0.2#,enc:0", "motor ready", "V:12.0,A:0.25,enc:0")
     block = decoded(*lines, sample_period_s=0.002)
-    assert block.time_s.tolist() == [0.0, 0.004]  # equal lines are two samples, the spoilt one is a third; a message is none
+    assert block.time_s.tolist() == [0.0, 0.004]  # equal lines are two samples, the spoilt one a third, a message none
     assert block.quality.tolist() == [0, Quality.GAP_BEFORE]
     decoder = TextDecoder(2400.0)
     assert decoder.feed("\n".join(["", *lines, ""]).encode()) is None
