@@ -24,7 +24,8 @@ from tests.system.harness import daemon, run_once, write_config
 
 WORN = 1.3 * PAPER.R
 FAULT_S, PAUSE_S, END_S = 20.0, 1.0, 60.0
-SPEED = 4.0
+#: Of the clock: the learned model is there, and the samples are worked off in step, also on a slow machine.
+SPEED = 2.0
 
 
 def recording() -> SampleBlock:
