@@ -36,8 +36,11 @@ REQUESTS_PER_S = 200
 #: After the first samples, s: how long the start is measured for, and when it is over. (The last restart over the first
 #: samples begins after 155 ticks of 0.1 s, and takes over a second of CPU.)
 FIRST_S, STARTED_S = 10.0, 20.0
-#: So long the drives may take to come up, s: start after start, each over a second of CPU.
-COME_UP_S, COME_UP_OF_EACH_S = 30.0, 2.0
+
+
+def come_up_s(n: int) -> float:
+    """So long n drives may take to come up: start after start, each over a second of CPU."""
+    return 30.0 + 2.0 * n
 
 
 def cpu_s(pid: int) -> float:
@@ -112,7 +115,7 @@ def simulated_drives(n: int, folder: Path) -> Iterator[list[Path]]:
 
 
 def wait_for_samples(api: Api, n: int) -> None:
-    deadline = time.monotonic() + COME_UP_S + COME_UP_OF_EACH_S * n
+    deadline = time.monotonic() + come_up_s(n)
     while time.monotonic() < deadline:
         if all((api.get(f"/drives/axis{k}/estimates")["samples"] or 0) > RATE_HZ for k in range(n)):
             return
@@ -135,7 +138,7 @@ def settled_share(api: Api, n: int) -> float:
 
 def load(n: int, seconds: float, folder: Path) -> None:
     """n drives: CPU at first and then, latency, lateness, losses, memory."""
-    spare_s = COME_UP_S + COME_UP_OF_EACH_S * n + STARTED_S + 0.3 * n  # start-up, questions
+    spare_s = come_up_s(n) + STARTED_S + 0.3 * n  # start-up, questions
     with fed_drives(n, folder, seconds + spare_s) as (links, begin), daemon(tables_of(links), folder) as (pid, port):
         api = Api(port)
         wait_for_samples(api, n)

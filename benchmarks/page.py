@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.daemon import COME_UP_S, STARTED_S, Api, cpu_s, daemon, tables_of, wait_for_samples
+from benchmarks.daemon import STARTED_S, Api, come_up_s, cpu_s, daemon, tables_of, wait_for_samples
 from benchmarks.feeder import fed_drives
 from tests.browser.devtools import Browser, Page, browsing, chromium
 
@@ -115,7 +115,7 @@ def main() -> None:
     parser.add_argument("--tabs", type=int, default=10)
     parser.add_argument("--seconds", type=float, default=15.0, help="of a stretch")
     a = parser.parse_args()
-    enough_s = COME_UP_S + STARTED_S + 5 * a.seconds + 2 * SETTLE_S + 120
+    enough_s = come_up_s(a.drives) + STARTED_S + 5 * a.seconds + 2 * SETTLE_S + 120
     with (
         tempfile.TemporaryDirectory() as name,
         fed_drives(a.drives, Path(name), enough_s) as (links, _),
