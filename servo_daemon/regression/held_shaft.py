@@ -46,13 +46,9 @@ class NoiseAlone:
         self._gram = gram if self._gram is None else self._gram + gram
 
     @property
-    def samples(self) -> int:
-        return 0 if self._gram is None else round(float(self._gram[0, 0]))
-
-    @property
     def asked(self) -> bool:
         """Whether there are enough samples to say."""
-        return self.samples >= _FEWEST
+        return self._gram is not None and bool(self._gram[0, 0] >= _FEWEST)
 
     def holds(self, *, about_zero: bool) -> bool:
         """Whether the channel is white and follows no cause at the same sample or the one before.
