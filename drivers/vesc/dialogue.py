@@ -7,15 +7,18 @@ import struct
 from drivers.base import DriverCounters
 from drivers.polling.poller import Reply, Request
 from drivers.vesc.packets import PacketReader
-from drivers.vesc.requests import FW_VERSION, GET_VALUES_SELECTIVE, POLL_MASKS, request
-from drivers.vesc.values import Firmware, decode_firmware, layout_of
+from drivers.vesc.requests import CHECK_MASK, FW_VERSION, GET_VALUES_SELECTIVE, POLL_MASKS, request
+from drivers.vesc.values import CHECKED, Firmware, decode_firmware, layout_of
 from servo_daemon.errors import WireError
 
 _HELLO = -1  # the tag of the question after the firmware: no mask
 #: How the answers to polls begin, by that beginning: the tag, and what they hold.
-_LAYOUTS = {bytes([GET_VALUES_SELECTIVE]) + mask.to_bytes(4, "big"): (mask, layout_of(mask)) for mask in POLL_MASKS}
+_LAYOUTS = {
+    bytes([GET_VALUES_SELECTIVE]) + mask.to_bytes(4, "big"): (mask, layout_of(mask, CHECKED))
+    for mask in (*POLL_MASKS, CHECK_MASK)
+}
 
-#: The values of one poll, in steps; see `values.values_of`.
+#: The values of one poll, in steps; see `values.values_of`. A seldom one's are one more: those of `CHECKED`.
 Polled = tuple[int, ...]
 
 
@@ -25,25 +28,28 @@ class VescDialogue:
     Args:
         can_id: of a drive behind the one on the line; None: that one itself.
         counters: bytes and payloads that cannot be read are counted here.
+        check_every: one of so many polls is a seldom one.
 
     Attributes:
         firmware: what the drive said of itself; None until it has.
     """
 
-    def __init__(self, can_id: int | None, counters: DriverCounters) -> None:
+    def __init__(self, can_id: int | None, counters: DriverCounters, check_every: int) -> None:
         self.firmware: Firmware | None = None
         self._reader, self._counters = PacketReader(counters), counters
         self._hello = Request(request(bytes([FW_VERSION]), can_id), _HELLO)
-        self._polls = tuple(
+        *self._polls, self._check = (
             Request(request(bytes([GET_VALUES_SELECTIVE]) + mask.to_bytes(4, "big"), can_id), mask)
-            for mask in POLL_MASKS
+            for mask in (*POLL_MASKS, CHECK_MASK)
         )
-        self._turn = 0
+        self._turn, self._check_every = 0, check_every
 
     def next_request(self) -> Request:
         if self.firmware is None:
             return self._hello
         self._turn += 1
+        if self._turn % self._check_every == 0:
+            return self._check
         return self._polls[self._turn % len(self._polls)]
 
     def feed(self, data: bytes) -> list[Reply[Firmware | Polled]]:

@@ -17,10 +17,11 @@ from drivers.polling.link import SerialLink
 from drivers.polling.poller import Answer, Pace
 from drivers.polling.when import SampleTimes
 from drivers.serial.port import open_port
+from drivers.vesc.coverage import Coverage, polls_a_check
 from drivers.vesc.dialogue import Polled, VescDialogue
 from drivers.vesc.requests import POLL_MASKS
 from drivers.vesc.shaft import Shaft, Source
-from drivers.vesc.values import POLLED, Firmware, values_of
+from drivers.vesc.values import NO_AVERAGE, POLLED, Firmware, values_of
 from servo_daemon.samples import F64, I64, U8, Quality, SampleBlock
 from servo_daemon.signal_meaning import SignalMeaning
 
@@ -30,8 +31,7 @@ POLLED_MEANING = SignalMeaning(voltage="mean", current="mean", convention="dq")
 CURRENT_LSB_A, VOLTAGE_LSB_V = 1e-2, 1e-3
 #: From this duty cycle on the firmware limits the voltage (its default l_max_duty is 0.95).
 _FULL_DUTY = 0.95
-#: An average over nothing means that somebody else has just read it: averages since then are not to be trusted for so
-#: long, s. Another program at 20 Hz and more is met within some seconds.
+#: Where somebody else has read the averages they are not to be trusted for so long, s.
 _DISTRUST_S = 10.0
 
 _MEANS = int(Quality.VOLTAGE_INVALID | Quality.CURRENT_INVALID)
@@ -70,6 +70,9 @@ class PolledVesc(PollingDriver[Firmware | Polled]):
         self._reset_s = -math.inf  # when another program was last seen to read the averages
         self._received_s = -math.inf  # the last answer
         self._disturbed = False
+        self._check_every = polls_a_check(settings.rate_hz)
+        self._coverage = Coverage(self._check_every)
+        self._asked_s = math.nan  # the last answer's request
         self._times = SampleTimes()
         self.counters.extra["averages_reset"] = 0
 
@@ -120,9 +123,10 @@ class PolledVesc(PollingDriver[Firmware | Polled]):
         return SerialLink(open_port(self.name, self._settings.port, self._settings.baudrate))
 
     def _new_dialogue(self) -> VescDialogue:
-        self._dialogue = VescDialogue(self._settings.can_id, self.counters)
+        self._dialogue = VescDialogue(self._settings.can_id, self.counters, self._check_every)
         self._shaft.restart()
         self._times.restart()
+        self._coverage.restart()
         self._received_s = -math.inf
         self._asked_before, self._reset_s, self._disturbed = None, -math.inf, False
         return self._dialogue
@@ -131,14 +135,17 @@ class PolledVesc(PollingDriver[Firmware | Polled]):
         polled = [(answer, answer.value) for answer in answers if isinstance(answer.value, tuple)]
         if not polled:
             return None
-        shown = values_of([raw for _, raw in polled])
+        shown = values_of([raw[-len(POLLED) :] for _, raw in polled])
         iq, vq, duty, degrees, tachometer, erpm = (shown[name] for name in POLLED)
         number = np.array([a.number for a, _ in polled], np.int64)
         sent_s, received_s = np.array([(a.sent_s, a.received_s) for a, _ in polled]).T
         before, self._asked_before = self._asked_before, int(number[-1])
         angle = self._shaft.angle(degrees, tachometer)
         steps = np.diff(number, prepend=number[0] if before is None else before)
-        quality = self._quality(sent_s, received_s, steps, np.isnan(iq) | np.isnan(vq))
+        seldom = [raw[: -len(POLLED)] for _, raw in polled]
+        another, unknown = self._doubted(sent_s, steps, iq * np.sign(vq), seldom)
+        quality = self._quality(sent_s, received_s, steps, np.isnan(iq) | np.isnan(vq), another)
+        quality[unknown] |= _MEANS
         quality[np.abs(duty) >= _FULL_DUTY] |= int(Quality.SATURATED)
         first = 1 if before is None else 0  # its averages began when somebody last looked
         if angle is None or first == len(polled):
@@ -160,7 +167,19 @@ class PolledVesc(PollingDriver[Firmware | Polled]):
         pole_pairs = self._shaft.pole_pairs
         return None if pole_pairs is None else _centred(erpm, 1.0) * (2.0 * math.pi / 60.0 / pole_pairs)
 
-    def _quality(self, sent_s: F64, received_s: F64, steps: I64, nothing: Bits) -> U8:
+    def _doubted(self, sent_s: F64, steps: I64, motoring_A: F64, seldom: list[Polled]) -> tuple[Bits, Bits]:
+        """Where the seldom average, which `seldom` holds where it was asked for, shows another program; and where there
+        have not been enough of them to show one."""
+        duration_s = np.where(steps == 1, np.diff(sent_s, prepend=self._asked_s), np.nan).tolist()
+        self._asked_s = float(sent_s[-1])
+        another, unknown = np.zeros(len(steps), bool), np.zeros(len(steps), bool)
+        current = _centred(motoring_A, CURRENT_LSB_A).tolist()
+        for k, (T, i, raw) in enumerate(zip(duration_s, current, seldom, strict=True)):
+            self._coverage.take(T, i, _seldom_A(raw))
+            another[k], unknown[k] = self._coverage.another and bool(raw), not self._coverage.known
+        return another, unknown
+
+    def _quality(self, sent_s: F64, received_s: F64, steps: I64, nothing: Bits, another: Bits) -> U8:
         """After an answer that is missing the average's interval is not known: its request may have arrived or not.
         An average over nothing is another program's doing, unless the drive may have served two of our requests at
         once: the one before was then not answered yet when this one left."""
@@ -171,7 +190,7 @@ class PolledVesc(PollingDriver[Firmware | Polled]):
         quality[nothing] |= _MEANS
         answered_s = np.concatenate([[self._received_s], received_s[:-1]])
         self._received_s = float(received_s[-1])
-        reset = nothing & (sent_s > answered_s)
+        reset = (nothing & (sent_s > answered_s)) | another
         reset_s = np.maximum.accumulate(np.where(reset, sent_s, self._reset_s))
         quality[sent_s - reset_s < _DISTRUST_S] |= _MEANS
         self._reset_s = float(reset_s[-1])
@@ -180,6 +199,13 @@ class PolledVesc(PollingDriver[Firmware | Polled]):
         return quality
 
 
-def _centred(value: F64, lsb: float) -> F64:
+def _seldom_A(raw: Polled) -> float | None:
+    """Of a poll that has read it; NaN over no control cycle."""
+    if not raw:
+        return None
+    return math.nan if raw[0] == NO_AVERAGE else float(_centred(raw[0] * CURRENT_LSB_A, CURRENT_LSB_A))
+
+
+def _centred(value: F64 | float, lsb: float) -> F64:
     """The middle of what the firmware's cast, which drops the fraction, has made the value of. 0 stays 0."""
     return np.asarray(value + 0.5 * lsb * np.sign(value), np.float64)

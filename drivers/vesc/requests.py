@@ -8,7 +8,7 @@ from drivers.vesc.packets import encode_packet
 FW_VERSION, GET_VALUES, GET_VALUES_SELECTIVE, FORWARD_CAN, GET_MCCONF = 0, 4, 50, 34, 14
 
 #: Bits of the mask of a selective request, in the order of `VALUES`.
-IQ, DUTY, ERPM, V_IN, TACHOMETER, PID_POS, VQ = (1 << bit for bit in (5, 6, 7, 8, 13, 16, 20))
+MOTOR_CURRENT, IQ, DUTY, ERPM, V_IN, TACHOMETER, PID_POS, VQ = (1 << bit for bit in (2, 5, 6, 7, 8, 13, 16, 20))
 _FAULT, _CONTROLLER_ID = 1 << 15, 1 << 17
 #: What every poll asks for; with and without two fields of a byte, so that the mask, which the drive sends back, tells
 #: the answers of four requests in a row apart.
@@ -16,11 +16,15 @@ POLL_MASKS = tuple(
     IQ | DUTY | ERPM | V_IN | TACHOMETER | PID_POS | VQ | byte
     for byte in (0, _FAULT, _CONTROLLER_ID, _FAULT | _CONTROLLER_ID)
 )
+#: What a seldom poll asks for: one average more, see `coverage`.
+CHECK_MASK = POLL_MASKS[0] | MOTOR_CURRENT
 
 #: Payloads that may leave, by what they ask; forwarded to a drive behind this one, `FORWARD_CAN` and its id come first.
 MAY_SEND: dict[str, tuple[bytes, ...]] = {
     "the firmware's version": (bytes([FW_VERSION]),),
-    "a selection of values": tuple(bytes([GET_VALUES_SELECTIVE]) + mask.to_bytes(4, "big") for mask in POLL_MASKS),
+    "a selection of values": tuple(
+        bytes([GET_VALUES_SELECTIVE]) + mask.to_bytes(4, "big") for mask in (*POLL_MASKS, CHECK_MASK)
+    ),
     "the motor's configuration (by scan, once)": (bytes([GET_MCCONF]),),
 }
 

@@ -64,6 +64,8 @@ class Firmware:
 
 #: What a poll is read for.
 POLLED = ("avg_iq_A", "avg_vq_V", "duty", "pid_pos_deg", "tachometer", "erpm")
+#: What a seldom poll is read for. The first of them is the first value of its answer.
+CHECKED = ("avg_motor_current_A", *POLLED)
 
 
 def layout_of(mask: int, names: Collection[str] = POLLED) -> struct.Struct:

@@ -166,7 +166,7 @@ def slcan(random: Random, _: Path) -> Step:
 def of_makes(random: Random, _: Path) -> Step:
     cases = (makes._moteus, makes._dynamixel, makes._feetech, makes._mit, makes._cia402, makes._sdo, makes._simplefoc)
     steps = [case() for case in cases]
-    dialogue, count = VescDialogue(None, DriverCounters()), 0
+    dialogue, count = VescDialogue(None, DriverCounters(), 50), 0
 
     def step() -> None:
         nonlocal count

@@ -79,13 +79,15 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Sums:
-    """Of every control cycle since the start: how many, and the sums of what the controller saw and applied."""
+    """Of every control cycle since the start: how many, and the sums of what the controller saw and applied; `motoring`
+    is the filtered q current, positive where it drives and negative where it brakes."""
 
     n: int = 0
     i_d: float = 0.0
     i_q: float = 0.0
     v_d: float = 0.0
     v_q: float = 0.0
+    motoring: float = 0.0
 
 
 class FocDrive:
@@ -126,6 +128,7 @@ class FocDrive:
         i_d, i_q, theta, omega, filtered = self.i_d, self.i_q, self.theta, self.omega, self.i_q_filtered
         integral_d, integral_q, wanted = self._integral_d, self._integral_q, self._wanted
         v_d, v_q, sum_id, sum_iq, sum_vd, sum_vq = self.v_d, self.v_q, s.i_d, s.i_q, s.v_d, s.v_q
+        motoring = s.motoring
         for k in range(s.n, s.n + cycles):
             if k % _SPEED_EVERY == 0:
                 speed = self.motion.speed(k * dt)
@@ -155,10 +158,11 @@ class FocDrive:
             theta += dt * (omega + 0.5 * mechanical * torque)
             omega += mechanical * torque
             filtered += 0.1 * (seen_q - filtered)
+            motoring += filtered if v_q > 0.0 else -filtered
         self.i_d, self.i_q, self.theta, self.omega, self.i_q_filtered = i_d, i_q, theta, omega, filtered
         self._integral_d, self._integral_q, self.v_d, self.v_q = integral_d, integral_q, v_d, v_q
         self._wanted = wanted
-        self.sums = Sums(s.n + cycles, sum_id, sum_iq, sum_vd, sum_vq)
+        self.sums = Sums(s.n + cycles, sum_id, sum_iq, sum_vd, sum_vq, motoring)
 
 
 class RunningFoc:

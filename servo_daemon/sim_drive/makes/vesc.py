@@ -19,7 +19,9 @@ _FIRMWARE = bytes([FW_VERSION, 6, 2]) + b"SIMULATED\0" + UUID + b"\0\0"
 _SIGNATURE = 2_509_944_602
 
 #: The averaged fields and the sums behind them.
-_AVERAGED = {"avg_id_A": "i_d", "avg_iq_A": "i_q", "avg_vd_V": "v_d", "avg_vq_V": "v_q"}
+_AVERAGED = {
+    "avg_motor_current_A": "motoring", "avg_id_A": "i_d", "avg_iq_A": "i_q", "avg_vd_V": "v_d", "avg_vq_V": "v_q",
+}  # fmt: skip
 #: The motor runs on while nobody asks: in steps of so long.
 _IDLE_S = 0.02
 

@@ -60,7 +60,8 @@ class Played:
         )  # fmt: skip
         self._trace, self._first, self._k = trace, round(after_s * CONTROL_HZ), 0
         self._filtered = lfilter([0.1], [1.0, -0.9], trace.i)
-        self._sums = [np.concatenate([[0.0], np.cumsum(x)]) for x in (trace.i, trace.v)]
+        motoring = np.sign(trace.v * trace.i) * lfilter([0.1], [1.0, -0.9], np.abs(trace.i))
+        self._sums = [np.concatenate([[0.0], np.cumsum(x)]) for x in (trace.i, trace.v, motoring)]
 
     def advance_to(self, time_s: float) -> None:
         self._k = min(round((time_s + _WITHIN) * CONTROL_HZ), len(self._trace.i) - 1 - self._first)
@@ -103,7 +104,8 @@ class Played:
 
     @property
     def sums(self) -> Sums:
-        return Sums(self._k + self._first, 0.0, self._now(self._sums[0]), 0.0, self._now(self._sums[1]))
+        i, v, motoring = map(self._now, self._sums)
+        return Sums(self._k + self._first, 0.0, i, 0.0, v, motoring)
 
 
 class _Samples:
@@ -141,10 +143,29 @@ def _running(motor: FocMotor, trace: Trace, after_s: float) -> tuple[Clock, Any]
     return clock, RunningFoc(played, clock)
 
 
-def vesc_polled(motor: FocMotor, trace: Trace, after_s: float, hz: float, seconds: float) -> Read:
+class SharedVesc(VescDevice):
+    """One whose averages another program reads too, at intervals of 0.8 to 1.2 of its period."""
+
+    def __init__(self, running: Any, clock: Clock, another_hz: float) -> None:
+        super().__init__(running)
+        self._clock, self._hz, self._rng, self._at_s = clock, another_hz, np.random.default_rng(0), 0.0
+
+    def receive(self, data: bytes) -> bytes:
+        now_s = self._clock.now_s
+        while self._at_s < now_s:
+            self._clock.now_s = self._at_s
+            self.read_by_another()
+            self._at_s += float(self._rng.uniform(0.8, 1.2)) / self._hz
+        self._clock.now_s = now_s
+        return super().receive(data)
+
+
+def vesc_polled(
+    motor: FocMotor, trace: Trace, after_s: float, hz: float, seconds: float, another_hz: float = 0.0
+) -> Read:
     clock, running = _running(motor, trace, after_s)
     driver = closed("vesc", rate_hz=float(hz), pole_pairs=motor.pole_pairs)
-    device = VescDevice(running)
+    device = SharedVesc(running, clock, another_hz) if another_hz else VescDevice(running)
     return Read(driver, polled(driver, driver._new_dialogue(), device, clock, hz, round(seconds * hz)))
 
 

@@ -85,7 +85,7 @@ def test_requests_are_the_firmwares_and_nothing_else_can_be_made() -> None:
 
 
 def test_firmware_first_then_masks_in_turn() -> None:
-    dialogue = VescDialogue(None, DriverCounters())
+    dialogue = VescDialogue(None, DriverCounters(), 50)
     assert dialogue.next_request() == dialogue.next_request()
     hello = bytes([0, 6, 2]) + b"60_MK5\0" + bytes(range(12)) + b"\0\0"
     (reply,) = dialogue.feed(encode_packet(hello))
@@ -96,7 +96,7 @@ def test_firmware_first_then_masks_in_turn() -> None:
 
 def fuzz(seed: int, inputs: int) -> None:
     rng = random.Random(seed)
-    dialogue = VescDialogue(None, DriverCounters())
+    dialogue = VescDialogue(None, DriverCounters(), 50)
     for _ in range(inputs):
         body = rng.randbytes(rng.randrange(1, 40))
         match rng.randrange(4):
