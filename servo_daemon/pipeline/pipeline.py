@@ -223,7 +223,7 @@ class Pipeline:
         self._cutter = TickCutter()
         measured = self.meaning.measures_voltage
         self._link = MeasuredLink(self.config, self.meaning) if measured and "voltage_V" in channels else None
-        self._timing = CurrentTiming(self.meaning) if measured else None
+        self._timing = CurrentTiming(self.meaning, torques=self._link is None) if measured else None
         self.preparing = True
         try:
             self._tracker = self._tracker_for(self.config, self._saved)

@@ -17,6 +17,7 @@ import numpy as np
 from servo_daemon.conditioning.current_moment import earlier
 from servo_daemon.config import DriveConfig
 from servo_daemon.parameters import KNOWN, WINDING_NAMES, Status
+from servo_daemon.pipeline.link.torques import is_torque, motion_std
 from servo_daemon.plant.effects import parameter_table
 from servo_daemon.published.snapshot import Covariance, Estimate, EstimatorView, ParameterEstimate
 from servo_daemon.regression.winding.estimate import (
@@ -36,10 +37,6 @@ _SPAN_S = 20.0
 _EVERY_S, _ALL_LENGTHS_EVERY = 1.0, 10
 #: Fewest seconds of samples from which anything is published (chosen; not tried).
 _LEAST_S = 3.0
-#: What the filter's motion is exact to beside its own noise, 1 σ of J, B and every torque: a current runs on between
-#: two samples, and one of them may come a tenth of a period late. Measured on the independent plant of
-#: tests/recovery/foc (two motors, two motions, 50 to 1000 Hz): 0.3 % and a hundredth for every 20 ms of the period.
-_MOTION, _MOTION_PER_S = 3e-3, 0.01 / 0.02
 #: Samples at most so many of the control's steps apart show nearly all that the current does, however much it changes:
 #: what is left, as a share (`unresolved`), is worth so much of every torque, 1 σ. (Servos of benchmarks/drives.py with
 #: steps of 1 ms: at 500 Hz J is 0.6 and 2.4 % off at shares of 0.24 and 0.25; at 100 Hz 10 and 30 %. Three others, on
@@ -179,7 +176,7 @@ class MeasuredLink:
         if K is None or self.K is None:
             return 1.0, 0.0
         unseen = _UNSEEN_STD * self._unresolved * self._sees_steps
-        return K.value / self.K, math.hypot(K.std / K.value, _MOTION + _MOTION_PER_S * self._period_s, unseen)
+        return K.value / self.K, math.hypot(K.std / K.value, motion_std(self._period_s), unseen)
 
     @property
     def _period_s(self) -> float:
@@ -266,12 +263,6 @@ def _earlier(block: SampleBlock, before: SampleBlock | None, by_s: float) -> Sam
         if (values := getattr(whole, name)) is not None
     }
     return replace(block, **moved)
-
-
-def is_torque(name: str) -> bool:
-    """Whether a parameter goes with K where the current drives the motion: torques, inertias, springs."""
-    p = parameter_table().get(name)
-    return name == "J_d" or (p is not None and p.unit.startswith(("N", "kg")))
 
 
 def _scaled(

@@ -50,7 +50,7 @@ def fitted_B(late_s: float) -> float:
 
 @pytest.mark.parametrize("channel", ["position_rad", "velocity_rad_s"])
 def test_b_is_open_by_what_a_control_period_moves_it(channel: str) -> None:
-    timing, whole = CurrentTiming(SignalMeaning("instant")), block()
+    timing, whole = CurrentTiming(SignalMeaning("instant"), torques=False), block()
     for at in range(0, len(T), 100):
         tick = whole.slice(at, at + 100)
         timing.take(make_block(tick.time_s, **{channel: getattr(tick, channel)}))
@@ -66,3 +66,23 @@ def test_b_is_open_by_what_a_control_period_moves_it(channel: str) -> None:
     assert std == pytest.approx(np.hypot(moved, 3e-4), rel=0.05)
     assert found.parameters[0] == known[0] and found.covariance is not None
     assert np.sqrt(found.covariance.values[1][1]) == pytest.approx(std / B)
+
+
+def test_a_torque_alone_leaves_every_torque_open_by_its_moment() -> None:
+    """0.3 % and half a period of a second: what links with a voltage add, and `moteus` by torque lacked."""
+    timing = CurrentTiming(SignalMeaning("instant"), torques=True)
+    t = np.arange(0.0, 0.1, 0.01)
+    timing.take(make_block(t, torque_Nm=np.zeros(len(t)), position_rad=np.zeros(len(t))))
+    known = (
+        ParameterEstimate("J", J, 1e-5 * J, "", None, "tracking"),
+        ParameterEstimate("B", B, 0.01 * B, "", None, "tracking"),
+        ParameterEstimate("R", 1.0, 1e-3, "", None, "fixed"),
+    )
+    covariance = Covariance(("J", "B"), ((1e-10, 0.0), (0.0, 1e-4)))
+    found = timing.widened(Estimate(30.0, len(T), 1e3, (), known, {}, {}, {}, covariance))
+    share = 3e-3 + 0.5 * 0.01
+    assert [p.std / p.value for p in found.parameters if p.std and p.value] == pytest.approx(
+        [share, np.hypot(share, 0.01), 1e-3], rel=1e-4
+    )
+    assert found.covariance is not None
+    assert np.sqrt(np.diag(found.covariance.values)) == pytest.approx([share, np.hypot(share, 0.01)], rel=1e-4)
