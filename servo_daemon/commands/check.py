@@ -31,6 +31,11 @@ _CLOCK_S = 0.5
 _CLOCK_FACTOR = 1.5
 #: Drives whose time is their own business: a file, a simulation.
 _NO_CLOCK = ("replay", "simulated")
+#: What is taken for granted of a gear. No signal of a drive tells it.
+_GEAR = (
+    "gear_ratio {0:g}: turn by hand what the encoder is on, and the motor must turn {0:g} times "
+    "(K goes with it, J and B with its square)"
+)
 #: Lines that cannot be read are remarked upon from this share of the samples on: those at the start are usual.
 _UNREAD = 0.05
 
@@ -128,12 +133,13 @@ def _plan(channels: tuple[str, ...], drive: DriveConfig, meaning: SignalMeaning)
 
 def _assumptions(driver: Driver, drive: DriveConfig, channels: tuple[str, ...]) -> list[str]:
     """What is taken for granted of the drive, with what the user can do to see whether it is so."""
-    counts = driver.info.counts_per_rev
+    counts, gear = driver.info.counts_per_rev, drive.signals.gear_ratio
+    turned = [] if gear in (None, 1.0) else [_GEAR.format(gear)]
     if not counts or "position_rad" not in channels:
-        return []
+        return turned
     turn = "turn the shaft once by hand and expect 6.28 rad"
     nominal = f"; nominal K = {drive.nominal['K']:g} and J, B are of the same shaft" if "K" in drive.nominal else ""
-    return [f"{counts:,.10g} counts a turn: {turn}{nominal}"]
+    return [f"{counts:,.10g} counts a turn: {turn}{nominal}", *turned]
 
 
 def _remarks(

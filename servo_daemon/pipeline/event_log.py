@@ -21,7 +21,7 @@ _EVENTS_KEPT: Final = 1000
 _WARNINGS: Final = (
     "disconnected", "unavailable", "misconfigured", "silent", "device_restarted", "pipeline_failed", "filter_restarted",
     "model_mismatch", "channel_frozen", "alarm", "alarm_impossible", "margin_low", "margin_impossible",
-    "diagnosis_failed", "overloaded", "behind", "limit_near",
+    "diagnosis_failed", "overloaded", "behind", "limit_near", "scale_suspected",
 )  # fmt: skip
 
 

@@ -112,7 +112,8 @@ class EstimatesDocument(Closed):
         "sends), `innovation_white`, `samples_lost` and the other counters of the line; `overloaded`: samples come "
         "faster than they are worked off, and the oldest are left out (in `queue_dropped`, and so in `samples_lost`); "
         "`behind_s`: so late they are worked off because other programs have the processor or other drives start "
-        "first, and none is left out; units in the names."
+        "first, and none is left out; `scale_hint`: that K, J and B stand to their nominal values as an angle in "
+        "another scale makes them; units in the names."
     )
     equivalents: dict[str, dict[str, EstimatorParameterDocument]] | None = Field(
         None,

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 from servo_daemon.captures import Capture
 from servo_daemon.captures.meaning import no_sign_of_speed, shows_no_sign, takes_no_power
 from servo_daemon.captures.meaning.finding import mend
 from servo_daemon.commands.shared.units import shown_column, shown_unit
+from servo_daemon.conditioning.angle_scale import angle_hint
 from servo_daemon.identification.output_error import OutputErrorFit
 from servo_daemon.identification.output_error.lag_like import equivalents
 from servo_daemon.identification.output_error.misfit import unexplained
@@ -18,8 +18,6 @@ from servo_daemon.signal_meaning import SignalMeaning
 
 #: An estimate further from its nominal value than this factor is no ageing: a unit, a sign, another motor.
 _FAR = 10.0
-#: K of a motor lies within 10 % of its datasheet (as makers say), J and B with load and friction within 40 %.
-_NEAR, _SQUARE_NEAR = 0.1, 0.35
 #: What a column of one sign may be, and what to do then.
 _MODULUS = {
     "current_A": "|i| (record the motor's voltage with it, which says its sign: `shows` in docs/captures.md)",
@@ -60,8 +58,10 @@ def result_notes(
                 f"{name} = {p.value:.4g}{spaced(p.unit)} is {p.value / given:.3g} times its nominal value: "
                 "is a column in another unit, or its sign turned?"
             )
-    notes += _counts_hint({n: p.value for n, p in fit.parameters.items() if p.status == "estimated"}, nominal)
     meaning = meaning or SignalMeaning()
+    estimated = {n: p.value for n, p in fit.parameters.items() if p.status == "estimated"}
+    if (hint := angle_hint(estimated, nominal, meaning.gear_ratio)) is not None:
+        notes.append(hint)
     if fit.problem.plant.drive != "voltage" and meaning.current != "mean":
         what = "current" if fit.problem.plant.drive == "current" else "torque"
         notes.append(
@@ -94,24 +94,6 @@ def _unexplained(name: str, capture: Capture | None) -> str:
         f"{text}: the model lacks what moves it, a load or a friction (`servo-daemon diagnose {capture.path}` looks "
         "for it, `--effect NAME` adds it), or its unit is wrong"
     )
-
-
-def _counts_hint(found: Mapping[str, float | None], nominal: Mapping[str, float]) -> list[str]:
-    """Whether K stands to its nominal value as a wrong number of counts in a turn makes it, J and B as its square.
-
-    An angle that is f times too small makes K f times, J and B f² times too large; f is that of quadrature counting.
-    """
-    ratio = {n: v / nominal[n] for n, v in found.items() if v is not None and v > 0.0 and nominal.get(n, 0.0) > 0.0}
-    for factor in (0.25, 0.5, 2.0, 4.0):
-        squares = [n for n in ("J", "B") if n in ratio and abs(math.log(ratio[n] / factor**2)) < _SQUARE_NEAR]
-        if "K" in ratio and abs(math.log(ratio["K"] / factor)) < _NEAR and "J" in squares:
-            times = f"{factor:g} times too large" if factor > 1.0 else f"{1 / factor:g} times too small"
-            others = ", ".join(f"{n} {ratio[n]:.3g}" for n in squares)
-            return [
-                f"K is {ratio['K']:.3g} and {others} times nominal, as if the counts of a turn (counts_per_rev) were "
-                f"told {times}: lines, or counts after quadrature?"
-            ]
-    return []
 
 
 def drift_note(drift: Drift, fit: OutputErrorFit, *, linear: bool) -> str:

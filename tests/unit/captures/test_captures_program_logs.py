@@ -216,3 +216,6 @@ def test_wrong_counts_a_turn_are_hinted_at(tmp_path: Path) -> None:
     for counts, told in (("9600", "4 times too large"), ("1200", "2 times too small")):
         assert f"{hint} {told}" in run_command("fit", path, "--counts-per-rev", counts, "--config", config).err
     assert hint not in run_command("fit", path, "--counts-per-rev", "2400", "--config", config).err
+    config.write_text(config.read_text() + "[drive.signals]\ngear_ratio = 2\n")
+    told = run_command("fit", path, "--counts-per-rev", "2400", "--config", config).err
+    assert "is gear_ratio = 2 right?" in told and hint not in told
