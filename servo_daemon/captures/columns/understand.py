@@ -28,6 +28,7 @@ from servo_daemon.captures.columns.signal_values import (
     wrap_of,
 )
 from servo_daemon.captures.columns.understood import Understood, field_of
+from servo_daemon.captures.columns.vesc_log import refuse_mixed
 from servo_daemon.captures.meaning.units import full_scale
 from servo_daemon.column_names import Meaning, meaning, unit_of
 from servo_daemon.samples import F64
@@ -48,6 +49,7 @@ def understand(recording: Recording, options: ReadOptions) -> Understood:
     if log is not None and not options.columns:
         found.told.append(log.name)
         found.metadata |= log.metadata
+        refuse_mixed(recording)
     else:
         log = None
         _take_exact(recording, found)

@@ -76,6 +76,25 @@ def test_vesc_casts_toward_zero_and_half_a_step_is_put_back(tmp_path: Path) -> N
     assert abs(slope - 1.0) < 0.01 < abs(float(small @ cut / (small @ small)) - 1.0)
 
 
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"vesc_id": np.where(np.arange(N) < 300, 3.0, 7.0)}, r"column vesc_id: rows of several controllers \(3, 7\)"),
+        (
+            {"q_axis_current": np.where(np.arange(N) % 97 == 5, -21474836.48, M.i)},
+            "7 rows have an average over nothing",
+        ),
+        ({"q_axis_voltage": np.where(np.arange(N) == 5, -2147483.648, M.v)}, "1 rows have an average over nothing"),
+    ],
+)
+def test_vesc_rows_of_two_motors_or_of_two_readers_are_refused(
+    tmp_path: Path, changed: dict[str, np.ndarray], message: str
+) -> None:
+    with pytest.raises(CaptureError, match=message):
+        read(tmp_path, vesc_rt(**changed))
+    read(tmp_path, vesc_rt(vesc_id=ZERO + 7.0))
+
+
 def test_vesc_too_fast_for_its_rows_is_known_by_its_electrical_speed(tmp_path: Path) -> None:
     """Up to 0.4 turns from row to row: which way round is not known of the angle, the pole pairs are."""
     faster = 0.4 / (np.abs(np.diff(M.x)).max() / math.tau)
