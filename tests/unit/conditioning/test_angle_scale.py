@@ -28,7 +28,7 @@ def scaled(f: float, names: str = "RKJB") -> dict[str, float | None]:
         (3.0, "RKJB", 1 / 3, "gear_ratio = 0.333333 right"),
         (4.0, "RKJB", 1.0, "told 4 times too large"),
         (0.5, "RKJB", 1.0, "told 2 times too small"),
-        (9.0, "RKJB", 1.0, "behind a gear of 9 turns"),
+        (9.0, "RKJB", 1.0, "behind a gear of 8.57 turns"),
     ],
 )
 def test_an_angle_in_another_scale_is_told(f: float, names: str, gear: float, said: str) -> None:
