@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +14,7 @@ import pyarrow.parquet
 import pytest
 
 from servo_daemon.api.app import create_app
+from servo_daemon.api.fleet import KEPT_S, FleetEncoder
 from servo_daemon.api.schemas import kept
 from servo_daemon.api.schemas import past as schemas
 from servo_daemon.published.archive import ArchiveUnavailableError
@@ -258,6 +260,17 @@ def test_the_fleet_says_what_to_look_at_first() -> None:
     assert drives["away"]["worst"]["why"] == "unplugged" and drives["away"]["connection"] == "down"
     assert drives["new"]["worst"] is None
     assert not drives["well"]["simulated"] and drives["away"]["simulated"]
+
+
+def test_an_answer_serves_all_who_ask_at_nearly_the_same_time() -> None:
+    daemon, now_s = fake_daemon(), [100.0]
+    encode = FleetEncoder(daemon, lambda: now_s[0])
+    first = encode()
+    daemon.drives["axis1"].publish(make_snapshot(t=2.0))
+    now_s[0] += 0.9 * KEPT_S
+    assert encode() is first
+    now_s[0] += 0.1 * KEPT_S
+    assert json.loads(encode())["drives"][0]["time"] == "2026-11-21T12:00:02.000Z"
 
 
 def test_diagnoses_and_models_that_are_kept_for_good(tmp_path: Path) -> None:
