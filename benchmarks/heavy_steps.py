@@ -2,14 +2,17 @@
 
 A drive at 1 kHz gets a block of 40 samples every 40 ms in a thread of its own, as from a reader. Another thread makes
 an estimator from nothing (derived, compiled), works off a start with its re-linearisations, a jump that is searched
-for, the same without a C compiler, and with filterpy. Late is how much later than due a block is worked off.
+for, the same without a C compiler, and with filterpy. Late is how much later than due a block is worked off. As in the
+daemon, threads let each other on after `SWITCH_S`, and the garbage collector leaves alone what was there at the start.
 
     .venv/bin/python -m benchmarks.heavy_steps
 """
 
 from __future__ import annotations
 
+import gc
 import os
+import sys
 import tempfile
 import threading
 import time
@@ -18,6 +21,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
+from servo_daemon.commands.run.serve import SWITCH_S
 from servo_daemon.config import DriveConfig, parse_config
 from servo_daemon.pipeline.pipeline import Pipeline
 from servo_daemon.samples import SampleBlock
@@ -102,6 +106,9 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as cache:
         os.environ["CACHE_DIRECTORY"] = cache
         heavy, neighbour = steps(), Neighbour()
+        sys.setswitchinterval(SWITCH_S)
+        gc.collect()
+        gc.freeze()
         neighbour.start()
         print(f"a tick of another drive is late by, ms (limit {LIMIT_MS:.0f} more than beside nothing)")
         for name, step in heavy.items():

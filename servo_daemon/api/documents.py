@@ -6,6 +6,7 @@ Every number passes `scalar`, so no document ever holds NaN, an infinity or a Nu
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -35,6 +36,8 @@ def encode(document: Document) -> bytes:
 
 def scalar(value: object) -> float | int | bool | str | None:
     """A value as JSON can hold it; what is not finite becomes None."""
+    if type(value) is float:  # nearly all
+        return value if math.isfinite(value) else None
     if isinstance(value, np.generic):
         value = value.item()
     if value is None or isinstance(value, bool | int | str):

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Final
 
-from servo_daemon.api.documents import Document, event_document, scalar
+from servo_daemon.api.documents import Document, encode, event_document, scalar
 from servo_daemon.parameters import KNOWN
 from servo_daemon.published.snapshot import ParameterEstimate, Snapshot
 from servo_daemon.published.units import iso_utc
@@ -14,6 +16,28 @@ from servo_daemon.published.view import DaemonView, DriveView
 
 #: Statuses that want an eye on them, the worst first; the others are as it should be, or will be in seconds.
 _TROUBLED = ("invalid", "at_bound")
+#: An answer serves all who ask within so long, s: a quarter of the time between two questions of a page.
+KEPT_S: Final = 0.5
+
+
+class FleetEncoder:
+    """The document as bytes, made anew at most every `KEPT_S` however many ask. Used by the event loop only.
+
+    Args:
+        clock: seconds, monotonic.
+    """
+
+    def __init__(self, daemon: DaemonView, clock: Callable[[], float] = time.monotonic) -> None:
+        self._daemon, self._clock = daemon, clock
+        self._made_s = -math.inf
+        self._body = b""
+
+    def __call__(self) -> bytes:
+        now_s = self._clock()
+        if now_s - self._made_s >= KEPT_S:
+            self._body = encode(fleet_document(self._daemon))
+            self._made_s = now_s
+        return self._body
 
 
 def fleet_document(daemon: DaemonView) -> Document:

@@ -21,7 +21,7 @@ from servo_daemon.api.answers import (
     tagged,
 )
 from servo_daemon.api.computing import Computer, while_connected
-from servo_daemon.api.fleet import fleet_document
+from servo_daemon.api.fleet import FleetEncoder
 from servo_daemon.api.past import kept
 from servo_daemon.api.past import routes as past
 from servo_daemon.api.per_drive import PerDrive
@@ -66,6 +66,7 @@ class Routes:
     def __init__(self, daemon: DaemonView, computer: Computer) -> None:
         self._daemon = daemon
         self._encoders = PerDrive(daemon, documents.EstimatesEncoder)
+        self._fleet = FleetEncoder(daemon)
         self._slots = StreamSlots()
         self._tuning = PerDrive(daemon, lambda drive: TuningAnswers(drive, computer))
 
@@ -101,8 +102,9 @@ class Routes:
         return json_response({"drives": [documents.drive_summary(d) for d in self._daemon.drives.values()]})
 
     async def fleet(self, request: Request) -> Response:
-        """All drives at a glance: how each is connected, what is known, which parameter to look at first and why."""
-        return tagged(request, documents.encode(fleet_document(self._daemon)))
+        """All drives at a glance: how each is connected, what is known, which parameter to look at first and why. An
+        answer is up to half a second old."""
+        return tagged(request, self._fleet())
 
     async def drive(self, drive: DriveName) -> Response:
         """One drive in full; a simulated one with the true values of its motor."""

@@ -17,6 +17,9 @@ TO_DO = """import('/assets/fleet.js').then(({toDo}) => toDo({
   connection: 'connected', alarms: [], statuses: {tracking: 5}, model: [], worst: null,
   diagnosis: {verdict: null, effects: []}, ...%s,
 }))"""
+#: When the curve of a history is asked for again, ms from now: the age of its last bucket of an hour, ms, or none.
+DUE = """import('/assets/sparkline.js').then(({due}) =>
+  due({time: %s.map((age) => new Date(Date.now() - age).toISOString()), period_s: 3600}, []) - Date.now())"""
 ROW = "document.getElementById('fleet-rows').rows[%d]"
 
 
@@ -64,6 +67,11 @@ def test_one_row_a_drive_and_a_click_opens_it(fleet: Page, server: LiveServer) -
     assert fleet.errors() == []
 
 
+@pytest.mark.parametrize(("ages", "wait_s"), [("[]", 20), ("[3.6e6]", 20), ("[3.5e6]", 100), ("[60e3]", 600)])
+def test_a_curve_is_asked_for_again_when_it_can_be_longer(fleet: Page, ages: str, wait_s: float) -> None:
+    assert fleet.evaluate(DUE % ages) == pytest.approx(1000 * wait_s, abs=1000)
+
+
 def test_what_is_to_be_done(fleet: Page, server: LiveServer) -> None:
     server.paused |= {"axis1", "axis2"}
     server.axis1.limits = (R_MAX,)
@@ -93,4 +101,5 @@ def test_what_is_to_be_done(fleet: Page, server: LiveServer) -> None:
     assert fleet.text("#fleet-problems").endswith("for 9 s\nand 5 more: /api/v1/health")
     fleet.look(390, 900, dark=True)
     assert fleet.evaluate("document.documentElement.scrollWidth") == 390
+    assert server.asked.count("/api/v1/drives") == 1, "the table has all that the list has"
     assert fleet.errors() == []

@@ -160,6 +160,19 @@ def test_more_windows_than_a_browser_has_connections(open_page: OpenPage, server
     assert all(page.errors() == [] for page in pages)
 
 
+def test_a_hidden_page_asks_nothing(open_page: OpenPage, server: LiveServer) -> None:
+    hidden, seen = open_page(fragment="#axis2", seen=True), open_page(seen=True)
+    hidden.evaluate(PUT_AWAY % "true")
+    goes_on(seen, 1)  # what was asked before has been answered
+    asked = len(server.asked)
+    goes_on(seen, 4)
+    since = server.asked[asked:]
+    assert not [path for path in since if "axis2" in path]
+    assert since.count("/api/v1/drives") <= 1 < since.count("/api/v1/drives/axis1"), "the list is asked for seldom"
+    hidden.evaluate(PUT_AWAY % "false")
+    goes_on(hidden, 1)
+
+
 def test_the_other_drive(open_page: OpenPage, server: LiveServer) -> None:
     page = open_page()
     server.paused.add("axis2")

@@ -5,11 +5,14 @@ import { renderConnection, renderFleetConnection } from "./facts.js";
 import { pollFleet } from "./fleet.js";
 import { DriveView } from "./view.js";
 
-const POLL_MS = 1000;
+const POLL_MS = 2000; // what must be seen sooner is in the stream
+const LIST_EVERY = 5; // polls of one drive: the picker tells of the others
 const byId = (id) => document.getElementById(id);
 let view = null;
 let live = false;
 let answers = false;
+let polls = 0; // since the list of drives was asked for
+let timer;
 
 const wanted = () => decodeURIComponent(location.hash.slice(1));
 const ALL = "";
@@ -40,11 +43,12 @@ function fillPicker(drives) {
   if (picker.length !== drives.length + all.length) {
     picker.replaceChildren(...all, ...drives.map((drive) => new Option(drive.name, drive.name)));
   }
-  drives.forEach((drive, k) => {
-    const text = drive.connection === "connected" ? drive.name : `${drive.name} (${drive.connection})`;
-    const option = picker.options[k + all.length];
-    if (option.text !== text) option.text = text;
-  });
+  drives.forEach((drive, k) => label(picker.options[k + all.length], drive));
+}
+
+function label(option, { name, connection }) {
+  const text = connection === "connected" ? name : `${name} (${connection})`;
+  if (option.text !== text) option.text = text;
 }
 
 /** The drive that the address names, else all, else the only one. */
@@ -53,14 +57,20 @@ function chosen(drives) {
   return named?.name ?? (drives.length > 1 ? ALL : drives[0].name);
 }
 
+async function listDrives() {
+  const { drives } = await get("/drives");
+  polls = 0;
+  fillPicker(drives);
+  if (document.body.dataset.view === undefined) show(chosen(drives));
+}
+
 async function refresh() {
   try {
-    const { drives } = await get("/drives");
-    fillPicker(drives);
-    if (document.body.dataset.view === undefined) show(chosen(drives));
+    if (document.body.dataset.view === undefined || (view !== null && ++polls >= LIST_EVERY)) await listDrives();
     if (view === null) {
-      await pollFleet();
+      const drives = await pollFleet();
       answers = true;
+      fillPicker(drives);
       renderFleetConnection(drives);
       return;
     }
@@ -68,6 +78,7 @@ async function refresh() {
     const drive = await shown.poll();
     answers = true;
     if (shown !== view) return;
+    for (const option of byId("drive").options) if (option.value === drive.name) label(option, drive);
     byId("driver").textContent = drive.driver;
     const following = live || drive.connection !== "connected";
     renderConnection(following ? drive.connection : "loading", drive.name, drive.reason);
@@ -78,11 +89,14 @@ async function refresh() {
   }
 }
 
+/** Nobody looks at a hidden page: it asks nothing once it has found its drive. */
 async function poll() {
-  await refresh();
-  setTimeout(poll, POLL_MS);
+  if (!document.hidden || document.body.dataset.view === undefined) await refresh();
+  clearTimeout(timer);
+  timer = setTimeout(poll, POLL_MS);
 }
 
+document.addEventListener("visibilitychange", () => document.hidden || poll());
 byId("drive").addEventListener("change", (event) => {
   show(event.target.value);
   refresh();

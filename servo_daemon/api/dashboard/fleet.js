@@ -101,8 +101,10 @@ function tell(problems) {
   banner.hidden = problems.length === 0;
 }
 
+/** The drives, as they are drawn now. */
 export async function pollFleet() {
   const { drives, problems } = await get("/fleet");
   render(drives);
   tell(problems);
+  return drives;
 }

@@ -7,7 +7,7 @@ import { drawn } from "./series.js";
 const WINDOW = "30d";
 const POINTS = 60;
 const EVERY_MS = 600_000; // a point of such a curve is half a day
-const AGAIN_MS = 20_000; // of a curve that is short still
+const AGAIN_MS = 20_000; // at least
 const [WIDTH, HEIGHT] = [120, 24];
 const cache = new Map(); // drive and parameter: {svg, due}
 const wanted = new Map(); // by the same key: what is to be asked for
@@ -39,6 +39,13 @@ function curve(parameter, points) {
   return svg;
 }
 
+/** When there may be more to draw: a short curve gets its next point when the bucket after its last one begins. */
+export function due({ time, period_s }, points) {
+  const next = Date.parse(time.at(-1)) + 1000 * period_s || 0;
+  const wait = points.length > POINTS / 2 ? EVERY_MS : Math.max(next - Date.now(), AGAIN_MS);
+  return Date.now() + Math.min(wait, EVERY_MS);
+}
+
 /** Asks for one curve after the other: a table of many drives does not ask for all at once. */
 async function pump() {
   asking = true;
@@ -46,9 +53,10 @@ async function pump() {
     wanted.delete(key);
     const query = new URLSearchParams({ parameter, window: WINDOW, points: POINTS });
     try {
-      const points = known(await get(`${drivePath(drive)}/history?${query}`));
+      const history = await get(`${drivePath(drive)}/history?${query}`);
+      const points = known(history);
       const svg = points.length > 1 ? curve(parameter, points) : null;
-      cache.set(key, { svg, due: Date.now() + (points.length > POINTS / 2 ? EVERY_MS : AGAIN_MS) });
+      cache.set(key, { svg, due: due(history, points) });
       put(element, parameter, svg);
     } catch {
       cache.set(key, { svg: cache.get(key)?.svg ?? null, due: Date.now() + AGAIN_MS });

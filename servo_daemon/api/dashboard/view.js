@@ -14,7 +14,9 @@ import { POINTS, Zoom } from "./zoom.js";
 const WARNING = new Set(["alarm", "margin_low", "limit_near"]); // whose marks are red
 const LEAST_S = 15; // charts show at least so much time, also of a drive that has just started
 const DRAW_MS = 200; // numbers that change faster cannot be read
-const CAPTURED_WITHIN = 40; // polls after an event within which its recording is written: half a minute and the writing
+const CAPTURED_WITHIN = 20; // polls after an event within which its recording is written: half a minute and the writing
+const CAPTURED_WITHIN_MS = 40_000; // the same
+const ASK_EVERY = 5; // of these
 
 export class DriveView {
   /** @param {(live: boolean) => void} onLink told when the stream runs and when it is lost */
@@ -40,7 +42,7 @@ export class DriveView {
     this.dirty = false;
     this.closed = false; // answers may still arrive then
     this.eventMarks = [];
-    this.captureSoon = CAPTURED_WITHIN; // polls that also ask for new recordings
+    this.captureSoon = ASK_EVERY; // polls within which there may be new recordings; at first only those there are
     this.frame = requestAnimationFrame((time) => this.#draw(time));
     this.stream = new Stream(name, {
       opened: () => this.#opened(),
@@ -79,9 +81,9 @@ export class DriveView {
       this.events = events;
       this.lastEvent = drive.last_event;
       this.#showEvents();
-      this.captureSoon = CAPTURED_WITHIN;
+      if (Date.parse(drive.time) - Date.parse(drive.last_event) < CAPTURED_WITHIN_MS) this.captureSoon = CAPTURED_WITHIN;
     }
-    if (this.captureSoon-- > 0) await this.recordings.poll();
+    if (this.captureSoon > 0 && this.captureSoon-- % ASK_EVERY === 0) await this.recordings.poll();
     return drive;
   }
 

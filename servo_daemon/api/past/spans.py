@@ -6,6 +6,8 @@ import io
 from collections.abc import Collection, Sequence
 from typing import Any, Final, Literal
 
+import numpy as np
+
 from servo_daemon.api.past.documents import column, dominant
 from servo_daemon.api.problems import ProblemError
 from servo_daemon.api.times import iso_utc_list
@@ -100,13 +102,26 @@ def _text(value: object) -> str:
 
 def _parquet(span: Span, columns: dict[str, list[Any]]) -> bytes:
     arrow, parquet = require_pyarrow()
-    shown_ms = milliseconds(span.buckets.time_s).astype("int64")
-    arrays = {"time": arrow.array(shown_ms, type=arrow.timestamp("ms", tz="UTC"))}
+    shown_ms = milliseconds(span.buckets.time_s).astype("int64").tolist()
+    arrays = [_arrow_array(arrow, arrow.timestamp("ms", tz="UTC"), shown_ms)]
     for name, values in columns.items():
         texts, whole = name.endswith("_status"), name.endswith("_count")
-        arrays[name] = arrow.array(
-            values, type=arrow.string() if texts else arrow.int64() if whole else arrow.float64()
-        )
+        kind = arrow.string() if texts else arrow.int64() if whole else arrow.float64()
+        arrays.append(_arrow_array(arrow, kind, values))
     out = io.BytesIO()
-    parquet.write_table(arrow.table(arrays), out, compression="zstd")
+    parquet.write_table(arrow.Table.from_arrays(arrays, names=["time", *columns]), out, compression="zstd")
     return out.getvalue()
+
+
+def _arrow_array(arrow: Any, kind: Any, values: Sequence[Any]) -> Any:
+    """Values of an Arrow type, None where there is none. Without `pyarrow.array`, which imports pandas, where that is
+    installed, to ask whether it is one of its series: 40 MB and a second in the daemon."""
+    valid = np.packbits(np.array([value is not None for value in values], bool), bitorder="little")
+    if kind == arrow.string():
+        texts = [(value or "").encode() for value in values]
+        ends = np.cumsum([0, *map(len, texts)], dtype=np.int32)  # of each text among the bytes of all
+        parts = [ends, b"".join(texts)]
+    else:
+        dtype = np.float64 if kind == arrow.float64() else np.int64
+        parts = [np.array([0 if value is None else value for value in values], dtype)]
+    return arrow.Array.from_buffers(kind, len(values), [arrow.py_buffer(part) for part in (valid, *parts)])

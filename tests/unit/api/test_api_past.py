@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
+import json
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -12,11 +14,12 @@ import pyarrow.parquet
 import pytest
 
 from servo_daemon.api.app import create_app
+from servo_daemon.api.fleet import KEPT_S, FleetEncoder
 from servo_daemon.api.schemas import kept
 from servo_daemon.api.schemas import past as schemas
 from servo_daemon.published.archive import ArchiveUnavailableError
 from servo_daemon.published.snapshot import Event, ParameterEstimate
-from tests.fake_daemon import T0, FakeDaemon, fake_daemon, make_estimate, make_snapshot
+from tests.fake_daemon import T0, FakeDaemon, fake_daemon, make_estimate, make_snapshot, parameters_at
 from tests.http_rig import Client
 from tests.unit.history.world import World
 
@@ -91,14 +94,43 @@ def test_csv(client: Client, accept: str) -> None:
 
 def test_parquet(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
     query = f"parameter=R&start={T0}&level=1%20s"
-    response = get(client, query, accept="application/vnd.apache.parquet")
+    response = get(client, f"parameter=R,L&start={T0}&level=1%20s", accept="application/vnd.apache.parquet")
     table = pyarrow.parquet.read_table(io.BytesIO(response.content))
+    table.validate(full=True)
+    assert table["L"].null_count == table["L_count"].null_count == table["L_status"].null_count == len(table)
     document = get(client, query).json()
     assert table["R"].to_pylist() == document["value"] and table["R_count"].to_pylist() == document["count"]
     assert table["time"][0].as_py().isoformat(timespec="milliseconds").replace("+00:00", "Z") == document["time"][0]
     monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
     problem = get(client, query, 406, accept="application/vnd.apache.parquet").json()
     assert problem["code"] == "no_parquet" and "servo-daemon[parquet]" in problem["detail"]
+
+
+_IN_A_FRESH_PROCESS = """
+import sys
+from dataclasses import replace
+from servo_daemon.api.past import spans
+from servo_daemon.published.history import HistoryRing
+from servo_daemon.published.memory import memory_span
+from tests.fake_daemon import make_estimate, make_snapshot, parameters_at
+ring = HistoryRing()
+for t in (1.0, 2.0, 3.0):
+    parameters = [replace(p, value=None) if t == 2.0 else p for p in parameters_at(t)]
+    ring.append(make_snapshot(t=t, estimate=make_estimate(t, parameters)))
+table, _ = spans.encode(memory_span(ring, ["R"], 0.0, 1e12), ["R"], {"R"}, "parquet")
+sys.stdout.buffer.write(table)
+sys.exit("pandas" in sys.modules)
+"""
+
+
+def test_parquet_does_not_load_pandas() -> None:
+    root = Path(__file__).parents[3]
+    done = subprocess.run(
+        [sys.executable, "-c", _IN_A_FRESH_PROCESS], cwd=root, check=True, capture_output=True, timeout=60
+    )
+    table = pyarrow.parquet.read_table(io.BytesIO(done.stdout))
+    assert table["R"].to_pylist() == [parameters_at(1.0)[0].value, None, parameters_at(3.0)[0].value]
+    assert table["R_status"].to_pylist() == ["tracking"] * 3
 
 
 def test_what_the_client_has_is_not_sent_again(client: Client) -> None:
@@ -228,6 +260,17 @@ def test_the_fleet_says_what_to_look_at_first() -> None:
     assert drives["away"]["worst"]["why"] == "unplugged" and drives["away"]["connection"] == "down"
     assert drives["new"]["worst"] is None
     assert not drives["well"]["simulated"] and drives["away"]["simulated"]
+
+
+def test_an_answer_serves_all_who_ask_at_nearly_the_same_time() -> None:
+    daemon, now_s = fake_daemon(), [100.0]
+    encode = FleetEncoder(daemon, lambda: now_s[0])
+    first = encode()
+    daemon.drives["axis1"].publish(make_snapshot(t=2.0))
+    now_s[0] += 0.9 * KEPT_S
+    assert encode() is first
+    now_s[0] += 0.1 * KEPT_S
+    assert json.loads(encode())["drives"][0]["time"] == "2026-11-21T12:00:02.000Z"
 
 
 def test_diagnoses_and_models_that_are_kept_for_good(tmp_path: Path) -> None:
