@@ -100,14 +100,15 @@ GROUPS: Mapping[str, Group] = {
 
 
 def found(root: Path, patterns: tuple[str, ...]) -> list[str]:
-    """Files that are there, in the order of the patterns, as paths from the top.
+    """Files that are there, in the order of the patterns, as paths from the top; `file::test` names one test of a file.
 
     Raises:
         FileNotFoundError: a pattern fits nothing.
     """
     out: list[str] = []
     for pattern in patterns:
-        paths = sorted(str(p.relative_to(root)) for p in root.glob(pattern))
+        file, colons, test = pattern.partition("::")
+        paths = [f"{p}{colons}{test}" for p in sorted(str(p.relative_to(root)) for p in root.glob(file))]
         if not paths:
             raise FileNotFoundError(pattern)
         out += [p for p in paths if p not in out]
