@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servo_daemon.diagnosis.missing.missing import Missing, missing_inputs
 from servo_daemon.diagnosis.missing import noise_levels
+from servo_daemon.diagnosis.missing.missing import Missing, missing_inputs
 from servo_daemon.diagnosis.missing.noise_levels import NoiseLevels, alive, resolution
 from servo_daemon.diagnosis.missing.response import smoothed
+from servo_daemon.diagnosis.missing.smoother import Augmented, likelihood
 from servo_daemon.identification.output_error import FitOptions, Recording, fit_output_error
 from servo_daemon.plant.build import build_plant
 from servo_daemon.plant.columns.screening import Trace
@@ -113,10 +114,10 @@ def test_a_load_step_is_found_with_its_size_and_time() -> None:
 def test_the_levels_take_few_passes_of_the_filter(monkeypatch: pytest.MonkeyPatch) -> None:
     """With a motor whose torque constant ripples a pass takes forty times as long as without. Of a coarse look 21; then
     six for every step of a scoring that ends after a handful."""
-    passes, likelihood = [0], noise_levels.likelihood
+    passes = [0]
 
     class Loop:
-        def __init__(self, a: noise_levels.Augmented) -> None:
+        def __init__(self, a: Augmented) -> None:
             self._loop = likelihood(a)
 
         def run_many(self, states: F64, constants: F64, samples: F64) -> F64:
