@@ -288,7 +288,7 @@ def _with_shorter_runs(had: _Found, proposed: Sequence[Proposal], effort: Effort
         return had
     data = search.data.cut(search.base.effects, segment_s)
     base = fit_trial(data, search.base.effects, search.base.values)
-    current = fit_trial(data, search.current.effects, search.current.values)
+    current = fit_trial(data, search.current.effects, search.current.values) if search.added else base
     if base is None or current is None:
         return had
     again = fitted(data, current, proposed, effort)
