@@ -208,18 +208,29 @@ class StepBuilder:
         forward, backward = dry_levels(terms)
         rubs = dry and not (forward.is_zero() and backward.is_zero())
         blocks = self._dry_drop(terms) if dry else ca.SX(0)
-        drop, friction = ca.SX(0), ca.SX(0)
+        drop, friction, turning = ca.SX(0), ca.SX(0), ca.SX(0)
         if blocks.is_zero():
             if rubs:
-                friction = friction_over_step(speed, x[n - 2], core.per_load[n - 2], forward, backward)
-            return _Solved(x + core.per_load * friction, drop, friction)
+                load = core.per_load[n - 2]
+                friction, turning = friction_over_step(speed, x[n - 2], load, core.kept, forward, backward)
+            return _Solved(x + self._rubbing(core, friction, turning), drop, friction)
         for _ in range(_PASSES):
             stopping = (x[0] + core.per_load[0] * friction) / core.per_input[0]
             drop = ca.fmax(ca.fmin(stopping, blocks), -blocks)
             if rubs:
                 free = x[n - 2] - core.per_input[n - 2] * drop
-                friction = friction_over_step(speed, free, core.per_load[n - 2], forward, backward)
-        return _Solved(x - core.per_input * drop + core.per_load * friction, drop, friction)
+                friction, turning = friction_over_step(speed, free, core.per_load[n - 2], core.kept, forward, backward)
+        return _Solved(x - core.per_input * drop + self._rubbing(core, friction, turning), drop, friction)
+
+    def _rubbing(self, core: Core, friction: ca.SX, turning: ca.SX) -> ca.SX:
+        """What dry friction does to the states.
+
+        Args:
+            friction, turning: the torque that makes the speed, and that which makes the angle.
+        """
+        done, angle = core.per_load * friction, self.core_states - 1
+        done[angle] = core.per_load[angle] * turning
+        return done
 
     def _drop(self, terms: Sequence[Terms]) -> ca.SX:
         """Without a voltage there is nothing that a drop could be taken from."""
