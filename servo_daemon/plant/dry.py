@@ -53,6 +53,18 @@ def friction_over_step(
     return afterwards + before(kept * size) * changed, sliding - (1 - before(ca.sqrt(kept) * size)) ** 2 * changed
 
 
+def rubbing(per_load: ca.SX, angle: int, friction: ca.SX, turning: ca.SX) -> ca.SX:
+    """What dry friction does to the states: `turning` to the angle, `friction` to all else.
+
+    Args:
+        per_load: change of the states per N·m.
+        angle: its row.
+    """
+    done = per_load * friction
+    done[angle] = per_load[angle] * turning
+    return done
+
+
 def dry_levels(terms: Sequence[Terms]) -> tuple[ca.SX, ca.SX]:
     """The dry friction against positive and against negative motion: the sum of the levels, scaled."""
     levels = [term.dry_levels for term in terms]
