@@ -79,8 +79,8 @@ class _Twin:
         return total | rates | extra | {"dry_forward": forward, "dry_backward": backward}
 
     def core(self, x: F64, terms: Mapping[str, float], acting: tuple[float, float], h: float) -> tuple[F64, F64, float]:
-        """(i, ω, θ) after h without dry friction and drop, the change per V, N·m and V of rise, shape (3, 3), and what is
-        left of a speed."""
+        """(i, ω, θ) after h without dry friction and drop, the change per V, N·m and V of rise, shape (3, 3), and what
+        is left of a speed."""
         scaled = {**self.p, "R": self.p["R"] * terms["factor_R"], "K": self.p["K"] * terms["factor_K"]}
         scaled["B"] = self.p["B"] * terms["factor_B"] + terms["viscous"]
         Ad, Bd = _driven_step(scaled, h, (self.p["K"], terms["moment_K"]))
@@ -167,8 +167,8 @@ class _Twin:
     def solved(
         x: F64, gains: F64, terms: Mapping[str, float], speed: float | None = None, kept: float = 1.0
     ) -> tuple[F64, float]:
-        """Blocked current and dry friction; with the speed at the beginning, and what a step leaves of it, a reversal is
-        found within the step. And the dry drop, V."""
+        """Blocked current and dry friction; with the speed at the beginning, and what a step leaves of it, a reversal
+        is found within the step. And the dry drop, V."""
         drop = friction = turning = 0.0
         for _ in range(3):
             stopping = (x[0] + gains[0, 1] * friction) / gains[0, 0]
