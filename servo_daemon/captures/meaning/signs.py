@@ -93,7 +93,8 @@ def turned_voltage(capture: Capture) -> str | None:
         return None
     if float(((v[1:] + v[:-1]) / 2) @ travel) >= 0.0 or not lasts_both_ways(v):
         return None
-    return f"voltage_V counts against current and motion: its sign is turned. {mend(capture, 'voltage_V', {'scale': -1.0})}"
+    text = "voltage_V counts against current and motion: its sign is turned"
+    return f"{text}. {mend(capture, 'voltage_V', {'scale': -1.0})}"
 
 
 def no_sign_of_voltage(capture: Capture) -> str | None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from servo_daemon.captures import Capture
 from servo_daemon.captures.columns.plausible import plausibility_notes
-from servo_daemon.captures.meaning import findings, without_unusable
+from servo_daemon.captures.meaning import findings, no_sign_of_voltage, without_unusable
 
 R, K, J = 1.1, 0.03, 2e-5
 
@@ -50,9 +50,8 @@ def test_a_current_that_the_drive_holds_at_its_limit_is_measured() -> None:
 def test_a_voltage_without_its_sign_is_not_a_turned_angle() -> None:
     capture = balanced()
     assert capture.voltage_V is not None
-    (note,) = plausibility_notes(
-        replace(capture, voltage_V=np.abs(capture.voltage_V), position_rad=-capture.position_rad)
-    )  # type: ignore[operator]
+    note = no_sign_of_voltage(replace(capture, voltage_V=np.abs(capture.voltage_V)))
+    assert note is not None and no_sign_of_voltage(capture) is None
     assert "voltage_V never goes below zero" in note
     turned = '{ formula = "(Value) * (1 - 2 * Direction)", Value = "voltage_V", Direction = "dir" }'
     assert f"voltage_V = {turned}" in note
