@@ -20,10 +20,10 @@ def balanced() -> Capture:
     parts = [(a, 2 * np.pi * f) for a, f in ((150.0, 0.7), (80.0, 2.3), (25.0, 5.9))]
     speed = sum(a * np.sin(w * t) for a, w in parts)
     angle = sum(a / w * (1 - np.cos(w * t)) for a, w in parts)
-    current = J / K * sum(a * w * np.cos(w * t) for a, w in parts) + 0.1 * np.sign(speed)
+    current = np.asarray(J / K * sum(a * w * np.cos(w * t) for a, w in parts) + 0.1 * np.sign(speed))
     noise = np.random.default_rng(5).normal(0.0, 0.01, (2, len(t)))
     voltage = R * current + K * speed
-    return Capture(Path("log.csv"), t, voltage + noise[0], current + noise[1], np.asarray(angle))
+    return Capture(Path("log.csv"), t, np.asarray(voltage + noise[0]), current + noise[1], np.asarray(angle))
 
 
 def test_a_current_at_the_end_of_its_sensors_range_counts_as_not_measured() -> None:
