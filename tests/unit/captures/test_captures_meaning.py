@@ -23,8 +23,8 @@ def balanced() -> Capture:
     current = np.asarray(J / K * sum(a * w * np.cos(w * t) for a, w in parts) + 0.1 * np.sign(speed))
     noise = np.random.default_rng(5).normal(0.0, 0.01, (2, len(t)))
     voltage = R * current + K * speed
-    signals = [np.asarray(s, np.float64) for s in (voltage + noise[0], current + noise[1], angle)]
-    return Capture(Path("log.csv"), np.asarray(t, np.float64), *signals)
+    v, i, x = (np.asarray(s, np.float64) for s in (voltage + noise[0], current + noise[1], angle))
+    return Capture(Path("log.csv"), np.asarray(t, np.float64), v, i, x)
 
 
 def test_a_current_at_the_end_of_its_sensors_range_counts_as_not_measured() -> None:
