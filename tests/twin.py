@@ -279,7 +279,7 @@ def _friction(
         return size / (size + abs(end)) if speed * end <= 0 and speed else float(speed * end > 0)
 
     after = float(np.clip((kept * speed - free) / per_load, *levels))
-    in_time = share(np.sqrt(kept) * abs(speed))
+    in_time = share((1 + 10 * kept + 5 * kept**2) / (5 + 10 * kept + kept**2) * abs(speed))
     of_angle = (1 - (1 - in_time) ** 2) * sliding + (1 - in_time) ** 2 * after
     of_speed = share(kept * abs(speed))
     return of_speed * sliding + (1 - of_speed) * after, of_angle

@@ -12,7 +12,7 @@ import casadi as ca
 
 from servo_daemon.plant.effects import Terms
 
-#: Divides, or is under a root, where there is no speed at all.
+#: Divides where there is no speed at all.
 _NOTHING = 1e-300
 
 
@@ -26,7 +26,8 @@ def friction_over_step(
     no error of first order, which a larger model would take for Stribeck's effect. Of what acted before the reversal
     the end remembers what a speed leaves of itself: with ω = ω∞ + (ω₀ − ω∞) e^(−t/τ) and E = e^(−h/τ) the torque
     before counts for  E |ω₀| / (E |ω₀| + |ω(h)|)  of the speed. The angle is two integrals of a torque: what acts after
-    a share ρ of the time counts for (1 − ρ)², and ρ is √E |ω₀| / (√E |ω₀| + |ω(h)|) to 2 % for h ≤ 2 τ.
+    a share ρ of the time counts for (1 − ρ)², and ρ is e |ω₀| / (e |ω₀| + |ω(h)|), e ≈ √E by its Padé
+    approximant, for long steps better than the root itself.
 
     Args:
         speed: at the beginning; None: not known, and friction is that of the end (Moreau).
@@ -38,7 +39,7 @@ def friction_over_step(
     if speed is None:
         friction = ca.fmax(ca.fmin(-free / per_load, forward), -backward)
         return friction, friction
-    kept = ca.fmax(kept, _NOTHING)  # a winding slower than the shaft makes it swing beyond zero
+    kept = ca.fmax(kept, 0)  # a winding slower than the shaft makes it swing beyond zero
     # Not fabs, whose slope at rest is neither side's: a shaft that stands must not seem to keep a speed.
     size = ca.if_else(speed >= 0, speed, -speed)
     sliding = ca.if_else(speed >= 0, forward, -backward)
@@ -49,8 +50,9 @@ def friction_over_step(
     def before(size: ca.SX) -> ca.SX:
         return ca.if_else(reverses, size / ca.fmax(size + ca.fabs(end), _NOTHING), 1.0)
 
+    root = (1 + 10 * kept + 5 * kept**2) / (5 + 10 * kept + kept**2)
     changed = sliding - afterwards
-    return afterwards + before(kept * size) * changed, sliding - (1 - before(ca.sqrt(kept) * size)) ** 2 * changed
+    return afterwards + before(kept * size) * changed, sliding - (1 - before(root * size)) ** 2 * changed
 
 
 def rubbing(per_load: ca.SX, angle: int, friction: ca.SX, turning: ca.SX) -> ca.SX:
