@@ -13,7 +13,7 @@ import numpy as np
 
 from servo_daemon.captures.capture.model import Capture, capture_error
 from servo_daemon.captures.meaning.finding import mend
-from servo_daemon.captures.meaning.signs import no_sign_of_speed
+from servo_daemon.captures.meaning.signs import no_sign_of_speed, no_sign_of_voltage, turned_voltage
 from servo_daemon.captures.meaning.windows import travelled
 from servo_daemon.column_names import RPM
 from servo_daemon.numerics import least_squares
@@ -181,6 +181,10 @@ def _balance(capture: Capture) -> list[str]:
     std = np.sqrt((left + _STATIC**2 * float(mean_v @ mean_v)) * np.diag(np.linalg.inv(A.T @ A)))
     names = ("current_A", "position_rad" if x is not None else "velocity_rad_s")
     unsigned = no_sign_of_speed(capture)
+    against = [value < -_SIGMA * s for value, s in zip(found, std, strict=True)]
+    of_voltage = no_sign_of_voltage(capture) or (turned_voltage(capture) if all(against) else None)
+    if any(against) and of_voltage:
+        return [f"column {of_voltage}"]
     notes = [
         f"column {unsigned}"
         if unsigned and symbol == "K"

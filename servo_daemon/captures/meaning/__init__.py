@@ -6,7 +6,13 @@ from servo_daemon.captures.meaning.finding import Finding
 from servo_daemon.captures.meaning.findings import findings, without_unusable
 from servo_daemon.captures.meaning.given import excluded_values
 from servo_daemon.captures.meaning.restored import SHOWS, Shown, restored_current
-from servo_daemon.captures.meaning.signs import no_sign_of_speed, shows_no_sign, takes_no_power
+from servo_daemon.captures.meaning.signs import (
+    no_sign_of_speed,
+    no_sign_of_voltage,
+    shows_no_sign,
+    takes_no_power,
+    turned_voltage,
+)
 
 __all__ = [
     "SHOWS",
@@ -15,8 +21,10 @@ __all__ = [
     "excluded_values",
     "findings",
     "no_sign_of_speed",
+    "no_sign_of_voltage",
     "restored_current",
     "shows_no_sign",
     "takes_no_power",
+    "turned_voltage",
     "without_unusable",
 ]

@@ -8,10 +8,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from servo_daemon.captures.capture.model import LINEAR_COLUMNS, Capture
 
-#: What it means for a fit: only to be told; the column must be left out; the capture cannot be used so.
-Weight = Literal["told", "column", "capture"]
+#: What it means for a fit: only to be told; some samples of the current count as not measured; the column must be left
+#: out; the capture cannot be used so.
+Weight = Literal["told", "samples", "column", "capture"]
 #: Of a signal map, a position that is counted.
 _COUNTS = "position_counts"
 
@@ -24,11 +28,13 @@ class Finding:
         column: field of `Capture`.
         text: what is seen, what it probably is, and the line that mends it.
         weight: whether it can be fitted so.
+        where: the samples, shape (n,), of the weight "samples".
     """
 
     column: str
     text: str
     weight: Weight = "told"
+    where: NDArray[np.bool_] | None = None
 
 
 def column_name(capture: Capture, field: str) -> str:
@@ -44,7 +50,8 @@ def mend(capture: Capture, field: str, keys: Mapping[str, object], *, target: st
 
     Args:
         field: whose line changes.
-        keys: what is added to it; a scale is one of the column's values as they are.
+        keys: what is added to it; a scale is one of the column's values as they are, a direction the column (0 or 1)
+            that turns them.
         target: the column it becomes, where that is another.
     """
     lines = {f: one for f in ("time_s", *capture.channels) if (one := _line(capture, f)) is not None}
@@ -73,6 +80,10 @@ def _line(capture: Capture, field: str) -> tuple[str, Mapping[str, object]] | No
 
 def _changed(capture: Capture, name: str, entry: Mapping[str, object], keys: Mapping[str, object]) -> dict[str, object]:
     """An entry with other keys. A wrap is one of the column's values; of counts it is in counts."""
+    if "direction" in keys:
+        value = entry if "formula" in entry else {"formula": "Value", "Value": entry}
+        turned = f"({value['formula']}) * (1 - 2 * Direction)"
+        return {**value, "formula": turned, "Direction": keys["direction"]}
     changed = {**entry, **keys}
     if (scale := keys.get("scale")) is not None:
         if "formula" in entry:

@@ -10,6 +10,7 @@ from servo_daemon.captures.capture.model import Capture, capture_error
 from servo_daemon.captures.meaning.currents import current_findings
 from servo_daemon.captures.meaning.finding import Finding
 from servo_daemon.captures.meaning.jumps import jump_findings
+from servo_daemon.captures.meaning.rails import rail_findings
 from servo_daemon.captures.meaning.signs import sign_findings
 from servo_daemon.captures.meaning.units import unit_findings
 
@@ -23,7 +24,8 @@ def findings(capture: Capture, *, limit_V: float | None = None) -> tuple[Finding
     """
     if jumps := jump_findings(capture):
         return tuple(jumps)
-    return (*current_findings(capture), *unit_findings(capture, limit_V), *sign_findings(capture))
+    currents = current_findings(capture) or rail_findings(capture)
+    return (*currents, *unit_findings(capture, limit_V), *sign_findings(capture))
 
 
 def without_unusable(capture: Capture, found: Sequence[Finding]) -> Capture:
@@ -35,6 +37,9 @@ def without_unusable(capture: Capture, found: Sequence[Finding]) -> Capture:
     for one in found:
         if one.weight == "capture":
             raise capture_error(capture.path, one.text)
+        if one.where is not None:
+            known = capture.current_known
+            capture = replace(capture, current_known=~one.where if known is None else known & ~one.where)
         if one.weight == "column":
             if lacks([f for f in ("time_s", *capture.channels) if f != one.column]):
                 raise capture_error(capture.path, one.text)

@@ -86,6 +86,31 @@ def no_sign_of_speed(capture: Capture) -> str | None:
     )
 
 
+def turned_voltage(capture: Capture) -> str | None:
+    """What is said where current and motion go together and both against the voltage; None: they do not."""
+    v, i, travel = capture.voltage_V, capture.current_A, travelled(capture)
+    if v is None or i is None or travel is None or float(v @ i) >= 0.0:
+        return None
+    if float(((v[1:] + v[:-1]) / 2) @ travel) >= 0.0 or not lasts_both_ways(v):
+        return None
+    text = "voltage_V counts against current and motion: its sign is turned"
+    return f"{text}. {mend(capture, 'voltage_V', {'scale': -1.0})}"
+
+
+def no_sign_of_voltage(capture: Capture) -> str | None:
+    """What is said of a voltage that never goes below zero although current and motion last in both directions; None:
+    it does, or they do not. (A drive that brakes one way turns the current alone.)"""
+    v, i, travel = capture.voltage_V, capture.current_A, travelled(capture)
+    if v is None or i is None or travel is None or not never_turns(v) or v.mean() <= 0.0:
+        return None
+    if not lasts_both_ways(i) or not lasts_both_ways(travel):
+        return None
+    return (
+        "voltage_V never goes below zero although current and motion do: |v|, or a duty without its direction. "
+        f"{mend(capture, 'voltage_V', {'direction': 'dir'})}  and for dir your column of the direction (0 or 1)"
+    )
+
+
 def _effort(capture: Capture) -> str | None:
     if capture.torque_Nm is not None:
         return "torque_Nm"

@@ -5,7 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from servo_daemon.captures import Capture
-from servo_daemon.captures.meaning import no_sign_of_speed, shows_no_sign, takes_no_power
+from servo_daemon.captures.meaning import (
+    no_sign_of_speed,
+    no_sign_of_voltage,
+    shows_no_sign,
+    takes_no_power,
+    turned_voltage,
+)
 from servo_daemon.captures.meaning.finding import mend
 from servo_daemon.commands.shared.units import shown_column, shown_unit
 from servo_daemon.conditioning.angle_scale import angle_hint
@@ -83,6 +89,8 @@ def _unexplained(name: str, capture: Capture | None) -> str:
         return f"{text}: is its sign turned, or its unit wrong?"
     if (unsigned := no_sign_of_speed(capture)) and name == "velocity_rad_s":
         return f"{text}: {unsigned}"
+    if takes_no_power(capture, name) and (voltage := no_sign_of_voltage(capture) or turned_voltage(capture)):
+        return f"{text}: {voltage}"
     if takes_no_power(capture, name):
         return f"{text}: its sign is turned. {mend(capture, name, {'scale': -1.0})} turns it"
     if (effort := shows_no_sign(capture)) is not None:
