@@ -11,6 +11,7 @@ import pytest
 from tests.browser.conftest import LiveServer
 from tests.browser.devtools import Browser, Page
 from tests.browser.test_alarm_page import R_MAX, ring
+from tests.fake_daemon import fake_daemon
 
 pytestmark = pytest.mark.system
 TO_DO = """import('/assets/fleet.js').then(({toDo}) => toDo({
@@ -103,3 +104,15 @@ def test_what_is_to_be_done(fleet: Page, server: LiveServer) -> None:
     assert fleet.evaluate("document.documentElement.scrollWidth") == 390
     assert server.asked.count("/api/v1/drives") == 1, "the table has all that the list has"
     assert fleet.errors() == []
+
+
+def test_the_picker_follows_drives_that_come_and_go(fleet: Page, server: LiveServer) -> None:
+    fleet.evaluate((ROW % 1) + ".cells[3].click()")
+    fleet.until("document.title == 'axis2 · servo-daemon'")
+    two = server.daemon.drives
+    server.daemon.drives = {**two, **fake_daemon("axis3").drives}
+    fleet.until("document.getElementById('drive').length == 4", 30)
+    assert fleet.evaluate("document.getElementById('drive').value") == "axis2", "the choice stays"
+    server.daemon.drives = {"axis1": two["axis1"]}
+    fleet.until("document.title == 'axis1 · servo-daemon'", 30)
+    assert fleet.evaluate("document.getElementById('drive').value") == "axis1"

@@ -77,9 +77,7 @@ MECHANISMS: Sequence[Named] = (
         "if s.count < noise.FEWEST_TO_LEARN:",
         "if s.count < 1:",
     ),
-    _off(
-        "a slow drive's noise is not learned anew", "noise/watch.py", "        if self._pool:", "        if False:"
-    ),
+    _off("a slow drive's noise is not learned anew", "noise/watch.py", "        if self._pool:", "        if False:"),
     _off("the first samples' noise is all the sensor's", "noise/watch.py", "if var < first.var:", "if False:"),
     _off(
         "what the shaft's balance leaves is not expected",
@@ -147,9 +145,7 @@ MECHANISMS: Sequence[Named] = (
         "self._likelihood_restart.begin(asked=not sure)",
         "self._likelihood_restart.begin(asked=False)",
     ),
-    _off(
-        "… it is cross-checked all the same", "supervision.py", "self.validity.waive_cross_check()", "pass"
-    ),
+    _off("… it is cross-checked all the same", "supervision.py", "self.validity.waive_cross_check()", "pass"),
     _off(
         "a filter that has diverged goes on",
         "restart/divergence.py",
@@ -258,7 +254,7 @@ MECHANISMS: Sequence[Named] = (
     _off(
         "the regressions do not follow a lag",
         "validity/validity_gate.py",
-        "self._rls.follow_lag(values[\"t_lag\"])",
+        'self._rls.follow_lag(values["t_lag"])',
         "pass",
     ),
     _off(

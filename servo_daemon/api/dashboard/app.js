@@ -36,14 +36,18 @@ function show(name) {
   });
 }
 
-/** The picker follows the list without losing the choice; each entry tells how its drive is. */
+/** The picker follows the list without losing the choice, unless that drive has gone; each entry tells how its drive is. */
 function fillPicker(drives) {
   const picker = byId("drive");
-  const all = drives.length > 1 ? [new Option("all drives", ALL)] : [];
-  if (picker.length !== drives.length + all.length) {
-    picker.replaceChildren(...all, ...drives.map((drive) => new Option(drive.name, drive.name)));
+  const names = [...(drives.length > 1 ? [ALL] : []), ...drives.map(({ name }) => name)];
+  const before = Array.from(picker.options, ({ value }) => value);
+  if (JSON.stringify(names) !== JSON.stringify(before)) {
+    const choice = picker.value;
+    picker.replaceChildren(...names.map((name) => new Option(name === ALL ? "all drives" : name, name)));
+    if (names.includes(choice)) picker.value = choice;
+    else if (document.body.dataset.view !== undefined) show(chosen(drives));
   }
-  drives.forEach((drive, k) => label(picker.options[k + all.length], drive));
+  drives.forEach((drive, k) => label(picker.options[k + names.length - drives.length], drive));
 }
 
 function label(option, { name, connection }) {
