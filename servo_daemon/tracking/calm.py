@@ -19,7 +19,6 @@ from servo_daemon.samples import SampleBlock, concatenate
 from servo_daemon.tracking.changes.actions import JumpActions
 from servo_daemon.tracking.noise.watch import InnovationTest, InnovationWatch
 from servo_daemon.tracking.plan.settings import TICK_S
-from servo_daemon.tracking.samples.signal_scales import SignalScales
 
 #: So many ticks of a calm drive are judged together: what is published of its parameters is half a second old at most
 #: (docs/performance.md).
@@ -54,8 +53,8 @@ class CalmTicks:
         calm: nothing that was judged last is in doubt or about to change.
     """
 
-    def __init__(self, ekf: Ekf, watch: InnovationWatch, jumps: JumpActions, signal_scales: SignalScales) -> None:
-        self._ekf, self._watch, self._jumps, self._signal_scales = ekf, watch, jumps, signal_scales
+    def __init__(self, ekf: Ekf, watch: InnovationWatch, jumps: JumpActions) -> None:
+        self._ekf, self._watch, self._jumps = ekf, watch, jumps
         self._waiting: list[SampleBlock] = []
         self._eventful = 0  # the last tick to which there was something
         self.calm = False
@@ -93,7 +92,7 @@ class CalmTicks:
             test = self._watch.judge(statistics)
             if self._may_wait(tick, test, before_s, period_s):
                 self._waiting.append(tick)
-                self._watch.learn(statistics, (period_s or 0.0) * len(tick), rests=self._signal_scales.rests)
+                self._watch.learn(statistics, (period_s or 0.0) * len(tick))
                 self._jumps.pass_over(float(tick.time_s[-1]))
                 return None
         ticks, self._waiting, self.calm = [*self._waiting, tick], [], False

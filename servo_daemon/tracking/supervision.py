@@ -94,7 +94,7 @@ class FilterSupervision:
         signal_scales: SignalScales,
     ) -> None:
         self._masks, self._ekf, self._rls, self._watch = masks, ekf, rls, watch
-        self._filtering, self._signal_scales = filtering, signal_scales
+        self._filtering = filtering
         self.validity = ValidityGate(masks, ekf, rls)
         self.notifications = Notifications(masks, ekf, watch, lambda: self.validity.excitation.scales)
         self._noise = NoiseSetting(masks, ekf, rls, watch, signal_scales)
@@ -103,7 +103,7 @@ class FilterSupervision:
         self._relinearisation = BatchRelinearisation(masks, ekf, filtering, self.validity, self._noise)
         self._likelihood_restart = MaximumLikelihoodRestart(masks, ekf, filtering, self._noise)
         self._divergence = DivergenceMonitor(masks, ekf, rls, self.validity, watch)
-        self.together = CalmTicks(ekf, watch, self.jumps, signal_scales)
+        self.together = CalmTicks(ekf, watch, self.jumps)
         self._guessed = False
         self.ticks = 0
 
@@ -190,7 +190,7 @@ class FilterSupervision:
         believed = self._believed(ended.stretch, action)
         fresh = self._rls.update(believed, ended.noise_var, self._noise.sampling(period_s), taken.ticks)
         if action == "learn" and ended.stretch.complete:
-            self._watch.learn(taken.statistics, last_s, rests=self._signal_scales.rests)
+            self._watch.learn(taken.statistics, last_s)
         sampling = self._noise.sampling(period_s)
         if fresh:
             excitation.scales = self._noise.rescale(sampling)

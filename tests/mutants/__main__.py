@@ -20,20 +20,22 @@ from dataclasses import asdict
 from pathlib import Path
 
 from tests.mutants.groups import GROUPS, found
+from tests.mutants.mechanisms import MECHANISMS
 from tests.mutants.named import NAMED
 from tests.mutants.run import Fault, Outcome, Workshop, tests_of
 from tests.mutants.sites import sites
 
 ROOT = Path(__file__).resolve().parents[2]
 _NAMED = "named"
+_LISTS = {_NAMED: NAMED, "mechanisms": MECHANISMS}
 
 
-def named_faults(root: Path = ROOT) -> Iterator[Fault]:
-    """Those of the list."""
-    for fault in NAMED:
+def listed_faults(group: str, root: Path = ROOT) -> Iterator[Fault]:
+    """Those of a list."""
+    for fault in _LISTS[group]:
         path = root / fault.file
         text = fault.applied(path.read_text(encoding="utf-8")) if path.exists() else None
-        yield Fault(_NAMED, fault.name, fault.file, text, tests_of(root, fault.tests))
+        yield Fault(group, fault.name, fault.file, text, tests_of(root, fault.tests))
 
 
 def drawn_faults(group: str, wanted: int, seed: int, root: Path = ROOT) -> list[Fault]:
@@ -98,9 +100,10 @@ def document(outcomes: Sequence[Outcome], seed: int) -> str:
         own = [o for o in outcomes if o.group == group]
         killed = sum(o.outcome == "killed" for o in own)
         lines.append(f"| {group} | {killed} | {len(own)} | {killed / len(own):.0%} |")
-    lines += ["", "## Named", "", "| fault | outcome | by |", "|---|---|---|"]
-    lines += [f"| {_cell(o.title)} | {o.outcome} | {_cell(_test(o.by))} |" for o in outcomes if o.group == _NAMED]
-    survived = [o for o in outcomes if o.group != _NAMED and o.outcome != "killed"]
+    for group in _LISTS:
+        lines += ["", f"## {group.capitalize()}", "", "| fault | outcome | by |", "|---|---|---|"]
+        lines += [f"| {_cell(o.title)} | {o.outcome} | {_cell(_test(o.by))} |" for o in outcomes if o.group == group]
+    survived = [o for o in outcomes if o.group not in _LISTS and o.outcome != "killed"]
     lines += ["", "## Drawn, and not killed", "", "| part | file | fault |", "|---|---|---|"]
     lines += [f"| {o.group} | `{o.file}` | {_cell(o.title)} |" for o in survived]
     return "\n".join(lines) + "\n"
@@ -117,7 +120,7 @@ def _test(by: str) -> str:
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="make mutants", description="put faults into the code, see which tests fail")
-    parser.add_argument("--only", nargs="+", choices=[_NAMED, *GROUPS], default=[_NAMED, *GROUPS])
+    parser.add_argument("--only", nargs="+", choices=[*_LISTS, *GROUPS], default=[*_LISTS, *GROUPS])
     parser.add_argument("--sample", type=int, default=8, help="faults drawn for each part")
     parser.add_argument("--seed", type=int, help="of the draw; without it a fresh one")
     parser.add_argument("--file", type=Path, help="of the outcomes (build/mutants-SEED.jsonl)")
@@ -126,7 +129,7 @@ def main() -> int:
     asked = parser.parse_args()
     seed = secrets.randbelow(10**9) if asked.seed is None else asked.seed
     print(f"draw {seed}: go on with --seed {seed}", file=sys.stderr)
-    faults = list(named_faults()) if _NAMED in asked.only else []
+    faults = [fault for group in _LISTS if group in asked.only for fault in listed_faults(group)]
     for group in GROUPS:
         faults += drawn_faults(group, asked.sample, seed) if group in asked.only else []
     outcomes = run(faults, asked.file or ROOT / f"build/mutants-{seed}.jsonl", asked.workers)

@@ -69,8 +69,6 @@ MECHANISMS: Sequence[Named] = (
         "follow = None",
         _SETTLES,
     ),
-    _off("at rest noise is learned as in motion", "noise/watch.py", "            if rests:", "            if False:"),
-    _off("at rest whiteness is judged", "noise/watch.py", "        if not rests:", "        if True:"),
     _off(
         "a slow drive's ticks are not pooled",
         "noise/watch.py",

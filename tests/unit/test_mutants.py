@@ -7,14 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from tests.mutants.__main__ import drawn_faults, named_faults
+from tests.mutants.__main__ import drawn_faults, listed_faults
 from tests.mutants.groups import GROUPS, found
 from tests.mutants.run import Fault, Workshop
 from tests.mutants.sites import sites
 
 
-def test_no_named_fault_is_stale_and_each_has_its_tests() -> None:
-    faults = list(named_faults())
+@pytest.mark.parametrize("group", ["named", "mechanisms"])
+def test_no_listed_fault_is_stale_and_each_has_its_tests(group: str) -> None:
+    faults = list(listed_faults(group))
     assert [f.title for f in faults if f.text is None] == []
     assert len({f.title for f in faults}) == len(faults)
     for fault in faults:

@@ -137,7 +137,7 @@ class ProcessNoise:
         if too_much:
             return ProcessNoise(max(self.factor * math.exp(-_RECEDE), 1.0))
         if nis > _NIS_HIGH and correlation > _CORRELATED:
-            return self.risen(correlation, nis)
+            return ProcessNoise(min(self.factor * _RISE, FACTOR_MOST))
         if follow is not None:
             steer = _STEER * min(max(follow, -0.5), 0.5)
             if nis < NIS_LOW:  # more noise than there is: whatever the correlation says, it is not missing here
@@ -146,12 +146,6 @@ class ProcessNoise:
             return ProcessNoise(math.exp(min(max(steered, 0.0), math.log(FACTOR_MOST))))
         if correlation < 0.5 * _CORRELATED or nis < 1.0:
             return ProcessNoise(max(self.factor * _FALL, 1.0))
-        return self
-
-    def risen(self, correlation: float, nis: float) -> ProcessNoise:
-        """As `after`, but only upwards."""
-        if nis > _NIS_HIGH and correlation > _CORRELATED:
-            return ProcessNoise(min(self.factor * _RISE, FACTOR_MOST))
         return self
 
 

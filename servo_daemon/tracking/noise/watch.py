@@ -207,13 +207,8 @@ class InnovationWatch:
         self.gated += sum(int(s.gated) for s in statistics.values())
         return judged(statistics)
 
-    def learn(self, statistics: Mapping[str, ChannelStatistics], duration_s: float, *, rests: bool = False) -> None:
-        """Let a tick's innovations move noise levels and whiteness.
-
-        Args:
-            rests: the drive stands, and nothing happens in its winding. Innovations then say nothing of the model, in
-                whatever order they come: they are the drive's own noise, of which there may be more than was known.
-        """
+    def learn(self, statistics: Mapping[str, ChannelStatistics], duration_s: float) -> None:
+        """Let a tick's innovations move noise levels and whiteness."""
         for name, tick in statistics.items():
             pooled = self._pool.get(name)
             s, span_s = (tick, duration_s) if pooled is None else (pooled[0].joined(tick), pooled[1] + duration_s)
@@ -221,9 +216,6 @@ class InnovationWatch:
                 self._pool[name] = s, span_s
                 continue
             self._pool.pop(name, None)
-            if rests:
-                self._process[name] = self._of(name).risen(s.correlation, s.nis)
-                continue
             follow = None
             if name == "current_A":
                 # What moves the current really moves the shaft a sample later; where the winding is faster than the
@@ -236,8 +228,7 @@ class InnovationWatch:
             self._updates[name] = self._updates.get(name, 0) + 1
             nis = s.nis if pooled is not None else 1.0
             self._channel[name] = noise.adapted(self._channel[name], s.excess, span_s, self._updates[name], nis)
-        if not rests:
-            self._judge()
+        self._judge()
 
     def _noise_after(self, name: str, s: ChannelStatistics, follow: float | None) -> ProcessNoise:
         """A torque moves the current too. Innovations of the current that are too small beside a torque that was
