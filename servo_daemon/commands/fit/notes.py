@@ -18,6 +18,7 @@ from servo_daemon.conditioning.angle_scale import angle_hint
 from servo_daemon.identification.output_error import OutputErrorFit
 from servo_daemon.identification.output_error.lag_like import equivalents
 from servo_daemon.identification.output_error.misfit import unexplained
+from servo_daemon.identification.output_error.other_laws import friction_goes_one_way
 from servo_daemon.identification.procedure.drift import SEGMENT_S, Drift
 from servo_daemon.parameters import spaced
 from servo_daemon.signal_meaning import SignalMeaning
@@ -64,6 +65,11 @@ def result_notes(
                 f"{name} = {p.value:.4g}{spaced(p.unit)} is {p.value / given:.3g} times its nominal value: "
                 "is a column in another unit, or its sign turned?"
             )
+    if fit.parameters["B"].status == "estimated" and friction_goes_one_way(fit):
+        notes.append(
+            "the motion never turns back: dry friction would look like B there, and B and J are known no better than "
+            "that leaves them: record a motion to and fro"
+        )
     meaning = meaning or SignalMeaning()
     estimated = {n: p.value for n, p in fit.parameters.items() if p.status == "estimated"}
     if (hint := angle_hint(estimated, nominal, meaning.gear_ratio)) is not None:

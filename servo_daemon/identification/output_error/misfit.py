@@ -34,7 +34,7 @@ from servo_daemon.identification.output_error.lag_like import (
 from servo_daemon.identification.output_error.noise.noise import WORTH, resolution
 from servo_daemon.identification.output_error.noise.residual import ResidualTest, innovation_tests
 from servo_daemon.identification.output_error.noise.whitening import moving
-from servo_daemon.identification.output_error.other_laws import by_other_laws
+from servo_daemon.identification.output_error.other_laws import by_friction_one_way, by_other_laws
 from servo_daemon.identification.output_error.precision.combinations import (
     answer_between,
     determined_combinations,
@@ -77,6 +77,9 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
     inside, lag = _discrepancy(fit, scale, again, square, likelier), by_other_lags(fit, again)
     seen, slower = inside if lag is None else np.column_stack([inside, lag]), with_more_inductance(fit, again)
     added = seen if slower is None else np.column_stack([seen, SHARE * moved_to(slower, fit)])
+    # (Not in the answer to the voltage: to that step it is what was seen, whatever rubs.)
+    friction = by_friction_one_way(fit, again)
+    added = added if friction is None else np.column_stack([added, friction])
     if not names or not (added.size or likelier is not None):
         return fit
     parameters = dict(fit.parameters)

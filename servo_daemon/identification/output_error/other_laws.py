@@ -4,15 +4,21 @@ A motor with dry friction turns as one with more viscous friction, and B takes a
 more resistance in R, the lag of a filtered speed for L, a weight for more of all of them. They come out several times
 too large, and little is left of the data that would say so. So where something is left, models with the other laws are
 fitted, and as far as the best of them moves the parameters, these are unknown.
+
+A motion that never turns back leaves nothing of it: all that dry friction does there, a viscous one does as well.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 
+import numpy as np
+
 from servo_daemon.identification.output_error.fitted import OutputErrorFit
 from servo_daemon.identification.output_error.lag_like import Refit, halved_lag, moved_to, values_of
 from servo_daemon.identification.output_error.noise.noise import WORTH
+from servo_daemon.identification.output_error.problem.problem import Problem, Segment
+from servo_daemon.identification.output_error.problem.rollout import STEP
 from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.samples import F64
 
@@ -26,6 +32,8 @@ _OTHERS = (
     ("brush_voltage_drop", "R", "Vb"),
     ("speed_filter", "L", "t_f"),
 )
+#: A motion goes one way if less than this share of it goes back, told by so many parts of a segment (chosen).
+_BACK, _PARTS = 0.01, 50
 #: Effects that are seen in one channel only.
 _NEEDS = {"brush_voltage_drop": "current_A", "speed_filter": "velocity_rad_s"}
 
@@ -37,17 +45,70 @@ def by_other_laws(fit: OutputErrorFit, again: Refit, *, dry: bool = False) -> F6
     Args:
         dry: dry friction alone is asked for.
     """
-    problem, held = fit.problem, _held(fit)
-    found = [
-        again((*problem.plant.effects, name), begin, held)
-        for name in _missing(fit)
-        if not dry or name == "coulomb_friction"
-        for begin in _begins(fit, name, held)
-    ]
-    best = min((f for f in found if f is not None), key=lambda f: f.solution.point.value, default=None)
+    names = [name for name in _missing(fit) if not dry or name == "coulomb_friction"]
+    best = _best(fit, again, names)
     if best is None or best.solution.point.value > fit.plain.point.value - WORTH:
         return None
     return moved_to(best, fit)
+
+
+def by_friction_one_way(fit: OutputErrorFit, again: Refit) -> F64 | None:
+    """By how much the coordinates of the free parameters may be off, in one direction, as `by_other_laws`, where the
+    motion never turns back: dry friction may be half of all, whether or not that explains more. None: it turns."""
+    if not friction_goes_one_way(fit):
+        return None
+    values = values_of(fit)
+    other = again(
+        (*fit.problem.plant.effects, "coulomb_friction"),
+        {**values, "B": values["B"] / 2.0, "Tc": values["B"] / 2.0 * _usual_speed(fit.problem)},
+        _held(fit),
+    )
+    return None if other is None else moved_to(other, fit)
+
+
+def friction_goes_one_way(fit: OutputErrorFit) -> bool:
+    """Whether dry friction, which the model lacks, would pass for B because the motion never turns back."""
+    return "coulomb_friction" in set(_missing(fit)) and goes_one_way(fit.problem)
+
+
+def goes_one_way(problem: Problem) -> bool:
+    """Whether the shaft turns, and next to never back."""
+    travel = _travel(problem)
+    forth, back = float(np.sum(travel[travel > 0.0])), -float(np.sum(travel[travel < 0.0]))
+    return min(forth, back) < _BACK * max(forth, back)
+
+
+def _travel(problem: Problem) -> F64:
+    """Parts of the way, rad, shape (parts,); none where no motion is measured."""
+    parts = [_parts(problem, s) for s in problem.segments if s.recording not in problem.blocked]
+    return np.concatenate([np.zeros(0), *parts])
+
+
+def _parts(problem: Problem, s: Segment) -> F64:
+    """Of one segment: parts so long that noise and steps of a sensor are small beside them."""
+    name = next((n for n in ("position_rad", "velocity_rad_s") if n in problem.channels), None)
+    if name is None:
+        return np.zeros(0)
+    k = problem.channels.index(name)
+    valid = s.valid[:, k]
+    measured, step_s = s.measured[valid, k], s.rows[valid, STEP]
+    way = measured if name == "position_rad" else np.cumsum(measured * step_s)
+    at = np.unique(np.linspace(0, len(way) - 1, _PARTS + 1).astype(int)) if len(way) else np.zeros(0, int)
+    return np.diff(way[at])
+
+
+def _usual_speed(problem: Problem) -> float:
+    """Mean speed over all, rad/s."""
+    seconds = sum(float(np.sum(s.rows[:, STEP])) for s in problem.segments)
+    return abs(float(np.sum(_travel(problem)))) / max(seconds, 1e-9)
+
+
+def _best(fit: OutputErrorFit, again: Refit, names: Collection[str]) -> OutputErrorFit | None:
+    """The likeliest of the models with one of these laws more."""
+    held = _held(fit)
+    effects = fit.problem.plant.effects
+    found = [again((*effects, name), begin, held) for name in names for begin in _begins(fit, name, held)]
+    return min((f for f in found if f is not None), key=lambda f: f.solution.point.value, default=None)
 
 
 def _begins(fit: OutputErrorFit, name: str, held: Collection[str]) -> Iterator[Mapping[str, float]]:
