@@ -16,8 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.diagnosis.missing.smoother import Augmented, likelihood, packed
-from servo_daemon.identification.output_error.noise.noise import DIFFERENCE, LONGEST
-from servo_daemon.identification.output_error.noise.scoring import Axes, Innovations, deviance, fisher_scoring
 from servo_daemon.plant.at_once import alike
 from servo_daemon.samples import F64
 
@@ -94,6 +92,8 @@ def fit_levels(a: Augmented, q: F64, stretches: Sequence[Stretch], start: NoiseL
     Args:
         floor: shape (c,), least variance of each channel (quantisation).
     """
+    from scipy.optimize import minimize
+
     pieces = _pieces(a, stretches)
     at_once = [
         (which, np.stack([pieces[k].begin() for k in which]), np.stack([pieces[k].rows for k in which]))
@@ -106,38 +106,34 @@ def fit_levels(a: Augmented, q: F64, stretches: Sequence[Stretch], start: NoiseL
     low = np.concatenate([typical[: n_d + 1] - 16.0, np.log(floor)])
     high = np.concatenate([typical[: n_d + 1] + 14.0, np.maximum(typical[n_d + 1 :], low[n_d + 1 :]) + 9.0])
 
-    def innovations(x: F64) -> tuple[F64, F64]:
+    def cost(x: F64) -> float:
         constants = np.concatenate([q, np.exp(x)])
-        of = [(q, q)] * len(pieces)
+        of = [0.0] * len(pieces)
         for which, begin, rows in at_once:
             for k, out in zip(which, likelihood(a).run_many(begin.copy(), constants, rows), strict=True):
-                of[k] = _counted(pieces[k], out)
-        return np.concatenate([e for e, _ in of]), np.concatenate([logs for _, logs in of])
+                of[k] = _minus_two_log(pieces[k], out)
+        total = sum(of)
+        return total if np.isfinite(total) else 1e12
 
-    axes = Axes(low, high, np.full(len(low), DIFFERENCE), np.full(len(low), LONGEST))
-    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        begun = _coarsely(innovations, np.clip(typical, low, high), axes, (*range(n_d + 1), *range(n_d)))
-        found = fisher_scoring(innovations, begun, range(len(low)), axes, faint=LONGEST**-2)
-    x = np.exp(found.at)
-    walk = dict(zip(a.disturbances, x[:n_d].tolist(), strict=True))
-    return NoiseLevels(walk, float(x[n_d]), dict(zip(a.channels, x[n_d + 1 :].tolist(), strict=True)))
-
-
-def _coarsely(innovations: Innovations, start: F64, axes: Axes, order: Sequence[int]) -> F64:
-    """Coordinate by coordinate: the walks may be off by many orders of magnitude, where slopes are flat."""
-
-    def cost(x: F64) -> float:
-        total = deviance(innovations(x))
-        return total if np.isfinite(total) else np.inf
-
-    best, value = start, cost(start)
-    for k in order:
+    # Coarse first, coordinate by coordinate: the walks may be off by many orders of magnitude, where slopes are flat.
+    best = np.clip(typical, low, high)
+    value = cost(best)
+    for k in (*range(n_d + 1), *range(n_d)):
         for trial in (-9.0, -4.5, 4.5, 9.0):
             x = best.copy()
-            x[k] = np.clip(best[k] + trial, axes.low[k], axes.high[k])
+            x[k] = np.clip(best[k] + trial, low[k], high[k])
             if (other := cost(x)) < value:
                 best, value = x, other
-    return best
+    found = minimize(
+        cost,
+        best,
+        method="L-BFGS-B",
+        bounds=list(zip(low, high, strict=True)),
+        options={"maxiter": 25, "eps": 1e-3, "ftol": 1e-7},
+    )
+    x = np.exp(found.x if found.fun < value else best)
+    walk = dict(zip(a.disturbances, x[:n_d].tolist(), strict=True))
+    return NoiseLevels(walk, float(x[n_d]), dict(zip(a.channels, x[n_d + 1 :].tolist(), strict=True)))
 
 
 def _pieces(a: Augmented, stretches: Sequence[Stretch]) -> list[Stretch]:
@@ -158,12 +154,11 @@ def _pieces(a: Augmented, stretches: Sequence[Stretch]) -> list[Stretch]:
     return [_piece(a, s, begin, end) for s, begin, end in chosen if end - begin > SETTLING]
 
 
-def _counted(piece: Stretch, out: F64) -> tuple[F64, F64]:
-    """Innovations of a piece in units of their standard deviations, and the logarithms of their variances; `out`:
-    innovations and their inverse variances."""
-    c = piece.counted.shape[1]
-    nu, precision = out[:, :c][piece.counted], out[:, c:][piece.counted]
-    return nu * np.sqrt(precision), -np.log(precision)
+def _minus_two_log(piece: Stretch, out: F64) -> float:
+    """Of a piece, but for a constant; `out`: innovations and their inverse variances."""
+    nu, precision = out[:, : piece.counted.shape[1]], out[:, piece.counted.shape[1] :]
+    use = piece.counted & (precision > 0)
+    return float(np.sum(nu[use] ** 2 * precision[use] - np.log(precision[use])))
 
 
 def _piece(a: Augmented, s: Stretch, begin: int, end: int) -> Stretch:

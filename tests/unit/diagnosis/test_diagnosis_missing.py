@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servo_daemon.diagnosis.missing import noise_levels
 from servo_daemon.diagnosis.missing.missing import Missing, missing_inputs
 from servo_daemon.diagnosis.missing.noise_levels import NoiseLevels, alive, resolution
 from servo_daemon.diagnosis.missing.response import smoothed
-from servo_daemon.diagnosis.missing.smoother import Augmented, likelihood
 from servo_daemon.identification.output_error import FitOptions, Recording, fit_output_error
 from servo_daemon.plant.build import build_plant
 from servo_daemon.plant.columns.screening import Trace
@@ -109,25 +107,6 @@ def test_a_load_step_is_found_with_its_size_and_time() -> None:
     assert abs(np.mean(torque[1100:1900]) - 0.03) < 0.002
     assert np.mean(np.abs(torque[1050:] - 0.03) < 1.96 * std[1050:]) > 0.8
     assert np.sqrt(np.mean(m.series["voltage"] ** 2)) < 0.1
-
-
-def test_the_levels_take_few_passes_of_the_filter(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a motor whose torque constant ripples a pass takes forty times as long as without. Of a coarse look 21; then
-    six for every step of a scoring that ends after a handful."""
-    passes = [0]
-
-    class Loop:
-        def __init__(self, a: Augmented) -> None:
-            self._loop = likelihood(a)
-
-        def run_many(self, states: F64, constants: F64, samples: F64) -> F64:
-            passes[0] += 1
-            return self._loop.run_many(states, constants, samples)
-
-    monkeypatch.setattr(noise_levels, "likelihood", Loop)
-    m = _missing(_only(_capture(2000, torque=0.03), "voltage_V", "current_A", "position_rad"))
-    assert m.levels.channel_var["current_A"] == pytest.approx(0.01**2, rel=0.2)
-    assert passes[0] < 100
 
 
 @pytest.mark.parametrize(

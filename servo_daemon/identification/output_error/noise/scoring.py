@@ -57,16 +57,12 @@ class Axes:
     longest: F64
 
 
-def fisher_scoring(
-    innovations: Innovations, start: F64, free: Sequence[int], axes: Axes, *, faint: float = 0.0
-) -> Found:
+def fisher_scoring(innovations: Innovations, start: F64, free: Sequence[int], axes: Axes) -> Found:
     """The most likely coordinates near a start.
 
     Args:
         start: shape (k,).
         free: which of them may move.
-        faint: curvature that every step is damped by: what the data hardly show would take the longest step for itself
-            and leave the others none.
     """
     free, at, damping, converged = list(free), start.copy(), 0.0, False
     low, high, longest = axes.low[free], axes.high[free], axes.longest[free]
@@ -79,9 +75,7 @@ def fisher_scoring(
             break
         A = H[np.ix_(open_, open_)]
         step = np.zeros(len(free))
-        step[open_] = -np.linalg.solve(
-            A + np.diag(faint + (damping + _RIDGE) * np.maximum(np.diag(A), _RIDGE)), g[open_]
-        )
+        step[open_] = -np.linalg.solve(A + np.diag((damping + _RIDGE) * np.maximum(np.diag(A), _RIDGE)), g[open_])
         step *= min(1.0, 1.0 / max(float(np.max(np.abs(step) / longest)), 1e-300))
         if -float(g @ step) < _ENOUGH:
             converged = True
