@@ -61,6 +61,7 @@ class Session:
         self._silence_s = max(drive.hold_s, _VALID_SAMPLES * period)
         self.count_rad = 2 * math.pi / (drive.info.counts_per_rev or 1e6)
         self.supervisor = Supervisor(limits, period, self.count_rad, self._silence_s)
+        self._unseen = standing.UnseenMotion(limits, self.count_rad)
         self._valid_s = min(LONGEST_COMMAND_S, self._silence_s)
         self._blocks = [first]
         assert first.position_rad is not None
@@ -133,10 +134,14 @@ class Session:
             return stop
         if self.prediction is not None and stop.reason == "motion_ended":
             return self.prediction.named_stuck(stop)
+        return standing.named(stop, *self._since_it_stands())
+
+    def _since_it_stands(self) -> tuple[SampleBlock, float, float]:
+        """Samples since the encoder stands; offset and noise of the current, A."""
         s, block = self.supervisor, self.block()
         since = int(np.searchsorted(block.time_s, s.stands_since_s))
         noise = max(s.current_noise_A, LEAST_NOISE * self._limits.current_A)
-        return standing.named(stop, block.slice(since, len(block)), s.offset_A, noise)
+        return block.slice(since, len(block)), s.offset_A, noise
 
     def catch_up(self) -> None:
         """After a time in which samples went by unseen and nothing was commanded: goes on from the newest."""
@@ -230,6 +235,8 @@ class Session:
                 raise StoppedError(self.named(error.stop)) from None
             if self.prediction is not None:
                 self.prediction.check(r)
+        if self.supervisor.driven and self.prediction is None:
+            self._unseen.check(self.now_s, self._since_it_stands)
         return float(block.time_s[-1])
 
     def _awaited(self) -> SampleBlock:

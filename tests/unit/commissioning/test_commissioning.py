@@ -42,6 +42,7 @@ FAULTY = (
     (2, {"no_motion"}),
     (5, {"hard_stop", "motion_ended"}),
     (7, {"encoder_lost"}),
+    (700_135, {"encoder_lost"}),  # it dies after six counts: 1.3 times the greatest speed unseen, once
     (30, {"data_missing"}),
 )
 
@@ -54,6 +55,12 @@ def test_a_faulty_set_up_is_stopped_within_its_limits(seed: int, names: set[str]
     assert result.stop is not None and result.stop.reason in names
     assert motor.share_of(limits) <= 1.01
     assert abs(motor.state[1]) < 0.2 * limits.speed_rad_s  # it runs down: nothing drives it any more
+
+
+def test_a_coarse_encoder_that_stands_is_no_dead_one() -> None:
+    """Within a count the shaft turns to and fro unseen, and its back-EMF shows it."""
+    setup, limits = SMALL
+    assert commission(CommandedMotor(replace(setup, counts_per_rev=200.0)), limits).stop is None
 
 
 @pytest.mark.slow
