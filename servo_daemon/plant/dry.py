@@ -1,7 +1,7 @@
 """Dry friction over one step: it holds exactly, slides exactly, and reverses within the step.
 
 Acary & Brogliato, *Numerical Methods for Nonsmooth Dynamical Systems*, 2008, ch. 10 (Moreau's time stepping), with the
-instant of a reversal found by the speed's own exponential: a step may last many of the motor's time constants.
+instant of a reversal found to second order.
 """
 
 from __future__ import annotations
@@ -12,59 +12,34 @@ import casadi as ca
 
 from servo_daemon.plant.effects import Terms
 
-#: Divides where there is no speed at all.
-_NOTHING = 1e-300
+#: rad/s: divides where there is no speed at all.
+_NO_SPEED = 1e-300
 
 
-def friction_over_step(
-    speed: ca.SX | None, free: ca.SX, per_load: ca.SX, kept: ca.SX, forward: ca.SX, backward: ca.SX
-) -> tuple[ca.SX, ca.SX]:
-    """Dry friction as the constant torque over a step that makes the speed at its end, and that which makes the angle.
+def friction_over_step(speed: ca.SX | None, free: ca.SX, per_load: ca.SX, forward: ca.SX, backward: ca.SX) -> ca.SX:
+    """Dry friction as the mean torque over a step.
 
-    Where the motion does not reverse it is the level against it. Where it does, the level acts until the speed is zero,
-    and from there on what would keep it zero, limited to its levels: sticking is exact, and a reversal within a step is
-    no error of first order, which a larger model would take for Stribeck's effect. Of what acted before the reversal
-    the end remembers what a speed leaves of itself: with ω = ω∞ + (ω₀ − ω∞) e^(−t/τ) and E = e^(−h/τ) the torque
-    before counts for  E |ω₀| / (E |ω₀| + |ω(h)|)  of the speed. The angle is two integrals of a torque: what acts after
-    a share ρ of the time counts for (1 − ρ)², and ρ is e |ω₀| / (e |ω₀| + |ω(h)|), e ≈ √E by its Padé
-    approximant, for long steps better than the root itself.
+    Where the motion does not reverse it is the level against it. Where it does, the level acts until the speed is zero
+    (found by linear interpolation), and from there on what would keep it zero, limited to its levels: sticking is
+    exact, and a reversal within a step is no error of first order, which a larger model would take for Stribeck's
+    effect.
 
     Args:
         speed: at the beginning; None: not known, and friction is that of the end (Moreau).
         free: speed at the end without friction.
         per_load: change of that speed per N·m.
-        kept: E.
         forward, backward: levels against positive and negative motion.
     """
     if speed is None:
-        friction = ca.fmax(ca.fmin(-free / per_load, forward), -backward)
-        return friction, friction
-    kept = ca.fmax(kept, 0)  # a winding slower than the shaft makes it swing beyond zero
+        return ca.fmax(ca.fmin(-free / per_load, forward), -backward)
     # Not fabs, whose slope at rest is neither side's: a shaft that stands must not seem to keep a speed.
     size = ca.if_else(speed >= 0, speed, -speed)
     sliding = ca.if_else(speed >= 0, forward, -backward)
     end = free + per_load * sliding
     reverses = speed * end <= 0
-    afterwards = ca.fmax(ca.fmin((kept * speed - free) / per_load, forward), -backward)
-
-    def before(size: ca.SX) -> ca.SX:
-        return ca.if_else(reverses, size / ca.fmax(size + ca.fabs(end), _NOTHING), 1.0)
-
-    root = (1 + 10 * kept + 5 * kept**2) / (5 + 10 * kept + kept**2)
-    changed = sliding - afterwards
-    return afterwards + before(kept * size) * changed, sliding - (1 - before(root * size)) ** 2 * changed
-
-
-def rubbing(per_load: ca.SX, angle: int, friction: ca.SX, turning: ca.SX) -> ca.SX:
-    """What dry friction does to the states: `turning` to the angle, `friction` to all else.
-
-    Args:
-        per_load: change of the states per N·m.
-        angle: its row.
-    """
-    done = per_load * friction
-    done[angle] = per_load[angle] * turning
-    return done
+    before = ca.if_else(reverses, size / ca.fmax(size + ca.fabs(end), _NO_SPEED), 1.0)
+    afterwards = ca.fmax(ca.fmin((speed - free) / per_load, forward), -backward)
+    return before * sliding + (1 - before) * afterwards
 
 
 def dry_levels(terms: Sequence[Terms]) -> tuple[ca.SX, ca.SX]:
