@@ -58,16 +58,25 @@ MECHANISMS: Sequence[Named] = (
     _off(
         "what moves the current is not told by the shaft",
         "noise/watch.py",
-        "follow = s.correlation + _CROSS_WEIGHT * self._crossed",
+        "follow = s.correlation + self._cross_weight() * self._crossed",
         "follow = s.correlation",
         _SETTLES,
     ),
     _off(
         "the voltage's noise is not steered",
         "noise/watch.py",
-        "follow = s.correlation + _CROSS_WEIGHT * self._crossed",
+        "follow = s.correlation + self._cross_weight() * self._crossed",
         "follow = None",
         _SETTLES,
+    ),
+    _off(
+        "the shaft's word weighs no more where the winding settles",
+        "noise/watch.py",
+        "return _CROSS_WEIGHT + (_CROSS_WEIGHT_SETTLED - _CROSS_WEIGHT) * self.settled**2",
+        "return _CROSS_WEIGHT",
+        (
+            "tests/recovery/test_tracking_honesty.py::test_the_winding_is_right_where_the_shaft_s_balance_does_not_close[re40-pick_and_place]",
+        ),
     ),
     _off(
         "a slow drive's ticks are not pooled",
