@@ -63,12 +63,16 @@ def by_friction_one_way(fit: OutputErrorFit, again: Refit) -> F64 | None:
         {**values, "B": values["B"] / 2.0, "Tc": values["B"] / 2.0 * _usual_speed(fit.problem)},
         _held(fit),
     )
-    return None if other is None else moved_to(other, fit)
+    if other is None:
+        return None
+    winding = np.array([name == "L" for name in fit.problem.parameter_of_column], dtype=bool)  # friction moves none
+    return np.where(winding, 0.0, moved_to(other, fit))
 
 
 def friction_goes_one_way(fit: OutputErrorFit) -> bool:
-    """Whether dry friction, which the model lacks, would pass for B because the motion never turns back."""
-    return "coulomb_friction" in set(_missing(fit)) and goes_one_way(fit.problem)
+    """Whether dry friction, which the model lacks, would pass for B because the motion never turns back, and nothing is
+    left of the data that would say so. (Where something is, `by_other_laws` asks.)"""
+    return fit.white and "coulomb_friction" in set(_missing(fit)) and goes_one_way(fit.problem)
 
 
 def goes_one_way(problem: Problem) -> bool:
