@@ -44,7 +44,8 @@ def named(stop: Stop, block: SampleBlock, offset_A: float, noise_A: float) -> St
     assert block.voltage_V is not None and block.current_A is not None
     if len(block) < _SAMPLES:
         return stop
-    turns = _turns(block.time_s, block.voltage_V, block.current_A - offset_A, noise_A)
+    columns = _columns(block.time_s, block.voltage_V, block.current_A - offset_A)
+    turns = _turns(block.time_s, columns, noise_A)
     if turns:
         return Stop("encoder_lost", DEAD, stop.time_s)
     if turns is None:
@@ -82,12 +83,13 @@ class UnseenMotion:
         block, offset_A, noise_A = since()
         block = block.slice(max(0, len(block) - _LATEST), len(block))
         assert block.voltage_V is not None and block.current_A is not None
-        signals = block.time_s, block.voltage_V, block.current_A - offset_A
-        if len(block) < _SAMPLES or not _turns(*signals, noise_A):
+        if len(block) < _SAMPLES:
             return
-        once, current, twice, voltage = _columns(*signals).T
-        (*_, turned), _ = nnls(np.stack([once, current, twice], axis=1), voltage)
-        if float(np.ptp(turned * twice)) > self._seen_Vs:
+        columns = _columns(block.time_s, block.voltage_V, block.current_A - offset_A)
+        if not _turns(block.time_s, columns, noise_A):
+            return
+        (*_, turned), _ = nnls(columns[:, :3], columns[:, 3])
+        if float(np.ptp(turned * columns[:, 2])) > self._seen_Vs:
             raise StoppedError(Stop("encoder_lost", DEAD, time_s))
 
 
@@ -101,9 +103,13 @@ def _columns(time_s: F64, voltage_V: F64, current_A: F64) -> F64:
     return np.asarray(columns - line @ (line.T @ columns))
 
 
-def _turns(time_s: F64, voltage_V: F64, current_A: F64, noise_A: float) -> bool | None:
-    """Whether a motor turns; None: neither a shaft that turns nor one that stands explains it."""
-    h, columns = np.diff(time_s), _columns(time_s, voltage_V, current_A)
+def _turns(time_s: F64, columns: F64, noise_A: float) -> bool | None:
+    """Whether a motor turns; None: neither a shaft that turns nor one that stands explains it.
+
+    Args:
+        columns: of its samples, as `_columns` gives them.
+    """
+    h = np.diff(time_s)
     size = np.linalg.norm(columns, axis=0)
     if not size.all():
         return None

@@ -3,9 +3,8 @@
 import { drivePath, get, post } from "./api.js";
 import { renderConnection, renderFleetConnection } from "./facts.js";
 import { pollFleet } from "./fleet.js";
-import { DriveView } from "./view.js";
+import { DriveView, POLL_MS } from "./view.js";
 
-const POLL_MS = 2000; // what must be seen sooner is in the stream
 const LIST_EVERY = 5; // polls of one drive: the picker tells of the others
 const byId = (id) => document.getElementById(id);
 let view = null;

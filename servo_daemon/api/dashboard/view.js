@@ -14,8 +14,9 @@ import { POINTS, Zoom } from "./zoom.js";
 const WARNING = new Set(["alarm", "margin_low", "limit_near"]); // whose marks are red
 const LEAST_S = 15; // charts show at least so much time, also of a drive that has just started
 const DRAW_MS = 200; // numbers that change faster cannot be read
-const CAPTURED_WITHIN = 20; // polls after an event within which its recording is written: half a minute and the writing
-const CAPTURED_WITHIN_MS = 40_000; // the same
+export const POLL_MS = 2000; // what must be seen sooner is in the stream
+const CAPTURED_WITHIN_MS = 40_000; // after an event its recording is written: half a minute and the writing
+const CAPTURED_WITHIN = CAPTURED_WITHIN_MS / POLL_MS; // polls
 const ASK_EVERY = 5; // of these
 
 export class DriveView {

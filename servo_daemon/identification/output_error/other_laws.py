@@ -72,7 +72,7 @@ def by_friction_one_way(fit: OutputErrorFit, again: Refit) -> F64 | None:
 def friction_goes_one_way(fit: OutputErrorFit) -> bool:
     """Whether dry friction, which the model lacks, would pass for B because the motion never turns back, and nothing is
     left of the data that would say so. (Where something is, `by_other_laws` asks.)"""
-    return fit.white and "coulomb_friction" in set(_missing(fit)) and goes_one_way(fit.problem)
+    return fit.white and "coulomb_friction" in _missing(fit) and goes_one_way(fit.problem)
 
 
 def goes_one_way(problem: Problem) -> bool:
