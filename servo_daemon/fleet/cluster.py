@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 #: are not a million tasks in the scheduler's memory.
 _AHEAD = 4
 #: A unit is tried again when the worker that had it died; after so many deaths it is given up.
-_DEATHS = 3
+_DEATHS = 1
 _CONNECT_S = 10.0
 
 #: What is done with a unit, given what was asked: a document of plain values.

@@ -18,6 +18,7 @@ from servo_daemon.fleet.cluster import cluster, results
 from servo_daemon.fleet.units import Unit
 from servo_daemon.learning.model.model_file import load_model
 from tests.can_tools import wait_for
+from tests.recovery.deadly_work import deadly
 from tests.recovery.many_drives import draw, record
 
 pytest.importorskip("distributed", reason="the extra dask is not installed")
@@ -102,15 +103,6 @@ def workers() -> list[int]:
     children = Path(f"/proc/{os.getpid()}/task").glob("*/children")
     found = {int(pid) for path in children for pid in path.read_text().split()}
     return [pid for pid in found if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
-
-
-def deadly(unit: Unit, asked: tuple[str, ...]) -> dict[str, Any]:
-    """Kills its process the first time, as a machine that goes away does; `always`: every time."""
-    mark = Path(asked[0])
-    if unit.name == "always" or (unit.name == "once" and not mark.exists()):
-        mark.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return {"pid": os.getpid()}
 
 
 @pytest.mark.slow
