@@ -49,7 +49,7 @@ test: venv ## the fast tests (ARGS for pytest)
 
 .PHONY: test-slow
 test-slow: venv ## the slow ones, and those of the whole system (ARGS for pytest)
-	$(PYTEST) -m slow $(ARGS)
+	$(PYTEST) -m slow --timeout 600 $(ARGS)
 
 .PHONY: matrix
 matrix: venv ## hides every effect in hundreds of new captures and prints what was found (two hours; ARGS="--seed N" goes on)
