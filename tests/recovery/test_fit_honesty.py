@@ -130,10 +130,18 @@ def test_a_step_does_not_tell_dry_friction_from_viscous(motor: Motor, share: flo
     assert honest.parameters["K"].std == pytest.approx(blind.parameters["K"].std, rel=0.5) or motor is not GEAR_MOTOR
 
 
-@pytest.mark.parametrize(("motion", "one_way"), [("steps", False), (one_step, True)], ids=["to and fro", "a step"])
+def faster_and_slower(motor: Motor, time_s: F64, rng: np.random.Generator) -> Plan:
+    return Plan("voltage", motor.supply_V * np.where(np.sin(20.0 * time_s) > 0.0, 0.5, 0.2))
+
+
+@pytest.mark.parametrize(
+    ("motion", "one_way"),
+    [("steps", False), (faster_and_slower, False), (one_step, True)],
+    ids=["to and fro", "faster and slower", "a step"],
+)
 def test_what_goes_one_way(motion: Any, one_way: bool) -> None:
     fit = fit_output_error([capture(GEAR_MOTOR, Scenario(motion, 2.0, seed=11))], (), FitOptions(misfit=False))
-    assert goes_one_way(fit.problem) is one_way
+    assert goes_one_way(fit) is one_way
 
 
 def test_the_drop_of_brushes_is_in_the_standard_deviation_of_r() -> None:
