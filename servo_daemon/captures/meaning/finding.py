@@ -85,6 +85,8 @@ def _changed(capture: Capture, name: str, entry: Mapping[str, object], keys: Map
         turned = f"({value['formula']}) * (1 - 2 * Direction)"
         return {**value, "formula": turned, "Direction": keys["direction"]}
     changed = {**entry, **keys}
+    if "rows_late" in keys:
+        changed["rows_late"] = keys["rows_late"] + entry.get("rows_late", 0)  # type: ignore[operator]
     if (scale := keys.get("scale")) is not None:
         if "formula" in entry:
             changed["formula"] = f"({entry['formula']}) * {_toml(scale)}"
