@@ -132,6 +132,20 @@ def test_a_voltage_some_rows_away_is_brought_back(tmp_path: Path, motor: Motor, 
     right(good, motor)
 
 
+@pytest.mark.parametrize("field", ["position_rad", "velocity_rad_s"])
+def test_a_motion_that_answers_a_voltage_to_come(tmp_path: Path, field: str) -> None:
+    """Without a current; one that answers late is a late motion, and a control loop's voltage answers the motion."""
+    of = columns(RE40, "prbs", 200.0, seed=8)
+    late = {**of, "voltage_V": np.roll(of["voltage_V"], 1)}
+    read = read_capture(write(tmp_path / "rows.csv", late, "voltage_V", field))
+    (found,) = findings(read)
+    assert "rows_late = 1" in found.text
+    with pytest.raises(CaptureError, match="1 row late"):
+        without_unusable(read, [found])
+    assert findings(mended(tmp_path / "rows.csv", found.text)) == ()
+    assert findings(capture({**of, "voltage_V": np.roll(of["voltage_V"], -1)}, "voltage_V", field)) == ()
+
+
 def test_a_late_or_filtered_current_is_no_voltage_of_another_row() -> None:
     of = columns(RE40, "multisine", 500.0, seed=8)
     assert findings(capture({**of, "current_A": np.roll(of["current_A"], 1)})) == ()

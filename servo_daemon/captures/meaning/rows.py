@@ -8,6 +8,9 @@ row, with the voltage held, the winding goes from one current to the next by
 whatever L is and whatever is on the shaft. The voltage's row is the one that leaves least of it, and where the columns
 are rows apart all others leave several times as much. A lag of the drive or a filter of the current spreads over rows:
 then none stands out, or a current that follows its two last values leaves less.
+
+Without a current a voltage that is early cannot be told from a motion that is shown late. One that is late can: the
+shaft answers a voltage before it is there.
 """
 
 from __future__ import annotations
@@ -26,6 +29,8 @@ _ROWS = 3
 #: A row stands out if it leaves less than this share (sum of squares) of what each of its neighbours leaves: half of a
 #: row between them is four times as much. (At 50 Hz, where a motor turns within a row, 0.46 is seen of the right one.)
 _CLEARLY = 0.25
+#: Two rows leave alike up to this factor: what the winding's lag makes of one.
+_ALIKE = 1.25
 #: Rows with the usual period, so near; and fewest of them.
 _EVEN, _FEWEST, _MOST = 0.2, 200, 20_000
 #: Nothing is told by what is this small beside the whole: rounding.
@@ -33,25 +38,47 @@ _ROUNDING = 1e-9
 
 
 def row_findings(capture: Capture) -> list[Finding]:
-    """A voltage some rows away from current and motion, of captures with all three; empty where it is in its row, or
-    nothing shows."""
+    """A voltage some rows away from the motion, and from the current where there is one; empty where it is in its row,
+    or nothing shows."""
     v, i, travel = capture.voltage_V, capture.current_A, travelled(capture)
-    if v is None or i is None or travel is None or capture.meaning().measures_voltage:
+    if v is None or travel is None or capture.meaning().measures_voltage:
         return []
-    winding = _Winding.of(capture, v, i, travel)
-    rows = 0 if winding is None else winding.late()
+    if i is None:
+        rows, others = _late_for_motion(capture.time_s[:_MOST], v[:_MOST], travel[: _MOST - 1]), "the motion fits"
+    else:
+        winding, others = _Winding.of(capture, v, i, travel), "current and motion fit"
+        rows = 0 if winding is None else winding.late()
+        m = min(window_length(capture.time_s), len(v) // 20)
+        if rows < 0 and _of_current(rows, i[:_MOST], travel[: _MOST - 1], m):
+            return []  # which is late: an effect, `measurement_delay`
     if not rows:
         return []
-    m = min(window_length(capture.time_s), len(v) // 20)
-    if rows < 0 and _of_current(rows, i[:_MOST], travel[: _MOST - 1], m):
-        return []  # which is late: an effect, `measurement_delay`
     where = f"{abs(rows)} row{'s' if abs(rows) > 1 else ''} {'late' if rows > 0 else 'early'}"
     text = (
-        f"column voltage_V is written {where}: current and motion fit it several times better so (a logger "
-        f"writes its next command beside what it measured, or its last one); it is left out. "
+        f"column voltage_V is written {where}: {others} it several times better so (a logger that writes its next "
+        f"command beside what it measured, or its last one); it is left out. "
         f"{mend(capture, 'voltage_V', {'rows_late': rows})}"
     )
     return [Finding("voltage_V", text, "column")]
+
+
+def _late_for_motion(time_s: F64, v: F64, travel: F64) -> int:
+    """By how many rows at least a voltage is late, where the speed of a row follows, beside its own past, voltages of
+    rows to come; else 0. (A control loop's voltage follows the speed, too, but against it.)"""
+    h = np.diff(time_s)
+    k = np.arange(_ROWS, len(h) - _ROWS - 1)
+    k = k[np.abs(h[k] / np.median(h) - 1.0) < _EVEN]
+    if len(k) < _FEWEST:
+        return 0
+    w = travel / h
+    size = float(np.sqrt(np.mean(w**2))) or 1.0
+    past = [w[k - 1], w[k - 2], np.tanh(w[k - 1] / (0.1 * size)), np.ones(len(k))]
+    leaves = [_left([v[k + rows], v[k + rows - 1], v[k + rows - 2], *past], w[k]) for rows in range(_ROWS + 1)]
+    if leaves[1] > _CLEARLY * leaves[0] or leaves[0] < _ROUNDING * len(k) * size**2:
+        return 0
+    rows = next(rows for rows, left in enumerate(leaves) if left < _ALIKE * min(leaves))
+    found, _ = least_squares(np.column_stack([v[k + rows], v[k + rows - 1], v[k + rows - 2], *past]), w[k])
+    return rows if found[0] > 0.0 else 0
 
 
 class _Winding:
