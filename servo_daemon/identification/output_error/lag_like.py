@@ -43,9 +43,10 @@ class Refit(Protocol):
         /,
         *,
         late_s: float = 0.0,
+        rows_late: int = 0,
     ) -> OutputErrorFit | None:
-        """The model with these effects, from these natural values, of which some are held, and with the current put
-        right that is so late; None: it cannot be simulated."""
+        """The model with these effects, from these natural values, of which some are held, and with a current that is
+        so late, a voltage that is rows late, put right; None: it cannot be simulated."""
 
 
 def leaves_the_trace_of_l(problem: Problem) -> bool:

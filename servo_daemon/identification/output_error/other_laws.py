@@ -15,7 +15,13 @@ from collections.abc import Collection, Iterator, Mapping
 import numpy as np
 
 from servo_daemon.identification.output_error.fitted import OutputErrorFit
-from servo_daemon.identification.output_error.lag_like import Refit, halved_lag, moved_to, values_of
+from servo_daemon.identification.output_error.lag_like import (
+    Refit,
+    halved_lag,
+    leaves_the_trace_of_l,
+    moved_to,
+    values_of,
+)
 from servo_daemon.identification.output_error.noise.noise import WORTH
 from servo_daemon.identification.output_error.problem.problem import Problem, Segment
 from servo_daemon.identification.output_error.problem.rollout import STEP
@@ -34,6 +40,10 @@ _OTHERS = (
 )
 #: A motion goes one way if less than this share of it goes back, told by so many parts of a segment (chosen).
 _BACK, _PARTS = 0.01, 50
+#: A winding's lag, in samples, that is as good as none.
+_FAST = 0.5
+#: A row explains more by so much a sample (noise of the voltage by chance 0.04).
+_SHARE = 0.05
 #: Effects that are seen in one channel only.
 _NEEDS = {"brush_voltage_drop": "current_A", "speed_filter": "velocity_rad_s"}
 
@@ -50,6 +60,23 @@ def by_other_laws(fit: OutputErrorFit, again: Refit, *, dry: bool = False) -> F6
     if best is None or best.solution.point.value > fit.plain.point.value - WORTH:
         return None
     return moved_to(best, fit)
+
+
+def by_late_voltage(fit: OutputErrorFit, again: Refit) -> F64 | None:
+    """By how much the coordinates of the free parameters may be off, in one direction, where the voltage is written a
+    row late: 1 σ, shape (k,). None: there is a lag, which it would have shortened, or that explains no more.
+
+    Without a current nothing else says so: a motion that begins before its voltage has no lag, and less inertia.
+    """
+    problem, values = fit.problem, values_of(fit)
+    if not leaves_the_trace_of_l(problem) or values["L"] > _FAST * values["R"] * problem.sample_period_s:
+        return None
+    begun = {**values, "L": _FAST * values["R"] * problem.sample_period_s}
+    other = again(problem.plant.effects, begun, _held(fit), rows_late=1)
+    clearly = _SHARE * float(problem.counts.sum())
+    if other is None or other.solution.point.value > fit.plain.point.value - clearly:
+        return None
+    return moved_to(other, fit)
 
 
 def by_friction_one_way(fit: OutputErrorFit, again: Refit) -> F64 | None:

@@ -1,5 +1,5 @@
 """A current that its sensor filters passes for an inductance: the interval holds that, the line that mends it is said,
-and with it the answer is right."""
+and with it the answer is right. A voltage that is a row late, and a motion alone: the interval holds it."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from servo_daemon.identification.output_error import FitOptions, Recording, fit_output_error
+from servo_daemon.samples import make_block
 from tests.command_line import run_command
-from tests.recovery.generator import GEAR_MOTOR, RE40, Motor, Scenario, generate
+from tests.recovery.generator import GEAR_MOTOR, PAPER, RE40, Motor, Scenario, generate
 from tests.recovery.generator.sensors import filtered_speed
 
 #: Time constant of the sensor's filter, s.
@@ -56,3 +58,17 @@ def test_a_current_without_a_filter_is_not_late(tmp_path: Path) -> None:
     ).document
     assert not [text for text in document["notes"] if "behind voltage and motion" in text]
     assert document["parameters"]["L"]["std"] < 0.1 * GEAR_MOTOR.L
+
+
+@pytest.mark.parametrize("late", [0, 1])
+def test_a_voltage_a_row_late_without_a_current(late: int) -> None:
+    """Where the winding's lag is about a row nothing names it: its motor has no lag, and 30 % less inertia."""
+    made = generate(PAPER, Scenario("steps", seconds=4.0, rate_hz=200.0, seed=9))
+    voltage = np.append(np.full(late, made.voltage_V[0]), made.voltage_V)[: len(made.time_s)]
+    block = make_block(made.time_s, voltage_V=voltage, position_rad=made.position_rad)
+    fit = fit_output_error([Recording("c", block)], (), FitOptions())
+    braking = PAPER.B * PAPER.R + PAPER.K**2
+    (lag,) = [c for c in fit.combinations if c.expression == "(J R + L B)/(B R + K²)"]
+    true = (PAPER.J * PAPER.R + PAPER.L * PAPER.B) / braking
+    assert abs(lag.value - true) < 3.0 * lag.std
+    assert (lag.std > 0.1 * true) == bool(late)
