@@ -31,6 +31,11 @@ def earlier(time_s: F64, values: F64, by_s: float) -> F64:
     return np.asarray(values - by_s * np.concatenate([[0.0], np.diff(values) / np.diff(time_s)]))
 
 
+def unfiltered(time_s: F64, current: F64, late_s: float) -> F64:
+    """The current that a filter of the first order shows so late, both shape (n,)."""
+    return np.asarray(current + late_s * np.gradient(current, time_s))
+
+
 def motion_squares(time_s: F64, position: F64 | None, speed: F64 | None, at: NDArray[np.intp]) -> F64 | None:
     """⟨ω²⟩ and ⟨α²⟩ from the samples `at`, so far apart that an encoder's steps are no acceleration; None: there are
     too few, or one is no number.

@@ -158,6 +158,25 @@ def test_units_are_named_and_mended(tmp_path: Path, kind: str) -> None:
     right(mended(path, found[0].text, above, **put), GEAR_MOTOR)
 
 
+@pytest.mark.parametrize("names", [_COLUMNS, ("current_A", "position_rad")])
+def test_counts_about_a_zero_are_asked_about(tmp_path: Path, names: tuple[str, ...]) -> None:
+    of = columns(GEAR_MOTOR, "multisine", 1000.0, seed=7)
+    per_count = 2.0 * GEAR_MOTOR.current_limit_A / 4096
+    read = read_capture(
+        write(tmp_path / "adc.csv", {**of, "current_A": np.round(of["current_A"] / per_count) + 2048}, *names)
+    )
+    (found,) = findings(read)
+    zero = re.search(r'formula = "\(Value - (\d+)\) \* 0\.01"', found.text)
+    assert zero and abs(float(zero[1]) - 2048.0) <= 2.0 and "zero at about 2,0" in found.text
+    with_scale = found.text.replace("* 0.01", f"* {per_count}")
+    if "voltage_V" in names:
+        assert "current_A" not in without_unusable(read, [found]).channels
+        right(mended(tmp_path / "adc.csv", with_scale), GEAR_MOTOR)
+    else:
+        with pytest.raises(CaptureError, match="amperes a count"):
+            without_unusable(read, [found])
+
+
 @pytest.mark.parametrize(("scale", "words"), [(60 / _TURN, "rpm"), (180 / np.pi, "degrees"), (-1.0, "against")])
 def test_speed_and_angle_must_agree(scale: float, words: str) -> None:
     of = columns(GEAR_MOTOR)

@@ -20,7 +20,8 @@ class ReadOptions:
         rate_hz: the samples' rate, where the file has no time.
         counts_per_rev: of an encoder whose counts are in the file; negative turns the direction round.
         supply_V: the supply's voltage, of which a duty cycle is a share.
-        full_duty: what the duty cycle reads where it is the whole supply (`pwm` of an Arduino: 255); None: 1.
+        full_duty: what the duty cycle reads where it is the whole supply (`pwm` of an Arduino: 255), also beside a
+            supply's voltage that the file has; None: 1.
         pole_pairs: between a drive's electrical speed or angle and the shaft's.
         joint: which one of a robot's JointState, or which drive of a recording that has several.
         effort: what a JointState's effort is: "current" (A) or "torque" (N·m; of a linear axis "force", N).

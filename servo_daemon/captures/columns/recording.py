@@ -27,7 +27,7 @@ from servo_daemon.captures.columns.held import describe
 from servo_daemon.captures.columns.signal_map import COUNTS, MappedColumn, SignalMap, SignalRef
 from servo_daemon.captures.columns.time_base import BASE_ORDER, BRIDGE_FACTOR, Timed, held, same_time, to_one_time
 from servo_daemon.captures.columns.understand import understand
-from servo_daemon.captures.columns.understood import Understood
+from servo_daemon.captures.columns.understood import Understood, field_of
 from servo_daemon.captures.meaning.restored import restored_current
 from servo_daemon.captures.meaning.windows import travel_of
 from servo_daemon.errors import BadInputError, CaptureError, ConfigError
@@ -73,6 +73,7 @@ def assemble(recording: Recording, signal_map: SignalMap | None, options: ReadOp
     layout = make_layout(path, names, metadata)
     timed = _timed(recording, series, labels, options.rate_hz)
     time_s, values, notes = _one_time(recording, timed, signal_map)
+    time_s, values = _in_their_rows(path, columns, time_s, values)
     understood = _understood(recording, found, time_s, options)
     restored, known = _motor_current(path, columns, time_s, values)
     return Capture(
@@ -257,6 +258,20 @@ def _one_time(
         spans = ", ".join(f"{k} {v.time_s[0]:g} … {v.time_s[-1]:g} s" for k, v in timed.items())
         raise capture_error(recording.path, f"the signals have no time in common: {spans}")
     return time_s[keep], {name: value[keep] for name, value in values.items()}, tuple(notes)
+
+
+def _in_their_rows(
+    path: Path, columns: Sequence[MappedColumn], time_s: F64, values: dict[str, F64]
+) -> tuple[F64, dict[str, F64]]:
+    """Values that stand rows below or above their own brought there; rows without all of them are left out."""
+    late = {field_of(column.name): column.rows_late for column in columns}
+    above, below = max(0, *late.values()), max(0, *(-rows for rows in late.values()))
+    kept = len(time_s) - above - below
+    if kept < MIN_SAMPLES:
+        raise capture_error(path, f"{len(time_s)} rows are too few for rows_late of {max(above, below)}")
+    if kept == len(time_s):
+        return time_s, values
+    return time_s[below:][:kept], {name: one[below + late.get(name, 0) :][:kept] for name, one in values.items()}
 
 
 def _base(signal_map: SignalMap, timed: Mapping[str, Timed]) -> str:

@@ -33,6 +33,8 @@ TARGETS = (*KNOWN_COLUMNS, COUNTS)
 OPTIONS = ("sheet", "time_base", "counts_per_rev", "dbc", "drive_id", "channel", "trigger", "period_s", "stale_s")
 
 _OPERAND_KEYS = ("signal", "scale", "offset", "column", "row", "group")
+#: Keys of a column beside those of its signals.
+_COLUMN_KEYS = ("wrap", "formula", "shows", "supply_V", "sum", "rows_late")
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +81,7 @@ class MappedColumn:
         wrap: the value counts modulo this (in its own unit, before `counts_per_rev`); None: it does not wrap.
         shown: of a current that is not the motor's: what it is instead.
         summed: the signal is what the value has changed by since the sample before.
+        rows_late: how many rows below its own the value stands; negative: above.
     """
 
     name: str
@@ -87,6 +90,7 @@ class MappedColumn:
     wrap: float | None = None
     shown: Shown | None = None
     summed: bool = False
+    rows_late: int = 0
 
     @property
     def line(self) -> Mapping[str, Any]:
@@ -96,10 +100,8 @@ class MappedColumn:
             entry |= self.operands[0].entry
         else:
             entry |= {"formula": self.formula.text, **{o.name: o.entry for o in self.operands}}
-        if self.wrap is not None:
-            entry["wrap"] = self.wrap
-        if self.summed:
-            entry["sum"] = True
+        told = {"wrap": self.wrap, "sum": self.summed, "rows_late": self.rows_late}
+        entry |= {key: value for key, value in told.items() if value}
         if self.shown is not None:
             entry["shows"] = self.shown.shows
             entry |= {} if self.shown.supply_V is None else {"supply_V": self.shown.supply_V}
@@ -227,9 +229,12 @@ def _column(name: str, entry: Any, where: str) -> MappedColumn:
     shown, summed = _shown(name, entry, where), entry.get("sum", False)
     if not isinstance(summed, bool):
         raise ConfigError(f"{where}: sum must be true or false, not {summed!r}")
-    rest = {key: value for key, value in entry.items() if key not in ("wrap", "formula", "shows", "supply_V", "sum")}
+    rows_late = entry.get("rows_late", 0)
+    if isinstance(rows_late, bool) or not isinstance(rows_late, int) or (rows_late and name == "time_s"):
+        raise ConfigError(f"{where}: rows_late must be a whole number, of another column than the time")
+    rest = {key: value for key, value in entry.items() if key not in _COLUMN_KEYS}
     if "formula" not in entry:
-        return MappedColumn(name, (_operand("value", rest, where),), None, wrap, shown, summed)
+        return MappedColumn(name, (_operand("value", rest, where),), None, wrap, shown, summed, rows_late)
     if not isinstance(entry["formula"], str):
         raise ConfigError(f"{where}: formula must be a text")
     formula = parse_formula(entry["formula"], where)
@@ -242,7 +247,7 @@ def _column(name: str, entry: Any, where: str) -> MappedColumn:
     if not rest:
         raise ConfigError(f"{where}: the formula uses no signal")
     operands = tuple(_operand(k, v, f"{where}: {k}") for k, v in rest.items())
-    return MappedColumn(name, operands, formula, wrap, shown, summed)
+    return MappedColumn(name, operands, formula, wrap, shown, summed, rows_late)
 
 
 def _shown(name: str, entry: Mapping[str, Any], where: str) -> Shown | None:
@@ -269,7 +274,9 @@ def _operand(name: str, entry: Any, where: str) -> SignalRef:
         raise ConfigError(f'{where}: must be "name" or {{signal = "name", …}}')
     for key in entry:
         if key not in _OPERAND_KEYS:
-            raise ConfigError(f"{where}: unknown key '{key}': known are {', '.join(_OPERAND_KEYS)}, wrap, sum")
+            raise ConfigError(
+                f"{where}: unknown key '{key}': known are {', '.join(_OPERAND_KEYS)}, wrap, sum, rows_late"
+            )
     scale = _number(entry, "scale", where) if "scale" in entry else 1.0
     if not scale:
         raise ConfigError(f"{where}: scale is 0, which leaves nothing of the signal")

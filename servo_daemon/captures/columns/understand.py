@@ -207,19 +207,19 @@ class _Reader:
         volts, supply = self.number("supply_V"), self.beside.get("supply")
         beyond = full is None and exceeds_one(values, what.scale)
         unsure = beyond or (self._options.supply_V is None and duty_needs_scale(values, what.scale))
-        if volts is not None and not unsure:
-            scale = what.scale * volts / (full or 1.0)
-            column = MappedColumn("voltage_V", (SignalRef("value", signal.name, scale),))
-            self._add(column, signal.name, f" (× {scale:.6g} V)")
-        elif supply is not None and not unsure:
+        scale = what.scale / (full or 1.0)
+        if supply is not None and not unsure and (volts is None or full is not None):
             other, unit = supply
-            refs = (SignalRef("Duty", signal.name, what.scale), SignalRef("Supply", other.name, unit.scale))
+            refs = (SignalRef("Duty", signal.name, scale), SignalRef("Supply", other.name, unit.scale))
             formula = parse_formula("Duty * Supply", f"{self._recording.path}: voltage_V")
-            self._add(MappedColumn("voltage_V", refs, formula), f"{signal.name} × {other.name}")
+            told = f" (full at {full:g})" if full else ""
+            self._add(MappedColumn("voltage_V", refs, formula), f"{signal.name} × {other.name}", told)
+        elif volts is not None and not unsure:
+            column = MappedColumn("voltage_V", (SignalRef("value", signal.name, scale * volts),))
+            self._add(column, signal.name, f" (× {scale * volts:.6g} V)")
         else:
-            text = f"{signal.name} is a share of the supply"
-            if beyond and values.whole:
-                top, end = values.largest, full_scale(values.largest)
+            text, top = f"{signal.name} is a share of {supply[0].name if supply else 'the supply'}", values.largest
+            if beyond and values.whole and (end := full_scale(top)):
                 text += f" and goes to {top:g}: --supply {volts or 12:g}/{end:g} (volts at {end:g}) says of which"
             else:
                 text += ": --supply 12 (volts at 1) or 12/255 (at 255) says of which"

@@ -51,7 +51,7 @@ def mend(capture: Capture, field: str, keys: Mapping[str, object], *, target: st
     Args:
         field: whose line changes.
         keys: what is added to it; a scale is one of the column's values as they are, a direction the column (0 or 1)
-            that turns them.
+            that turns them, a zero their reading where there is none of it.
         target: the column it becomes, where that is another.
     """
     lines = {f: one for f in ("time_s", *capture.channels) if (one := _line(capture, f)) is not None}
@@ -84,7 +84,12 @@ def _changed(capture: Capture, name: str, entry: Mapping[str, object], keys: Map
         value = entry if "formula" in entry else {"formula": "Value", "Value": entry}
         turned = f"({value['formula']}) * (1 - 2 * Direction)"
         return {**value, "formula": turned, "Direction": keys["direction"]}
+    if "zero" in keys:
+        value = entry if "formula" in entry else {"formula": "Value", "Value": entry}
+        return {**value, "formula": f"({value['formula']} - {_toml(keys['zero'])}) * {_toml(keys['scale'])}"}
     changed = {**entry, **keys}
+    if "rows_late" in keys:
+        changed["rows_late"] = keys["rows_late"] + entry.get("rows_late", 0)  # type: ignore[operator]
     if (scale := keys.get("scale")) is not None:
         if "formula" in entry:
             changed["formula"] = f"({entry['formula']}) * {_toml(scale)}"

@@ -11,6 +11,7 @@ from servo_daemon.captures.meaning.currents import current_findings
 from servo_daemon.captures.meaning.finding import Finding
 from servo_daemon.captures.meaning.jumps import jump_findings
 from servo_daemon.captures.meaning.rails import rail_findings
+from servo_daemon.captures.meaning.rows import row_findings
 from servo_daemon.captures.meaning.signs import sign_findings
 from servo_daemon.captures.meaning.units import unit_findings
 
@@ -25,7 +26,8 @@ def findings(capture: Capture, *, limit_V: float | None = None) -> tuple[Finding
     if jumps := jump_findings(capture):
         return tuple(jumps)
     currents = current_findings(capture) or rail_findings(capture)
-    return (*currents, *unit_findings(capture, limit_V), *sign_findings(capture))
+    rows = () if currents else row_findings(capture)
+    return (*currents, *rows, *unit_findings(capture, limit_V), *sign_findings(capture))
 
 
 def without_unusable(capture: Capture, found: Sequence[Finding]) -> Capture:

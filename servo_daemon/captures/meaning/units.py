@@ -9,6 +9,7 @@ import numpy as np
 
 from servo_daemon.captures.capture.model import Capture
 from servo_daemon.captures.meaning.finding import Finding, column_name, mend
+from servo_daemon.captures.meaning.windows import FEWEST, Windows, left, travelled
 from servo_daemon.column_names import RPM, TURN
 from servo_daemon.samples import F64
 
@@ -18,6 +19,10 @@ _DIFFERENT = 12
 _LARGEST = {"voltage_V": 60.0, "current_A": 60.0, "velocity_rad_s": 0.0}
 #: Ends of the ranges of PWM registers and of a duty in percent.
 _CODES = (100.0, 255.0, 256.0, 511.0, 512.0, 885.0, 999.0, 1000.0, 1023.0, 1024.0, 2047.0, 2048.0, 4095.0, 32767.0)
+#: Middles of converters of 8 to 16 bits; a current's median without a load is so near.
+_MIDDLES, _NEAR_MIDDLE = (128.0, 512.0, 2048.0, 8192.0, 32768.0), 0.1
+#: Share of the voltage that the winding's balance leaves, where it closes.
+_CLOSES = 0.25
 #: Whole numbers of a voltage beyond this are millivolts: registers of servo drives' PWM have ten bits or eight.
 _MOST_CODE = 1024.0
 #: A voltage beyond the limit that the config tells, by more than the margin of a fresh supply.
@@ -49,7 +54,10 @@ def unit_findings(capture: Capture, limit_V: float | None) -> list[Finding]:
         *_encoder_step(capture),
         *_whole(capture, "velocity_rad_s", RPM, "rpm (or counts a second)"),
         *_voltage(capture, limit_V),
-        *_whole(capture, "current_A", 1e-3, "milliamperes (or counts of a converter)"),
+        *(
+            _counts_about_a_zero(capture)
+            or _whole(capture, "current_A", 1e-3, "milliamperes (or counts of a converter)")
+        ),
     ]
 
 
@@ -81,6 +89,34 @@ def _whole(capture: Capture, field: str, scale: float, unit: str) -> list[Findin
     name, top = column_name(capture, field), float(np.max(np.abs(values)))
     text = f"column {name} holds whole numbers only, up to {top:,.0f}: {unit}"
     return [Finding(field, f"{text}. {mend(capture, field, {'scale': scale})}")]
+
+
+def _counts_about_a_zero(capture: Capture) -> list[Finding]:
+    """A current that is the reading of a converter, whose zero is in its middle."""
+    i = capture.current_A
+    if i is None or not _is_whole(i) or float(np.min(i)) <= 0.0 or (zero := _zero_of(capture, i)) is None:
+        return []
+    text = (
+        f"column current_A holds whole numbers only, {np.min(i):,.0f} … {np.max(i):,.0f}: counts of a converter with "
+        f"their zero at about {zero:,.0f}; it is left out"
+    )
+    told = mend(capture, "current_A", {"zero": zero, "scale": 0.01})
+    return [Finding("current_A", f"{text}. {told} and for 0.01 your sensor's amperes a count", "column")]
+
+
+def _zero_of(capture: Capture, i: F64) -> float | None:
+    """The reading without a current, by the winding's balance where that closes, else by the middle of a converter's
+    range; None: it may be 0."""
+    if capture.voltage_V is not None and (travel := travelled(capture)) is not None:
+        w = Windows.of(capture.time_s, capture.voltage_V, travel)
+        if len(w) >= FEWEST:
+            columns = np.column_stack([w.columns(capture.time_s, i - i.mean()), np.ones(len(w))])
+            (R, _, _, rest), share = left(columns, w.voltage)
+            if R > 0.0 and share < _CLOSES:
+                zero = float(np.round(i.mean() - rest / R))
+                return zero if zero > 0.5 * np.min(i) else None
+    middle = next((m for m in _MIDDLES if abs(np.median(i) / m - 1.0) < _NEAR_MIDDLE), None)
+    return middle if middle is not None and np.min(i) < middle < np.max(i) else None
 
 
 def _voltage(capture: Capture, limit_V: float | None) -> list[Finding]:

@@ -13,7 +13,7 @@ from servo_daemon.captures.capture.model import capture_error
 from servo_daemon.captures.columns.plausible import check_time_unit, plausibility_notes
 from servo_daemon.captures.meaning import excluded_values, findings, without_unusable
 from servo_daemon.commands.shared import common
-from servo_daemon.conditioning.current_moment import earlier
+from servo_daemon.conditioning.current_moment import earlier, unfiltered
 from servo_daemon.config import DriveConfig
 from servo_daemon.errors import BadInputError
 from servo_daemon.identification.output_error.problem.setup import FEWEST_SAMPLES, choose_signals
@@ -107,6 +107,8 @@ def gather(
         captures, validation = (tuple(_driven(c, meaning) for c in cs) for cs in (captures, validation))
         nominal = {k: v for k, v in nominal.items() if k not in ("R", "L")}  # which the motion knows nothing of
         fixed = {k: v for k, v in fixed.items() if k not in ("R", "L")}
+    elif meaning.current_late_s:
+        captures, validation = (tuple(_put_right(c, meaning) for c in cs) for cs in (captures, validation))
     weight = known_weight(drive, captures[0])
     if (searches or "gravity_load" in effects) and weight is not None and "Tg" not in fixed:
         fixed["Tg"] = weight
@@ -122,6 +124,13 @@ def _driven(capture: Capture, meaning: SignalMeaning) -> Capture:
         if meaning.current_late_s and (values := getattr(capture, name)) is not None
     }
     return replace(capture.without_voltage(), **moved)
+
+
+def _put_right(capture: Capture, meaning: SignalMeaning) -> Capture:
+    """With the current that flowed, where the drive holds its voltage and filters what it shows of the current."""
+    if capture.voltage_V is None or capture.current_A is None:
+        return capture
+    return replace(capture, current_A=unfiltered(capture.time_s, capture.current_A, meaning.current_late_s))
 
 
 def _as_meant(captures: Sequence[Capture], drive: DriveConfig) -> tuple[tuple[Capture, ...], list[str]]:

@@ -51,6 +51,12 @@ def result_notes(
         f"{' or '.join(effects)} would look the same: give `--fix {name}=…`, or measure the current"
         for name, effects in equivalents(fit.problem).items()
     ]
+    if (late_s := fit.current_late_s) is not None:
+        notes.append(
+            f"current_A is {1e3 * late_s:.2g} ms behind voltage and motion, as a filter of its sensor or of the drive "
+            f"makes it: R, L and J hold some of that, and their standard deviations. mend: a line  # current_late_s: "
+            f"{late_s:.3g}  above the header, or  current_late_s = {late_s:.3g}  under [metadata] of a signal map"
+        )
     for name, p in fit.parameters.items():
         given = nominal.get(name)
         if p.bound is not None:

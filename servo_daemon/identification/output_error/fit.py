@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from servo_daemon.conditioning.current_moment import unfiltered
 from servo_daemon.errors import BadInputError, NumericalError
 from servo_daemon.identification.output_error.fitted import FitOptions, OutputErrorFit
 from servo_daemon.identification.output_error.misfit import with_misfit
@@ -120,7 +121,12 @@ def published(fit: OutputErrorFit, recordings: Sequence[Recording], options: Fit
     """
 
     def again(
-        effects: tuple[str, ...], values: Mapping[str, float], held: Collection[str] = ()
+        effects: tuple[str, ...],
+        values: Mapping[str, float],
+        held: Collection[str] = (),
+        *,
+        late_s: float = 0.0,
+        rows_late: int = 0,
     ) -> OutputErrorFit | None:
         table = {p.name: p for p in fit.problem.plant.parameters}
         within = {n: float(np.clip(values[n], table[n].lower, table[n].upper)) for n in held}
@@ -129,13 +135,24 @@ def published(fit: OutputErrorFit, recordings: Sequence[Recording], options: Fit
             begun = replace(
                 options, nominal={**values, **fixed}, fixed=fixed, thorough=False, noise_model="none", misfit=False
             )
-            return fit_output_error(recordings, effects, begun)
+            return fit_output_error([_put_right(r, late_s, rows_late) for r in recordings], effects, begun)
         return None
 
     problem = fit.problem
     at_end = problem.coordinates(fit.solution.point.unknowns, 0)
     here = Start(fit.start, natural_values(problem.plant.parameters, at_end))
     return with_misfit(fit, _coordinate_scale(problem, recordings, here), again)
+
+
+def _put_right(recording: Recording, late_s: float, rows_late: int) -> Recording:
+    """With the current that flowed, where it is shown so late, and the voltage from so many rows below."""
+    block = recording.block
+    if late_s and block.current_A is not None:
+        block = replace(block, current_A=unfiltered(block.time_s, block.current_A, late_s))
+    if rows_late and block.voltage_V is not None:
+        v = block.voltage_V
+        block = replace(block, voltage_V=np.append(v[rows_late:], np.full(rows_late, v[-1])))
+    return replace(recording, block=block)
 
 
 def _choices(effects: Sequence[str], given: Mapping[str, float], measured: Sequence[str]) -> dict[str, float]:

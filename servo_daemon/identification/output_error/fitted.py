@@ -78,6 +78,7 @@ class OutputErrorFit:
         plain: the plain output-error solution, whatever was published; `iterations` are its own.
         start: which start won.
         seconds: time taken.
+        current_late_s: time constant of a filter that the current has, s; None: none was seen.
     """
 
     problem: Problem
@@ -97,6 +98,7 @@ class OutputErrorFit:
     plain: Solution
     start: str
     seconds: float
+    current_late_s: float | None = None
 
     @property
     def null_directions(self) -> tuple[NullDirection, ...]:

@@ -36,10 +36,17 @@ class Refit(Protocol):
     """Fits another model to the same recordings."""
 
     def __call__(
-        self, effects: tuple[str, ...], values: Mapping[str, float], held: Collection[str] = (), /
+        self,
+        effects: tuple[str, ...],
+        values: Mapping[str, float],
+        held: Collection[str] = (),
+        /,
+        *,
+        late_s: float = 0.0,
+        rows_late: int = 0,
     ) -> OutputErrorFit | None:
-        """The model with these effects, from these natural values, of which some are held; None: it cannot be
-        simulated."""
+        """The model with these effects, from these natural values, of which some are held, and with a current that is
+        so late, a voltage that is rows late, put right; None: it cannot be simulated."""
 
 
 def leaves_the_trace_of_l(problem: Problem) -> bool:

@@ -31,10 +31,11 @@ from servo_daemon.identification.output_error.lag_like import (
     values_of,
     with_more_inductance,
 )
+from servo_daemon.identification.output_error.late_current import by_late_current
 from servo_daemon.identification.output_error.noise.noise import WORTH, resolution
 from servo_daemon.identification.output_error.noise.residual import ResidualTest, innovation_tests
 from servo_daemon.identification.output_error.noise.whitening import moving
-from servo_daemon.identification.output_error.other_laws import by_friction_one_way, by_other_laws
+from servo_daemon.identification.output_error.other_laws import by_friction_one_way, by_late_voltage, by_other_laws
 from servo_daemon.identification.output_error.precision.combinations import (
     answer_between,
     determined_combinations,
@@ -75,6 +76,8 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
     likelier = None if square else _likelier(fit)
     names = problem.parameter_of_column
     inside, lag = _discrepancy(fit, scale, again, square, likelier), by_other_lags(fit, again)
+    filtered = by_late_current(fit, again) if square else None
+    inside = inside if filtered is None else np.column_stack([inside, filtered[0]])
     seen, slower = inside if lag is None else np.column_stack([inside, lag]), with_more_inductance(fit, again)
     added = seen if slower is None else np.column_stack([seen, SHARE * moved_to(slower, fit)])
     # (Not in the answer to the voltage: to that step it is what was seen, whatever rubs.)
@@ -105,6 +108,7 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
         correlation=correlation_of(after, problem.n_shared),
         answer=answer,
         combinations=determined_combinations(problem.plant, at_end, answer, after, scale, bounded),
+        current_late_s=None if filtered is None else filtered[1],
     )
 
 
@@ -120,6 +124,8 @@ def _discrepancy(fit: OutputErrorFit, scale: F64, again: Refit, square: float, l
     if square or likelier is not None:
         laws = by_other_laws(fit, again, dry=not square)
         parts += [] if laws is None else [laws[:, None]]
+        late = by_late_voltage(fit, again) if square else None
+        parts += [] if late is None else [late[:, None]]
     # Along a null direction it says nothing how far the two estimates are apart.
     if not square and likelier is not None and not fit.null_directions:
         parts.append(bounded_move(likelier[:k] - fit.solution.point.unknowns[:k])[:, None])

@@ -15,7 +15,13 @@ from collections.abc import Collection, Iterator, Mapping
 import numpy as np
 
 from servo_daemon.identification.output_error.fitted import OutputErrorFit
-from servo_daemon.identification.output_error.lag_like import Refit, halved_lag, moved_to, values_of
+from servo_daemon.identification.output_error.lag_like import (
+    Refit,
+    halved_lag,
+    leaves_the_trace_of_l,
+    moved_to,
+    values_of,
+)
 from servo_daemon.identification.output_error.noise.noise import WORTH
 from servo_daemon.identification.output_error.problem.rollout import STEP
 from servo_daemon.plant.effects import effects_by_name
@@ -36,6 +42,10 @@ _BACK, _PARTS, _FEWEST = 0.01, 50, 4
 #: A constant torque is told apart if this share of it follows neither speed nor acceleration: steps of five motors from
 #: rest leave 0.0001 to 0.011, pieces of 0.3 s of multisines and pick and place 0.025 to 0.47.
 _APART = 0.02
+#: A winding's lag, in samples, that is as good as none.
+_FAST = 0.5
+#: A row explains more by so much a sample (noise of the voltage by chance 0.04).
+_SHARE = 0.05
 #: Effects that are seen in one channel only.
 _NEEDS = {"brush_voltage_drop": "current_A", "speed_filter": "velocity_rad_s"}
 
@@ -52,6 +62,23 @@ def by_other_laws(fit: OutputErrorFit, again: Refit, *, dry: bool = False) -> F6
     if best is None or best.solution.point.value > fit.plain.point.value - WORTH:
         return None
     return moved_to(best, fit)
+
+
+def by_late_voltage(fit: OutputErrorFit, again: Refit) -> F64 | None:
+    """By how much the coordinates of the free parameters may be off, in one direction, where the voltage is written a
+    row late: 1 σ, shape (k,). None: there is a lag, which it would have shortened, or that explains no more.
+
+    Without a current nothing else says so: a motion that begins before its voltage has no lag, and less inertia.
+    """
+    problem, values = fit.problem, values_of(fit)
+    if not leaves_the_trace_of_l(problem) or values["L"] > _FAST * values["R"] * problem.sample_period_s:
+        return None
+    begun = {**values, "L": _FAST * values["R"] * problem.sample_period_s}
+    other = again(problem.plant.effects, begun, _held(fit), rows_late=1)
+    clearly = _SHARE * float(problem.counts.sum())
+    if other is None or other.solution.point.value > fit.plain.point.value - clearly:
+        return None
+    return moved_to(other, fit)
 
 
 def by_friction_one_way(fit: OutputErrorFit, again: Refit) -> F64 | None:

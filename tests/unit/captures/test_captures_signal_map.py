@@ -54,6 +54,15 @@ def test_foreign_columns_are_renamed_scaled_combined_and_unwrapped(tmp_path: Pat
     assert not capture.quality().any()
 
 
+@pytest.mark.parametrize(("late", "kept", "first"), [(2, range(N - 2), 2), (-3, range(3, N), 0)])
+def test_a_column_rows_away_is_brought_to_its_own(tmp_path: Path, late: int, kept: range, first: int) -> None:
+    moved = GOOD.replace("offset = -0.5", f"rows_late = {late}")
+    capture = read_capture(foreign_csv(tmp_path), mapped(tmp_path, moved))
+    assert capture.time_s == pytest.approx(0.01 * np.array(kept))
+    assert capture.current_A == pytest.approx(0.1 * np.arange(first, first + len(kept)))
+    assert capture.as_map["signals"]["current_A"]["rows_late"] == late
+
+
 def test_map_object_and_file_are_the_same(tmp_path: Path) -> None:
     path, text = foreign_csv(tmp_path), mapped(tmp_path, GOOD)
     one, other = read_capture(path, text), read_capture(path, load_signal_map(str(text)))

@@ -106,6 +106,10 @@ FULL = {
         table((M.t, M.v * 255 / 12, M.i, M.x), "t,pwm,i,theta"),
         dict(zip(("supply_V", "full_duty"), parse_supply("12/255"), strict=True)),
     ),
+    "pwm of a measured supply": (
+        table((M.t, M.v * 255 / (12 - M.t), 12 - M.t, M.i, M.x), "time_s,pwm,battery_V,current_A,position_rad"),
+        {"supply_V": 12.0, "full_duty": 255.0},
+    ),
     "counts": (table((US, M.v, M.i, M.counts), "t_us,V,A,enc", digits=".4f"), {"counts_per_rev": COUNTS_PER_REV}),
     "counts by the metadata": ("# counts_per_rev: 2400\n" + table((M.t, M.v, M.i, M.counts), "t,v,i,ticks"), {}),
     "a counter of 16 bits": (
