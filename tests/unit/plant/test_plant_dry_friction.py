@@ -185,3 +185,41 @@ def test_recovers_true_stick_slip() -> None:
     errors = {h: np.max(np.abs(stepped(PENDULUM, start, h) - exact)[1:]) for h in (1e-3, 1e-4)}
     assert errors[1e-3] < 1e-4
     assert errors[1e-4] < 0.2 * errors[1e-3]
+
+
+#: A gear motor with J R/K² of 15 ms.
+GEARED = {"R": 5.7, "L": 2.6e-3, "K": 0.48, "J": 6e-4, "B": 1.5e-3, "Tc": 0.055}
+
+
+@pytest.mark.parametrize(("h", "angle"), [(0.004, 0.02), (0.02, 0.04), (0.05, 0.15)])
+def test_a_reversal_within_a_long_step_leaves_speed_and_angle_of_short_ones(h: float, angle: float) -> None:
+    """Steps of a quarter, 1.3 and three of the motor's time constants, beginning at many speeds."""
+    loop, names = loop_of(("coulomb_friction",))
+    p = np.array([GEARED[n] for n in names])
+    parts = round(h / 2e-5)
+    for speed in np.linspace(0.5, 20.0, 12):
+        for voltage in (-0.5, -3.0, -10.0):
+            begin = np.array([0.0, speed, 0.0])
+            once, often = begin.copy(), begin.copy()
+            loop.run(once, p, rows(np.full(1, voltage), h))
+            loop.run(often, p, rows(np.full(parts, voltage), h / parts))
+            without = 2 * GEARED["Tc"] * GEARED["R"] / GEARED["K"] ** 2  # rad/s that a friction turned round makes
+            assert abs(once[1] - often[1]) < 0.02 * without
+            assert abs(once[2] - often[2]) < angle * without * h
+
+
+#: A large slow servo, whose winding settles in 16 ms.
+SLOW_WINDING = {"R": 0.35, "L": 5.5e-3, "K": 1.2, "J": 0.08, "B": 0.05, "Tc": 2.9}
+
+
+def test_a_reversal_beside_a_slow_winding_leaves_the_current_of_short_steps() -> None:
+    """What friction did early in the step is in the angle, and with it in a current that has not settled."""
+    loop, names = loop_of(("coulomb_friction",))
+    p = np.array([SLOW_WINDING[n] for n in names])
+    for speed in np.linspace(0.25, 4.0, 12):
+        for voltage in (2.0, -5.0, -15.0):
+            begin = np.array([-8.0, speed, 0.0])
+            once, often = begin.copy(), begin.copy()
+            loop.run(once, p, rows(np.full(1, voltage), 0.01))
+            loop.run(often, p, rows(np.full(500, voltage), 2e-5))
+            assert abs(once[0] - often[0]) < 0.06 * SLOW_WINDING["Tc"] / SLOW_WINDING["K"]
