@@ -16,6 +16,9 @@ from servo_daemon.identification.output_error import FitOptions, OutputErrorFit,
 from servo_daemon.identification.output_error.precision.disjoint import spread_std
 from servo_daemon.identification.output_error.precision.information import wider
 from servo_daemon.identification.output_error.precision.parameters import FittedParameter
+from servo_daemon.identification.output_error.problem.linearisation import without_derivatives
+from servo_daemon.identification.output_error.refine import Refined
+from servo_daemon.identification.output_error.solver.solver import Point
 from servo_daemon.identification.prediction_error import predicted_fit
 from servo_daemon.identification.short_runs import by_short_runs
 
@@ -59,6 +62,24 @@ class FullDataFits:
             return fit
         other = self.of(trial, start, below)
         return other if other is not None and other.white else fit
+
+
+def _without_derivatives(fit: OutputErrorFit) -> OutputErrorFit:
+    """The same in a fraction of the memory: derivatives by every sample are taken anew if they are asked for again."""
+
+    def point(of: Point) -> Point:
+        return replace(of, linearisation=without_derivatives(of.linearisation))
+
+    def refined(of: Refined | None) -> Refined | None:
+        return None if of is None else replace(of, point=point(of.point), whitened=point(of.whitened))
+
+    return replace(
+        fit,
+        solution=replace(fit.solution, point=point(fit.solution.point)),
+        plain=replace(fit.plain, point=point(fit.plain.point)),
+        refined=refined(fit.refined),
+        unsettled=refined(fit.unsettled),
+    )
 
 
 def fit_full_data(
@@ -106,7 +127,7 @@ def fit_runs(
     options = FitOptions(nominal=values, fixed={**data.fixed, **trial.held}, thorough=False, deviance_below=below)
     if runs_s is not None:
         options = replace(options, segment_s=runs_s, noise_model="none")
-    return honest(fit_output_error(data.recordings, trial.effects, options))
+    return _without_derivatives(honest(fit_output_error(data.recordings, trial.effects, options)))
 
 
 def by_predictions(data: Data, fit: OutputErrorFit) -> OutputErrorFit:

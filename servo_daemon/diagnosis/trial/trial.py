@@ -14,6 +14,7 @@ from servo_daemon.diagnosis.trial.scored import Scored, scored_states
 from servo_daemon.diagnosis.trial.split import CHOICE, TRAIN, Split
 from servo_daemon.errors import ConfigError, NumericalError
 from servo_daemon.identification.output_error.diverged_segments import ENOUGH, begun_again
+from servo_daemon.identification.output_error.problem.linearisation import without_derivatives
 from servo_daemon.identification.output_error.problem.problem import Problem, Segment
 from servo_daemon.identification.output_error.problem.setup import carrying
 from servo_daemon.identification.output_error.solver.solver import Solution, solve
@@ -148,7 +149,9 @@ def fit_trial(
     found = _solved(fitted, start_at, max_iterations, careful)
     if found is None:
         return None
-    return Trial(effects, _natural(fitted, found.point.unknowns), held, problem, fitted, found, data.split)
+    point = replace(found.point, linearisation=without_derivatives(found.point.linearisation))
+    found = replace(found, point=point)
+    return Trial(effects, _natural(fitted, point.unknowns), held, problem, fitted, found, data.split)
 
 
 def _lifted(values: Mapping[str, float], problem: Problem) -> dict[str, float]:
