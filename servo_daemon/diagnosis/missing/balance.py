@@ -34,7 +34,12 @@ _LEAP = (1e-3, 1e3)
 
 
 def balanced_missing_inputs(
-    fit: Fitted, block: SampleBlock, *, recording: int = 0, seen: NDArray[np.bool_] | None = None
+    fit: Fitted,
+    block: SampleBlock,
+    *,
+    recording: int = 0,
+    seen: NDArray[np.bool_] | None = None,
+    levels: NoiseLevels | None = None,
 ) -> Missing:
     """As `missing_inputs`, with the free parameters of the linear motor moved to where the balances want them, where
     much is missing. The parameters used are in `Missing.coordinates`.
@@ -43,9 +48,9 @@ def balanced_missing_inputs(
         BadInputError, NumericalError: as `missing_inputs`.
     """
     if "gap" in fit.problem.plant.parameter_names:  # not linear in J: the load's is another one
-        return missing_inputs(fit, block, recording=recording, seen=seen)
+        return missing_inputs(fit, block, recording=recording, seen=seen, levels=levels)
     where = _Where(block, recording, seen)
-    first = best = _first(fit, where)
+    first = best = _first(fit, where, levels)
     for _ in range(_ROUNDS):
         if _share(best) < _MUCH:
             break
@@ -71,17 +76,17 @@ class _Where:
     seen: NDArray[np.bool_] | None
 
 
-def _first(fit: Fitted, where: _Where) -> Missing:
+def _first(fit: Fitted, where: _Where, levels: NoiseLevels | None) -> Missing:
     """With the fitted parameters, or with those of the regression where these leave less or can alone be used.
 
     Raises:
         NumericalError: neither can be.
     """
-    fitted = _if_possible(fit, where)
+    fitted = _if_possible(fit, where, levels=levels)
     if fitted is not None and _share(fitted) < _MUCH:
         return fitted
     q = _regressed(fit, where)
-    known = None if q is None else _if_possible(fit, where, q)
+    known = None if q is None else _if_possible(fit, where, q, levels)
     if fitted is None and known is None:
         raise NumericalError("missing torque and voltage: the smoother left the range of numbers")
     if fitted is None or (known is not None and _share(known) < 0.9 * _share(fitted)):

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_daemon.diagnosis.missing.smoother import Augmented, likelihood, packed
+from servo_daemon.diagnosis.missing.smoother import Augmented, forward, packed
 from servo_daemon.plant.at_once import alike
 from servo_daemon.samples import F64
 
@@ -110,8 +110,8 @@ def fit_levels(a: Augmented, q: F64, stretches: Sequence[Stretch], start: NoiseL
         constants = np.concatenate([q, np.exp(x)])
         of = [0.0] * len(pieces)
         for which, begin, rows in at_once:
-            for k, out in zip(which, likelihood(a).run_many(begin.copy(), constants, rows), strict=True):
-                of[k] = _minus_two_log(pieces[k], out)
+            for k, out in zip(which, forward(a).run_many(begin.copy(), constants, rows), strict=True):
+                of[k] = _minus_two_log(pieces[k], out[:, a.columns["innovation"]], out[:, a.columns["precision"]])
         total = sum(of)
         return total if np.isfinite(total) else 1e12
 
@@ -154,9 +154,8 @@ def _pieces(a: Augmented, stretches: Sequence[Stretch]) -> list[Stretch]:
     return [_piece(a, s, begin, end) for s, begin, end in chosen if end - begin > SETTLING]
 
 
-def _minus_two_log(piece: Stretch, out: F64) -> float:
-    """Of a piece, but for a constant; `out`: innovations and their inverse variances."""
-    nu, precision = out[:, : piece.counted.shape[1]], out[:, piece.counted.shape[1] :]
+def _minus_two_log(piece: Stretch, nu: F64, precision: F64) -> float:
+    """Of a piece, but for a constant, from its innovations and their inverse variances."""
     use = piece.counted & (precision > 0)
     return float(np.sum(nu[use] ** 2 * precision[use] - np.log(precision[use])))
 

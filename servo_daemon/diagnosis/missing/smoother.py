@@ -184,15 +184,10 @@ class _Pass:
 def forward(a: Augmented) -> SampleLoop:
     """State z | triangle of P, predicted for the sample; output: the row that `Augmented.columns` describes."""
     return SampleLoop(
-        _Pass.of(a).function(lambda found: ca.vertcat(*[found[name] for name in a.columns])), paced_by=STEP
+        _Pass.of(a).function(lambda found: ca.vertcat(*[found[name] for name in a.columns])),
+        paced_by=STEP,
+        side_by_side=True,
     )
-
-
-@cache
-def likelihood(a: Augmented) -> SampleLoop:
-    """The forward pass with innovations and their precisions only."""
-    step = _Pass.of(a).function(lambda found: ca.vertcat(found["innovation"], found["precision"]))
-    return SampleLoop(step, paced_by=STEP, side_by_side=True)
 
 
 def _part(a: Augmented, row: ca.SX, name: str) -> ca.SX:

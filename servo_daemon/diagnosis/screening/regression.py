@@ -55,7 +55,7 @@ class Regression:
         # denominator) explains nothing.
         columns = smoothed(missing, traces)
         for shown in columns.values():
-            shown[:, ~(np.abs(shown) < _LARGEST).all(axis=0)] = 0.0
+            shown[:, ~((shown.max(axis=0) < _LARGEST) & (shown.min(axis=0) > -_LARGEST))] = 0.0
         edges = np.linspace(0, len(motion.t), BLOCKS + 1).astype(int)
         XX, Xy, yy = np.zeros((BLOCKS, len(traces), len(traces))), np.zeros((BLOCKS, len(traces))), np.zeros(BLOCKS)
         unknown, moving = 0.0, ~motion.rest & missing.seen

@@ -86,6 +86,19 @@ class Data:
         return replace(every, segments=segments)
 
 
+def begun(recordings: tuple[Recording, ...], most: int) -> tuple[Recording, ...]:
+    """The first samples of each, so many in all; themselves where there are no more."""
+    samples = sum(len(r.block) for r in recordings)
+    if samples <= most:
+        return recordings
+    return tuple(_begin(r, max(most * len(r.block) // samples, 1)) for r in recordings)
+
+
+def _begin(recording: Recording, samples: int) -> Recording:
+    seen = None if recording.seen is None else recording.seen[:samples]
+    return replace(recording, block=recording.block.slice(0, samples), seen=seen)
+
+
 def _unmarked(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
     return tuple(replace(r, seen=None) for r in recordings)
 

@@ -6,16 +6,20 @@ import math
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
-from servo_daemon.diagnosis.trial.data import Data
-from servo_daemon.diagnosis.trial.trial import Trial
-from servo_daemon.errors import NumericalError
+from servo_daemon.diagnosis.trial.data import Data, begun
+from servo_daemon.diagnosis.trial.trial import MOST_SAMPLES, Trial
+from servo_daemon.errors import BadInputError, NumericalError
 from servo_daemon.identification.output_error import FitOptions, OutputErrorFit, fit_output_error
 from servo_daemon.identification.output_error.precision.disjoint import spread_std
 from servo_daemon.identification.output_error.precision.information import wider
 from servo_daemon.identification.output_error.precision.parameters import FittedParameter
+from servo_daemon.identification.output_error.problem.linearisation import without_derivatives
+from servo_daemon.identification.output_error.refine import Refined
+from servo_daemon.identification.output_error.solver.solver import Point
 from servo_daemon.identification.prediction_error import predicted_fit
 from servo_daemon.identification.short_runs import by_short_runs
 
@@ -40,10 +44,34 @@ class FullDataFits:
     ) -> OutputErrorFit | None:
         """The fit of `fit_whole`, made the first time that it is asked for."""
         begin = values or trial.values
-        asked = (trial.effects, tuple(sorted(trial.held.items())), tuple(sorted(begin.items())), below)
+        asked = _asked(trial, begin, below)
         if asked not in self._known:
             self._known[asked] = fit_whole(self._data, trial, begin, below)
         return self._known[asked]
+
+    def white(self, trial: Trial, start: Mapping[str, float] | None) -> OutputErrorFit | None:
+        """The fit of `from_either` if the data are white with it, else None: what is not white over the first samples
+        is not over all.
+
+        Args:
+            start: see `from_either`.
+        """
+        if self._begun is not None and not self._is_known(trial):
+            with suppress(BadInputError):  # too little in these
+                begun = self._begun.from_either(trial, start)
+                if begun is not None and not begun.white:
+                    return None
+        fit = self.from_either(trial, start)
+        return fit if fit is not None and fit.white else None
+
+    def _is_known(self, trial: Trial) -> bool:
+        return _asked(trial, trial.values, math.inf) in self._known
+
+    @cached_property
+    def _begun(self) -> FullDataFits | None:
+        """The same over the first samples; None: there are no more."""
+        first = begun(self._data.recordings, MOST_SAMPLES)
+        return None if first is self._data.recordings else FullDataFits(replace(self._data, recordings=first))
 
     def from_either(
         self, trial: Trial, start: Mapping[str, float] | None, below: float = math.inf
@@ -61,6 +89,28 @@ class FullDataFits:
         return other if other is not None and other.white else fit
 
 
+def _without_derivatives(fit: OutputErrorFit) -> OutputErrorFit:
+    """The same in a fraction of the memory: derivatives by every sample are taken anew if they are asked for again."""
+
+    def point(of: Point) -> Point:
+        return replace(of, linearisation=without_derivatives(of.linearisation))
+
+    def refined(of: Refined | None) -> Refined | None:
+        return None if of is None else replace(of, point=point(of.point), whitened=point(of.whitened))
+
+    return replace(
+        fit,
+        solution=replace(fit.solution, point=point(fit.solution.point)),
+        plain=replace(fit.plain, point=point(fit.plain.point)),
+        refined=refined(fit.refined),
+        unsettled=refined(fit.unsettled),
+    )
+
+
+def _asked(trial: Trial, begin: Mapping[str, float], below: float) -> object:
+    return trial.effects, tuple(sorted(trial.held.items())), tuple(sorted(begin.items())), below
+
+
 def fit_full_data(
     data: Data, trial: Trial, full_fits: FullDataFits | None, start: Mapping[str, float] | None = None
 ) -> OutputErrorFit:
@@ -72,8 +122,8 @@ def fit_full_data(
             found white.
         start: where screening put it, natural values.
     """
-    whole = None if full_fits is None else full_fits.from_either(trial, start)
-    return whole if whole is not None and whole.white else fit_runs(data, trial, trial.values, data.split.segment_s)
+    whole = None if full_fits is None else full_fits.white(trial, start)
+    return whole or fit_runs(data, trial, trial.values, data.split.segment_s)
 
 
 def fit_whole(
@@ -106,7 +156,7 @@ def fit_runs(
     options = FitOptions(nominal=values, fixed={**data.fixed, **trial.held}, thorough=False, deviance_below=below)
     if runs_s is not None:
         options = replace(options, segment_s=runs_s, noise_model="none")
-    return honest(fit_output_error(data.recordings, trial.effects, options))
+    return _without_derivatives(honest(fit_output_error(data.recordings, trial.effects, options)))
 
 
 def by_predictions(data: Data, fit: OutputErrorFit) -> OutputErrorFit:

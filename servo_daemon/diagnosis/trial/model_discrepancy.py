@@ -9,6 +9,7 @@ import numpy as np
 
 from servo_daemon.diagnosis.missing.balance import balanced_missing_inputs
 from servo_daemon.diagnosis.missing.missing import Fitted, Missing, missing_inputs
+from servo_daemon.diagnosis.missing.noise_levels import NoiseLevels
 from servo_daemon.diagnosis.trial.data import Data
 from servo_daemon.diagnosis.trial.trial import Trial
 from servo_daemon.errors import NumericalError
@@ -22,16 +23,19 @@ _LEAST_WALK, _WITHIN_S = 1e-3, 0.01
 _MOST_INPUT = 0.05
 
 
-def longest_missing(data: Data, fit: Fitted) -> Missing:
+def longest_missing(data: Data, fit: Fitted, levels: NoiseLevels | None = None) -> Missing:
     """Unmodelled torque and voltage of the longest recording under a fitted model, at parameters that leave little of
     it.
+
+    Args:
+        levels: of the noise and of the walks, where they are known; None: by maximum likelihood.
 
     Raises:
         NumericalError: see `balanced_missing_inputs`.
     """
     number = data.longest
     longest = data.recordings[number]
-    return balanced_missing_inputs(fit, longest.block, recording=number, seen=longest.seen)
+    return balanced_missing_inputs(fit, longest.block, recording=number, seen=longest.seen, levels=levels)
 
 
 def seen_missing(data: Data, trial: Trial) -> Missing:

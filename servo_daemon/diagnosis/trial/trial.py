@@ -14,6 +14,7 @@ from servo_daemon.diagnosis.trial.scored import Scored, scored_states
 from servo_daemon.diagnosis.trial.split import CHOICE, TRAIN, Split
 from servo_daemon.errors import ConfigError, NumericalError
 from servo_daemon.identification.output_error.diverged_segments import ENOUGH, begun_again
+from servo_daemon.identification.output_error.problem.linearisation import without_derivatives
 from servo_daemon.identification.output_error.problem.problem import Problem, Segment
 from servo_daemon.identification.output_error.problem.setup import carrying
 from servo_daemon.identification.output_error.solver.solver import Solution, solve
@@ -29,7 +30,7 @@ from servo_daemon.samples import F64
 _START_ITERATIONS, _MOST_ITERATIONS = 3, 25
 #: Samples of all free runs together: of longer captures each run is only begun, so that a search takes no longer; the
 #: fit that is published sees all of them. And the least of one run.
-_MOST_SAMPLES, _LEAST_SAMPLES = 24_000, 40
+MOST_SAMPLES, _LEAST_SAMPLES = 24_000, 40
 
 
 #: An L/R of this share of the sample period and a viscous friction of this share of the braking K²/R can be seen
@@ -133,7 +134,7 @@ def fit_trial(
     """
     held = {p.name: start[p.name] for p in _counts_and_choices(effects) if p.name not in data.fixed}
     problem = data.problem(effects, held)
-    segments = tuple(_settled(s, _MOST_SAMPLES // len(problem.segments)) for s in problem.segments)
+    segments = tuple(_settled(s, MOST_SAMPLES // len(problem.segments)) for s in problem.segments)
     problem = carrying(replace(problem, segments=segments), data.recordings)
     values = {
         p.name: float(np.clip({**start, **data.fixed}[p.name], p.lower, p.upper)) for p in problem.plant.parameters
@@ -148,7 +149,9 @@ def fit_trial(
     found = _solved(fitted, start_at, max_iterations, careful)
     if found is None:
         return None
-    return Trial(effects, _natural(fitted, found.point.unknowns), held, problem, fitted, found, data.split)
+    point = replace(found.point, linearisation=without_derivatives(found.point.linearisation))
+    found = replace(found, point=point)
+    return Trial(effects, _natural(fitted, point.unknowns), held, problem, fitted, found, data.split)
 
 
 def _lifted(values: Mapping[str, float], problem: Problem) -> dict[str, float]:

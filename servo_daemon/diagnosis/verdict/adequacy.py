@@ -108,7 +108,7 @@ def believed(selection: Selection, full_fits: FullDataFits) -> Believed:
                 break
             selection = _without(selection, unhelpful[0])
             continue
-        found = _published(selection, levels)
+        found = _published(selection, (extended, missing), levels)
         assert found.extended is not None
         # Of what is published: the only thing that everything has a say in, and only to take a name away.
         shown = found.extended
@@ -149,11 +149,16 @@ def _simpler(selection: Selection, name: str) -> Selection:
     return replace(selection, chosen=other, added=added, equivalent=equivalent)
 
 
-def _published(selection: Selection, levels: NoiseLevels) -> Believed:
-    """What was decided on the parts for fitting and choosing, fitted to all the data."""
+def _published(selection: Selection, decided: tuple[OutputErrorFit, Missing], levels: NoiseLevels) -> Believed:
+    """What was decided on the parts for fitting and choosing, fitted to all the data.
+
+    Args:
+        decided: the fit to those parts, and what it lacks: all is white only where they are, and as noisy.
+    """
     data, trial = selection.data.full, selection.chosen
-    extended = _straight(data, trial, fit_full_data(data, trial, FullDataFits(data), _screened_start(selection)))
-    missing = longest_missing(data, extended)
+    full_fits = FullDataFits(data) if decided[0].white else None
+    extended = _straight(data, trial, fit_full_data(data, trial, full_fits, _screened_start(selection)))
+    missing = longest_missing(data, extended, decided[1].levels)
     depends = () if extended.white else dependences(extended, missing)
     better = by_predictions(data, extended)
     if better is not extended:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -23,7 +22,7 @@ from servo_daemon.diagnosis.search.evidence import PLAINLY
 from servo_daemon.diagnosis.search.fitting import Candidate
 from servo_daemon.diagnosis.search.select import Selection
 from servo_daemon.diagnosis.trial.compare import advantage, error_removed
-from servo_daemon.diagnosis.trial.data import Data
+from servo_daemon.diagnosis.trial.data import Data, begun
 from servo_daemon.diagnosis.trial.equivalent_models import told_from_equivalent
 from servo_daemon.diagnosis.trial.full_data_fit import FullDataFits
 from servo_daemon.diagnosis.trial.likelihood import far_below, far_likelier
@@ -33,7 +32,7 @@ from servo_daemon.diagnosis.trial.trial import Trial, fit_trial, model_exists
 from servo_daemon.diagnosis.verdict.determined import is_determined
 from servo_daemon.diagnosis.verdict.predicted import predictions_of_both
 from servo_daemon.diagnosis.verdict.result import CandidateScore, Finding, HeldOut, NamedEffect
-from servo_daemon.identification.output_error import OutputErrorFit, Recording
+from servo_daemon.identification.output_error import OutputErrorFit
 from servo_daemon.plant.effects import effects_by_name
 
 #: So many of the candidates of the first round, those that fit best, are fitted to the full data (chosen; not tried).
@@ -106,17 +105,8 @@ def _marked(candidates: Sequence[CandidateScore], best: Candidate, base: Trial) 
 
 def _begun(data: Data, effects: tuple[str, ...]) -> Data:
     """The first samples of each recording, where there are more than a decision needs: several models are fitted."""
-    samples = sum(len(r.block) for r in data.recordings)
-    if samples <= _MOST_SAMPLES:
-        return data
-    share = _MOST_SAMPLES / samples
-    begun = [_begin(r, max(int(share * len(r.block)), 1)) for r in data.recordings]
-    return Data.of(begun, data.fixed, effects, data.split.segment_s)
-
-
-def _begin(recording: Recording, samples: int) -> Recording:
-    seen = None if recording.seen is None else recording.seen[:samples]
-    return replace(recording, block=recording.block.slice(0, samples), seen=seen)
+    first = begun(data.recordings, _MOST_SAMPLES)
+    return data if first is data.recordings else Data.of(first, data.fixed, effects, data.split.segment_s)
 
 
 def _likely(

@@ -7,7 +7,7 @@ cost ten times as much as the simulation itself.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -136,6 +136,14 @@ class Differenced:
         for index, moved in enumerate(problem.residuals(self.unknowns, ahead)):
             column = out[index].shape[2] - len(problem.plant.states) + state
             out[index][:, :, column] = (self.residuals[index] - moved) / steps[index]
+
+
+def without_derivatives(linear: Linearised) -> Linearised:
+    """The same point without the derivatives, which are most of what it holds: of a simulation they are taken anew if
+    they are asked for again."""
+    if isinstance(linear, Lazy | Differenced):
+        return replace(linear)
+    return Linearisation(linear.residuals, (), linear.finite)
 
 
 def _residuals(problem: Problem, points: Sequence[F64], recording: int) -> Iterator[tuple[int, F64]]:

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_daemon.identification.output_error.problem.rollout import STEP, free_paths, free_runs
+from servo_daemon.identification.output_error.problem.rollout import STEP, free_runs, free_states
 from servo_daemon.plant.at_once import alike
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.samples import F64
@@ -29,6 +29,9 @@ _STATE_PRIOR = 100.0
 _SLOWEST_WINDING_S = 0.1
 #: What a motor whose shaft is held moves like: it turns by nothing, and nothing comes back. K²/B is 10⁻¹² Ω.
 HELD_SHAFT = {"K": 1e-5, "J": 1e2, "B": 1e2}
+#: Runs over whole recordings are kept at so many points: a search along a step looks at a handful and goes back to the
+#: best.
+_PATHS_KEPT = 8
 #: States of the motor itself; the others are effects'.
 MOTOR_STATES = ("current_A", "velocity_rad_s", "position_rad")
 
@@ -192,22 +195,37 @@ class Problem:
 
     def carried(self, unknowns: F64) -> list[F64 | None]:
         """Per segment the states as a run over the whole recording has them at its first sample, shape (nx,)."""
-        paths = [self.paths([unknowns], recording)[0] for recording in range(len(self.whole))]
-        return [paths[s.recording][s.begin] if self._carries else None for s in self.segments]
+        if not self._carries:
+            return [None] * len(self.segments)
+        recordings = range(len(self.whole))
+        key = b"".join(self.acting(unknowns, recording).tobytes() for recording in recordings)
+        if key not in self._known:
+            paths = [self.paths([unknowns], recording)[0] for recording in recordings]
+            while len(self._known) >= _PATHS_KEPT:
+                self._known.pop(next(iter(self._known)))
+            self._known[key] = [paths[s.recording][s.begin] for s in self.segments]
+        return list(self._known[key])
+
+    @cached_property
+    def _known(self) -> dict[bytes, list[F64]]:
+        """What `carried` has found, by the parameters that it was found with: initial states change nothing of it."""
+        return {}
 
     @cached_property
     def _carries(self) -> bool:
         """Whether segments take states from a run over the whole recording."""
         return bool(self.whole) and not set(self.plant.state_names) <= set(self.own_states)
 
-    def paths(self, points: Sequence[F64], recording: int) -> F64:
-        """States of that run at each of several points, shape (m, n, nx); empty where none are taken from it."""
+    def paths(self, points: Sequence[F64], recording: int) -> list[dict[int, F64]]:
+        """States of that run at each of several points, shape (nx,), by the samples that the recording's segments begin
+        with; empty where none are taken from it."""
         if not self._carries:
-            return np.empty((len(points), 0, 0))
+            return [{} for _ in points]
         x0, rows = self.whole[recording]
         q = np.stack([self.acting(unknowns, recording) for unknowns in points])
-        m = len(points)
-        return free_paths(self.plant, self.channels, q, np.tile(x0, (m, 1)), np.tile(rows, (m, 1, 1)))
+        begins = sorted({s.begin for s in self.segments if s.recording == recording})
+        states = free_states(self.plant, self.channels, q, x0, rows, np.array(begins, dtype=np.intp))
+        return [dict(zip(begins, of, strict=True)) for of in states]
 
     def initial_states(self, unknowns: F64) -> F64:
         """Of all segments, shape (segments, nx)."""
