@@ -121,7 +121,7 @@ class Service:
         return rss_MB(self.program.process.pid)
 
     def last_row_s(self, drive: str, before_s: float) -> float:
-        """The last moment of its history in the minute before that one, s since the epoch; where there is none, its start."""
+        """The last moment of its history in the minute before that one, s since the epoch; without one its start."""
         began_s = before_s - 60.0
         words = f"parameter=R&start={began_s:.3f}&end={before_s:.3f}&points=20000"
         times = self.program.get(f"/drives/{drive}/history?{words}")["time"]
