@@ -78,20 +78,12 @@ class _Twin:
         forward, backward = levels * total["factor_dry"]
         return total | rates | extra | {"dry_forward": forward, "dry_backward": backward}
 
-    def core(
-        self, x: F64, terms: Mapping[str, float], acting: tuple[float, float], h: float
-    ) -> tuple[F64, F64, tuple[float, float]]:
-        """(i, ω, θ) after h without dry friction and drop, the change per V, N·m and V of rise, shape (3, 3), and for a
-        reversal what is left of a speed and how much of a torque's effect on the current goes by the angle."""
+    def core(self, x: F64, terms: Mapping[str, float], acting: tuple[float, float], h: float) -> tuple[F64, F64]:
+        """(i, ω, θ) after h without dry friction and drop, and the change per V, N·m and V of rise, shape (3, 3)."""
         scaled = {**self.p, "R": self.p["R"] * terms["factor_R"], "K": self.p["K"] * terms["factor_K"]}
         scaled["B"] = self.p["B"] * terms["factor_B"] + terms["viscous"]
         Ad, Bd = _driven_step(scaled, h, (self.p["K"], terms["moment_K"]))
-        r = h * scaled["R"] / scaled["L"]
-        return (
-            Ad @ x[:3] + Bd @ [acting[0] - terms["voltage_drop"], terms["load_torque"], acting[1]],
-            Bd,
-            (float(Ad[1, 1]), 1 / (1 + r / 3 + r**2 / 18)),
-        )
+        return Ad @ x[:3] + Bd @ [acting[0] - terms["voltage_drop"], terms["load_torque"], acting[1]], Bd
 
     def mean_square(self, x: F64, after: F64, terms: Mapping[str, float], acting: float, h: float) -> float:
         """⟨i²⟩ over the step, by quadrature over the curve through both ends with the mean that the voltages give.
@@ -141,15 +133,15 @@ class _Twin:
             angle = begin[2]
         own_middle = [self.own_state(k, x, t, h / 2) for k in range(3, len(x))]
         ahead = self.terms(np.r_[begin[:2], angle, own_middle], t + h / 2, h)
-        guess, gains, kept = self.core(begin, ahead, (mean, rise), h)
+        guess, gains = self.core(begin, ahead, (mean, rise), h)
         if self.follows():
-            guess, _ = self.solved(guess, gains, ahead, None if twist else x[1], kept)
+            guess, _ = self.solved(guess, gains, ahead, None if twist else x[1])
         middle_x = (begin + guess) / 2
         middle_x[2] = angle if twist else middle_x[2]
         middle = self.terms(np.r_[middle_x, own_middle], t + h / 2, h)
-        core, gains, kept = self.core(begin, middle, (mean, rise), h)
+        core, gains = self.core(begin, middle, (mean, rise), h)
         if not twist:
-            core, drop = self.solved(core, gains, middle, x[1], kept)
+            core, drop = self.solved(core, gains, middle, x[1])
         else:
             core[2], gains[2] = begin[2], 0.0
             core, z, drop = self.second_half(core, gains, z + np.array([core[1] - begin[1], 0.0]), middle, h / 2)
@@ -167,26 +159,16 @@ class _Twin:
         return any(name.startswith(needing) for name in self.model.effects)
 
     @staticmethod
-    def solved(
-        x: F64,
-        gains: F64,
-        terms: Mapping[str, float],
-        speed: float | None = None,
-        kept: tuple[float, float] = (1.0, 0.0),
-    ) -> tuple[F64, float]:
-        """Blocked current and dry friction; with the speed at the beginning, and what a step leaves of it, a reversal
-        is found within the step. And the dry drop, V."""
-        drop = friction = turning = 0.0
+    def solved(x: F64, gains: F64, terms: Mapping[str, float], speed: float | None = None) -> tuple[F64, float]:
+        """Blocked current and dry friction; with the speed at the beginning a reversal is found within the step. And
+        the dry drop, V."""
+        drop = friction = 0.0
         for _ in range(3):
-            by_current = friction + kept[1] * (turning - friction)
-            stopping = (x[0] + gains[0, 1] * by_current) / gains[0, 0]
+            stopping = (x[0] + gains[0, 1] * friction) / gains[0, 0]
             drop = np.clip(stopping, -terms["dry_drop"], terms["dry_drop"])
             levels = (-terms["dry_backward"], terms["dry_forward"])
-            friction, turning = _friction(speed, x[1] - gains[1, 0] * drop, gains[1, 1], kept[0], levels)
-        torque = np.full(len(x), friction)
-        torque[0] += kept[1] * (turning - friction)
-        torque[2] = turning
-        return np.asarray(x - gains[:, 0] * drop + gains[:, 1] * torque), float(drop)
+            friction = _friction(speed, x[1] - gains[1, 0] * drop, gains[1, 1], levels)
+        return np.asarray(x - gains[:, 0] * drop + gains[:, 1] * friction), float(drop)
 
     def second_half(
         self, core: F64, gains: F64, z: F64, terms: Mapping[str, float], half: float
@@ -272,25 +254,11 @@ def reference_step(model: PlantModel, x: F64, u: float, p: F64, t: float, h: flo
     return path[-1]
 
 
-def _friction(
-    speed: float | None, free: float, per_load: float, kept: float, levels: tuple[float, float]
-) -> tuple[float, float]:
-    """The level until the speed is zero and what keeps it zero from there on, as one torque for the speed and one for
-    the angle."""
+def _friction(speed: float | None, free: float, per_load: float, levels: tuple[float, float]) -> float:
+    """Mean of the level until the speed is zero and of what keeps it zero from there on."""
     if speed is None:
-        one = float(np.clip(-free / per_load, *levels))
-        return one, one
+        return float(np.clip(-free / per_load, *levels))
     sliding = levels[1] if speed >= 0 else levels[0]
     end = free + per_load * sliding
-    short = kept > 0.9
-    kept = 1.0 if short else max(kept, 0.0)
-
-    def share(size: float) -> float:
-        return size / (size + abs(end)) if speed * end <= 0 and speed else float(speed * end > 0)
-
-    after = float(np.clip((kept * speed - free) / per_load, *levels))
-    in_time = share((1 + 10 * kept + 5 * kept**2) / (5 + 10 * kept + kept**2) * abs(speed))
-    of_angle = (1 - (1 - in_time) ** 2) * sliding + (1 - in_time) ** 2 * after
-    of_speed = share(kept * abs(speed))
-    friction = of_speed * sliding + (1 - of_speed) * after
-    return friction, friction if short else of_angle
+    share = abs(speed) / (abs(speed) + abs(end)) if speed * end <= 0 and speed else float(speed * end > 0)
+    return float(share * sliding + (1 - share) * np.clip((speed - free) / per_load, *levels))

@@ -31,17 +31,12 @@ class Core:
         per_input, per_load: its change per unit of either.
         per_slope: per unit of a change of the input across the step about its mean; the angle's share, of third order
             in h, is left out.
-        kept: share of a speed that is left after the step, all else zero.
-        sluggish: what share of a torque's effect on the current goes by the angle (1: the winding settles in many
-            steps) and not by the speed at the end (0: within the step; 0, too, without a current).
     """
 
     free: ca.SX
     per_input: ca.SX
     per_load: ca.SX
     per_slope: ca.SX
-    kept: ca.SX
-    sluggish: ca.SX
 
 
 @dataclass(frozen=True)
@@ -101,18 +96,7 @@ def _voltage_core(x: ca.SX, p: Mapping[str, ca.SX], h: ca.SX, turning: Turning |
     )
     gains = [ca.vertcat(flow.apply(phi1, Z, b[:, k]), h * to_angle @ flow.apply(phi2, Z, b[:, k])) for k in range(2)]
     slope = flow.apply(phi2, Z, b[:, 0]) - flow.apply(phi1, Z, b[:, 0]) / 2
-    kept = exp.alpha + exp.beta * Z[1, 1]
-    return Core(free, gains[0], gains[1], ca.vertcat(slope, 0), kept, _sluggish(h * p["R"] / p["L"]))
-
-
-def _sluggish(r: ca.SX) -> ca.SX:
-    """The winding weighs the speed of a step by e^(−r (1 − s)), s = 0 .. 1. Of a speed that rises evenly this makes the
-    same as a mean and a value at the end if the mean's share is (φ_1 − φ_2)/φ_2 at −r: 1 − r/3 + r²/18 − …
-
-    Args:
-        r: h R/L.
-    """
-    return 1 / (1 + r / 3 + r**2 / 18)
+    return Core(free, gains[0], gains[1], ca.vertcat(slope, 0))
 
 
 def _of_constant(p: Mapping[str, ca.SX], turning: Turning) -> ca.SX:
@@ -144,4 +128,4 @@ def _mechanical_core(x: ca.SX, p: Mapping[str, ca.SX], h: ca.SX, torque_per_inpu
     per_load = ca.jacobian(rate, tau) * h * ca.vertcat(phi1, h * phi2)
     free = ca.vertcat(exp * x[0], x[1] + h * phi1 * x[0])
     slope = ca.jacobian(rate, tau) * h * (phi2 - phi1 / 2)
-    return Core(free, -torque_per_input * per_load, per_load, -torque_per_input * ca.vertcat(slope, 0), exp, ca.SX(0))
+    return Core(free, -torque_per_input * per_load, per_load, -torque_per_input * ca.vertcat(slope, 0))

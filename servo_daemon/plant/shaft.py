@@ -132,7 +132,7 @@ def standing(core: Core, x: ca.SX, z: ca.SX) -> Core:
         return ca.vertcat(column[: n - 1], 0, column[n - 2], 0)
 
     free = ca.vertcat(core.free[: n - 1], x[n - 1], z[0] + core.free[n - 2] - x[n - 2], z[1])
-    return Core(free, change(core.per_input), change(core.per_load), change(core.per_slope), core.kept, core.sluggish)
+    return Core(free, change(core.per_input), change(core.per_load), change(core.per_slope))
 
 
 def after_second_half(two: TwoInertias, core: Core, predicted: ca.SX) -> Core:
@@ -148,6 +148,4 @@ def after_second_half(two: TwoInertias, core: Core, predicted: ca.SX) -> Core:
         through(core.per_input, False),
         through(core.per_load, False),
         through(core.per_slope, False),
-        core.kept,
-        core.sluggish,
     )

@@ -21,7 +21,7 @@ import casadi as ca
 from servo_daemon.plant import flow
 from servo_daemon.plant.core import Core, Drive, Turning, homogeneous, linear_core
 from servo_daemon.plant.delay import Step, behind, delay_of, kept, of_channel, with_newest
-from servo_daemon.plant.dry import dry_levels, friction_over_step, rubbing
+from servo_daemon.plant.dry import dry_levels, friction_over_step
 from servo_daemon.plant.effects import Effect, Signals, State, Terms
 from servo_daemon.plant.effects.base import LAGGED, LATE, LATE_STEPS, TWIST, Delay
 from servo_daemon.plant.midpoint import factors_follow_motion, guess_needs_friction
@@ -204,22 +204,22 @@ class StepBuilder:
         """
         n, terms = self.core_states, held.terms
         x = core.free + core.per_input * (held.u - self._drop(terms)) + core.per_load * _load(terms)
-        x, load = x + core.per_slope * held.rise, core.per_load[n - 2]
+        x = x + core.per_slope * held.rise
         forward, backward = dry_levels(terms)
         rubs = dry and not (forward.is_zero() and backward.is_zero())
         blocks = self._dry_drop(terms) if dry else ca.SX(0)
-        drop, friction, turning = ca.SX(0), ca.SX(0), ca.SX(0)
+        drop, friction = ca.SX(0), ca.SX(0)
         if blocks.is_zero():
             if rubs:
-                friction, turning = friction_over_step(speed, x[n - 2], load, core.kept, forward, backward)
-            return _Solved(x + rubbing(core, n - 1, friction, turning), drop, friction)
+                friction = friction_over_step(speed, x[n - 2], core.per_load[n - 2], forward, backward)
+            return _Solved(x + core.per_load * friction, drop, friction)
         for _ in range(_PASSES):
-            stopping = (x[0] + rubbing(core, n - 1, friction, turning)[0]) / core.per_input[0]
+            stopping = (x[0] + core.per_load[0] * friction) / core.per_input[0]
             drop = ca.fmax(ca.fmin(stopping, blocks), -blocks)
             if rubs:
                 free = x[n - 2] - core.per_input[n - 2] * drop
-                friction, turning = friction_over_step(speed, free, load, core.kept, forward, backward)
-        return _Solved(x - core.per_input * drop + rubbing(core, n - 1, friction, turning), drop, friction)
+                friction = friction_over_step(speed, free, core.per_load[n - 2], forward, backward)
+        return _Solved(x - core.per_input * drop + core.per_load * friction, drop, friction)
 
     def _drop(self, terms: Sequence[Terms]) -> ca.SX:
         """Without a voltage there is nothing that a drop could be taken from."""

@@ -11,7 +11,7 @@ import casadi as ca
 
 from servo_daemon.plant import flow
 from servo_daemon.plant.core import linear_core
-from servo_daemon.plant.dry import friction_over_step, rubbing
+from servo_daemon.plant.dry import friction_over_step
 
 #: Effects that the estimator knows beside the linear motor: their parameter stands in the step below.
 KNOWN = {"coulomb_friction": "Tc", "constant_load_torque": "TL"}
@@ -69,8 +69,7 @@ def build_step(names: Sequence[str], L: float, doublings: int) -> StepCode:
         free = core.free + core.per_input * u + core.per_load * by_name.get("TL", ca.SX(0))
         if "Tc" in by_name:
             Tc = by_name["Tc"]
-            friction, turning = friction_over_step(at[1], free[1], core.per_load[1], core.kept, Tc, Tc)
-            free += rubbing(core, 2, friction, turning)
+            free += core.per_load * friction_over_step(at[1], free[1], core.per_load[1], Tc, Tc)
         return free, ca.horzcat(core.per_input, core.per_load)
 
     x_next, gain = after(x)
