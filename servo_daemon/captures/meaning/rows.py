@@ -59,6 +59,11 @@ def row_findings(capture: Capture) -> list[Finding]:
         f"command beside what it measured, or its last one); it is left out. "
         f"{mend(capture, 'voltage_V', {'rows_late': rows})}"
     )
+    if rows == 1:
+        text += (
+            "; or, of a drive that measures its voltage, above the header the lines  # voltage: mean  # current: mean  "
+            "(over the time since the row before; of one moment: instant)"
+        )
     return [Finding("voltage_V", text, "column")]
 
 
