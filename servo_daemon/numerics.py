@@ -88,3 +88,33 @@ def least_squares(A: F64, y: F64) -> tuple[F64, int]:
     size = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
     found, _, rank, _ = np.linalg.lstsq(A / size, y, rcond=1e-9)
     return np.asarray(found / size), int(rank)
+
+
+def squares_left(A: F64, y: F64) -> float:
+    """Sum of squares that least squares by the columns A, shape (n, m), leave of y, shape (n,)."""
+    left = y - A @ least_squares(A, y)[0]
+    return float(left @ left)
+
+
+def triangular_means(values: F64, m: int) -> F64:
+    """Means of n values over 2 m each with triangular weights, shape (n − 2 m + 1,): what the second differences of an
+    angle over m sampling intervals either way are of the accelerations, and follow of the torques, between."""
+    weights = m - np.abs(np.arange(-m, m) + 0.5)
+    return np.convolve(values, weights / np.sum(weights), mode="valid")
+
+
+def turning_over(travel: F64, m: int) -> tuple[F64, list[F64]]:
+    """Second differences of an angle over m intervals either way, and the means of what friction goes with over the
+    same: speed, its sign (smooth within a tenth of the usual speed) and a constant, shape (n − 2 m + 1,) each.
+
+    Args:
+        travel: of n sampling intervals, shape (n,).
+    """
+    turned = np.concatenate([[0.0], np.cumsum(travel)])
+    second = turned[2 * m :] - 2.0 * turned[m:-m] + turned[: -2 * m]
+    usual = float(np.sqrt(np.mean(travel**2))) or 1.0
+    return second, [
+        triangular_means(travel, m),
+        triangular_means(np.tanh(travel / (0.1 * usual)), m),
+        np.ones(len(second)),
+    ]

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from servo_daemon.captures.capture.model import Capture
 from servo_daemon.captures.meaning.finding import Finding, mend
 from servo_daemon.captures.meaning.windows import travelled, window_length
-from servo_daemon.numerics import least_squares
+from servo_daemon.numerics import least_squares, squares_left, triangular_means, turning_over
 from servo_daemon.samples import F64
 
 #: Rows either way that are tried, and one more whose neighbour tells whether it is the best.
@@ -78,11 +78,15 @@ def _late_for_motion(time_s: F64, v: F64, travel: F64) -> int:
     w = travel / h
     size = float(np.sqrt(np.mean(w**2))) or 1.0
     past = [w[k - 1], w[k - 2], np.tanh(w[k - 1] / (0.1 * size)), np.ones(len(k))]
-    leaves = [_left([v[k + rows], v[k + rows - 1], v[k + rows - 2], *past], w[k]) for rows in range(_ROWS + 1)]
+
+    def followed(rows: int) -> F64:
+        return np.column_stack([v[k + rows], v[k + rows - 1], v[k + rows - 2], *past])
+
+    leaves = [squares_left(followed(rows), w[k]) for rows in range(_ROWS + 1)]
     if leaves[1] > _CLEARLY * leaves[0] or leaves[0] < _ROUNDING * len(k) * size**2:
         return 0
     rows = next(rows for rows, left in enumerate(leaves) if left < _ALIKE * min(leaves))
-    found, _ = least_squares(np.column_stack([v[k + rows], v[k + rows - 1], v[k + rows - 2], *past]), w[k])
+    found, _ = least_squares(followed(rows), w[k])
     return rows if found[0] > 0.0 else 0
 
 
@@ -119,7 +123,8 @@ class _Winding:
 
     def _left(self, rows: int, more: list[F64]) -> float:
         """Sum of squares, A², with the voltage of so many rows later and more columns, shape (n,) each."""
-        return _left([*self._columns, self._v[self._k + rows], *more], self._i[self._k + 1])
+        columns = [*self._columns, self._v[self._k + rows], *more]
+        return squares_left(np.column_stack(columns), self._i[self._k + 1])
 
 
 def _of_current(rows: int, i: F64, travel: F64, m: int) -> bool:
@@ -131,27 +136,14 @@ def _of_current(rows: int, i: F64, travel: F64, m: int) -> bool:
         i: shape (n,).
         travel: shape (n − 1,).
     """
-    weights = m - np.abs(np.arange(-m, m) + 0.5)
-
-    def mean(values: F64) -> F64:
-        return np.convolve(values, weights / np.sum(weights), mode="valid")
-
-    turned = np.concatenate([[0.0], np.cumsum(travel)])
-    second = turned[2 * m :] - 2.0 * turned[m:-m] + turned[: -2 * m]
-    size = float(np.sqrt(np.mean(travel**2))) or 1.0
-    shaft = [mean(travel), mean(np.tanh(travel / (0.1 * size))), np.ones(len(second))]
+    second, shaft = turning_over(travel, m)
     # Over one row a slow winding's current is that of its middle, a fast one's that of its end.
-    between = [mean(current) for current in (0.5 * (i[1:] + i[:-1]), i[1:])]
+    between = [triangular_means(current, m) for current in (0.5 * (i[1:] + i[:-1]), i[1:])]
     use = slice(abs(rows), len(second) - abs(rows))
-    own, moved = (
-        min(_left([c[use.start - by : use.stop - by], *(one[use] for one in shaft)], second[use]) for c in between)
-        for by in (0, rows)
-    )
-    return moved < own
+    friction = [one[use] for one in shaft]
 
+    def left(by: int) -> float:
+        moved = slice(use.start - by, use.stop - by)
+        return min(squares_left(np.column_stack([c[moved], *friction]), second[use]) for c in between)
 
-def _left(columns: list[F64], y: F64) -> float:
-    """Sum of squares that least squares leave of y, shape (n,)."""
-    A = np.column_stack(columns)
-    found, _ = least_squares(A, y)
-    return float(np.sum((y - A @ found) ** 2))
+    return left(rows) < left(0)

@@ -14,7 +14,7 @@ from servo_daemon.identification.output_error.fitted import OutputErrorFit
 from servo_daemon.identification.output_error.lag_like import Refit, moved_to, values_of
 from servo_daemon.identification.output_error.problem.problem import Problem, Segment
 from servo_daemon.identification.output_error.problem.rollout import STEP
-from servo_daemon.numerics import least_squares
+from servo_daemon.numerics import least_squares, triangular_means, turning_over
 from servo_daemon.samples import F64
 
 #: Second differences of the angle over this, s, and at least so many samples: an encoder's steps are small in them.
@@ -52,16 +52,9 @@ def _late_s(problem: Problem, segment: Segment) -> float:
         return 0.0
     i, shown = segment.measured.T
     way = np.diff(shown) if problem.channels[1] == "position_rad" else (shown * segment.rows[:, STEP])[:-1]
-    weights = m - np.abs(np.arange(-m, m) + 0.5)
-
-    def mean(one: F64) -> F64:
-        return np.convolve(one, weights / np.sum(weights), mode="valid")
-
-    turned = np.concatenate([[0.0], np.cumsum(way)])
-    gained = turned[2 * m :] - 2.0 * turned[m:-m] + turned[: -2 * m]
-    size = float(np.sqrt(np.mean(way**2))) or 1.0
-    columns = [(i[1:] + i[:-1]) / 2.0, np.diff(i) / h, way, np.tanh(way / (0.1 * size)), np.ones(n - 1)]
-    (torque, rate, *_), _ = least_squares(np.column_stack([mean(one) for one in columns]), gained)
+    gained, friction = turning_over(way, m)
+    driving = [triangular_means((i[1:] + i[:-1]) / 2.0, m), triangular_means(np.diff(i) / h, m)]
+    (torque, rate, *_), _ = least_squares(np.column_stack([*driving, *friction]), gained)
     return float(rate / torque) if torque > 0.0 else 0.0
 
 

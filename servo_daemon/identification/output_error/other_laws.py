@@ -24,6 +24,7 @@ from servo_daemon.identification.output_error.lag_like import (
 )
 from servo_daemon.identification.output_error.noise.noise import WORTH
 from servo_daemon.identification.output_error.problem.rollout import STEP
+from servo_daemon.numerics import squares_left
 from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.samples import F64
 
@@ -115,10 +116,7 @@ def goes_one_way(fit: OutputErrorFit) -> bool:
         return False
     moving = parts[np.abs(parts[:, 0]) > _BACK * np.max(np.abs(parts[:, 0]))]
     constant = np.sqrt(moving[:, 2])
-    follows = moving[:, :2] * constant[:, None]
-    share = np.linalg.lstsq(follows / np.linalg.norm(follows, axis=0), constant, rcond=None)[0]
-    left = constant - follows / np.linalg.norm(follows, axis=0) @ share
-    return float(left @ left) < _APART * float(constant @ constant)
+    return squares_left(moving[:, :2] * constant[:, None], constant) < _APART * float(constant @ constant)
 
 
 def _parts(fit: OutputErrorFit) -> F64:
