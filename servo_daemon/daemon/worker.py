@@ -95,6 +95,7 @@ class Workers:
     def look(self) -> None:
         """Where a turn takes long, let another thread go on with the other drives; where one that has a place only
         waits for something, give its place away meanwhile. Any thread."""
+        self._see_who_gets_on()
         if any(turn.is_stuck for turn in tuple(self._under_way)):
             self._give_away_places()
         turn = self._turn
@@ -109,6 +110,16 @@ class Workers:
             self._taken += 1
             self._under_way.add(turn)
             self._replace_shared()
+
+    def _see_who_gets_on(self) -> None:
+        """Neither a turn that gets little of the processor has stopped, nor have those that wait for its place."""
+        if not self._under_way:
+            return
+        now = time.monotonic()
+        with self._lock:
+            on = [turn.slot for turn in self._under_way if turn.gets_on()]
+            for slot in (*on, *self._waiting) if on else ():
+                slot.seen = now
 
     # -- the shared thread -----------------------------------------------------------------------------------
 

@@ -102,6 +102,22 @@ def test_drives_start_as_many_at_once_as_there_are_places_in_the_order_in_which_
     assert all(s.problem is None for s in slots)
 
 
+def test_a_turn_that_gets_little_of_the_processor_has_not_stopped(
+    begun: Callable[..., tuple[Workers, list[Any], list[str]]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside six busy programs a start took seven seconds by the clock, and the service manager heard nothing."""
+    workers, slots, inside = begun("ab", places=1)
+    until(lambda: inside == ["a"] and slots[1].runtime.waited_behind)
+    found = []
+    for used_s in (0.1, 0.1, 0.11, slot_module.STUCK_S + 1.0):
+        monkeypatch.setattr(slot_module.Turn, "used_s", used_s)
+        for slot in slots:
+            slot.seen = -1.0
+        workers.look()
+        found.append([slot.seen > 0.0 for slot in slots])
+    assert found == [[True, True], [False, False], [True, True], [False, False]]
+
+
 def test_a_turn_that_only_waits_gives_its_place_to_the_next(
     begun: Callable[..., tuple[Workers, list[Any], list[str]]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
