@@ -13,8 +13,8 @@ from servo_daemon.daemon.drive import DriveRuntime
 #: every turn is long where other programs, or threads of this one, have the processor; then all drives had a thread
 #: each, which waited for each other.) One that waits for something (a compiler, a lock) is long after so long, s.
 LONG_TURN_S, LONG_WAIT_S = 0.015, 1.0
-#: A turn gets on where it has used so much more of the processor, s; where that takes longer than `LONG_WAIT_S`, it waits
-#: for something. (A share of 10 % since it began, before: beside twenty busy programs no turn has that.)
+#: A turn gets on where it has used so much more of the processor, s; where that takes longer than `LONG_WAIT_S`, it
+#: waits for something. (A share of 10 % since it began, before: beside twenty busy programs no turn has that.)
 _STEP_S = 0.005
 #: A drive that has not turned for this long is a problem the API reports, s; a turn that has used as much of the
 #: processor and is not over, too.
