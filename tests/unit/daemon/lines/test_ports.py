@@ -13,9 +13,12 @@ import pytest
 
 from benchmarks.feeder import frames
 from drivers.serial.line import SerialDriver
+from servo_daemon.config import DriveConfig
+from servo_daemon.daemon.drive import DriveRuntime
 from servo_daemon.daemon.lines.ports import ASKED_FOR_S, UNASKED_EVERY_S, Ports
 from servo_daemon.daemon.lines.reader import Reader
 from servo_daemon.samples import SampleBlock
+from tests.daemon_rig import Fed
 
 
 class Line:
@@ -138,3 +141,18 @@ def until(done: object, patience_s: float = 10.0) -> None:
     while not done():
         assert time.monotonic() < deadline, "it did not happen"
         time.sleep(0.005)
+
+
+def test_pages_and_brokers_that_look_at_a_drive_do_not_wait_for_it() -> None:
+    now = [100.0]
+    ports = Ports(lambda: now[0])
+    drive = DriveRuntime(DriveConfig(), Fed("axis1", {}), None, lambda: None, ports=ports)
+    ports.add(Line())
+    waits = []
+    for ask in (drive.snapshot, drive.newest):
+        for _ in range(3):
+            now[0] += UNASKED_EVERY_S / 2
+            ask()
+        ports.read()
+        waits.append(round(ports.wait_s(1.0), 9))
+    assert waits == [UNASKED_EVERY_S, 0.04]
