@@ -130,6 +130,8 @@ class FakeDrive:
             self.current = Snapshot(self.name, self.driver, None, "connecting", "port is opened", None, {})
         return self.current
 
+    newest = snapshot
+
     def publish(self, snapshot: Snapshot) -> None:
         self.current = snapshot
         self.history.append(snapshot)

@@ -124,7 +124,9 @@ class Service:
         """The last moment of its history in the minute before that one, s since the epoch; without one its start."""
         began_s = before_s - 60.0
         words = f"parameter=R&start={began_s:.3f}&end={before_s:.3f}&points=20000"
-        times = self.program.get(f"/drives/{drive}/history?{words}")["time"]
+        ask = lambda: self.program.get(f"/drives/{drive}/history?{words}")  # noqa: E731
+        # While its database is being opened an answer is what memory has, and says so.
+        times = wait_for(lambda: (d := ask())["note"] is None and d, "the history is read")["time"]
         return max((datetime.fromisoformat(t).timestamp() for t in times), default=began_s)
 
 

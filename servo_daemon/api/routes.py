@@ -113,7 +113,7 @@ class Routes:
     async def estimates(self, drive: DriveName) -> Response:
         """The estimates now. Before the first samples: nominal values or null, status `estimating`."""
         view = self.find(drive)
-        return Response(self._encoders.of(view)(view.snapshot()), headers=NO_STORE, media_type="application/json")
+        return Response(self._encoders.of(view)(view.newest()), headers=NO_STORE, media_type="application/json")
 
     async def tuning(
         self, request: Request, drive: DriveName, bandwidth_hz: BandwidthHz = None, settling_s: SettlingS = None

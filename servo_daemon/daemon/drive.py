@@ -133,14 +133,14 @@ class DriveRuntime:
         """Those whose alarms can ring."""
         return self._estimation.warnings.limits
 
-    def snapshot(self) -> Snapshot:
-        """The last published state; immutable. Whoever asks finds it fresher the next time (`Ports`)."""
+    def newest(self) -> Snapshot:
+        """The last published state for a client that may wait for the next; see `DriveView`."""
         if self._ports is not None:
-            self._ports.ask()
-        return self.last_snapshot()
+            self._ports.ask(self.name)
+        return self.snapshot()
 
-    def last_snapshot(self) -> Snapshot:
-        """The same for the daemon itself. It is made when it is first asked for: of most nobody does."""
+    def snapshot(self) -> Snapshot:
+        """The last published state; immutable. It is made when it is first asked for: of most nobody does."""
         published = self._published
         made = published.made
         if made is None:
@@ -246,7 +246,7 @@ class DriveRuntime:
             self._link = link
             self._published = self._publish()
             if self._sample_time is not None and self.history.is_due(self._sample_time):
-                self.history.append(self.last_snapshot())
+                self.history.append(self.snapshot())
 
     def _publish(self) -> _Published:
         behind_s = self.reader.queue.waited_s(time.monotonic()) if self._load.behind else 0.0

@@ -13,9 +13,11 @@ from servo_daemon.daemon.drive import DriveRuntime
 #: every turn is long where other programs, or threads of this one, have the processor; then all drives had a thread
 #: each, which waited for each other.) One that waits for something (a compiler, a lock) is long after so long, s.
 LONG_TURN_S, LONG_WAIT_S = 0.015, 1.0
-#: A turn that has used less than this share of a core so far waits for something.
-_STUCK_SHARE = 0.1
-#: A drive that has not turned for this long is a problem the API reports, s.
+#: A turn gets on where it has used so much more of the processor, s; where that takes longer than `LONG_WAIT_S`, it
+#: waits for something. (A share of 10 % since it began, before: beside twenty busy programs no turn has that.)
+_STEP_S = 0.005
+#: A drive that has not turned for this long is a problem the API reports, s; a turn that has used as much of the
+#: processor and is not over, too.
 STUCK_S = 5.0
 
 
@@ -29,7 +31,7 @@ class DriveSlot:
     Attributes:
         takes_long: the shared thread does not turn it.
         turned: when it last did, host monotonic, s; `last_long` when that last took long.
-        seen: when it last turned, or waited while another drive had its turn.
+        seen: when it last turned, got on with a turn, or waited while another drive did.
         has_worked: samples have been worked off.
         left: the drive has gone, and what it knew is laid out to be saved.
     """
@@ -103,25 +105,29 @@ class DriveSlot:
         return f"drive {self.runtime.name}: the pipeline has not turned for {since_s:.0f} s"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class Turn:
     """Under way.
 
     Attributes:
         clock: the CPU time of its thread; None: this system has none that others can read (macOS, Windows).
         began_s, cpu_began_s: host monotonic, and CPU time.
+        counted_s: CPU time that it had used when it was last found to get on; `on_s` that moment.
     """
 
     slot: DriveSlot
     clock: int | None
     began_s: float
     cpu_began_s: float
+    on_s: float
+    counted_s: float = 0.0
 
     @classmethod
     def begun(cls, slot: DriveSlot) -> Turn:
         """A turn of this slot that begins now in this thread."""
         clock = time.pthread_getcpuclockid(threading.get_ident()) if hasattr(time, "pthread_getcpuclockid") else None
-        return cls(slot, clock, time.monotonic(), 0.0 if clock is None else time.clock_gettime(clock))
+        now = time.monotonic()
+        return cls(slot, clock, now, 0.0 if clock is None else time.clock_gettime(clock), now)
 
     @property
     def is_long(self) -> bool:
@@ -131,13 +137,23 @@ class Turn:
             return False
         if self.clock is None or self.slot.runtime.preparing or waited >= LONG_WAIT_S:
             return True
-        return time.clock_gettime(self.clock) - self.cpu_began_s >= LONG_TURN_S
+        return self.used_s >= LONG_TURN_S
+
+    @property
+    def used_s(self) -> float:
+        """CPU time so far; 0 where it is not known. Any thread, while that of the turn lives."""
+        return 0.0 if self.clock is None else time.clock_gettime(self.clock) - self.cpu_began_s
+
+    def gets_on(self) -> bool:
+        """Whether it has used the processor since this last was so: where others have it, a second of work takes many
+        by the clock. Not where it has used so much that it will never end."""
+        used_s = self.used_s
+        if used_s < self.counted_s + _STEP_S:
+            return False
+        self.counted_s, self.on_s = used_s, time.monotonic()
+        return used_s < STUCK_S
 
     @property
     def is_stuck(self) -> bool:
-        """It waits for something else than the processor: a compiler, a lock. Any thread, while that of the turn
-        lives."""
-        waited = time.monotonic() - self.began_s
-        if waited < LONG_WAIT_S or self.clock is None:
-            return waited >= LONG_WAIT_S
-        return time.clock_gettime(self.clock) - self.cpu_began_s < _STUCK_SHARE * waited
+        """It waits for something else than the processor: a compiler, a lock."""
+        return time.monotonic() - self.on_s >= LONG_WAIT_S

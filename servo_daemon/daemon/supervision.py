@@ -53,7 +53,7 @@ def _summary(slots: Sequence[DriveSlot]) -> str:
     """One line for `systemctl status`."""
     parts = []
     for runtime in (slot.runtime for slot in slots):
-        snapshot = runtime.last_snapshot()
+        snapshot = runtime.snapshot()
         parameters = snapshot.estimate.parameters if snapshot.estimate is not None else ()
         tracking = sum(p.status == "tracking" for p in parameters)
         parts.append(f"{runtime.name} {snapshot.connection}, {tracking} of {len(parameters)} parameters tracking")

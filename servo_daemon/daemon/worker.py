@@ -22,7 +22,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 
 from servo_daemon.daemon.lines.ports import Ports
-from servo_daemon.daemon.load import Backlog
+from servo_daemon.daemon.load import LATE_S, Backlog
 from servo_daemon.daemon.slot import DriveSlot, Turn
 
 #: With several drives the shared thread waits so long for the others' blocks once one has come, s: fewer turns. Not
@@ -95,6 +95,7 @@ class Workers:
     def look(self) -> None:
         """Where a turn takes long, let another thread go on with the other drives; where one that has a place only
         waits for something, give its place away meanwhile. Any thread."""
+        self._see_who_gets_on()
         if any(turn.is_stuck for turn in tuple(self._under_way)):
             self._give_away_places()
         turn = self._turn
@@ -109,6 +110,16 @@ class Workers:
             self._taken += 1
             self._under_way.add(turn)
             self._replace_shared()
+
+    def _see_who_gets_on(self) -> None:
+        """Neither a turn that gets little of the processor has stopped, nor have those that wait for its place."""
+        if not self._under_way:
+            return
+        now = time.monotonic()
+        with self._lock:
+            on = [turn.slot for turn in self._under_way if turn.gets_on()]
+            for slot in (*on, *self._waiting) if on else ():
+                slot.seen = now
 
     # -- the shared thread -----------------------------------------------------------------------------------
 
@@ -128,9 +139,8 @@ class Workers:
                 self._stop.wait(_GATHER_S)
             self._ports.read()
             self._wake.clear()
-            held_up = self._held_up()
+            self._tell_who_is_held_up(self.slots)
             for slot in self._round():
-                slot.runtime.held_up = held_up
                 self._ports.read()  # once more, where the round takes longer than from one reading to the next
                 if slot.takes_long:
                     self._tell_if_it_waits(slot)
@@ -164,13 +174,16 @@ class Workers:
                 self._turn = None
             return not slot.takes_long
 
-    def _held_up(self) -> bool:
-        """Whether drives wait for a turn of their start, or all together catch up."""
+    def _tell_who_is_held_up(self, slots: Sequence[DriveSlot]) -> None:
+        """Others start and are late, which takes of what these have; or all together catch up."""
         now = time.monotonic()
-        waited_s = sum(slot.runtime.reader.queue.waited_s(now) for slot in self.slots)
+        waited_s = {slot: slot.runtime.reader.queue.waited_s(now) for slot in self.slots}
+        starting = {slot for slot, late_s in waited_s.items() if slot.runtime.starts and late_s > LATE_S}
         with self._lock:
-            self._backlog.see(waited_s, now)
-            return self._backlog.falls or any(slot.runtime.starts for slot in self._waiting)
+            self._backlog.see(sum(waited_s.values()), now)
+            falls = self._backlog.falls
+        for slot in slots:
+            slot.runtime.held_up = falls or bool(starting - {slot})
 
     def _tell_if_it_waits(self, slot: DriveSlot) -> None:
         with self._lock:
@@ -240,7 +253,7 @@ class Workers:
     def _work_for(self, slot: DriveSlot) -> None:
         """Its turns while it has samples, for a while."""
         began = time.monotonic()
-        slot.runtime.held_up = self._held_up()
+        self._tell_who_is_held_up([slot])
         while not self._stop.is_set():
             slot.wake.clear()
             turn = Turn.begun(slot)

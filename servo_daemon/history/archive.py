@@ -25,6 +25,9 @@ from servo_daemon.published.snapshot import Event
 
 Found = TypeVar("Found")
 
+#: Who asks at the start waits so long for the database to be opened, s: a locked one has been told of by then (2 s).
+OPENING_S: Final = 5.0
+
 
 @dataclass(frozen=True)
 class StoreArchive:
@@ -116,6 +119,7 @@ class StoreArchive:
 
     def _ask(self, drive: str, question: Callable[[sa.Connection, int | None, Buckets], Found]) -> Found:
         """Asked of one drive, with the rows that are not in the database yet."""
+        self.recorder.begun.wait(OPENING_S)
         engine = self.recorder.engine
         if engine is None:
             raise ArchiveUnavailableError(self.recorder.problem or "the history is being opened")

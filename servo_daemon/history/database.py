@@ -28,11 +28,13 @@ _BROKEN: Final = frozenset({sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB})
 
 
 class BrokenError(Exception):
-    """The file is no database, or damaged inside."""
+    """The file is damaged inside."""
 
 
 def is_broken(error: BaseException) -> bool:
     """Whether an error of the database says that its file is damaged, not just out of reach."""
+    if isinstance(error, BrokenError):
+        return True
     cause = error.orig if isinstance(error, DBAPIError) else error
     code = getattr(cause, "sqlite_errorcode", None)
     return isinstance(cause, sqlite3.DatabaseError) and code is not None and code & 0xFF in _BROKEN
@@ -62,7 +64,7 @@ class Database:
         self._engine = _file_engine(path) if path is not None else _server_engine(url or "")
 
     def open(self) -> sa.Engine:
-        """The engine, its tables in place. A file that is broken is set aside, and what can be saved of it is.
+        """The engine, its tables in place. A file that is no database is set aside, and what can be saved of it is.
 
         Raises:
             OSError, DBAPIError: it cannot be had now.
@@ -70,8 +72,8 @@ class Database:
         """
         try:
             self._prepare()
-        except (DBAPIError, BrokenError) as error:
-            if self.path is None or not (isinstance(error, BrokenError) or is_broken(error)):
+        except DBAPIError as error:
+            if self.path is None or not is_broken(error):
                 raise
             self.replace(describe(error))
         return self._engine
@@ -88,12 +90,21 @@ class Database:
         if self.path is not None:
             self.path.parent.mkdir(parents=True, exist_ok=True)
         with self._engine.begin() as connection:
-            if (
-                self.path is not None
-                and (found := connection.execute(sa.text("PRAGMA quick_check(1)")).scalar()) != "ok"
-            ):
-                raise BrokenError(str(found).splitlines()[0])
             tables.ensure_schema(connection)
+
+    def damage(self) -> str | None:
+        """What is damaged inside of the file; None: nothing, or it cannot be read now. Others may write meanwhile.
+
+        Reads all of it: 0.7 ms of CPU a MB from memory, and as long as the disk takes (a card of 20 MB/s: 50 ms).
+        """
+        if self.path is None:
+            return None
+        try:
+            with self._engine.connect() as connection:
+                found = str(connection.exec_driver_sql("PRAGMA quick_check(1)").scalar())
+        except DBAPIError as error:
+            return describe(error) if is_broken(error) else None
+        return None if found == "ok" else found.splitlines()[-1]
 
     def replace(self, why: str) -> None:
         """Set the file aside (as `*.bad`), begin a new one and take over what can be read of the old."""

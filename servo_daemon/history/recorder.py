@@ -18,7 +18,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from servo_daemon.errors import ServoDaemonError
 from servo_daemon.history.blocks import BlockWriter, drive_id
-from servo_daemon.history.database import Database, describe, is_broken
+from servo_daemon.history.database import BrokenError, Database, describe, is_broken
 from servo_daemon.history.events import add_document, add_events, read_documents
 from servo_daemon.history.levels import Level
 from servo_daemon.published.archive import Counts
@@ -31,8 +31,6 @@ log = logging.getLogger(__name__)
 
 #: Rows of a drive that a turn writes at most: five minutes of them, when an outage is made good.
 _MOST_ROWS: Final = 3000
-#: A database that is out of reach is tried again after this long, s.
-_RETRY_S: Final = 5.0
 #: Old blocks are looked for, and what was written goes onto the disk for good, this often, s: so much of the history a
 #: power cut may cost.
 _PRUNE_EVERY_S: Final = 60.0
@@ -59,6 +57,23 @@ class Source(Protocol):
     def model(self) -> tuple[str, ...]: ...
 
 
+class Check:
+    """Looks through the whole file in a thread of its own: no row waits for it, and a kill meanwhile costs none.
+
+    Attributes:
+        found: what is damaged; None: nothing so far.
+    """
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self.found: str | None = None
+        self.thread = threading.Thread(target=self._look, name="history-check", daemon=True)
+        self.thread.start()
+
+    def _look(self) -> None:
+        self.found = self._database.damage()
+
+
 @dataclass(frozen=True, slots=True)
 class Mark:
     """How far a drive is written: number of the next row and event, and the last documents."""
@@ -77,6 +92,8 @@ class Recorder:
     Attributes:
         wanted: the drives from the next turn on that leaves nothing to be written; any thread may exchange them.
         problem: why nothing is written now, in words; None: it is.
+        begun: the first turn is over, well or not.
+        check: of the file that was opened last, begun once the first rows are in it.
     """
 
     database: Database
@@ -88,8 +105,9 @@ class Recorder:
     problem: str | None = None
     engine: sa.Engine | None = None
     marks: dict[str, Mark] = field(default_factory=dict)
+    begun: threading.Event = field(default_factory=threading.Event)
+    check: Check | None = None
     _ids: dict[str, int] = field(default_factory=dict)
-    _retry_s: float = 0.0
     _pruned_s: float = 0.0
     _clock: tuple[float, float] | None = None  # wall and monotonic, since when they agree
 
@@ -104,16 +122,16 @@ class Recorder:
         Args:
             wall_s, monotonic_s: both clocks now.
         """
-        if self.problem is not None and monotonic_s < self._retry_s:
-            return False
         try:
             more = self._write(wall_s)
             if not more and self.wanted is not self.sources:
                 self._change_sources(self.wanted)
             self._look_after(wall_s, monotonic_s)
-        except (SQLAlchemyError, OSError, ServoDaemonError) as error:
-            self._fail(error, monotonic_s)
+        except (SQLAlchemyError, OSError, ServoDaemonError, BrokenError) as error:
+            self._fail(error)
             return False
+        finally:
+            self.begun.set()
         if self.problem is not None:
             log.warning(
                 "history: %s: written again (%s rows dropped so far)", self.database.where, self.counts.rows_dropped
@@ -123,7 +141,9 @@ class Recorder:
 
     def _opened(self) -> sa.Engine:
         if self.engine is not None and self.database.vanished:
-            self.engine = None
+            self.engine = self.check = None
+        if self.check is not None and self.check.found is not None:
+            raise BrokenError(self.check.found)
         if self.engine is None or self.problem is not None:
             engine = self.engine or self.database.open()
             with engine.begin() as connection:
@@ -142,6 +162,7 @@ class Recorder:
             with self.lock:
                 transaction.commit()
                 self.marks, self.counts = marks, counts
+        self.check = self.check or Check(self.database)
         return more
 
     def _change_sources(self, wanted: Sequence[Source]) -> None:
@@ -188,20 +209,18 @@ class Recorder:
                     break
         self.database.checkpoint()
 
-    def _fail(self, error: BaseException, monotonic_s: float) -> None:
-        """Say what is wrong, once, and try again later (reading goes on meanwhile, where it can); a broken file is
-        replaced at once."""
+    def _fail(self, error: BaseException) -> None:
+        """Say what is wrong, once, and try again in the next turn (reading goes on meanwhile, where it can); a broken
+        file is replaced at once."""
         text = f"the history cannot be written to {self.database.where}: {describe(error)}"
         if self.problem is None:
             log.warning("%s; the estimation goes on, and what the memory holds is written when it can be", text)
             self.counts = replace(self.counts, outages=self.counts.outages + 1)
         self.problem = text
-        self._retry_s = monotonic_s + _RETRY_S
         if is_broken(error) and self.database.path is not None:
-            self.engine = None
+            self.engine = self.check = None
             try:
                 self.database.replace(describe(error))
-                self._retry_s = monotonic_s
             except (SQLAlchemyError, OSError) as again:
                 log.warning("history: %s cannot be replaced: %s", self.database.where, describe(again))
 

@@ -26,6 +26,8 @@ _CODE_BY_STATUS: Final = {status: code for code, status in enumerate(STATUS_BY_C
 
 #: Rows a second that are kept at most; faster publishing is thinned out.
 RATE_HZ: Final = 10.0
+#: Where rows are so far apart, s, the wall clock may have been set, and rows of earlier processes may lie between.
+JUMP_S: Final = 60.0
 #: 30 minutes at 10 Hz: 2.9 MB a drive with five parameters, their truth and three state channels.
 DEFAULT_CAPACITY: Final = 18_000
 
@@ -116,6 +118,7 @@ class HistoryRing:
         self._columns: dict[str, _Columns] = {}
         self._rows = 0  # ever appended; row k is in slot k % capacity
         self._last_time = math.nan
+        self._whole_since = math.nan  # time has gone on without a jump since then
         self._due = -math.inf
 
     def __len__(self) -> int:
@@ -135,6 +138,8 @@ class HistoryRing:
         time, estimate = snapshot.time, snapshot.estimate
         if time is None or estimate is None or not self.is_due(time):
             return False
+        if not self._last_time <= time <= self._last_time + JUMP_S:
+            self._whole_since = time
         self._schedule(time)
         with self._lock:
             slot = self._rows % self.capacity
@@ -189,12 +194,12 @@ class HistoryRing:
         """Ever appended: the number of the next row."""
         return self._rows
 
-    @property
-    def first_time(self) -> float | None:
-        """Of the row kept longest, UTC seconds since the epoch; None: there is none."""
+    def holds(self, start_s: float) -> bool:
+        """Whether all rows from then on, UTC seconds since the epoch, are here: none can be in a store alone."""
         with self._lock:
             n = len(self)
-            return float(self._time[self._rows % self.capacity if n == self.capacity else 0]) if n else None
+            oldest = float(self._time[self._rows % self.capacity if n == self.capacity else 0])
+            return n > 0 and max(oldest, self._whole_since) <= start_s
 
     def since(self, row: int) -> RingRows:
         """The rows from number `row` on that are still kept, in the order in which they were appended."""

@@ -82,6 +82,10 @@ class DriveView(Protocol):
         """The last published snapshot: the same object until the next one is published (answers are encoded once per
         object), a new one whenever anything in it changed, the connection included."""
 
+    def newest(self) -> Snapshot:
+        """The same for a client that may wait for the next one: one that asks ten times a second or more finds it
+        fresher."""
+
     def events(self) -> Sequence[Event]:
         """The last events, oldest first, a bounded number; a copy or immutable."""
 

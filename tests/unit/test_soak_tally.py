@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any, cast
+
 import numpy as np
 import pytest
 
+from benchmarks.soak.service import Service, Signs
 from benchmarks.soak.tally import Quiet, Stretch, Tally, report
 
 
@@ -47,3 +51,20 @@ def test_a_short_run_says_that_it_cannot_show_a_slope() -> None:
     tally = Tally("tmpfs", stretches=[stretch(quiet(10.0, (5, 5)))], kills_s=[1.5], stops_s=[0.4])
     assert tally.slope_MB_h() is None
     assert "this length cannot show it" in report(tally) and "| good samples lost | 0 of 20,000 | 0 |" in report(tally)
+
+
+def test_an_answer_from_memory_alone_is_no_lost_minute(tmp_path: Path) -> None:
+    """A daemon that has just come back opens its database while it is asked."""
+
+    class Program:
+        answers = [  # noqa: RUF012
+            {"time": [], "note": "the history is being opened"},
+            {"time": ["1970-01-01T00:01:38Z", "1970-01-01T00:01:37Z"], "note": None},
+        ]
+
+        def get(self, _: str) -> Any:
+            return self.answers.pop(0)
+
+    service = Service(tmp_path / "c.toml", tmp_path, cast(Signs, None), tmp_path / "notify", {})
+    service._program = cast(Any, Program())
+    assert service.last_row_s("axis0", before_s=100.0) == 98.0

@@ -84,10 +84,9 @@ class PastRoutes:
     def _in_memory(self, view: DriveView, asked: Question) -> bool:
         """Whether the ring alone holds all of the span."""
         ring = view.history
-        first = ring.first_time
-        if asked.level not in {None, "rows"} or first is None:
+        if asked.level not in {None, "rows"}:
             return False
-        return len(ring) == ring.capacity if asked.start is None else first <= asked.start
+        return len(ring) == ring.capacity if asked.start is None else ring.holds(asked.start)
 
     def _answer(self, request: Request, view: DriveView, asked: Question, kind: spans.Kind) -> Response:
         span, note = self._span(view, asked, must=kind != "json")

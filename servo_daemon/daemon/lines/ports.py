@@ -16,7 +16,8 @@ from typing import Protocol
 #: From one reading to the next, s: with few drives as `drivers.serial.listener` has it, with many as long as they need
 #: for their turns (0.5 ms of each in 40 ms), so that the next one gathers more of each.
 _EVERY_S, _EVERY_OF_EACH_S = 0.04, 0.9e-3
-#: The same while nobody asks for what comes of it, s: a tick (decision 87). Who has asked asks for so long after it, s.
+#: The same while nobody waits for what comes of it, s: a tick (decision 87); who asks less often has something new each
+#: time anyway. Who has waited does for so long after it, s.
 UNASKED_EVERY_S, ASKED_FOR_S = 0.1, 3.0
 #: Nor does reading take more than one part in this many of the time: of the processor's, for where other programs or
 #: threads have it, lines that are read more seldom run over.
@@ -44,6 +45,7 @@ class Ports:
         self._lines: tuple[Line, ...] = ()  # replaced as a whole, under the lock
         self._lock = threading.Lock()
         self._due_s, self._asked_s = 0.0, -math.inf
+        self._asks_s: dict[str, float] = {}  # the last, of each drive
 
     def __len__(self) -> int:
         return len(self._lines)
@@ -58,9 +60,12 @@ class Ports:
         with self._lock:
             self._lines = tuple(other for other in self._lines if other is not line)
 
-    def ask(self) -> None:
-        """Somebody asks for a drive's state. Any thread."""
-        self._asked_s = self._clock()
+    def ask(self, drive: str) -> None:
+        """A client asks for a drive's newest samples; it waits for them if it did so a tick ago, too. Any thread."""
+        before_s, now_s = self._asks_s.get(drive, -math.inf), self._clock()
+        self._asks_s[drive] = now_s
+        if now_s - before_s < UNASKED_EVERY_S:
+            self._asked_s = now_s
 
     def wait_s(self, longest_s: float) -> float:
         """How long until they are to be read, at most so long."""

@@ -102,6 +102,22 @@ def test_drives_start_as_many_at_once_as_there_are_places_in_the_order_in_which_
     assert all(s.problem is None for s in slots)
 
 
+def test_a_turn_that_gets_little_of_the_processor_has_not_stopped(
+    begun: Callable[..., tuple[Workers, list[Any], list[str]]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside six busy programs a start took seven seconds by the clock, and the service manager heard nothing."""
+    workers, slots, inside = begun("ab", places=1)
+    until(lambda: inside == ["a"] and slots[1].runtime.waited_behind)
+    found = []
+    for used_s in (0.1, 0.1, 0.11, slot_module.STUCK_S + 1.0):
+        monkeypatch.setattr(slot_module.Turn, "used_s", used_s)
+        for slot in slots:
+            slot.seen = -1.0
+        workers.look()
+        found.append([slot.seen > 0.0 for slot in slots])
+    assert found == [[True, True], [False, False], [True, True], [False, False]]
+
+
 def test_a_turn_that_only_waits_gives_its_place_to_the_next(
     begun: Callable[..., tuple[Workers, list[Any], list[str]]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -115,6 +131,24 @@ def test_a_turn_that_only_waits_gives_its_place_to_the_next(
 
     until(both)
     assert sorted(inside)[:2] == ["a", "b"] and not slots[0].runtime.go_on.is_set()
+
+
+def test_drives_are_held_up_by_others_that_are_late_from_their_start_wherever_those_have_their_turns() -> None:
+    """Between two looks back a start is the shared thread's, and may be far behind."""
+    slots: list[Any] = [
+        DriveSlot(lambda wake, n=n: Starting(n, [], wake), lambda: None, 60.0, lambda: None)  # type: ignore[misc,return-value]
+        for n in "abc"
+    ]
+    workers = Workers(threading.Event())
+    workers.slots = slots
+    found = []
+    for starts, waited_s in (((1, 0, 0), LATE_S + 1.0), ((1, 0, 0), 0.1), ((1, 1, 0), LATE_S + 1.0), ((0, 0, 0), 9.0)):
+        for slot, its in zip(slots, starts, strict=True):
+            slot.runtime.starts = bool(its)
+            slot.runtime.reader.queue.waited_s = lambda _, late_s=waited_s: late_s
+        workers._tell_who_is_held_up(slots)
+        found.append([slot.runtime.held_up for slot in slots])
+    assert found == [[False, True, True], [False] * 3, [True] * 3, [False] * 3]
 
 
 def test_what_a_drive_that_waits_knows_is_kept_at_the_end(

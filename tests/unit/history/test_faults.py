@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import sqlite3
+import threading
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -173,3 +174,37 @@ def test_no_turn_ever_raises(world: World, monkeypatch: pytest.MonkeyPatch) -> N
     world.run(9.0)
     assert world.recorder.problem is None and rows_of(world) == 1080
     assert np.all(np.diff(world.archive.span("axis1", ["R"], T0 - 1, None, None, "rows").buckets.time_s) > 0)
+
+
+def test_rows_do_not_wait_until_the_file_is_looked_through(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two gigabytes on a slow card take longer than the history that a kill may cost."""
+    world.recorder.close()
+    looked_through, begun = threading.Event(), threading.Event()
+
+    def damage(_: database.Database) -> str | None:
+        begun.set()
+        assert looked_through.wait(60.0)
+        return None
+
+    monkeypatch.setattr(database.Database, "damage", damage)
+    world.database = database.Database(_file(world))
+    world.recorder = world.new_recorder()
+    world.run(3.0)
+    assert begun.wait(60.0)
+    world.run(3.0)
+    with closing(sqlite3.connect(_file(world))) as other:
+        (newest,) = other.execute("SELECT max(stop) FROM block").fetchone()
+    looked_through.set()
+    assert newest == pytest.approx(world.now, abs=0.01)
+
+
+def test_what_was_locked_is_written_in_the_next_turn(world: World) -> None:
+    with closing(sqlite3.connect(_file(world))) as other:
+        other.execute("BEGIN IMMEDIATE")
+        world.run(3.0)
+        assert world.recorder.problem is not None
+        other.rollback()
+    world.run(3.0)
+    with closing(sqlite3.connect(_file(world))) as other:
+        (newest,) = other.execute("SELECT max(stop) FROM block").fetchone()
+    assert newest == pytest.approx(world.now, abs=0.01)

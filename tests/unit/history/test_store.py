@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import threading
 from contextlib import closing
 from pathlib import Path
 
@@ -11,10 +12,11 @@ import pytest
 import sqlalchemy as sa
 
 from servo_daemon.config import HistoryConfig
+from servo_daemon.history.database import Database
 from servo_daemon.history.levels import choose, levels_of
 from servo_daemon.history.tables import BLOCK, NewerSchemaError, ensure_schema
 from tests.fake_daemon import T0
-from tests.unit.history.world import World
+from tests.unit.history.world import Drive, World
 
 
 @pytest.fixture(scope="module")
@@ -199,3 +201,19 @@ def test_a_commit_waits_for_no_checkpoint(tmp_path: Path) -> None:
     assert sizes[0] == sizes[1] < sizes[3], sizes
     with closing(sqlite3.connect(world.database.path)) as connection:
         assert connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()[1] < 100, "the log began anew"
+
+
+def test_who_asks_while_the_database_is_being_opened_gets_what_is_in_it(tmp_path: Path) -> None:
+    """As a client that asks a daemon which has just come back what the kill has cost."""
+    world = World.in_folder(tmp_path)
+    world.run(30.0)
+    world.drives, world.database = (Drive(),), Database(tmp_path / "history.sqlite")
+    world.recorder = world.new_recorder()
+
+    class Begun(threading.Event):
+        def wait(self, timeout: float | None = None) -> bool:
+            world.turn()  # the writer's, meanwhile
+            return super().wait(timeout)
+
+    world.recorder.begun = Begun()
+    assert len(world.archive.span("axis1", ["R"], T0, None, None, "rows").buckets) == 300

@@ -83,6 +83,10 @@ class World:
             self.database = Database(self.database.path)
         self.recorder = self.new_recorder()
         self.turn()
+        if self.recorder.check is not None:
+            self.recorder.check.thread.join()
+        self.turn()  # sets aside what is damaged,
+        self.turn()  # and begins anew
 
     def diagnose(self, result: dict[str, object]) -> None:
         done = Diagnosis("done", "request", (), self.now - 9, self.now, result=result)

@@ -218,3 +218,19 @@ def test_an_impossible_ring_is_refused(capacity: int, rate_hz: float) -> None:
 )
 def test_units_in_names(name: str, parts: tuple[str, str | None]) -> None:
     assert split_unit(name) == parts
+
+
+@pytest.mark.parametrize(
+    ("times", "held", "elsewhere"),
+    [
+        ([100.0, 101.0, 102.0], 100.5, 99.0),
+        ([0.0, 1.0, 5000.0, 5001.0], 5000.5, 4000.0),  # a wrong year at first: earlier processes wrote before 5000
+        ([5000.0, 5001.0, 4000.0, 4001.0], 5001.5, 4500.0),  # set back; the oldest that is kept is of the wrong time
+    ],
+)
+def test_what_may_lie_in_a_store_alone_is_not_held(times: list[float], held: float, elsewhere: float) -> None:
+    ring = HistoryRing(capacity=5)
+    assert not ring.holds(0.0)
+    for time in times:
+        ring.append(Row(time, {}, {}, None).snapshot())
+    assert ring.holds(held) and not ring.holds(elsewhere)

@@ -13,9 +13,12 @@ import pytest
 
 from benchmarks.feeder import frames
 from drivers.serial.line import SerialDriver
+from servo_daemon.config import DriveConfig
+from servo_daemon.daemon.drive import DriveRuntime
 from servo_daemon.daemon.lines.ports import ASKED_FOR_S, UNASKED_EVERY_S, Ports
 from servo_daemon.daemon.lines.reader import Reader
 from servo_daemon.samples import SampleBlock
+from tests.daemon_rig import Fed
 
 
 class Line:
@@ -27,28 +30,32 @@ class Line:
         return self.goes_on
 
 
-def test_while_nobody_asks_they_are_read_once_a_tick() -> None:
+def test_while_nobody_waits_they_are_read_once_a_tick() -> None:
     now = [100.0]
     ports = Ports(lambda: now[0])
     ports.add(Line())
     waits = []
-    for now[0], asks in (
-        (100.0, False),
-        (200.0, True),
-        (200.0 + ASKED_FOR_S - 0.1, False),
-        (200.0 + ASKED_FOR_S, False),
+    for now[0], asked in (
+        (100.0, ""),
+        (200.0, "axis1"),
+        (200.05, "axis2"),  # ten pages with a drive each ask in turn
+        (200.25, "axis2"),
+        (200.3, "axis2"),
+        (200.3 + ASKED_FOR_S - 0.1, ""),
+        (200.3 + ASKED_FOR_S + 0.1, ""),
     ):
-        if asks:
-            ports.ask()
+        if asked:
+            ports.ask(asked)
         ports.read()
         waits.append(round(ports.wait_s(1.0), 9))
-    assert waits == [UNASKED_EVERY_S, 0.04, 0.04, UNASKED_EVERY_S]
+    assert waits == [UNASKED_EVERY_S, UNASKED_EVERY_S, 0.05, UNASKED_EVERY_S, 0.05, 0.04, UNASKED_EVERY_S]
 
 
 def test_all_are_read_once_in_40_ms_and_seldomer_where_they_are_many() -> None:
     now = [100.0]
     ports = Ports(lambda: now[0])
-    ports.ask()
+    ports.ask("axis1")
+    ports.ask("axis1")
     assert ports.wait_s(0.1) == 0.1
     lines = [Line() for _ in range(10)]
     for line in lines:
@@ -134,3 +141,18 @@ def until(done: object, patience_s: float = 10.0) -> None:
     while not done():
         assert time.monotonic() < deadline, "it did not happen"
         time.sleep(0.005)
+
+
+def test_pages_and_brokers_that_look_at_a_drive_do_not_wait_for_it() -> None:
+    now = [100.0]
+    ports = Ports(lambda: now[0])
+    drive = DriveRuntime(DriveConfig(), Fed("axis1", {}), None, lambda: None, ports=ports)
+    ports.add(Line())
+    waits = []
+    for ask in (drive.snapshot, drive.newest):
+        for _ in range(3):
+            now[0] += UNASKED_EVERY_S / 2
+            ask()
+        ports.read()
+        waits.append(round(ports.wait_s(1.0), 9))
+    assert waits == [UNASKED_EVERY_S, 0.04]
