@@ -35,7 +35,7 @@ from servo_daemon.identification.output_error.late_current import by_late_curren
 from servo_daemon.identification.output_error.noise.noise import WORTH, resolution
 from servo_daemon.identification.output_error.noise.residual import ResidualTest, innovation_tests
 from servo_daemon.identification.output_error.noise.whitening import moving
-from servo_daemon.identification.output_error.other_laws import by_friction_one_way, by_late_voltage, by_other_laws
+from servo_daemon.identification.output_error.other_laws import by_friction_one_way, by_other_laws
 from servo_daemon.identification.output_error.precision.combinations import (
     answer_between,
     determined_combinations,
@@ -43,6 +43,7 @@ from servo_daemon.identification.output_error.precision.combinations import (
 )
 from servo_daemon.identification.output_error.precision.information import information
 from servo_daemon.identification.output_error.precision.parameters import FittedParameter, at_bounds, correlation_of
+from servo_daemon.identification.output_error.voltage_rows import by_rows_of_voltage
 from servo_daemon.kalman.gaussian import natural_values
 from servo_daemon.samples import F64
 
@@ -77,7 +78,9 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
     names = problem.parameter_of_column
     inside, lag = _discrepancy(fit, scale, again, square, likelier), by_other_lags(fit, again)
     filtered = by_late_current(fit, again) if square else None
-    inside = inside if filtered is None else np.column_stack([inside, filtered[0]])
+    moved = by_rows_of_voltage(fit, again, unexplained=square > 0.0)
+    for column in (filtered, moved):
+        inside = inside if column is None else np.column_stack([inside, column[0]])
     seen, slower = inside if lag is None else np.column_stack([inside, lag]), with_more_inductance(fit, again)
     added = seen if slower is None else np.column_stack([seen, SHARE * moved_to(slower, fit)])
     # (Not in the answer to the voltage: to that step it is what was seen, whatever rubs.)
@@ -109,6 +112,7 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
         answer=answer,
         combinations=determined_combinations(problem.plant, at_end, answer, after, scale, bounded),
         current_late_s=None if filtered is None else filtered[1],
+        voltage_rows_late=0 if moved is None else moved[1],
     )
 
 
@@ -124,8 +128,6 @@ def _discrepancy(fit: OutputErrorFit, scale: F64, again: Refit, square: float, l
     if square or likelier is not None:
         laws = by_other_laws(fit, again, dry=not square)
         parts += [] if laws is None else [laws[:, None]]
-        late = by_late_voltage(fit, again) if square else None
-        parts += [] if late is None else [late[:, None]]
     # Along a null direction it says nothing how far the two estimates are apart.
     if not square and likelier is not None and not fit.null_directions:
         parts.append(bounded_move(likelier[:k] - fit.solution.point.unknowns[:k])[:, None])

@@ -18,7 +18,6 @@ from servo_daemon.identification.output_error.fitted import OutputErrorFit
 from servo_daemon.identification.output_error.lag_like import (
     Refit,
     halved_lag,
-    leaves_the_trace_of_l,
     moved_to,
     values_of,
 )
@@ -43,10 +42,6 @@ _BACK, _PARTS, _FEWEST = 0.01, 50, 4
 #: A constant torque is told apart if this share of it follows neither speed nor acceleration: steps of five motors from
 #: rest leave 0.0001 to 0.011, pieces of 0.3 s of multisines and pick and place 0.025 to 0.47.
 _APART = 0.02
-#: A winding's lag, in samples, that is as good as none.
-_FAST = 0.5
-#: A row explains more by so much a sample (noise of the voltage by chance 0.04).
-_SHARE = 0.05
 #: Effects that are seen in one channel only.
 _NEEDS = {"brush_voltage_drop": "current_A", "speed_filter": "velocity_rad_s"}
 
@@ -65,23 +60,6 @@ def by_other_laws(fit: OutputErrorFit, again: Refit, *, dry: bool = False) -> F6
     return moved_to(best, fit)
 
 
-def by_late_voltage(fit: OutputErrorFit, again: Refit) -> F64 | None:
-    """By how much the coordinates of the free parameters may be off, in one direction, where the voltage is written a
-    row late: 1 σ, shape (k,). None: there is a lag, which it would have shortened, or that explains no more.
-
-    Without a current nothing else says so: a motion that begins before its voltage has no lag, and less inertia.
-    """
-    problem, values = fit.problem, values_of(fit)
-    if not leaves_the_trace_of_l(problem) or values["L"] > _FAST * values["R"] * problem.sample_period_s:
-        return None
-    begun = {**values, "L": _FAST * values["R"] * problem.sample_period_s}
-    other = again(problem.plant.effects, begun, _held(fit), rows_late=1)
-    clearly = _SHARE * float(problem.counts.sum())
-    if other is None or other.solution.point.value > fit.plain.point.value - clearly:
-        return None
-    return moved_to(other, fit)
-
-
 def by_friction_one_way(fit: OutputErrorFit, again: Refit) -> F64 | None:
     """By how much the coordinates of the free parameters may be off, in one direction, as `by_other_laws`, where the
     motion never turns back: dry friction may be half of all, whether or not that explains more. None: it turns."""
@@ -91,7 +69,7 @@ def by_friction_one_way(fit: OutputErrorFit, again: Refit) -> F64 | None:
     other = again(
         (*fit.problem.plant.effects, "coulomb_friction"),
         {**values, "B": values["B"] / 2.0, "Tc": values["B"] / 2.0 * _usual_speed(fit)},
-        _held(fit),
+        held_of(fit),
     )
     if other is None:
         return None
@@ -153,7 +131,7 @@ def _usual_speed(fit: OutputErrorFit) -> float:
 
 def _best(fit: OutputErrorFit, again: Refit, names: Collection[str]) -> OutputErrorFit | None:
     """The likeliest of the models with one of these laws more."""
-    held = _held(fit)
+    held = held_of(fit)
     effects = fit.problem.plant.effects
     found = [again((*effects, name), begin, held) for name in names for begin in _begins(fit, name, held)]
     return min((f for f in found if f is not None), key=lambda f: f.solution.point.value, default=None)
@@ -178,7 +156,7 @@ def _missing(fit: OutputErrorFit) -> Iterator[str]:
             yield name
 
 
-def _held(fit: OutputErrorFit) -> frozenset[str]:
+def held_of(fit: OutputErrorFit) -> frozenset[str]:
     """One parameter of each direction without a trace: what moves along it says nothing. Along a direction of which the
     model shows too little, another law may show enough."""
     held: set[str] = set()
