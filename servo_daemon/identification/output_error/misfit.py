@@ -43,7 +43,7 @@ from servo_daemon.identification.output_error.precision.combinations import (
 )
 from servo_daemon.identification.output_error.precision.information import information
 from servo_daemon.identification.output_error.precision.parameters import FittedParameter, at_bounds, correlation_of
-from servo_daemon.identification.output_error.voltage_rows import by_rows_of_voltage
+from servo_daemon.identification.output_error.voltage_rows import with_other_rows
 from servo_daemon.kalman.gaussian import natural_values
 from servo_daemon.samples import F64
 
@@ -78,11 +78,11 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
     names = problem.parameter_of_column
     inside, lag = _discrepancy(fit, scale, again, square, likelier), by_other_lags(fit, again)
     filtered = by_late_current(fit, again) if square else None
-    moved = by_rows_of_voltage(fit, again, unexplained=square > 0.0)
-    for column in (filtered, moved):
-        inside = inside if column is None else np.column_stack([inside, column[0]])
+    inside = inside if filtered is None else np.column_stack([inside, filtered[0]])
     seen, slower = inside if lag is None else np.column_stack([inside, lag]), with_more_inductance(fit, again)
     added = seen if slower is None else np.column_stack([seen, SHARE * moved_to(slower, fit)])
+    moved = with_other_rows(fit, again, unexplained=square > 0.0)
+    added = added if moved is None else np.column_stack([added, moved_to(moved[0], fit)])
     # (Not in the answer to the voltage: to that step it is what was seen, whatever rubs.)
     friction = by_friction_one_way(fit, again)
     added = added if friction is None else np.column_stack([added, friction])
@@ -104,6 +104,8 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
         answer = answer_between(answer, values_of(fit), there)
     if slower is not None:
         answer = answer_between(answer, values_of(fit), values_of(slower), SHARE)
+    if moved is not None:
+        answer = answer_between(answer, values_of(fit), values_of(moved[0]))
     return replace(
         fit,
         parameters=parameters,

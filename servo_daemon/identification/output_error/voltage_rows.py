@@ -10,14 +10,14 @@ from __future__ import annotations
 import numpy as np
 
 from servo_daemon.identification.output_error.fitted import OutputErrorFit
-from servo_daemon.identification.output_error.lag_like import Refit, leaves_the_trace_of_l, moved_to, values_of
+from servo_daemon.identification.output_error.lag_like import Refit, leaves_the_trace_of_l, values_of
 from servo_daemon.identification.output_error.other_laws import held_of
 from servo_daemon.identification.output_error.problem.problem import Problem, Segment
 from servo_daemon.identification.output_error.problem.rollout import INPUT, STEP
 from servo_daemon.numerics import least_squares
 from servo_daemon.samples import F64
 
-#: A winding's lag, in samples, from which a search with other rows begins at most.
+#: A winding's lag, in samples, from which a search with other rows begins.
 _FAST = 0.5
 #: A row explains more by so much a sample (noise of the voltage by chance 0.04).
 _SHARE = 0.05
@@ -30,33 +30,30 @@ _NOTHING, _SURE = 0.05, 3.0
 _EVEN, _FEWEST = 0.2, 200
 
 
-def by_rows_of_voltage(fit: OutputErrorFit, again: Refit, *, unexplained: bool) -> tuple[F64, int] | None:
-    """By how much the coordinates of the free parameters may be off, in one direction, where the voltage is written
-    rows away from the motion: 1 σ, shape (k,); and by how many rows it is late, negative: early. None: it is not.
+def with_other_rows(fit: OutputErrorFit, again: Refit, *, unexplained: bool) -> tuple[OutputErrorFit, int] | None:
+    """The motor with the voltage brought back to the motion's rows, and by how many it is late, negative: early. None:
+    it is in its row, or that does not show.
 
     Args:
         unexplained: whether something is left of the data that other rows could explain.
     """
     if not leaves_the_trace_of_l(fit.problem):
         return None
+    clearly, found = _SHARE * float(fit.problem.counts.sum()), fit.plain.point.value
+    best: tuple[OutputErrorFit, int] | None = None
     waits = _waits(fit.problem)
-    if waits:
-        other = _with_rows(fit, again, -waits)
-        return None if other is None else (moved_to(other, fit), -waits)
-    clearly, found, rows = _SHARE * float(fit.problem.counts.sum()), fit.plain.point.value, 0
-    best: OutputErrorFit | None = None
-    for way in (1, -1) if unexplained else ():
-        for late in range(way, way * (_ROWS + 1), way):
+    for way in (-1,) if waits else (1, -1) if unexplained else ():
+        for late in range(way * max(waits, 1), way * (_ROWS + 1), way):
             other = _with_rows(fit, again, late)
-            if other is None or other.solution.point.value > found - clearly:
+            if other is None or (-late != waits and other.solution.point.value > found - clearly):
                 break
-            best, rows, found = other, late, other.solution.point.value
-    return None if best is None else (moved_to(best, fit), rows)
+            best, found = (other, late), other.solution.point.value
+    return best
 
 
 def _with_rows(fit: OutputErrorFit, again: Refit, rows_late: int) -> OutputErrorFit | None:
     problem, values = fit.problem, values_of(fit)
-    begun = {**values, "L": min(values["L"], _FAST * values["R"] * problem.sample_period_s)}
+    begun = {**values, "L": _FAST * values["R"] * problem.sample_period_s}
     return again(problem.plant.effects, begun, held_of(fit), rows_late=rows_late)
 
 
