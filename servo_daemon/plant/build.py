@@ -13,6 +13,7 @@ from servo_daemon.parameters import LINEAR, MOTOR_NAMES, Parameter
 from servo_daemon.plant.core import Drive
 from servo_daemon.plant.dry import dry_levels
 from servo_daemon.plant.effects import Effect, State, check_effects, effects_by_name
+from servo_daemon.plant.effects.base import LATE
 from servo_daemon.plant.step import StepBuilder
 
 __all__ = ["Drive", "PlantModel", "build_plant"]
@@ -81,7 +82,9 @@ class PlantModel:
         return _in_pieces(build_plant(effects, self.drive, self.parts), self.pieces)
 
     def for_runs_of(self, period_s: float) -> PlantModel:
-        """For free runs over samples so far apart."""
+        """For free runs over samples so far apart. (What a late sensor keeps is counted in samples.)"""
+        if any(s in LATE for s in self.states):
+            return self.for_filter_of(period_s)
         return _in_pieces(self, _PIECES if self._turns_within(period_s) else 1)
 
     def for_filter_of(self, period_s: float) -> PlantModel:

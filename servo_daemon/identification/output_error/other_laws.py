@@ -46,22 +46,20 @@ _APART = 0.02
 _NEEDS = {"brush_voltage_drop": "current_A", "speed_filter": "velocity_rad_s"}
 
 
-def by_other_laws(fit: OutputErrorFit, again: Refit, *, dry: bool = False) -> F64 | None:
-    """By how much the coordinates of the free parameters may be off, in one direction, where something follows another
-    law: 1 σ, shape (k,). None: the model has these laws, or they explain no more.
+def with_another_law(fit: OutputErrorFit, again: Refit, *, dry: bool = False) -> OutputErrorFit | None:
+    """The likeliest of the models with one law more: as far as it moves the parameters, these are unknown, 1 σ. None:
+    the model has these laws, or they explain no more.
 
     Args:
         dry: dry friction alone is asked for.
     """
     names = [name for name in _missing(fit) if not dry or name == "coulomb_friction"]
     best = _best(fit, again, names)
-    if best is None or best.solution.point.value > fit.plain.point.value - WORTH:
-        return None
-    return moved_to(best, fit)
+    return None if best is None or best.solution.point.value > fit.plain.point.value - WORTH else best
 
 
 def by_friction_one_way(fit: OutputErrorFit, again: Refit) -> F64 | None:
-    """By how much the coordinates of the free parameters may be off, in one direction, as `by_other_laws`, where the
+    """By how much the coordinates of the free parameters may be off, in one direction, where the
     motion never turns back: dry friction may be half of all, whether or not that explains more. None: it turns."""
     if not friction_goes_one_way(fit):
         return None
@@ -79,7 +77,7 @@ def by_friction_one_way(fit: OutputErrorFit, again: Refit) -> F64 | None:
 
 def friction_goes_one_way(fit: OutputErrorFit) -> bool:
     """Whether dry friction, which the model lacks, would pass for B because the motion never turns back and tells it
-    from no other torque, and nothing is left of the data that would say so. (Where something is, `by_other_laws`
+    from no other torque, and nothing is left of the data that would say so. (Where something is, `with_another_law`
     asks.)"""
     return fit.white and "coulomb_friction" in _missing(fit) and goes_one_way(fit)
 
