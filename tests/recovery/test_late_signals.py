@@ -74,7 +74,9 @@ def test_a_voltage_a_row_late_without_a_current(late: int) -> None:
     assert (lag.std > 0.1 * true) == bool(late)
 
 
-@pytest.mark.parametrize(("motor", "motion", "rate_hz", "early"), [(RE40, "prbs", 200.0, 1), (PAPER, "multisine", 500.0, 2)])
+@pytest.mark.parametrize(
+    ("motor", "motion", "rate_hz", "early"), [(RE40, "prbs", 200.0, 1), (PAPER, "multisine", 500.0, 2)]
+)
 def test_a_voltage_rows_early_without_a_current(
     tmp_path: Path, motor: Motor, motion: str, rate_hz: float, early: int
 ) -> None:

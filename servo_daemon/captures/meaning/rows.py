@@ -54,8 +54,8 @@ def row_findings(capture: Capture) -> list[Finding]:
     if not rows:
         return []
     text = (
-        f"column voltage_V is written {rows_away(rows)}: {others} it several times better so (a logger that writes its next "
-        f"command beside what it measured, or its last one); it is left out. "
+        f"column voltage_V is written {rows_away(rows)}: {others} it several times better so (a logger that writes its "
+        f"next command beside what it measured, or its last one); it is left out. "
         f"{mend(capture, 'voltage_V', {'rows_late': rows})}"
     )
     if rows == 1:

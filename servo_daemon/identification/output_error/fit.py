@@ -145,7 +145,7 @@ def published(fit: OutputErrorFit, recordings: Sequence[Recording], options: Fit
 
 
 def _put_right(recording: Recording, late_s: float, rows_late: int) -> Recording:
-    """With the current that flowed, where it is shown so late, and the voltage from so many rows below (negative: above)."""
+    """With the current that flowed, where it is shown so late, and the voltage from so many rows below, or above."""
     block = recording.block
     if late_s and block.current_A is not None:
         block = replace(block, current_A=unfiltered(block.time_s, block.current_A, late_s))

@@ -118,9 +118,7 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
     )
 
 
-def _others(
-    fit: OutputErrorFit, again: Refit, square: float, likelier: F64 | None
-) -> tuple[list[OutputErrorFit], int]:
+def _others(fit: OutputErrorFit, again: Refit, square: float, likelier: F64 | None) -> tuple[list[OutputErrorFit], int]:
     """Motors with another law, and beside it with the voltage of other rows, that explain more; and by how many rows it
     is late."""
     law = None

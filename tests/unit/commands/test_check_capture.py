@@ -13,25 +13,23 @@ from servo_daemon.captures import Capture, read_capture, write_capture
 from tests.command_line import run_command
 
 
-def _turned(capture: Capture) -> dict[str, object]:
+def _turned(capture: Capture) -> Capture:
     assert capture.voltage_V is not None
-    return {"voltage_V": -capture.voltage_V}
+    return replace(capture, voltage_V=-capture.voltage_V)
 
 
-def _clipped(capture: Capture) -> dict[str, object]:
+def _clipped(capture: Capture) -> Capture:
     assert capture.current_A is not None
     limit = 0.5 * float(np.max(np.abs(capture.current_A)))
-    return {"current_A": np.clip(capture.current_A, -limit, limit)}
+    return replace(capture, current_A=np.clip(capture.current_A, -limit, limit))
 
 
 @pytest.mark.parametrize("change", [_turned, _clipped])
-def test_a_played_capture_is_judged_as_fit_judges_it(
-    tmp_path: Path, change: Callable[[Capture], dict[str, object]]
-) -> None:
+def test_a_played_capture_is_judged_as_fit_judges_it(tmp_path: Path, change: Callable[[Capture], Capture]) -> None:
     good, odd, config = tmp_path / "good.csv", tmp_path / "odd.csv", tmp_path / "c.toml"
     assert run_command("simulate", "--out", good, "--seconds", "4", "--seed", "4").code == 0
     capture = read_capture(good)
-    write_capture(odd, replace(capture, **change(capture)).block())
+    write_capture(odd, change(capture).block())
     remarks = {}
     for path in (good, odd):
         config.write_text(f'[[drive]]\ndriver = "replay"\n[drive.options]\npath = "{path}"\nspeed = 0\n')
