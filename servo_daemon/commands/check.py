@@ -8,11 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from drivers.base import Driver
+from servo_daemon.captures.columns.plausible import plausibility_notes
+from servo_daemon.captures.driver import ReplayDriver
+from servo_daemon.captures.meaning import as_meant, without_unusable
 from servo_daemon.commands.shared import common
 from servo_daemon.commands.shared.listening import heard
 from servo_daemon.commands.shared.numbers import positive
 from servo_daemon.config import DriveConfig, load_config
-from servo_daemon.errors import DriverConfigError, DriverError, EndOfStreamError
+from servo_daemon.errors import CaptureError, DriverConfigError, DriverError, EndOfStreamError
 from servo_daemon.parameters import WINDING_NAMES
 from servo_daemon.samples import SampleBlock
 from servo_daemon.signal_meaning import SignalMeaning, told
@@ -111,7 +114,7 @@ def _look(drive: DriveConfig, driver: Driver, listen_s: float) -> dict[str, Any]
         "framing_errors": counters.framing_errors,
         "assumes": _assumptions(driver, drive, channels)
         + ([] if meaning == SignalMeaning() else [told(meaning, channels)]),
-        "remarks": _remarks(driver, settled, last, *said),
+        "remarks": _remarks(driver, settled, last, *said) + _of_capture(driver, drive),
         "sample_rate_hz": rate_hz,
         "estimated": [] if plan is None else list(plan.free),
         "not_estimated": {} if plan is None else dict(plan.reasons),
@@ -157,6 +160,18 @@ def _remarks(
     if unread is not None and counters.framing_errors > _UNREAD * max(counters.samples, 1):
         found.append(f"{counters.framing_errors} lines could not be read: {unread}")
     return found
+
+
+def _of_capture(driver: Driver, drive: DriveConfig) -> list[str]:
+    """What `fit` says of a capture that is played: its numbers against the names of its columns."""
+    if not isinstance(driver, ReplayDriver) or driver.capture is None:
+        return []
+    capture, found = as_meant(driver.capture, drive.signals.meaning(), limit_V=drive.limits.voltage_V)
+    texts = [one.text for one in found]
+    try:
+        return [*texts, *plausibility_notes(without_unusable(capture, found))]
+    except CaptureError:  # nothing is left of it, for a reason that is among these
+        return texts
 
 
 def _clock_remark(ratio: float) -> str:

@@ -49,18 +49,21 @@ class Ekf:
     def __init__(
         self, plant: PlantModel, channels: tuple[str, ...], loop: Loop | None = None, *, mean_input: bool = False
     ) -> None:
-        self.plant, self.channels = plant, channels
-        layout, function = build_ekf_step(plant, channels, mean_input)
-        self._lay: EkfLayout = layout
+        self.channels, self._mean_input = channels, mean_input
+        self.use(plant, loop)
+        self._state = np.zeros(self._lay.n_state)
+        self._constants = np.zeros(self._lay.n_constants)
+        self.use_instrumental_trajectory(True)
+        self._moments = Moments(self._lay)
+        self.started = False
+
+    def use(self, plant: PlantModel, loop: Loop | None = None) -> None:
+        """Go on with the same model in other parts, see `PlantModel`."""
+        self.plant = plant
+        self._lay, function = build_ekf_step(plant, self.channels, self._mean_input)
         self._compiled: Loop = SampleLoop(function)
         self._running: Loop = self._compiled if loop is None else loop
         self._held: Loop | None = None  # made when it is asked for
-        self._mean_input = mean_input
-        self._state = np.zeros(layout.n_state)
-        self._constants = np.zeros(layout.n_constants)
-        self.use_instrumental_trajectory(True)
-        self._moments = Moments(layout)
-        self.started = False
 
     @property
     def layout(self) -> EkfLayout:

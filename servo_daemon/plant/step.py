@@ -56,6 +56,7 @@ class StepBuilder:
     Attributes:
         core_states: how many of the states are the core's.
         p: every parameter by name.
+        parts: a step is split into so many, or into more where an effect asks for them.
     """
 
     drive: Drive
@@ -63,6 +64,7 @@ class StepBuilder:
     states: tuple[State, ...]
     core_states: int
     p: Mapping[str, ca.SX]
+    parts: int = 1
 
     def terms(self, x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX, i_square: ca.SX | None = None) -> list[Terms]:
         n = self.core_states
@@ -89,7 +91,7 @@ class StepBuilder:
         return (after, gain) if delay is None else self._keep_step(x, after, gain, delay, h)
 
     def _parts(self, x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX) -> tuple[ca.SX, ca.SX]:
-        parts = max((effect.substeps for effect in self.effects), default=1)
+        parts = max(self.parts, *(effect.substeps for effect in self.effects), 1)
         if parts == 1:
             after, gain, _ = self._substep(x, u, t, h)
             return after, gain

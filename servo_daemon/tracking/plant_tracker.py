@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from servo_daemon.conditioning.layout import Stretches
-from servo_daemon.kalman.ekf import Ekf
+from servo_daemon.kalman.ekf import Ekf, Loop
 from servo_daemon.kalman.gaussian import Gaussian
 from servo_daemon.parameters import Parameter
 from servo_daemon.plant.build import PlantModel
@@ -60,12 +60,7 @@ class PlantTracker(Tracker):
         usable = prior is not None and set(plan.held) <= set(prior.names) <= {*plan.free, *plan.held}
         self._prior = prior if usable else None
         self._transfer: PriorTransfer | None = None
-        loop = None
-        if settings.engine == "filterpy":
-            from servo_daemon.kalman.filterpy_ekf import FilterpyLoop
-
-            loop = FilterpyLoop(plant, plan.measured, settings.mean_current)
-        self._ekf = Ekf(plant, plan.measured, loop, mean_input=settings.mean_current)
+        self._ekf = Ekf(plant, plan.measured, self._engine(plant), mean_input=settings.mean_current)
         sees_angle = "position_rad" in plan.measured
         self._rls = MotorRls(plant, plan.known, plan.biases, self.nominal, sees_angle=sees_angle)
         self._masks = make_masks(plan, settings, self._rls.in_regression)
@@ -76,6 +71,13 @@ class PlantTracker(Tracker):
         self._supervision = FilterSupervision(
             self._masks, self._ekf, self._rls, self.watch, self._filtering, self._signal_scales
         )
+
+    def _engine(self, plant: PlantModel) -> Loop | None:
+        if self.settings.engine != "filterpy":
+            return None
+        from servo_daemon.kalman.filterpy_ekf import FilterpyLoop
+
+        return FilterpyLoop(plant, self.plan.measured, self.settings.mean_current)
 
     @property
     def ekf(self) -> Ekf:
@@ -237,6 +239,9 @@ class PlantTracker(Tracker):
     def _begin(self, start: Start) -> None:
         self.watch.start(start.noise)
         self._filtering.layout.expect_steps(start.position_lsb, start.input_lsb)
+        plant = self._plant.for_filter_of(self.sample_period_s or 0.0)
+        if plant is not self._ekf.plant:
+            self._ekf.use(plant, self._engine(plant))
         self._ekf.start(start.parameters, held_input=self._filtering.layout.last_input)
         self._ekf.forget_state(self._filtering.first_state(start.last))
         saved = () if self._prior is None else (*self._prior.names, *self.plan.biases)

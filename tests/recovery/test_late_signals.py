@@ -72,3 +72,27 @@ def test_a_voltage_a_row_late_without_a_current(late: int) -> None:
     true = (PAPER.J * PAPER.R + PAPER.L * PAPER.B) / braking
     assert abs(lag.value - true) < 3.0 * lag.std
     assert (lag.std > 0.1 * true) == bool(late)
+
+
+@pytest.mark.parametrize(
+    ("motor", "motion", "rate_hz", "early"), [(RE40, "prbs", 200.0, 1), (PAPER, "multisine", 500.0, 2)]
+)
+def test_a_voltage_rows_early_without_a_current(
+    tmp_path: Path, motor: Motor, motion: str, rate_hz: float, early: int
+) -> None:
+    """Its motor seems to have a slow winding, and a lag that is too long by those rows; no winding waits for a row."""
+    made = generate(motor, Scenario(motion, seconds=4.0, rate_hz=rate_hz, seed=990072))
+    table = np.column_stack([made.time_s, np.roll(made.voltage_V, -early), made.position_rad])
+    path = tmp_path / "early.csv"
+    np.savetxt(path, table, delimiter=",", header="time_s,voltage_V,position_rad", comments="", fmt="%.10g")
+    document = run_command("fit", path, "--json").document
+    assert any(f"rows_late = -{early}" in note for note in document["notes"])
+    braking = motor.B * motor.R + motor.K**2
+    true = {
+        "K/(B R + K²)": motor.K / braking,
+        "(J R + L B)/(B R + K²)": (motor.J * motor.R + motor.L * motor.B) / braking,
+    }
+    found = {c["expression"]: c for c in document["combinations"]}
+    for expression, value in true.items():
+        assert abs(found[expression]["value"] - value) < 4.0 * found[expression]["std"]
+    assert found["K/(B R + K²)"]["std"] < 0.02 * true["K/(B R + K²)"]

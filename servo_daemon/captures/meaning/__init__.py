@@ -3,7 +3,7 @@ themselves away. Nothing is changed on a guess: each finding says the line that 
 """
 
 from servo_daemon.captures.meaning.finding import Finding
-from servo_daemon.captures.meaning.findings import findings, without_unusable
+from servo_daemon.captures.meaning.findings import as_meant, findings, without_unusable
 from servo_daemon.captures.meaning.given import excluded_values
 from servo_daemon.captures.meaning.restored import SHOWS, Shown, restored_current
 from servo_daemon.captures.meaning.signs import (
@@ -18,6 +18,7 @@ __all__ = [
     "SHOWS",
     "Finding",
     "Shown",
+    "as_meant",
     "excluded_values",
     "findings",
     "no_sign_of_speed",

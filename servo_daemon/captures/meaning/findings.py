@@ -14,6 +14,20 @@ from servo_daemon.captures.meaning.rails import rail_findings
 from servo_daemon.captures.meaning.rows import row_findings
 from servo_daemon.captures.meaning.signs import sign_findings
 from servo_daemon.captures.meaning.units import unit_findings
+from servo_daemon.signal_meaning import SignalMeaning
+
+
+def as_meant(
+    read: Capture, otherwise: SignalMeaning, *, limit_V: float | None = None
+) -> tuple[Capture, tuple[Finding, ...]]:
+    """A capture in a DC motor's units, and what is found on it.
+
+    Args:
+        otherwise: what its signals are where its own lines are silent.
+        limit_V: see `findings`.
+    """
+    capture = read.as_dc(read.meaning(otherwise))
+    return capture, findings(capture, limit_V=limit_V)
 
 
 def findings(capture: Capture, *, limit_V: float | None = None) -> tuple[Finding, ...]:

@@ -53,10 +53,9 @@ def row_findings(capture: Capture) -> list[Finding]:
             return []  # which is late: an effect, `measurement_delay`
     if not rows:
         return []
-    where = f"{abs(rows)} row{'s' if abs(rows) > 1 else ''} {'late' if rows > 0 else 'early'}"
     text = (
-        f"column voltage_V is written {where}: {others} it several times better so (a logger that writes its next "
-        f"command beside what it measured, or its last one); it is left out. "
+        f"column voltage_V is written {rows_away(rows)}: {others} it several times better so (a logger that writes its "
+        f"next command beside what it measured, or its last one); it is left out. "
         f"{mend(capture, 'voltage_V', {'rows_late': rows})}"
     )
     if rows == 1:
@@ -65,6 +64,11 @@ def row_findings(capture: Capture) -> list[Finding]:
             "(over the time since the row before; of one moment: instant)"
         )
     return [Finding("voltage_V", text, "column")]
+
+
+def rows_away(rows: int) -> str:
+    """In words."""
+    return f"{abs(rows)} row{'s' if abs(rows) > 1 else ''} {'late' if rows > 0 else 'early'}"
 
 
 def _late_for_motion(time_s: F64, v: F64, travel: F64) -> int:

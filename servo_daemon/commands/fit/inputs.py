@@ -11,7 +11,7 @@ from typing import Any
 from servo_daemon.captures import Capture, in_canonical_order, without_copies
 from servo_daemon.captures.capture.model import capture_error
 from servo_daemon.captures.columns.plausible import check_time_unit, plausibility_notes
-from servo_daemon.captures.meaning import excluded_values, findings, without_unusable
+from servo_daemon.captures.meaning import as_meant, excluded_values, without_unusable
 from servo_daemon.commands.shared import common
 from servo_daemon.conditioning.current_moment import earlier, unfiltered
 from servo_daemon.config import DriveConfig
@@ -141,8 +141,7 @@ def _as_meant(captures: Sequence[Capture], drive: DriveConfig) -> tuple[tuple[Ca
     """
     kept, notes = [], []
     for read in captures:
-        capture = read.as_dc(read.meaning(drive.signals.meaning()))
-        found = findings(capture, limit_V=drive.limits.voltage_V)
+        capture, found = as_meant(read, drive.signals.meaning(), limit_V=drive.limits.voltage_V)
         kept.append(without_unusable(capture, found))
         notes += [f"{capture.path}: {one.text}" for one in found]
     return tuple(kept), notes

@@ -13,6 +13,7 @@ from servo_daemon.captures.meaning import (
     turned_voltage,
 )
 from servo_daemon.captures.meaning.finding import mend
+from servo_daemon.captures.meaning.rows import rows_away
 from servo_daemon.commands.shared.units import shown_column, shown_unit
 from servo_daemon.conditioning.angle_scale import angle_hint
 from servo_daemon.identification.output_error import OutputErrorFit
@@ -56,6 +57,12 @@ def result_notes(
             f"current_A is {1e3 * late_s:.2g} ms behind voltage and motion, as a filter of its sensor or of the drive "
             f"makes it: R, L and J hold some of that, and their standard deviations. mend: a line  # current_late_s: "
             f"{late_s:.3g}  above the header, or  current_late_s = {late_s:.3g}  under [metadata] of a signal map"
+        )
+    if fit.voltage_rows_late and capture is not None:
+        notes.append(
+            f"voltage_V seems to be written {rows_away(fit.voltage_rows_late)} beside the motion (a drive or a sensor "
+            "that waits so long looks the same): what is said of J, L and the time constants is as open. "
+            f"{mend(capture, 'voltage_V', {'rows_late': fit.voltage_rows_late})}"
         )
     for name, p in fit.parameters.items():
         given = nominal.get(name)

@@ -26,7 +26,7 @@ from servo_daemon.identification.output_error.problem.setup import make_problem
 from servo_daemon.identification.short_runs import found_states_std, has_found_states, short_runs_with_found_states
 from servo_daemon.kalman.gaussian import natural_values
 from servo_daemon.numerics import white_noise_var
-from servo_daemon.plant.build import PlantModel, build_plant
+from servo_daemon.plant.build import PlantModel
 from servo_daemon.samples import F64, SampleBlock
 
 #: What the signals tell apart. Without a current (or without motion) only the sum of the two is visible, referred to
@@ -189,7 +189,7 @@ def _with_load(plant: PlantModel) -> PlantModel:
     """The plant with the parameter TL, through which the unmodelled torque acts."""
     if "TL" in plant.parameter_names:
         return plant
-    return build_plant((*plant.effects, "constant_load_torque"), plant.drive)
+    return plant.with_effects((*plant.effects, "constant_load_torque"))
 
 
 def _unknown(plant: PlantModel, channels: tuple[str, ...]) -> tuple[tuple[str, ...], Visible]:

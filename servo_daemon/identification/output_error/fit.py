@@ -145,13 +145,13 @@ def published(fit: OutputErrorFit, recordings: Sequence[Recording], options: Fit
 
 
 def _put_right(recording: Recording, late_s: float, rows_late: int) -> Recording:
-    """With the current that flowed, where it is shown so late, and the voltage from so many rows below."""
+    """With the current that flowed, where it is shown so late, and the voltage from so many rows below, or above."""
     block = recording.block
     if late_s and block.current_A is not None:
         block = replace(block, current_A=unfiltered(block.time_s, block.current_A, late_s))
     if rows_late and block.voltage_V is not None:
         v = block.voltage_V
-        block = replace(block, voltage_V=np.append(v[rows_late:], np.full(rows_late, v[-1])))
+        block = replace(block, voltage_V=v[np.clip(np.arange(len(v)) + rows_late, 0, len(v) - 1)])
     return replace(recording, block=block)
 
 

@@ -79,6 +79,7 @@ class OutputErrorFit:
         start: which start won.
         seconds: time taken.
         current_late_s: time constant of a filter that the current has, s; None: none was seen.
+        voltage_rows_late: by how many rows the voltage seems to be late beside a motion alone; negative: early.
     """
 
     problem: Problem
@@ -99,6 +100,7 @@ class OutputErrorFit:
     start: str
     seconds: float
     current_late_s: float | None = None
+    voltage_rows_late: int = 0
 
     @property
     def null_directions(self) -> tuple[NullDirection, ...]:

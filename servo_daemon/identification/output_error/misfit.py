@@ -35,7 +35,7 @@ from servo_daemon.identification.output_error.late_current import by_late_curren
 from servo_daemon.identification.output_error.noise.noise import WORTH, resolution
 from servo_daemon.identification.output_error.noise.residual import ResidualTest, innovation_tests
 from servo_daemon.identification.output_error.noise.whitening import moving
-from servo_daemon.identification.output_error.other_laws import by_friction_one_way, by_late_voltage, by_other_laws
+from servo_daemon.identification.output_error.other_laws import by_friction_one_way, with_another_law
 from servo_daemon.identification.output_error.precision.combinations import (
     answer_between,
     determined_combinations,
@@ -43,6 +43,7 @@ from servo_daemon.identification.output_error.precision.combinations import (
 )
 from servo_daemon.identification.output_error.precision.information import information
 from servo_daemon.identification.output_error.precision.parameters import FittedParameter, at_bounds, correlation_of
+from servo_daemon.identification.output_error.voltage_rows import with_other_rows
 from servo_daemon.kalman.gaussian import natural_values
 from servo_daemon.samples import F64
 
@@ -75,11 +76,13 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
     problem, square = fit.problem, _square(fit)
     likelier = None if square else _likelier(fit)
     names = problem.parameter_of_column
-    inside, lag = _discrepancy(fit, scale, again, square, likelier), by_other_lags(fit, again)
+    inside, lag = _discrepancy(fit, scale, square, likelier), by_other_lags(fit, again)
+    others, rows_late = _others(fit, again, square, likelier)
     filtered = by_late_current(fit, again) if square else None
     inside = inside if filtered is None else np.column_stack([inside, filtered[0]])
     seen, slower = inside if lag is None else np.column_stack([inside, lag]), with_more_inductance(fit, again)
     added = seen if slower is None else np.column_stack([seen, SHARE * moved_to(slower, fit)])
+    added = np.column_stack([added, *(moved_to(other, fit) for other in others)])
     # (Not in the answer to the voltage: to that step it is what was seen, whatever rubs.)
     friction = by_friction_one_way(fit, again)
     added = added if friction is None else np.column_stack([added, friction])
@@ -101,6 +104,8 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
         answer = answer_between(answer, values_of(fit), there)
     if slower is not None:
         answer = answer_between(answer, values_of(fit), values_of(slower), SHARE)
+    for other in others:
+        answer = answer_between(answer, values_of(fit), values_of(other))
     return replace(
         fit,
         parameters=parameters,
@@ -109,23 +114,29 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
         answer=answer,
         combinations=determined_combinations(problem.plant, at_end, answer, after, scale, bounded),
         current_late_s=None if filtered is None else filtered[1],
+        voltage_rows_late=rows_late,
     )
 
 
-def _discrepancy(fit: OutputErrorFit, scale: F64, again: Refit, square: float, likelier: F64 | None) -> F64:
-    """Root of what comes on top of the coordinates' covariance, but for other lags, shape (k, ·)."""
+def _others(fit: OutputErrorFit, again: Refit, square: float, likelier: F64 | None) -> tuple[list[OutputErrorFit], int]:
+    """Motors with another law, and beside it with the voltage of other rows, that explain more; and by how many rows it
+    is late."""
+    law = None
+    # Noise that enters the motor passes for dry friction and the other way round; drag explains it by chance.
+    if square or likelier is not None:
+        law = with_another_law(fit, again, dry=not square)
+    moved = with_other_rows(law or fit, again, unexplained=square > 0.0)
+    return [one for one in (law, moved and moved[0]) if one is not None], moved[1] if moved else 0
+
+
+def _discrepancy(fit: OutputErrorFit, scale: F64, square: float, likelier: F64 | None) -> F64:
+    """Root of what comes on top of the coordinates' covariance, but for other lags and laws, shape (k, ·)."""
     k = len(fit.problem.parameter_of_column)
     parts = [np.zeros((k, 0))]
     if square:
         parts.append(math.sqrt(_ALONG * square) * information(fit.problem, fit.solution.point, scale).root)
     fast = by_filter_within_a_sample(fit)
     parts += [] if fast is None else [fast[:, None]]
-    # Noise that enters the motor passes for dry friction and the other way round; drag explains it by chance.
-    if square or likelier is not None:
-        laws = by_other_laws(fit, again, dry=not square)
-        parts += [] if laws is None else [laws[:, None]]
-        late = by_late_voltage(fit, again) if square else None
-        parts += [] if late is None else [late[:, None]]
     # Along a null direction it says nothing how far the two estimates are apart.
     if not square and likelier is not None and not fit.null_directions:
         parts.append(bounded_move(likelier[:k] - fit.solution.point.unknowns[:k])[:, None])

@@ -18,7 +18,6 @@ from servo_daemon.identification.output_error.fitted import OutputErrorFit
 from servo_daemon.identification.output_error.lag_like import (
     Refit,
     halved_lag,
-    leaves_the_trace_of_l,
     moved_to,
     values_of,
 )
@@ -43,47 +42,24 @@ _BACK, _PARTS, _FEWEST = 0.01, 50, 4
 #: A constant torque is told apart if this share of it follows neither speed nor acceleration: steps of five motors from
 #: rest leave 0.0001 to 0.011, pieces of 0.3 s of multisines and pick and place 0.025 to 0.47.
 _APART = 0.02
-#: A winding's lag, in samples, that is as good as none.
-_FAST = 0.5
-#: A row explains more by so much a sample (noise of the voltage by chance 0.04).
-_SHARE = 0.05
 #: Effects that are seen in one channel only.
 _NEEDS = {"brush_voltage_drop": "current_A", "speed_filter": "velocity_rad_s"}
 
 
-def by_other_laws(fit: OutputErrorFit, again: Refit, *, dry: bool = False) -> F64 | None:
-    """By how much the coordinates of the free parameters may be off, in one direction, where something follows another
-    law: 1 σ, shape (k,). None: the model has these laws, or they explain no more.
+def with_another_law(fit: OutputErrorFit, again: Refit, *, dry: bool = False) -> OutputErrorFit | None:
+    """The likeliest of the models with one law more: as far as it moves the parameters, these are unknown, 1 σ. None:
+    the model has these laws, or they explain no more.
 
     Args:
         dry: dry friction alone is asked for.
     """
     names = [name for name in _missing(fit) if not dry or name == "coulomb_friction"]
     best = _best(fit, again, names)
-    if best is None or best.solution.point.value > fit.plain.point.value - WORTH:
-        return None
-    return moved_to(best, fit)
-
-
-def by_late_voltage(fit: OutputErrorFit, again: Refit) -> F64 | None:
-    """By how much the coordinates of the free parameters may be off, in one direction, where the voltage is written a
-    row late: 1 σ, shape (k,). None: there is a lag, which it would have shortened, or that explains no more.
-
-    Without a current nothing else says so: a motion that begins before its voltage has no lag, and less inertia.
-    """
-    problem, values = fit.problem, values_of(fit)
-    if not leaves_the_trace_of_l(problem) or values["L"] > _FAST * values["R"] * problem.sample_period_s:
-        return None
-    begun = {**values, "L": _FAST * values["R"] * problem.sample_period_s}
-    other = again(problem.plant.effects, begun, _held(fit), rows_late=1)
-    clearly = _SHARE * float(problem.counts.sum())
-    if other is None or other.solution.point.value > fit.plain.point.value - clearly:
-        return None
-    return moved_to(other, fit)
+    return None if best is None or best.solution.point.value > fit.plain.point.value - WORTH else best
 
 
 def by_friction_one_way(fit: OutputErrorFit, again: Refit) -> F64 | None:
-    """By how much the coordinates of the free parameters may be off, in one direction, as `by_other_laws`, where the
+    """By how much the coordinates of the free parameters may be off, in one direction, where the
     motion never turns back: dry friction may be half of all, whether or not that explains more. None: it turns."""
     if not friction_goes_one_way(fit):
         return None
@@ -91,7 +67,7 @@ def by_friction_one_way(fit: OutputErrorFit, again: Refit) -> F64 | None:
     other = again(
         (*fit.problem.plant.effects, "coulomb_friction"),
         {**values, "B": values["B"] / 2.0, "Tc": values["B"] / 2.0 * _usual_speed(fit)},
-        _held(fit),
+        held_of(fit),
     )
     if other is None:
         return None
@@ -101,7 +77,7 @@ def by_friction_one_way(fit: OutputErrorFit, again: Refit) -> F64 | None:
 
 def friction_goes_one_way(fit: OutputErrorFit) -> bool:
     """Whether dry friction, which the model lacks, would pass for B because the motion never turns back and tells it
-    from no other torque, and nothing is left of the data that would say so. (Where something is, `by_other_laws`
+    from no other torque, and nothing is left of the data that would say so. (Where something is, `with_another_law`
     asks.)"""
     return fit.white and "coulomb_friction" in _missing(fit) and goes_one_way(fit)
 
@@ -153,7 +129,7 @@ def _usual_speed(fit: OutputErrorFit) -> float:
 
 def _best(fit: OutputErrorFit, again: Refit, names: Collection[str]) -> OutputErrorFit | None:
     """The likeliest of the models with one of these laws more."""
-    held = _held(fit)
+    held = held_of(fit)
     effects = fit.problem.plant.effects
     found = [again((*effects, name), begin, held) for name in names for begin in _begins(fit, name, held)]
     return min((f for f in found if f is not None), key=lambda f: f.solution.point.value, default=None)
@@ -178,7 +154,7 @@ def _missing(fit: OutputErrorFit) -> Iterator[str]:
             yield name
 
 
-def _held(fit: OutputErrorFit) -> frozenset[str]:
+def held_of(fit: OutputErrorFit) -> frozenset[str]:
     """One parameter of each direction without a trace: what moves along it says nothing. Along a direction of which the
     model shows too little, another law may show enough."""
     held: set[str] = set()

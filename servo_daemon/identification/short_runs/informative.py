@@ -18,7 +18,6 @@ from servo_daemon.identification.output_error.problem.rollout import TIME
 from servo_daemon.identification.short_runs.runs import RATE, TWIST, Runs, swing_s
 from servo_daemon.identification.short_runs.states import descended, first_sigma, floor
 from servo_daemon.kalman.gaussian import coordinates_of, natural_values
-from servo_daemon.plant.build import build_plant
 from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.samples import F64
 
@@ -69,7 +68,7 @@ class RunSource:
             return None
         known = effects_by_name()
         effects = tuple(e for e in self.problem.plant.effects if not {TWIST, RATE} & {s.name for s in known[e].states})
-        plant = build_plant(effects, self.problem.plant.drive)
+        plant = self.problem.plant.with_effects(effects)
         runs = with_load.of_motor(plant)
         q = coordinates_of(plant.parameters, self.motor)
         sigma = first_sigma(runs)

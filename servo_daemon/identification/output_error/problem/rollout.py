@@ -84,6 +84,23 @@ def _loop(plant: PlantModel, channels: tuple[str, ...], sensitivities: bool) -> 
     return SampleLoop(step, paced_by=STEP, side_by_side=True)
 
 
+def _through(plant: PlantModel, loop: SampleLoop, states: F64, q: F64, rows: F64) -> F64:
+    """`loop.run_many` over the samples in the plant's pieces; what is shown at the samples themselves."""
+    if plant.pieces == 1:
+        return loop.run_many(states, q, rows)
+    blocks = [rows[:, a : a + _AT_ONCE] for a in range(0, rows.shape[1], _AT_ONCE)]
+    shown = [loop.run_many(states, q, _in_pieces(block, plant.pieces))[:, :: plant.pieces] for block in blocks]
+    return np.concatenate(shown, axis=1)
+
+
+def _in_pieces(rows: F64, pieces: int) -> F64:
+    """Each row, shape (k, n, 3), as so many with the same input."""
+    cut = np.repeat(rows, pieces, axis=1)
+    cut[..., STEP] /= pieces
+    cut[..., TIME] += np.tile(np.arange(pieces), rows.shape[1]) * cut[..., STEP]
+    return cut
+
+
 def simulate(plant: PlantModel, channels: tuple[str, ...], q: F64, x0: F64, rows: F64) -> Simulated:
     """Free run with sensitivities.
 
@@ -108,14 +125,15 @@ def simulate_many(plant: PlantModel, channels: tuple[str, ...], q: F64, x0: F64,
     states = np.zeros((len(rows), n * (1 + n + n_q)))
     states[:, :n] = x0
     states[:, n : n + n * n] = np.eye(n).ravel()
-    out = _loop(plant, channels, True).run_many(states, q, rows)
+    out = _through(plant, _loop(plant, channels, True), states, q, rows)
     slopes = out[:, :, c:].reshape(*rows.shape[:2], c, n + n_q)
     return Simulated(out[:, :, :c], slopes[..., :n], slopes[..., n:], states[:, :n].copy())
 
 
 def free_run(plant: PlantModel, channels: tuple[str, ...], q: F64, x0: F64, rows: F64) -> tuple[F64, F64]:
     """Free run without sensitivities: what is shown, shape (n, c), and the plant's states, shape (n, nx)."""
-    out = _loop(plant, channels, False).run(np.array(x0, dtype=np.float64), q, rows)
+    states = np.array(x0, dtype=np.float64)[None]
+    out = _through(plant, _loop(plant, channels, False), states, q, np.ascontiguousarray(rows)[None])[0]
     return out[:, : len(channels)], out[:, len(channels) :]
 
 
@@ -127,7 +145,8 @@ def free_runs(plant: PlantModel, channels: tuple[str, ...], q: F64, x0: F64, row
         x0: shape (k, nx).
         rows: shape (k, n, 3), C-contiguous.
     """
-    out = _loop(plant, channels, False).run_many(np.array(x0, dtype=np.float64, order="C"), q, rows)
+    states = np.array(x0, dtype=np.float64, order="C")
+    out = _through(plant, _loop(plant, channels, False), states, q, rows)
     return out[:, :, : len(channels)]
 
 
@@ -144,7 +163,7 @@ def free_states(plant: PlantModel, channels: tuple[str, ...], q: F64, x0: F64, r
     states = np.tile(x0, (k, 1))
     for begin in range(0, int(np.max(at, initial=-1)) + 1, _AT_ONCE):
         part = rows[begin : begin + _AT_ONCE]
-        shown = loop.run_many(states, q, np.tile(part, (k, 1, 1)))
+        shown = _through(plant, loop, states, q, np.tile(part, (k, 1, 1)))
         here = np.flatnonzero((at >= begin) & (at < begin + len(part)))
         out[:, here] = shown[:, at[here] - begin, len(channels) :]
     return out

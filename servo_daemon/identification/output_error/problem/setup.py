@@ -16,6 +16,7 @@ from servo_daemon.identification.output_error.problem.inputs import STRAIGHT, in
 from servo_daemon.identification.output_error.problem.problem import Problem, Segment
 from servo_daemon.identification.output_error.problem.still import has_held_shaft, moves
 from servo_daemon.kalman.gaussian import to_coordinate
+from servo_daemon.numerics import sample_period
 from servo_daemon.plant.build import PlantModel, build_plant
 from servo_daemon.plant.core import Drive
 from servo_daemon.samples import F64, SampleBlock
@@ -103,7 +104,7 @@ def make_problem(
         BadInputError: no usable signals, too few samples, or a fixed parameter that the model does not have.
     """
     drive, measured = choose_signals(common_channels(recordings))
-    plant = build_plant(effects, drive)
+    plant = build_plant(effects, drive).for_runs_of(max(sample_period(r.block.time_s) for r in recordings))
     table = {p.name: p for p in plant.parameters}
     for name, value in fixed.items():
         if name in table and not (isfinite(value) and table[name].lower <= value <= table[name].upper):
