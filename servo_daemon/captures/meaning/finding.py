@@ -44,6 +44,11 @@ def column_name(capture: Capture, field: str) -> str:
     return field
 
 
+def has_time(capture: Capture) -> bool:
+    """Whether the time is one of the file's signals, which a signal map can change."""
+    return _line(capture, "time_s") is not None
+
+
 def mend(capture: Capture, field: str, keys: Mapping[str, object], *, target: str | None = None) -> str:
     """The words that tell how to say it: a signal map of one line with everything that the capture has, by the file's
     own names and units.

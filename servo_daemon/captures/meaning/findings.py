@@ -14,6 +14,7 @@ from servo_daemon.captures.meaning.rails import rail_findings
 from servo_daemon.captures.meaning.rows import row_findings
 from servo_daemon.captures.meaning.signs import sign_findings
 from servo_daemon.captures.meaning.units import unit_findings
+from servo_daemon.captures.meaning.voltages import voltage_findings
 
 
 def findings(capture: Capture, *, limit_V: float | None = None) -> tuple[Finding, ...]:
@@ -25,7 +26,7 @@ def findings(capture: Capture, *, limit_V: float | None = None) -> tuple[Finding
     """
     if jumps := jump_findings(capture):
         return tuple(jumps)
-    currents = current_findings(capture) or rail_findings(capture)
+    currents = current_findings(capture) or voltage_findings(capture) or rail_findings(capture)
     rows = () if currents else row_findings(capture)
     return (*currents, *rows, *unit_findings(capture, limit_V), *sign_findings(capture))
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servo_daemon.captures.capture.model import Capture
 from servo_daemon.captures.meaning.finding import Finding, column_name, mend
-from servo_daemon.samples import F64
+from servo_daemon.numerics import sample_period
+from servo_daemon.samples import F64, GAP_FACTOR
 
 #: A jump is more than this share of all that the position covers, and nothing else comes to half of it.
 _JUMP = 0.5
@@ -33,7 +35,7 @@ def jump_findings(capture: Capture) -> list[Finding]:
     position = capture.position_rad
     if position is None or len(position) < 8:
         return []
-    sizes = _jumps(position)
+    sizes = _jumps(position, _turned_in_gaps(capture.time_s, position))
     if not len(sizes):
         return []
     if float(np.median(sizes)) < _FEW_STEPS * _resolution(position):
@@ -54,11 +56,23 @@ def _mend(capture: Capture, modulus: float, whole: bool) -> str:
     return mend(capture, "position_rad", {"wrap": modulus})
 
 
-def _jumps(position: F64) -> F64:
-    """Sizes of the jumps without the motion in them; empty where there is none that stays."""
-    step = np.diff(position)
+def _turned_in_gaps(time_s: F64, position: F64) -> NDArray[np.bool_]:
+    """Which steps the motion can have made in a pause of the recording, no faster than it is seen elsewhere."""
+    h, step = np.diff(time_s), np.abs(np.diff(position))
+    pause = h > GAP_FACTOR * sample_period(time_s)
+    fastest = float(np.max(step[~pause] / h[~pause], initial=0.0))
+    return np.asarray(pause & (step <= fastest * h))
+
+
+def _jumps(position: F64, turned: NDArray[np.bool_]) -> F64:
+    """Sizes of the jumps without the motion in them; empty where there is none that stays.
+
+    Args:
+        turned: steps that are motion, shape (n − 1,).
+    """
+    step = np.where(turned, 0.0, np.diff(position))
     size = np.abs(step)
-    limit = _JUMP * float(np.ptp(position))
+    limit = _JUMP * float(np.ptp(np.cumsum(step)))
     at = np.flatnonzero(size > limit)
     rest = np.delete(step, at)
     if not at.size or not rest.size or 2 * float(np.max(np.abs(rest))) > limit:

@@ -35,7 +35,12 @@ from servo_daemon.identification.output_error.late_current import by_late_curren
 from servo_daemon.identification.output_error.noise.noise import WORTH, resolution
 from servo_daemon.identification.output_error.noise.residual import ResidualTest, innovation_tests
 from servo_daemon.identification.output_error.noise.whitening import moving
-from servo_daemon.identification.output_error.other_laws import by_friction_one_way, by_late_voltage, by_other_laws
+from servo_daemon.identification.output_error.other_laws import (
+    by_friction_one_way,
+    by_late_voltage,
+    by_other_laws,
+    by_unheld_voltage,
+)
 from servo_daemon.identification.output_error.precision.combinations import (
     answer_between,
     determined_combinations,
@@ -126,6 +131,8 @@ def _discrepancy(fit: OutputErrorFit, scale: F64, again: Refit, square: float, l
         parts += [] if laws is None else [laws[:, None]]
         late = by_late_voltage(fit, again) if square else None
         parts += [] if late is None else [late[:, None]]
+        unheld = by_unheld_voltage(fit, again) if square else None
+        parts += [] if unheld is None else [unheld[:, None]]
     # Along a null direction it says nothing how far the two estimates are apart.
     if not square and likelier is not None and not fit.null_directions:
         parts.append(bounded_move(likelier[:k] - fit.solution.point.unknowns[:k])[:, None])
