@@ -92,8 +92,8 @@ def by_unheld_voltage(fit: OutputErrorFit, again: Refit) -> F64 | None:
     before its voltage.
 
     No model makes a current that answers a voltage to come. As far as one does, the voltage's steps come up to a row
-    before they are written, each by a share that nothing tells: the truth is between the fit and that to a voltage a row
-    earlier.
+    before they are written, each by a share that nothing tells: the truth is between the fit and that to a voltage one
+    row earlier.
     """
     problem = fit.problem
     if problem.plant.drive != "voltage" or "current_A" not in problem.channels or "L" not in problem.free:
