@@ -14,6 +14,8 @@ from servo_daemon.samples import F64, GAP_FACTOR
 
 #: A jump is more than this share of all that the position covers, and nothing else comes to half of it.
 _JUMP = 0.5
+#: Or it is one of so few steps that are so many times the largest of all others: a position that was set to zero.
+_FEW_JUMPS, _FAR = 4, 20.0
 #: A counter has more values than this.
 _FEW_STEPS = 8
 #: A counter's range from what is seen at a jump, relative: the motion within one sample is only guessed.
@@ -72,7 +74,7 @@ def _jumps(position: F64, turned: NDArray[np.bool_]) -> F64:
     """
     step = np.where(turned, 0.0, np.diff(position))
     size = np.abs(step)
-    limit = _JUMP * float(np.ptp(np.cumsum(step)))
+    limit = min(_JUMP * float(np.ptp(np.cumsum(step))), _apart(size))
     at = np.flatnonzero(size > limit)
     rest = np.delete(step, at)
     if not at.size or not rest.size or 2 * float(np.max(np.abs(rest))) > limit:
@@ -89,6 +91,13 @@ def _jumps(position: F64, turned: NDArray[np.bool_]) -> F64:
     return np.asarray(np.abs(step[at] - typical))
 
 
+def _apart(size: F64) -> float:
+    """What lies between the few largest steps and all others, where these are that far apart; else infinite."""
+    largest = np.sort(size)[::-1][: _FEW_JUMPS + 1]
+    far = np.flatnonzero(largest[:-1] > _FAR * largest[1:])
+    return float(largest[far[0]]) / 2 if far.size and largest[far[0] + 1] > 0.0 else np.inf
+
+
 def _range_of(size: float, capture: Capture, position: F64) -> tuple[float, str]:
     """The counter's range and its words."""
     for turn, words in _TURNS:
@@ -100,7 +109,7 @@ def _range_of(size: float, capture: Capture, position: F64) -> tuple[float, str]
         for bits in _BITS:
             if abs(size / (unit * 2.0**bits) - 1.0) < _NEAR:
                 return unit * 2.0**bits, f"a counter of {bits} bits that is full and starts again"
-    return size, "it starts again (the range is read from the jump: put the exact one)"
+    return size, "it starts again, or was set to zero (the range is read from the jump: put the exact one)"
 
 
 def _resolution(position: F64) -> float:

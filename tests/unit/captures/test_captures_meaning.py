@@ -145,6 +145,17 @@ def test_what_turns_while_nothing_is_recorded_is_no_counter_that_starts_again() 
     assert found.weight == "capture" and "starts again" in found.text
 
 
+def test_a_position_that_was_set_to_zero_starts_again_wherever_it_was() -> None:
+    capture = balanced()
+    assert capture.position_rad is not None
+    away = np.where(np.arange(len(capture)) < 2500, 0.0, 7.0)
+    assert np.ptp(capture.position_rad) > 3 * 7.0
+    (found,) = findings(replace(capture, position_rad=capture.position_rad - away))
+    assert found.weight == "capture" and "starts again" in found.text
+    wrong = np.where(np.arange(len(capture)) == 2500, 7.0, 0.0)
+    assert not findings(replace(capture, position_rad=capture.position_rad - wrong))
+
+
 def test_readings_too_slow_for_a_motor_are_refused_with_what_they_are_good_for() -> None:
     t = np.asarray(10.0 * np.arange(12), np.float64)
     slow = Capture(Path("log.csv"), t, t, t, None, velocity_rad_s=t)
