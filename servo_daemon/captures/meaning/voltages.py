@@ -10,25 +10,32 @@ import numpy as np
 from servo_daemon.captures.capture.model import Capture
 from servo_daemon.captures.meaning.currents import lasts_both_ways, never_turns
 from servo_daemon.captures.meaning.finding import Finding, column_name, mend
-from servo_daemon.captures.meaning.windows import FEWEST, Windows, left, travelled
+from servo_daemon.captures.meaning.windows import FEWEST, Windows, left, travelled, window_length
 from servo_daemon.samples import F64
 
 #: The right meaning leaves less than this share (rms) of what the column as it stands leaves of the voltage ...
 _CLEARLY = 0.5
 #: ... and so much of the voltage's changes at the most.
 _CLOSES = 0.25
+#: Windows without a current, s: the winding of a motor has settled in one.
+_MOTION_S = 0.05
 #: Middles of a duty's ranges (1, 100 %, codes of 8, 10 and 12 bits), and how near one is to the zero that is seen.
 _MIDDLES, _NEAR = (0.5, 50.0, 127.5, 511.5, 2047.5), 0.03
 
 
 def voltage_findings(capture: Capture) -> list[Finding]:
-    """What its balance with current and motion says of the voltage; empty where it is one."""
+    """What its balance with current and motion, or with the motion alone, says of the voltage; empty where it is
+    one."""
     v, i, travel = capture.voltage_V, capture.current_A, travelled(capture)
-    if v is None or i is None or travel is None:
+    if v is None or travel is None:
         return []
-    windows = Windows.of(capture.time_s, v, travel)
+    m = window_length(capture.time_s) if i is not None else max(1, round(_MOTION_S / capture.sample_period_s))
+    windows = Windows.of(capture.time_s, v, travel, m)
     if len(windows) < FEWEST:
         return []
+    if i is None:
+        gained = np.gradient(windows.speed) / windows.lasting
+        return _about_a_middle(capture, windows, np.column_stack([windows.speed, gained]), v)
     columns = windows.columns(capture.time_s, i)
     return _about_a_middle(capture, windows, columns, v) or _swapped(capture, windows, columns, v, i)
 
@@ -62,26 +69,29 @@ def may_be_driven(capture: Capture, field: str) -> bool:
 
 
 def _about_a_middle(capture: Capture, windows: Windows, columns: F64, v: F64) -> list[Finding]:
-    if not never_turns(v) or float(v.mean()) <= 0.0 or not lasts_both_ways(columns[:, 2]):
+    if not never_turns(v) or float(v.mean()) <= 0.0 or not lasts_both_ways(windows.speed):
         return []
     open_share = left(columns, windows.voltage)[1]
-    (R, _, K, zero), share = left(np.column_stack([columns, np.ones(len(columns))]), windows.voltage)
+    found, share = left(np.column_stack([columns, np.ones(len(columns))]), windows.voltage)
+    zero, positive = found[-1], (found[0], found[-2])  # what goes with the current or the speed, speed or acceleration
     changes = float(np.std(windows.voltage) / np.sqrt(np.mean(windows.voltage**2)))
-    closes = share < _CLOSES * changes and share < _CLEARLY * open_share and min(R, K) > 0.0
+    closes = share < _CLOSES * changes and share < _CLEARLY * open_share and min(positive) > 0.0
     if not closes or not float(v.min()) < zero < float(v.max()):
         return []
     name = column_name(capture, "voltage_V")
     line = capture.as_map.get("signals", {}).get(name, {})
     unit = float(line.get("scale", 1.0)) if isinstance(line, dict) else 1.0
     middle = next((unit * m for m in _MIDDLES if abs(zero / (unit * m) - 1.0) < _NEAR), None)
+    if middle is None and capture.current_A is None:
+        return []  # a load may do it
     if middle is None:
         what, keys = "a voltage with an offset", {"zero": float(f"{zero:.3g}"), "scale": 1.0}
     else:
         what = "a duty whose middle stands still (locked antiphase: the voltage is supply × (2 duty − 1))"
         keys = {"zero": middle, "scale": 2.0}
     text = (
-        f"column {name} never goes below zero although the motion turns round, and voltage, current and motion fit "
-        f"together about {zero:.3g}: {what}; it is left out. {mend(capture, 'voltage_V', keys)}"
+        f"column {name} never goes below zero although the motion turns round, and the voltage fits "
+        f"what else is measured about {zero:.3g}: {what}; it is left out. {mend(capture, 'voltage_V', keys)}"
     )
     return [Finding("voltage_V", text, "column")]
 

@@ -89,6 +89,15 @@ def test_a_duty_whose_middle_stands_still_is_named_with_its_middle() -> None:
     assert "a voltage with an offset" in found.text and '"(Value - 12) * 1"' in found.text
 
 
+def test_a_duty_whose_middle_stands_still_needs_no_current() -> None:
+    capture = replace(balanced(), current_A=None)
+    assert capture.voltage_V is not None
+    shown = {"signals": {"voltage_V": {"signal": "pwm", "scale": 24.0 / 255}}}
+    (found,) = findings(replace(capture, voltage_V=12.0 + capture.voltage_V / 2.0, as_map=shown))
+    assert found.weight == "column" and '"(Value - 12) * 2"' in found.text
+    assert not findings(replace(capture, voltage_V=10.0 + capture.voltage_V / 2.0, as_map=shown))
+
+
 def test_a_load_that_pulls_one_way_gives_the_voltage_no_middle() -> None:
     capture = balanced()
     assert capture.voltage_V is not None and capture.current_A is not None
