@@ -100,7 +100,9 @@ def _within_a_sample(fit: OutputErrorFit) -> tuple[F64, float] | None:
 def _answers(fit: OutputErrorFit) -> tuple[F64, F64, F64]:
     """What the current at the end of a row answers, the speeds at both ends, the voltage and others, shape (rows, 6);
     the same with the model's speeds; and the current, shape (rows,)."""
-    here, made, current = [], [], []
+    here: list[F64] = []
+    made: list[F64] = []
+    current: list[F64] = []
     for segment, left in zip(fit.problem.segments, fit.plain.point.linearisation.residuals, strict=True):
         (i, shown), v = segment.measured.T, segment.rows[:-1, INPUT]
         known = segment.valid[1:].all(axis=1) & segment.valid[:-1].all(axis=1)

@@ -34,7 +34,7 @@ def blocked(share: F64, seed: int = 3) -> OutputErrorFit:
     return fit_output_error([Recording("stall.csv", block)])
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_steps_between_the_samples_are_in_what_is_known_of_the_inductance(seed: int) -> None:
     found = blocked(np.random.default_rng(seed).uniform(0.0, 1.0, 24)).parameters["L"]
     assert found.value is None or (found.std is not None and abs(found.value - L) < 3.0 * found.std)
