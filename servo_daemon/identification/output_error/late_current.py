@@ -81,32 +81,33 @@ def _within_a_sample(fit: OutputErrorFit) -> tuple[F64, float] | None:
     back = np.linalg.inv((Z / size).T @ (X / size)) / size[:, None]
     found = back @ ((Z / size).T @ y)
     root = back @ (Z / size).T * float(np.sqrt(np.mean((y - X @ found) ** 2)))
-    earlier, later, voltage = found[:3].tolist()
+    earlier, later, voltage, to_come = found[:4].tolist()
     both = earlier + later
-    if both >= 0.0 or voltage <= 0.0:
+    if both >= 0.0 or abs(to_come) > _LEAST_SHARE * voltage:  # or the voltage is not held over its row
         return None
     std = float(np.linalg.norm(later * root[0] - earlier * root[1])) / both**2
     values, h = values_of(fit), fit.problem.sample_period_s
     lag = values["L"] / values["R"]
-    late = earlier / both - (lag / h - 1.0 / np.expm1(h / lag))
+    stays = float(np.exp(-h / lag))
+    late = earlier / both - (lag / h - stays / (1.0 - stays))
     if late < max(_LEAST_SHARE, _SIGMA * std):
         return None
-    R, K = -float(np.expm1(-h / lag)) / voltage / values["R"], -both / voltage / values["K"]
+    R, K = (1.0 - stays) / voltage / values["R"], -both / voltage / values["K"]
     moved = {"R": R, "L": R, "K": K, "J": K**2 / R}
     names = fit.problem.parameter_of_column
     return bounded_move(np.array([np.log(moved[n]) if n in moved else 0.0 for n in names])), float(h * late)
 
 
 def _answers(fit: OutputErrorFit) -> tuple[F64, F64, F64]:
-    """What the current at the end of a row answers, the speeds at both ends, the voltage and others, shape (rows, 6);
+    """What the current at the end of a row answers, the speeds and voltages at both ends and others, shape (rows, 7);
     the same with the model's speeds; and the current, shape (rows,)."""
     here: list[F64] = []
     made: list[F64] = []
     current: list[F64] = []
     for segment, left in zip(fit.problem.segments, fit.plain.point.linearisation.residuals, strict=True):
-        (i, shown), v = segment.measured.T, segment.rows[:-1, INPUT]
+        (i, shown), v = segment.measured.T, segment.rows[:, INPUT]
         known = segment.valid[1:].all(axis=1) & segment.valid[:-1].all(axis=1)
-        others = np.column_stack([v, i[:-1], np.ones(len(v)), np.sign(v)])
+        others = np.column_stack([v[:-1], v[1:], i[:-1], np.ones(len(v) - 1), np.sign(v[:-1])])
         for table, speed in ((here, shown), (made, shown - left[:, 1])):
             table.append(np.column_stack([speed[:-1], speed[1:], others])[known])
         current.append(i[1:][known])
