@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from servo_daemon.captures.capture.model import LINEAR_COLUMNS, Capture
 
-#: What it means for a fit: only to be told; some samples of the current count as not measured; the column must be left
-#: out; the capture cannot be used so.
-Weight = Literal["told", "samples", "column", "capture"]
+#: What it means for a fit: only to be told; some samples of the current count as not measured; some rows, or the
+#: column, must be left out; the capture cannot be used so.
+Weight = Literal["told", "samples", "rows", "column", "capture"]
 #: Of a signal map, a position that is counted.
 _COUNTS = "position_counts"
 

@@ -165,6 +165,39 @@ def test_a_position_that_was_set_to_zero_starts_again_wherever_it_was() -> None:
     assert not findings(replace(capture, position_rad=capture.position_rad - wrong))
 
 
+def hoisted() -> Capture:
+    """Up, held by a brake without a current, down, held: at 1 kHz, with speeds only."""
+    rng = np.random.default_rng(6)
+    t = np.arange(12_000) * 1e-3
+    speed = np.where(t % 3.0 < 2.0, 40.0 * np.sin(np.pi * (t % 3.0) / 2.0) * np.where(t % 6.0 < 3.0, 1.0, -1.0), 0.0)
+    moving = np.abs(speed) > 0.2
+    current = np.where(moving, 5.0 + 0.6 * np.sign(speed) + J / K * np.gradient(speed, t), 0.0)
+    noise = rng.normal(0.0, 0.01, (2, len(t)))
+    i, w = (np.asarray(x, np.float64) for x in (current + noise[0], speed + noise[1]))
+    return Capture(Path("log.csv"), np.asarray(t, np.float64), None, i, None, velocity_rad_s=w)
+
+
+def test_what_is_recorded_under_a_brake_is_left_out_as_a_pause() -> None:
+    capture = hoisted()
+    assert capture.velocity_rad_s is not None and capture.current_A is not None
+    (found,) = findings(capture)
+    assert found.weight == "rows" and "stands 4 times" in found.text
+    usable = without_unusable(capture, [found])
+    assert usable.velocity_rad_s is not None and usable.current_A is not None
+    assert 0.97 * 8_000 < len(usable) < 1.06 * 8_000
+    assert np.mean(usable.current_A > 3.0) > 0.95
+    assert np.count_nonzero(usable.quality()) == 3 + 1  # one at each pause
+
+
+def test_a_load_that_the_motor_or_its_friction_holds_knows_no_brake() -> None:
+    capture = hoisted()
+    assert capture.velocity_rad_s is not None and capture.current_A is not None
+    stands = capture.current_A < 1.0
+    assert not findings(replace(capture, current_A=np.where(stands, 4.6, capture.current_A)))
+    level = replace(capture, current_A=np.where(stands, 0.0, capture.current_A - 5.0))
+    assert not findings(level)
+
+
 def test_readings_too_slow_for_a_motor_are_refused_with_what_they_are_good_for() -> None:
     t = np.asarray(10.0 * np.arange(12), np.float64)
     slow = Capture(Path("log.csv"), t, t, t, None, velocity_rad_s=t)
