@@ -22,7 +22,8 @@ _STANDS, _LASTING_S, _EDGE = 0.02, 0.2, 2
 _WINDOW_S = 0.05
 #: So many windows on either side of one that moves do, too: a brake that opens lets the load go for a moment.
 _SETTLES = 2
-#: The load's current is more than so many times that of dry friction, and than what its law leaves open (rms).
+#: The load's current is more than so many times that of dry friction, and than what its law leaves open (rms), and than
+#: half of all current while the shaft moves.
 _CLEARLY = 3.0
 #: Each direction has this share of the moving windows.
 _EITHER_WAY = 0.15
@@ -43,8 +44,10 @@ def brake_findings(capture: Capture) -> list[Finding]:
     stands = np.abs(speed) < _STANDS * np.max(np.abs(speed))
     angle = np.concatenate([[0.0], np.cumsum(travel)])[edges]
     needed, rubs, left = _law(speed, current, (angle[1:] + angle[:-1]) / 2, np.gradient(speed) / lasting, ~stands)
-    too_little = np.abs(needed - current) > np.maximum(_CLEARLY * max(rubs, left), np.abs(needed) / 2)
-    at = _stretches(stands & too_little, edges, capture)
+    most = float(np.sqrt(np.mean(current[~stands] ** 2))) if not stands.all() else np.inf
+    large = np.abs(needed) > max(_CLEARLY * rubs, _CLEARLY * left, most / 2)
+    too_little = np.abs(current) < np.abs(needed) / 2 - max(rubs, left)
+    at = _stretches(stands & large & too_little, edges, capture)
     if not at.any():
         return []
     pieces = np.count_nonzero(np.diff(at.astype(int)) == 1) + int(at[0])
