@@ -169,6 +169,12 @@ class Capture:
         """The same as of a drive that does not tell its voltage."""
         return replace(self, voltage_V=None)
 
+    def of_rows(self, rows: NDArray[np.bool_]) -> Capture:
+        """Some of its samples, shape (n,): what is left out is a pause."""
+        known = None if self.current_known is None else self.current_known[rows]
+        kept = {name: getattr(self, name)[rows] for name in ("time_s", *self.channels)}
+        return replace(self, current_known=known, **kept)
+
     def quality(self) -> U8:
         """Shape (n,): `Quality.GAP_BEFORE` where more than `GAP_FACTOR` median periods passed, and
         `Quality.CURRENT_INVALID` where the current is no measurement; else good."""

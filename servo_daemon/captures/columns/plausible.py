@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from servo_daemon.captures.capture.model import Capture, capture_error
-from servo_daemon.captures.meaning.finding import mend
+from servo_daemon.captures.meaning.finding import has_time, mend
 from servo_daemon.captures.meaning.signs import no_sign_of_speed, no_sign_of_voltage, turned_voltage
 from servo_daemon.captures.meaning.windows import travelled
 from servo_daemon.column_names import RPM
@@ -68,11 +68,10 @@ def check_time_unit(capture: Capture) -> None:
     """
     period = capture.sample_period_s
     if period > _SLOWEST_S:
-        unit, scale = ("milliseconds", 1e-3) if period < 100.0 else ("microseconds", 1e-6)
         raise capture_error(
             capture.path,
             f"the median distance of two samples is {period:g} s, too slow to show a motor's dynamics: "
-            f"is it in {unit}? time_s must be in seconds; {mend(capture, 'time_s', {'scale': scale})}",
+            f"{_why_so_slow(capture, period)}",
             column="time_s",
         )
     if period < _FASTEST_S:
@@ -81,6 +80,18 @@ def check_time_unit(capture: Capture) -> None:
             f"the median distance of two samples is {period:g} s: time_s must be in seconds",
             column="time_s",
         )
+
+
+def _why_so_slow(capture: Capture, period: float) -> str:
+    """What a period beyond a motor's dynamics may be, and what is to be done."""
+    record = f"record at {1.0 / _SLOWEST_S:g} Hz or more while the voltage changes"
+    if {"voltage_V", "current_A"} <= {*capture.channels} and travelled(capture) is not None:
+        record = f"of readings at steady speeds least squares of v = R i + K ω give R and K; for the rest {record}"
+    if not has_time(capture):
+        return f"--rate is in Hz; {record}"
+    unit, scale = ("milliseconds", 1e-3) if period < 100.0 else ("microseconds", 1e-6)
+    told = mend(capture, "time_s", {"scale": scale})
+    return f"is it in {unit}? time_s must be in seconds; {told}; if it is seconds, {record}"
 
 
 def plausibility_notes(capture: Capture) -> tuple[str, ...]:
@@ -113,7 +124,7 @@ def _time(capture: Capture) -> list[str]:
     gained = float(np.median(np.abs(np.diff(speed)) / lasting[1:]))
     if gained < _MOST_ACCELERATION:
         return []
-    told = mend(capture, "time_s", {"scale": 1e3})
+    told = mend(capture, "time_s", {"scale": 1e3}) if has_time(capture) else "mend: a lower --rate"
     return [f"the shaft gains {gained:,.2g} rad/s in a second: is time_s in milliseconds that are called µs? {told}"]
 
 

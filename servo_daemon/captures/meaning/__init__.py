@@ -7,20 +7,25 @@ from servo_daemon.captures.meaning.findings import as_meant, findings, without_u
 from servo_daemon.captures.meaning.given import excluded_values
 from servo_daemon.captures.meaning.restored import SHOWS, Shown, restored_current
 from servo_daemon.captures.meaning.signs import (
+    no_sign_of_current,
     no_sign_of_speed,
     no_sign_of_voltage,
     shows_no_sign,
     takes_no_power,
     turned_voltage,
 )
+from servo_daemon.captures.meaning.voltages import closes_as_it_stands, may_be_driven
 
 __all__ = [
     "SHOWS",
     "Finding",
     "Shown",
     "as_meant",
+    "closes_as_it_stands",
     "excluded_values",
     "findings",
+    "may_be_driven",
+    "no_sign_of_current",
     "no_sign_of_speed",
     "no_sign_of_voltage",
     "restored_current",

@@ -27,10 +27,12 @@ _LEAST_DUTY = 0.15
 
 
 def current_findings(capture: Capture) -> list[Finding]:
-    """|i|, or the supply's current, of captures with voltage, current and motion; empty where it is the motor's."""
+    """|i|, or the supply's current, of captures with voltage and current; empty where it is the motor's."""
     v, i, travel = capture.voltage_V, capture.current_A, travelled(capture)
-    if v is None or i is None or travel is None:
+    if v is None or i is None:
         return []
+    if travel is None:  # of a blocked rotor, or the balance does not close
+        travel = np.zeros(len(v) - 1)
     v, i, time_s, travel = v[:_MOST], i[:_MOST], capture.time_s[:_MOST], travel[: _MOST - 1]
     windows = Windows.of(time_s, v, travel)
     if len(windows) < FEWEST:

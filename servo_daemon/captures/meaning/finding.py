@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from servo_daemon.captures.capture.model import LINEAR_COLUMNS, Capture
 
-#: What it means for a fit: only to be told; some samples of the current count as not measured; the column must be left
-#: out; the capture cannot be used so.
-Weight = Literal["told", "samples", "column", "capture"]
+#: What it means for a fit: only to be told; some samples of the current count as not measured; some rows, or the
+#: column, must be left out; the capture cannot be used so.
+Weight = Literal["told", "samples", "rows", "column", "capture"]
 #: Of a signal map, a position that is counted.
 _COUNTS = "position_counts"
 
@@ -42,6 +42,11 @@ def column_name(capture: Capture, field: str) -> str:
     if capture.axis == "linear":
         return next((name for name, of in LINEAR_COLUMNS.items() if of == field), field)
     return field
+
+
+def has_time(capture: Capture) -> bool:
+    """Whether the time is one of the file's signals, which a signal map can change."""
+    return _line(capture, "time_s") is not None
 
 
 def mend(capture: Capture, field: str, keys: Mapping[str, object], *, target: str | None = None) -> str:

@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from servo_daemon.captures.capture.layout import lacks
 from servo_daemon.captures.capture.model import Capture, capture_error
+from servo_daemon.captures.meaning.brakes import brake_findings
 from servo_daemon.captures.meaning.currents import current_findings
 from servo_daemon.captures.meaning.finding import Finding
 from servo_daemon.captures.meaning.jumps import jump_findings
@@ -14,6 +17,7 @@ from servo_daemon.captures.meaning.rails import rail_findings
 from servo_daemon.captures.meaning.rows import row_findings
 from servo_daemon.captures.meaning.signs import sign_findings
 from servo_daemon.captures.meaning.units import unit_findings
+from servo_daemon.captures.meaning.voltages import voltage_findings
 from servo_daemon.signal_meaning import SignalMeaning
 
 
@@ -39,9 +43,10 @@ def findings(capture: Capture, *, limit_V: float | None = None) -> tuple[Finding
     """
     if jumps := jump_findings(capture):
         return tuple(jumps)
-    currents = current_findings(capture) or rail_findings(capture)
+    currents = current_findings(capture) or voltage_findings(capture) or rail_findings(capture)
     rows = () if currents else row_findings(capture)
-    return (*currents, *rows, *unit_findings(capture, limit_V), *sign_findings(capture))
+    brakes = brake_findings(capture)
+    return (*currents, *rows, *unit_findings(capture, limit_V), *sign_findings(capture), *brakes)
 
 
 def without_unusable(capture: Capture, found: Sequence[Finding]) -> Capture:
@@ -50,14 +55,17 @@ def without_unusable(capture: Capture, found: Sequence[Finding]) -> Capture:
     Raises:
         CaptureError: it cannot be used with what is found, or nothing is left; the text says the mend.
     """
+    rows = np.ones(len(capture), dtype=bool)
     for one in found:
         if one.weight == "capture":
             raise capture_error(capture.path, one.text)
-        if one.where is not None:
+        if one.where is not None and one.weight == "rows":
+            rows = rows & ~one.where
+        elif one.where is not None:
             known = capture.current_known
             capture = replace(capture, current_known=~one.where if known is None else known & ~one.where)
         if one.weight == "column":
             if lacks([f for f in ("time_s", *capture.channels) if f != one.column]):
                 raise capture_error(capture.path, one.text)
             capture = replace(capture, **{one.column: None})  # type: ignore[arg-type]
-    return capture
+    return capture if rows.all() else capture.of_rows(rows)

@@ -5,13 +5,17 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servo_daemon.captures.capture.model import Capture
 from servo_daemon.captures.meaning.finding import Finding, column_name, mend
-from servo_daemon.samples import F64
+from servo_daemon.numerics import sample_period
+from servo_daemon.samples import F64, GAP_FACTOR
 
 #: A jump is more than this share of all that the position covers, and nothing else comes to half of it.
 _JUMP = 0.5
+#: Or it is one of so few steps that are so many times the largest of all others: a position that was set to zero.
+_FEW_JUMPS, _FAR = 4, 20.0
 #: A counter has more values than this.
 _FEW_STEPS = 8
 #: A counter's range from what is seen at a jump, relative: the motion within one sample is only guessed.
@@ -33,7 +37,7 @@ def jump_findings(capture: Capture) -> list[Finding]:
     position = capture.position_rad
     if position is None or len(position) < 8:
         return []
-    sizes = _jumps(position)
+    sizes = _jumps(position, _turned_in_gaps(capture.time_s, position))
     if not len(sizes):
         return []
     if float(np.median(sizes)) < _FEW_STEPS * _resolution(position):
@@ -54,11 +58,23 @@ def _mend(capture: Capture, modulus: float, whole: bool) -> str:
     return mend(capture, "position_rad", {"wrap": modulus})
 
 
-def _jumps(position: F64) -> F64:
-    """Sizes of the jumps without the motion in them; empty where there is none that stays."""
-    step = np.diff(position)
+def _turned_in_gaps(time_s: F64, position: F64) -> NDArray[np.bool_]:
+    """Which steps the motion can have made in a pause of the recording, no faster than it is seen elsewhere."""
+    h, step = np.diff(time_s), np.abs(np.diff(position))
+    pause = h > GAP_FACTOR * sample_period(time_s)
+    fastest = float(np.max(step[~pause] / h[~pause], initial=0.0))
+    return np.asarray(pause & (step <= fastest * h))
+
+
+def _jumps(position: F64, turned: NDArray[np.bool_]) -> F64:
+    """Sizes of the jumps without the motion in them; empty where there is none that stays.
+
+    Args:
+        turned: steps that are motion, shape (n − 1,).
+    """
+    step = np.where(turned, 0.0, np.diff(position))
     size = np.abs(step)
-    limit = _JUMP * float(np.ptp(position))
+    limit = min(_JUMP * float(np.ptp(np.cumsum(step))), _apart(size))
     at = np.flatnonzero(size > limit)
     rest = np.delete(step, at)
     if not at.size or not rest.size or 2 * float(np.max(np.abs(rest))) > limit:
@@ -75,6 +91,13 @@ def _jumps(position: F64) -> F64:
     return np.asarray(np.abs(step[at] - typical))
 
 
+def _apart(size: F64) -> float:
+    """What lies between the few largest steps and all others, where these are that far apart; else infinite."""
+    largest = np.sort(size)[::-1][: _FEW_JUMPS + 1]
+    far = np.flatnonzero(largest[:-1] > _FAR * largest[1:])
+    return float(largest[far[0]]) / 2 if far.size and largest[far[0] + 1] > 0.0 else np.inf
+
+
 def _range_of(size: float, capture: Capture, position: F64) -> tuple[float, str]:
     """The counter's range and its words."""
     for turn, words in _TURNS:
@@ -86,7 +109,7 @@ def _range_of(size: float, capture: Capture, position: F64) -> tuple[float, str]
         for bits in _BITS:
             if abs(size / (unit * 2.0**bits) - 1.0) < _NEAR:
                 return unit * 2.0**bits, f"a counter of {bits} bits that is full and starts again"
-    return size, "it starts again (the range is read from the jump: put the exact one)"
+    return size, "it starts again, or was set to zero (the range is read from the jump: put the exact one)"
 
 
 def _resolution(position: F64) -> float:

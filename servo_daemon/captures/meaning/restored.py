@@ -44,20 +44,22 @@ def restored_current(
 
     Args:
         time_s, voltage, current: shape (n,); the voltage is held from each sample to the next.
-        travel: Δθ of every interval, shape (n − 1,); None: no motion was measured.
+        travel: Δθ of every interval, shape (n − 1,); None: no motion was measured, as of a blocked rotor.
 
     Raises:
-        BadInputError: a signal is missing, or the balance does not close with any signs.
+        BadInputError: the balance does not close with any signs.
     """
     if shown.shows == "supply":
         assert shown.supply_V is not None
         return from_supply(voltage, current, shown.supply_V)
-    if travel is None:
-        raise BadInputError("the sign of a current's modulus follows from voltage and motion: no motion is there")
-    signs, share = signs_of(time_s, voltage, np.abs(current), travel)
+    turned = np.zeros(len(voltage) - 1) if travel is None else travel
+    signs, share = signs_of(time_s, voltage, np.abs(current), turned)
     if share > _CLOSES:
         what = f"{100 * share:.0f} % of the voltage stays unexplained with the best signs of the current's modulus"
-        raise BadInputError(f"{what}: is it one, and are voltage and motion right?")
+        asked = (
+            "is it one, and are voltage and motion right?" if travel is not None else "if the shaft turns, measure that"
+        )
+        raise BadInputError(f"{what}: {asked}")
     return np.asarray(signs * np.abs(current)), None
 
 

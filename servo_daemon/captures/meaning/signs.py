@@ -86,10 +86,24 @@ def no_sign_of_speed(capture: Capture) -> str | None:
     )
 
 
+def no_sign_of_current(capture: Capture) -> str | None:
+    """What is said of a current that never goes below zero under a voltage that lasts in both directions, where the
+    balance does not tell its signs; None: it does, or there is none."""
+    v, i = capture.voltage_V, capture.current_A
+    if v is None or i is None or not lasts_both_ways(v) or not never_turns(i):
+        return None
+    return (
+        "current_A never goes below zero although voltage_V does: a sensor that shows |i|, not its sign. "
+        "mend: measure the angle, from which its sign follows, or a sensor for both directions"
+    )
+
+
 def turned_voltage(capture: Capture) -> str | None:
     """What is said where current and motion go together and both against the voltage; None: they do not."""
     v, i, travel = capture.voltage_V, capture.current_A, travelled(capture)
     if v is None or i is None or travel is None or float(v @ i) >= 0.0:
+        return None
+    if never_turns(i) or no_sign_of_speed(capture):
         return None
     if float(((v[1:] + v[:-1]) / 2) @ travel) >= 0.0 or not lasts_both_ways(v):
         return None

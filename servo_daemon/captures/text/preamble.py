@@ -136,9 +136,10 @@ def _ours(lines: _Lines) -> Preamble | None:
 
 
 def _are_units(cells: Sequence[str]) -> bool:
-    """A row of units: at least one is known, and none is a number."""
+    """A row of units: at least one is known, and none is a number or, as "V_motor", a name that is understood."""
     words = [cell.strip(" []()") for cell in cells]
-    return any(unit_of(w) is not None for w in words) and not any(is_number(w) for w in words if w)
+    others = [w for w in words if w and unit_of(w) is None]
+    return len(others) < len([w for w in words if w]) and not any(is_number(w) or meaning(w) for w in others)
 
 
 def _foreign(path: Path, lines: _Lines) -> Preamble:

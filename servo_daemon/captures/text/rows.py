@@ -156,6 +156,10 @@ class TextTable:
     def _plain(self) -> bool:
         return self._preamble.dialect.plain
 
+    def _name(self, index: int) -> str | None:
+        """A column's name in the header; None: there is no header."""
+        return self._preamble.names[index].strip() if self._preamble.names else None
+
     def _number(self, cell: str, index: int, line: int, column: str) -> float:
         text = cell.strip()
         if not text:
@@ -170,6 +174,8 @@ class TextTable:
             value = None
         if value is None:
             hint = f" ({_POINT})" if "," in text and self._plain else ""
+            if text == self._name(index):
+                hint = " but the header again: another recording begins there; mend: a file for each, all given at once"
             raise capture_error(self._path, f"{shown} is not a number{hint}", line=line, column=column)
         if not math.isfinite(value):
             raise capture_error(self._path, f"{shown} is not a finite number", line=line, column=column)

@@ -6,6 +6,9 @@ from collections.abc import Mapping
 
 from servo_daemon.captures import Capture
 from servo_daemon.captures.meaning import (
+    closes_as_it_stands,
+    may_be_driven,
+    no_sign_of_current,
     no_sign_of_speed,
     no_sign_of_voltage,
     shows_no_sign,
@@ -106,12 +109,10 @@ def _unexplained(name: str, capture: Capture | None) -> str:
     text = f"the model explains next to nothing of {name}, and no parameter has a value"
     if capture is None:
         return f"{text}: is its sign turned, or its unit wrong?"
-    if (unsigned := no_sign_of_speed(capture)) and name == "velocity_rad_s":
+    if (unsigned := _without_a_sign(name, capture)) is not None:
         return f"{text}: {unsigned}"
-    if takes_no_power(capture, name) and (voltage := no_sign_of_voltage(capture) or turned_voltage(capture)):
-        return f"{text}: {voltage}"
     if takes_no_power(capture, name):
-        return f"{text}: its sign is turned. {mend(capture, name, {'scale': -1.0})} turns it"
+        return f"{text}: {_against(name, capture)}"
     if (effort := shows_no_sign(capture)) is not None:
         return (
             f"{text}: either {effort} is {_MODULUS[effort]}, or the model lacks the load that holds it on one side "
@@ -121,6 +122,29 @@ def _unexplained(name: str, capture: Capture | None) -> str:
         f"{text}: the model lacks what moves it, a load or a friction (`servo-daemon diagnose {capture.path}` looks "
         "for it, `--effect NAME` adds it), or its unit is wrong"
     )
+
+
+def _without_a_sign(name: str, capture: Capture) -> str | None:
+    """What is said of a channel, or of the voltage that it answers, whose sign is missing; None: nothing."""
+    if name == "velocity_rad_s" and (unsigned := no_sign_of_speed(capture)):
+        return unsigned
+    if name == "current_A" and (unsigned := no_sign_of_current(capture)):
+        return unsigned
+    return no_sign_of_voltage(capture) if takes_no_power(capture, name) else None
+
+
+def _against(name: str, capture: Capture) -> str:
+    """What is said of a channel that counts against its effort."""
+    if (voltage := turned_voltage(capture)) is not None:
+        return voltage
+    if name == "current_A" and closes_as_it_stands(capture):
+        return (
+            "v = R i + K ω closes, and the motor gives power away: something else drives the shaft, of which no column "
+            "tells. mend: above the header the lines  # voltage: instant  # current: instant : then R, K and L come "
+            "from the winding alone"
+        )
+    driven = " or something else drives the shaft (a generator)" if may_be_driven(capture, name) else ""
+    return f"its sign is turned{driven}. {mend(capture, name, {'scale': -1.0})} turns it"
 
 
 def drift_note(drift: Drift, fit: OutputErrorFit, *, linear: bool) -> str:

@@ -35,7 +35,7 @@ from servo_daemon.identification.output_error.late_current import by_late_curren
 from servo_daemon.identification.output_error.noise.noise import WORTH, resolution
 from servo_daemon.identification.output_error.noise.residual import ResidualTest, innovation_tests
 from servo_daemon.identification.output_error.noise.whitening import moving
-from servo_daemon.identification.output_error.other_laws import by_friction_one_way, with_another_law
+from servo_daemon.identification.output_error.other_laws import by_friction_one_way, by_unheld_voltage, with_another_law
 from servo_daemon.identification.output_error.precision.combinations import (
     answer_between,
     determined_combinations,
@@ -80,6 +80,8 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
     others, rows_late = _others(fit, again, square, likelier)
     filtered = by_late_current(fit, again) if square else None
     inside = inside if filtered is None else np.column_stack([inside, filtered[0]])
+    unheld = by_unheld_voltage(fit, again) if square else None
+    inside = inside if unheld is None else np.column_stack([inside, unheld])
     seen, slower = inside if lag is None else np.column_stack([inside, lag]), with_more_inductance(fit, again)
     added = seen if slower is None else np.column_stack([seen, SHARE * moved_to(slower, fit)])
     added = np.column_stack([added, *(moved_to(other, fit) for other in others)])

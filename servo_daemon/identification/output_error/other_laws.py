@@ -16,14 +16,15 @@ import numpy as np
 
 from servo_daemon.identification.output_error.fitted import OutputErrorFit
 from servo_daemon.identification.output_error.lag_like import (
+    SHARE,
     Refit,
     halved_lag,
     moved_to,
     values_of,
 )
 from servo_daemon.identification.output_error.noise.noise import WORTH
-from servo_daemon.identification.output_error.problem.rollout import STEP
-from servo_daemon.numerics import squares_left
+from servo_daemon.identification.output_error.problem.rollout import INPUT, STEP
+from servo_daemon.numerics import least_squares, squares_left
 from servo_daemon.plant.effects import effects_by_name
 from servo_daemon.samples import F64
 
@@ -42,6 +43,9 @@ _BACK, _PARTS, _FEWEST = 0.01, 50, 4
 #: A constant torque is told apart if this share of it follows neither speed nor acceleration: steps of five motors from
 #: rest leave 0.0001 to 0.011, pieces of 0.3 s of multisines and pick and place 0.025 to 0.47.
 _APART = 0.02
+#: The current's answer to the step of the voltage's own row, over its standard error, and as a share of what a whole
+#: row makes; rows before it whose steps and residuals tell what a misfit would have left here.
+_SIGMA, _LEAST, _PAST = 5.0, 0.1, 2
 #: Effects that are seen in one channel only.
 _NEEDS = {"brush_voltage_drop": "current_A", "speed_filter": "velocity_rad_s"}
 
@@ -56,6 +60,24 @@ def with_another_law(fit: OutputErrorFit, again: Refit, *, dry: bool = False) ->
     names = [name for name in _missing(fit) if not dry or name == "coulomb_friction"]
     best = _best(fit, again, names)
     return None if best is None or best.solution.point.value > fit.plain.point.value - WORTH else best
+
+
+def by_unheld_voltage(fit: OutputErrorFit, again: Refit) -> F64 | None:
+    """By how much the coordinates of the free parameters may be off, in one direction, where the voltage's steps are
+    between its samples, as of a supply switched by hand: 1 σ, shape (k,). None: no current is measured, or none answers
+    before its voltage.
+
+    No model makes a current that answers a voltage to come. As far as one does, the voltage's steps come up to a row
+    before they are written, each by a share that nothing tells: the truth is between the fit and that to a voltage one
+    row earlier.
+    """
+    problem = fit.problem
+    if problem.plant.drive != "voltage" or "current_A" not in problem.channels or "L" not in problem.free:
+        return None
+    if not _answers_before(fit):
+        return None
+    other = again(problem.plant.effects, values_of(fit), rows_late=1)
+    return None if other is None else SHARE * moved_to(other, fit)
 
 
 def by_friction_one_way(fit: OutputErrorFit, again: Refit) -> F64 | None:
@@ -73,6 +95,30 @@ def by_friction_one_way(fit: OutputErrorFit, again: Refit) -> F64 | None:
         return None
     winding = np.array([name == "L" for name in fit.problem.parameter_of_column], dtype=bool)  # friction moves none
     return np.where(winding, 0.0, moved_to(other, fit))
+
+
+def _answers_before(fit: OutputErrorFit) -> bool:
+    """Whether what is left of the current goes with the step of the voltage in its own row, beside the steps and what
+    was left in the rows before. (A controller's voltage follows what the current's noise was, too, but against it.)"""
+    problem, k, values = fit.problem, fit.problem.channels.index("current_A"), values_of(fit)
+    tables = [np.zeros((0, 2 + 2 * _PAST))]
+    for segment, left in zip(problem.segments, fit.plain.point.linearisation.residuals, strict=True):
+        step, rest, valid = np.diff(segment.rows[:, INPUT]), left[1:, k], segment.valid[1:, k]
+        n = len(rest) - _PAST
+        if n > 0:
+            shifted = [column[_PAST - by : _PAST - by + n] for by in range(1, _PAST + 1) for column in (step, rest)]
+            now = np.column_stack([rest[_PAST:], step[_PAST:], *shifted])
+            tables.append(now[np.all([valid[by : by + n] for by in range(_PAST + 1)], axis=0)])
+    table = np.vstack(tables)
+    if len(table) <= table.shape[1]:
+        return False
+    (answer, *_), rank = least_squares(table[:, 1:], table[:, 0])
+    if rank < table.shape[1] - 1:
+        return False
+    without = squares_left(table[:, 2:], table[:, 0])
+    gained = without - squares_left(table[:, 1:], table[:, 0])
+    whole = -np.expm1(-values["R"] * problem.sample_period_s / values["L"]) / values["R"]
+    return bool(answer > _LEAST * whole and gained * len(table) > _SIGMA**2 * without)
 
 
 def friction_goes_one_way(fit: OutputErrorFit) -> bool:

@@ -45,6 +45,10 @@ DIALECTS: dict[str, tuple[str | bytes, str]] = {
     "bars": (table(VIX, "t | v | i | theta", " | "), "bars"),
     "Excel's first line": ("sep=;\r\n" + table(VIX, OURS.replace(",", ";"), ";", decimal=",", end="\r\n"), "1 line"),
     "preamble": ("LOG 3\nDate\t2024\n***End***\n\n" + table(VIX, OURS.replace(",", "\t"), "\t"), "3 lines before the"),
+    "a sentence of as many words, and names like units": (
+        "Arduino motor test v1.2\n" + table((1e3 * M.t, M.v, M.i, DEG), "ms,V_motor,I_motor,DEG"),
+        "ms → time_s, V_motor → voltage_V (no unit told), I_motor → current_A (no unit told), DEG → position_rad",
+    ),
     "slashes": ("// logger 1.2\n// motor: a\n" + table(VIX, OURS), ""),
     "units row": (table(VIX, OURS + "\ns,V,A,rad"), "a row of units, 600 rows at 500.0 Hz"),
     "units row under names like units": (
@@ -153,6 +157,13 @@ def test_a_bad_cell_of_another_dialect_is_named_by_its_line(tmp_path: Path) -> N
     path = tmp_path / "log.csv"
     path.write_text("\n".join(lines) + "\n")
     with pytest.raises(CaptureError, match=r"line 101, column u: 'x.*' is not a number"):
+        read_capture(path)
+
+
+def test_a_second_recording_in_the_same_file_is_named_by_its_header(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(2 * table(VIX, "t_s;V;A;phi_rad", ";", decimal=","))
+    with pytest.raises(CaptureError, match=rf"line {N + 2}, column t_s: .* header again: .* mend: a file for each"):
         read_capture(path)
 
 
