@@ -96,7 +96,8 @@ def test_a_slow_worker_loses_the_oldest_and_says_how_many(
     assert snapshot.estimate.samples == 3000, "what was not dropped is used"
 
 
-def test_one_of_two_drives_dies(start: Callable[..., Rig]) -> None:
+def test_one_of_two_drives_dies(start: Callable[..., Rig], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(load, "LATE_S", math.inf)  # however long the second waits for the first one's start
     rig = start(configuration("one", "two"))
     for _ in range(30):
         for name in ("one", "two"):
